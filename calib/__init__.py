@@ -1,0 +1,1 @@
+"""How pixels, robot and clocks map to the cell's plane."""

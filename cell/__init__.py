@@ -1,0 +1,1 @@
+"""A robot cell that identifies each cable it holds and inserts it."""

@@ -1,0 +1,1 @@
+"""Physical effects that can be added to the cable model, one family per file."""

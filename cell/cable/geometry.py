@@ -1,0 +1,57 @@
+"""The cable as an object: its datasheet, the motion of its grip, and where its nodes are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+#: Standard gravity in the cell's plane (x right, y up), m/s².
+GRAVITY_M_PER_S2 = (0.0, -9.81)
+
+
+@dataclass(frozen=True)
+class Cable:
+    """Datasheet of a cable: what is the same for all its individuals."""
+
+    free_length_m: float
+    line_density_kg_per_m: float
+    width_m: float
+    thickness_m: float
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not (np.isfinite(value) and value > 0.0):
+                raise ValueError(f"cable.{name} = {value}: must be finite and > 0")
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Pose of the gripping point against time: arrays of shape (T,), T ≥ 2, t increasing.
+
+    `angle_rad` is the clamp angle θ_n: 0 = level, positive = pointing down.
+    """
+
+    t_s: FloatArray
+    x_m: FloatArray
+    y_m: FloatArray
+    angle_rad: FloatArray
+
+    def __post_init__(self) -> None:
+        for name in ("t_s", "x_m", "y_m", "angle_rad"):
+            value = np.asarray(getattr(self, name), dtype=np.float64)
+            object.__setattr__(self, name, value)
+            if value.ndim != 1 or value.shape != np.shape(self.t_s):
+                raise ValueError(f"motion.{name} has shape {value.shape}, t_s {self.t_s.shape}")
+            if not np.all(np.isfinite(value)):
+                raise ValueError(f"motion.{name}[{int(np.argmin(np.isfinite(value)))}] not finite")
+        if len(self.t_s) < 2 or np.any(np.diff(self.t_s) <= 0.0):
+            raise ValueError("motion.t_s needs at least 2 times, strictly increasing")
+
+
+def node_arc_lengths(free_length_m: float, nodes: int = 11) -> FloatArray:
+    """(nodes,) arc lengths from the gripping point, tip first as in the paper, m."""
+    return np.linspace(free_length_m, 0.0, nodes)

@@ -1,0 +1,1 @@
+"""Nodes over time → the parameters of this cable, with covariance."""

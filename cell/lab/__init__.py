@@ -1,0 +1,1 @@
+"""The model lab: which physical effect is missing?"""

@@ -1,0 +1,1 @@
+"""Offsets, destination and smooth paths: which motion, and how likely it passes."""

@@ -1,0 +1,49 @@
+"""A study in memory: one cable, its trials, markers seen and grip poses logged."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable.geometry import Cable, Motion
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Markers:
+    """Points seen on the cable: `t_s` (T,), `xy_m` (T, markers, 2), nan where not seen."""
+
+    t_s: FloatArray
+    xy_m: FloatArray
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One motion of the grip and what was seen of the cable meanwhile, on one clock."""
+
+    name: str
+    role: Literal["fit", "validate"]
+    start: Literal["equilibrium", "straight"]
+    grip: Motion
+    markers: Markers
+    release_s: float | None = None
+
+
+@dataclass(frozen=True)
+class Study:
+    """Everything measured on one cable.  `arc_length_m` (markers,) from the gripping point."""
+
+    name: str
+    cable: Cable
+    arc_length_m: FloatArray
+    trials: tuple[Trial, ...]
+    gravity_m_per_s2: tuple[float, float] = (0.0, -9.81)
+    noise_std_m: float | None = None
+
+    def role(self, role: Literal["fit", "validate"]) -> tuple[Trial, ...]:
+        """Trials of a role, in order."""
+        return tuple(t for t in self.trials if t.role == role)

@@ -1,0 +1,1 @@
+"""Image → nodes of the cable, in metres in the cell's plane."""

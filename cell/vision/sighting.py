@@ -1,0 +1,48 @@
+"""What one picture says of the cable."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+class Unseen(StrEnum):
+    """Why a picture gives no nodes."""
+
+    NO_JAW = "no_jaw"
+    NO_CABLE = "no_cable"
+    TWO_CABLES = "two_cables"
+    LEAVES_PICTURE = "leaves_picture"
+    WRONG_LENGTH = "wrong_length"
+    SATURATED = "saturated"
+    EMPTY = "empty"
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """Nodes of the cable in one frame, in metres in the cell's plane; or why there are none.
+
+    t_s           time of the frame, s
+    nodes_m       (11, 2) at equal arc length, tip first; nan throughout when unseen
+    grip_m        (2,) gripping point from the jaw's marks; nan when the jaw is not found
+    clamp_angle_rad  from the jaw's marks, positive = pointing down; nan likewise
+    quality       0 (worthless) … 1 (crisp); 0 when unseen
+    unseen        None, or the reason
+    """
+
+    t_s: float
+    nodes_m: FloatArray
+    grip_m: FloatArray
+    clamp_angle_rad: float
+    quality: float
+    unseen: Unseen | None = None
+
+    @property
+    def seen(self) -> bool:
+        """Whether the nodes may be used."""
+        return self.unseen is None

@@ -1,0 +1,1 @@
+"""Devices behind interfaces; imports nothing of the cell."""

@@ -1,0 +1,1 @@
+"""Programs that speak the devices' own protocols to the real drivers."""

@@ -1,0 +1,266 @@
+"""What the cell asks of a device: Arm, Camera, Gripper, Clock, their data and their errors.
+
+Everything a device says is in the cell's plane and on the cell's clock: x right, y up, metres,
+radians, seconds.  The drivers own the mapping from there to their robot's or camera's own frames.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+
+# --- data -------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Gripping point in the cell's plane; `angle_rad` 0 = level, positive = pointing down."""
+
+    x_m: float
+    y_m: float
+    angle_rad: float = 0.0
+
+
+@dataclass(frozen=True)
+class Path:
+    """Poses against time, from `t_s[0] = 0`; every array has shape (T,), T ≥ 2.
+
+    Used both for what an arm is told to follow and, with times on the cell's clock, for what it
+    reports to have done.
+    """
+
+    t_s: FloatArray
+    x_m: FloatArray
+    y_m: FloatArray
+    angle_rad: FloatArray
+
+    def at(self, t_s: float) -> Pose:
+        """Pose at a time, by linear interpolation, held before the first and after the last."""
+        return Pose(
+            float(np.interp(t_s, self.t_s, self.x_m)),
+            float(np.interp(t_s, self.t_s, self.y_m)),
+            float(np.interp(t_s, self.t_s, self.angle_rad)),
+        )
+
+
+class ArmMode(StrEnum):
+    """What the robot's controller lets it do now."""
+
+    READY = "ready"
+    STOPPED = "stopped"  # stopped by us, latched until reset()
+    PROTECTIVE_STOP = "protective_stop"
+    SAFEGUARD_STOP = "safeguard_stop"
+    EMERGENCY_STOP = "emergency_stop"
+    LOCAL_CONTROL = "local_control"
+    LOST = "lost"
+
+
+@dataclass(frozen=True)
+class ArmState:
+    """Measured state of an arm at `t_s` on the cell's clock."""
+
+    t_s: float
+    pose: Pose
+    speed_m_per_s: float
+    moving: bool
+    mode: ArmMode
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One picture: `image` (H, W) grey levels, exposed at `t_s` (mid-exposure, cell's clock)."""
+
+    index: int
+    t_s: float
+    image: Image
+
+
+@dataclass(frozen=True)
+class GripperState:
+    """State of a gripper: jaw opening, and whether something is between the jaws."""
+
+    t_s: float
+    opening_m: float
+    holding: bool
+    moving: bool
+
+
+# --- errors -----------------------------------------------------------------------------------
+
+
+class DeviceError(Exception):
+    """A device did not do what it was asked: which one, why, and what a person can do about it.
+
+    Scenario: any of the below; catch this one to stop the cell whatever the device.
+    """
+
+    def __init__(self, device: str, cause: str, remedy: str = "") -> None:
+        super().__init__(f"{device}: {cause}" + (f"; {remedy}" if remedy else ""))
+        self.device = device
+        self.cause = cause
+        self.remedy = remedy
+
+
+class ConnectError(DeviceError):
+    """The device cannot be reached.  Scenario: cable unplugged, wrong address, power off."""
+
+
+class DeviceLostError(DeviceError):
+    """A connected device fell silent.  Scenario: network drop in the middle of a motion."""
+
+
+class DeviceTimeoutError(DeviceError):
+    """The device answers but did not finish in time.  Scenario: a jaw blocked half way."""
+
+
+class LimitError(DeviceError):
+    """A command is outside the limits; nothing was sent.  Scenario: offset beyond the cell."""
+
+
+class StoppedError(DeviceError):
+    """The device is stopped and must be reset by a person.  Scenario: protective stop."""
+
+
+class GripError(DeviceError):
+    """Nothing, or no longer anything, between the jaws.  Scenario: the cable was missed."""
+
+
+class CameraError(DeviceError):
+    """Frames are missing, late or unusable.  Scenario: a frozen or overloaded camera."""
+
+
+# --- devices ----------------------------------------------------------------------------------
+
+
+@runtime_checkable
+class Clock(Protocol):
+    """Time of the cell: real, or simulated and then forwarded without waiting."""
+
+    def now_s(self) -> float:
+        """Seconds since an arbitrary start; never goes back."""
+        ...
+
+    def sleep_s(self, duration_s: float) -> None:
+        """Let `duration_s` ≥ 0 pass."""
+        ...
+
+
+@runtime_checkable
+class Arm(Protocol):
+    """A robot arm that carries the gripping point through the cell's plane."""
+
+    name: str
+
+    @property
+    def lag_s(self) -> float:
+        """Known delay between a commanded and the executed pose, s."""
+        ...
+
+    @property
+    def rate_hz(self) -> float:
+        """Rate at which poses are streamed, Hz."""
+        ...
+
+    def connect(self) -> None:
+        """Open the connection.  Raises ConnectError."""
+        ...
+
+    def close(self) -> None:
+        """Stop and disconnect; safe to call twice and on a lost device."""
+        ...
+
+    def state(self) -> ArmState:
+        """Measured state.  Raises DeviceLostError."""
+        ...
+
+    def follow(self, path: Path) -> None:
+        """Start to follow `path` (its first pose is the present one) and return at once.
+
+        Raises LimitError (nothing moved), StoppedError, DeviceLostError.
+        """
+        ...
+
+    def log(self, start_s: float, end_s: float) -> Path:
+        """Measured poses with start_s ≤ t ≤ end_s on the cell's clock."""
+        ...
+
+    def stop(self, reason: str) -> None:
+        """Stop now; from any thread; latched until `reset`, so never lost.  Does not raise."""
+        ...
+
+    def reset(self) -> None:
+        """Clear our own stop, after a person's acknowledgement; never one of the controller's.
+
+        Raises StoppedError while the controller itself is stopped.
+        """
+        ...
+
+
+@runtime_checkable
+class Camera(Protocol):
+    """A camera that looks at the cell's plane from the side."""
+
+    name: str
+
+    @property
+    def frame_rate_hz(self) -> float:
+        """Frame rate that was read back from the camera, Hz."""
+        ...
+
+    def connect(self) -> None:
+        """Open the camera.  Raises ConnectError."""
+        ...
+
+    def close(self) -> None:
+        """Release the camera; safe to call twice."""
+        ...
+
+    def start(self, frame_count: int) -> None:
+        """Begin to record `frame_count` frames from now on and return at once."""
+        ...
+
+    def read(self) -> Frame | None:
+        """Next recorded frame, in order, waiting for it; None when all were read.
+
+        Raises CameraError (a frame is missing or late), DeviceLostError.
+        """
+        ...
+
+    def stop(self) -> None:
+        """End a recording early; frames not read yet are dropped.  Does not raise."""
+        ...
+
+
+@runtime_checkable
+class Gripper(Protocol):
+    """A parallel gripper."""
+
+    name: str
+
+    def connect(self) -> None:
+        """Open the connection and activate.  Raises ConnectError."""
+        ...
+
+    def close(self) -> None:
+        """Disconnect, leaving the jaws as they are; safe to call twice."""
+        ...
+
+    def grip(self, force_n: float) -> GripperState:
+        """Close the jaws and return when they rest.  Raises GripError if nothing is held."""
+        ...
+
+    def release(self) -> GripperState:
+        """Open the jaws and return when they rest."""
+        ...
+
+    def state(self) -> GripperState:
+        """Present state.  Raises DeviceLostError."""
+        ...

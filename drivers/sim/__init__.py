@@ -1,0 +1,1 @@
+"""The simulated world and the twins of the three devices."""
