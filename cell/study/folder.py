@@ -1,0 +1,279 @@
+"""Reads and writes studies as folders in the form cable-study/1: one YAML file and CSV tables."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from cell.cable.geometry import Cable, Motion
+from cell.located import Document, InputError, Key, Problem, load, validate
+from cell.study.data import Markers, Study, Trial
+from cell.study.table import Table, read_table, write_table
+
+FloatArray = NDArray[np.float64]
+
+FORMAT = "cable-study/1"
+GRIP_COLUMNS = ("t_s", "x_m", "y_m", "angle_rad")
+
+#: Beyond these a number is taken for a mistaken unit.
+MAX_LENGTH_M = 10.0
+MAX_DENSITY_KG_PER_M3 = 50_000.0
+MAX_GRAVITY_M_PER_S2 = 100.0
+MAX_NOISE_FRACTION = 0.2
+
+_Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+_Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+
+class _Cable(_Strict):
+    free_length_m: _Positive
+    line_density_kg_per_m: _Positive
+    width_m: _Positive
+    thickness_m: _Positive
+
+
+class _Markers(_Strict):
+    arc_length_m: Annotated[list[_Finite], Field(min_length=1)]
+
+
+class _Trial(_Strict):
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+    role: Literal["fit", "validate"]
+    start: Literal["equilibrium", "straight"]
+    release_s: _Finite | None = None
+
+
+class _Study(_Strict):
+    format: Literal["cable-study/1"]
+    name: Annotated[str, Field(min_length=1)]
+    cable: _Cable
+    gravity_m_per_s2: tuple[_Finite, _Finite] = (0.0, -9.81)
+    markers: _Markers
+    noise_std_m: _Positive | None = None
+    trials: Annotated[list[_Trial], Field(min_length=1)]
+
+
+def read_study(folder: Path) -> Study:
+    """The study in a folder, markers ordered tip first whatever their order in the file.
+
+    raises  InputError: a file is missing or wrong; every problem names file, line, value,
+            limit and remedy
+    """
+    document = load(folder / "study.yaml")
+    header = validate(document, _Study)
+    problems = _implausible(document, header)
+    if problems:
+        raise InputError(problems)
+
+    arc_length_m = np.array(header.markers.arc_length_m)
+    order = np.argsort(-arc_length_m)
+    trials: list[Trial] = []
+    for trial in header.trials:
+        try:
+            trials.append(_read_trial(folder / trial.name, trial, header, order))
+        except InputError as error:
+            problems.extend(error.problems)
+    if problems:
+        raise InputError(problems)
+    return Study(
+        name=header.name,
+        cable=Cable(**header.cable.model_dump()),
+        arc_length_m=arc_length_m[order],
+        trials=tuple(trials),
+        gravity_m_per_s2=header.gravity_m_per_s2,
+        noise_std_m=header.noise_std_m,
+    )
+
+
+def write_study(study: Study, folder: Path) -> None:
+    """Write a study so that `read_study` gives it back to the last bit.
+
+    Each file is replaced whole and `study.yaml` last, so that a reader meets either the former
+    study or this one.
+    """
+    for trial in study.trials:
+        (folder / trial.name).mkdir(parents=True, exist_ok=True)
+        grip, markers = trial.grip, trial.markers
+        write_table(
+            folder / trial.name / "grip.csv",
+            GRIP_COLUMNS,
+            np.column_stack([grip.t_s, grip.x_m, grip.y_m, grip.angle_rad]),
+        )
+        write_table(
+            folder / trial.name / "markers.csv",
+            _marker_columns(len(study.arc_length_m)),
+            np.column_stack([markers.t_s, markers.xy_m.reshape(len(markers.t_s), -1)]),
+        )
+    header: dict[str, object] = {
+        "format": FORMAT,
+        "name": study.name,
+        "cable": {k: float(v) for k, v in vars(study.cable).items()},
+        "gravity_m_per_s2": [float(g) for g in study.gravity_m_per_s2],
+        "markers": {"arc_length_m": [float(s) for s in study.arc_length_m]},
+    }
+    if study.noise_std_m is not None:
+        header["noise_std_m"] = float(study.noise_std_m)
+    header["trials"] = [
+        {"name": t.name, "role": t.role, "start": t.start}
+        | ({} if t.release_s is None else {"release_s": float(t.release_s)})
+        for t in study.trials
+    ]
+    folder.mkdir(parents=True, exist_ok=True)
+    part = folder / "study.yaml.part"
+    part.write_text(yaml.safe_dump(header, sort_keys=False, allow_unicode=True), encoding="utf-8")
+    part.replace(folder / "study.yaml")
+
+
+def _marker_columns(count: int) -> tuple[str, ...]:
+    return ("t_s", *(f"{axis}{i}_m" for i in range(count) for axis in "xy"))
+
+
+def _implausible(document: Document, header: _Study) -> list[Problem]:
+    """What a schema cannot say: mistaken units and entries that contradict each other."""
+    problems: list[Problem] = []
+
+    def add(key: Key, message: str) -> None:
+        problems.append(document.problem(key, message))
+
+    cable = header.cable
+    lengths = {n: getattr(cable, n) for n in ("free_length_m", "width_m", "thickness_m")}
+    for name, value in lengths.items():
+        if value > MAX_LENGTH_M:
+            add(
+                ("cable", name),
+                f"{value:g} m is beyond {MAX_LENGTH_M:g} m; give metres, not millimetres",
+            )
+    if not problems:
+        density = cable.line_density_kg_per_m / (cable.width_m * cable.thickness_m)
+        if density > MAX_DENSITY_KG_PER_M3:
+            add(
+                ("cable", "line_density_kg_per_m"),
+                f"{cable.line_density_kg_per_m:g} kg/m over width × thickness is {density:.3g} "
+                f"kg/m³, beyond {MAX_DENSITY_KG_PER_M3:g}; give kg/m, not g/m, and metres",
+            )
+    if np.hypot(*header.gravity_m_per_s2) > MAX_GRAVITY_M_PER_S2:
+        add(
+            ("gravity_m_per_s2",),
+            f"{list(header.gravity_m_per_s2)} is beyond {MAX_GRAVITY_M_PER_S2:g} m/s²; "
+            "give m/s², not mm/s²",
+        )
+
+    arcs = header.markers.arc_length_m
+    for i, arc in enumerate(arcs):
+        if not 0.0 <= arc <= cable.free_length_m * (1 + 1e-9):
+            add(
+                ("markers", "arc_length_m", i),
+                f"{arc:g} m is not on the cable, 0 … {cable.free_length_m:g} m; "
+                "count from the gripping point, in metres",
+            )
+    sign = np.sign(np.diff(arcs))
+    for i in map(int, np.flatnonzero((sign != sign[:1]) | (sign == 0.0))):
+        add(
+            ("markers", "arc_length_m", i + 1),
+            f"{arcs[i + 1]:g} m after {arcs[i]:g} m: markers cross or coincide; "
+            "order them along the cable",
+        )
+    if header.noise_std_m and header.noise_std_m > MAX_NOISE_FRACTION * cable.free_length_m:
+        add(
+            ("noise_std_m",),
+            f"{header.noise_std_m:g} m is beyond {MAX_NOISE_FRACTION:g} of the free length; "
+            "give metres, not millimetres",
+        )
+
+    seen: dict[str, int] = {}
+    for i, trial in enumerate(header.trials):
+        key: Key = ("trials", i)
+        if trial.name in seen:
+            add((*key, "name"), f"{trial.name!r} is also trial {seen[trial.name] + 1}; rename one")
+        seen.setdefault(trial.name, i)
+        if trial.start == "straight" and trial.release_s is None:
+            add((*key, "release_s"), "is missing; `start: straight` needs the time of letting go")
+        if trial.start == "equilibrium" and trial.release_s is not None:
+            add((*key, "release_s"), "is only for `start: straight`; remove it or change `start`")
+    return problems
+
+
+def _read_trial(folder: Path, trial: _Trial, header: _Study, order: NDArray[np.intp]) -> Trial:
+    grip = read_table(folder / "grip.csv", GRIP_COLUMNS)
+    _check_times(grip)
+    _check_finite(grip)
+    grip.check(
+        np.abs(grip.values) <= [np.inf, np.inf, np.inf, 2 * np.pi],
+        lambda _: "is beyond ±2π; give radians, not degrees",
+    )
+    motion = Motion(*grip.values.T)
+
+    count = len(header.markers.arc_length_m)
+    table = read_table(folder / "markers.csv", _marker_columns(count))
+    _check_times(table)
+    t_s = table.values[:, 0]
+    xy_m = table.values[:, 1:].reshape(len(t_s), count, 2)
+    half = np.isnan(xy_m).any(axis=2) & ~np.isnan(xy_m).all(axis=2)
+    table.check(
+        np.column_stack([np.ones(len(t_s), bool), ~np.repeat(half, 2, axis=1)]),
+        lambda _: "of a marker of which only the other coordinate is seen; leave both empty",
+    )
+    if np.isnan(xy_m).all():
+        raise table.error(
+            2, None, f"no marker is seen in any of {len(t_s)} rows; remove the trial or its nan"
+        )
+    if t_s[-1] < motion.t_s[0] or t_s[0] > motion.t_s[-1]:
+        raise table.error(
+            2,
+            "t_s",
+            f"markers span {t_s[0]:g} … {t_s[-1]:g} s, grip.csv {motion.t_s[0]:g} … "
+            f"{motion.t_s[-1]:g} s, without overlap; put both on one clock, in seconds",
+        )
+    grip_xy_m = np.column_stack([np.interp(t_s, motion.t_s, v) for v in (motion.x_m, motion.y_m)])
+    # A marker cannot be farther from the hand than the cable is long; half as far again leaves
+    # room for noise, a slipping grip and a clock that is off, and none for millimetres.
+    limit_m = 1.5 * header.cable.free_length_m
+    distance_m = np.linalg.norm(xy_m - grip_xy_m[:, None], axis=2)
+    near = ~(distance_m > limit_m)
+    table.check(
+        np.column_stack([np.ones(len(t_s), bool), np.repeat(near, 2, axis=1)]),
+        lambda _: (
+            f"lies more than {limit_m:g} m (1.5 free lengths) from the gripping point; "
+            "give metres, in the frame of grip.csv"
+        ),
+    )
+    return Trial(
+        name=trial.name,
+        role=trial.role,
+        start=trial.start,
+        grip=motion,
+        markers=Markers(t_s, xy_m[:, order]),
+        release_s=trial.release_s,
+    )
+
+
+def _check_times(table: Table) -> None:
+    t_s = table.values[:, 0]
+    if len(t_s) < 2:
+        raise table.error(1, None, f"has {len(t_s)} rows, needs at least 2")
+    if not np.isfinite(t_s).all():
+        row = int(np.argmin(np.isfinite(t_s)))
+        raise table.error(table.lines[row], "t_s", f"is {t_s[row]}; every row needs its time")
+    step = np.diff(t_s)
+    if (step <= 0.0).any():
+        row = int(np.argmax(step <= 0.0)) + 1
+        word = "repeats" if t_s[row] == t_s[row - 1] else "comes after"
+        raise table.error(
+            table.lines[row],
+            "t_s",
+            f"{t_s[row]:g} s {word} {t_s[row - 1]:g} s of the row before; "
+            "sort the rows by time and keep one row per time",
+        )
+
+
+def _check_finite(table: Table) -> None:
+    table.check(np.isfinite(table.values), lambda _: "is not a number; the grip is always known")

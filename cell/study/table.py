@@ -1,0 +1,117 @@
+"""A CSV table of numbers with a header, read so that every complaint names its line and column."""
+
+from __future__ import annotations
+
+import csv
+import difflib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.located import InputError, Problem
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Table:
+    """`values` (rows, columns), nan where a cell was empty; `lines` are line numbers from 1."""
+
+    path: Path
+    columns: tuple[str, ...]
+    values: FloatArray
+    lines: tuple[int, ...]
+
+    def error(self, line: int, column: str | None, message: str) -> InputError:
+        """A complaint about one place of the table, to be raised."""
+        return InputError([Problem(self.path, line, None, column or "", message)])
+
+    def check(self, good: NDArray[np.bool_], complaint: Callable[[str], str]) -> None:
+        """Raise InputError at the first cell that is not `good` (rows, columns)."""
+        if not good.all():
+            row, column = (int(i) for i in np.argwhere(~good)[0])
+            name = self.columns[column]
+            raise self.error(
+                self.lines[row], name, f"{self.values[row, column]:g} {complaint(name)}"
+            )
+
+
+def read_table(path: Path, columns: Sequence[str]) -> Table:
+    """Read the named columns, in this order whatever their order in the file.
+
+    raises  InputError: the file, a column or a cell is missing, unknown or not a number
+    """
+
+    def error(line: int, column: str, message: str) -> InputError:
+        return InputError([Problem(path, line, None, column, message)])
+
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as cause:
+        reason = cause.strerror if isinstance(cause, OSError) else "is not UTF-8 text"
+        raise error(1, "", f"cannot be read: {reason}") from cause
+    reader = csv.reader(text.splitlines())
+    header = [name.strip() for name in next(reader, [])]
+    if len(header) == 1 and (";" in header[0] or "\t" in header[0]):
+        raise error(1, "", "columns must be separated by commas, with decimal points")
+    missing = [name for name in columns if name not in header]
+    unknown = [name for name in header if name not in columns]
+    if missing:
+        close = difflib.get_close_matches(missing[0], unknown, 1, 0.5)
+        hint = f"; is {close[0]!r} meant for it?" if close else ""
+        raise error(
+            1, "", f"column {missing[0]} is missing ({len(missing)} in all){hint}; "
+            f"needed: {_listed(columns)}"
+        )  # fmt: skip
+    if unknown:
+        raise error(1, unknown[0], f"unknown column; needed: {_listed(columns)}; remove it")
+    if len(set(header)) < len(header):
+        twice = next(name for name in header if header.count(name) > 1)
+        raise error(1, twice, "column given twice; remove one")
+
+    rows: list[list[float]] = []
+    lines: list[int] = []
+    for cells in reader:
+        if not any(cell.strip() for cell in cells):
+            continue
+        line = reader.line_num
+        if len(cells) != len(header):
+            raise error(line, "", f"has {len(cells)} cells, the header has {len(header)}")
+        try:
+            rows.append([float(cell) if cell.strip() else np.nan for cell in cells])
+        except ValueError:
+            bad = next(i for i, cell in enumerate(cells) if not _is_number(cell))
+            raise error(
+                line, header[bad], f"{cells[bad]!r} is not a number; not seen = nan or empty"
+            ) from None
+        lines.append(line)
+    values = np.array(rows, dtype=np.float64).reshape(len(rows), len(header))
+    ordered = np.ascontiguousarray(values[:, [header.index(name) for name in columns]])
+    table = Table(path, tuple(columns), ordered, tuple(lines))
+    table.check(~np.isinf(ordered), lambda _: "is not finite; not seen = nan or empty")
+    return table
+
+
+def write_table(path: Path, columns: Sequence[str], values: FloatArray) -> None:
+    """Write `values` (rows, columns) so that they read back to the last bit; nan = empty."""
+    part = path.with_name(path.name + ".part")
+    with part.open("w", encoding="utf-8", newline="") as file:
+        file.write(",".join(columns) + "\n")
+        for row in values.tolist():
+            file.write(",".join("" if v != v else repr(v) for v in row) + "\n")
+    part.replace(path)
+
+
+def _listed(columns: Sequence[str]) -> str:
+    return ", ".join(columns) if len(columns) <= 6 else f"{', '.join(columns[:5])} … {columns[-1]}"
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return not cell.strip()
+    return True

@@ -1,0 +1,240 @@
+"""Studies survive writing and reading; every mistake a person makes is named with its remedy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from cell.cable.geometry import Cable, Motion
+from cell.located import InputError
+from cell.study.data import Markers, Study, Trial
+from cell.study.folder import read_study, write_study
+
+SHARED = Path(__file__).parents[4] / "shared" / "data"
+
+
+def trial(name: str = "identify", *, seed: int = 0, markers: int = 3, rows: int = 5) -> Trial:
+    rng = np.random.default_rng(seed)
+    t_s = np.cumsum(rng.uniform(1e-4, 0.01, rows))
+    xy_m = rng.uniform(-0.05, 0.05, (rows, markers, 2))
+    return Trial(
+        name,
+        "fit",
+        "equilibrium",
+        Motion(t_s, *rng.uniform(-0.01, 0.01, (2, rows)), rng.uniform(-0.5, 0.5, rows)),
+        Markers(t_s + 1e-4, xy_m),
+    )
+
+
+def study(*trials: Trial) -> Study:
+    return Study(
+        "s", Cable(0.1, 0.0074, 0.016, 1e-4), np.array([0.1, 0.05, 0.0]), trials or (trial(),)
+    )
+
+
+def same(a: Study, b: Study) -> None:
+    assert (a.name, a.cable, a.gravity_m_per_s2, a.noise_std_m) == (
+        b.name,
+        b.cable,
+        b.gravity_m_per_s2,
+        b.noise_std_m,
+    )
+    np.testing.assert_array_equal(a.arc_length_m, b.arc_length_m)
+    assert len(a.trials) == len(b.trials)
+    for left, right in zip(a.trials, b.trials, strict=True):
+        assert (left.name, left.role, left.start, left.release_s) == (
+            right.name,
+            right.role,
+            right.start,
+            right.release_s,
+        )
+        for field in ("t_s", "x_m", "y_m", "angle_rad"):
+            np.testing.assert_array_equal(getattr(left.grip, field), getattr(right.grip, field))
+        np.testing.assert_array_equal(left.markers.t_s, right.markers.t_s)
+        np.testing.assert_array_equal(left.markers.xy_m, right.markers.xy_m)
+
+
+@st.composite
+def studies(draw: st.DrawFn) -> Study:
+    count = draw(st.integers(1, 4))
+    free_length_m = draw(st.floats(0.02, 2.0))
+    fractions = draw(
+        st.lists(st.integers(0, 1000), min_size=count, max_size=count, unique=True).map(
+            lambda x: np.sort(np.array(x))[::-1] / 1000
+        )
+    )
+    # Inside 1.5 free lengths of the hand wherever both are.
+    near = st.floats(-0.4 * free_length_m, 0.4 * free_length_m)
+    trials = []
+    for i in range(draw(st.integers(1, 3))):
+        start = draw(st.sampled_from(["equilibrium", "straight"]))
+        rows = draw(st.integers(2, 6))
+        steps = draw(hnp.arrays(float, rows, elements=st.floats(1e-4, 0.1)))
+        grip = draw(hnp.arrays(float, (2, rows), elements=near))
+        xy_m = draw(hnp.arrays(float, (rows, count, 2), elements=near))
+        unseen = draw(hnp.arrays(bool, (rows, count)))
+        unseen[0, 0] = False
+        xy_m[unseen] = np.nan
+        trials.append(
+            Trial(
+                f"trial_{i}",
+                draw(st.sampled_from(["fit", "validate"])),
+                start,  # type: ignore[arg-type]
+                Motion(
+                    np.cumsum(steps),
+                    grip[0],
+                    grip[1],
+                    draw(hnp.arrays(float, rows, elements=st.floats(-6.0, 6.0))),
+                ),
+                Markers(np.cumsum(steps), xy_m),
+                draw(st.floats(-1.0, 1.0)) if start == "straight" else None,
+            )
+        )
+    return Study(
+        draw(st.text(st.characters(codec="utf-8", categories=("L", "N")), min_size=1)),
+        Cable(free_length_m, draw(st.floats(1e-6, 0.01)), 0.016, 1e-4),
+        fractions * free_length_m,
+        tuple(trials),
+        (draw(st.floats(-9.0, 9.0)), -9.81),
+        draw(st.none() | st.floats(1e-6, 1e-3)),
+    )
+
+
+@settings(
+    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(studies())
+def test_what_is_written_is_read_back_to_the_last_bit(tmp_path: Path, original: Study) -> None:
+    write_study(original, tmp_path)
+    same(read_study(tmp_path), original)
+
+
+def test_markers_listed_from_the_hand_are_turned_tip_first(tmp_path: Path) -> None:
+    original = study()
+    turned = Study(
+        original.name,
+        original.cable,
+        original.arc_length_m[::-1],
+        tuple(
+            Trial(t.name, t.role, t.start, t.grip, Markers(t.markers.t_s, t.markers.xy_m[:, ::-1]))
+            for t in original.trials
+        ),
+    )
+    write_study(turned, tmp_path)
+    same(read_study(tmp_path), original)
+
+
+@pytest.mark.skipif(not SHARED.exists(), reason="shared measurements are not beside the project")
+@pytest.mark.parametrize("kind", ["practice", "real"])
+def test_the_shared_studies_are_read(kind: str) -> None:
+    folders = [f.parent for f in sorted((SHARED / kind).glob("*/study.yaml"))]
+    assert folders
+    for folder in folders:
+        read = read_study(folder)
+        assert read.name == folder.name
+        assert read.role("fit")
+        assert all(np.isfinite(t.markers.xy_m).any() for t in read.trials)
+
+
+Edit = Callable[[str], str]
+
+
+def swap(old: str, new: str) -> Edit:
+    def edit(text: str) -> str:
+        assert old in text
+        return text.replace(old, new, 1)
+
+    return edit
+
+
+def lines(change: Callable[[list[str]], list[str]]) -> Edit:
+    return lambda text: "\n".join(change(text.splitlines())) + "\n"
+
+
+def cell(row: int, column: int, value: str) -> Edit:
+    def change(rows: list[str]) -> list[str]:
+        cells = rows[row].split(",")
+        cells[column] = value
+        return [*rows[:row], ",".join(cells), *rows[row + 1 :]]
+
+    return lines(change)
+
+
+MISTAKES: list[tuple[str, Edit, str]] = [
+    ("study.yaml", swap("0.1", "100"), "study.yaml:4:3: cable.free_length_m: 100 m is beyond"),
+    ("study.yaml", swap("0.0074", "7.4"), "kg/m, not g/m"),
+    ("study.yaml", swap("cable-study/1", "cable-study/2"), "study.yaml:1:1: format: "),
+    ("study.yaml", swap("role: fit", "role: fitt"), "trials[0].role: input should be 'fit'"),
+    ("study.yaml", swap("role: fit", "rôle: fit"), "did you mean 'role'?"),
+    ("study.yaml", swap("role: fit\n", "role: fit\n  role: fit\n"), "given twice, first in line"),
+    ("study.yaml", swap("width_m", "width_mm"), "did you mean 'width_m'?"),
+    ("study.yaml", swap("width_m: 0.016", "width_m: 16 mm"), "write the number alone"),
+    ("study.yaml", swap("- 0.05", "- 0.2"), "markers.arc_length_m[1]: 0.2 m is not on the cable"),
+    ("study.yaml", swap("- 0.05", "- -0.05"), "-0.05 m is not on the cable, 0 … 0.1 m"),
+    ("study.yaml", swap("- 0.05", "- 0.1"), "markers cross or coincide"),
+    ("study.yaml", swap("-9.81", "-9810"), "give m/s², not mm/s²"),
+    ("study.yaml", swap("start: equilibrium", "start: straight"), "needs the time of letting go"),
+    ("study.yaml", swap("equilibrium", "equilibrium\n  release_s: 0.1"), "only for `start: str"),
+    ("study.yaml", swap("name: identify", "name: ../identify"), "trials[0].name: "),
+    ("study.yaml", swap("cable:", "\tcable:"), "is not YAML"),
+    ("study.yaml", swap("name: identify", "name: other"), "other/grip.csv:1: cannot be read"),
+    ("identify/grip.csv", swap("angle_rad", "angle_deg"), "grip.csv:1: column angle_rad is miss"),
+    ("identify/grip.csv", lines(lambda r: [f"{x},1" for x in r]), "grip.csv:1: 1: unknown column"),
+    ("identify/grip.csv", cell(2, 3, "45"), "grip.csv:3: angle_rad: 45 is beyond ±2π"),
+    ("identify/grip.csv", cell(2, 1, ""), "grip.csv:3: x_m: nan is not a number; the grip"),
+    ("identify/grip.csv", lines(lambda r: [r[0], r[1], r[1]]), "grip.csv:3: t_s: "),
+    ("identify/grip.csv", lines(lambda r: [r[0], r[2], r[1]]), "comes after"),
+    ("identify/grip.csv", lines(lambda r: r[:2]), "has 1 rows, needs at least 2"),
+    ("identify/grip.csv", lambda text: text.replace(",", ";"), "separated by commas"),
+    ("identify/markers.csv", cell(3, 2, "1,5"), "markers.csv:4: has 8 cells, the header has 7"),
+    ("identify/markers.csv", cell(3, 2, "n/a"), "markers.csv:4: y0_m: 'n/a' is not a number"),
+    ("identify/markers.csv", cell(3, 2, "inf"), "markers.csv:4: y0_m: inf is not finite"),
+    ("identify/markers.csv", cell(3, 2, ""), "markers.csv:4: x0_m: "),
+    ("identify/markers.csv", cell(3, 2, "-12.5"), "1.5 free lengths) from the gripping point"),
+    (
+        "identify/markers.csv",
+        lines(lambda r: [r[0], *(x.split(",")[0] + "," * 6 for x in r[1:])]),
+        "no marker is seen in any of 5 rows",
+    ),
+    (
+        "identify/markers.csv",
+        lines(lambda r: [r[0], *(f"{9 + i},0,0,0,0,0,0" for i in range(3))]),
+        "without overlap; put both on one clock",
+    ),
+    ("identify/markers.csv", lines(lambda r: [x.rsplit(",", 2)[0] for x in r]), "x2_m is missing"),
+]
+
+
+@pytest.mark.parametrize(("file", "edit", "message"), MISTAKES, ids=[m[2][-28:] for m in MISTAKES])
+def test_a_mistake_is_named_with_place_and_remedy(
+    tmp_path: Path, file: str, edit: Edit, message: str
+) -> None:
+    write_study(study(), tmp_path)
+    path = tmp_path / file
+    path.write_text(edit(path.read_text(encoding="utf-8")), encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        read_study(tmp_path)
+    assert message in str(caught.value)
+    assert f"{tmp_path}" in str(caught.value)
+
+
+def test_mistakes_in_several_trials_are_told_at_once(tmp_path: Path) -> None:
+    write_study(study(trial("a"), trial("b")), tmp_path)
+    for name in "ab":
+        (tmp_path / name / "markers.csv").unlink()
+    with pytest.raises(InputError) as caught:
+        read_study(tmp_path)
+    assert [p.path.parent.name for p in caught.value.problems] == ["a", "b"]
+
+
+def test_a_spreadsheet_with_byte_order_mark_and_blank_lines_is_read(tmp_path: Path) -> None:
+    write_study(study(), tmp_path)
+    path = tmp_path / "identify" / "grip.csv"
+    path.write_text("\ufeff" + path.read_text(encoding="utf-8") + "\n,,,\n", encoding="utf-8")
+    same(read_study(tmp_path), study())
