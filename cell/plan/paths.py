@@ -1,0 +1,123 @@
+"""Paths of the gripping point: jerk-limited straight strokes, sampled at the arm's rate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import ruckig
+from numpy.typing import NDArray
+
+from cell.cable.geometry import Motion
+from drivers.interfaces import Path, Pose
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class MotionLimits:
+    """What the gripping point may do along either axis of the cell's plane."""
+
+    velocity_m_per_s: float = 0.5
+    acceleration_m_per_s2: float = 5.0
+    jerk_m_per_s3: float = 200.0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not (np.isfinite(value) and value > 0.0):
+                raise ValueError(f"motion limit {name} = {value}: must be finite and > 0")
+
+
+def identification_path(
+    start: Pose,
+    distance_m: float,
+    limits: MotionLimits,
+    rate_hz: float,
+    *,
+    duration_s: float = 0.3,
+    hold_s: float = 1.0,
+) -> Path:
+    """Down by `distance_m`, in `duration_s` or as long as the limits ask, then held for `hold_s`.
+
+    raises  ValueError: a distance, duration or rate that cannot be
+    """
+    if not distance_m > 0.0:
+        raise ValueError(f"identification distance is {distance_m} m: must be > 0")
+    if hold_s < 0.0:
+        raise ValueError(f"hold is {hold_s} s: must be ≥ 0")
+    down = _stroke((start.x_m, start.y_m), (0.0, -distance_m), limits, rate_hz, duration_s)
+    held = np.repeat(down[-1:], round(hold_s * rate_hz), axis=0)
+    return _path([down, held], start.angle_rad, rate_hz)
+
+
+def insertion_path(
+    start: Pose, offset_m: float, advance_m: float, limits: MotionLimits, rate_hz: float
+) -> Path:
+    """Down by `offset_m`, then left by `advance_m`; at rest at both ends and at the corner.
+
+    raises  ValueError: a negative offset, an advance ≤ 0, an impossible rate
+    """
+    if offset_m < 0.0 or not advance_m > 0.0:
+        raise ValueError(f"offset {offset_m} m must be ≥ 0 and advance {advance_m} m > 0")
+    down = _stroke((start.x_m, start.y_m), (0.0, -offset_m), limits, rate_hz)
+    left = _stroke((float(down[-1, 0]), float(down[-1, 1])), (-advance_m, 0.0), limits, rate_hz)
+    return _path([down, left[1:]], start.angle_rad, rate_hz)
+
+
+def executed_motion(
+    path: Path, lag_s: float, *, settle_s: float = 0.0, history: Motion | None = None
+) -> Motion:
+    """The hand's motion when an arm with a known lag is told to follow `path` from time 0.
+
+    settle_s  how long the hand is then held still
+    history   measured motion up to now, its times ≤ 0; the cable still remembers it
+    """
+    if lag_s < 0.0 or settle_s < 0.0:
+        raise ValueError(f"lag {lag_s} s and settling {settle_s} s must be ≥ 0")
+    rows = np.column_stack([path.t_s + lag_s, path.x_m, path.y_m, path.angle_rad])
+    if settle_s > 0.0:
+        rows = np.vstack([rows, rows[-1] + [settle_s, 0.0, 0.0, 0.0]])
+    if history is not None:
+        past = np.column_stack([history.t_s, history.x_m, history.y_m, history.angle_rad])
+        if past[-1, 0] > 0.0:
+            raise ValueError(f"history ends at {past[-1, 0]} s, after the path has begun (0 s)")
+        rows = np.vstack([past[past[:, 0] < rows[0, 0]], rows])
+    elif lag_s > 0.0:
+        rows = np.vstack([rows[0] - [lag_s, 0.0, 0.0, 0.0], rows])
+    return Motion(*(np.ascontiguousarray(column) for column in rows.T))
+
+
+def _stroke(
+    start_m: tuple[float, float],
+    move_m: tuple[float, float],
+    limits: MotionLimits,
+    rate_hz: float,
+    minimum_duration_s: float | None = None,
+) -> FloatArray:
+    """(samples, 2) positions of one rest-to-rest stroke, both ends included, m."""
+    if not rate_hz > 0.0:
+        raise ValueError(f"arm rate is {rate_hz} Hz: must be > 0")
+    target = [start_m[0] + move_m[0], start_m[1] + move_m[1]]
+    if move_m == (0.0, 0.0):
+        return np.array([target])
+    wish = ruckig.InputParameter(2)
+    wish.current_position, wish.target_position = list(start_m), target
+    wish.max_velocity = [limits.velocity_m_per_s] * 2
+    wish.max_acceleration = [limits.acceleration_m_per_s2] * 2
+    wish.max_jerk = [limits.jerk_m_per_s3] * 2
+    if minimum_duration_s is not None:
+        wish.minimum_duration = minimum_duration_s
+    trajectory = ruckig.Trajectory(2)
+    result = ruckig.Ruckig(2).calculate(wish, trajectory)
+    if result not in (ruckig.Result.Working, ruckig.Result.Finished):
+        raise ValueError(f"no path from {start_m} m by {move_m} m within {limits}: {result}")
+    count = int(np.ceil(trajectory.duration * rate_hz - 1e-9)) + 1
+    times = np.minimum(np.arange(count) / rate_hz, trajectory.duration)
+    return np.array([trajectory.at_time(float(t))[0] for t in times], dtype=np.float64)
+
+
+def _path(strokes: Sequence[FloatArray], angle_rad: float, rate_hz: float) -> Path:
+    xy = np.concatenate(strokes)
+    t = np.arange(len(xy)) / rate_hz
+    return Path(t, xy[:, 0].copy(), xy[:, 1].copy(), np.full(len(xy), angle_rad))

@@ -1,0 +1,84 @@
+import numpy as np
+import pytest
+
+from cell.cable.geometry import Motion
+from cell.plan.paths import MotionLimits, executed_motion, identification_path, insertion_path
+from drivers.interfaces import Path, Pose
+
+LIMITS = MotionLimits(velocity_m_per_s=0.4, acceleration_m_per_s2=3.0, jerk_m_per_s3=60.0)
+START = Pose(0.3, 0.2, 0.05)
+RATE_HZ = 500.0
+
+
+def largest_derivatives(path: Path) -> tuple[float, float, float]:
+    dt = np.diff(path.t_s)[0]
+    values = [np.column_stack([path.x_m, path.y_m])]
+    for _ in range(3):
+        values.append(np.diff(values[-1], axis=0) / dt)
+    return tuple(float(np.abs(v).max()) for v in values[1:])  # type: ignore[return-value]
+
+
+@pytest.mark.parametrize("offset_m", [0.0, 0.002, 0.04])
+def test_insertion_goes_down_then_left_within_limits(offset_m: float) -> None:
+    path = insertion_path(START, offset_m, 0.05, LIMITS, RATE_HZ)
+    assert (path.x_m[0], path.y_m[0]) == (START.x_m, START.y_m)
+    assert path.x_m[-1] == pytest.approx(START.x_m - 0.05, abs=1e-9)
+    assert path.y_m[-1] == pytest.approx(START.y_m - offset_m, abs=1e-9)
+    assert np.all(path.angle_rad == START.angle_rad)
+    np.testing.assert_allclose(np.diff(path.t_s), 1.0 / RATE_HZ)
+    going_left = path.x_m < START.x_m - 1e-12
+    np.testing.assert_allclose(path.y_m[going_left], START.y_m - offset_m, atol=1e-9)
+    speed, acceleration, jerk = largest_derivatives(path)
+    assert speed <= LIMITS.velocity_m_per_s * 1.001
+    assert acceleration <= LIMITS.acceleration_m_per_s2 * 1.001
+    assert jerk <= LIMITS.jerk_m_per_s3 * 1.01
+
+
+def test_identification_takes_the_time_asked_for_and_holds() -> None:
+    path = identification_path(START, 0.05, MotionLimits(), RATE_HZ)
+    moving = np.abs(path.y_m - path.y_m[-1]) > 1e-9
+    assert path.t_s[np.flatnonzero(moving)[-1]] == pytest.approx(0.3, abs=0.01)
+    assert path.t_s[-1] == pytest.approx(1.3, abs=0.01)
+    assert path.y_m[-1] == pytest.approx(START.y_m - 0.05, abs=1e-9)
+
+
+def test_identification_takes_longer_when_the_limits_ask() -> None:
+    slow = MotionLimits(velocity_m_per_s=0.1, acceleration_m_per_s2=1.0, jerk_m_per_s3=20.0)
+    path = identification_path(START, 0.05, slow, RATE_HZ, hold_s=0.0)
+    assert path.t_s[-1] > 0.5
+    assert largest_derivatives(path)[0] <= 0.1001
+
+
+def test_executed_motion_is_the_path_later_by_the_lag() -> None:
+    path = insertion_path(START, 0.01, 0.05, LIMITS, RATE_HZ)
+    motion = executed_motion(path, 0.03, settle_s=0.2)
+    assert motion.t_s[0] == 0.0
+    assert motion.t_s[-1] == pytest.approx(path.t_s[-1] + 0.23)
+    for t in (0.0, 0.1, 0.3):
+        assert np.interp(t + 0.03, motion.t_s, motion.x_m) == pytest.approx(path.at(t).x_m)
+
+
+def test_executed_motion_continues_a_history() -> None:
+    path = insertion_path(START, 0.01, 0.05, LIMITS, RATE_HZ)
+    t = np.array([-1.3, -1.0, 0.0])
+    ys = np.array([0.25, 0.2, 0.2])
+    history = Motion(t, np.full(3, 0.3), ys, np.full(3, 0.05))
+    motion = executed_motion(path, 0.03, history=history)
+    assert motion.t_s[0] == -1.3
+    np.testing.assert_allclose(np.interp(t, motion.t_s, motion.y_m), ys)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: insertion_path(START, -0.001, 0.05, LIMITS, RATE_HZ),
+        lambda: insertion_path(START, 0.0, 0.0, LIMITS, RATE_HZ),
+        lambda: insertion_path(START, 0.0, 0.05, LIMITS, 0.0),
+        lambda: identification_path(START, 0.0, LIMITS, RATE_HZ),
+        lambda: MotionLimits(velocity_m_per_s=0.0),
+        lambda: MotionLimits(jerk_m_per_s3=float("nan")),
+    ],
+)
+def test_impossible_requests_are_refused(call) -> None:
+    with pytest.raises(ValueError, match="must be|≥|finite"):
+        call()
