@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from cell.cable.geometry import Motion
 from drivers.interfaces import Path, Pose
+from drivers.servo import servo_response
 
 FloatArray = NDArray[np.float64]
 
@@ -66,25 +67,33 @@ def insertion_path(
 
 
 def executed_motion(
-    path: Path, lag_s: float, *, settle_s: float = 0.0, history: Motion | None = None
+    path: Path,
+    lag_s: float,
+    *,
+    start: Pose | None = None,
+    settle_s: float = 0.0,
+    history: Motion | None = None,
 ) -> Motion:
     """The hand's motion when an arm with a known lag is told to follow `path` from time 0.
 
-    settle_s  how long the hand is then held still
-    history   measured motion up to now, its times ≤ 0; the cable still remembers it
+    start     measured pose at time 0; None = exactly the path's first pose
+    settle_s  how long the hand is held still after it has arrived
+    history   measured motion up to now, its times ≤ 0: the cable still remembers it
+    raises    ValueError: negative durations, a history that reaches beyond time 0
     """
-    if lag_s < 0.0 or settle_s < 0.0:
-        raise ValueError(f"lag {lag_s} s and settling {settle_s} s must be ≥ 0")
-    rows = np.column_stack([path.t_s + lag_s, path.x_m, path.y_m, path.angle_rad])
+    if settle_s < 0.0:
+        raise ValueError(f"settling time is {settle_s} s: must be ≥ 0")
+    response = servo_response(path, lag_s, start=start)
+    rows = np.column_stack([response.t_s, response.x_m, response.y_m, response.angle_rad])
     if settle_s > 0.0:
         rows = np.vstack([rows, rows[-1] + [settle_s, 0.0, 0.0, 0.0]])
     if history is not None:
         past = np.column_stack([history.t_s, history.x_m, history.y_m, history.angle_rad])
-        if past[-1, 0] > 0.0:
-            raise ValueError(f"history ends at {past[-1, 0]} s, after the path has begun (0 s)")
+        if past[-1, 0] > rows[0, 0]:
+            raise ValueError(
+                f"history ends at {past[-1, 0]} s: must be before the path, {rows[0, 0]} s"
+            )
         rows = np.vstack([past[past[:, 0] < rows[0, 0]], rows])
-    elif lag_s > 0.0:
-        rows = np.vstack([rows[0] - [lag_s, 0.0, 0.0, 0.0], rows])
     return Motion(*(np.ascontiguousarray(column) for column in rows.T))
 
 

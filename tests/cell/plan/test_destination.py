@@ -48,7 +48,8 @@ def test_margin_does_not_depend_on_the_sampling(y0: float, y1: float, n: int) ->
 
 def test_batches_agree_with_single_paths() -> None:
     rng = np.random.default_rng(0)
-    paths = np.cumsum(rng.normal([-0.001, 0.0], 0.001, (5, 7, 60, 2)), axis=2) + [0.02, 0.0]
+    steps = rng.normal([-0.001, 0.0], 0.001, (5, 7, 60, 2))
+    paths = np.cumsum(steps, axis=2) + np.array([0.02, 0.0])
     batch = HOLE.margin_m(paths)
     assert batch.shape == (5, 7)
     single = [[HOLE.margin_m(p) for p in row] for row in paths]
