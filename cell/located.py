@@ -145,6 +145,16 @@ def validate(document: Document, model: type[Model]) -> Model:
         return model.model_validate(document.data)
     except ValidationError as error:
         problems = [_problem(document, details, model) for details in error.errors()]
+        # A mistyped key is one mistake, not an unknown key and a missing one.
+        meant = {
+            (p.key.rpartition(".")[0], p.message.rpartition("did you mean ")[2]) for p in problems
+        }
+        problems = [
+            p
+            for p in problems
+            if p.message != "is missing"
+            or (p.key.rpartition(".")[0], f"{p.key.rpartition('.')[2]!r}?") not in meant
+        ]
         raise InputError(sorted(problems, key=lambda p: (p.line, p.column or 0))) from error
 
 

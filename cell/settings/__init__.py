@@ -1,0 +1,6 @@
+"""Settings of a cell: one YAML file, every mistake in it named before anything moves."""
+
+from cell.settings.check import load_settings
+from cell.settings.model import Settings
+
+__all__ = ["Settings", "load_settings"]

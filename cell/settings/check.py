@@ -1,0 +1,193 @@
+"""Loads settings, and finds what no single entry shows: entries that contradict each other."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from cell.located import Document, InputError, Key, Problem, load, validate
+from cell.settings.model import Settings
+
+
+def load_settings(path: Path) -> Settings:
+    """Settings from a YAML file.
+
+    raises  InputError: every mistake, each with file, line, column, key, value, limit, remedy
+    """
+    document = load(path)
+    settings = validate(document, Settings)
+    problems = contradictions(document, settings)
+    if problems:
+        raise InputError(problems)
+    return settings
+
+
+def contradictions(document: Document, settings: Settings) -> list[Problem]:
+    """Entries that are possible alone and impossible together."""
+    problems = [
+        *_offsets(document, settings),
+        *_hand_within_limits(document, settings),
+        *_brisker_than_limits(document, settings),
+        *_devices(document, settings),
+    ]
+    # Where the hand cannot go, what the tip can reach is an idle question.
+    return problems or [*_destination_in_reach(document, settings), *_in_view(document, settings)]
+
+
+def _offsets(document: Document, settings: Settings) -> list[Problem]:
+    offsets = settings.motion.offsets
+    key: Key = ("motion", "offsets")
+    if offsets.last_m < offsets.first_m:
+        message = f"{offsets.last_m:g} m is less than first_m = {offsets.first_m:g} m"
+        return [document.problem((*key, "last_m"), message)]
+    steps = (offsets.last_m - offsets.first_m) / offsets.step_m
+    if abs(steps - round(steps)) > 1e-6:
+        message = f"{offsets.step_m:g} m does not divide {offsets.first_m:g} … {offsets.last_m:g} m"
+        return [document.problem((*key, "step_m"), message)]
+    if steps >= 1000:
+        return [document.problem((*key, "step_m"), f"makes {round(steps)} offsets, limit 1000")]
+    return []
+
+
+def _hand_within_limits(document: Document, settings: Settings) -> list[Problem]:
+    """Home, the lowest and the leftmost place of the hand, each against the cell's limits."""
+    motion, limits, home = settings.motion, settings.limits, settings.motion.home
+    lowered_m = home.y_m - motion.lower_m
+    deepest_m = lowered_m - motion.offsets.last_m
+    places: list[tuple[Key, str, float, tuple[float, float]]] = [
+        (("motion", "home", "x_m"), "x_m", home.x_m, limits.x_m),
+        (("motion", "home", "y_m"), "y_m", home.y_m, limits.y_m),
+        (("motion", "home", "angle_rad"), "angle_rad", home.angle_rad, limits.angle_rad),
+        (("motion", "lower_m"), "y_m", lowered_m, limits.y_m),
+        (("motion", "offsets", "last_m"), "y_m", deepest_m, limits.y_m),
+        (("motion", "advance_m"), "x_m", home.x_m - motion.advance_m, limits.x_m),
+    ]
+    return [
+        document.problem(
+            key,
+            f"takes the hand to {axis} = {value:g}, outside limits.{axis} = [{low:g}, {high:g}]; "
+            "move less, start elsewhere or widen the limits",
+        )
+        for key, axis, value, (low, high) in places
+        if not low <= value <= high
+    ]
+
+
+def _brisker_than_limits(document: Document, settings: Settings) -> list[Problem]:
+    return [
+        document.problem(
+            ("motion", name),
+            f"{getattr(settings.motion, name):g} is beyond limits.{name} = "
+            f"{getattr(settings.limits, name):g}; lower it",
+        )
+        for name in ("velocity_m_per_s", "acceleration_m_per_s2", "jerk_m_per_s3")
+        if getattr(settings.motion, name) > getattr(settings.limits, name)
+    ]
+
+
+def _devices(document: Document, settings: Settings) -> list[Problem]:
+    problems = []
+    low, high = settings.gripper.force_limits_n
+    if not low <= settings.gripper.force_n <= high:
+        problems.append(
+            document.problem(
+                ("gripper", "force_n"),
+                f"{settings.gripper.force_n:g} N is outside gripper.force_limits_n = "
+                f"[{low:g}, {high:g}]",
+            )
+        )
+    simulated = [settings.arm.kind, settings.camera.kind, settings.gripper.kind]
+    if "sim" in simulated and set(simulated) - {"sim", "files"}:
+        real = next(n for n, k in zip(("arm", "camera", "gripper"), simulated, strict=True)
+                    if k not in ("sim", "files"))  # fmt: skip
+        problems.append(
+            document.problem(
+                (real, "kind"),
+                "a real device cannot act in the simulated world; "
+                "make all three `sim`, or none of them",
+            )
+        )
+    exposure_s = getattr(settings.camera, "exposure_s", 0.0)
+    if exposure_s > 1.0 / settings.camera.frame_rate_hz:
+        problems.append(
+            document.problem(
+                ("camera", "exposure_s"),
+                f"{exposure_s:g} s is longer than a frame at {settings.camera.frame_rate_hz:g} Hz",
+            )
+        )
+    if settings.arm.kind == "ur":
+        x = np.array(settings.arm.plane_x_axis)
+        y = np.array(settings.arm.plane_y_axis)
+        size = float(np.linalg.norm(x) * np.linalg.norm(y))
+        if size == 0.0 or abs(float(x @ y)) > 1e-3 * size:
+            problems.append(
+                document.problem(
+                    ("arm", "plane_x_axis"),
+                    f"{[float(v) for v in x]} is not perpendicular to plane_y_axis "
+                    f"{[float(v) for v in y]}",
+                )
+            )
+    return problems
+
+
+def _destination_in_reach(document: Document, settings: Settings) -> list[Problem]:
+    """Whether a cable stretched from some place of the hand's last stroke gets there at all."""
+    motion, destination = settings.motion, settings.destination
+    length_m = settings.cable.free_length_m
+    end_x_m = motion.home.x_m - motion.advance_m
+    problems = []
+    entry_m = destination.x_m[1]
+    if entry_m < end_x_m - length_m:
+        problems.append(
+            document.problem(
+                ("destination", "x_m"),
+                f"entry edge {entry_m:g} m is out of reach: the hand ends its stroke at "
+                f"{end_x_m:g} m and the free length is {length_m:g} m; "
+                "move it right or advance farther",
+            )
+        )
+    if entry_m > motion.home.x_m:
+        problems.append(
+            document.problem(
+                ("destination", "x_m"),
+                f"entry edge {entry_m:g} m lies behind the hand, which starts at "
+                f"{motion.home.x_m:g} m and moves left; move it left",
+            )
+        )
+    highest_m = motion.home.y_m - motion.lower_m - motion.offsets.first_m + length_m
+    lowest_m = motion.home.y_m - motion.lower_m - motion.offsets.last_m - length_m
+    low, high = destination.y_m
+    if low > highest_m or high < lowest_m:
+        problems.append(
+            document.problem(
+                ("destination", "y_m"),
+                f"[{low:g}, {high:g}] is out of reach: with these offsets the tip is between "
+                f"{lowest_m:g} and {highest_m:g} m; move it or change motion.offsets",
+            )
+        )
+    return problems
+
+
+def _in_view(document: Document, settings: Settings) -> list[Problem]:
+    """The camera must see where the tip is to pass, otherwise nothing can be verified."""
+    camera = settings.camera
+    scale = camera.view.metres_per_pixel
+    left_m = -camera.view.origin_column_px * scale
+    top_m = camera.view.origin_row_px * scale
+    picture = {
+        "x_m": (left_m, left_m + (camera.width_px - 1) * scale),
+        "y_m": (top_m - (camera.height_px - 1) * scale, top_m),
+    }
+    problems = []
+    for name, (low, high) in picture.items():
+        wanted = getattr(settings.destination, name)
+        if wanted[0] < low or wanted[1] > high:
+            problems.append(
+                document.problem(
+                    ("destination", name),
+                    f"[{wanted[0]:g}, {wanted[1]:g}] is not all in the picture, which shows "
+                    f"{low:.4g} … {high:.4g} m; move it or correct camera.view",
+                )
+            )
+    return problems

@@ -1,0 +1,258 @@
+"""What a cell's settings may say: sections, units, ranges and defaults."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Fraction = Annotated[float, Field(gt=0.0, lt=1.0)]
+
+
+def _increasing(pair: tuple[float, float]) -> tuple[float, float]:
+    if not pair[0] < pair[1]:
+        raise ValueError(f"[{pair[0]:g}, {pair[1]:g}] is not a range; give [lower, upper]")
+    return pair
+
+
+Range = Annotated[tuple[Finite, Finite], AfterValidator(_increasing)]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+
+
+class Cable(_Section):
+    """Datasheet of the cable: what all its individuals have in common."""
+
+    free_length_m: Annotated[float, Field(gt=0.0, le=2.0)]
+    """From the jaw's edge to the tip."""
+    line_density_kg_per_m: Annotated[float, Field(gt=0.0, le=10.0)]
+    """Mass per metre."""
+    width_m: Annotated[float, Field(gt=0.0, le=0.5)]
+    """Width of the strip, across the picture."""
+    thickness_m: Annotated[float, Field(gt=0.0, le=0.5)]
+    """Thickness, as the camera sees it edge-on."""
+
+
+class Destination(_Section):
+    """Rectangle that the tip must pass, moving left: the hole's mouth."""
+
+    x_m: Range
+    """From the far edge to the edge where the tip enters."""
+    y_m: Range
+    """From the lower to the upper edge."""
+
+
+class Pose(_Section):
+    """Pose of the gripping point in the cell's plane."""
+
+    x_m: Finite = 0.0
+    y_m: Finite = 0.0
+    angle_rad: Annotated[float, Field(ge=-np.pi, le=np.pi)] = 0.0
+    """Clamp angle: 0 = level, positive = pointing down."""
+
+
+class Offsets(_Section):
+    """Distances down that are simulated, one of which is executed."""
+
+    first_m: NotNegative = 0.0
+    last_m: NotNegative = 0.040
+    step_m: Positive = 0.002
+
+    @property
+    def values_m(self) -> tuple[float, ...]:
+        """All of them, ascending."""
+        count = round((self.last_m - self.first_m) / self.step_m) + 1
+        return tuple(float(v) for v in self.first_m + self.step_m * np.arange(count))
+
+
+class Motion(_Section):
+    """What the hand does in a cycle, and how briskly."""
+
+    home: Pose = Pose()
+    """Where a cable is grasped."""
+    still_s: NotNegative = 0.1
+    """Filmed at rest before the cable is moved."""
+    lower_m: Positive = 0.050
+    """Down, to make the cable swing."""
+    lower_s: Positive = 0.3
+    """In this time, or as long as the limits ask."""
+    hold_s: Positive = 1.0
+    """Held still while the swing is filmed."""
+    offsets: Offsets = Offsets()
+    advance_m: Positive = 0.050
+    """Left, towards the destination."""
+    settle_s: NotNegative = 0.2
+    """Filmed after the hand has come to rest."""
+    velocity_m_per_s: Positive = 0.5
+    acceleration_m_per_s2: Positive = 5.0
+    jerk_m_per_s3: Positive = 200.0
+
+
+class Limits(_Section):
+    """Beyond these no command is sent, whatever the motion asks for."""
+
+    x_m: Range
+    y_m: Range
+    angle_rad: Range
+    velocity_m_per_s: Positive
+    acceleration_m_per_s2: Positive
+    jerk_m_per_s3: Positive
+
+
+class Identification(_Section):
+    """How this cable's parameters are found."""
+
+    method: Literal["map", "paper"] = "map"
+    """`map`: all frames together, with covariance.  `paper`: still shape, then swing, iterated."""
+
+
+class Choice(_Section):
+    """When an offset is good enough to be executed."""
+
+    min_probability: Fraction = 0.9
+    """Least probability that the tip passes the destination; below it the cable is rejected."""
+
+
+# --- devices ----------------------------------------------------------------------------------
+
+
+class SimulatedArm(_Section):
+    """Twin of an arm in the simulated world."""
+
+    kind: Literal["sim"]
+    rate_hz: Annotated[float, Field(ge=50.0, le=1000.0)] = 500.0
+    lag_s: Annotated[float, Field(ge=0.0, le=0.3)] = 0.03
+    """How late it follows."""
+    noise_m: NotNegative = 10e-6
+    """Standard deviation of a measured coordinate."""
+
+
+class UrArm(_Section):
+    """Universal Robots arm over RTDE."""
+
+    kind: Literal["ur"]
+    host: Annotated[str, Field(min_length=1)]
+    """Address of the controller."""
+    rate_hz: Annotated[float, Field(ge=50.0, le=500.0)] = 500.0
+    lookahead_s: Annotated[float, Field(ge=0.03, le=0.2)] = 0.03
+    gain: Annotated[float, Field(ge=100.0, le=2000.0)] = 300.0
+    lag_s: Annotated[float, Field(ge=0.0, le=0.3)] = 0.034
+    """Measured with this lookahead."""
+    plane_origin_m: tuple[Finite, Finite, Finite]
+    """Origin of the cell's plane, in the robot's base frame."""
+    plane_x_axis: tuple[Finite, Finite, Finite]
+    """Direction of the plane's x axis (away from the destination), in the base frame."""
+    plane_y_axis: tuple[Finite, Finite, Finite] = (0.0, 0.0, 1.0)
+    """Direction of the plane's y axis (up), in the base frame."""
+
+
+class View(_Section):
+    """Where the camera's pixels lie in the cell's plane, the camera being square to it."""
+
+    metres_per_pixel: Annotated[float, Field(gt=0.0, le=0.01)]
+    origin_column_px: Finite
+    """Column of the picture in which the plane's origin is seen."""
+    origin_row_px: Finite
+
+
+class _Camera(_Section):
+    width_px: Annotated[int, Field(ge=64, le=10_000)] = 1280
+    height_px: Annotated[int, Field(ge=64, le=10_000)] = 1024
+    frame_rate_hz: Annotated[float, Field(ge=10.0, le=2000.0)] = 200.0
+    view: View
+
+
+class SimulatedCamera(_Camera):
+    """Twin of a camera: renders the simulated world."""
+
+    kind: Literal["sim"]
+    exposure_s: NotNegative = 0.0005
+    lens_blur_px: NotNegative = 0.6
+    read_noise: NotNegative = 1.0
+    """Standard deviation, grey levels."""
+
+
+class OpenCvCamera(_Camera):
+    """Camera of the operating system (UVC), through OpenCV."""
+
+    kind: Literal["opencv"]
+    device: Annotated[int, Field(ge=0)] | str = 0
+    exposure_s: Positive = 0.0005
+
+
+class GenicamCamera(_Camera):
+    """Industrial camera through its GenTL producer."""
+
+    kind: Literal["genicam"]
+    producer: Path
+    """The vendor's .cti file."""
+    serial_number: str | None = None
+    exposure_s: Positive = 0.0005
+
+
+class FilesCamera(_Camera):
+    """Replays pictures from a folder."""
+
+    kind: Literal["files"]
+    folder: Path
+
+
+class _Gripper(_Section):
+    force_n: Annotated[float, Field(gt=0.0, le=235.0)]
+    """Closing force."""
+    force_limits_n: Range = (1.0, 40.0)
+    """Least that holds the cable and most that does not crush it."""
+
+
+class SimulatedGripper(_Gripper):
+    """Twin of a gripper in the simulated world."""
+
+    kind: Literal["sim"]
+
+
+class SerialGripper(_Gripper):
+    """Robotiq-type gripper, Modbus RTU on a serial line."""
+
+    kind: Literal["serial"]
+    port: Annotated[str, Field(min_length=1)]
+    address: Annotated[int, Field(ge=1, le=247)] = 9
+    baud: Annotated[int, Field(ge=1200)] = 115_200
+
+
+class World(_Section):
+    """The simulated cables: what the cell must find out and never reads."""
+
+    rigidity_n_m2: Range = (1.5e-5, 5e-5)
+    """Flexural rigidity of an individual is drawn from this range, evenly in its logarithm."""
+    rigidity_variation: Annotated[float, Field(ge=0.0, le=0.5)] = 0.15
+    """Relative amplitude of its variation along the cable."""
+    exponent: Range = (0.95, 1.05)
+    """Bending exponent N."""
+    damping_ratio: Range = (0.02, 0.06)
+    """Of the first swing mode, from which the viscosity follows."""
+    segments: Annotated[int, Field(ge=60, le=400)] = 80
+    """Of the simulated cable; more than the model has."""
+
+
+class Settings(_Section):
+    """Settings of a cell.  Numbers carry their unit in the key; SI throughout."""
+
+    cable: Cable
+    destination: Destination
+    motion: Motion = Motion()
+    limits: Limits
+    arm: Annotated[SimulatedArm | UrArm, Field(discriminator="kind")]
+    camera: Annotated[
+        SimulatedCamera | OpenCvCamera | GenicamCamera | FilesCamera, Field(discriminator="kind")
+    ]
+    gripper: Annotated[SimulatedGripper | SerialGripper, Field(discriminator="kind")]
+    identification: Identification = Identification()
+    choice: Choice = Choice()
+    world: World = World()

@@ -1,0 +1,127 @@
+"""Every mistake in the settings is found before anything moves, and named where it stands."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import jsonschema
+import pytest
+import yaml
+
+from cell.located import InputError
+from cell.settings import Settings, load_settings
+
+CONFIG = Path(__file__).parents[3] / "config"
+FAKE = (CONFIG / "fake.yaml").read_text(encoding="utf-8")
+LINE3 = (CONFIG / "line3.yaml").read_text(encoding="utf-8")
+
+
+def complaint(tmp_path: Path, text: str) -> str:
+    path = tmp_path / "cell.yaml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        load_settings(path)
+    assert all(str(p).startswith(f"{path}:{p.line}:{p.column}: ") for p in caught.value.problems)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["fake.yaml", "line3.yaml"])
+def test_the_shipped_settings_are_valid(name: str) -> None:
+    settings = load_settings(CONFIG / name)
+    assert len(settings.motion.offsets.values_m) == 21
+    assert settings.motion.offsets.values_m[-1] == pytest.approx(0.04)
+
+
+def test_what_is_resolved_can_be_loaded_again(tmp_path: Path) -> None:
+    settings = load_settings(CONFIG / "line3.yaml")
+    path = tmp_path / "resolved.yaml"
+    path.write_text(yaml.safe_dump(settings.model_dump(mode="json")), encoding="utf-8")
+    assert load_settings(path) == settings
+
+
+def test_the_schema_for_editors_is_fresh_and_accepts_what_is_shipped() -> None:
+    schema = json.loads((CONFIG / "cell.schema.json").read_text(encoding="utf-8"))
+    assert schema == Settings.model_json_schema(), "run `cell schema > config/cell.schema.json`"
+    for text in (FAKE, LINE3):
+        jsonschema.validate(yaml.safe_load(text), schema)
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(yaml.safe_load(FAKE.replace("force_n", "force")), schema)
+
+
+MISTAKES = [
+    # old, new, what is said
+    (
+        "force_n: 20.0",
+        "force: 20.0",
+        "cell.yaml:45:3: gripper.force: unknown key; did you mean 'force_n'?",
+    ),
+    (
+        "force_n: 20.0",
+        "force_n: 20 N",
+        "cell.yaml:45:3: gripper.force_n: input should be a valid number",
+    ),
+    ("force_n: 20.0", "force_n: 20 N", "write the number alone, its unit is in the key's name"),
+    ("force_n: 20.0", "force_n: 500", "less than or equal to 235 (got 500)"),
+    ("force_n: 20.0", "force_n: 60", "60 N is outside gripper.force_limits_n = [1, 40]"),
+    ("force_n: 20.0", "force_n: .nan", "gripper.force_n: "),
+    ("  force_n: 20.0", "", "gripper.force_n: is missing"),
+    ("gripper:", "griper:", "griper: unknown key; did you mean 'gripper'?"),
+    ("free_length_m: 0.100", "free_length_mm: 100", "did you mean 'free_length_m'?"),
+    ("free_length_m: 0.100", "free_length_m: 100", "cable.free_length_m: input should be less"),
+    ("y_m: [-0.105, -0.095]", "y_m: [-0.095, -0.105]", "is not a range; give [lower, upper]"),
+    ("y_m: [-0.105, -0.095]", "y_m: [0.505, 0.515]", "destination.y_m: [0.505, 0.515] is out of"),
+    ("x_m: [-0.130, -0.120]", "x_m: [-0.430, -0.420]", "entry edge -0.42 m is out of reach"),
+    ("x_m: [-0.130, -0.120]", "x_m: [0.130, 0.140]", "lies behind the hand"),
+    ("origin_column_px: 1000", "origin_column_px: 500", "is not all in the picture, which shows"),
+    ("last_m: 0.040", "last_m: 0.060", "motion.offsets.last_m: takes the hand to y_m = -0.11"),
+    ("last_m: 0.040", "last_m: -0.01", "motion.offsets.last_m: input should be greater"),
+    ("step_m: 0.002", "step_m: 0.003", "0.003 m does not divide 0 … 0.04 m"),
+    ("step_m: 0.002", "step_m: 0.00002", "makes 2000 offsets, limit 1000"),
+    ("first_m: 0.0,", "first_m: 0.05,", "0.04 m is less than first_m = 0.05 m"),
+    ("advance_m: 0.050", "advance_m: 0.070", "takes the hand to x_m = -0.07, outside limits.x_m"),
+    (
+        "velocity_m_per_s: 0.6",
+        "velocity_m_per_s: 0.4",
+        "motion.velocity_m_per_s: 0.5 is beyond limits.velocity",
+    ),
+    ("angle_rad: [-0.1, 0.1]", "angle_rad: [0.1, 0.2]", "outside limits.angle_rad = [0.1, 0.2]"),
+    ("kind: sim", "kind: simm", "'simm' is not one of 'sim', 'ur'; did you mean 'sim'?"),
+    ("  kind: sim\n  rate", "  rate", "arm.kind: is missing"),
+    ("rate_hz: 500.0", "rate: 500.0", "arm.rate: unknown key; did you mean 'rate_hz'?"),
+    ("kind: sim\n  force", "kind: serial\n  port: p\n  force", "make all three `sim`, or none"),
+    ("frame_rate_hz: 200.0", "frame_rate_hz: 1000\n  exposure_s: 0.002", "longer than a frame"),
+    ("exponent: [0.95, 1.05]", "exponent: [0.95]", "world.exponent[1]: is missing"),
+    ("cable:\n", "cable:\n\tx: 1\n", ":6:1: is not YAML"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "said"), MISTAKES, ids=[m[2][-30:] for m in MISTAKES])
+def test_a_mistake_is_named(tmp_path: Path, old: str, new: str, said: str) -> None:
+    assert old in FAKE
+    assert said in complaint(tmp_path, FAKE.replace(old, new, 1))
+
+
+def test_a_mistyped_key_is_one_mistake(tmp_path: Path) -> None:
+    told = complaint(tmp_path, FAKE.replace("force_n", "force"))
+    assert len(told.splitlines()) == 1
+
+
+def test_axes_that_are_not_square_are_refused(tmp_path: Path) -> None:
+    text = LINE3.replace("[0.0, 0.0, 1.0]", "[0.0, 1.0, 1.0]")
+    assert "is not perpendicular to plane_y_axis" in complaint(tmp_path, text)
+
+
+def test_all_mistakes_are_told_at_once_in_the_order_of_the_file(tmp_path: Path) -> None:
+    text = FAKE.replace("width_m", "widht_m").replace("force_n", "force").replace("lag_s", "lag")
+    told = complaint(tmp_path, text).splitlines()
+    places = [int(line.split(":")[1]) for line in told]
+    assert len(told) == 3
+    assert places == sorted(places)
+
+
+def test_a_file_that_is_not_there_or_empty_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"nowhere\.yaml:1:1: cannot be read: No such file"):
+        load_settings(tmp_path / "nowhere.yaml")
+    assert "cable: is missing" in complaint(tmp_path, "")
+    assert "must hold `key: value` lines" in complaint(tmp_path, "- a\n- b\n")
