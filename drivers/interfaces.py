@@ -184,12 +184,13 @@ class Arm(Protocol):
     def follow(self, path: Path) -> None:
         """Start to follow `path` (its first pose is the present one) and return at once.
 
-        Raises LimitError (nothing moved), StoppedError, DeviceLostError.
+        The times of `path` count from now.  Raises LimitError (outside the limits, or still moving
+        on another path; nothing was sent), StoppedError, DeviceLostError.
         """
         ...
 
     def log(self, start_s: float, end_s: float) -> Path:
-        """Measured poses with start_s ≤ t ≤ end_s on the cell's clock."""
+        """Measured poses with start_s ≤ t ≤ end_s on the cell's clock, as far as they are known."""
         ...
 
     def stop(self, reason: str) -> None:

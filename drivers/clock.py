@@ -1,0 +1,19 @@
+"""The cell's clock in the real world."""
+
+from __future__ import annotations
+
+import time
+
+
+class RealClock:
+    """Monotonic time of this computer."""
+
+    def now_s(self) -> float:
+        """Seconds since an arbitrary start; the same for all processes of this computer."""
+        return time.monotonic()
+
+    def sleep_s(self, duration_s: float) -> None:
+        """Wait.  Raises ValueError: duration_s < 0 or not finite."""
+        if not 0.0 <= duration_s < float("inf"):
+            raise ValueError(f"sleep of {duration_s} s: must be finite and >= 0")
+        time.sleep(duration_s)

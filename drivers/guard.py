@@ -1,0 +1,345 @@
+"""Limits around an arm, a gripper and a camera, real and simulated alike.
+
+A guard has the shape of what it guards, and asks it nothing that it need not know.  It guards
+the cable and the tooling from mistakes of the program; it is not a safety function.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NoReturn
+
+import numpy as np
+
+from drivers.interfaces import (
+    Arm,
+    ArmState,
+    Camera,
+    CameraError,
+    Clock,
+    FloatArray,
+    Frame,
+    Gripper,
+    GripperState,
+    LimitError,
+    Path,
+)
+
+_NOTHING_MOVED = "nothing was moved"
+
+#: Shortest time over which speed, acceleration and jerk of a sampled path are judged: below it,
+#: rounding of its times would be taken for jerk.
+_SPAN_S = 0.008
+
+#: What finite differences may exceed a limit by that the sampled motion itself keeps.
+_TOLERANCE = 1.01
+
+
+@dataclass(frozen=True)
+class ArmLimits:
+    """Where the gripping point may be and how it may move there."""
+
+    x_min_m: float
+    x_max_m: float
+    y_min_m: float
+    y_max_m: float
+    angle_min_rad: float
+    angle_max_rad: float
+    max_speed_m_per_s: float
+    max_acceleration_m_per_s2: float
+    max_jerk_m_per_s3: float
+    max_angular_speed_rad_per_s: float = 1.0
+    max_angular_acceleration_rad_per_s2: float = 20.0
+    max_angular_jerk_rad_per_s3: float = 1000.0
+    start_tolerance_m: float = 0.001
+    start_tolerance_rad: float = 0.01
+
+
+class GuardedArm:
+    """An arm that refuses a path outside its limits before anything of it is sent."""
+
+    def __init__(self, arm: Arm, limits: ArmLimits) -> None:
+        self.name = arm.name
+        self._arm = arm
+        self._limits = limits
+
+    @property
+    def lag_s(self) -> float:
+        """Delay between a commanded and the executed pose, s."""
+        return self._arm.lag_s
+
+    @property
+    def rate_hz(self) -> float:
+        """Rate at which poses are streamed, Hz."""
+        return self._arm.rate_hz
+
+    def connect(self) -> None:
+        """Raises ConnectError."""
+        self._arm.connect()
+
+    def close(self) -> None:
+        """Stop and disconnect."""
+        self._arm.close()
+
+    def state(self) -> ArmState:
+        """Raises DeviceLostError."""
+        return self._arm.state()
+
+    def follow(self, path: Path) -> None:
+        """Raises LimitError naming point, value and limit; else as the arm."""
+        check_path(path, self._limits, self.name)
+        self._check_start(path)
+        self._arm.follow(path)
+
+    def log(self, start_s: float, end_s: float) -> Path:
+        """Measured poses."""
+        return self._arm.log(start_s, end_s)
+
+    def stop(self, reason: str) -> None:
+        """Stop now; latched."""
+        self._arm.stop(reason)
+
+    def reset(self) -> None:
+        """Raises StoppedError while the controller itself is stopped."""
+        self._arm.reset()
+
+    def _check_start(self, path: Path) -> None:
+        here = self._arm.state().pose
+        start = path.at(float(path.t_s[0]))
+        limits = self._limits
+        for name, unit, value, present, tolerance in (
+            ("x", "m", start.x_m, here.x_m, limits.start_tolerance_m),
+            ("y", "m", start.y_m, here.y_m, limits.start_tolerance_m),
+            ("angle", "rad", start.angle_rad, here.angle_rad, limits.start_tolerance_rad),
+        ):
+            if abs(value - present) > tolerance:
+                raise LimitError(
+                    self.name,
+                    f"the path starts at {name} = {value:.4f} {unit}, but the arm is at "
+                    f"{present:.4f} {unit} (tolerance {tolerance:.4f} {unit})",
+                    _NOTHING_MOVED,
+                )
+
+
+def check_path(path: Path, limits: ArmLimits, device: str = "arm") -> None:
+    """Whether a path may be sent at all.
+
+    Speed, acceleration and jerk are divided differences over at least 8 ms, with the arm at rest
+    before the first and after the last point.
+
+    raises  LimitError: naming the first point at fault, its value and the limit
+    """
+    columns = {"x": path.x_m, "y": path.y_m, "angle": path.angle_rad}
+    for name, values in {"t": path.t_s, **columns}.items():
+        if np.ndim(values) != 1 or np.shape(values) != np.shape(path.t_s):
+            _refuse(device, f"{name} has shape {np.shape(values)}, t {np.shape(path.t_s)}")
+        if not np.all(np.isfinite(values)):
+            at = int(np.argmin(np.isfinite(values)))
+            _refuse(device, f"point {at + 1} of {len(values)} has {name} = {values[at]}")
+    count = len(path.t_s)
+    if count < 2:
+        _refuse(device, f"the path has {count} points, at least 2 are needed")
+    steps_s = np.diff(path.t_s)
+    if np.any(steps_s <= 0.0):
+        at = int(np.argmax(steps_s <= 0.0)) + 1
+        _refuse(
+            device,
+            f"point {at + 1} of {count} has t = {path.t_s[at]:.6f} s, "
+            f"not later than {path.t_s[at - 1]:.6f} s",
+        )
+    for name, unit, values, low, high in (
+        ("x", "m", path.x_m, limits.x_min_m, limits.x_max_m),
+        ("y", "m", path.y_m, limits.y_min_m, limits.y_max_m),
+        ("angle", "rad", path.angle_rad, limits.angle_min_rad, limits.angle_max_rad),
+    ):
+        _check_range(device, name, unit, values, low, high)
+    travel = np.stack([path.x_m, path.y_m], axis=-1)
+    turn = path.angle_rad[:, None]
+    for name, unit, values, order, high in (
+        ("speed", "m/s", travel, 1, limits.max_speed_m_per_s),
+        ("acceleration", "m/s²", travel, 2, limits.max_acceleration_m_per_s2),
+        ("jerk", "m/s³", travel, 3, limits.max_jerk_m_per_s3),
+        ("angular speed", "rad/s", turn, 1, limits.max_angular_speed_rad_per_s),
+        ("angular acceleration", "rad/s²", turn, 2, limits.max_angular_acceleration_rad_per_s2),
+        ("angular jerk", "rad/s³", turn, 3, limits.max_angular_jerk_rad_per_s3),
+    ):
+        size = _derivative_at_points(path.t_s, values, order)
+        _check_range(device, name, unit, size, 0.0, high, _TOLERANCE)
+
+
+def _refuse(device: str, cause: str) -> NoReturn:
+    raise LimitError(device, cause, _NOTHING_MOVED)
+
+
+def _check_range(
+    device: str,
+    name: str,
+    unit: str,
+    values: FloatArray,
+    low: float,
+    high: float,
+    tolerance: float = 1.0,
+) -> None:
+    outside = (values < low) | (values > high * tolerance if tolerance > 1.0 else values > high)
+    if np.any(outside):
+        at = int(np.argmax(outside))
+        _refuse(
+            device,
+            f"point {at + 1} of {len(values)} has {name} = {values[at]:.4f} {unit}, "
+            f"allowed {low:.4f}..{high:.4f} {unit}",
+        )
+
+
+def _derivative_at_points(t_s: FloatArray, values: FloatArray, order: int) -> FloatArray:
+    """(T,) largest size of a derivative near each point; `values` (T, k), norm over k."""
+    step_s = float(np.median(np.diff(t_s)))
+    stride = max(1, int(np.ceil(_SPAN_S / step_s / order)))
+    pad = order * stride
+    before = t_s[0] - step_s * np.arange(pad, 0, -1)
+    after = t_s[-1] + step_s * np.arange(1, pad + 1)
+    t = np.concatenate([before, t_s, after])
+    difference = np.concatenate(
+        [np.repeat(values[:1], pad, axis=0), values, np.repeat(values[-1:], pad, axis=0)]
+    )
+    for k in range(1, order + 1):
+        reach = t[k * stride :] - t[: -k * stride]
+        difference = k * (difference[stride:] - difference[:-stride]) / reach[:, None]
+    size = np.linalg.norm(difference, axis=-1)
+    out = np.zeros(len(t_s))
+    centre = np.arange(len(size)) + (order * stride) // 2 - pad
+    np.maximum.at(out, np.clip(centre, 0, len(t_s) - 1), size)
+    return out
+
+
+@dataclass(frozen=True)
+class GripperLimits:
+    """Forces that hold a cable without crushing it."""
+
+    min_force_n: float
+    max_force_n: float
+
+
+class GuardedGripper:
+    """A gripper that refuses a force outside its limits."""
+
+    def __init__(self, gripper: Gripper, limits: GripperLimits) -> None:
+        self.name = gripper.name
+        self._gripper = gripper
+        self._limits = limits
+
+    def connect(self) -> None:
+        """Raises ConnectError."""
+        self._gripper.connect()
+
+    def close(self) -> None:
+        """Disconnect, leaving the jaws as they are."""
+        self._gripper.close()
+
+    def grip(self, force_n: float) -> GripperState:
+        """Raises LimitError naming force and limits; else as the gripper."""
+        low, high = self._limits.min_force_n, self._limits.max_force_n
+        if not low <= force_n <= high:
+            raise LimitError(
+                self.name,
+                f"force = {force_n:.4f} N, allowed {low:.4f}..{high:.4f} N",
+                _NOTHING_MOVED,
+            )
+        return self._gripper.grip(force_n)
+
+    def release(self) -> GripperState:
+        """Open the jaws."""
+        return self._gripper.release()
+
+    def state(self) -> GripperState:
+        """Raises DeviceLostError."""
+        return self._gripper.state()
+
+
+@dataclass(frozen=True)
+class CameraLimits:
+    """What a recording must keep to be worth looking at.
+
+    period_tolerance  allowed departure of the time between frames from the camera's period, as a
+                      fraction of that period
+    max_latency_s     longest time from exposure until a frame is handed over, for a reader that
+                      is waiting for it
+    """
+
+    period_tolerance: float = 0.5
+    max_latency_s: float = 0.5
+
+
+class GuardedCamera:
+    """A camera whose missing, late, repeated or disordered frames are an error, never silence."""
+
+    def __init__(self, camera: Camera, clock: Clock, limits: CameraLimits | None = None) -> None:
+        self.name = camera.name
+        self._camera = camera
+        self._clock = clock
+        self._limits = limits if limits is not None else CameraLimits()
+        self._wanted = 0
+        self._count = 0
+        self._last: Frame | None = None
+
+    @property
+    def frame_rate_hz(self) -> float:
+        """Frame rate that was read back from the camera, Hz."""
+        return self._camera.frame_rate_hz
+
+    def connect(self) -> None:
+        """Raises ConnectError."""
+        self._camera.connect()
+
+    def close(self) -> None:
+        """Release the camera."""
+        self._camera.close()
+
+    def start(self, frame_count: int) -> None:
+        """Raises LimitError: fewer than one frame; else as the camera."""
+        if frame_count < 1:
+            raise LimitError(self.name, f"{frame_count} frames asked for, at least 1 is needed")
+        self._wanted, self._count, self._last = frame_count, 0, None
+        self._camera.start(frame_count)
+
+    def read(self) -> Frame | None:
+        """Raises CameraError naming the frame that is missing, late, repeated or out of order."""
+        asked_s = self._clock.now_s()
+        frame = self._camera.read()
+        if frame is None:
+            if self._count < self._wanted:
+                self._fail(f"only {self._count} of {self._wanted} frames came")
+            return None
+        which = f"frame {frame.index + 1} of {self._wanted}"
+        if frame.index != self._count:
+            self._fail(f"{which} came where frame {self._count + 1} was due")
+        waited_s = self._clock.now_s() - max(asked_s, frame.t_s)
+        if waited_s > self._limits.max_latency_s:
+            self._fail(
+                f"{which} came {waited_s:.3f} s late, allowed {self._limits.max_latency_s:.3f} s"
+            )
+        if self._last is not None:
+            self._check_follows(frame, self._last, which)
+        self._count, self._last = self._count + 1, frame
+        return frame
+
+    def stop(self) -> None:
+        """End a recording early."""
+        self._camera.stop()
+        self._wanted = self._count = 0
+
+    def _check_follows(self, frame: Frame, last: Frame, which: str) -> None:
+        period_s = 1.0 / self.frame_rate_hz
+        passed_s = frame.t_s - last.t_s
+        if abs(passed_s - period_s) > self._limits.period_tolerance * period_s:
+            self._fail(
+                f"{which} was exposed {passed_s * 1e3:.3f} ms after the one before, "
+                f"expected {period_s * 1e3:.3f} ms"
+            )
+        if np.array_equal(frame.image, last.image) and frame.image.min() != frame.image.max():
+            self._fail(f"{which} repeats the picture before: the camera is frozen")
+
+    def _fail(self, cause: str) -> NoReturn:
+        self._camera.stop()
+        raise CameraError(
+            self.name, cause, "check cable, load and frame rate of the camera, then record again"
+        )

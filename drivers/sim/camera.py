@@ -1,0 +1,170 @@
+"""Twin of a camera: looks at the simulated world from the side, frame by frame, on demand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from drivers.interfaces import (
+    CameraError,
+    ConnectError,
+    DeviceLostError,
+    FloatArray,
+    Frame,
+    Image,
+)
+from drivers.sim.render import RenderOptions, render
+from drivers.sim.world import World
+
+_LOST_REMEDY = "check the camera's cable and power, then connect again"
+
+
+@dataclass(frozen=True)
+class CameraFaults:
+    """What goes wrong with a camera, until `faults` is set anew.
+
+    Frames are given by their index in a recording, times on the cell's clock.
+    """
+
+    refuses_to_connect: bool = False
+    lost_at_s: float | None = None  # no frame exposed after this arrives
+    missing_frames: frozenset[int] = frozenset()
+    frozen_from: int | None = None  # from this frame on the picture is that of the one before
+    late_from: int | None = None  # from this frame on, frames are handed over late by late_s …
+    late_s: float = 0.0
+    black_frames: frozenset[int] = frozenset()
+    saturated_frames: frozenset[int] = frozenset()
+    noise_level: float = 0.0  # standard deviation of further noise, grey levels
+    stamp_error_s: float = 0.0  # a frame says it is that much later than it is
+
+
+@dataclass(frozen=True)
+class CameraTwinOptions:
+    """How the camera stands and works.
+
+    homography     (3, 3) pixel → plane, m: where it really stands
+    picture        what the picture looks like, exposure time included
+    frame_rate_hz  frames per second
+    readout_s      time from the end of the exposure until a frame can be had
+    """
+
+    homography: FloatArray
+    picture: RenderOptions = field(default_factory=RenderOptions)
+    frame_rate_hz: float = 200.0
+    readout_s: float = 0.004
+
+
+class SimCamera:
+    """A camera in a simulated world; a frame costs nothing until it is read."""
+
+    def __init__(
+        self, world: World, options: CameraTwinOptions, seed: int = 0, name: str = "camera"
+    ) -> None:
+        self.name = name
+        self.faults = CameraFaults()
+        self._world = world
+        self._clock = world.clock
+        self._options = options
+        self._seed = seed
+        self._connected = False
+        self._recordings = 0
+        self._wanted = 0
+        self._next = 0
+        self._start_s = 0.0
+        self._frozen: Image | None = None
+
+    @property
+    def frame_rate_hz(self) -> float:
+        """Frames per second."""
+        return self._options.frame_rate_hz
+
+    def connect(self) -> None:
+        """Raises ConnectError."""
+        if self.faults.refuses_to_connect or self._came(self.faults.lost_at_s):
+            raise ConnectError(self.name, "no camera answers", _LOST_REMEDY)
+        self._connected = True
+
+    def close(self) -> None:
+        """Release the camera."""
+        self.stop()
+        self._connected = False
+
+    def start(self, frame_count: int) -> None:
+        """Raises CameraError: fewer than one frame; DeviceLostError."""
+        self._check_alive(self._clock.now_s())
+        if frame_count < 1:
+            raise CameraError(self.name, f"{frame_count} frames asked for, at least 1 is needed")
+        self._recordings += 1
+        self._wanted, self._next = frame_count, 0
+        self._start_s = self._clock.now_s()
+        self._frozen = None
+
+    def read(self) -> Frame | None:
+        """Next frame, forwarding the clock until it can be had.  Raises DeviceLostError."""
+        while self._next in self.faults.missing_frames and self._next < self._wanted:
+            self._next += 1
+        if self._next >= self._wanted:
+            return None
+        index, exposure_s = self._next, self._options.picture.exposure_s
+        exposed_s = self._start_s + index / self.frame_rate_hz + 0.5 * exposure_s
+        late = self.faults.late_from is not None and index >= self.faults.late_from
+        ready_s = exposed_s + 0.5 * exposure_s + self._options.readout_s
+        self._clock.forward_to_s(ready_s + (self.faults.late_s if late else 0.0))
+        self._check_alive(exposed_s)
+        self._next += 1
+        return Frame(index, exposed_s + self.faults.stamp_error_s, self._picture(index, exposed_s))
+
+    def stop(self) -> None:
+        """Drop the frames not read yet."""
+        self._wanted = self._next = 0
+
+    def _check_alive(self, exposed_s: float) -> None:
+        if not self._connected:
+            raise DeviceLostError(self.name, "not connected", "connect first")
+        lost_s = self.faults.lost_at_s
+        if lost_s is not None and exposed_s >= lost_s:
+            self.close()
+            raise DeviceLostError(self.name, "frames no longer arrive", _LOST_REMEDY)
+
+    def _came(self, t_s: float | None) -> bool:
+        return t_s is not None and t_s <= self._clock.now_s()
+
+    def _picture(self, index: int, exposed_s: float) -> Image:
+        frozen_from = self.faults.frozen_from
+        if frozen_from is not None and index >= frozen_from:
+            if self._frozen is None:
+                before = max(0, frozen_from - 1)
+                at_s = exposed_s - (index - before) / self.frame_rate_hz
+                self._frozen = self._render(before, at_s)
+            return self._frozen
+        return self._render(index, exposed_s)
+
+    def _render(self, index: int, exposed_s: float) -> Image:
+        picture = self._options.picture
+        if index in self.faults.black_frames:
+            picture = replace(picture, exposure=0.0)
+        if index in self.faults.saturated_frames:
+            picture = replace(picture, exposure=20.0)
+        if self.faults.noise_level > 0.0:
+            noise = float(np.hypot(picture.read_noise, self.faults.noise_level))
+            picture = replace(picture, read_noise=noise)
+        span_s = max(picture.exposure_s, 1e-4)
+        view = self._world.look(exposed_s + span_s * np.array([-0.5, 0.0, 0.5]))
+        grip_rate = (view.grip[2] - view.grip[0]) / span_s
+        return render(
+            None if view.cables is None else view.cables[1],
+            _triple(view.grip[1]),
+            self._options.homography,
+            picture,
+            np.random.default_rng([self._seed, self._recordings, index]),
+            cable_m_per_s=None
+            if view.cables is None
+            else (view.cables[2] - view.cables[0]) / span_s,
+            grip_per_s=_triple(grip_rate),
+        )
+
+
+def _triple(values: FloatArray) -> tuple[float, float, float]:
+    x, y, angle = values
+    return float(x), float(y), float(angle)

@@ -1,0 +1,60 @@
+"""Simulated time: sleeping forwards it at once, and events happen when it passes them."""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import threading
+import time
+from collections.abc import Callable
+
+
+class SimClock:
+    """Time that passes only when somebody sleeps; everything in between is instantaneous.
+
+    One thread lets time pass; others may read it and act on devices meanwhile.
+
+    real_time_factor  None = at once; 1.0 = at the speed of reality, for watching; 10.0 = ten times
+    """
+
+    def __init__(self, start_s: float = 0.0, real_time_factor: float | None = None) -> None:
+        if real_time_factor is not None and not real_time_factor > 0.0:
+            raise ValueError(f"real_time_factor = {real_time_factor}: must be > 0")
+        self._now_s = start_s
+        self._factor = real_time_factor
+        self._events: list[tuple[float, int, Callable[[], None]]] = []
+        self._number = itertools.count()
+        self._lock = threading.RLock()
+
+    def now_s(self) -> float:
+        """Simulated seconds since the start."""
+        return self._now_s
+
+    def sleep_s(self, duration_s: float) -> None:
+        """Forward time.  Raises ValueError: duration_s < 0 or not finite."""
+        if not 0.0 <= duration_s < float("inf"):
+            raise ValueError(f"sleep of {duration_s} s: must be finite and >= 0")
+        self.forward_to_s(self._now_s + duration_s)
+
+    def forward_to_s(self, t_s: float) -> None:
+        """Forward time to `t_s`, running the events on the way; does nothing if that has passed."""
+        while True:
+            with self._lock:
+                if not (self._events and self._events[0][0] <= t_s):
+                    break
+                event_s, _, act = heapq.heappop(self._events)
+            self._pass_until(event_s)
+            act()
+        self._pass_until(t_s)
+
+    def call_at(self, t_s: float, act: Callable[[], None]) -> None:
+        """Run `act` when time passes `t_s` (in the thread that lets it pass)."""
+        with self._lock:
+            heapq.heappush(self._events, (t_s, next(self._number), act))
+
+    def _pass_until(self, t_s: float) -> None:
+        if t_s <= self._now_s:
+            return
+        if self._factor is not None:
+            time.sleep((t_s - self._now_s) / self._factor)
+        self._now_s = t_s

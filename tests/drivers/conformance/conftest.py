@@ -1,0 +1,191 @@
+"""Benches for the conformance suites: each implementation with the means to break it.
+
+A new implementation joins by adding a bench to the table of its kind; the suites do not change.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from drivers.clock import RealClock
+from drivers.files import FilesCamera, write_frames
+from drivers.guard import (
+    ArmLimits,
+    GripperLimits,
+    GuardedArm,
+    GuardedCamera,
+    GuardedGripper,
+)
+from drivers.interfaces import Arm, Camera, Clock, Frame, Gripper, Path
+from drivers.sim.arm import ArmFaults
+from drivers.sim.camera import CameraFaults
+from drivers.sim.clock import SimClock
+from drivers.sim.gripper import GripperFaults
+
+Act = Callable[[], None]
+
+
+@dataclass
+class ArmBench:
+    """An arm that is not connected yet.  `lose` and `controller_stop` break it, or are None."""
+
+    arm: Arm
+    clock: Clock
+    make_path: Callable[..., Path]
+    lose: Act | None = None
+    controller_stop: Act | None = None
+    person_clears: Act | None = None
+    refuse: Act | None = None
+
+
+@dataclass
+class CameraBench:
+    camera: Camera
+    clock: Clock
+    lose: Act | None = None
+    refuse: Act | None = None
+
+
+@dataclass
+class GripperBench:
+    gripper: Gripper
+    clock: Clock
+    take_away: Act
+    slip: Act | None = None
+    lose: Act | None = None
+    refuse: Act | None = None
+
+
+@contextlib.contextmanager
+def sim_arm(request: pytest.FixtureRequest) -> Iterator[ArmBench]:
+    cell = request.getfixturevalue("cell")
+    arm = cell.arm
+    arm.close()
+
+    def break_it(**faults: float | bool) -> Act:
+        def act() -> None:
+            at_once = {
+                k: cell.clock.now_s() if k.endswith("_at_s") else v for k, v in faults.items()
+            }
+            arm.faults = ArmFaults(**at_once)
+
+        return act
+
+    yield ArmBench(
+        arm,
+        cell.clock,
+        request.getfixturevalue("line"),
+        lose=break_it(lost_at_s=0.0),
+        controller_stop=break_it(protective_stop_at_s=0.0),
+        person_clears=arm.acknowledge,
+        refuse=break_it(refuses_to_connect=True),
+    )
+
+
+@contextlib.contextmanager
+def guarded_sim_arm(request: pytest.FixtureRequest) -> Iterator[ArmBench]:
+    with sim_arm(request) as bench:
+        wide = ArmLimits(-2.0, 2.0, -2.0, 2.0, -1.0, 1.0, 2.0, 50.0, 2000.0)
+        bench.arm = GuardedArm(bench.arm, wide)
+        yield bench
+
+
+@contextlib.contextmanager
+def sim_camera(request: pytest.FixtureRequest) -> Iterator[CameraBench]:
+    cell = request.getfixturevalue("cell")
+    cell.camera.close()
+
+    def lose() -> None:
+        cell.camera.faults = CameraFaults(lost_at_s=cell.clock.now_s())
+
+    def refuse() -> None:
+        cell.camera.faults = CameraFaults(refuses_to_connect=True)
+
+    yield CameraBench(cell.camera, cell.clock, lose, refuse)
+
+
+@contextlib.contextmanager
+def guarded_sim_camera(request: pytest.FixtureRequest) -> Iterator[CameraBench]:
+    with sim_camera(request) as bench:
+        bench.camera = GuardedCamera(bench.camera, bench.clock)
+        yield bench
+
+
+@contextlib.contextmanager
+def files_camera(request: pytest.FixtureRequest) -> Iterator[CameraBench]:
+    folder = request.getfixturevalue("tmp_path")
+    rng = np.random.default_rng(0)
+    write_frames(
+        folder,
+        (Frame(i, 0.005 * i, rng.integers(0, 256, (8, 8), dtype=np.uint8)) for i in range(40)),
+    )
+    clock = SimClock()
+    camera = FilesCamera(folder, clock=clock)
+    yield CameraBench(camera, clock, refuse=lambda: (folder / "frames.csv").unlink())
+
+
+@contextlib.contextmanager
+def sim_gripper(request: pytest.FixtureRequest) -> Iterator[GripperBench]:
+    cell = request.getfixturevalue("cell")
+    cell.gripper.close()
+
+    def break_it(fault: str) -> Act:
+        def act() -> None:
+            cell.gripper.faults = GripperFaults(**{fault: cell.clock.now_s()})
+
+        return act
+
+    def refuse() -> None:
+        cell.gripper.faults = GripperFaults(refuses_to_connect=True)
+
+    def take_away() -> None:
+        cell.world.take()
+        cell.world.drop()
+
+    yield GripperBench(
+        cell.gripper, cell.clock, take_away, break_it("slips_at_s"), break_it("lost_at_s"), refuse
+    )
+
+
+@contextlib.contextmanager
+def guarded_sim_gripper(request: pytest.FixtureRequest) -> Iterator[GripperBench]:
+    with sim_gripper(request) as bench:
+        bench.gripper = GuardedGripper(bench.gripper, GripperLimits(1.0, 100.0))
+        yield bench
+
+
+ARMS = {"sim": sim_arm, "guarded": guarded_sim_arm}
+CAMERAS = {"sim": sim_camera, "guarded": guarded_sim_camera, "files": files_camera}
+GRIPPERS = {"sim": sim_gripper, "guarded": guarded_sim_gripper}
+CLOCKS = {"sim": SimClock, "real": RealClock}
+
+
+@pytest.fixture(params=ARMS)
+def arm_bench(request) -> Iterator[ArmBench]:
+    with ARMS[request.param](request) as bench:
+        yield bench
+        bench.arm.close()
+
+
+@pytest.fixture(params=CAMERAS)
+def camera_bench(request) -> Iterator[CameraBench]:
+    with CAMERAS[request.param](request) as bench:
+        yield bench
+        bench.camera.close()
+
+
+@pytest.fixture(params=GRIPPERS)
+def gripper_bench(request) -> Iterator[GripperBench]:
+    with GRIPPERS[request.param](request) as bench:
+        yield bench
+        bench.gripper.close()
+
+
+@pytest.fixture(params=CLOCKS)
+def clock(request) -> Clock:
+    return CLOCKS[request.param]()

@@ -1,0 +1,198 @@
+"""What every arm keeps, guarded or not, simulated, emulated or real."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+import pytest
+
+from drivers.interfaces import (
+    Arm,
+    ArmMode,
+    ConnectError,
+    DeviceLostError,
+    LimitError,
+    StoppedError,
+)
+
+
+@pytest.fixture
+def bench(arm_bench):
+    arm_bench.arm.connect()
+    return arm_bench
+
+
+def here(bench):
+    return bench.arm.state().pose
+
+
+def wait_for_rest(bench, patience_s: float = 5.0) -> None:
+    until_s = bench.clock.now_s() + patience_s
+    while bench.arm.state().moving:
+        assert bench.clock.now_s() < until_s, "the arm did not come to rest"
+        bench.clock.sleep_s(0.01)
+
+
+def test_is_an_arm(arm_bench) -> None:
+    assert isinstance(arm_bench.arm, Arm)
+    assert arm_bench.arm.name
+    assert arm_bench.arm.rate_hz > 0.0
+    assert 0.0 <= arm_bench.arm.lag_s < 1.0
+
+
+def test_is_ready_and_at_rest_once_connected(bench) -> None:
+    state = bench.arm.state()
+    assert state.mode is ArmMode.READY
+    assert not state.moving
+    assert abs(bench.clock.now_s() - state.t_s) < 0.1
+
+
+def test_returns_at_once_and_then_follows(bench) -> None:
+    start, began_s = here(bench), bench.clock.now_s()
+    path = bench.make_path(dy_m=-0.05, start=start)
+    bench.arm.follow(path)
+    assert bench.clock.now_s() - began_s < path.t_s[-1]
+    assert bench.arm.state().moving
+    wait_for_rest(bench)
+    assert here(bench).y_m == pytest.approx(start.y_m - 0.05, abs=2e-4)
+    assert here(bench).x_m == pytest.approx(start.x_m, abs=2e-4)
+
+
+def test_logs_what_it_did_about_one_lag_late(bench) -> None:
+    start, began_s = here(bench), bench.clock.now_s()
+    path = bench.make_path(dy_m=-0.05, start=start)
+    bench.arm.follow(path)
+    wait_for_rest(bench)
+    log = bench.arm.log(began_s, bench.clock.now_s())
+    assert np.all(np.diff(log.t_s) > 0.0)
+    assert began_s <= log.t_s[0] and log.t_s[-1] <= bench.clock.now_s()
+    assert np.median(np.diff(log.t_s)) == pytest.approx(1.0 / bench.arm.rate_hz, rel=0.1)
+    half = start.y_m - 0.025
+    commanded_s = began_s + np.interp(-half, -path.y_m, path.t_s)
+    measured_s = np.interp(-half, -log.y_m, log.t_s)
+    assert measured_s - commanded_s == pytest.approx(bench.arm.lag_s, abs=0.02)
+
+
+def test_stop_in_motion_stops_soon_and_stays(bench) -> None:
+    start = here(bench)
+    bench.arm.follow(bench.make_path(dy_m=-0.05, duration_s=0.6, start=start))
+    bench.clock.sleep_s(0.3)
+    bench.arm.stop("test")
+    bench.clock.sleep_s(0.25)
+    state = bench.arm.state()
+    assert not state.moving and state.mode is ArmMode.STOPPED
+    assert start.y_m - 0.048 < state.pose.y_m < start.y_m - 0.005
+    bench.clock.sleep_s(0.5)
+    assert here(bench).y_m == pytest.approx(state.pose.y_m, abs=2e-4)
+
+
+def test_a_stop_from_another_thread_is_latched(bench) -> None:
+    bench.arm.follow(bench.make_path(dy_m=-0.05, duration_s=0.6, start=here(bench)))
+    bench.clock.sleep_s(0.2)
+    thread = threading.Thread(target=bench.arm.stop, args=("another thread",))
+    thread.start()
+    thread.join(timeout=5.0)
+    assert not thread.is_alive()
+    wait_for_rest(bench)
+    with pytest.raises(StoppedError, match="another thread"):
+        bench.arm.follow(bench.make_path(start=here(bench)))
+
+
+def test_a_stop_before_the_motion_is_not_lost(bench) -> None:
+    bench.arm.stop("early")
+    with pytest.raises(StoppedError, match="early"):
+        bench.arm.follow(bench.make_path(start=here(bench)))
+
+
+def test_a_stop_before_connecting_is_not_lost(arm_bench) -> None:
+    arm_bench.arm.stop("very early")
+    arm_bench.arm.connect()
+    with pytest.raises(StoppedError, match="very early"):
+        arm_bench.arm.follow(arm_bench.make_path(start=here(arm_bench)))
+
+
+def test_works_again_after_reset(bench) -> None:
+    bench.arm.stop("test")
+    bench.arm.stop("twice")
+    bench.arm.reset()
+    start = here(bench)
+    bench.arm.follow(bench.make_path(dx_m=-0.01, start=start))
+    wait_for_rest(bench)
+    assert here(bench).x_m == pytest.approx(start.x_m - 0.01, abs=2e-4)
+
+
+def test_refuses_a_second_path_while_moving(bench) -> None:
+    bench.arm.follow(bench.make_path(dy_m=-0.05, duration_s=0.6, start=here(bench)))
+    with pytest.raises(LimitError):
+        bench.arm.follow(bench.make_path(dx_m=-0.05, start=here(bench)))
+
+
+def test_closing_stops_and_may_be_repeated(bench) -> None:
+    bench.arm.follow(bench.make_path(dy_m=-0.05, duration_s=0.6, start=here(bench)))
+    bench.clock.sleep_s(0.2)
+    bench.arm.close()
+    bench.arm.close()
+    with pytest.raises(DeviceLostError):
+        bench.arm.state()
+    bench.clock.sleep_s(0.3)
+    bench.arm.connect()
+    assert not bench.arm.state().moving
+
+
+def test_not_connected_is_an_error_but_stop_is_not(arm_bench) -> None:
+    with pytest.raises(DeviceLostError):
+        arm_bench.arm.state()
+    with pytest.raises(DeviceLostError):
+        arm_bench.arm.follow(arm_bench.make_path())
+    arm_bench.arm.stop("harmless")
+    arm_bench.arm.close()
+
+
+def test_an_arm_that_refuses_says_which_and_what_to_do(arm_bench) -> None:
+    if arm_bench.refuse is None:
+        pytest.skip("this bench cannot make its arm refuse")
+    arm_bench.refuse()
+    with pytest.raises(ConnectError) as error:
+        arm_bench.arm.connect()
+    assert error.value.device == arm_bench.arm.name
+    assert error.value.remedy
+
+
+def test_a_lost_arm_is_an_error_within_a_tenth_of_a_second(bench) -> None:
+    if bench.lose is None:
+        pytest.skip("this bench cannot lose its arm")
+    bench.arm.follow(bench.make_path(dy_m=-0.05, duration_s=0.6, start=here(bench)))
+    bench.clock.sleep_s(0.2)
+    bench.lose()
+    bench.clock.sleep_s(0.1)
+    with pytest.raises(DeviceLostError) as error:
+        bench.arm.state()
+    assert error.value.device == bench.arm.name and error.value.remedy
+    with pytest.raises(DeviceLostError):
+        bench.arm.follow(bench.make_path())
+    bench.arm.stop("lost")
+    bench.arm.close()
+
+
+def test_a_controllers_stop_needs_a_person(bench) -> None:
+    if bench.controller_stop is None or bench.person_clears is None:
+        pytest.skip("this bench cannot make its controller stop")
+    bench.arm.follow(bench.make_path(dy_m=-0.05, duration_s=0.6, start=here(bench)))
+    bench.clock.sleep_s(0.2)
+    bench.controller_stop()
+    bench.clock.sleep_s(0.2)
+    assert bench.arm.state().mode is ArmMode.PROTECTIVE_STOP
+    with pytest.raises(StoppedError) as error:
+        bench.arm.reset()
+    assert error.value.remedy
+    stopped_at = here(bench)
+    bench.person_clears()
+    bench.clock.sleep_s(0.3)
+    bench.arm.reset()
+    assert bench.arm.state().mode is ArmMode.READY
+    bench.clock.sleep_s(0.3)
+    assert here(bench).y_m == pytest.approx(stopped_at.y_m, abs=2e-4)  # no stale command
+    bench.arm.follow(bench.make_path(dy_m=0.01, start=here(bench)))
+    wait_for_rest(bench)
+    assert here(bench).y_m == pytest.approx(stopped_at.y_m + 0.01, abs=3e-4)

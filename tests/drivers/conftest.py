@@ -1,0 +1,101 @@
+"""A simulated cell with a rigid cable: physics is not what these tests are about."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from drivers.interfaces import FloatArray, Path, Pose
+from drivers.sim.arm import SimArm
+from drivers.sim.camera import CameraTwinOptions, SimCamera
+from drivers.sim.clock import SimClock
+from drivers.sim.gripper import SimGripper
+from drivers.sim.render import RenderOptions
+from drivers.sim.world import World
+
+HOME = Pose(0.5, 0.5, 0.0)
+SCALE_M_PER_PX = 0.001  # coarse pictures are quick pictures
+
+
+@dataclass
+class StraightCable:
+    """A cable that stays straight behind the hand; counts how often it is simulated."""
+
+    length_m: float = 0.1
+    points: int = 61
+    calls: list[tuple[Path, FloatArray]] = field(default_factory=list)
+
+    def __call__(self, grip: Path, query_s: FloatArray) -> FloatArray:
+        self.calls.append((grip, query_s))
+        x, y, angle = (
+            np.interp(query_s, grip.t_s, v) for v in (grip.x_m, grip.y_m, grip.angle_rad)
+        )
+        back = self.length_m * np.linspace(1.0, 0.0, self.points)
+        out = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        return np.stack([x, y], axis=-1)[:, None] - back[:, None] * out[:, None]
+
+
+@dataclass
+class SimCell:
+    clock: SimClock
+    world: World
+    arm: SimArm
+    camera: SimCamera
+    gripper: SimGripper
+    cable: StraightCable
+
+    def connect(self) -> SimCell:
+        for device in (self.arm, self.camera, self.gripper):
+            device.connect()
+        return self
+
+
+@pytest.fixture
+def cell() -> SimCell:
+    clock = SimClock()
+    world = World(clock, HOME)
+    cable = StraightCable()
+    world.present(cable)
+    homography = np.array(
+        [
+            [SCALE_M_PER_PX, 0.0, 0.36],
+            [0.0, -SCALE_M_PER_PX, 0.6],
+            [0.0, 0.0, 1.0],
+        ]
+    )
+    picture = RenderOptions(width_px=200, height_px=200, thickness_m=0.002)
+    return SimCell(
+        clock,
+        world,
+        SimArm(world, seed=1),
+        SimCamera(world, CameraTwinOptions(homography, picture), seed=2),
+        SimGripper(world),
+        cable,
+    ).connect()
+
+
+PathMaker = Callable[..., Path]
+
+
+@pytest.fixture
+def line() -> PathMaker:
+    """Smooth straight path from home: a fifth-order polynomial at 500 Hz."""
+
+    def make(
+        dx_m: float = 0.0,
+        dy_m: float = 0.0,
+        duration_s: float = 0.4,
+        start: Pose = HOME,
+        dangle_rad: float = 0.0,
+    ) -> Path:
+        t_s = np.linspace(0.0, duration_s, round(duration_s * 500) + 1)
+        u = t_s / duration_s
+        s = u**3 * (10.0 - 15.0 * u + 6.0 * u * u)
+        return Path(
+            t_s, start.x_m + dx_m * s, start.y_m + dy_m * s, start.angle_rad + dangle_rad * s
+        )
+
+    return make

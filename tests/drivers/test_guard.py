@@ -1,0 +1,196 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drivers.guard import (
+    ArmLimits,
+    CameraLimits,
+    GripperLimits,
+    GuardedArm,
+    GuardedCamera,
+    GuardedGripper,
+    check_path,
+)
+from drivers.interfaces import (
+    Arm,
+    Camera,
+    CameraError,
+    Gripper,
+    LimitError,
+    Path,
+    StoppedError,
+)
+from drivers.sim.camera import CameraFaults
+
+LIMITS = ArmLimits(
+    x_min_m=0.0,
+    x_max_m=1.0,
+    y_min_m=0.0,
+    y_max_m=1.0,
+    angle_min_rad=-0.2,
+    angle_max_rad=0.2,
+    max_speed_m_per_s=0.5,
+    max_acceleration_m_per_s2=5.0,
+    max_jerk_m_per_s3=200.0,
+)
+
+
+def points(**columns: list[float]) -> Path:
+    count = len(next(iter(columns.values())))
+    default = {"x_m": np.full(count, 0.5), "y_m": np.full(count, 0.5), "angle_rad": np.zeros(count)}
+    given = {k: np.array(v) for k, v in columns.items()}
+    return Path(**{"t_s": np.arange(count) * 1.0, **default, **given})
+
+
+@pytest.fixture
+def guarded(cell) -> GuardedArm:
+    return GuardedArm(cell.arm, LIMITS)
+
+
+def test_guards_have_the_shape_of_what_they_guard(cell, guarded) -> None:
+    assert isinstance(guarded, Arm)
+    assert isinstance(GuardedGripper(cell.gripper, GripperLimits(5.0, 50.0)), Gripper)
+    assert isinstance(GuardedCamera(cell.camera, cell.clock), Camera)
+
+
+def test_names_the_point_the_value_and_the_limit(guarded) -> None:
+    with pytest.raises(LimitError) as error:
+        guarded.follow(points(y_m=[0.5, 0.5, -0.2, 0.5, 0.5]))
+    assert str(error.value) == (
+        "arm: point 3 of 5 has y = -0.2000 m, allowed 0.0000..1.0000 m; nothing was moved"
+    )
+
+
+@pytest.mark.parametrize(
+    ("path", "message"),
+    [
+        (points(x_m=[0.5, 1.01]), r"point 2 of 2 has x = 1.0100 m"),
+        (points(angle_rad=[0.0, 0.3]), r"point 2 of 2 has angle = 0.3000 rad, allowed -0.2000"),
+        (points(x_m=[0.5, np.nan, 0.5]), r"point 2 of 3 has x = nan"),
+        (points(t_s=[0.0, np.inf]), r"point 2 of 2 has t = inf"),
+        (points(t_s=[0.0, 1.0, 1.0]), r"point 3 of 3 has t = 1.000000 s, not later than 1.000000"),
+        (points(x_m=[0.5]), r"1 points, at least 2"),
+        (points(x_m=[0.5, 0.5], y_m=[0.5, 0.5, 0.5]), r"y has shape \(3,\), t \(2,\)"),
+    ],
+)
+def test_refuses_what_cannot_be_followed(path, message) -> None:
+    with pytest.raises(LimitError, match=message):
+        check_path(path, LIMITS)
+
+
+def test_a_path_must_start_where_the_arm_is(guarded, line, cell) -> None:
+    with pytest.raises(LimitError, match=r"starts at x = 0.5020 m, but the arm is at 0.5000 m"):
+        guarded.follow(line(start=replace(cell.world.hand_pose(), x_m=0.502)))
+    assert cell.world.hand_rests_from_s() == 0.0
+    guarded.follow(line(dx_m=-0.05))
+    assert cell.world.hand_rests_from_s() > 0.4
+
+
+def peaks(duration_s: float) -> tuple[float, float, float]:
+    """Largest speed, acceleration and jerk of `line` over 50 mm, analytically."""
+    v = 0.05 * 1.875 / duration_s
+    a = 0.05 * (10.0 / np.sqrt(3.0)) / duration_s**2
+    j = 0.05 * 60.0 / duration_s**3
+    return v, a, j
+
+
+@pytest.mark.parametrize(("order", "short"), [(0, 0.98), (1, 0.97), (2, 0.88)])
+def test_speed_acceleration_and_jerk_are_judged_by_their_peaks(line, order, short) -> None:
+    """A limit at the analytic peak passes, one a little below it does not; jerk peaks briefly."""
+    peak = peaks(0.4)[order]
+    names = ["max_speed_m_per_s", "max_acceleration_m_per_s2", "max_jerk_m_per_s3"]
+    loose = dict.fromkeys(names, 1e9)
+    check_path(line(dx_m=-0.05), replace(LIMITS, **loose | {names[order]: peak}))
+    label = ["speed", "acceleration", "jerk"][order]
+    with pytest.raises(LimitError, match=rf"has {label} = "):
+        check_path(line(dx_m=-0.05), replace(LIMITS, **loose | {names[order]: short * peak}))
+
+
+def test_rounded_times_are_not_taken_for_jerk(line) -> None:
+    """Times to the microsecond, as a recorded path has them, change jerk by < 10 %."""
+    exact = line(dx_m=-0.05)
+    rng = np.random.default_rng(0)
+    rounded = Path(
+        exact.t_s + rng.uniform(-5e-7, 5e-7, len(exact.t_s)), exact.x_m, exact.y_m, exact.angle_rad
+    )
+    jerk = peaks(0.4)[2]
+    check_path(rounded, replace(LIMITS, max_jerk_m_per_s3=1.1 * jerk))
+    with pytest.raises(LimitError, match="jerk"):
+        check_path(rounded, replace(LIMITS, max_jerk_m_per_s3=0.9 * jerk))
+
+
+def test_a_path_that_starts_with_a_jump_of_speed_is_refused(line) -> None:
+    whole = line(dx_m=-0.05)
+    cut = Path(*(v[60:] for v in (whole.t_s, whole.x_m, whole.y_m, whole.angle_rad)))
+    limits = replace(LIMITS, max_jerk_m_per_s3=1e9)
+    check_path(whole, limits)
+    with pytest.raises(LimitError, match=r"point 1 of 141 has acceleration"):
+        check_path(cut, limits)
+
+
+def test_turning_is_limited_too(line) -> None:
+    check_path(line(dangle_rad=0.1), LIMITS)
+    with pytest.raises(LimitError, match="angular speed"):
+        check_path(line(dangle_rad=0.1), replace(LIMITS, max_angular_speed_rad_per_s=0.3))
+
+
+def test_a_stopped_arm_stays_stopped_behind_its_guard(guarded, line) -> None:
+    guarded.stop("operator")
+    with pytest.raises(StoppedError, match="operator"):
+        guarded.follow(line())
+    guarded.reset()
+    guarded.follow(line())
+
+
+def test_force_outside_its_limits_is_refused(cell) -> None:
+    gripper = GuardedGripper(cell.gripper, GripperLimits(5.0, 50.0))
+    for force_n in (4.9, 50.1, float("nan")):
+        with pytest.raises(LimitError, match=r"allowed 5.0000..50.0000 N; nothing was moved"):
+            gripper.grip(force_n)
+    assert cell.clock.now_s() == 0.0
+    assert gripper.grip(20.0).holding
+
+
+@pytest.mark.parametrize(
+    ("faults", "message"),
+    [
+        (CameraFaults(missing_frames=frozenset({3})), "frame 5 of 8 came where frame 4 was due"),
+        (CameraFaults(missing_frames=frozenset({7})), "only 7 of 8 frames came"),
+        (CameraFaults(frozen_from=4), "frame 5 of 8 repeats the picture before"),
+        (CameraFaults(late_from=2, late_s=1.0), "frame 3 of 8 came 1.00. s late, allowed 0.500"),
+    ],
+)
+def test_a_bad_recording_is_an_error(cell, faults, message) -> None:
+    camera = GuardedCamera(cell.camera, cell.clock)
+    cell.camera.faults = faults
+    camera.start(8)
+    with pytest.raises(CameraError, match=message):
+        for _ in range(9):
+            camera.read()
+
+
+def test_uneven_times_are_an_error(cell) -> None:
+    camera = GuardedCamera(cell.camera, cell.clock, CameraLimits(period_tolerance=0.5))
+    camera.start(8)
+    camera.read()
+    cell.camera.faults = CameraFaults(stamp_error_s=0.003)
+    with pytest.raises(CameraError, match=r"exposed 8.000 ms after the one before, expected 5.000"):
+        camera.read()
+
+
+def test_a_good_recording_passes_and_black_frames_are_left_to_vision(cell) -> None:
+    camera = GuardedCamera(cell.camera, cell.clock)
+    cell.camera.faults = CameraFaults(black_frames=frozenset(range(8)))
+    for _ in range(2):
+        camera.start(8)
+        assert len(list(iter(camera.read, None))) == 8
+
+
+def test_a_slow_reader_is_not_the_cameras_fault(cell) -> None:
+    camera = GuardedCamera(cell.camera, cell.clock)
+    camera.start(8)
+    cell.clock.sleep_s(60.0)
+    assert len(list(iter(camera.read, None))) == 8
