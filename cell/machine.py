@@ -1,0 +1,188 @@
+"""States of the cell and the transitions between them, after PackML (ISA-TR88.00.02)."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from enum import StrEnum
+from typing import Any
+
+from statemachine import StateChart
+from statemachine.exceptions import TransitionNotAllowed
+from statemachine.io import create_machine_class_from_definition
+
+
+class CellState(StrEnum):
+    """What the cell is doing.  Held = by a person, Suspended = waiting for up- or downstream."""
+
+    IDLE = "idle"
+    STARTING = "starting"
+    EXECUTE = "execute"
+    COMPLETING = "completing"
+    COMPLETE = "complete"
+    RESETTING = "resetting"
+    HOLDING = "holding"
+    HELD = "held"
+    UNHOLDING = "unholding"
+    SUSPENDING = "suspending"
+    SUSPENDED = "suspended"
+    UNSUSPENDING = "unsuspending"
+    STOPPING = "stopping"
+    STOPPED = "stopped"
+    ABORTING = "aborting"
+    ABORTED = "aborted"
+    CLEARING = "clearing"
+
+
+class Event(StrEnum):
+    """What takes the cell from state to state: commands, and `done` when a state has acted."""
+
+    START = "start"
+    RESET = "reset"
+    HOLD = "hold"
+    UNHOLD = "unhold"
+    SUSPEND = "suspend"
+    UNSUSPEND = "unsuspend"
+    STOP = "stop"
+    ABORT = "abort"
+    CLEAR = "clear"
+    DONE = "done"
+
+
+#: States in which the cell stands still and waits for a command.
+WAITING = frozenset(
+    {
+        CellState.IDLE,
+        CellState.COMPLETE,
+        CellState.HELD,
+        CellState.SUSPENDED,
+        CellState.STOPPED,
+        CellState.ABORTED,
+    }
+)
+
+_WORKING = ["idle", "starting", "execute", "completing", "complete", "resetting"]
+_PAUSING = ["holding", "held", "unholding", "suspending", "suspended", "unsuspending"]
+
+#: (from, event, to), all of them.
+TRANSITIONS: tuple[tuple[str, str, str], ...] = (
+    ("idle", "start", "starting"),
+    ("starting", "done", "execute"),
+    ("execute", "done", "completing"),
+    ("completing", "done", "complete"),
+    ("complete", "reset", "resetting"),
+    ("resetting", "done", "idle"),
+    #
+    ("execute", "hold", "holding"),
+    ("holding", "done", "held"),
+    ("held", "unhold", "unholding"),
+    ("unholding", "done", "execute"),
+    #
+    ("execute", "suspend", "suspending"),
+    ("suspending", "done", "suspended"),
+    ("suspended", "unsuspend", "unsuspending"),
+    ("unsuspending", "done", "execute"),
+    ("suspended", "hold", "holding"),
+    #
+    *((state, "stop", "stopping") for state in (*_WORKING, *_PAUSING, "clearing")),
+    ("stopping", "done", "stopped"),
+    ("stopped", "reset", "resetting"),
+    #
+    *(
+        (state, "abort", "aborting")
+        for state in (*_WORKING, *_PAUSING, "stopping", "stopped", "clearing")
+    ),
+    ("aborting", "done", "aborted"),
+    ("aborted", "clear", "clearing"),
+    ("clearing", "done", "stopped"),
+)
+
+
+def _chart_class() -> type[StateChart[Any]]:
+    states: dict[str, dict[str, object]] = {
+        state.value: {"value": state.value, "initial": state is CellState.STOPPED, "on": {}}
+        for state in CellState
+    }
+    for source, event, target in TRANSITIONS:
+        events = states[source]["on"]
+        assert isinstance(events, dict)
+        events.setdefault(event, []).append({"target": target})
+    return create_machine_class_from_definition(
+        "PackMl",
+        states=states,  # type: ignore[arg-type]
+        allow_event_without_transition=False,
+        catch_errors_as_events=False,
+    )
+
+
+_PackMl = _chart_class()
+
+
+class EventRefusedError(Exception):
+    """An event came that the present state does not know.  Scenario: `start` while held."""
+
+
+class Machine:
+    """State of one cell, safe to be sent events from any thread; it begins in Stopped.
+
+    now_s      clock in which the time spent in each state is counted, s
+    on_change  told of every new state, in the thread that caused it
+    """
+
+    def __init__(
+        self, now_s: Callable[[], float], on_change: Callable[[CellState], None] | None = None
+    ) -> None:
+        self._now_s = now_s
+        self._on_change = on_change
+        self._lock = threading.RLock()
+        self._since_s = now_s()
+        self._seconds = dict.fromkeys(CellState, 0.0)
+        self._visits = dict.fromkeys(CellState, 0)
+        self._visits[CellState.STOPPED] = 1
+        self._chart = _PackMl()
+
+    @property
+    def state(self) -> CellState:
+        """Where the cell is now."""
+        with self._lock:
+            return CellState(self._chart.current_state_value)
+
+    def send(self, event: Event) -> CellState:
+        """Take the transition of `event`; returns the new state.
+
+        raises  EventRefusedError: the present state has no such transition; nothing changed
+        """
+        with self._lock:
+            before = self.state
+            try:
+                self._chart.send(event.value)
+            except TransitionNotAllowed as error:
+                allowed = ", ".join(e for s, e, _ in TRANSITIONS if s == before)
+                raise EventRefusedError(
+                    f"{event.value!r} is refused while {before.value}; possible now: {allowed}"
+                ) from error
+            now_s = self._now_s()
+            self._seconds[before] += now_s - self._since_s
+            self._since_s = now_s
+            after = self.state
+            self._visits[after] += 1
+        if self._on_change is not None:
+            self._on_change(after)
+        return after
+
+    def can(self, event: Event) -> bool:
+        """Whether the present state knows `event`."""
+        with self._lock:
+            return any(s == self.state and e == event for s, e, _ in TRANSITIONS)
+
+    def seconds(self) -> dict[CellState, float]:
+        """Time spent in every state so far, the present one included, s."""
+        with self._lock:
+            seconds = dict(self._seconds)
+            seconds[self.state] += self._now_s() - self._since_s
+            return seconds
+
+    def visits(self) -> dict[CellState, int]:
+        """How often every state was entered."""
+        with self._lock:
+            return dict(self._visits)
