@@ -1,0 +1,108 @@
+"""What a cycle leaves behind can be read at every moment, and says how far the cycle came."""
+
+from __future__ import annotations
+
+import json
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cell.cable.geometry import Cable, Motion
+from cell.located import InputError
+from cell.records.folder import Record, read_record
+from cell.records.result import Fault, Outcome, Result
+from cell.study.data import Markers, Study, Trial
+
+NOW = datetime(2026, 11, 21, 1, 2, 3, 456789)
+T_S = np.array([0.0, 0.1, 0.2])
+STUDY = Study(
+    "cycle 2",
+    Cable(0.1, 0.0074, 0.016, 1e-4),
+    np.array([0.1, 0.0]),
+    (
+        Trial(
+            "identify",
+            "fit",
+            "equilibrium",
+            Motion(T_S, 0 * T_S, 0 * T_S, 0 * T_S),
+            Markers(T_S, np.full((3, 2, 2), 0.01)),
+        ),
+    ),
+)
+
+
+def test_every_stage_of_a_cycle_is_readable(tmp_path: Path) -> None:
+    record = Record(tmp_path / "runs", 2, NOW)
+    assert record.folder.name == "20261121T010203.456-2"
+
+    record.state(step="grasp", state="execute")
+    read = read_record(record.folder)
+    assert (read.cycle, read.step, read.closed) == (2, "grasp", False)
+    assert read.study is read.model is read.result is None
+
+    record.state(step="identify")
+    record.study(STUDY)
+    record.model({"viscosity_n_m2_s": 1e-8})
+    read = read_record(record.folder)
+    assert read.step == "identify"
+    assert read.study is not None
+    np.testing.assert_array_equal(read.study.trials[0].markers.t_s, T_S)
+    assert read.model == {"viscosity_n_m2_s": 1e-8}
+    assert not read.closed
+
+    result = Result(2, Outcome.INSERTED, str(record.folder), offset_m=0.012, seconds={"grasp": 0.4})
+    record.close(result)
+    read = read_record(record.folder)
+    assert read.closed
+    assert read.result == result
+
+
+def test_a_result_goes_through_json_with_its_fault_and_without_nan() -> None:
+    result = Result(
+        1,
+        Outcome.FAILED,
+        "runs/x",
+        margin_m=float("nan"),
+        fault=Fault("lower", "fell silent", "arm", "connect again"),
+    )
+    text = json.dumps(result.to_json(), allow_nan=False)
+    read = Result.from_json(json.loads(text))
+    assert read.fault == result.fault
+    assert read.outcome is Outcome.FAILED
+    assert read.margin_m is None
+
+
+def test_pictures_and_settings_are_written_whole(tmp_path: Path) -> None:
+    record = Record(tmp_path, 1, NOW)
+    record.picture("overlay", np.zeros((4, 5, 3), np.uint8))
+    record.settings({"gripper": {"force_n": 20.0}})
+    names = {f.name for f in record.folder.iterdir()}
+    assert names == {"overlay.png", "settings.yaml"}, "no half-written file may stay"
+
+
+def test_a_record_never_writes_into_another_one(tmp_path: Path) -> None:
+    Record(tmp_path, 1, NOW)
+    with pytest.raises(FileExistsError):
+        Record(tmp_path, 1, NOW)
+
+
+def test_what_is_not_a_record_is_refused_by_name(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"state\.json:1: is missing: not a cycle's folder"):
+        read_record(tmp_path)
+    (tmp_path / "state.json").write_text('{"format": "cable-cycle/9"}')
+    with pytest.raises(InputError, match="format is 'cable-cycle/9', not 'cable-cycle/1'"):
+        read_record(tmp_path)
+    (tmp_path / "state.json").write_text('{"format": ')
+    with pytest.raises(InputError, match=r"state\.json:1:\d+: is not JSON"):
+        read_record(tmp_path)
+
+
+def test_a_model_that_is_not_finite_is_refused_and_leaves_the_old_one(tmp_path: Path) -> None:
+    record = Record(tmp_path, 1, NOW)
+    record.state()
+    record.model({"exponent": 1.0})
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        record.model({"exponent": float("nan")})
+    assert read_record(record.folder).model == {"exponent": 1.0}
