@@ -1,0 +1,151 @@
+"""Score tests on whitened residuals: what an effect would explain beyond the parameters fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+FloatArray = NDArray[np.float64]
+
+#: Draws behind the p-value of a maximum over shapes; below a few of them Bonferroni is used.
+DRAWS = 20_000
+MIN_EXCEEDING = 20
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """What the parameters already fitted can imitate, as an orthonormal basis.
+
+    basis      (values, parameters)
+    residual   (values,) whitened residual with that part removed
+    """
+
+    basis: FloatArray
+    residual: FloatArray
+
+    @staticmethod
+    def of(residual: FloatArray, sensitivity: FloatArray) -> Nuisance:
+        """Of a whitened residual (values,) and the fitted parameters' sensitivities (values, p).
+
+        A prior on the parameters enters as further values: one row per prior, zero elsewhere.
+        """
+        basis, r = np.linalg.qr(sensitivity)
+        strength = np.abs(np.diag(r))
+        basis = basis[:, strength > 1e-9 * max(strength.max(initial=0.0), 1e-300)]
+        return Nuisance(basis, residual - basis @ (basis.T @ residual))
+
+    def remove(self, sensitivity: FloatArray) -> FloatArray:
+        """(…, values) without what the fitted parameters can imitate."""
+        return np.asarray(sensitivity - (sensitivity @ self.basis) @ self.basis.T)
+
+
+@dataclass(frozen=True)
+class Score:
+    """Result of a score test.
+
+    statistic    χ² that the effect would explain
+    amplitude    expected coefficient of the sensitivity that explains most
+    std          its standard deviation
+    shape        which of the sensitivities offered that is
+    p_value      of the largest statistic over all shapes, under noise alone
+    left         share of the sensitivity (rms) that the fitted parameters cannot imitate
+    """
+
+    statistic: float
+    amplitude: float
+    std: float
+    shape: int
+    p_value: float
+    left: float
+
+
+def score_test(
+    nuisance: Nuisance, sensitivity: FloatArray, *, one_sided: bool, seed: int = 0
+) -> Score:
+    """Nuisance-projected score test of one amplitude whose other parameters are unknown.
+
+    sensitivity  (shapes, values) whitened output per unit amplitude, one row per guess of the
+                 effect's other parameters (a relaxation time, say); those have no meaning without
+                 the effect, so the test is of the largest statistic (Davies 1987), its
+                 distribution drawn from the correlation of the rows
+    one_sided    only a positive amplitude is physical: at that bound the statistic is a
+                 half-and-half mixture of 0 and χ²(1) (Self and Liang 1987)
+    """
+    rows = np.atleast_2d(sensitivity)
+    left = nuisance.remove(rows)
+    norm = np.linalg.norm(left, axis=1)
+    raw = np.linalg.norm(rows, axis=1)
+    usable = norm > 1e-6 * np.maximum(raw, 1e-300)
+    if not usable.any():
+        return Score(0.0, 0.0, np.inf, 0, 1.0, 0.0)
+    left[~usable] = 0.0
+    unit = left / np.where(usable, norm, 1.0)[:, None]
+    z = unit @ nuisance.residual
+    signed = np.where(usable, z if one_sided else np.abs(z), -np.inf)
+    best = int(np.argmax(signed))
+    p_value = _p_of_maximum(float(signed[best]), unit[usable] @ unit[usable].T, one_sided, seed)
+    return Score(
+        statistic=float(max(signed[best], 0.0) ** 2),
+        amplitude=float(z[best] / norm[best]),
+        std=float(1.0 / norm[best]),
+        shape=best,
+        p_value=p_value,
+        left=float(norm[best] / raw[best]),
+    )
+
+
+def _p_of_maximum(z: float, correlation: FloatArray, one_sided: bool, seed: int) -> float:
+    """P(max of correlated unit normals, or of their magnitudes, ≥ z)."""
+    single = float(stats.norm.sf(z)) * (1.0 if one_sided else 2.0)
+    count = len(correlation)
+    if count == 1 or single > 0.5:
+        return min(1.0, single)
+    bound = min(1.0, count * single)
+    if bound * DRAWS < MIN_EXCEEDING:
+        return bound
+    values, vectors = np.linalg.eigh(correlation)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    draws = np.random.default_rng(seed).standard_normal((DRAWS, count)) @ root.T
+    largest = (draws if one_sided else np.abs(draws)).max(axis=1)
+    return float(np.clip((1 + np.sum(largest >= z)) / (DRAWS + 1), single, bound))
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """p-values adjusted for choosing among them (Holm 1979): family-wise error at any level."""
+    count = len(p_values)
+    adjusted = [0.0] * count
+    running = 0.0
+    for rank, index in enumerate(sorted(range(count), key=lambda i: p_values[i])):
+        running = max(running, min(1.0, (count - rank) * p_values[index]))
+        adjusted[index] = running
+    return adjusted
+
+
+def delta_bic(delta_chi2: float, parameters: int, values: int, effective_fraction: float) -> float:
+    """BIC gained by an effect (positive = better), with coloured values counted as fewer.
+
+    delta_chi2 is the fall of whitened χ²; each parameter costs the logarithm of the effective
+    number of values.
+    """
+    return float(delta_chi2 - parameters * np.log(max(values * effective_fraction, 2.0)))
+
+
+def boundary_p_value(delta_chi2: float, parameters: int, bounded: int, shapes: int = 1) -> float:
+    """p of a fall of χ² by a refit, with some amplitudes at a bound when the effect is absent.
+
+    parameters  free amplitudes of the effect; `bounded` of them (0 or 1) may not be negative:
+                χ̄² with equal weights on `parameters` − 1 and `parameters` degrees of freedom
+    shapes      guesses of parameters without meaning under absence, each an independent try
+                (a Bonferroni bound on the maximum)
+    """
+    if delta_chi2 <= 0.0:
+        return 1.0
+    tail = float(stats.chi2.sf(delta_chi2, parameters))
+    if bounded:
+        below = float(stats.chi2.sf(delta_chi2, parameters - 1)) if parameters > 1 else 0.0
+        tail = 0.5 * (tail + below)
+    return min(1.0, tail * shapes)

@@ -1,0 +1,232 @@
+"""Where a model fails: residuals by time, place, phase and frequency, and what they follow."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal, stats
+
+from cell.cable.geometry import Motion
+from cell.lab.noise import Noise, motion_onset_s, still_end_s
+from cell.study.data import Trial
+
+FloatArray = NDArray[np.float64]
+
+TIME_BINS = 24
+LAGS = 10
+#: The swing is `early` for this long after the hand has stopped, then `late`.
+EARLY_SWING_S = 0.3
+PHASES = ("still", "moving", "early swing", "late swing")
+#: Wider than the gaps of a lost marker, narrower than the slowest swing.
+MAX_FREQUENCIES = 200
+
+
+@dataclass(frozen=True)
+class Profile:
+    """rms residual over groups: `centre`, `rms_m` (groups,); nan where nothing was seen."""
+
+    centre: FloatArray
+    rms_m: FloatArray
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """Residual and noise power per coordinate, m²/Hz, at `frequency_hz`."""
+
+    frequency_hz: FloatArray
+    residual: FloatArray
+    noise: FloatArray
+
+
+@dataclass(frozen=True)
+class Follows:
+    """How much of the tip's residual goes with a signal: correlation and its two-sided p-value."""
+
+    signal: str
+    correlation: float
+    p_value: float
+
+
+@dataclass(frozen=True)
+class Where:
+    """Where one trial's residual is.
+
+    by_time     over `TIME_BINS` equal spans; by_arc_length over markers; by_phase over `PHASES`
+    tip_m       (TIME_BINS,) largest distance between tip seen and predicted, m
+    whiteness   p-value of Ljung and Box over all markers: small = the residual has a pattern
+    follows     strongest first
+    """
+
+    trial: str
+    rms_m: float
+    by_time: Profile
+    by_arc_length: Profile
+    by_phase: dict[str, float]
+    spectrum: Spectrum
+    whiteness_p_value: float
+    follows: tuple[Follows, ...]
+
+
+def where(
+    trial: Trial,
+    predicted_m: FloatArray,
+    white: FloatArray,
+    arc_length_m: FloatArray,
+    noise: Noise,
+) -> Where:
+    """Residual statistics of a trial.
+
+    predicted_m  (times, markers, 2), m
+    white        (times, markers, 2) whitened residual, nan where not seen
+    """
+    t_s = trial.markers.t_s
+    residual = trial.markers.xy_m - predicted_m
+    edges = np.linspace(t_s[0], t_s[-1], min(TIME_BINS, len(t_s)) + 1)
+    bins = np.clip(np.searchsorted(edges, t_s, "right") - 1, 0, len(edges) - 2)
+    by_time = [rms(residual[bins == b]) for b in range(len(edges) - 1)]
+    names = phase_of(trial)
+    return Where(
+        trial=trial.name,
+        rms_m=rms(residual),
+        by_time=Profile(0.5 * (edges[1:] + edges[:-1]), np.array(by_time)),
+        by_arc_length=Profile(
+            arc_length_m, np.array([rms(residual[:, m]) for m in range(residual.shape[1])])
+        ),
+        by_phase={p: rms(residual[names == p]) for p in PHASES},
+        spectrum=spectrum(t_s, residual, noise),
+        whiteness_p_value=ljung_box(white.reshape(len(t_s), -1)),
+        follows=follows(trial, predicted_m, white),
+    )
+
+
+def rms(residual_m: FloatArray) -> float:
+    """Root mean square over what is not nan; nan if nothing is."""
+    seen = residual_m[np.isfinite(residual_m)]
+    return float(np.sqrt(np.mean(seen**2))) if seen.size else float("nan")
+
+
+def phase_of(trial: Trial) -> NDArray[np.str_]:
+    """(times,) the phase of the motion, one of `PHASES`, at each marker time."""
+    t_s = trial.markers.t_s
+    start_s, stop_s = still_end_s(trial), _stop_s(trial.grip)
+    stop_s = max(stop_s, start_s)
+    limits = [start_s, stop_s, stop_s + EARLY_SWING_S]
+    return np.array(PHASES)[np.searchsorted(limits, t_s, "right")]
+
+
+def _stop_s(motion: Motion) -> float:
+    """When the hand comes to rest for good: the onset of the motion run backwards."""
+    t_s = motion.t_s
+    if motion_onset_s(motion) >= t_s[-1]:
+        return float(t_s[0])
+    backward = Motion(
+        t_s[0] + t_s[-1] - t_s[::-1], motion.x_m[::-1], motion.y_m[::-1], motion.angle_rad[::-1]
+    )
+    return float(t_s[0] + t_s[-1] - motion_onset_s(backward))
+
+
+def spectrum(t_s: FloatArray, residual_m: FloatArray, noise: Noise) -> Spectrum:
+    """Mean power over all coordinates against that of the noise (Lomb and Scargle: any stamps)."""
+    span_s = float(t_s[-1] - t_s[0])
+    highest = 0.5 / float(np.median(np.diff(t_s)))
+    count = int(min(MAX_FREQUENCIES, max(2, highest * span_s)))
+    frequency = np.linspace(highest / count, highest, count)
+    series = residual_m.reshape(len(t_s), -1).T
+    power, used = np.zeros(count), 0
+    for values in series:
+        seen = np.isfinite(values)
+        if seen.sum() < 4:
+            continue
+        centred = values[seen] - values[seen].mean()
+        power += signal.lombscargle(t_s[seen], centred, 2 * np.pi * frequency)
+        used += 1
+    power *= 2.0 * float(np.median(np.diff(t_s))) / max(used, 1)
+    phase = 2.0 * np.pi * frequency * noise.frame_s
+    floor = 1.0 - noise.ar1**2
+    shape = floor / (1.0 - 2.0 * noise.ar1 * np.cos(phase) + noise.ar1**2)
+    return Spectrum(frequency, power, 2.0 * noise.std_m**2 * noise.frame_s * shape)
+
+
+def ljung_box(white: FloatArray, lags: int = LAGS) -> float:
+    """p-value that white series (times, series), nan = unseen, are white: Ljung and Box 1978."""
+    statistic, freedom = 0.0, 0
+    for values in white.T:
+        seen = values[np.isfinite(values)]
+        n = len(seen)
+        if n <= 2 * lags:
+            continue
+        centred = seen - seen.mean()
+        power = float(centred @ centred)
+        if power <= 0.0:
+            continue
+        for lag in range(1, lags + 1):
+            r = float(centred[lag:] @ centred[:-lag]) / power
+            statistic += n * (n + 2) * r * r / (n - lag)
+        freedom += lags
+    return float(stats.chi2.sf(statistic, freedom)) if freedom else float("nan")
+
+
+def follows(trial: Trial, predicted_m: FloatArray, white: FloatArray) -> tuple[Follows, ...]:
+    """Which signals the residual of the outermost marker goes with, strongest first.
+
+    The whitened residual along the cable's normal is correlated with each signal at that marker;
+    its p-value counts only the independent values of the two series (Bartlett 1935).
+    """
+    t_s = trial.markers.t_s
+    if len(t_s) < 2 * LAGS:
+        return ()
+    grip = np.column_stack(
+        [np.interp(t_s, trial.grip.t_s, v) for v in (trial.grip.x_m, trial.grip.y_m)]
+    )
+    # outermost marker first; the grip stands in as second where there is only one
+    points = np.concatenate([predicted_m, grip[:, None]], axis=1)
+    along = points[:, 0] - points[:, 1]
+    along /= np.maximum(np.linalg.norm(along, axis=1), 1e-12)[:, None]
+    normal = np.column_stack([-along[:, 1], along[:, 0]])
+    velocity = np.sum(np.gradient(points[:, 0], t_s, axis=0) * normal, axis=1)
+    smooth = min(len(t_s) - (1 - len(t_s) % 2), 11)
+    hand = signal.savgol_filter(grip, smooth, 3, axis=0)
+    acceleration = np.gradient(np.gradient(hand, t_s, axis=0), t_s, axis=0)
+    chord = np.unwrap(np.arctan2(along[:, 1], along[:, 0]))
+    signals = {
+        "base acceleration, x": acceleration[:, 0],
+        "base acceleration, y": acceleration[:, 1],
+        "tip velocity": velocity,
+        "|v|v of the tip": np.abs(velocity) * velocity,
+        "curvature rate": np.gradient(chord - trial_angle(trial, t_s), t_s),
+    }
+    error = np.sum(white[:, 0] * normal, axis=1)
+    found = [Follows(name, *_correlation(error, values)) for name, values in signals.items()]
+    return tuple(sorted(found, key=lambda f: -abs(f.correlation)))
+
+
+def trial_angle(trial: Trial, t_s: FloatArray) -> FloatArray:
+    """Logged clamp angle at times, rad."""
+    return np.asarray(np.interp(t_s, trial.grip.t_s, trial.grip.angle_rad))
+
+
+def _correlation(a: FloatArray, b: FloatArray) -> tuple[float, float]:
+    both = np.isfinite(a) & np.isfinite(b)
+    a, b = a[both] - a[both].mean(), b[both] - b[both].mean()
+    power = float(np.sqrt((a @ a) * (b @ b)))
+    n = len(a)
+    if power <= 0.0 or n < 2 * LAGS:
+        return 0.0, 1.0
+    r = float(a @ b) / power
+    lags = range(1, n // 4)
+    shared = sum(_auto(a, k) * _auto(b, k) for k in lags)
+    independent = float(np.clip(n / max(1.0 + 2.0 * shared, 1.0), 4.0, n))
+    z = np.arctanh(np.clip(r, -0.999999, 0.999999)) * np.sqrt(max(independent - 3.0, 1.0))
+    return r, float(2.0 * stats.norm.sf(abs(z)))
+
+
+def _auto(values: FloatArray, lag: int) -> float:
+    return float(values[lag:] @ values[:-lag]) / float(values @ values)
+
+
+def overall(parts: Sequence[FloatArray]) -> float:
+    """rms over several residual arrays together."""
+    return rms(np.concatenate([p.ravel() for p in parts])) if parts else float("nan")
