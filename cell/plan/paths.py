@@ -66,6 +66,21 @@ def insertion_path(
     return _path([down, left[1:]], start.angle_rad, rate_hz)
 
 
+def retreat_path(start: Pose, end: Pose, limits: MotionLimits, rate_hz: float) -> Path:
+    """First level, then up or down to `end`: back out of a hole before anything else.
+
+    raises  ValueError: the clamp angle would change, the poses are the same, an impossible rate
+    """
+    if abs(end.angle_rad - start.angle_rad) > 0.01:
+        raise ValueError(f"retreat from {start} to {end}: the clamp angle must stay")
+    level = _stroke((start.x_m, start.y_m), (end.x_m - start.x_m, 0.0), limits, rate_hz)
+    upright = _stroke((end.x_m, start.y_m), (0.0, end.y_m - start.y_m), limits, rate_hz)
+    path = _path([level, upright[1:]], start.angle_rad, rate_hz)
+    if len(path.t_s) < 2:
+        raise ValueError(f"retreat from {start} to {end}: no distance to go")
+    return path
+
+
 def executed_motion(
     path: Path,
     lag_s: float,
