@@ -1,1 +1,1 @@
-"""Physical effects that can be added to the cable model, one family per file."""
+"""Physical effects that may be added to a cable: one file per family, and a user's own."""

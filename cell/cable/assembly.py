@@ -1,0 +1,203 @@
+"""Models → blocks of lanes in the layout of the compiled code."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable import layout as at
+from cell.cable.effects.compiled import Hooks, cable_data, hooks_of, parameters
+from cell.cable.model import CableModel, knot_basis
+
+FloatArray = NDArray[np.float64]
+
+#: Discretisation error of a held cable's tip: see `docs/effects.md`, "Accuracy".
+DEFAULT_SEGMENTS = 20
+
+
+@dataclass(frozen=True)
+class Block:
+    """Up to LANES models with the same effects, ready to run.
+
+    lanes      their numbers in the batch
+    width      lanes computed: those above rounded up to whole vectors with copies of the first
+    state      flat, see `layout`
+    lengths    (LANES,) length of a segment, m
+    effects    last-but-one argument of the compiled functions
+    """
+
+    lanes: tuple[int, ...]
+    width: int
+    segments: int
+    state: FloatArray
+    lengths: FloatArray
+    nonlinear: bool
+    passes: int
+    effects: tuple[Any, ...]
+
+
+def assemble(
+    models: Sequence[CableModel], segments: int, start_s: float, threads: int = 1
+) -> list[Block]:
+    """Blocks for all models; models with different sets of effects go to different blocks."""
+    if segments < 3:
+        raise ValueError(f"segments = {segments}: must be ≥ 3")
+    groups: dict[tuple[type, ...], list[int]] = {}
+    for i, model in enumerate(models):
+        groups.setdefault(tuple(a.effect for a in model.effects), []).append(i)
+    blocks = []
+    for members in groups.values():
+        hooks = hooks_of(models[members[0]].effects)
+        width = at.VECTOR if len(members) <= at.VECTOR * threads else at.LANES
+        for first in range(0, len(members), width):
+            lanes = tuple(members[first : first + width])
+            blocks.append(_block([models[i] for i in lanes], lanes, segments, hooks, start_s))
+    return blocks
+
+
+def _block(
+    models: list[CableModel], lanes: tuple[int, ...], n: int, hooks: Hooks, start_s: float
+) -> Block:
+    state = np.zeros((n + 1, at.FIELDS, at.LANES))
+    w = len(models)
+
+    def each(value: Any) -> FloatArray:
+        return np.array([value(m) for m in models], dtype=np.float64)
+
+    nominal = each(lambda m: m.cable.free_length_m)
+    total = nominal + each(lambda m: _sum(m, "extra_length"))
+    if np.any(total < 0.1 * nominal):
+        raise ValueError("extra_length of the effects leaves less than a tenth of the cable")
+    length = total / n
+    density = each(lambda m: m.cable.line_density_kg_per_m)
+    inertia = np.array([_inertia(m) for m in models]).reshape(w, 2)
+    tip = each(lambda m: _sum(m, "tip_mass"))
+    compliance = each(lambda m: _sum(m, "grip_compliance"))
+
+    part = np.ones((n + 1, 1))
+    part[0] = part[-1] = 0.5
+    body = part * length
+    hinge_fraction = np.concatenate(([0.0], (np.arange(1, n + 1) - 0.5) / n))
+    middle_fraction = np.concatenate(([0.25], np.arange(1, n), [n - 0.25])) / n
+    # Euler–Maclaurin: the sum over hinges then equals the integral over the curve to O(l⁴)
+    end = np.ones((n + 1, 1))
+    end[1], end[2] = 25.0 / 24.0, 23.0 / 24.0
+
+    def put(field: int, value: Any) -> None:
+        state[:, field, :w] = value
+
+    knots = {m.rigidity_n_m2.size for m in models}
+    log_rigidity = np.empty((n + 1, w))
+    for k in knots:
+        basis = knot_basis(k, tuple(hinge_fraction))
+        chosen = [i for i, m in enumerate(models) if m.rigidity_n_m2.size == k]
+        log_rigidity[:, chosen] = basis @ np.log([models[i].rigidity_n_m2 for i in chosen]).T
+    power = 0.5 * (each(lambda m: m.exponent) - 1.0)
+    put(at.RIGIDITY, np.exp(log_rigidity))
+    put(at.PER_LENGTH, 1.0 / (end * length))
+    put(at.VISCOSITY, each(lambda m: m.viscosity_n_m2_s))
+    put(at.POWER, power)
+    arc_hinge = hinge_fraction[:, None] * total
+    put(at.ARC_HINGE, arc_hinge)
+    put(at.ARC_MIDDLE, middle_fraction[:, None] * total)
+    for i, model in enumerate(models):
+        state[:, at.REST, i] = _rest(model, arc_hinge[:, i])
+    put(at.FREE, 1.0)
+    state[0, at.FREE, :w] = compliance > 0.0
+    state[0, at.SPRING, :w] = 1.0 / np.where(compliance > 0.0, compliance, 1.0)
+    along = density + inertia[:, 0]
+    extra = inertia[:, 1] - inertia[:, 0]
+    put(at.LENGTH, body)
+    put(at.MASS, along * body)
+    put(at.MASS_1, along * body**2 / 2.0)
+    put(at.MASS_2, along * body**3 / 3.0)
+    put(at.EXTRA, extra * body)
+    put(at.EXTRA_1, extra * body**2 / 2.0)
+    put(at.EXTRA_2, extra * body**3 / 3.0)
+    put(at.WEIGHT, density * body)
+    put(at.WEIGHT_1, density * body**2 / 2.0)
+    for order, field in enumerate((at.MASS, at.MASS_1, at.MASS_2)):
+        state[-1, field, :w] += tip * body[-1] ** order
+    state[-1, at.WEIGHT, :w] += tip
+    state[-1, at.WEIGHT_1, :w] += tip * body[-1]
+    gravity = np.array([m.gravity_m_per_s2 for m in models]).reshape(w, 2)
+    put(at.GX, gravity[:, 0])
+    put(at.GY, gravity[:, 1])
+    lengths = np.full(at.LANES, length[0])
+    lengths[:w] = length
+    state[:, :, w:] = state[:, :, :1]
+    return Block(
+        lanes,
+        -(-w // at.VECTOR) * at.VECTOR,
+        n,
+        state.ravel(),
+        lengths,
+        bool(np.any(power != 0.0)),
+        hooks.passes,
+        hooks.arguments(models, n, start_s),
+    )
+
+
+def _sum(model: CableModel, hook: str) -> float:
+    total = 0.0
+    for active in model.effects:
+        function = getattr(active.effect, hook)
+        if function is not None:
+            total += float(function(cable_data(model), parameters(active)))
+    return total
+
+
+def _inertia(model: CableModel) -> FloatArray:
+    """Added mass per metre along and normal to the strip, kg/m."""
+    total = np.zeros(2)
+    for active in model.effects:
+        if active.effect.inertia is not None:
+            total += active.effect.inertia(cable_data(model), parameters(active))
+    return total
+
+
+def _rest(model: CableModel, arc_length_m: FloatArray) -> FloatArray:
+    """Rest curvature at the hinges, 1/m."""
+    total = np.zeros_like(arc_length_m)
+    for active in model.effects:
+        if active.effect.rest_curvature is not None:
+            total += active.effect.rest_curvature(
+                cable_data(model), arc_length_m, parameters(active)
+            )
+    return total
+
+
+def marker_weights(
+    models: Sequence[CableModel], arc_length_m: FloatArray, segments: int
+) -> tuple[NDArray[np.int64], FloatArray]:
+    """Cell of every marker and cubic Hermite weights of its two nodes and their tangents.
+
+    returns  (markers,) numbers of the cells, (markers, 4) weights
+    raises   ValueError: marker beyond the cable, or cables of different lengths
+    """
+    lengths = {m.cable.free_length_m for m in models}
+    if len(lengths) != 1:
+        raise ValueError(f"the models' cables have different lengths {sorted(lengths)} m")
+    (length,) = lengths
+    s = np.atleast_1d(np.asarray(arc_length_m, dtype=np.float64))
+    bad = ~((s >= 0.0) & (s <= length * (1.0 + 1e-9)))
+    if s.ndim != 1 or bad.any():
+        i = int(np.argmax(bad))
+        raise ValueError(f"arc_length_m[{i}] = {s.flat[i]} m: must be 0 … {length} m")
+    place = s / length * segments
+    cell = np.minimum(place.astype(np.int64), segments - 1)
+    u = place - cell
+    weights = np.stack(
+        [
+            (1.0 + 2.0 * u) * (1.0 - u) ** 2,
+            u**2 * (3.0 - 2.0 * u),
+            u * (1.0 - u) ** 2,
+            u**2 * (u - 1.0),
+        ],
+        axis=1,
+    )
+    return cell, np.ascontiguousarray(weights)

@@ -1,0 +1,85 @@
+"""Motion of the clamp at the engine's steps: from a log, through the effects on the hand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable import layout as at
+from cell.cable import splines
+from cell.cable.effects.base import ActiveEffect
+from cell.cable.effects.compiled import parameters
+from cell.cable.geometry import Motion
+
+FloatArray = NDArray[np.float64]
+Pose = Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray]]
+
+#: Half the interval over which a pose changed by an effect is differentiated, s.
+_INSTANT = 1e-5
+
+
+def motion_splines(motion: Motion) -> tuple[splines.Spline, splines.Spline, splines.Spline]:
+    """x, y and angle as C² functions of time, free of the log's noise; kept with the motion."""
+    kept = vars(motion).get("_splines")
+    if kept is None:
+        kept = tuple(splines.fit(motion.t_s, v) for v in (motion.x_m, motion.y_m, motion.angle_rad))
+        vars(motion)["_splines"] = kept
+    return kept
+
+
+def pose_of(motion: Motion, effects: Sequence[ActiveEffect] = ()) -> Pose:
+    """Pose of the gripping point against time, after the effects on the hand in their order."""
+    x, y, angle = motion_splines(motion)
+
+    def logged(t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        return x(t), y(t), angle(t)
+
+    pose: Pose = logged
+    for active in effects:
+        if active.effect.clamp is not None:
+            pose = active.effect.clamp(pose, parameters(active))
+    return pose
+
+
+def base_rows(
+    motion: Motion,
+    effects: Sequence[ActiveEffect],
+    start_s: float,
+    step_s: float,
+    steps: int,
+    collocation: float,
+) -> FloatArray:
+    """(steps, BASE_FIELDS) pose, velocity and acceleration at the steps' collocation times.
+
+    The acceleration is the mean over a step's length, so that a jump in the log's velocity gives
+    the momentum that it should, whatever the step.
+    """
+    time: FloatArray = start_s + step_s * (np.arange(steps) + collocation)
+    edge: FloatArray = start_s + step_s * (np.arange(steps + 1) + collocation - 0.5)
+    rows = np.zeros((steps, at.BASE_FIELDS))
+    places = (
+        (at.BASE_X, at.BASE_UX, at.BASE_AX),
+        (at.BASE_Y, at.BASE_UY, at.BASE_AY),
+        (at.BASE_ANGLE, at.BASE_SPIN, at.BASE_AA),
+    )
+    if not any(a.effect.clamp is not None for a in effects):
+        for spline, (value, rate, change) in zip(motion_splines(motion), places, strict=True):
+            if spline.constant:
+                rows[:, value] = spline.value[0]
+                continue
+            rows[:, value] = spline(time)
+            rows[:, rate] = spline(time, 1)
+            rows[:, change] = np.diff(spline(edge, 1)) / step_s
+        return rows
+    pose = pose_of(motion, effects)
+    here, after, before = pose(time), pose(edge + _INSTANT), pose(edge - _INSTANT)
+    speeds = [(a - b) / (2.0 * _INSTANT) for a, b in zip(after, before, strict=True)]
+    nearby = zip(pose(time + _INSTANT), pose(time - _INSTANT), strict=True)
+    rates = [(a - b) / (2.0 * _INSTANT) for a, b in nearby]
+    for c, (value, rate, change) in enumerate(places):
+        rows[:, value] = here[c]
+        rows[:, rate] = rates[c]
+        rows[:, change] = np.diff(speeds[c]) / step_s
+    return rows

@@ -1,0 +1,240 @@
+"""Motion of held cables whose gripping points are moved: many at once."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable import layout as at
+from cell.cable.assembly import DEFAULT_SEGMENTS, Block, assemble, marker_weights
+from cell.cable.clamp import base_rows, pose_of
+from cell.cable.geometry import Motion
+from cell.cable.kernel import integrate, nodes
+from cell.cable.model import CableModel
+from cell.cable.statics import settle
+
+FloatArray = NDArray[np.float64]
+
+_MOST_STEPS = 5_000_000
+
+
+@dataclass(frozen=True)
+class Solver:
+    """Mesh and step of a simulation.
+
+    segments  ≥ 3
+    step_s    the grid of steps is shared by all lanes of a batch
+    damping   ρ∞ of generalised-α, 0 … 1: what is left after a step of an infinitely fast mode
+    """
+
+    segments: int = DEFAULT_SEGMENTS
+    step_s: float = 1e-3
+    damping: float = 0.8
+
+    def __post_init__(self) -> None:
+        if not 3 <= self.segments <= 10_000:
+            raise ValueError(f"solver.segments = {self.segments}: must be 3 … 10000")
+        if not 1e-6 <= self.step_s <= 0.05:
+            raise ValueError(f"solver.step_s = {self.step_s} s: must be 1e-6 … 0.05 s")
+        if not 0.0 <= self.damping <= 1.0:
+            raise ValueError(f"solver.damping = {self.damping}: must be 0 … 1")
+
+
+class DivergedError(RuntimeError):
+    """A simulation left the possible.  Scenario: a step far too long for a fast, soft cable."""
+
+    def __init__(self, lane: int, time_s: float, step_s: float) -> None:
+        super().__init__(
+            f"lane {lane} diverged at t = {time_s:.4f} s (not finite, or a hinge bent by half a "
+            f"turn); use a shorter step than {step_s * 1e3:g} ms or check the parameters"
+        )
+        self.lane = lane
+        self.time_s = time_s
+
+
+def simulate(
+    models: CableModel | Sequence[CableModel],
+    motions: Motion | Sequence[Motion],
+    times_s: FloatArray,
+    arc_length_m: FloatArray,
+    *,
+    solver: Solver = Solver(),
+    start: Literal["equilibrium", "straight"] = "equilibrium",
+    release_s: float | None = None,
+) -> FloatArray:
+    """Positions of markers on cables against time.
+
+    models, motions  one of either for all lanes, or as many of both as there are lanes.  Before
+                     and after its log a motion is held.
+    times_s          (times,) increasing
+    arc_length_m     (markers,) from the gripping point
+    start            from rest, or held straight along the clamp angle until `release_s`
+    returns          (lanes, times, markers, 2) x, y in m
+    raises           ValueError: bad input; DivergedError; statics.UnsettledError
+    """
+    batch = [models] if isinstance(models, CableModel) else list(models)
+    paths = [motions] if isinstance(motions, Motion) else list(motions)
+    lanes = max(len(batch), len(paths))
+    for name, given in (("models", batch), ("motions", paths)):
+        if len(given) not in (1, lanes) or not given:
+            raise ValueError(f"{len(given)} {name} for {lanes} lanes: give one, or one per lane")
+    batch = batch * (lanes // len(batch))
+    paths = paths * (lanes // len(paths))
+    times = np.ascontiguousarray(times_s, dtype=np.float64)
+    if times.ndim != 1 or not np.all(np.isfinite(times)) or np.any(np.diff(times) <= 0.0):
+        raise ValueError("times_s must be one-dimensional, finite and strictly increasing")
+    if start not in ("equilibrium", "straight") or (start == "straight") != (release_s is not None):
+        raise ValueError(
+            f"start = {start!r}, release_s = {release_s}: only 'straight' has a release"
+        )
+    cell, weights = marker_weights(batch, arc_length_m, solver.segments)
+    result = np.empty((lanes, times.size, len(cell), 2))
+    if times.size == 0:
+        return result
+    begin = (
+        float(release_s)
+        if release_s is not None
+        else min(float(times[0]), *(float(m.t_s[0]) for m in paths))
+    )
+    steps = max(1, int(np.ceil((times[-1] - begin) / solver.step_s - 1e-9)))
+    if steps > _MOST_STEPS:
+        raise ValueError(f"{steps} steps of {solver.step_s} s from {begin} s to {times[-1]} s")
+    grid = _Grid(begin, steps, times, release_s, solver)
+    blocks = assemble(batch, solver.segments, begin, threads())
+    rows = _rows(paths, batch, grid)
+
+    def run(block: Block) -> None:
+        result[list(block.lanes)] = _run(block, grid, rows, paths, batch, cell, weights)
+
+    if len(blocks) == 1:
+        run(blocks[0])
+    else:
+        list(_pool(os.getpid()).map(run, blocks))
+    return result
+
+
+def threads() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@lru_cache(maxsize=1)
+def _pool(process: int) -> ThreadPoolExecutor:
+    """Threads of this process; a forked child makes its own."""
+    return ThreadPoolExecutor(threads(), thread_name_prefix="cable")
+
+
+@dataclass(frozen=True)
+class _Grid:
+    begin_s: float
+    steps: int
+    times_s: FloatArray
+    release_s: float | None
+    solver: Solver
+
+
+def generalised_alpha(step_s: float, damping: float) -> FloatArray:
+    """Coefficients of a step: see `kernel.predict` and `kernel.advance`.
+
+    [0] h, [1] ∂q/∂a, [2] ∂v/∂a at the collocation time, [3] v, [4] a_old in q, [5] a_old in v,
+    [6], [7] a_new from a and a_old, [8], [9] a_old, a_new in q, [10], [11] in v, [12] the
+    collocation time in steps.
+    """
+    h = step_s
+    mass = (2.0 * damping - 1.0) / (damping + 1.0)
+    force = damping / (damping + 1.0)
+    gamma = 0.5 - mass + force
+    beta = 0.25 * (1.0 - mass + force) ** 2
+    c = 1.0 - force
+    new, old = 1.0 / (1.0 - mass), -mass / (1.0 - mass)
+    q_old, v_old = h * h * (0.5 - beta), h * (1.0 - gamma)
+    q_new, v_new = h * h * beta, h * gamma
+    return np.array(
+        [
+            h,
+            c * q_new * new,
+            c * v_new * new,
+            c * h,
+            c * (q_old + q_new * old),
+            c * (v_old + v_new * old),
+            new,
+            old,
+            q_old,
+            q_new,
+            v_old,
+            v_new,
+            c,
+        ]
+    )
+
+
+def _rows(paths: Sequence[Motion], batch: Sequence[CableModel], grid: _Grid) -> list[FloatArray]:
+    """Clamp motion of each lane; equal ones are computed once."""
+    known: dict[tuple[object, ...], FloatArray] = {}
+    rows = []
+    c = float(generalised_alpha(grid.solver.step_s, grid.solver.damping)[12])
+    for motion, model in zip(paths, batch, strict=True):
+        acting = tuple(a for a in model.effects if a.effect.clamp is not None)
+        key = (id(motion), *acting)
+        if key not in known:
+            known[key] = base_rows(motion, acting, grid.begin_s, grid.solver.step_s, grid.steps, c)
+        rows.append(known[key])
+    return rows
+
+
+def _run(
+    block: Block,
+    grid: _Grid,
+    rows: Sequence[FloatArray],
+    paths: Sequence[Motion],
+    batch: Sequence[CableModel],
+    cell: NDArray[np.int64],
+    weights: FloatArray,
+) -> FloatArray:
+    solver, n, w = grid.solver, block.segments, len(block.lanes)
+    order = block.lanes + block.lanes[:1] * (block.width - w)
+    base = np.zeros((grid.steps, at.BASE_FIELDS, at.LANES))
+    for k, lane in enumerate(order):
+        base[:, :, k] = rows[lane]
+    poses = [pose_of(paths[lane], batch[lane].effects) for lane in order]
+    if grid.release_s is None:
+        first = np.zeros((1, at.BASE_FIELDS, at.LANES))
+        for k, pose in enumerate(poses):
+            x, y, angle = pose(np.array([grid.begin_s]))
+            first[0, :3, k] = x[0], y[0], angle[0]
+        settle(block, first.ravel())
+    free = grid.times_s > grid.begin_s if grid.release_s is not None else slice(None)
+    when = (grid.times_s[free] - grid.begin_s) / solver.step_s
+    bends = np.zeros((grid.times_s.size, n + 1, at.LANES))
+    moving = np.zeros((when.size, n + 1, at.LANES)).ravel()
+    bad = integrate(
+        block.state,
+        block.width,
+        n,
+        base.ravel(),
+        generalised_alpha(solver.step_s, solver.damping),
+        block.nonlinear,
+        block.passes,
+        block.effects,
+        when,
+        moving,
+    )
+    if bad >= 0:
+        final = block.state.reshape(n + 1, at.FIELDS, at.LANES)[:, at.BEND, :w]
+        broken = ~np.all(np.abs(final) < np.pi, axis=0)
+        lane = block.lanes[int(np.argmax(broken))]
+        raise DivergedError(lane, grid.begin_s + (bad + 1) * solver.step_s, solver.step_s)
+    bends[free] = moving.reshape(when.size, n + 1, at.LANES)
+    clamp = np.zeros((grid.times_s.size, 3, at.LANES))
+    for k, pose in enumerate(poses):
+        clamp[:, 0, k], clamp[:, 1, k], clamp[:, 2, k] = pose(grid.times_s)
+    out = np.empty((block.width, grid.times_s.size, len(cell), 2))
+    nodes(bends.ravel(), block.width, n, block.lengths, clamp.ravel(), cell, weights, out)
+    return out[:w]

@@ -1,0 +1,152 @@
+"""What an effect is: named, bounded parameters with units, and the hooks that it needs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of an effect.
+
+    low, high  physical bounds
+    default    value when none is given.  Of an amplitude it is the value that switches the effect
+               off, so that a model with the effect there equals the model without
+    starts     values worth starting a fit from, the most typical first
+    amplitude  whether the effect is off at `default`
+    """
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    default: float
+    starts: tuple[float, ...]
+    amplitude: bool = True
+
+    def __post_init__(self) -> None:
+        if not self.name.isidentifier():
+            raise ValueError(f"parameter {self.name!r} is not a name")
+        for label, value in (("default", self.default), *(("starts", s) for s in self.starts)):
+            if not self.low <= value <= self.high:
+                raise ValueError(
+                    f"parameter {self.name}: {label} {value} outside {self.low} … {self.high}"
+                )
+        if not self.starts:
+            raise ValueError(f"parameter {self.name}: needs at least one value in `starts`")
+
+
+class CableData(NamedTuple):
+    """Datasheet of the cable, as hooks see it: `cable`."""
+
+    width_m: float
+    thickness_m: float
+    line_density_kg_per_m: float
+    free_length_m: float
+
+
+class Place(NamedTuple):
+    """State of a short piece of cable, as `force` sees it: `at`.
+
+    Still air and the cell's plane: x right, y up.  The tangent (tx, ty) points away from the
+    grip; the normal is (−ty, tx); `spin` = dθ/dt.
+    """
+
+    x: float
+    y: float
+    vx: float
+    vy: float
+    tx: float
+    ty: float
+    angle: float
+    spin: float
+    arc_length: float
+    time: float
+
+
+class Bend(NamedTuple):
+    """State of bending at one place, as `moment` and `memory_rate` see it: `at`."""
+
+    curvature: float
+    rate: float
+    rigidity: float
+    arc_length: float
+
+
+class Effect:
+    """Base of all effects; a class is an effect, it is never instantiated.
+
+    Hooks are static methods; numba compiles those marked *, so they are plain arithmetic on
+    scalars.  `p` has the parameters as attributes, `m` the memory variables, `cable` is
+    `CableData`.
+
+    force(cable, at: Place, p) -> (fx, fy)*            N/m
+    moment(cable, at: Bend, m, p) -> M*                N·m, added to the cable's own
+    memory_rate(cable, at: Bend, m, p) -> (rates, …)*  one per name in `memory`, 1/s
+    memory_at_rest(cable, at: Bend, p) -> (values, …)* memory of a cable that has long been still
+    inertia(cable, p) -> (along, normal)               kg/m added to the strip's, without weight
+    tip_mass(cable, p) -> kg                           point mass with weight at the tip
+    rest_curvature(cable, arc_length, p) -> κ₀         1/m, arrays
+    grip_compliance(cable, p) -> c                     rad/(N·m) at the gripping point
+    extra_length(cable, p) -> m                        added to the free length
+    clamp(pose, p) -> pose                             functions t -> (x, y, angle), arrays
+    camera_time(t, xy, p) -> t                         when the point shown at time t was there
+    camera_points(xy, p) -> xy                         where the camera sees points (…, 2)
+    """
+
+    name: ClassVar[str]
+    parameters: ClassVar[tuple[Parameter, ...]]
+    memory: ClassVar[tuple[str, ...]] = ()
+    dissipative: ClassVar[bool] = False
+    smooth: ClassVar[bool] = True
+
+    force: ClassVar[Callable[..., Any] | None] = None
+    moment: ClassVar[Callable[..., Any] | None] = None
+    memory_rate: ClassVar[Callable[..., Any] | None] = None
+    memory_at_rest: ClassVar[Callable[..., Any] | None] = None
+    inertia: ClassVar[Callable[..., Any] | None] = None
+    tip_mass: ClassVar[Callable[..., Any] | None] = None
+    rest_curvature: ClassVar[Callable[..., Any] | None] = None
+    grip_compliance: ClassVar[Callable[..., Any] | None] = None
+    extra_length: ClassVar[Callable[..., Any] | None] = None
+    clamp: ClassVar[Callable[..., Any] | None] = None
+    camera_time: ClassVar[Callable[..., Any] | None] = None
+    camera_points: ClassVar[Callable[..., Any] | None] = None
+
+    @classmethod
+    def active(cls, **values: float) -> ActiveEffect:
+        """This effect with parameter values; those not given keep their default."""
+        known = {p.name: p for p in cls.parameters}
+        for name in values:
+            if name not in known:
+                raise ValueError(f"{cls.name} has no parameter {name!r}; it has {list(known)}")
+        return ActiveEffect(cls, tuple(float(values.get(n, p.default)) for n, p in known.items()))
+
+
+@dataclass(frozen=True)
+class ActiveEffect:
+    """An effect and the values of its parameters, in the order of `effect.parameters`."""
+
+    effect: type[Effect]
+    values: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        name = self.effect.name
+        if len(self.values) != len(self.effect.parameters):
+            raise ValueError(
+                f"{name} has {len(self.effect.parameters)} parameters, {len(self.values)} given"
+            )
+        for parameter, value in zip(self.effect.parameters, self.values, strict=True):
+            if not math.isfinite(value) or not parameter.low <= value <= parameter.high:
+                raise ValueError(
+                    f"{name}.{parameter.name} = {value} {parameter.unit}: "
+                    f"must be {parameter.low} … {parameter.high}"
+                )
+
+    @property
+    def named(self) -> dict[str, float]:
+        """Values by parameter name."""
+        return {p.name: v for p, v in zip(self.effect.parameters, self.values, strict=True)}

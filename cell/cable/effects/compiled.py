@@ -1,0 +1,174 @@
+"""Effects → compiled loops, kept on disk; the same for the project's own and a user's."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+import tempfile
+import types
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable import layout as at
+from cell.cable.compiling import fingerprint
+from cell.cable.effects import pointer, templates
+from cell.cable.effects.base import ActiveEffect, CableData, Effect
+
+if TYPE_CHECKING:
+    from cell.cable.model import CableModel
+
+#: Newton passes of a step: one is enough for smooth laws, a change of sign of the curvature rate
+#: needs its tangent corrected once.
+_PASSES, _PASSES_WITH_MEMORY = 1, 2
+
+
+@dataclass(frozen=True)
+class Loops:
+    """Compiled loops of one effect, None where it has no such hook; and what keeps them alive."""
+
+    force: int | None
+    moment: int | None
+    alive: tuple[Any, ...]
+
+
+_LOOPS: dict[type[Effect], Loops] = {}
+
+
+def loops_of(effect: type[Effect]) -> Loops:
+    """Compile, or load from disk, the loops of an effect; once per process."""
+    if effect not in _LOOPS:
+        _LOOPS[effect] = _build(effect)
+    return _LOOPS[effect]
+
+
+def _build(effect: type[Effect]) -> Loops:
+    fields = tuple(p.name for p in effect.parameters)
+    alive: list[Any] = []
+
+    def build(source: str) -> int:
+        module = _module(source, effect)
+        alive.append(module)
+        return pointer.address_of(module.loop)
+
+    force = build(templates.force_source(effect.name, fields)) if effect.force else None
+    moment = None
+    if effect.moment:
+        rested = effect.memory_at_rest is not None
+        moment = build(templates.moment_source(effect.name, fields, effect.memory, rested))
+    return Loops(force, moment, tuple(alive))
+
+
+def parameters(active: ActiveEffect) -> Any:
+    """The `p` of a hook: parameter values as attributes."""
+    return SimpleNamespace(**active.named)
+
+
+def cable_data(model: CableModel) -> CableData:
+    """The `cable` of a hook."""
+    cable = model.cable
+    return CableData(
+        cable.width_m, cable.thickness_m, cable.line_density_kg_per_m, cable.free_length_m
+    )
+
+
+@dataclass(frozen=True)
+class Hooks:
+    """Compiled loops of the effects of a group of lanes, in the engine's form."""
+
+    forces: NDArray[np.int64]
+    moments: NDArray[np.int64]
+    rows: NDArray[np.int64]
+    memory_rows: NDArray[np.int64]
+    memory_count: int
+
+    @property
+    def passes(self) -> int:
+        """Newton passes per step."""
+        return _PASSES_WITH_MEMORY if self.memory_count else _PASSES
+
+    def arguments(self, models: Sequence[CableModel], segments: int, start_s: float) -> Any:
+        """`effects` of the compiled functions for up to LANES models with these effects."""
+        table = np.zeros((4 + sum(len(a.values) for a in models[0].effects), at.LANES))
+        for w, model in enumerate(models):
+            table[:, w] = (*cable_data(model), *(v for a in model.effects for v in a.values))
+        table[:, len(models) :] = table[:, :1]
+        memory = np.zeros(max(1, self.memory_count) * (segments + 1) * at.LANES)
+        return (
+            self.forces,
+            self.moments,
+            table.ravel(),
+            self.rows,
+            memory,
+            self.memory_rows,
+            start_s,
+        )
+
+
+def hooks_of(effects: Sequence[ActiveEffect]) -> Hooks:
+    """Loops and rows of parameters and memory, forces first."""
+    forces, force_rows, moments, moment_rows, memory_rows = [], [], [], [], []
+    row, memory = 4, 0
+    for active in effects:
+        loops = loops_of(active.effect)
+        if loops.force is not None:
+            forces.append(loops.force)
+            force_rows.append(row)
+        if loops.moment is not None:
+            moments.append(loops.moment)
+            moment_rows.append(row)
+            memory_rows.append(memory)
+            memory += len(active.effect.memory)
+        row += len(active.values)
+
+    def array(values: list[int]) -> NDArray[np.int64]:
+        return np.array(values, dtype=np.int64)
+
+    return Hooks(
+        array(forces), array(moments), array(force_rows + moment_rows), array(memory_rows), memory
+    )
+
+
+def _module(source: str, effect: type[Effect]) -> Any:
+    """Module made from `source`, in a file named after all that its machine code depends on."""
+    defined_in = getattr(sys.modules.get(effect.__module__), "__file__", None)
+    text = Path(defined_in).read_text(encoding="utf-8") if defined_in else ""
+    depends = [source, effect.__qualname__, text, fingerprint(), numba.__version__, np.__version__]
+    key = hashlib.sha256("\0".join(depends).encode()).hexdigest()[:20]
+    path = _cache_folder() / f"{effect.name}_{key}.py"
+    if not path.exists():
+        with tempfile.NamedTemporaryFile(
+            "w", encoding="utf-8", dir=path.parent, suffix=".tmp", delete=False
+        ) as file:
+            file.write(source)
+        Path(file.name).replace(path)
+    module = types.ModuleType(path.stem)
+    module.__file__ = str(path)
+    module.__dict__["EFFECT"] = effect
+    sys.modules[path.stem] = module
+    exec(compile(source, str(path), "exec"), module.__dict__)
+    return module
+
+
+@lru_cache(maxsize=1)
+def _cache_folder() -> Path:
+    """Folder for generated loops: NUMBA_CACHE_DIR, else the user's cache, else a temporary one."""
+    home = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    for parent in (os.environ.get("NUMBA_CACHE_DIR"), home):
+        if parent:
+            folder = Path(parent) / "cable-cell"
+            try:
+                folder.mkdir(parents=True, exist_ok=True)
+                tempfile.TemporaryFile(dir=folder).close()
+            except OSError:
+                continue
+            return folder
+    return Path(tempfile.mkdtemp(prefix="cable-cell-"))

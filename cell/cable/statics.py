@@ -1,0 +1,221 @@
+"""Static equilibrium by the same chain, loads and bending moments as the dynamics."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable.assembly import DEFAULT_SEGMENTS, Block, assemble, marker_weights
+from cell.cable.compiling import compiled
+from cell.cable.effects.pointer import REST, call_force, call_moment
+from cell.cable.kernel import bending, kinematics, nodes
+from cell.cable.layout import (
+    BASE_ANGLE,
+    BASE_FIELDS,
+    BEND,
+    BEND_C,
+    BODY,
+    FREE,
+    FX,
+    FY,
+    GX,
+    GY,
+    LANES,
+    LENGTH,
+    MOMENT,
+    RATE_C,
+    STIFF,
+    TX,
+    TY,
+    WEIGHT,
+    WEIGHT_1,
+)
+from cell.cable.model import CableModel
+
+FloatArray = NDArray[np.float64]
+
+#: Equilibrium is reached when no Newton step turns any segment by more than this, rad.
+_TOLERANCE = 1e-11
+_ITERATIONS = 200
+#: Largest turn of a segment in one iteration, rad.
+_STRIDE = 0.3
+
+
+@compiled
+def balance(S: FloatArray, lanes: int, n: int, B: FloatArray, nonlinear: bool, effects: Any) -> int:
+    """Bring all lanes to rest from where they are, under the clamp pose in row 0 of B.
+
+    Newton's method in absolute angles: bending couples neighbours, dead weight only adds to the
+    diagonal, so the Hessian is tridiagonal.  Effects' forces follow without a tangent.
+    returns −1, or the first lane that did not settle
+    """
+    forces, moments, params, rows, memory, memory_rows, start = effects
+    size = n + 1
+    diagonal = np.empty(size * LANES)
+    residual = np.empty(size * LANES)
+    ahead = np.empty(2 * LANES)
+    turn = np.empty(size * LANES)
+    for i in range(size):
+        for w in range(lanes):
+            S[i * BODY + BEND_C * LANES + w] = S[i * BODY + BEND * LANES + w]
+            S[i * BODY + RATE_C * LANES + w] = 0.0
+    settled = False
+    worst = 0
+    for _ in range(_ITERATIONS):
+        kinematics(S, lanes, n, B, 0, False)
+        bending(S, lanes, n, nonlinear, 1.0, 0.0)
+        for i in range(size):
+            for w in range(3 * LANES):
+                S[i * BODY + FX * LANES + w] = 0.0
+        for e in range(forces.size):
+            call_force(forces[e], (S, lanes, n, start, params, rows[e]))
+        for e in range(moments.size):
+            row = rows[forces.size + e]
+            call_moment(
+                moments[e],
+                (S, lanes, n, REST, 1.0, 1.0, 1.0, params, row, memory, memory_rows[e]),
+            )
+        for w in range(2 * LANES):
+            ahead[w] = 0.0
+        for i in range(n, -1, -1):
+            for w in range(lanes):
+                k = i * BODY + w
+                length = S[k + LENGTH * LANES]
+                weight = S[k + WEIGHT * LANES]
+                weight_1 = S[k + WEIGHT_1 * LANES]
+                gx = S[k + GX * LANES]
+                gy = S[k + GY * LANES]
+                fx = S[k + FX * LANES] * length
+                fy = S[k + FY * LANES] * length
+                leverx = length * (ahead[w] + 0.5 * fx) + weight_1 * gx
+                levery = length * (ahead[LANES + w] + 0.5 * fy) + weight_1 * gy
+                tx = S[k + TX * LANES]
+                ty = S[k + TY * LANES]
+                pull = -(leverx * -ty + levery * tx)
+                hold = leverx * tx + levery * ty
+                moment = S[k + MOMENT * LANES]
+                stiff = S[k + STIFF * LANES]
+                if i < n:
+                    moment -= S[k + BODY + MOMENT * LANES]
+                    stiff += S[k + BODY + STIFF * LANES]
+                residual[i * LANES + w] = moment + pull
+                diagonal[i * LANES + w] = stiff
+                turn[i * LANES + w] = hold
+                ahead[w] += fx + weight * gx
+                ahead[LANES + w] += fy + weight * gy
+        settled = True
+        for w in range(lanes):
+            sound = _tridiagonal(S, w, n, diagonal, residual, turn, False)
+            if not sound:
+                _tridiagonal(S, w, n, diagonal, residual, turn, True)
+            largest = 0.0
+            for i in range(size):
+                largest = max(largest, abs(residual[i * LANES + w]))
+            scale = 1.0 if largest <= _STRIDE else _STRIDE / largest
+            before = 0.0
+            for i in range(size):
+                after = scale * residual[i * LANES + w]
+                S[i * BODY + BEND_C * LANES + w] -= after - before
+                before = after
+            if not largest < _TOLERANCE:
+                settled = False
+                worst = w
+        if settled:
+            break
+    for i in range(size):
+        for w in range(lanes):
+            S[i * BODY + BEND * LANES + w] = S[i * BODY + BEND_C * LANES + w]
+    return -1 if settled else worst
+
+
+@compiled
+def _tridiagonal(
+    S: FloatArray,
+    w: int,
+    n: int,
+    diagonal: FloatArray,
+    residual: FloatArray,
+    hold: FloatArray,
+    clipped: bool,
+) -> bool:
+    """Solve one lane's Newton step into `residual`; False (nothing done) if not convex there."""
+    pivot = np.empty(n + 1)
+    size = n + 1
+    first = 0 if S[w + FREE * LANES] > 0.0 else 1
+    for i in range(first, size):
+        extra = hold[i * LANES + w]
+        pivot[i] = diagonal[i * LANES + w] + (max(extra, 0.0) if clipped else extra)
+        if i > first:
+            stiff = S[i * BODY + STIFF * LANES + w]
+            pivot[i] -= stiff * stiff / pivot[i - 1]
+        if not pivot[i] > 0.0:
+            return False
+    for i in range(first + 1, size):
+        stiff = S[i * BODY + STIFF * LANES + w]
+        residual[i * LANES + w] += stiff / pivot[i - 1] * residual[(i - 1) * LANES + w]
+    residual[n * LANES + w] /= pivot[n]
+    for i in range(n - 1, first - 1, -1):
+        stiff = S[(i + 1) * BODY + STIFF * LANES + w]
+        residual[i * LANES + w] = (
+            residual[i * LANES + w] + stiff * residual[(i + 1) * LANES + w]
+        ) / pivot[i]
+    if first == 1:
+        residual[w] = 0.0
+    return True
+
+
+class UnsettledError(RuntimeError):
+    """No static equilibrium was found.  Scenario: an effect's force that grows without bound."""
+
+
+def settle(block: Block, base: FloatArray) -> None:
+    """Bring the block's state to rest under the clamp poses in row 0 of `base`.
+
+    raises  UnsettledError
+    """
+    lane = balance(block.state, block.width, block.segments, base, block.nonlinear, block.effects)
+    if lane >= 0:
+        number = block.lanes[lane] if lane < len(block.lanes) else block.lanes[0]
+        raise UnsettledError(
+            f"lane {number}: no static equilibrium found; the cable may be too soft for its "
+            "weight, or an effect's force may grow without bound"
+        )
+
+
+def equilibrium(
+    models: CableModel | Sequence[CableModel],
+    arc_length_m: FloatArray,
+    clamp_angle_rad: float | FloatArray = 0.0,
+    *,
+    segments: int = DEFAULT_SEGMENTS,
+) -> FloatArray:
+    """Shape of held cables at rest, seen from their gripping points.
+
+    models           one, or (lanes,)
+    arc_length_m     (markers,) from the gripping point
+    clamp_angle_rad  one, or (lanes,); 0 = level, positive = pointing down
+    returns          (lanes, markers, 2) x, y relative to the gripping point, m
+    raises           ValueError: marker beyond the cable; UnsettledError
+    """
+    batch = [models] if isinstance(models, CableModel) else list(models)
+    angles = np.broadcast_to(np.asarray(clamp_angle_rad, dtype=np.float64), (len(batch),))
+    if not np.all(np.isfinite(angles)):
+        raise ValueError("clamp_angle_rad is not finite")
+    cell, weights = marker_weights(batch, arc_length_m, segments)
+    result = np.empty((len(batch), len(cell), 2))
+    for block in assemble(batch, segments, 0.0):
+        w = len(block.lanes)
+        base = np.zeros((1, BASE_FIELDS, LANES))
+        base[0, BASE_ANGLE, :] = angles[block.lanes[0]]
+        base[0, BASE_ANGLE, :w] = angles[list(block.lanes)]
+        settle(block, base.ravel())
+        bends = block.state.reshape(segments + 1, -1, LANES)[:, BEND].copy().ravel()
+        clamp = np.zeros((1, 3, LANES))
+        clamp[0, 2] = base[0, BASE_ANGLE]
+        out = np.empty((block.width, 1, len(cell), 2))
+        nodes(bends, block.width, segments, block.lengths, clamp.ravel(), cell, weights, out)
+        result[list(block.lanes)] = out[:w, 0]
+    return result
