@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from scipy import signal, stats
 
 from cell.cable.geometry import Motion
-from cell.lab.noise import Noise, motion_onset_s, still_end_s
+from cell.identify.hand import moves_from_s
+from cell.identify.noise import Noise, still_frames
 from cell.study.data import Trial
 
 FloatArray = NDArray[np.float64]
@@ -111,8 +112,9 @@ def rms(residual_m: FloatArray) -> float:
 def phase_of(trial: Trial) -> NDArray[np.str_]:
     """(times,) the phase of the motion, one of `PHASES`, at each marker time."""
     t_s = trial.markers.t_s
-    start_s, stop_s = still_end_s(trial), _stop_s(trial.grip)
-    stop_s = max(stop_s, start_s)
+    still = still_frames(t_s, trial.grip, trial.release_s)
+    start_s = float(t_s[still.stop]) if still.stop < len(t_s) else np.inf
+    stop_s = max(_stop_s(trial.grip), start_s)
     limits = [start_s, stop_s, stop_s + EARLY_SWING_S]
     return np.array(PHASES)[np.searchsorted(limits, t_s, "right")]
 
@@ -120,12 +122,12 @@ def phase_of(trial: Trial) -> NDArray[np.str_]:
 def _stop_s(motion: Motion) -> float:
     """When the hand comes to rest for good: the onset of the motion run backwards."""
     t_s = motion.t_s
-    if motion_onset_s(motion) >= t_s[-1]:
-        return float(t_s[0])
+    mirrored = t_s[0] + t_s[-1]
     backward = Motion(
-        t_s[0] + t_s[-1] - t_s[::-1], motion.x_m[::-1], motion.y_m[::-1], motion.angle_rad[::-1]
+        mirrored - t_s[::-1], motion.x_m[::-1], motion.y_m[::-1], motion.angle_rad[::-1]
     )
-    return float(t_s[0] + t_s[-1] - motion_onset_s(backward))
+    onset_s = moves_from_s(backward)
+    return float(mirrored - onset_s) if np.isfinite(onset_s) else float(t_s[0])
 
 
 def spectrum(t_s: FloatArray, residual_m: FloatArray, noise: Noise) -> Spectrum:
@@ -144,10 +146,12 @@ def spectrum(t_s: FloatArray, residual_m: FloatArray, noise: Noise) -> Spectrum:
         power += signal.lombscargle(t_s[seen], centred, 2 * np.pi * frequency)
         used += 1
     power *= 2.0 * float(np.median(np.diff(t_s))) / max(used, 1)
-    phase = 2.0 * np.pi * frequency * noise.frame_s
-    floor = 1.0 - noise.ar1**2
-    shape = floor / (1.0 - 2.0 * noise.ar1 * np.cos(phase) + noise.ar1**2)
-    return Spectrum(frequency, power, 2.0 * noise.std_m**2 * noise.frame_s * shape)
+    frame_s = float(np.median(np.diff(t_s)))
+    colour = noise.colour
+    shape = (1.0 - colour**2) / (
+        1.0 - 2.0 * colour * np.cos(2.0 * np.pi * frequency * frame_s) + colour**2
+    )
+    return Spectrum(frequency, power, 2.0 * noise.std_m**2 * frame_s * shape)
 
 
 def ljung_box(white: FloatArray, lags: int = LAGS) -> float:

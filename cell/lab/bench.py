@@ -1,0 +1,84 @@
+"""A study made ready for the lab: models in, whitened residuals out, trial by trial."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable.dynamics import Solver, simulate
+from cell.cable.model import CableModel
+from cell.identify.noise import Noise, Whitener
+from cell.lab.noise import Floor, estimate_noise
+from cell.study.data import Study, Trial
+
+FloatArray = NDArray[np.float64]
+
+#: A cable held straight by a person is let go within this of the time noted.
+RELEASE_STD_S = 0.005
+RELEASE_LIMIT_S = 0.010
+
+
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """A study, its noise floor, and what whitens its trials.
+
+    noise  used for whitening: the floor's, or larger where an earlier individual's model is known
+           to err by more
+    """
+
+    study: Study
+    floor: Floor
+    noise: Noise
+    whiteners: dict[str, Whitener]
+    solver: Solver
+
+    @staticmethod
+    def of(study: Study, *, misfit: Noise | None = None, solver: Solver | None = None) -> Bench:
+        """Make a study ready.
+
+        misfit  error of the model that an earlier individual has shown, if it exceeds the camera's
+        raises  NoiseUnknownError
+        """
+        floor = estimate_noise(study)
+        noise = misfit if misfit and misfit.std_m > floor.noise.std_m else floor.noise
+        whiteners = {t.name: Whitener(t.markers.xy_m, noise) for t in study.trials}
+        return Bench(study, floor, noise, whiteners, solver or Solver())
+
+    def predict(
+        self, trial: Trial, models: Sequence[CableModel], delay_s: FloatArray | None = None
+    ) -> FloatArray:
+        """(lanes, times, markers, 2) where models put a trial's markers, m.
+
+        delay_s  (lanes,) by which the release of a cable held straight is late; the hand then
+                 stands still, so that everything happens later by as much
+        """
+        delays = np.zeros(len(models)) if delay_s is None else delay_s
+        out = np.empty((len(models), *trial.markers.xy_m.shape))
+        for delay in np.unique(delays):
+            lanes = np.flatnonzero(delays == delay)
+            out[lanes] = simulate(
+                [models[i] for i in lanes],
+                [trial.grip],
+                trial.markers.t_s - delay,
+                self.study.arc_length_m,
+                solver=self.solver,
+                start=trial.start,
+                release_s=trial.release_s,
+            )
+        return out
+
+    def white(self, trial: Trial, predicted_m: FloatArray) -> FloatArray:
+        """(lanes, rows) whitened residuals of predictions (lanes, times, markers, 2)."""
+        return self.whiteners[trial.name](predicted_m)
+
+    def count(self, trials: Sequence[Trial]) -> int:
+        """Coordinates seen in trials."""
+        return sum(self.whiteners[t.name].count for t in trials)
+
+
+def is_released(trial: Trial) -> bool:
+    """Whether a trial's release time is a person's, known only roughly."""
+    return trial.start == "straight"

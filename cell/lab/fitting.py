@@ -1,0 +1,233 @@
+"""Fits a model to the `fit` trials and weighs it on those held out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable.effects.base import Effect
+from cell.cable.model import CableModel
+from cell.identify import gauss_newton
+from cell.identify.gauss_newton import Solution
+from cell.identify.parameters import ParameterSpace
+from cell.lab.bench import RELEASE_LIMIT_S, RELEASE_STD_S, Bench, is_released
+from cell.lab.where import overall
+from cell.study.data import Trial
+
+FloatArray = NDArray[np.float64]
+
+_DELAY_STEP_S = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A model fitted to the fit trials.
+
+    q          (p,) coordinates of `space`
+    delay_s    release delay of each fit trial, where it is a person's
+    solution   of the minimiser; its coordinates are q, then the delays
+    chi2       whitened square residuals; objective adds the prior's
+    rms_m      per coordinate
+    """
+
+    space: ParameterSpace
+    q: FloatArray
+    delay_s: dict[str, float]
+    solution: Solution
+    chi2: float
+    objective: float
+    rms_m: float
+
+    @property
+    def model(self) -> CableModel:
+        """The fitted cable."""
+        return self.space.model(self.q)
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(p, p) of q, were the residuals white noise."""
+        p = len(self.q)
+        return np.asarray(self.solution.covariance[:p, :p])
+
+
+@dataclass(frozen=True, eq=False)
+class Heldout:
+    """A fitted model on trials that it was not fitted to.
+
+    rms_m            per coordinate, over all of them; by_trial_m likewise each
+    chi2             of the residuals, allowing for what the fit leaves uncertain: about `count`
+                     if the model is right
+    log_likelihood   of the trials given the fit (natural logarithm, without a common constant)
+    predicted_m      per trial (times, markers, 2)
+    """
+
+    rms_m: float
+    by_trial_m: dict[str, float]
+    chi2: float
+    count: int
+    log_likelihood: float
+    predicted_m: dict[str, FloatArray]
+
+
+def fit_trials(bench: Bench) -> tuple[Trial, ...]:
+    """The trials that may be fitted.  Raises ValueError: none."""
+    trials = bench.study.role("fit")
+    if not trials:
+        raise ValueError(f"study {bench.study.name}: no trial has role `fit`")
+    return trials
+
+
+def fit_model(
+    bench: Bench,
+    space: ParameterSpace,
+    start: FloatArray,
+    delay_s: dict[str, float] | None = None,
+    options: gauss_newton.Options = gauss_newton.Options(tolerance=0.03),  # noqa: B008
+) -> Fit:
+    """Fit near `start`, with the release delays of trials held straight as further unknowns.
+
+    raises  ValueError: the model cannot be simulated at the start
+    """
+    trials = fit_trials(bench)
+    released = [t.name for t in trials if is_released(t)]
+    p, more = len(space.names), len(released)
+    precision = np.zeros((p + more, p + more))
+    precision[:p, :p] = space.precision
+    precision[p:, p:] = np.eye(more) / RELEASE_STD_S**2
+    problem = gauss_newton.Problem(
+        residuals=lambda q: residuals(bench, space, trials, q, released),
+        mean=np.concatenate([space.mean, np.zeros(more)]),
+        precision=precision,
+        step=np.concatenate([space.step, np.full(more, _DELAY_STEP_S)]),
+        low=np.concatenate([space.low, np.full(more, -RELEASE_LIMIT_S)]),
+        high=np.concatenate([space.high, np.full(more, RELEASE_LIMIT_S)]),
+    )
+    known = delay_s or {}
+    begin = np.concatenate([start, [known.get(name, 0.0) for name in released]])
+    solution = gauss_newton.minimise(problem, begin, options)
+    q, delays = solution.q[:p], dict(zip(released, map(float, solution.q[p:]), strict=True))
+    model = space.model(q)
+    errors = [
+        t.markers.xy_m - bench.predict(t, [model], np.array([delays.get(t.name, 0.0)]))[0]
+        for t in trials
+    ]
+    chi2 = float(solution.residual @ solution.residual)
+    return Fit(space, q, delays, solution, chi2, solution.objective, overall(errors))
+
+
+def residuals(
+    bench: Bench,
+    space: ParameterSpace,
+    trials: Sequence[Trial],
+    q: FloatArray,
+    released: Sequence[str] = (),
+) -> FloatArray:
+    """(lanes, rows) whitened residuals of all trials; q (lanes, p + released)."""
+    p = len(space.names)
+    models = [space.model(row) for row in q[:, :p]]
+    parts = []
+    for trial in trials:
+        delay = q[:, p + released.index(trial.name)] if trial.name in released else None
+        parts.append(bench.white(trial, bench.predict(trial, models, delay)))
+    return np.concatenate(parts, axis=1)
+
+
+def heldout(bench: Bench, fit: Fit) -> Heldout | None:
+    """The fit on the `validate` trials; None if there are none.
+
+    Their likelihood integrates over what the fit leaves uncertain (linearised), so that a model
+    is not punished for numbers that its fit trials could not know.
+    """
+    trials = bench.study.role("validate")
+    if not trials:
+        return None
+    space, p = fit.space, len(fit.q)
+    bent = np.where(fit.q + space.step <= space.high, space.step, -space.step)
+    predicted: dict[str, FloatArray] = {}
+    rows, slopes, extra = [], [], []
+    for trial in trials:
+        delay = _best_delay(bench, fit.model, trial) if is_released(trial) else 0.0
+        lanes = [fit.model, *(space.model(fit.q + np.eye(p)[i] * bent[i]) for i in range(p))]
+        delays = np.full(p + 1, delay)
+        if is_released(trial):
+            lanes.append(fit.model)
+            delays = np.append(delays, delay + _DELAY_STEP_S)
+        points = bench.predict(trial, lanes, delays)
+        white = bench.white(trial, points)
+        predicted[trial.name] = points[0]
+        rows.append(white[0])
+        slopes.append((white[1 : p + 1] - white[0]).T / bent)
+        extra.append((white[p + 1 :] - white[0]).T / _DELAY_STEP_S)
+    errors = {t.name: t.markers.xy_m - predicted[t.name] for t in trials}
+    residual = np.concatenate(rows)
+    sensitivity = np.vstack(slopes)
+    root = _root(fit.covariance)
+    spread = sensitivity @ root
+    for i, block in enumerate(extra):
+        column = np.zeros((len(residual), block.shape[1]))
+        first = sum(len(r) for r in rows[:i])
+        column[first : first + len(rows[i])] = block * RELEASE_STD_S
+        spread = np.hstack([spread, column])
+    inner = np.eye(spread.shape[1]) + spread.T @ spread
+    against = spread.T @ residual
+    chi2 = float(residual @ residual - against @ np.linalg.solve(inner, against))
+    log_det = float(np.linalg.slogdet(inner)[1])
+    return Heldout(
+        rms_m=overall(list(errors.values())),
+        by_trial_m={name: overall([e]) for name, e in errors.items()},
+        chi2=chi2,
+        count=bench.count(trials),
+        log_likelihood=-0.5 * (chi2 + log_det),
+        predicted_m=predicted,
+    )
+
+
+def extended(
+    fit: Fit, space: ParameterSpace, effect: type[Effect], values: FloatArray
+) -> FloatArray:
+    """Coordinates in `space` (one more effect than the fit's) with the effect at `values`."""
+    q = space.mean.copy()
+    for i, name in enumerate(fit.space.names):
+        q[space.names.index(name)] = fit.q[i]
+    index = [space.names.index(f"{effect.name}.{p.name}") for p in effect.parameters]
+    natural = space.natural(q)
+    natural[index] = values
+    return np.clip(space.coordinates(natural), space.low, space.high)
+
+
+def space_with(space: ParameterSpace, effects: Sequence[type[Effect]]) -> ParameterSpace:
+    """The same cable, prior and baseline with other effects.
+
+    The prior of everything that both spaces have is kept, an earlier individual's included.
+    """
+    new = ParameterSpace.of(
+        space.cable, gravity_m_per_s2=space.gravity_m_per_s2, effects=tuple(effects)
+    )
+    kept = [n for n in new.names if n in space.names]
+    to = [new.names.index(n) for n in kept]
+    source = [space.names.index(n) for n in kept]
+    mean, precision = new.mean.copy(), new.precision.copy()
+    mean[to] = space.mean[source]
+    precision[np.ix_(to, to)] = space.precision[np.ix_(source, source)]
+    return replace(new, mean=mean, precision=precision)
+
+
+def _best_delay(bench: Bench, model: CableModel, trial: Trial) -> float:
+    """Release delay of one trial, the model given."""
+    problem = gauss_newton.Problem(
+        residuals=lambda q: bench.white(trial, bench.predict(trial, [model] * len(q), q[:, 0])),
+        mean=np.zeros(1),
+        precision=np.full((1, 1), RELEASE_STD_S**-2),
+        step=np.full(1, _DELAY_STEP_S),
+        low=np.full(1, -RELEASE_LIMIT_S),
+        high=np.full(1, RELEASE_LIMIT_S),
+    )
+    return float(gauss_newton.minimise(problem, np.zeros(1)).q[0])
+
+
+def _root(covariance: FloatArray) -> FloatArray:
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
