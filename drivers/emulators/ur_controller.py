@@ -1,0 +1,371 @@
+"""An emulated UR controller without its network: safety, programs, watchdog, dashboard, outputs."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum, StrEnum
+
+import numpy as np
+
+from drivers.emulators.rtde_wire import OUTPUTS, TYPES, Value
+from drivers.emulators.ur_arm import Decelerate, Joints
+from drivers.emulators.ur_script import ControlScript, Effects, Registers, ScriptError
+from drivers.ur_kinematics import UR5E, UrModel, pose_of
+
+#: Seconds of one controller cycle.
+CYCLE_S = 0.002
+
+_UPLOAD_S = 0.05  # from the upload of a program until it runs
+_UNLOCK_AFTER_S = 5.0
+_STOP_RAD_PER_S2 = 12.0  # when a program ends in motion
+_PROTECTIVE_RAD_PER_S2 = 40.0
+
+
+class Runtime(IntEnum):
+    """State of the program, as RTDE reports it."""
+
+    STOPPED = 1
+    PLAYING = 2
+    PAUSED = 4
+
+
+class Safety(StrEnum):
+    """Safety mode, as the dashboard names it."""
+
+    NORMAL = "NORMAL"
+    PROTECTIVE_STOP = "PROTECTIVE_STOP"
+    SAFEGUARD_STOP = "SAFEGUARD_STOP"
+    ROBOT_EMERGENCY_STOP = "ROBOT_EMERGENCY_STOP"
+
+
+_SAFETY_MODES = {
+    Safety.NORMAL: 1,
+    Safety.PROTECTIVE_STOP: 3,
+    Safety.SAFEGUARD_STOP: 5,
+    Safety.ROBOT_EMERGENCY_STOP: 7,
+}
+_STOPPED_FOR_SAFETY = 1 << 10
+_SAFETY_BITS = {
+    Safety.NORMAL: 1 << 0,
+    Safety.PROTECTIVE_STOP: 1 << 2 | _STOPPED_FOR_SAFETY,
+    Safety.SAFEGUARD_STOP: 1 << 4 | _STOPPED_FOR_SAFETY,
+    Safety.ROBOT_EMERGENCY_STOP: 1 << 6 | 1 << 7 | _STOPPED_FOR_SAFETY,
+}
+_POWER_OFF, _IDLE, _RUNNING = 3, 5, 7
+_ROBOT_MODES = {_POWER_OFF: "POWER_OFF", _IDLE: "IDLE", _RUNNING: "RUNNING"}
+
+
+@dataclass(frozen=True)
+class ControllerOptions:
+    """What is emulated.
+
+    version     PolyScope version: major, minor, bugfix, build
+    time_scale  controller seconds per real second
+    """
+
+    version: tuple[int, int, int, int] = (5, 12, 2, 1101534)
+    model: UrModel = UR5E
+    time_scale: float = 1.0
+    serial_number: str = "20225500001"
+
+
+@dataclass
+class _Watchdog:
+    register: int
+    patience_s: float
+    fed_s: float
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened, at `t_s` of this computer's monotonic clock."""
+
+    t_s: float
+    what: str
+
+
+class Controller:
+    """State of a controller; `tick` it every 2 ms."""
+
+    def __init__(self, options: ControllerOptions) -> None:
+        self.options = options
+        self.joints = Joints(options.model)
+        self.registers = Registers()
+        self.time_s = 100.0
+        self.runtime = Runtime.STOPPED
+        self.safety = Safety.NORMAL
+        self.robot_mode = _RUNNING
+        self.remote_control = True
+        self.speed_fraction = 1.0
+        self.events: deque[Event] = deque(maxlen=1000)
+        self.last_moved_s = 0.0  # monotonic time at which the arm was last seen moving
+        self.servo_writes = 0
+        self.longest_servo_gap_s = 0.0
+        self._servo_s: float | None = None
+        self._step_s = CYCLE_S * options.time_scale
+        self._payload_kg = 0.0
+        self._script: ControlScript | None = None
+        self._uploaded: tuple[float, int] | None = None  # when it starts, register offset
+        self._coasting: Decelerate | None = None
+        self._watchdog: _Watchdog | None = None
+        self._stopped_s = 0.0
+
+    def note(self, what: str) -> None:
+        """Remember an event."""
+        self.events.append(Event(time.monotonic(), what))
+
+    # --- time ---------------------------------------------------------------------------------
+
+    def tick(self) -> None:
+        """One controller cycle."""
+        self.time_s += self._step_s
+        if self._uploaded is not None and self.time_s >= self._uploaded[0]:
+            self._start(self._uploaded[1])
+        if self._script is not None and self.runtime is Runtime.PLAYING:
+            self._run_script(self._script)
+        elif self._coasting is not None:
+            if not self._coasting.step(self.joints, self._step_s, 1.0):
+                self._coasting = None
+        else:
+            self.joints.rest()
+        if float(np.max(np.abs(self.joints.qd_rad_per_s))) > 1e-4:
+            self.last_moved_s = time.monotonic()
+
+    def _run_script(self, script: ControlScript) -> None:
+        try:
+            if not script.cycle(self._step_s, self.speed_fraction):
+                self.end_program("stopped by command")
+                return
+        except ScriptError as error:
+            self.end_program(f"runtime error: {error}")
+            return
+        fastest = float(np.max(np.abs(self.joints.qd_rad_per_s)))
+        if fastest > self.options.model.max_joint_speed_rad_per_s * 1.05:
+            self.protective_stop(f"a joint turns at {fastest:.2f} rad/s")
+        watchdog = self._watchdog
+        if watchdog is not None and self.time_s - watchdog.fed_s > watchdog.patience_s:
+            self.end_program("watchdog: no command in time")
+
+    # --- programs -----------------------------------------------------------------------------
+
+    def upload(self, text: str) -> None:
+        """Take a program; only ur-rtde's own command loop can run."""
+        if self.safety is not Safety.NORMAL or self.robot_mode != _RUNNING:
+            self.note(f"upload refused: {self.safety}, {_ROBOT_MODES[self.robot_mode]}")
+            return
+        if not self.remote_control:
+            self.note("upload refused: local control")
+            return
+        self.end_program("replaced by another program")
+        if "RTDE Control script - Main loop" not in text:
+            self.note("program refused: not the command loop of ur-rtde")
+            return
+        offset = re.search(r"global reg_offset_int = # int register offset\s+(\d+)", text)
+        self._uploaded = (self.time_s + _UPLOAD_S, int(offset.group(1)) if offset else 0)
+
+    def _start(self, offset: int) -> None:
+        self._uploaded = None
+        self._coasting = None
+        effects = Effects(self.protective_stop, self._watch, self._set_payload, self.note)
+        self._script = ControlScript(self.registers, self.joints, effects, offset)
+        self.runtime = Runtime.PLAYING
+        self.note("program started")
+
+    def end_program(self, why: str) -> None:
+        """Give up the program, if there is one; the arm comes to rest."""
+        self._uploaded = None
+        self._watchdog = None
+        self._servo_s = None
+        if self.runtime is not Runtime.STOPPED:
+            self.note(f"program ended: {why}")
+            self._coast(_STOP_RAD_PER_S2)
+        self._script = None
+        self.runtime = Runtime.STOPPED
+
+    def _coast(self, deceleration: float) -> None:
+        self._coasting = Decelerate(deceleration, in_joints=True)
+
+    def _watch(self, register: int, frequency_hz: float) -> None:
+        self._watchdog = _Watchdog(register, 1.0 / max(frequency_hz, 1e-3), self.time_s)
+
+    def _set_payload(self, mass_kg: float) -> None:
+        self._payload_kg = mass_kg
+
+    # --- safety -------------------------------------------------------------------------------
+
+    def protective_stop(self, why: str) -> None:
+        """Stop hard; the program pauses until somebody unlocks and plays or uploads."""
+        self._stop_for_safety(Safety.PROTECTIVE_STOP, why)
+        if self.runtime is Runtime.PLAYING:
+            self.runtime = Runtime.PAUSED
+
+    def safeguard_stop(self) -> None:
+        """A guard is open: the program pauses."""
+        self._stop_for_safety(Safety.SAFEGUARD_STOP, "a guard is open")
+        if self.runtime is Runtime.PLAYING:
+            self.runtime = Runtime.PAUSED
+
+    def emergency_stop(self) -> None:
+        """The button is pressed: power goes off, the program ends."""
+        self.end_program("emergency stop")
+        self._stop_for_safety(Safety.ROBOT_EMERGENCY_STOP, "the button is pressed")
+        self.robot_mode = _POWER_OFF
+
+    def clear_safety(self) -> None:
+        """What a person does at the pendant: release, unlock, power on."""
+        self.safety = Safety.NORMAL
+        self.robot_mode = _RUNNING
+        self.note("safety cleared")
+
+    def power_off(self) -> None:
+        """The controller loses power: arm braked, program and registers gone."""
+        self.end_program("power off")
+        self.joints.rest()
+        self._coasting = None
+        self.registers = Registers()
+        self.note("power off")
+
+    def _stop_for_safety(self, safety: Safety, why: str) -> None:
+        self.safety = safety
+        self._stopped_s = self.time_s
+        self._coast(_PROTECTIVE_RAD_PER_S2)
+        self.note(f"{safety}: {why}")
+
+    # --- RTDE ---------------------------------------------------------------------------------
+
+    def write(self, values: Mapping[str, Value]) -> None:
+        """Input variables of one packet."""
+        for name, value in values.items():
+            if name.startswith("input_int_register_") and isinstance(value, int):
+                index = int(name.removeprefix("input_int_register_"))
+                self.registers.int_in[index] = value
+                self._note_command(index, value)
+            elif name.startswith("input_double_register_") and isinstance(value, float):
+                self.registers.double_in[int(name.removeprefix("input_double_register_"))] = value
+        fraction = values.get("speed_slider_fraction")
+        if values.get("speed_slider_mask") and isinstance(fraction, float):
+            self.speed_fraction = min(1.0, max(0.0, fraction))
+
+    def _note_command(self, register: int, value: int) -> None:
+        if self._watchdog is not None and self._watchdog.register == register:
+            self._watchdog.fed_s = self.time_s
+        if value in (11, 24):
+            now_s = time.monotonic()
+            if self._servo_s is not None:
+                self.longest_servo_gap_s = max(self.longest_servo_gap_s, now_s - self._servo_s)
+            self._servo_s = now_s
+            self.servo_writes += 1
+        elif register in (0, 24):
+            self._servo_s = None
+
+    def outputs(self, names: Sequence[str]) -> list[Value]:
+        """Values of output variables now."""
+        pose = pose_of(self.joints.tool()).tolist() if any("TCP_pose" in n for n in names) else []
+        return [self._output(name, pose) for name in names]
+
+    def _output(self, name: str, pose: list[float]) -> Value:
+        value: Value
+        match name:
+            case "timestamp":
+                value = self.time_s
+            case "actual_TCP_pose" | "target_TCP_pose":
+                value = pose
+            case "actual_TCP_speed" | "target_TCP_speed":
+                value = self.joints.tool_speed().tolist()
+            case "actual_q" | "target_q":
+                value = self.joints.q_rad.tolist()
+            case "actual_qd" | "target_qd":
+                value = self.joints.qd_rad_per_s.tolist()
+            case "runtime_state":
+                value = int(self.runtime)
+            case "robot_status_bits":
+                powered = self.robot_mode != _POWER_OFF
+                value = int(powered) | (self.runtime is Runtime.PLAYING) << 1
+            case "safety_status_bits":
+                value = _SAFETY_BITS[self.safety]
+            case "safety_mode" | "safety_status":
+                value = _SAFETY_MODES[self.safety]
+            case "robot_mode":
+                value = self.robot_mode
+            case "speed_scaling" | "target_speed_fraction":
+                value = self.speed_fraction
+            case "payload":
+                value = self._payload_kg
+            case "joint_mode":
+                value = [253] * 6
+            case _ if name.startswith("output_int_register_"):
+                value = self.registers.int_out[int(name.removeprefix("output_int_register_"))]
+            case _ if name.startswith("output_double_register_"):
+                value = self.registers.double_out[int(name.removeprefix("output_double_register_"))]
+            case _:
+                count = TYPES[OUTPUTS[name]][1]
+                value = 0 if count == 1 else [0] * count
+        return value
+
+    # --- dashboard ----------------------------------------------------------------------------
+
+    def dashboard(self, line: str) -> str:
+        """Answer to a dashboard command; ur-rtde compares some of them letter by letter."""
+        command = line.strip().lower()
+        playing = self.runtime is Runtime.PLAYING
+        match command:
+            case "polyscopeversion":
+                return "URSoftware {}.{}.{}.{} (Jul 06 2022)".format(*self.options.version)
+            case "get serial number":
+                return self.options.serial_number
+            case "get robot model":
+                return self.options.model.name.removesuffix("e")
+            case "is in remote control":
+                return str(self.remote_control).lower()
+            case "running":
+                return f"Program running: {str(playing).lower()}"
+            case "programstate":
+                return f"{self.runtime.name} rtde_control"
+            case "robotmode":
+                return f"Robotmode: {_ROBOT_MODES[self.robot_mode]}"
+            case "safetymode" | "safetystatus":
+                return f"S{command[1:]}: {self.safety}"
+            case "stop":
+                self.end_program("stopped at the dashboard")
+                return "Stopped"
+            case "play":
+                if self.runtime is Runtime.PAUSED and self.safety is Safety.NORMAL:
+                    self.runtime = Runtime.PLAYING
+                    return "Starting program"
+                return "Failed to execute: play"
+            case "pause":
+                if playing:
+                    self.runtime = Runtime.PAUSED
+                    return "Pausing program"
+                return "Failed to execute: pause"
+            case "unlock protective stop":
+                return self._unlock()
+            case "close safety popup":
+                return "closing safety popup"
+            case "power on":
+                self.robot_mode = _IDLE
+                return "Powering on"
+            case "power off":
+                self.end_program("power off")
+                self.robot_mode = _POWER_OFF
+                return "Powering off"
+            case "brake release":
+                self.robot_mode = _RUNNING
+                return "Brake releasing"
+            case _:
+                return f"could not understand: '{line.strip()}'"
+
+    def _unlock(self) -> str:
+        if self.safety is Safety.PROTECTIVE_STOP:
+            if self.time_s - self._stopped_s < _UNLOCK_AFTER_S:
+                return (
+                    "Cannot unlock protective stop until 5s after occurrence. Always inspect "
+                    "cause of protective stop before unlocking"
+                )
+            self.safety = Safety.NORMAL
+            self.note("unlocked")
+        return "Protective stop releasing"

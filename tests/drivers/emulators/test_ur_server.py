@@ -1,0 +1,211 @@
+"""The unmodified ur-rtde against the emulated controller, over loopback."""
+
+from __future__ import annotations
+
+import socket
+import subprocess
+import sys
+import time
+
+import pytest
+
+from drivers.emulators.launch import EmulatedController, EmulatorError
+from drivers.emulators.rtde_wire import Kind, Packet, Splitter
+
+rtde_control = pytest.importorskip("rtde_control", reason="ur-rtde has no wheel for this machine")
+rtde_receive = pytest.importorskip("rtde_receive")
+dashboard_client = pytest.importorskip("dashboard_client")
+
+SERVO = (0.0, 0.0, 0.002, 0.03, 300.0)
+
+
+@pytest.fixture
+def emulator(loopback):
+    with EmulatedController(loopback) as it:
+        yield it
+
+
+def events(emulator: EmulatedController) -> list[str]:
+    return [e["what"] for e in emulator.ask("state")["events"]]
+
+
+def test_the_real_client_moves_and_measures(emulator) -> None:
+    control = rtde_control.RTDEControlInterface(emulator.host)
+    receive = rtde_receive.RTDEReceiveInterface(
+        emulator.host, -1.0, ["timestamp", "actual_TCP_pose"]
+    )
+    start = receive.getActualTCPPose()
+    goal = list(start)
+    goal[2] -= 0.02
+    assert control.moveL(goal, 0.5, 2.0)
+    assert receive.getActualTCPPose() == pytest.approx(goal, abs=1e-4)
+    began = receive.getTimestamp()
+    assert control.setWatchdog(10.0)
+    for _ in range(50):
+        assert control.servoL(start, *SERVO)
+        time.sleep(0.002)
+    assert 0.05 < receive.getTimestamp() - began < 1.0
+    assert control.servoStop(10.0)
+    assert receive.getActualTCPPose() == pytest.approx(start, abs=2e-3)
+    control.stopScript()
+    control.disconnect()
+    receive.disconnect()
+    state = emulator.ask("state")
+    assert state["runtime"] == "STOPPED"
+    assert state["servo_writes"] == 50
+    assert "program ended: stopped by command" in events(emulator)
+
+
+def test_a_client_that_dies_leaves_the_arm_stopped_by_the_watchdog(emulator, eventually) -> None:
+    program = (
+        "import rtde_control, time\n"
+        f"c = rtde_control.RTDEControlInterface('{emulator.host}')\n"
+        "c.setWatchdog(20.0)\n"
+        "while True:\n"
+        "    c.speedL([0, 0, -0.02, 0, 0, 0], 1.0, 0.0)\n"
+        "    time.sleep(0.002)\n"
+    )
+    client = subprocess.Popen([sys.executable, "-c", program], stderr=subprocess.DEVNULL)
+    try:
+        eventually(lambda: emulator.ask("state")["speed"][2] < -0.01, 10.0)
+    finally:
+        killed_s = time.monotonic()
+        client.kill()
+        client.wait()
+    eventually(lambda: emulator.ask("state")["runtime"] == "STOPPED")
+    time.sleep(0.2)
+    assert emulator.ask("state")["last_moved_s"] - killed_s < 0.2
+
+
+def test_dashboard_client_and_safety(emulator, eventually) -> None:
+    dashboard = dashboard_client.DashboardClient(emulator.host)
+    dashboard.connect()
+    assert dashboard.polyscopeVersion() == "5.12.2.1101534"
+    assert dashboard.isInRemoteControl()
+    receive = rtde_receive.RTDEReceiveInterface(emulator.host, -1.0, ["safety_status_bits"])
+    emulator.ask("protective_stop")
+    eventually(lambda: receive.getSafetyStatusBits() & 1 << 2)
+    assert "PROTECTIVE_STOP" in dashboard.safetymode()
+    emulator.ask("clear")
+    eventually(lambda: receive.getSafetyStatusBits() == 1)
+    receive.disconnect()
+    dashboard.disconnect()
+
+
+def test_local_control_keeps_the_client_out(emulator) -> None:
+    emulator.ask("local", on=True)
+    with pytest.raises(Exception, match="enable remote control"):
+        rtde_control.RTDEControlInterface(emulator.host)
+
+
+def test_a_refusing_controller_refuses_until_told_otherwise(emulator) -> None:
+    emulator.ask("refuse", on=True)
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection((emulator.host, 30004), 1.0)
+    emulator.ask("refuse", on=False)
+    socket.create_connection((emulator.host, 30004), 1.0).close()
+
+
+def test_a_power_cycle_comes_back(emulator, eventually) -> None:
+    emulator.ask("power_cycle", seconds=0.2)
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection((emulator.host, 30004), 1.0)
+
+    def back() -> bool:
+        try:
+            socket.create_connection((emulator.host, 30004), 1.0).close()
+        except ConnectionRefusedError:
+            return False
+        return True
+
+    eventually(back)
+
+
+def test_two_controllers_side_by_side(emulator, loopback) -> None:
+    head, last = loopback.rsplit(".", 1)
+    with EmulatedController(f"{head}.{int(last) + 1}", version="5.6.0.1") as other:
+        other.ask("protective_stop")
+        assert emulator.ask("state")["safety"] == "NORMAL"
+        assert other.ask("state")["safety"] == "PROTECTIVE_STOP"
+
+
+def raw_client(emulator: EmulatedController) -> socket.socket:
+    return socket.create_connection((emulator.host, 30004), 2.0)
+
+
+def test_names_that_are_unknown_or_taken_are_told(emulator) -> None:
+    def ask(client: socket.socket, packet: Packet) -> bytes:
+        client.sendall(packet.encoded())
+        splitter, answers = Splitter(), []
+        while not answers:
+            answers = splitter.feed(client.recv(4096))
+        return answers[0].payload
+
+    first, second = raw_client(emulator), raw_client(emulator)
+    claim = Packet(Kind.INPUT_SETUP, b"input_int_register_0,")
+    assert ask(first, claim) == b"\x01INT32"
+    assert ask(first, claim) == b"\x02INT32"
+    assert ask(second, claim) == b"\x00IN_USE"
+    outputs = Packet(Kind.OUTPUT_SETUP, b"\x40\x7f\x40" + bytes(5) + b"timestamp,nonsense,")
+    assert ask(second, outputs) == b"\x01DOUBLE,NOT_FOUND"
+    first.close()
+    deadline = time.monotonic() + 2.0
+    while ask(second, claim) != b"\x01INT32":  # free again once the first has gone
+        assert time.monotonic() < deadline
+    second.close()
+
+
+def test_garbage_from_a_client_closes_only_its_connection(emulator) -> None:
+    client = raw_client(emulator)
+    client.sendall(b"\x00\x00\x00garbage")
+    assert client.recv(100) == b""
+    client.close()
+    assert any("connection closed" in e for e in events(emulator))
+
+
+def test_frozen_it_says_nothing_and_then_goes_on(emulator) -> None:
+    client = socket.create_connection((emulator.host, 29999), 0.3)
+    assert client.recv(100).startswith(b"Connected")
+    emulator.ask("freeze", seconds=0.5)
+    client.sendall(b"running\n")
+    with pytest.raises(TimeoutError):
+        client.recv(100)
+    client.settimeout(2.0)
+    assert client.recv(100) == b"Program running: false\n"
+    client.close()
+
+
+def test_an_unknown_fault_is_an_error(emulator) -> None:
+    with pytest.raises(EmulatorError, match="no_such_fault"):
+        emulator.ask("no_such_fault")
+
+
+def test_it_ends_with_whoever_started_it(loopback) -> None:
+    program = (
+        "from drivers.emulators.launch import EmulatedController\n"
+        f"e = EmulatedController('{loopback}').__enter__()\n"
+        "print(e._process.pid, flush=True)\n"
+        "import os; os._exit(0)\n"
+    )
+    out = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=30, check=True
+    )
+    assert int(out.stdout) > 0
+    deadline = time.monotonic() + 5.0
+    while True:
+        try:
+            socket.create_connection((loopback, 39999), 0.2).close()
+        except ConnectionRefusedError:
+            break
+        assert time.monotonic() < deadline, "the emulator outlived its starter"
+
+
+def test_serves_loopback_only() -> None:
+    out = subprocess.run(
+        [sys.executable, "-m", "drivers.emulators.ur_server", "--host", "0.0.0.0"],
+        capture_output=True,
+        text=True,
+        timeout=30,
+        check=False,
+    )
+    assert out.returncode == 2 and "loopback addresses only" in out.stderr

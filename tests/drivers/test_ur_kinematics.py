@@ -1,0 +1,57 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from drivers.ur_kinematics import MODELS, UR5E, OutOfReachError, matrix_of, pose_of
+
+READY = np.array([0.3, -1.4, 1.6, -1.8, -1.5, 0.2])
+
+
+def test_forward_matches_the_makers_poses() -> None:
+    """Arm stretched out level: positions follow from adding up the lengths."""
+    a, d = UR5E.a_m, UR5E.d_m
+    tool = UR5E.forward(np.zeros(6))
+    assert tool[:3, 3] == pytest.approx([a[1] + a[2], -(d[3] + d[5]), d[0] - d[4]])
+    upright = UR5E.forward(np.array([0.0, -np.pi / 2, 0.0, -np.pi / 2, 0.0, 0.0]))
+    assert upright[:3, 3] == pytest.approx([0.0, -(d[3] + d[5]), d[0] - a[1] - a[2] + d[4]])
+
+
+@pytest.mark.parametrize("model", MODELS.values(), ids=lambda m: m.name)
+def test_inverse_undoes_forward(model) -> None:
+    rng = np.random.default_rng(0)
+    X_FT = matrix_of(np.array([0.01, 0.0, 0.15, 0.0, 0.2, 0.0]))
+    for _ in range(20):
+        q = READY + rng.uniform(-0.5, 0.5, 6)
+        near = q + rng.uniform(-0.1, 0.1, 6)
+        assert model.inverse(model.forward(q, X_FT), near, X_FT) == pytest.approx(q, abs=1e-5)
+
+
+def test_jacobian_is_the_derivative() -> None:
+    step = 1e-6
+    jacobian = UR5E.jacobian(READY)
+    for i in range(6):
+        dq = np.eye(6)[i] * step
+        after, before = UR5E.forward(READY + dq), UR5E.forward(READY - dq)
+        linear = (after[:3, 3] - before[:3, 3]) / (2 * step)
+        turn = Rotation.from_matrix(after[:3, :3] @ before[:3, :3].T).as_rotvec() / (2 * step)
+        assert jacobian[:, i] == pytest.approx([*linear, *turn], abs=1e-8)
+
+
+def test_out_of_reach_is_named() -> None:
+    far = UR5E.forward(READY)
+    far[:3, 3] = [1.5, 0.0, 0.2]
+    with pytest.raises(OutOfReachError, match=r"UR5e does not reach x = 1.5000"):
+        UR5E.inverse(far, READY)
+
+
+def test_poses_and_matrices_agree_with_scipy() -> None:
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        vector = rng.normal(size=3)
+        vector *= rng.uniform(0.0, np.pi) / np.linalg.norm(vector)
+        pose = np.concatenate([rng.normal(size=3), vector])
+        X = matrix_of(pose)
+        assert X[:3, :3] == pytest.approx(Rotation.from_rotvec(vector).as_matrix())
+        assert pose_of(X) == pytest.approx(pose, abs=1e-7)
