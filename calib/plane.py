@@ -45,6 +45,77 @@ class PlaneView:
         return _apply(self._inverse, points)
 
 
+@dataclass(frozen=True)
+class PlaneFit:
+    """A view fitted to correspondences, and how good it is on the plane, in metres.
+
+    residuals_m      (N,) distance of each point from where its pixel says it is
+    held_out_m       (N,) the same with that point left out of the fit; nan with only 4 points
+    """
+
+    view: PlaneView
+    residuals_m: FloatArray
+    held_out_m: FloatArray
+
+    @property
+    def held_out_rms_m(self) -> float:
+        """Root mean square error on points that were not used; nan with only 4 points."""
+        return float(np.sqrt(np.mean(self.held_out_m**2)))
+
+
+def fit_plane(pixels: FloatArray, points_m: FloatArray) -> PlaneFit:
+    """View of the plane from points seen: (N ≥ 4, 2) pixels and (N, 2) places in the plane, m.
+
+    raises  ValueError: shapes disagree, too few points, or points too nearly on one line
+    source  Hartley & Zisserman 2004, algorithm 4.2 (normalised direct linear transformation)
+    """
+    pixels = np.asarray(pixels, dtype=np.float64)
+    points_m = np.asarray(points_m, dtype=np.float64)
+    if pixels.ndim != 2 or pixels.shape[1] != 2 or pixels.shape != points_m.shape:
+        raise ValueError(f"pixels {pixels.shape} and points_m {points_m.shape} must both be (N, 2)")
+    if len(pixels) < 4:
+        raise ValueError(f"{len(pixels)} correspondences; needs at least 4, better 12")
+    if not (np.all(np.isfinite(pixels)) and np.all(np.isfinite(points_m))):
+        raise ValueError("a correspondence is not finite")
+    view = PlaneView(_homography(pixels, points_m))
+    held_out = np.full(len(pixels), np.nan)
+    if len(pixels) > 4:
+        for i in range(len(pixels)):
+            others = np.arange(len(pixels)) != i
+            left_out = PlaneView(_homography(pixels[others], points_m[others]))
+            held_out[i] = np.linalg.norm(left_out.to_plane(pixels[i]) - points_m[i])
+    residuals = np.linalg.norm(view.to_plane(pixels) - points_m, axis=1)
+    return PlaneFit(view, np.asarray(residuals, dtype=np.float64), held_out)
+
+
+def _homography(pixels: FloatArray, points: FloatArray) -> FloatArray:
+    """(3, 3) by singular values, both sides moved to mean 0 and mean distance √2."""
+    T_P, T_W = _normalising(pixels), _normalising(points)
+    p, w = _apply(T_P, pixels), _apply(T_W, points)
+    zero, one = np.zeros(len(p)), np.ones(len(p))
+    u, v, x, y = p[:, 0], p[:, 1], w[:, 0], w[:, 1]
+    rows = np.concatenate(
+        [
+            np.stack([u, v, one, zero, zero, zero, -x * u, -x * v, -x], axis=1),
+            np.stack([zero, zero, zero, u, v, one, -y * u, -y * v, -y], axis=1),
+        ]
+    )
+    _, singular, right = np.linalg.svd(rows)
+    if singular[7] < 1e-6 * singular[0]:
+        raise ValueError("the points lie too nearly on one line; spread them over the picture")
+    h = np.linalg.inv(T_W) @ right[-1].reshape(3, 3) @ T_P
+    return np.asarray(h / h[2, 2], dtype=np.float64)
+
+
+def _normalising(points: FloatArray) -> FloatArray:
+    mean = points.mean(axis=0)
+    spread = float(np.mean(np.linalg.norm(points - mean, axis=1)))
+    if spread == 0.0:
+        raise ValueError("all points are the same")
+    k = np.sqrt(2.0) / spread
+    return np.array([[k, 0.0, -k * mean[0]], [0.0, k, -k * mean[1]], [0.0, 0.0, 1.0]])
+
+
 def _apply(h: FloatArray, points: FloatArray) -> FloatArray:
     p = np.asarray(points, dtype=np.float64)
     w = p[..., 0] * h[2, 0] + p[..., 1] * h[2, 1] + h[2, 2]

@@ -14,13 +14,13 @@ FloatArray = NDArray[np.float64]
 class Unseen(StrEnum):
     """Why a picture gives no nodes."""
 
-    NO_JAW = "no_jaw"
-    NO_CABLE = "no_cable"
-    TWO_CABLES = "two_cables"
-    LEAVES_PICTURE = "leaves_picture"
-    WRONG_LENGTH = "wrong_length"
-    SATURATED = "saturated"
-    EMPTY = "empty"
+    NO_JAW = "no_jaw"  # fewer than three marks agree on a place
+    NO_CABLE = "no_cable"  # nothing like a cable leaves the gripping point
+    TWO_CABLES = "two_cables"  # a second line runs beside the cable
+    LEAVES_PICTURE = "leaves_picture"  # the cable or the jaw reaches the picture's edge
+    WRONG_LENGTH = "wrong_length"  # hidden in part, or not the cable that was gripped
+    SATURATED = "saturated"  # over half of the picture is at the top of the scale
+    EMPTY = "empty"  # black, or without any contrast
 
 
 @dataclass(frozen=True)
@@ -33,6 +33,7 @@ class Sighting:
     clamp_angle_rad  from the jaw's marks, positive = pointing down; nan likewise
     quality       0 (worthless) … 1 (crisp); 0 when unseen
     unseen        None, or the reason
+    length_m      free length as measured; nan when the tip was not found
     """
 
     t_s: float
@@ -41,6 +42,7 @@ class Sighting:
     clamp_angle_rad: float
     quality: float
     unseen: Unseen | None = None
+    length_m: float = float("nan")
 
     @property
     def seen(self) -> bool:

@@ -27,7 +27,7 @@ JAW_MARKS_M = (
     (0.006, 0.009, 0.0025),
     (0.006, -0.009, 0.0025),
     (0.032, 0.009, 0.0025),
-    (0.024, -0.007, 0.0025),
+    (0.025, -0.003, 0.0025),
 )
 
 _NOISE_SCALE = 32.0  # the noise bank holds standard normal numbers as int8 / 32

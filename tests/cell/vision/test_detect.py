@@ -1,0 +1,162 @@
+"""Nodes from rendered pictures: how exact, and what is said when there are none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.plane import PlaneView
+from cell.vision.detect import VisionOptions, detect, detect_all
+from cell.vision.sighting import Unseen
+from drivers.sim.render import LIGHT_ON_DARK, RenderOptions, empty_scene
+
+OPTIONS = VisionOptions(free_length_m=0.1)
+SCENES = {
+    "backlit": (RenderOptions(), OPTIONS, 0.0),
+    "backlit, swinging": (RenderOptions(), OPTIONS, 0.6),
+    "lit": (LIGHT_ON_DARK, replace(OPTIONS, cable_is="light"), 0.6),
+    "out of focus": (RenderOptions(lens_blur_px=1.2), OPTIONS, 0.6),
+    "noisy": (RenderOptions(read_noise=3.0), OPTIONS, 0.6),
+}
+
+
+def rms(values) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_nodes_are_within_a_twentieth_of_a_millimetre(
+    scene, view, make_random_cable, photograph_of
+):
+    """Acceptance: rms error across the cable ≤ 0.05 mm at 5 px/mm with realistic noise."""
+    render_options, options, swing = SCENES[scene]
+    rng = np.random.default_rng(11)
+    across, along, grips, angles, lengths = [], [], [], [], []
+    for seed in range(20):
+        held = make_random_cable(rng)
+        image = photograph_of(held, render_options, seed, swing)
+        sighting = detect(image, 0.1 * seed, view, options)
+        assert sighting.seen, f"cable {seed}: {sighting.unseen}"
+        assert sighting.t_s == 0.1 * seed
+        assert sighting.quality > 0.7
+        a, b = held.errors(sighting.nodes_m)
+        across.append(a)
+        along.append(b)
+        grips.append(sighting.grip_m - held.grip[:2])
+        angles.append(sighting.clamp_angle_rad - held.grip[2])
+        lengths.append(sighting.length_m - held.length_m)
+    assert rms(across) < 0.02e-3
+    assert max(rms(a) for a in across) < 0.05e-3
+    assert rms(along) < 0.12e-3
+    assert rms(grips) < 0.005e-3
+    assert rms(angles) < np.radians(0.01)
+    assert abs(np.mean(lengths)) < 0.1e-3  # noise does not lengthen the cable
+
+
+def test_a_background_picture_makes_the_tip_sharper(view, make_random_cable, photograph_of):
+    scene = RenderOptions(texture_level=6.0)
+    rng = np.random.default_rng(5)
+    without, given = [], []
+    for seed in range(12):
+        held = make_random_cable(rng)
+        image = photograph_of(held, scene, seed)
+        for found, background in ((without, None), (given, empty_scene(scene))):
+            sighting = detect(image, 0.0, view, OPTIONS, background)
+            assert sighting.seen
+            found.append(sighting.length_m - held.length_m)
+    assert rms(given) < 0.7 * rms(without)
+
+
+def test_a_tilted_camera_sees_the_same_nodes(make_random_cable, photograph_of):
+    tilted = PlaneView(
+        np.array([[2.0e-4, 1.0e-5, -0.13], [8.0e-6, -2.1e-4, 0.105], [3.0e-5, -4.0e-5, 1.0]])
+    )
+    rng = np.random.default_rng(2)
+    for seed in range(6):
+        held = make_random_cable(rng)
+        image = photograph_of(held, seed=seed, homography=tilted.homography)
+        sighting = detect(image, 0.0, tilted, OPTIONS)
+        assert sighting.seen
+        assert rms(held.errors(sighting.nodes_m)[0]) < 0.05e-3
+        assert sighting.grip_m == pytest.approx(held.grip[:2], abs=0.03e-3)
+
+
+FAULTS = {
+    Unseen.NO_CABLE: ({"cable_m": None}, {}),
+    Unseen.NO_JAW: ({"jaw": False}, {}),
+    Unseen.SATURATED: ({}, {"exposure": 4.0}),
+    Unseen.EMPTY: ({}, {"exposure": 0.0}),
+}
+
+
+@pytest.mark.parametrize("reason", FAULTS)
+def test_a_bad_picture_is_named_and_gives_no_nodes(
+    reason, view, background, make_random_cable, photograph_of
+):
+    faults, changes = FAULTS[reason]
+    rng = np.random.default_rng(3)
+    for seed in range(6):
+        held = make_random_cable(rng)
+        image = photograph_of(held, RenderOptions(**changes), seed, **faults)
+        for behind in (None, background):
+            sighting = detect(image, 0.0, view, OPTIONS, behind)
+            assert sighting.unseen is reason
+            assert np.all(np.isnan(sighting.nodes_m))
+            assert sighting.nodes_m.shape == (11, 2)
+            assert sighting.quality == 0.0
+            assert np.isnan(sighting.clamp_angle_rad) == (reason is not Unseen.NO_CABLE)
+
+
+def droop(u):
+    return 10.0 * (1.0 - u) ** 2
+
+
+def test_a_second_cable_in_the_jaw_or_beside_it_is_noticed(view, make_cable, photograph_of):
+    grip = (0.05, 0.03, 0.1)
+    held = make_cable(grip, droop)
+    in_jaw = make_cable((0.05, 0.03, 0.5), droop).line_m
+    beside = held.line_m + np.array([-0.01, 0.015])
+    for second in (in_jaw, beside):
+        image = photograph_of(held, second_cable_m=second)
+        assert detect(image, 0.0, view, OPTIONS).unseen is Unseen.TWO_CABLES
+
+
+def test_a_cable_that_reaches_the_edge_of_the_picture_is_not_measured(
+    view, make_cable, photograph_of
+):
+    held = make_cable((-0.06, 0.0, 0.1), droop)
+    assert detect(photograph_of(held), 0.0, view, OPTIONS).unseen is Unseen.LEAVES_PICTURE
+
+
+def test_a_wrong_free_length_or_a_hidden_part_is_noticed(view, make_cable, photograph_of):
+    short = make_cable((0.05, 0.03, 0.1), droop, 0.09)
+    sighting = detect(photograph_of(short), 0.0, view, OPTIONS)
+    assert sighting.unseen is Unseen.WRONG_LENGTH
+    assert sighting.length_m == pytest.approx(0.09, abs=0.2e-3)
+    held = make_cable((0.05, 0.03, 0.1), droop)
+    x, y = held.line_m[160]
+    hidden = RenderOptions(occluder_m=(x - 0.01, y - 0.01, x + 0.01, y + 0.01))
+    assert detect(photograph_of(held, hidden), 0.0, view, OPTIONS).unseen is Unseen.WRONG_LENGTH
+
+
+def test_an_earlier_sighting_changes_nothing_but_the_time_it_takes(
+    view, make_random_cable, photograph_of
+):
+    rng = np.random.default_rng(8)
+    frames = [(0.005 * k, photograph_of(make_random_cable(rng), seed=k)) for k in range(4)]
+    tracked = list(detect_all(frames, view, OPTIONS))
+    for (t_s, image), sighting in zip(frames, tracked, strict=True):
+        alone = detect(image, t_s, view, OPTIONS)
+        assert sighting.t_s == t_s
+        assert sighting.nodes_m == pytest.approx(alone.nodes_m, abs=2e-6)
+
+
+def test_bad_input_is_named(view, background):
+    with pytest.raises(ValueError, match=r"image is \(4, 4, 3\) uint8"):
+        detect(np.zeros((4, 4, 3), np.uint8), 0.0, view, OPTIONS)
+    with pytest.raises(ValueError, match="background is"):
+        detect(np.zeros((8, 8), np.uint8), 0.0, view, OPTIONS, background)
+    with pytest.raises(ValueError, match=r"free_length_m = 0.0"):
+        VisionOptions(free_length_m=0.0)

@@ -1,0 +1,90 @@
+"""The jaw from its marks."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from calib.plane import PlaneView
+from cell.vision.marks import JawMarks, find_jaw, pixels_per_metre
+from drivers.sim.render import JAW_MARKS_M, RenderOptions, render
+
+VIEW = PlaneView.from_scale(2e-4, 640.0, 512.0)
+
+
+def test_the_twin_paints_the_marks_that_vision_looks_for():
+    marks = JawMarks()
+    assert tuple((x, y) for x, y, _ in JAW_MARKS_M) == marks.centres_m
+    assert {radius for _, _, radius in JAW_MARKS_M} == {marks.radius_m}
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    x=st.floats(-0.08, 0.08),
+    y=st.floats(-0.06, 0.06),
+    angle=st.floats(-3.1, 3.1),
+)
+def test_any_pose_is_found_to_a_fiftieth_of_a_pixel_and_a_hundredth_of_a_degree(x, y, angle):
+    image = render(None, (x, y, angle), VIEW.homography, RenderOptions(), np.random.default_rng(0))
+    jaw = find_jaw(image, VIEW, JawMarks())
+    assert jaw is not None
+    assert jaw.marks == 4
+    assert jaw.grip_m == pytest.approx([x, y], abs=5e-6)
+    assert jaw.angle_rad == pytest.approx(angle, abs=2e-4)
+    near = find_jaw(image, VIEW, JawMarks(), near=np.array([x + 0.005, y]))
+    assert near is not None
+    assert near.grip_m == pytest.approx([x, y], abs=5e-6)
+    astray = find_jaw(image, VIEW, JawMarks(), near=np.array([0.12, 0.1]))
+    assert astray is not None
+    assert astray.grip_m == pytest.approx([x, y], abs=5e-6)
+
+
+@pytest.mark.parametrize("hidden", range(4))
+def test_three_of_four_marks_suffice_and_two_do_not(hidden):
+    pose = (0.01, 0.02, 0.4)
+    image = render(None, pose, VIEW.homography, RenderOptions(), np.random.default_rng(0))
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    turn = np.array([[c, s], [-s, c]])
+
+    def hide(image, which):
+        at = VIEW.to_pixels(np.array(JawMarks().centres_m[which]) @ turn + np.array(pose[:2]))
+        hidden = image.copy()
+        cv2.circle(hidden, tuple(np.rint(at).astype(int).tolist()), 16, 35, -1)
+        return hidden
+
+    one = hide(image, hidden)
+    jaw = find_jaw(one, VIEW, JawMarks())
+    assert jaw is not None
+    assert jaw.marks == 3
+    assert jaw.grip_m == pytest.approx(pose[:2], abs=2e-5)
+    assert jaw.angle_rad == pytest.approx(pose[2], abs=5e-4)
+    assert find_jaw(hide(one, (hidden + 1) % 4), VIEW, JawMarks()) is None
+
+
+def test_other_light_discs_do_not_mislead():
+    pose = (-0.02, 0.03, -0.3)
+    image = render(None, pose, VIEW.homography, RenderOptions(), np.random.default_rng(0))
+    rng = np.random.default_rng(4)
+    for _ in range(25):
+        at = rng.integers([40, 700], [1240, 990])
+        cv2.circle(image, tuple(at.tolist()), 22, 30, -1)
+        cv2.circle(image, tuple(at.tolist()), 12, 220, -1)
+    jaw = find_jaw(image, VIEW, JawMarks())
+    assert jaw is not None
+    assert jaw.grip_m == pytest.approx(pose[:2], abs=5e-6)
+
+
+def test_marks_that_could_be_mistaken_for_each_other_are_refused():
+    with pytest.raises(ValueError, match="must differ by"):
+        JawMarks(centres_m=((0.0, 0.0), (0.01, 0.0), (0.01, 0.01), (0.0, 0.01)))
+    with pytest.raises(ValueError, match="2 jaw marks"):
+        JawMarks(centres_m=((0.0, 0.0), (0.01, 0.0)))
+
+
+@given(scale=st.floats(1e-5, 1e-2))
+def test_the_scale_of_a_square_view_is_its_inverse(scale):
+    view = PlaneView.from_scale(scale, 3.0, 4.0)
+    assert pixels_per_metre(view, np.array([10.0, 20.0])) == pytest.approx(1.0 / scale, rel=1e-9)
