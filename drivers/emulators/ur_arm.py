@@ -93,7 +93,8 @@ class Speed:
         wanted = np.zeros(6) if over else self.target * speed_fraction
         if not self.in_joints:
             jacobian = joints.model.jacobian(joints.q_rad, joints.X_FT)
-        behind = np.asarray((behind + slope * step_s) * decay, dtype=np.float64)
+            toward = np.linalg.solve(jacobian + 1e-9 * np.eye(6), wanted)
+            wanted = np.asarray(toward, dtype=np.float64)
         change = self.acceleration * step_s * 4.0  # a metre turns a joint by up to 4 rad
         qd = joints.qd_rad_per_s + np.clip(wanted - joints.qd_rad_per_s, -change, change)
         joints.go(joints.q_rad + qd * step_s, step_s)
