@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable import layout as at
 from cell.cable import splines
-from cell.cable.effects.base import ActiveEffect
+from cell.cable.effects.base import ActiveEffect, Pose
 from cell.cable.effects.compiled import parameters
 from cell.cable.geometry import Motion
 
 FloatArray = NDArray[np.float64]
-Pose = Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray]]
 
 #: Half the interval over which a pose changed by an effect is differentiated, s.
 _INSTANT = 1e-5
@@ -36,10 +35,11 @@ def pose_of(motion: Motion, effects: Sequence[ActiveEffect] = ()) -> Pose:
     def logged(t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         return x(t), y(t), angle(t)
 
-    pose: Pose = logged
+    begin, end = float(motion.t_s[0]), float(motion.t_s[-1])
+    pose = Pose(logged, begin, end)
     for active in effects:
         if active.effect.clamp is not None:
-            pose = active.effect.clamp(pose, parameters(active))
+            pose = Pose(active.effect.clamp(pose, parameters(active)), begin, end)
     return pose
 
 
@@ -56,8 +56,9 @@ def base_rows(
     The acceleration is the mean over a step's length, so that a jump in the log's velocity gives
     the momentum that it should, whatever the step.
     """
-    time: FloatArray = start_s + step_s * (np.arange(steps) + collocation)
-    edge: FloatArray = start_s + step_s * (np.arange(steps + 1) + collocation - 0.5)
+    number = np.arange(steps + 1, dtype=np.float64) + collocation
+    time: FloatArray = start_s + step_s * number[:-1]
+    edge: FloatArray = start_s + step_s * (number - 0.5)
     rows = np.zeros((steps, at.BASE_FIELDS))
     places = (
         (at.BASE_X, at.BASE_UX, at.BASE_AX),

@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.cable import camera
 from cell.cable import layout as at
 from cell.cable.assembly import DEFAULT_SEGMENTS, Block, assemble, marker_weights
 from cell.cable.clamp import base_rows, pose_of
@@ -103,7 +104,8 @@ def simulate(
         if release_s is not None
         else min(float(times[0]), *(float(m.t_s[0]) for m in paths))
     )
-    steps = max(1, int(np.ceil((times[-1] - begin) / solver.step_s - 1e-9)))
+    end = float(times[-1]) + (camera.LOOK_AHEAD_S if camera.shifts_time(batch) else 0.0)
+    steps = max(1, int(np.ceil((end - begin) / solver.step_s - 1e-9)))
     if steps > _MOST_STEPS:
         raise ValueError(f"{steps} steps of {solver.step_s} s from {begin} s to {times[-1]} s")
     grid = _Grid(begin, steps, times, release_s, solver)
@@ -138,6 +140,11 @@ class _Grid:
     times_s: FloatArray
     release_s: float | None
     solver: Solver
+
+    @property
+    def end_s(self) -> float:
+        """Time of the last step's end."""
+        return self.begin_s + self.steps * self.solver.step_s
 
 
 def generalised_alpha(step_s: float, damping: float) -> FloatArray:
@@ -198,6 +205,7 @@ def _run(
     cell: NDArray[np.int64],
     weights: FloatArray,
 ) -> FloatArray:
+    """(lanes of the block, times, markers, 2) as the camera sees them."""
     solver, n, w = grid.solver, block.segments, len(block.lanes)
     order = block.lanes + block.lanes[:1] * (block.width - w)
     base = np.zeros((grid.steps, at.BASE_FIELDS, at.LANES))
@@ -210,10 +218,12 @@ def _run(
             x, y, angle = pose(np.array([grid.begin_s]))
             first[0, :3, k] = x[0], y[0], angle[0]
         settle(block, first.ravel())
-    free = grid.times_s > grid.begin_s if grid.release_s is not None else slice(None)
-    when = (grid.times_s[free] - grid.begin_s) / solver.step_s
-    bends = np.zeros((grid.times_s.size, n + 1, at.LANES))
-    moving = np.zeros((when.size, n + 1, at.LANES)).ravel()
+    models = [batch[lane] for lane in block.lanes]
+    times = camera.scene_times(models[0], grid.times_s, grid.begin_s, grid.end_s, solver.step_s)
+    moving = times > grid.begin_s
+    bends = np.empty((times.size, n + 1, at.LANES))
+    bends[~moving] = block.state.reshape(n + 1, at.FIELDS, at.LANES)[:, at.BEND]
+    swing = np.empty((int(np.count_nonzero(moving)), n + 1, at.LANES))
     bad = integrate(
         block.state,
         block.width,
@@ -223,18 +233,18 @@ def _run(
         block.nonlinear,
         block.passes,
         block.effects,
-        when,
-        moving,
+        (times[moving] - grid.begin_s) / solver.step_s,
+        swing.ravel(),
     )
     if bad >= 0:
         final = block.state.reshape(n + 1, at.FIELDS, at.LANES)[:, at.BEND, :w]
         broken = ~np.all(np.abs(final) < np.pi, axis=0)
         lane = block.lanes[int(np.argmax(broken))]
         raise DivergedError(lane, grid.begin_s + (bad + 1) * solver.step_s, solver.step_s)
-    bends[free] = moving.reshape(when.size, n + 1, at.LANES)
-    clamp = np.zeros((grid.times_s.size, 3, at.LANES))
+    bends[moving] = swing
+    clamp = np.zeros((times.size, 3, at.LANES))
     for k, pose in enumerate(poses):
-        clamp[:, 0, k], clamp[:, 1, k], clamp[:, 2, k] = pose(grid.times_s)
-    out = np.empty((block.width, grid.times_s.size, len(cell), 2))
+        clamp[:, 0, k], clamp[:, 1, k], clamp[:, 2, k] = pose(times)
+    out = np.empty((block.width, times.size, len(cell), 2))
     nodes(bends.ravel(), block.width, n, block.lengths, clamp.ravel(), cell, weights, out)
-    return out[:w]
+    return camera.seen(models, grid.times_s, times, out[:w])

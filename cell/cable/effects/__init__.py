@@ -1,1 +1,26 @@
 """Physical effects that may be added to a cable: one file per family, and a user's own."""
+
+from cell.cable.effects.base import (
+    ActiveEffect,
+    Bend,
+    CableData,
+    Effect,
+    Parameter,
+    Place,
+    Pose,
+)
+from cell.cable.effects.library import library, load_effect
+from cell.cable.effects.refused import EffectError
+
+__all__ = [
+    "ActiveEffect",
+    "Bend",
+    "CableData",
+    "Effect",
+    "EffectError",
+    "Parameter",
+    "Place",
+    "Pose",
+    "library",
+    "load_effect",
+]

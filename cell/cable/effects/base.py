@@ -7,6 +7,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
 
 @dataclass(frozen=True)
 class Parameter:
@@ -17,6 +22,7 @@ class Parameter:
                off, so that a model with the effect there equals the model without
     starts     values worth starting a fit from, the most typical first
     amplitude  whether the effect is off at `default`
+    fitted     False: a known constant of the set-up, left at its default unless given
     """
 
     name: str
@@ -26,6 +32,7 @@ class Parameter:
     default: float
     starts: tuple[float, ...]
     amplitude: bool = True
+    fitted: bool = True
 
     def __post_init__(self) -> None:
         if not self.name.isidentifier():
@@ -76,6 +83,19 @@ class Bend(NamedTuple):
     arc_length: float
 
 
+@dataclass(frozen=True)
+class Pose:
+    """Pose of the hand against time, smooth; logged from `start_s` to `end_s`, held outside."""
+
+    function: Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray]]
+    start_s: float
+    end_s: float
+
+    def __call__(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """x, y, m, and clamp angle, rad, at times (…)."""
+        return self.function(t_s)
+
+
 class Effect:
     """Base of all effects; a class is an effect, it is never instantiated.
 
@@ -92,9 +112,10 @@ class Effect:
     rest_curvature(cable, arc_length, p) -> κ₀         1/m, arrays
     grip_compliance(cable, p) -> c                     rad/(N·m) at the gripping point
     extra_length(cable, p) -> m                        added to the free length
-    clamp(pose, p) -> pose                             functions t -> (x, y, angle), arrays
-    camera_time(t, xy, p) -> t                         when the point shown at time t was there
-    camera_points(xy, p) -> xy                         where the camera sees points (…, 2)
+    clamp(pose: Pose, p) -> t -> (x, y, angle)         the hand's true pose, arrays
+    camera_time(cable, t, xy, p) -> t                  when the points (…, 2) of a picture were
+                                                       there; t (…) is the picture's time
+    camera_points(cable, xy, p) -> xy                  where the camera sees points (…, 2)
     """
 
     name: ClassVar[str]

@@ -221,17 +221,17 @@ def moment_source(name: str, fields: tuple[str, ...], memory: tuple[str, ...], r
     if count:
         advance = _ADVANCE.format(values=values, load=load, store=store, z=z)
         evolved = f"    {z}= evolve(before, curvature, rigidity, arc, duration, {z}cable, p)"
-        rested = f"    {z}= rest(curvature, rigidity, arc, cable, p)"
+        at_rest = f"    {z}= rest(curvature, rigidity, arc, cable, p)"
         store_rest = f"                {z}= rest(curvature, rigidity, arc, cable, p)\n{store}"
     else:
-        advance, evolved, rested, store_rest = "            pass", "", "", ""
+        advance, evolved, at_rest, store_rest = "            pass", "", "", ""
     return text + _MOMENT_LOOP.format(
         values=values,
         z=z,
         load=load,
         advance=advance,
         evolved=evolved,
-        rested=rested,
+        rested=at_rest,
         store_rest=store_rest,
     )
 

@@ -1,0 +1,307 @@
+"""Whether an effect may be used: its hooks are tried in plain Python on probe states.
+
+Plain Python, because its exceptions carry the user's own lines; then the hooks are compiled.
+"""
+
+from __future__ import annotations
+
+import difflib
+import inspect
+import itertools
+import math
+import traceback
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from cell.cable.effects.base import Bend, CableData, Effect, Parameter, Place, Pose
+from cell.cable.effects.refused import EffectError
+
+#: Arguments of every hook.
+HOOKS = {
+    "force": ("cable", "at", "p"),
+    "moment": ("cable", "at", "m", "p"),
+    "memory_rate": ("cable", "at", "m", "p"),
+    "memory_at_rest": ("cable", "at", "p"),
+    "inertia": ("cable", "p"),
+    "tip_mass": ("cable", "p"),
+    "rest_curvature": ("cable", "arc_length", "p"),
+    "grip_compliance": ("cable", "p"),
+    "extra_length": ("cable", "p"),
+    "clamp": ("pose", "p"),
+    "camera_time": ("cable", "t", "xy", "p"),
+    "camera_points": ("cable", "xy", "p"),
+}
+_FIELDS = ("name", "parameters", "memory", "dissipative", "smooth")
+
+_CABLE = CableData(0.016, 1e-4, 0.0074, 0.1)
+
+
+def check(effect: type[Effect]) -> None:
+    """Refuse an effect whose form, results or physics is not what it says.
+
+    raises  EffectError with file and line
+    """
+    path, line = _where(effect)
+    _check_form(effect, path, line)
+    for values in _probe_values(effect):
+        p = SimpleNamespace(**values)
+        for hook in HOOKS:
+            if getattr(effect, hook) is not None:
+                _try(effect, hook, p, path)
+    _check_off(effect, path)
+    if effect.dissipative:
+        _check_dissipation(effect, path)
+
+
+def _where(effect: type[Effect]) -> tuple[Path, int]:
+    try:
+        _, line = inspect.getsourcelines(effect)
+        return Path(inspect.getsourcefile(effect) or "?"), line
+    except (OSError, TypeError):
+        return Path("?"), 0
+
+
+def _check_form(effect: type[Effect], path: Path, line: int) -> None:
+    def refuse(cause: str, at: int = line) -> None:
+        raise EffectError(path, at, f"{effect.__name__}: {cause}")
+
+    name = getattr(effect, "name", None)
+    if not isinstance(name, str) or not name.isidentifier():
+        refuse(f"name = {name!r}: must be a string like 'air_drag'")
+    given = getattr(effect, "parameters", None)
+    if not isinstance(given, tuple) or not all(isinstance(q, Parameter) for q in given):
+        refuse("parameters must be a tuple of Parameter; mind the comma after a single one")
+    names = [q.name for q in effect.parameters]
+    if len(set(names)) != len(names):
+        refuse(f"parameters have the same name twice: {names}")
+    if not any(q.amplitude for q in effect.parameters):
+        refuse("no parameter is an amplitude: nothing switches the effect off")
+    if not isinstance(effect.memory, tuple) or not all(isinstance(m, str) for m in effect.memory):
+        refuse("memory must be a tuple of names, such as ('flow',)")
+    known = {*HOOKS, *_FIELDS}
+    for key, value in vars(effect).items():
+        if key.startswith("_") or key in known:
+            continue
+        close = difflib.get_close_matches(key, known, 1)
+        hint = f"; did you mean {close[0]!r}?" if close else f"; hooks are {', '.join(HOOKS)}"
+        function = value.__func__ if isinstance(value, staticmethod) else value
+        code = getattr(function, "__code__", None)
+        refuse(f"{key!r} is no hook{hint}", code.co_firstlineno if code else line)
+    used = [h for h in HOOKS if getattr(effect, h) is not None]
+    if not used:
+        refuse("has no hook, so it does nothing")
+    for hook in used:
+        function = getattr(effect, hook)
+        count, wanted = function.__code__.co_argcount, HOOKS[hook]
+        if count != len(wanted):
+            refuse(
+                f"{hook} takes {count} arguments, needs ({', '.join(wanted)})",
+                function.__code__.co_firstlineno,
+            )
+    if bool(effect.memory) != (effect.memory_rate is not None):
+        refuse("memory and memory_rate need each other")
+    if effect.memory and effect.moment is None:
+        refuse("memory without moment has no effect")
+
+
+def _probe_values(effect: type[Effect]) -> Iterator[dict[str, float]]:
+    """Defaults, starts, and each parameter at its (finite) bounds."""
+    typical = {q.name: q.starts[0] for q in effect.parameters}
+    yield {q.name: q.default for q in effect.parameters}
+    yield typical
+    for q in effect.parameters:
+        for value in (*q.starts, q.low, q.high):
+            if math.isfinite(value):
+                yield typical | {q.name: value}
+
+
+def _places() -> Iterator[Place]:
+    velocities = ((0.0, 0.0), (0.3, -0.8), (-0.2, 0.1), (1.5, 1.0))
+    for (vx, vy), angle, spin in itertools.product(velocities, (0.0, 0.7, -2.0), (0.0, 9.0)):
+        tx, ty = -math.cos(angle), -math.sin(angle)
+        yield Place(-0.05, -0.02, vx, vy, tx, ty, angle, spin, 0.06, 0.4)
+
+
+def _bends() -> Iterator[Bend]:
+    for curvature, rate in itertools.product((0.0, 4.0, -11.0), (0.0, 60.0, -0.1)):
+        yield Bend(curvature, rate, 3e-5, 0.02)
+
+
+def _try(effect: type[Effect], hook: str, p: Any, path: Path) -> None:
+    memory = SimpleNamespace(**dict.fromkeys(effect.memory, 0.3))
+    t = np.linspace(0.0, 0.6, 301)
+    xy = np.stack([-0.1 + 0.05 * t, -0.03 * np.ones_like(t)], axis=-1)
+    count = len(effect.memory)
+    if hook == "force":
+        for place in _places():
+            _numbers(effect, hook, 2, path, _CABLE, place, p)
+    elif hook in ("moment", "memory_rate"):
+        for bend in _bends():
+            size = 0 if hook == "moment" else count
+            _numbers(effect, hook, size, path, _CABLE, bend, memory, p)
+    elif hook == "memory_at_rest":
+        for bend in _bends():
+            _numbers(effect, hook, count, path, _CABLE, bend._replace(rate=0.0), p)
+    elif hook == "inertia":
+        _numbers(effect, hook, 2, path, _CABLE, p)
+    elif hook in ("tip_mass", "grip_compliance", "extra_length"):
+        value = _numbers(effect, hook, 0, path, _CABLE, p)
+        if hook != "extra_length" and value[0] < 0.0:
+            _refuse(effect, hook, path, f"returned {value[0]}: must be ≥ 0")
+    elif hook == "rest_curvature":
+        _array(effect, hook, (5,), path, _CABLE, np.linspace(0.0, 0.1, 5), p)
+    elif hook == "clamp":
+        pose = Pose(lambda t: (0.01 * t, -0.05 * np.tanh(9.0 * t - 2.0), 0.0 * t), 0.0, 0.6)
+        moved = _call(effect, hook, path, pose, p)
+        if not callable(moved):
+            _refuse(effect, hook, path, f"returned {moved!r}: must be a function of time")
+        try:
+            result = np.array(moved(t), dtype=np.float64)
+        except Exception as error:
+            raise _placed(error, effect, hook, path) from error
+        if result.shape != (3, t.size) or not np.all(np.isfinite(result)):
+            _refuse(effect, hook, path, f"pose(t) has shape {result.shape}, not finite (3, T)")
+    elif hook == "camera_time":
+        _array(effect, hook, t.shape, path, _CABLE, t, xy, p)
+    else:
+        _array(effect, hook, xy.shape, path, _CABLE, xy, p)
+
+
+def _numbers(effect: type[Effect], hook: str, size: int, path: Path, *args: Any) -> list[float]:
+    """Result of a scalar hook: `size` numbers, or one if 0."""
+    result = _call(effect, hook, path, *args)
+    wanted = f"a tuple of {size} numbers" if size else "one number"
+    sequence = isinstance(result, tuple)
+    values = list(result) if sequence else [result]
+    if sequence != bool(size) or len(values) != max(1, size):
+        _refuse(effect, hook, path, f"returned {result!r}: must be {wanted}")
+    for value in values:
+        if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+            _refuse(effect, hook, path, f"returned {result!r}: must be {wanted}")
+        if not math.isfinite(value):
+            _refuse(effect, hook, path, f"returned {result!r} for {args[1:]}: must be finite")
+    return [float(v) for v in values]
+
+
+def _array(effect: type[Effect], hook: str, shape: tuple[int, ...], path: Path, *args: Any) -> None:
+    result = np.asarray(_call(effect, hook, path, *args))
+    if result.shape != shape and hook != "camera_time":
+        _refuse(effect, hook, path, f"returned shape {result.shape}: must be {shape}")
+    if result.dtype.kind not in "fi" or not np.all(np.isfinite(result)):
+        _refuse(effect, hook, path, "returned values that are not finite")
+
+
+def _call(effect: type[Effect], hook: str, path: Path, *args: Any) -> Any:
+    try:
+        with np.errstate(all="ignore"):
+            return getattr(effect, hook)(*args)
+    except Exception as error:
+        raise _placed(error, effect, hook, path) from error
+
+
+def _placed(error: Exception, effect: type[Effect], hook: str, path: Path) -> EffectError:
+    """The error at the line of the effect's own file where it arose."""
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [f for f in frames if Path(f.filename) == path]
+    line = own[-1].lineno if own else _line(effect, hook)
+    return EffectError(path, line or 0, f"{effect.name}.{hook}: {type(error).__name__}: {error}")
+
+
+def _refuse(effect: type[Effect], hook: str, path: Path, cause: str) -> None:
+    raise EffectError(path, _line(effect, hook), f"{effect.name}.{hook} {cause}")
+
+
+def _line(effect: type[Effect], hook: str) -> int:
+    function: Callable[..., Any] = getattr(effect, hook)
+    return int(function.__code__.co_firstlineno)
+
+
+def _check_off(effect: type[Effect], path: Path) -> None:
+    """At the defaults of its amplitudes the effect must be absent, whatever its other values."""
+    values = {q.name: q.default if q.amplitude else q.starts[0] for q in effect.parameters}
+    p = SimpleNamespace(**values)
+    memory = SimpleNamespace(**dict.fromkeys(effect.memory, 0.3))
+    amplitudes = ", ".join(f"{q.name} = {q.default:g}" for q in effect.parameters if q.amplitude)
+
+    def off(hook: str, absent: bool) -> None:
+        if not absent:
+            _refuse(effect, hook, path, f"is not off at {amplitudes}")
+
+    if effect.force is not None:
+        for place in _places():
+            off("force", not any(effect.force(_CABLE, place, p)))
+    if effect.moment is not None:
+        for bend in _bends():
+            off("moment", effect.moment(_CABLE, bend, memory, p) == 0.0)
+    if effect.inertia is not None:
+        off("inertia", not any(effect.inertia(_CABLE, p)))
+    for hook in ("tip_mass", "grip_compliance", "extra_length"):
+        function = getattr(effect, hook)
+        off(hook, function is None or function(_CABLE, p) == 0.0)
+    if effect.rest_curvature is not None:
+        off("rest_curvature", not np.any(effect.rest_curvature(_CABLE, np.linspace(0, 0.1, 5), p)))
+    xy = np.array([[-0.1, -0.03], [-0.05, -0.01]])
+    t = np.array([0.1, 0.2])
+    if effect.camera_time is not None:
+        off("camera_time", np.allclose(effect.camera_time(_CABLE, t, xy, p), t, rtol=0, atol=1e-12))
+    if effect.camera_points is not None:
+        off("camera_points", np.allclose(effect.camera_points(_CABLE, xy, p), xy, atol=1e-12))
+
+
+def _check_dissipation(effect: type[Effect], path: Path) -> None:
+    for values in _probe_values(effect):
+        p = SimpleNamespace(**values)
+        if effect.force is not None:
+            for place in _places():
+                fx, fy = effect.force(_CABLE, place, p)
+                power = fx * place.vx + fy * place.vy
+                if power > 1e-12:
+                    _refuse(
+                        effect,
+                        "force",
+                        path,
+                        f"feeds {power:.3g} W/m into the cable at {place} with {values}, "
+                        "although declared dissipative",
+                    )
+        if effect.moment is not None:
+            for amplitude in (0.5, 5.0):
+                work, scale = _cycle_work(effect, p, amplitude)
+                if work < -1e-6 * scale - 1e-18:
+                    _refuse(
+                        effect,
+                        "moment",
+                        path,
+                        f"feeds {-work:.3g} N per bending cycle of ±{amplitude} /m with {values}, "
+                        "although declared dissipative",
+                    )
+
+
+def _cycle_work(effect: type[Effect], p: Any, amplitude: float) -> tuple[float, float]:
+    """∮ M dκ over the last of some cycles at 4 Hz, and ∮ |M dκ|."""
+    steps, cycles, omega = 400, 6, 2.0 * math.pi * 4.0
+    dt = 2.0 * math.pi / omega / steps
+    moment, rate_of = effect.moment, effect.memory_rate
+    assert moment is not None
+    z = dict.fromkeys(effect.memory, 0.0)
+    work = scale = 0.0
+    for k in range(steps * cycles):
+        phase = omega * dt * (k + 0.5)
+        at = Bend(amplitude * math.sin(phase), amplitude * omega * math.cos(phase), 3e-5, 0.02)
+        before = dict(z)
+        if rate_of is not None:
+            nudge = 1e-6
+            rates = rate_of(_CABLE, at, SimpleNamespace(**z), p)
+            for j, key in enumerate(z):
+                near = SimpleNamespace(**(before | {key: before[key] + nudge}))
+                slope = (rate_of(_CABLE, at, near, p)[j] - rates[j]) / nudge
+                share = math.expm1(slope * dt) / slope if abs(slope * dt) > 1e-9 else dt
+                z[key] = before[key] + rates[j] * share
+        middle = SimpleNamespace(**{key: 0.5 * (before[key] + z[key]) for key in z})
+        if k >= steps * (cycles - 1):
+            power = moment(_CABLE, at, middle, p) * at.rate * dt
+            work, scale = work + power, scale + abs(power)
+    return work, scale

@@ -1,0 +1,63 @@
+"""How the cable is held, and what hangs on its other end."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from cell.cable.effects.base import CableData, Effect, FloatArray, Parameter, Pose
+
+
+class TipMass(Effect):
+    """Point mass with weight at the tip: a connector, a drop of glue."""
+
+    name = "tip_mass"
+    parameters = (Parameter("mass_kg", "kg", 0.0, 10.0, 0.0, (2.5e-5,)),)
+
+    @staticmethod
+    def tip_mass(cable: CableData, p: Any) -> float:
+        """Mass, kg."""
+        return float(p.mass_kg)
+
+
+class GripAngle(Effect):
+    """The cable sits askew between the jaws: clamp angle θ_n + δ."""
+
+    name = "grip_angle"
+    parameters = (Parameter("angle_rad", "rad", -0.5, 0.5, 0.0, (0.02, -0.02)),)
+
+    @staticmethod
+    def clamp(pose: Pose, p: Any) -> Any:
+        """True pose against time."""
+
+        def askew(t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+            x, y, angle = pose(t)
+            return x, y, angle + p.angle_rad
+
+        return askew
+
+
+class GripCompliance(Effect):
+    """The jaws give way: the cable turns at the gripping point by compliance·moment.
+
+    The parameter is the compliance, so that 0 is a rigid grip; its inverse is the stiffness.
+    """
+
+    name = "grip_compliance"
+    parameters = (Parameter("rad_per_n_m", "rad/(N·m)", 0.0, 1e5, 0.0, (100.0,)),)
+
+    @staticmethod
+    def grip_compliance(cable: CableData, p: Any) -> float:
+        """Compliance, rad/(N·m)."""
+        return float(p.rad_per_n_m)
+
+
+class GripSlip(Effect):
+    """The cable slid between the jaws: free length L + δ, points at the same share of it."""
+
+    name = "grip_slip"
+    parameters = (Parameter("length_m", "m", -0.05, 0.05, 0.0, (0.001, -0.001)),)
+
+    @staticmethod
+    def extra_length(cable: CableData, p: Any) -> float:
+        """Added free length, m."""
+        return float(p.length_m)
