@@ -60,7 +60,7 @@ class Bench:
         for delay in np.unique(delays):
             lanes = np.flatnonzero(delays == delay)
             out[lanes] = simulate(
-                [models[i] for i in lanes],
+                [models[int(i)] for i in lanes],
                 [trial.grip],
                 trial.markers.t_s - delay,
                 self.study.arc_length_m,

@@ -85,10 +85,14 @@ def fit_model(
     space: ParameterSpace,
     start: FloatArray,
     delay_s: dict[str, float] | None = None,
+    *,
+    temper: float = 1.0,
     options: gauss_newton.Options = gauss_newton.Options(tolerance=0.03),  # noqa: B008
 ) -> Fit:
     """Fit near `start`, with the release delays of trials held straight as further unknowns.
 
+    temper  residuals are divided by it: where a model cannot fit, the prior then still keeps its
+            parameters plausible
     raises  ValueError: the model cannot be simulated at the start
     """
     trials = fit_trials(bench)
@@ -98,7 +102,7 @@ def fit_model(
     precision[:p, :p] = space.precision
     precision[p:, p:] = np.eye(more) / RELEASE_STD_S**2
     problem = gauss_newton.Problem(
-        residuals=lambda q: residuals(bench, space, trials, q, released),
+        residuals=lambda q: residuals(bench, space, trials, q, released) / temper,
         mean=np.concatenate([space.mean, np.zeros(more)]),
         precision=precision,
         step=np.concatenate([space.step, np.full(more, _DELAY_STEP_S)]),
@@ -212,7 +216,13 @@ def space_with(space: ParameterSpace, effects: Sequence[type[Effect]]) -> Parame
     mean, precision = new.mean.copy(), new.precision.copy()
     mean[to] = space.mean[source]
     precision[np.ix_(to, to)] = space.precision[np.ix_(source, source)]
-    return replace(new, mean=mean, precision=precision)
+    low, high = new.low.copy(), new.high.copy()
+    for effect in effects:
+        for parameter in effect.parameters:
+            if not parameter.fitted:
+                i = new.names.index(f"{effect.name}.{parameter.name}")
+                low[i] = high[i] = mean[i]
+    return replace(new, mean=mean, precision=precision, low=low, high=high)
 
 
 def _best_delay(bench: Bench, model: CableModel, trial: Trial) -> float:

@@ -43,21 +43,23 @@ class Nuisance:
         return np.asarray(sensitivity - (sensitivity @ self.basis) @ self.basis.T)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Score:
     """Result of a score test.
 
     statistic    χ² that the effect would explain
-    amplitude    expected coefficient of the sensitivity that explains most
-    std          its standard deviation
-    shape        which of the sensitivities offered that is
+    freedom      number of amplitudes
+    amplitude    (freedom,) expected coefficients of the sensitivities
+    std          (freedom,) their standard deviations, the other amplitudes free
+    shape        which of the shapes offered that is
     p_value      of the largest statistic over all shapes, under noise alone
     left         share of the sensitivity (rms) that the fitted parameters cannot imitate
     """
 
     statistic: float
-    amplitude: float
-    std: float
+    freedom: int
+    amplitude: FloatArray
+    std: FloatArray
     shape: int
     p_value: float
     left: float
@@ -66,36 +68,51 @@ class Score:
 def score_test(
     nuisance: Nuisance, sensitivity: FloatArray, *, one_sided: bool, seed: int = 0
 ) -> Score:
-    """Nuisance-projected score test of one amplitude whose other parameters are unknown.
+    """Nuisance-projected score test of an effect whose shape parameters are unknown.
 
-    sensitivity  (shapes, values) whitened output per unit amplitude, one row per guess of the
-                 effect's other parameters (a relaxation time, say); those have no meaning without
-                 the effect, so the test is of the largest statistic (Davies 1987), its
-                 distribution drawn from the correlation of the rows
-    one_sided    only a positive amplitude is physical: at that bound the statistic is a
-                 half-and-half mixture of 0 and χ²(1) (Self and Liang 1987)
+    sensitivity  (shapes, amplitudes, values) whitened output per unit of each amplitude, for each
+                 guess of the effect's other parameters (a relaxation time, say); those have no
+                 meaning without the effect, so the test is of the largest statistic (Davies 1987)
+    one_sided    only a positive amplitude is physical, and there is one: at that bound the
+                 statistic is a half-and-half mixture of 0 and χ²(1) (Self and Liang 1987)
     """
-    rows = np.atleast_2d(sensitivity)
-    left = nuisance.remove(rows)
-    norm = np.linalg.norm(left, axis=1)
-    raw = np.linalg.norm(rows, axis=1)
+    shapes, freedom, _ = sensitivity.shape
+    left = nuisance.remove(sensitivity)
+    raw = np.linalg.norm(sensitivity, axis=2)
+    norm = np.linalg.norm(left, axis=2)
+    best = _Best(-np.inf, 0, np.zeros(freedom))
     usable = norm > 1e-6 * np.maximum(raw, 1e-300)
-    if not usable.any():
-        return Score(0.0, 0.0, np.inf, 0, 1.0, 0.0)
-    left[~usable] = 0.0
-    unit = left / np.where(usable, norm, 1.0)[:, None]
-    z = unit @ nuisance.residual
-    signed = np.where(usable, z if one_sided else np.abs(z), -np.inf)
-    best = int(np.argmax(signed))
-    p_value = _p_of_maximum(float(signed[best]), unit[usable] @ unit[usable].T, one_sided, seed)
+    for shape in np.flatnonzero(usable.any(axis=1)):
+        rows = left[shape]
+        amplitude = np.linalg.lstsq(rows.T, nuisance.residual, rcond=1e-8)[0]
+        statistic = float(amplitude @ (rows @ nuisance.residual))
+        signed = -statistic if one_sided and amplitude[0] < 0.0 else statistic
+        if signed > best.signed:
+            best = _Best(signed, int(shape), amplitude)
+    if not np.isfinite(best.signed):
+        return Score(0.0, freedom, np.zeros(freedom), np.full(freedom, np.inf), 0, 1.0, 0.0)
+    if freedom == 1:
+        unit = left[usable[:, 0], 0] / norm[usable[:, 0]]
+        z = float(np.sign(best.signed) * np.sqrt(abs(best.signed)))
+        p_value = _p_of_maximum(z, unit @ unit.T, one_sided, seed)
+    else:
+        p_value = min(1.0, shapes * float(stats.chi2.sf(best.signed, freedom)))
     return Score(
-        statistic=float(max(signed[best], 0.0) ** 2),
-        amplitude=float(z[best] / norm[best]),
-        std=float(1.0 / norm[best]),
-        shape=best,
+        statistic=max(best.signed, 0.0),
+        freedom=freedom,
+        amplitude=best.amplitude,
+        std=np.sqrt(np.diag(np.linalg.pinv(left[best.shape] @ left[best.shape].T))),
+        shape=best.shape,
         p_value=p_value,
-        left=float(norm[best] / raw[best]),
+        left=float(np.linalg.norm(norm[best.shape]) / np.linalg.norm(raw[best.shape])),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Best:
+    signed: float
+    shape: int
+    amplitude: FloatArray
 
 
 def _p_of_maximum(z: float, correlation: FloatArray, one_sided: bool, seed: int) -> float:

@@ -1,0 +1,286 @@
+"""Diagnosis: screen, refit, accept on held-out trials, one effect after another; then a verdict."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from cell.cable.effects.base import Effect
+from cell.lab.explore import Candidate, Explorer, Gain
+from cell.lab.fitting import fit_trials
+from cell.lab.results import Diagnosis, Errors, Found, Interval, Ranked, Status, Verdict
+from cell.lab.score import holm
+from cell.lab.screen import Screened
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Rules:
+    """When an effect is believed.
+
+    significance     family-wise, over the library (Holm), on the fit trials
+    heldout_gain     ln of how much likelier the held-out trials must become
+    tie              sets of effects are tied if their χ² over all trials differs by less
+    most_tied        more than these tied: these motions cannot tell
+    most_effects     added one after another
+    best             of the screen that are refitted, besides all that are not smooth
+    misfit           rms over noise above which a significant misfit also matters
+    misfit_share     of the baseline's excess that a known effect may leave
+    """
+
+    significance: float = 0.01
+    heldout_gain: float = 3.0
+    tie: float = 9.0
+    most_tied: int = 3
+    most_effects: int = 3
+    misfit: float = 1.04
+    gross_misfit: float = 1.10
+    misfit_share: float = 0.1
+    misfit_significance: float = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Examination:
+    """A diagnosis and the fits behind it, for the report.
+
+    steps  the baseline, then with each effect added in the order of `diagnosis.missing`
+    """
+
+    diagnosis: Diagnosis
+    steps: tuple[Candidate, ...]
+    screened: tuple[Screened, ...]
+    singles: tuple[Candidate, ...]
+
+
+def diagnose(explorer: Explorer, rules: Rules = Rules()) -> Examination:
+    """Which effects the model lacks.
+
+    Forward: the effect with the most evidence is added while it is significant and confirmed on
+    held-out trials.  Then every effect found is exchanged for every other while that brings
+    evidence, and each is tested again with all others in.
+    """
+    base = explorer.baseline()
+    screened = explorer.screened(base)
+    library = [s.effect for s in screened]
+    singles = explorer.add(base, library)
+    current = base
+    for _ in range(rules.most_effects):
+        rest = [e for e in library if e.name not in current.names]
+        options = explorer.add(current, rest)
+        better = _accepted(explorer, current, options, rules)
+        if better is None:
+            break
+        current = _exchanged(explorer, better, library)
+        current = _pruned(explorer, current, rules)
+    steps = _in_order(explorer, current)
+    tied = {e.name: _tied(explorer, current, e, library, rules) for e in current.effects}
+    verdict = _verdict(explorer, base, current, tied, rules)
+    if verdict == "unexplained":
+        steps, tied = (base,), {}
+    missing = tuple(
+        _found(explorer, small, large, tied, len(library))
+        for small, large in itertools.pairwise(steps)
+    )
+    diagnosis = Diagnosis(
+        noise_m=explorer.bench.floor.noise.std_m,
+        baseline=_errors(base),
+        verdict=verdict,
+        missing=missing,
+        ranking=_ranking(explorer, base, steps[-1], singles, tied, rules),
+    )
+    return Examination(diagnosis, steps, tuple(screened), tuple(singles))
+
+
+def _accepted(
+    explorer: Explorer, current: Candidate, options: Sequence[Candidate], rules: Rules
+) -> Candidate | None:
+    """The option with the most evidence, if it is significant and confirmed."""
+    if not options:
+        return None
+    gains = [explorer.gain(current, o) for o in options]
+    adjusted = holm([g.p_value for g in gains])
+    sound = [
+        o
+        for o, g, p in zip(options, gains, adjusted, strict=True)
+        if p < rules.significance and g.delta_bic > 0.0 and _confirmed(current, g, rules)
+    ]
+    return max(sound, key=lambda o: o.evidence) if sound else None
+
+
+def _confirmed(current: Candidate, gain: Gain, rules: Rules) -> bool:
+    return current.heldout is None or gain.heldout > rules.heldout_gain
+
+
+def _exchanged(
+    explorer: Explorer, candidate: Candidate, library: Sequence[type[Effect]]
+) -> Candidate:
+    """The candidate with effects exchanged one by one for others while evidence grows."""
+    improved = len(candidate.effects) > 1
+    while improved:
+        improved = False
+        for effect in candidate.effects:
+            rest = explorer.without(candidate, effect)
+            others = [e for e in library if e.name not in rest.names]
+            best = max(explorer.add(rest, others), key=lambda c: c.evidence)
+            if best.evidence > candidate.evidence + 1.0:
+                candidate, improved = best, True
+                break
+    return candidate
+
+
+def _pruned(explorer: Explorer, candidate: Candidate, rules: Rules) -> Candidate:
+    """The candidate without effects that the others have made unnecessary."""
+    for effect in candidate.effects[:-1]:
+        rest = explorer.without(candidate, effect)
+        gain = explorer.gain(rest, candidate)
+        if gain.delta_bic <= 0.0 or not _confirmed(rest, gain, rules):
+            return _pruned(explorer, rest, rules)
+    return candidate
+
+
+def _in_order(explorer: Explorer, final: Candidate) -> tuple[Candidate, ...]:
+    """From the baseline to `final`, the effect with the most evidence first."""
+    steps = [final]
+    while steps[0].effects:
+        smaller = [explorer.without(steps[0], e) for e in steps[0].effects]
+        steps.insert(0, max(smaller, key=lambda c: c.evidence))
+    return tuple(steps)
+
+
+def _tied(
+    explorer: Explorer,
+    final: Candidate,
+    effect: type[Effect],
+    library: Sequence[type[Effect]],
+    rules: Rules,
+) -> tuple[str, ...]:
+    """Effects that explain as much in place of `effect`, all trials together."""
+    rest = explorer.without(final, effect)
+    others = [e for e in library if e.name not in final.names]
+    rivals = sorted(explorer.add(rest, others), key=lambda c: c.chi2)
+    limit = final.chi2 + rules.tie
+    return tuple(next(iter(c.names - rest.names)) for c in rivals if c.chi2 < limit)
+
+
+def _verdict(
+    explorer: Explorer,
+    base: Candidate,
+    final: Candidate,
+    tied: dict[str, tuple[str, ...]],
+    rules: Rules,
+) -> Verdict:
+    if not _explains(explorer, base, final, rules):
+        return "unexplained"
+    if not final.effects:
+        return "complete"
+    if final.heldout is None or any(len(t) + 1 > rules.most_tied for t in tied.values()):
+        return "cannot_tell"
+    return "missing"
+
+
+def _explains(explorer: Explorer, base: Candidate, final: Candidate, rules: Rules) -> bool:
+    """Whether a candidate's residual is noise, on held-out trials where there are any."""
+    noise_m = explorer.bench.noise.std_m
+    freedom = explorer.bench.floor.freedom
+    if final.heldout is not None and base.heldout is not None:
+        chi2, count, rms_m = final.heldout.chi2, final.heldout.count, final.heldout.rms_m
+        before_m = base.heldout.rms_m
+    else:
+        count = explorer.bench.count(fit_trials(explorer.bench)) - len(final.fit.q)
+        chi2, rms_m, before_m = final.fit.chi2, final.fit.rms_m, base.fit.rms_m
+    ratio = max(rms_m / noise_m, float(np.sqrt(chi2 / count)))
+    p_value = (
+        float(stats.f.sf(chi2 / count, count, freedom))
+        if np.isfinite(freedom)
+        else float(stats.chi2.sf(chi2, count))
+    )
+    if p_value > rules.misfit_significance or ratio < rules.misfit:
+        return True
+    left = (rms_m**2 - noise_m**2) / max(before_m**2 - noise_m**2, 1e-30)
+    return ratio < rules.gross_misfit and left < rules.misfit_share
+
+
+def _found(
+    explorer: Explorer,
+    small: Candidate,
+    large: Candidate,
+    tied: dict[str, tuple[str, ...]],
+    library: int,
+) -> Found:
+    effect = next(e for e in large.effects if e.name not in small.names)
+    gain = explorer.gain(small, large)
+    return Found(
+        effect=effect.name,
+        tied_with=tied.get(effect.name, ()),
+        p_value=min(1.0, gain.p_value * (library - len(small.effects))),
+        delta_bic=gain.delta_bic,
+        parameters=intervals(large, effect),
+        errors=_errors(large),
+    )
+
+
+def intervals(candidate: Candidate, effect: type[Effect]) -> dict[str, Interval]:
+    """Values and 95 % intervals of an effect's parameters."""
+    space, q = candidate.fit.space, candidate.fit.q
+    reach = float(stats.norm.ppf(0.975)) * np.sqrt(np.diag(candidate.fit.covariance))
+    low = space.natural(np.clip(q - reach, space.low, space.high))
+    high = space.natural(np.clip(q + reach, space.low, space.high))
+    value = space.natural(q)
+    index = {p.name: space.names.index(f"{effect.name}.{p.name}") for p in effect.parameters}
+    return {
+        p.name: Interval(
+            float(value[index[p.name]]),
+            float(low[index[p.name]]),
+            float(high[index[p.name]]),
+            p.unit,
+        )
+        for p in effect.parameters
+    }
+
+
+def _errors(candidate: Candidate) -> Errors:
+    held = candidate.heldout
+    return Errors(candidate.fit.rms_m, held.rms_m if held else float("nan"))
+
+
+def _ranking(
+    explorer: Explorer,
+    base: Candidate,
+    final: Candidate,
+    singles: Sequence[Candidate],
+    tied: dict[str, tuple[str, ...]],
+    rules: Rules,
+) -> tuple[Ranked, ...]:
+    """All effects, by the evidence of adding each alone to the baseline."""
+    gains = [explorer.gain(base, c) for c in singles]
+    adjusted = holm([g.p_value for g in gains])
+    at_end = {s.effect.name: s for s in explorer.screened(final)}
+    left = dict(zip(at_end, holm([s.score.p_value for s in at_end.values()]), strict=True))
+    rivals = {name for names in tied.values() for name in names}
+    ranked = []
+    order = sorted(zip(singles, gains, adjusted, strict=True), key=lambda row: -row[0].evidence)
+    for candidate, gain, p_value in order:
+        name = candidate.effects[-1].name
+        status: Status
+        if name in final.names:
+            status = "present"
+        elif name in rivals or left[name] < rules.significance:
+            status = "inspect"
+        else:
+            status = "absent" if _too_small(at_end[name]) else "cannot_tell"
+        ranked.append(Ranked(name, gain.delta_chi2, p_value, status))
+    return tuple(ranked)
+
+
+def _too_small(screened: Screened) -> bool:
+    """Whether an effect of typical size would have been seen: every amplitude is well below it."""
+    score = screened.score
+    reach = np.abs(score.amplitude) + 1.96 * score.std
+    sizes = [abs(p.starts[0] - p.default) for p in screened.effect.parameters if p.amplitude]
+    return bool(np.all(reach < np.array(sizes)))

@@ -1,0 +1,222 @@
+"""Fits sets of effects to a study, each set once, and weighs them against each other."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable.dynamics import DivergedError, threads
+from cell.cable.effects.base import Effect
+from cell.cable.statics import UnsettledError
+from cell.identify.gauss_newton import Options
+from cell.identify.parameters import ParameterSpace
+from cell.lab.bench import Bench
+from cell.lab.fitting import (
+    Fit,
+    Heldout,
+    extended,
+    fit_model,
+    fit_trials,
+    heldout,
+    residuals,
+    space_with,
+)
+from cell.lab.score import boundary_p_value, delta_bic
+from cell.lab.screen import Screened, is_shape, screen
+
+FloatArray = NDArray[np.float64]
+
+#: Uniform cables tried for a cold start, over this range about the prior's EI, in logarithm.
+COLD_STARTS = 48
+COLD_RANGE = 3.0
+#: Above this χ² per value the baseline cannot fit, and a tempered fit is a better place to start.
+MISFIT = 1.5
+MOST_STARTS = 6
+REFIT = Options(tolerance=0.03, most_passes=20)
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A set of effects, fitted and weighed.
+
+    evidence  ln of the fit trials' likelihood less BIC's penalty, plus that of the held-out trials
+    """
+
+    effects: tuple[type[Effect], ...]
+    fit: Fit
+    heldout: Heldout | None
+    evidence: float
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Names of the effects."""
+        return frozenset(e.name for e in self.effects)
+
+    @property
+    def chi2(self) -> float:
+        """−2 ln likelihood of all trials, without penalty."""
+        return self.fit.objective - 2.0 * (self.heldout.log_likelihood if self.heldout else 0.0)
+
+
+@dataclass(frozen=True)
+class Gain:
+    """What one more effect brings: fall of χ² on the fit trials, its p-value and BIC; held out."""
+
+    delta_chi2: float
+    p_value: float
+    delta_bic: float
+    heldout: float
+
+
+@dataclass(eq=False)
+class Explorer:
+    """Remembers every set of effects that it has fitted to one study."""
+
+    bench: Bench
+    space: ParameterSpace
+    library: Mapping[str, type[Effect]]
+    progress: Progress = lambda _: None
+    _known: dict[frozenset[str], Candidate] = field(default_factory=dict)
+    _screens: dict[frozenset[str], list[Screened]] = field(default_factory=dict)
+    _calm: FloatArray | None = None
+
+    def baseline(self) -> Candidate:
+        """The model without effects (beyond those of `space`)."""
+        key: frozenset[str] = frozenset()
+        if key not in self._known:
+            start = cold_start(self.bench, self.space)
+            fit = fit_model(self.bench, self.space, start, options=REFIT)
+            count = self.bench.count(fit_trials(self.bench))
+            if fit.chi2 > MISFIT * count:
+                temper = float(np.sqrt(fit.chi2 / count))
+                calm = fit_model(self.bench, self.space, start, temper=temper, options=REFIT)
+                self._calm = calm.q
+                again = fit_model(self.bench, self.space, calm.q, options=REFIT)
+                fit = min(fit, again, key=lambda f: f.objective)
+            self._known[key] = self._weigh((), fit)
+        return self._known[key]
+
+    def screened(self, base: Candidate) -> list[Screened]:
+        """Score tests of the whole library against a candidate, likeliest first."""
+        if base.names not in self._screens:
+            others = [e for n, e in self.library.items() if n not in base.names]
+            self._screens[base.names] = screen(self.bench, base.fit, others)
+        return self._screens[base.names]
+
+    def add(self, base: Candidate, effects: Sequence[type[Effect]]) -> list[Candidate]:
+        """The candidate with each of the effects added to it, side by side on all cores.
+
+        An effect with which the cable cannot be simulated from any start is left out.
+        """
+        starts = {s.effect.name: s.start for s in self.screened(base)}
+
+        def one(effect: type[Effect]) -> Candidate | None:
+            return self._extend(base, effect, starts[effect.name])
+
+        with ThreadPoolExecutor(threads()) as pool:
+            found = []
+            for effect, candidate in zip(effects, pool.map(one, effects), strict=True):
+                self.progress(f"refit with {effect.name}")
+                if candidate is not None:
+                    found.append(candidate)
+        return found
+
+    def without(self, candidate: Candidate, effect: type[Effect]) -> Candidate:
+        """The candidate with one effect taken out, refitted."""
+        rest = tuple(e for e in candidate.effects if e is not effect)
+        if not rest:
+            return self.baseline()
+        key = frozenset(e.name for e in rest)
+        if key not in self._known:
+            space = space_with(candidate.fit.space, rest)
+            q = space.mean.copy()
+            for i, name in enumerate(space.names):
+                q[i] = candidate.fit.q[candidate.fit.space.names.index(name)]
+            fit = fit_model(self.bench, space, q, candidate.fit.delay_s, options=REFIT)
+            self._known[key] = self._weigh(rest, fit)
+        return self._known[key]
+
+    def gain(self, small: Candidate, large: Candidate) -> Gain:
+        """What `large` has over `small`, which lacks one of its effects."""
+        effect = next(e for e in large.effects if e.name not in small.names)
+        amplitudes = [p for p in effect.parameters if p.amplitude]
+        shapes = int(np.prod([3 * len(p.starts) for p in effect.parameters if is_shape(p)]))
+        bounded = int(len(amplitudes) == 1 and amplitudes[0].low >= amplitudes[0].default)
+        fall = small.fit.objective - large.fit.objective
+        count = self.bench.count(fit_trials(self.bench))
+        held = 0.0
+        if small.heldout and large.heldout:
+            held = large.heldout.log_likelihood - small.heldout.log_likelihood
+        return Gain(
+            delta_chi2=fall,
+            p_value=boundary_p_value(fall, len(amplitudes), bounded, shapes),
+            delta_bic=delta_bic(
+                fall,
+                sum(p.fitted for p in effect.parameters),
+                count,
+                self.bench.floor.effective_fraction,
+            ),
+            heldout=held,
+        )
+
+    def _extend(self, base: Candidate, effect: type[Effect], start: FloatArray) -> Candidate | None:
+        effects = (*base.effects, effect)
+        key = frozenset(e.name for e in effects)
+        if key in self._known:
+            return self._known[key]
+        space = space_with(base.fit.space, effects)
+        values = [start, *_typical(effect)] if not effect.smooth else [start, _typical(effect)[0]]
+        origins = [base.fit.q]
+        if self._calm is not None:
+            calm = base.fit.q.copy()
+            calm[: len(self._calm)] = self._calm
+            origins.append(calm)
+        best: Fit | None = None
+        for origin, value in list(itertools.product(origins, values))[:MOST_STARTS]:
+            q = extended(base.fit, space, effect, value)
+            for i, name in enumerate(base.fit.space.names):
+                q[space.names.index(name)] = origin[i]
+            try:
+                fit = fit_model(self.bench, space, q, base.fit.delay_s, options=REFIT)
+            except (ValueError, DivergedError, UnsettledError):
+                continue
+            if best is None or fit.objective < best.objective:
+                best = fit
+        if best is None:
+            return None
+        self._known[key] = self._weigh(effects, best)
+        return self._known[key]
+
+    def _weigh(self, effects: tuple[type[Effect], ...], fit: Fit) -> Candidate:
+        held = heldout(self.bench, fit)
+        count = self.bench.count(fit_trials(self.bench))
+        extra = sum(p.fitted for e in effects for p in e.parameters)
+        penalty = -delta_bic(0.0, extra, count, self.bench.floor.effective_fraction)
+        evidence = -0.5 * (fit.objective + penalty) + (held.log_likelihood if held else 0.0)
+        return Candidate(effects, fit, held, evidence)
+
+
+def cold_start(bench: Bench, space: ParameterSpace) -> FloatArray:
+    """Coordinates of the uniform cable that fits best, or the prior's mean if that fits better."""
+    trials = fit_trials(bench)
+    level = float(np.exp(space.mean[: space.knots].mean()))
+    levels = level * np.exp(np.linspace(-COLD_RANGE, COLD_RANGE, COLD_STARTS))
+    q = np.vstack([space.mean, *(space.start(float(v)) for v in levels)])
+    white = residuals(bench, space, trials, q)
+    square = np.where(np.isfinite(white).all(axis=1), np.sum(white**2, axis=1), np.inf)
+    away = q - space.mean
+    square += np.einsum("ij,jk,ik->i", away, space.precision, away)
+    return np.asarray(q[int(np.argmin(square))])
+
+
+def _typical(effect: type[Effect]) -> list[FloatArray]:
+    """All combinations of the effect's starts, the most typical first."""
+    choices = itertools.product(*(p.starts for p in effect.parameters))
+    return [np.array(c) for c in itertools.islice(choices, MOST_STARTS)]

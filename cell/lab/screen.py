@@ -1,0 +1,132 @@
+"""Screens a library of effects: one simulation each tells what it would explain."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable.effects.base import ActiveEffect, Effect, Parameter
+from cell.cable.model import CableModel
+from cell.lab.bench import Bench
+from cell.lab.fitting import Fit, fit_trials
+from cell.lab.score import Nuisance, Score, score_test
+
+FloatArray = NDArray[np.float64]
+
+#: Effects are nudged by this share of their typical size, so that a vanishing slope at zero shows.
+NUDGE = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Screened:
+    """An effect's score test, and the parameter values from which a refit should start."""
+
+    effect: type[Effect]
+    score: Score
+    start: FloatArray
+
+
+def screen(bench: Bench, fit: Fit, effects: Sequence[type[Effect]]) -> list[Screened]:
+    """Score tests of effects against a fit, the likeliest first.
+
+    All effects, at every guess of their shape parameters, go into one batch per trial.
+    """
+    trials = fit_trials(bench)
+    model = fit.model
+    guesses = [g for effect in effects for g in _guesses(effect)]
+    models = [model, *(_with(model, ActiveEffect(g.effect, g.values)) for g in guesses)]
+    parts = []
+    for trial in trials:
+        delay = np.full(len(models), fit.delay_s.get(trial.name, 0.0))
+        parts.append(bench.white(trial, bench.predict(trial, models, delay)))
+    white = np.concatenate(parts, axis=1)
+    nuisance = _nuisance(fit)
+    priors = np.zeros((len(guesses), len(fit.solution.q)))
+    change = np.hstack([white[0] - white[1:], priors])
+    rows = change / np.array([g.nudge for g in guesses])[:, None]
+    found = []
+    for effect in effects:
+        mine = [i for i, g in enumerate(guesses) if g.effect is effect]
+        shapes = len({guesses[i].shape for i in mine})
+        grouped = rows[mine].reshape(shapes, -1, rows.shape[1])
+        amplitudes = [p for p in effect.parameters if p.amplitude]
+        one_sided = len(amplitudes) == 1 and amplitudes[0].low >= amplitudes[0].default
+        score = score_test(nuisance, grouped, one_sided=one_sided)
+        first = guesses[mine[score.shape * grouped.shape[1]]]
+        found.append(Screened(effect, score, _start(effect, first, score.amplitude)))
+    return sorted(found, key=lambda s: (s.score.p_value, -s.score.statistic))
+
+
+@dataclass(frozen=True)
+class _Guess:
+    """One simulation: one amplitude nudged, the other parameters as guessed."""
+
+    effect: type[Effect]
+    shape: int
+    values: tuple[float, ...]
+    nudge: float
+
+
+def _guesses(effect: type[Effect]) -> list[_Guess]:
+    """Every amplitude at every combination of starts of the shape parameters, shape by shape."""
+    if not any(p.amplitude for p in effect.parameters):
+        raise ValueError(f"effect {effect.name}: no parameter switches it off; declare one")
+    choices = [p.starts if is_shape(p) else (p.default,) for p in effect.parameters]
+    guesses = []
+    for shape, values in enumerate(itertools.product(*choices)):
+        for i, p in enumerate(effect.parameters):
+            if p.amplitude:
+                nudge = _nudge(p)
+                nudged = (*values[:i], p.default + nudge, *values[i + 1 :])
+                guesses.append(_Guess(effect, shape, nudged, nudge))
+    return guesses
+
+
+def is_shape(parameter: Parameter) -> bool:
+    """Whether a parameter is unknown, yet says nothing of how strong the effect is."""
+    return parameter.fitted and not parameter.amplitude
+
+
+def _nudge(parameter: Parameter) -> float:
+    size = NUDGE * max(abs(s - parameter.default) for s in parameter.starts[:1])
+    size = size or NUDGE * (parameter.high - parameter.low)
+    return size if parameter.default + size <= parameter.high else -size
+
+
+def _start(effect: type[Effect], guess: _Guess, amplitude: FloatArray) -> FloatArray:
+    """Parameter values of the guess, amplitudes as the score expects them, kept within reason."""
+    values = np.array(guess.values)
+    expected = iter(np.atleast_1d(amplitude))
+    for i, p in enumerate(effect.parameters):
+        if p.amplitude:
+            size = abs(_nudge(p)) / NUDGE
+            step = float(np.clip(next(expected), -5.0 * size, 5.0 * size))
+            values[i] = np.clip(p.default + step, p.low, p.high)
+    return values
+
+
+def _with(model: CableModel, active: ActiveEffect) -> CableModel:
+    return CableModel(
+        model.cable,
+        model.rigidity_n_m2,
+        model.exponent,
+        model.viscosity_n_m2_s,
+        model.gravity_m_per_s2,
+        (*model.effects, active),
+    )
+
+
+def _nuisance(fit: Fit) -> Nuisance:
+    """What the fitted parameters can imitate, their prior as further rows."""
+    p, rows = len(fit.q), len(fit.solution.q)
+    precision = np.zeros((rows, rows))
+    precision[:p, :p] = fit.space.precision
+    values, vectors = np.linalg.eigh(precision)
+    root = (vectors * np.sqrt(np.maximum(values, 0.0))).T
+    away = np.concatenate([fit.q - fit.space.mean, np.zeros(rows - p)])
+    residual = np.concatenate([fit.solution.residual, root @ away])
+    return Nuisance.of(residual, np.vstack([fit.solution.jacobian, root]))
