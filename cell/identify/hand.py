@@ -1,10 +1,9 @@
-"""The hand's measured motion, made fit to drive the model: smoothed, placed where the camera saw it."""
+"""The hand's measured motion: placed where the camera saw it, and when it begins."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import make_smoothing_spline
 
 from cell.cable.geometry import Motion
 
@@ -13,25 +12,6 @@ FloatArray = NDArray[np.float64]
 #: A hand this close to where it began has not moved yet.
 STILL_WITHIN_M = 1e-4
 STILL_WITHIN_RAD = 2e-3
-
-
-def smooth_motion(motion: Motion, bandwidth_s: float = 0.006) -> Motion:
-    """Motion without the noise of its log, which the model would take for acceleration.
-
-    Cubic smoothing splines whose equivalent kernel is `bandwidth_s` wide (an error of bandwidth⁴
-    times the fourth derivative: 0.3 µm for 50 mm in 0.3 s).  A log sampled more coarsely than that
-    is returned as it is.
-    source  Silverman 1984, Ann. Statist. 12(3), eq. 1.3
-    """
-    interval_s = float(np.median(np.diff(motion.t_s)))
-    if len(motion.t_s) < 5 or interval_s >= bandwidth_s:
-        return motion
-    roughness = bandwidth_s**4 / interval_s
-    coordinates = (motion.x_m, motion.y_m, motion.angle_rad)
-    values = make_smoothing_spline(
-        motion.t_s, np.column_stack(coordinates), lam=roughness, axis=0
-    )(motion.t_s)
-    return Motion(motion.t_s, *(np.ascontiguousarray(v) for v in values.T))
 
 
 def align_motion(

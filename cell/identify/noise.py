@@ -96,67 +96,79 @@ def _variance_of_mean(colour: float, frames: float) -> float:
 class Whitener:
     """Turns predicted markers of one trial into white residuals of unit size.
 
-    Each marker has two channels: x and y, or across and along the cable if the noise has a bias.
-    A channel's error is AR(1) over the frames in which the marker was seen, plus a constant of
-    known variance, which is integrated out.
+    A coordinate's error is AR(1) over the frames in which its marker was seen, plus the noise's
+    constant biases across and along the cable, whose covariance is divided out by its root.
     """
 
     def __init__(self, markers_m: FloatArray, noise: Noise) -> None:
         """`markers_m` (T, markers, 2) as measured, nan where not seen."""
         self.noise = noise
-        self.measured = np.ascontiguousarray(markers_m, dtype=np.float64)
-        self.seen = np.isfinite(self.measured).all(-1)
-        frames, markers = self.seen.shape
-        self.axes = np.broadcast_to(np.eye(2), (frames, markers, 2, 2)).copy()
-        biases = (noise.bias_across_m, noise.bias_along_m)
-        if max(biases) > 0.0:
-            self.axes = _across_and_along(self.measured)
-        self.measured = np.where(self.seen[..., None], self.measured, 0.0)
-        self.rows = frames * markers * 2
+        self.seen = np.asarray(np.isfinite(markers_m).all(axis=-1), dtype=np.bool_)
+        self.measured = np.where(self.seen[..., None], markers_m, 0.0)
+        self.frames, markers = self.seen.shape
+        self.rows = self.frames * markers * 2
         self.count = int(self.seen.sum()) * 2
-        # what a constant error of 1 looks like once it is made white, and how much of it to take out
-        ones = np.zeros((1, markers, 2, frames))
-        identity = np.broadcast_to(np.eye(2), self.axes.shape).copy()
-        still = np.zeros((1, frames, markers, 2))
-        nothing = np.zeros((markers, 2))
-        one = np.ones((frames, markers, 2))
         self._memory, self._weight = _innovations(self.seen, noise)
-        memory, innovation = self._memory, self._weight
-        _whiten(still, one, identity, memory, innovation, ones[0].copy(), nothing, ones)
-        self._ones = ones[0]
-        weight = np.sum(self._ones**2, axis=-1)
-        taken = 1.0 - 1.0 / np.sqrt(1.0 + np.square(biases) * weight)
-        self._shrink = taken / np.where(weight > 0.0, weight, 1.0)
+        self._bias, self._kept = np.zeros((markers, 2, 2 * self.frames)), np.ones((markers, 2))
+        sizes = (noise.bias_across_m, noise.bias_along_m)
+        if max(sizes) > 0.0:
+            constant = _across_and_along(markers_m) * np.reshape(sizes, (2, 1, 1, 1))
+            self._bias, self._kept = self._principal(constant)
+
+    def _principal(self, constant_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """What two constant errors (2, T, markers, 2) look like when white, as directions.
+
+        returns  (markers, 2, 2T) orthonormal, and (markers, 2) what is kept of a residual along
+                 each, 1/√(1 + variance)
+        """
+        none = np.zeros_like(self._bias), np.ones_like(self._kept)
+        white = np.empty((2, self._bias.shape[0], 2 * self.frames))
+        still = np.zeros_like(self.measured)
+        _whiten(-constant_m, still, self._memory, self._weight, *none, white)
+        left, size, _ = np.linalg.svd(np.moveaxis(white, 0, -1), full_matrices=False)
+        return np.ascontiguousarray(np.moveaxis(left, -1, -2)), 1.0 / np.sqrt(1.0 + size**2)
 
     def __call__(self, predicted_m: FloatArray) -> FloatArray:
         """White residuals (measured − predicted).
 
         predicted_m  (lanes, T, markers, 2), m
-        returns      (lanes, rows); unit variance; 0 where a marker was not seen
+        returns      (lanes, rows) ordered marker, coordinate, frame; 0 where not seen
         """
-        lanes = len(predicted_m)
-        markers, _, frames = self._ones.shape
-        out = np.empty((lanes, markers, 2, frames))
-        _whiten(
-            predicted_m,
-            self.measured,
-            self.axes,
-            self._memory,
-            self._weight,
-            self._ones,
-            self._shrink,
-            out,
-        )
+        lanes, markers = len(predicted_m), len(self._kept)
+        out = np.empty((lanes, markers, 2 * self.frames))
+        _whiten(predicted_m, self.measured, self._memory, self._weight, self._bias, self._kept, out)
         return out.reshape(lanes, self.rows)
+
+    def error_m(self, white: FloatArray) -> FloatArray:
+        """(T, markers, 2) measured − predicted behind white residuals (rows,), m; nan if unseen."""
+        markers = len(self._kept)
+        fresh = white.reshape(markers, -1)
+        along = np.einsum("mbr,mr->mb", self._bias, fresh) * (1.0 / self._kept - 1.0)
+        fresh = fresh + np.einsum("mbr,mb->mr", self._bias, along)
+        fresh = fresh.reshape(markers, 2, self.frames)
+        error = np.full((self.frames, markers, 2), np.nan)
+        last = np.zeros((markers, 2))
+        for t in range(self.frames):
+            seen = self.seen[t]
+            weight = self._weight[seen, t, None]
+            last[seen] = self._memory[seen, t, None] * last[seen] + fresh[seen, :, t] / weight
+            error[t, seen] = last[seen]
+        return error
 
 
 def _across_and_along(markers_m: FloatArray) -> FloatArray:
-    """(T, markers, 2, 2) unit vectors across and along the cable, from the neighbours seen."""
-    along = np.gradient(markers_m, axis=1) if markers_m.shape[1] > 1 else markers_m * np.nan
-    length = np.linalg.norm(along, axis=-1, keepdims=True)
-    along = np.where(np.isfinite(length) & (length > 0.0), along / length, [1.0, 0.0])
-    across = np.stack([-along[..., 1], along[..., 0]], axis=-1)
-    return np.ascontiguousarray(np.stack([across, along], axis=-2))
+    """(2, T, markers, 2) unit vectors across and along the cable, from the neighbours seen.
+
+    Where there are none, those of the marker's last frame that has some, else y and x.
+    """
+    frames, markers, _ = markers_m.shape
+    along = np.gradient(markers_m, axis=1) if markers > 1 else np.full_like(markers_m, np.nan)
+    length = np.linalg.norm(along, axis=-1)
+    known = np.isfinite(length) & (length > 0.0)
+    along = np.where(known[..., None], along / np.where(known, length, 1.0)[..., None], [1.0, 0.0])
+    last = np.maximum.accumulate(np.where(known, np.arange(frames)[:, None], 0), axis=0)
+    along = along[last, np.arange(markers)]
+    return np.stack([np.stack([-along[..., 1], along[..., 0]], axis=-1), along])
 
 
 def _innovations(seen: NDArray[np.bool_], noise: Noise) -> tuple[FloatArray, FloatArray]:
@@ -174,31 +186,31 @@ def _innovations(seen: NDArray[np.bool_], noise: Noise) -> tuple[FloatArray, Flo
 def _whiten(
     predicted: FloatArray,
     measured: FloatArray,
-    axes: FloatArray,
     memory: FloatArray,
     weight: FloatArray,
-    ones: FloatArray,
-    shrink: FloatArray,
+    bias: FloatArray,
+    kept: FloatArray,
     out: FloatArray,
 ) -> None:
     lanes, frames, markers, _ = predicted.shape
     for lane in range(lanes):
         for marker in range(markers):
-            for channel in range(2):
-                last_error = 0.0
-                along_ones = 0.0
-                row = out[lane, marker, channel]
+            row = out[lane, marker]
+            for coordinate in range(2):
+                begin = coordinate * frames
+                last = 0.0
                 for t in range(frames):
                     if weight[marker, t] == 0.0:
-                        row[t] = 0.0
+                        row[begin + t] = 0.0
                         continue
-                    dx = measured[t, marker, 0] - predicted[lane, t, marker, 0]
-                    dy = measured[t, marker, 1] - predicted[lane, t, marker, 1]
-                    error = axes[t, marker, channel, 0] * dx + axes[t, marker, channel, 1] * dy
-                    row[t] = (error - memory[marker, t] * last_error) * weight[marker, t]
-                    along_ones += row[t] * ones[marker, channel, t]
-                    last_error = error
-                pull = shrink[marker, channel] * along_ones
-                if pull != 0.0:
-                    for t in range(frames):
-                        row[t] -= pull * ones[marker, channel, t]
+                    error = measured[t, marker, coordinate] - predicted[lane, t, marker, coordinate]
+                    row[begin + t] = (error - memory[marker, t] * last) * weight[marker, t]
+                    last = error
+            for b in range(2):
+                if kept[marker, b] < 1.0:
+                    along = 0.0
+                    for k in range(2 * frames):
+                        along += bias[marker, b, k] * row[k]
+                    along *= 1.0 - kept[marker, b]
+                    for k in range(2 * frames):
+                        row[k] -= along * bias[marker, b, k]

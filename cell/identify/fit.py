@@ -1,0 +1,221 @@
+"""Fit of a cable's parameters to trials: all frames at once, coloured noise, Gaussian prior."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable.dynamics import DivergedError, Solver, simulate
+from cell.cable.model import CableModel
+from cell.cable.statics import UnsettledError
+from cell.identify import gauss_newton
+from cell.identify.hand import moves_from_s
+from cell.identify.identified import Identified
+from cell.identify.noise import Noise, Whitener, estimate_noise, still_frames
+from cell.identify.parameters import ParameterSpace
+from cell.study.data import Markers, Trial
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """How a fit goes about it.
+
+    solver           of the cable engine
+    minimiser        see `gauss_newton`
+    first_window_s   a cold start is first fitted to this much of the swing, so that no whole
+                     period is lost between model and measurement
+    starts           uniform cables tried for a cold start, over `start_range` in units of ρ g L³
+    """
+
+    solver: Solver = Solver()  # noqa: RUF009
+    minimiser: gauss_newton.Options = gauss_newton.Options()  # noqa: RUF009
+    first_window_s: float = 0.4
+    starts: int = 32
+    start_range: tuple[float, float] = (0.05, 20.0)
+
+
+class FitError(ValueError):
+    """A fit that cannot be done, or did not find a minimum.  Scenario: nan in every frame."""
+
+
+def fit(
+    trials: Sequence[Trial],
+    arc_length_m: FloatArray,
+    space: ParameterSpace,
+    *,
+    noise: Noise | None = None,
+    start: FloatArray | None = None,
+    options: FitOptions = FitOptions(),
+) -> Identified:
+    """Most probable parameters of a cable, given everything seen in `trials`.
+
+    arc_length_m  (markers,) from the gripping point, m
+    noise         of the markers; None = size and colour estimated from the still frames
+    start         (p,) fit coordinates; None = the best of a row of uniform cables
+    raises        FitError: nothing seen, no still frames and no noise given, no convergence
+    """
+    if not any(np.isfinite(t.markers.xy_m).any() for t in trials):
+        raise FitError("no marker is seen in any frame")
+    if noise is None:
+        noise = still_noise(trials)
+    if start is None:
+        start = _cold_start(trials, arc_length_m, space, noise, options)
+    whiteners = whiteners_of(trials, noise)
+    residuals = _residuals(trials, arc_length_m, space, whiteners, options.solver)
+    try:
+        solution = gauss_newton.minimise(_problem(space, residuals), start, options.minimiser)
+    except ValueError as error:
+        raise FitError(str(error)) from error
+    if not solution.converged:
+        raise FitError(f"the fit does not converge ({solution.passes} passes)")
+    inflation = variance_inflation(solution.residual, whiteners, len(start))
+    return Identified(
+        space=space,
+        mean=solution.q,
+        covariance=solution.covariance * inflation,
+        noise=noise,
+        residual_rms_m=rms_m(solution.residual, whiteners),
+        inflation=inflation,
+        frames_used=sum(frames_seen(t) for t in trials),
+        frames_total=sum(len(t.markers.t_s) for t in trials),
+        passes=solution.passes,
+        method="map",
+    )
+
+
+def whiteners_of(trials: Sequence[Trial], noise: Noise) -> list[Whitener]:
+    """One per trial."""
+    return [Whitener(t.markers.xy_m, noise) for t in trials]
+
+
+def frames_seen(trial: Trial) -> int:
+    """Number of frames in which at least one marker is seen."""
+    return int(np.count_nonzero(np.isfinite(trial.markers.xy_m).all(axis=-1).any(axis=-1)))
+
+
+def still_noise(trials: Sequence[Trial]) -> Noise:
+    """Noise from the frames before anything moves.  Raises FitError if there are too few."""
+    stills = [t.markers.xy_m[still_frames(t.markers.t_s, t.grip, t.release_s)] for t in trials]
+    estimate = estimate_noise(stills)
+    if estimate is None or estimate[0] == 0.0:
+        raise FitError("the noise cannot be estimated: too few still frames; give it")
+    return Noise(*estimate)
+
+
+def predict(
+    trial: Trial, models: Sequence[CableModel], arc_length_m: FloatArray, solver: Solver
+) -> FloatArray:
+    """(lanes, T, markers, 2) where models put the markers of a trial, m; inf if they cannot."""
+    try:
+        return simulate(
+            models,
+            trial.grip,
+            trial.markers.t_s,
+            arc_length_m,
+            solver=solver,
+            start=trial.start,
+            release_s=trial.release_s,
+        )
+    except (DivergedError, UnsettledError):
+        if len(models) == 1:
+            return np.full((1, *trial.markers.xy_m.shape), np.inf)
+        half = len(models) // 2
+        halves = models[:half], models[half:]
+        return np.concatenate([predict(trial, part, arc_length_m, solver) for part in halves])
+
+
+def variance_inflation(
+    white_residual: FloatArray, whiteners: Sequence[Whitener], parameters: int
+) -> float:
+    """Factor ≥ 1 by which the parameters' variance exceeds that of white residuals of unit size.
+
+    The mean square of the residuals times their integrated autocorrelation time along the frames:
+    where the model errs it errs for many frames, and these do not count as independent.
+    source  Sokal 1997, Monte Carlo Methods in Statistical Mechanics, sec. 3; sum up to the first
+            lag whose correlation is lost in its own noise
+    """
+    count = sum(w.count for w in whiteners)
+    mean_square = float(white_residual @ white_residual) / max(1, count - parameters)
+    channels, begin = [], 0
+    for whitener in whiteners:
+        block = white_residual[begin : begin + whitener.rows]
+        channels.append(block.reshape(-1, whitener.frames))
+        begin += whitener.rows
+    time, power = 1.0, sum(float(np.sum(c * c)) for c in channels)
+    for lag in range(1, min(c.shape[1] for c in channels) // 2):
+        correlation = sum(float(np.sum(c[:, lag:] * c[:, :-lag])) for c in channels) / power
+        if correlation < 2.0 / np.sqrt(count):
+            break
+        time += 2.0 * correlation
+    return max(1.0, mean_square * time)
+
+
+def rms_m(white_residual: FloatArray, whiteners: Sequence[Whitener]) -> float:
+    """Root mean square of measured − predicted per coordinate, m."""
+    square, begin = 0.0, 0
+    for whitener in whiteners:
+        error = whitener.error_m(white_residual[begin : begin + whitener.rows])
+        square += float(np.nansum(error**2))
+        begin += whitener.rows
+    return float(np.sqrt(square / sum(w.count for w in whiteners)))
+
+
+def _residuals(
+    trials: Sequence[Trial],
+    arc_length_m: FloatArray,
+    space: ParameterSpace,
+    whiteners: Sequence[Whitener],
+    solver: Solver,
+) -> gauss_newton.Residuals:
+    def residuals(lanes: FloatArray) -> FloatArray:
+        models = [space.model(q) for q in lanes]
+        parts = [
+            whitener(predict(trial, models, arc_length_m, solver))
+            for trial, whitener in zip(trials, whiteners, strict=True)
+        ]
+        return np.concatenate(parts, axis=1)
+
+    return residuals
+
+
+def _cold_start(
+    trials: Sequence[Trial],
+    arc_length_m: FloatArray,
+    space: ParameterSpace,
+    noise: Noise,
+    options: FitOptions,
+) -> FloatArray:
+    """Best of a row of uniform cables on the beginning of the first trial, then fitted to it."""
+    beginning = [_window(trials[0], options.first_window_s)]
+    whiteners = whiteners_of(beginning, noise)
+    residuals = _residuals(beginning, arc_length_m, space, whiteners, options.solver)
+    weight = space.cable.line_density_kg_per_m * float(np.hypot(*space.gravity_m_per_s2))
+    row = np.geomspace(*options.start_range, options.starts) * weight
+    starts = np.array([space.start(r * space.cable.free_length_m**3) for r in row])
+    cost = np.sum(residuals(starts) ** 2, axis=1)
+    if not np.isfinite(cost).any():
+        raise FitError("no cable of any stiffness can be simulated on this motion")
+    best = starts[int(np.nanargmin(np.where(np.isfinite(cost), cost, np.nan)))]
+    problem = _problem(space, residuals)
+    return gauss_newton.minimise(problem, best, options.minimiser).q
+
+
+def _window(trial: Trial, duration_s: float) -> Trial:
+    """The trial up to `duration_s` after something begins to move."""
+    begins_s = moves_from_s(trial.grip) if trial.release_s is None else trial.release_s
+    if not np.isfinite(begins_s):
+        return trial
+    t_s = trial.markers.t_s
+    keep = slice(0, max(2, int(np.searchsorted(t_s, begins_s + duration_s))))
+    return replace(trial, markers=Markers(t_s[keep], trial.markers.xy_m[keep]))
+
+
+def _problem(space: ParameterSpace, residuals: gauss_newton.Residuals) -> gauss_newton.Problem:
+    return gauss_newton.Problem(
+        residuals, space.mean, space.precision, space.step, space.low, space.high
+    )

@@ -1,0 +1,154 @@
+"""What identification returns: the cable's model, how sure it is, and what that rests on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.stats import norm
+
+from cell.cable.effects.base import Effect
+from cell.cable.geometry import Cable
+from cell.cable.model import CableModel, knot_basis
+from cell.identify.noise import Noise
+from cell.identify.parameters import ParameterSpace, Prior
+
+FloatArray = NDArray[np.float64]
+
+FORMAT = "identified-cable/1"
+
+
+@dataclass(frozen=True, eq=False)
+class Identified:
+    """One cable's parameters with their uncertainty.
+
+    space           what the coordinates mean
+    mean            (p,) fit coordinates (log EI at knots, N, log C, effects' parameters)
+    covariance      (p, p) of them; already widened by `inflation`
+    noise           of the measurement, as used
+    residual_rms_m  measured − predicted, per coordinate, over all frames used, m
+    inflation       variance factor for residuals larger or more coloured than the noise; ≥ 1
+    frames_used, frames_total   frames with at least one marker seen, and all
+    passes          batches of simulations it took
+    method          "map" or "paper"
+    """
+
+    space: ParameterSpace
+    mean: FloatArray
+    covariance: FloatArray
+    noise: Noise
+    residual_rms_m: float
+    inflation: float
+    frames_used: int
+    frames_total: int
+    passes: int
+    method: Literal["map", "paper"]
+
+    @property
+    def model(self) -> CableModel:
+        """The cable with the most probable parameters."""
+        return self.space.model(self.mean)
+
+    @property
+    def values(self) -> FloatArray:
+        """(p,) most probable natural values, in the order of `space.names`."""
+        return self.space.natural(self.mean)
+
+    def interval(self, confidence: float = 0.95) -> tuple[FloatArray, FloatArray]:
+        """(p,), (p,) low and high natural values of every parameter on its own."""
+        reach = float(norm.ppf(0.5 + 0.5 * confidence)) * np.sqrt(np.diag(self.covariance))
+        low = np.clip(self.mean - reach, self.space.low, self.space.high)
+        high = np.clip(self.mean + reach, self.space.low, self.space.high)
+        return self.space.natural(low), self.space.natural(high)
+
+    def rigidity_log_std(self, arc_length_m: ArrayLike) -> FloatArray:
+        """(n,) standard deviation of log EI(s) at arc lengths from the gripping point (n,), m."""
+        k = self.space.knots
+        fraction = np.asarray(arc_length_m, dtype=np.float64) / self.space.cable.free_length_m
+        basis = knot_basis(k, tuple(np.clip(fraction, 0.0, 1.0)))
+        variance = np.einsum("ni,ij,nj->n", basis, self.covariance[:k, :k], basis)
+        return np.asarray(np.sqrt(variance))
+
+    @cached_property
+    def root(self) -> FloatArray:
+        """(p, p) R with R Rᵀ = covariance, columns in order of falling size."""
+        values, vectors = np.linalg.eigh(self.covariance)
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        return np.ascontiguousarray(root[:, ::-1])
+
+    def models(self, deviates: FloatArray) -> list[CableModel]:
+        """Models at standard normal deviates (lanes, p) of the parameters' distribution."""
+        q = self.mean + np.atleast_2d(deviates) @ self.root.T
+        return [self.space.model(row) for row in np.clip(q, self.space.low, self.space.high)]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON; `from_dict` reads it back."""
+        low, high = self.interval()
+        return {
+            "format": FORMAT,
+            "method": self.method,
+            "cable": dict(vars(self.space.cable)),
+            "gravity_m_per_s2": list(self.space.gravity_m_per_s2),
+            "knots": self.space.knots,
+            "effects": [effect.name for effect in self.space.effects],
+            "parameters": [
+                {"name": n, "unit": u, "value": float(v), "low": float(lo), "high": float(hi)}
+                for n, u, v, lo, hi in zip(
+                    self.space.names, self.space.units, self.values, low, high, strict=True
+                )
+            ],
+            "covariance": self.covariance.tolist(),
+            "noise": dict(vars(self.noise)),
+            "residual_rms_m": self.residual_rms_m,
+            "inflation": self.inflation,
+            "frames_used": self.frames_used,
+            "frames_total": self.frames_total,
+            "passes": self.passes,
+        }
+
+    @classmethod
+    def from_dict(
+        cls, data: Mapping[str, Any], effects: Mapping[str, type[Effect]] | None = None
+    ) -> Identified:
+        """Read what `to_dict` wrote.
+
+        effects  known effects by name, needed if the model has any
+        raises   ValueError: another format, a missing entry, an unknown effect, wrong shapes
+        """
+        if data.get("format") != FORMAT:
+            raise ValueError(f"model format is {data.get('format')!r}, must be {FORMAT!r}")
+        try:
+            known = effects or {}
+            unknown = [name for name in data["effects"] if name not in known]
+            if unknown:
+                raise ValueError(f"model has unknown effects {unknown}; known: {sorted(known)}")
+            gx, gy = data["gravity_m_per_s2"]
+            space = ParameterSpace.of(
+                Cable(**data["cable"]),
+                gravity_m_per_s2=(float(gx), float(gy)),
+                effects=[known[name] for name in data["effects"]],
+                prior=Prior(knots=int(data["knots"])),
+            )
+            names = tuple(p["name"] for p in data["parameters"])
+            values = np.array([p["value"] for p in data["parameters"]], dtype=np.float64)
+            covariance = np.array(data["covariance"], dtype=np.float64)
+            if names != space.names or covariance.shape != (len(names), len(names)):
+                raise ValueError(f"model's parameters are {names}, expected {space.names}")
+            return cls(
+                space,
+                space.coordinates(values),
+                covariance,
+                Noise(**data["noise"]),
+                float(data["residual_rms_m"]),
+                float(data["inflation"]),
+                int(data["frames_used"]),
+                int(data["frames_total"]),
+                int(data["passes"]),
+                data["method"],
+            )
+        except (KeyError, TypeError) as error:
+            raise ValueError(f"model: missing or mistyped entry {error}") from error

@@ -1,0 +1,168 @@
+"""One cable from what was filmed while it hung and swung: accepted with its model, or rejected."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable.geometry import GRAVITY_M_PER_S2, Cable, Motion
+from cell.identify.fit import FitError, FitOptions, fit, still_noise
+from cell.identify.hand import align_motion, moves_from_s
+from cell.identify.identified import Identified
+from cell.identify.noise import Noise
+from cell.identify.paper import fit_as_paper
+from cell.identify.parameters import ParameterSpace, Prior
+from cell.study.data import Markers, Trial
+
+FloatArray = NDArray[np.float64]
+
+
+class Reason(StrEnum):
+    """Why a cable cannot be identified."""
+
+    UNSEEN_FRAMES = "unseen_frames"
+    LITTLE_SWING = "little_swing"
+    NO_STILL_FRAMES = "no_still_frames"
+    NO_CONVERGENCE = "no_convergence"
+    LARGE_RESIDUAL = "large_residual"
+
+
+class CableRejectedError(Exception):
+    """A cable that cannot be identified.  Scenario: the camera lost it during the swing."""
+
+    def __init__(self, reason: Reason, detail: str) -> None:
+        super().__init__(f"{reason.value.replace('_', ' ')}: {detail}")
+        self.reason = reason
+
+
+@dataclass(frozen=True)
+class Acceptance:
+    """What a cable must show to be identified.
+
+    least_seen        share of the frames after the hand began to move in which it is seen
+    least_swing_m     range of the tip's motion relative to the hand
+    largest_residual  of the fit, in units of the noise; below `negligible_m` it is accepted anyway
+    """
+
+    least_seen: float = 0.7
+    least_swing_m: float = 0.002
+    largest_residual: float = 4.0
+    negligible_m: float = 2e-4
+
+
+@dataclass(frozen=True)
+class IdentifyOptions:
+    """How cables are identified.
+
+    bias_across_m, bias_along_m   constant error of every node, see `Noise`: of the centreline's
+                  middle, and of the end that the camera sees, hence of equal arc lengths
+    """
+
+    method: Literal["map", "paper"] = "map"
+    prior: Prior = Prior()  # noqa: RUF009
+    fit: FitOptions = FitOptions()  # noqa: RUF009
+    acceptance: Acceptance = Acceptance()
+    bias_across_m: float = 2e-5
+    bias_along_m: float = 2e-4
+
+
+def hold_trial(
+    grip: Motion,
+    t_s: FloatArray,
+    nodes_m: FloatArray,
+    grip_m: FloatArray,
+    clamp_angle_rad: FloatArray,
+) -> Trial:
+    """What was filmed of a hold, as a trial; the logged motion is moved to where the jaw was seen.
+
+    grip             logged motion of the hand, on the camera's clock
+    t_s              (T,) times of the frames, s
+    nodes_m          (T, nodes, 2), tip first, m; nan where unseen
+    grip_m, clamp_angle_rad   (T, 2), (T,) of the jaw in the frames; nan where not found
+    """
+    motion = align_motion(grip, t_s, grip_m, clamp_angle_rad)
+    return Trial("identify", "fit", "equilibrium", motion, Markers(t_s, nodes_m))
+
+
+def identify(
+    trial: Trial,
+    arc_length_m: FloatArray,
+    cable: Cable,
+    *,
+    gravity_m_per_s2: tuple[float, float] = GRAVITY_M_PER_S2,
+    previous: Identified | None = None,
+    options: IdentifyOptions = IdentifyOptions(),
+) -> Identified:
+    """Parameters of the cable in `trial`.
+
+    While a hold is still being filmed, call this with the frames so far; pass the result as
+    `previous` to the next call, which then needs one or two passes instead of a search.
+    raises  CableRejectedError
+    """
+    _accept_frames(trial, options.acceptance)
+    try:
+        still = still_noise([trial])
+        noise = Noise(still.std_m, still.colour, options.bias_across_m, options.bias_along_m)
+    except FitError as error:
+        raise CableRejectedError(Reason.NO_STILL_FRAMES, str(error)) from error
+    try:
+        if options.method == "paper":
+            identified = fit_as_paper(
+                trial,
+                arc_length_m,
+                cable,
+                gravity_m_per_s2,
+                noise=noise,
+                prior=options.prior,
+                options=options.fit,
+            )
+        else:
+            space = ParameterSpace.of(cable, gravity_m_per_s2=gravity_m_per_s2, prior=options.prior)
+            start = previous.mean if previous is not None else None
+            identified = fit(
+                [trial], arc_length_m, space, noise=noise, start=start, options=options.fit
+            )
+    except FitError as error:
+        raise CableRejectedError(Reason.NO_CONVERGENCE, str(error)) from error
+    _accept_residual(identified, options.acceptance)
+    return identified
+
+
+def _accept_frames(trial: Trial, acceptance: Acceptance) -> None:
+    after = trial.markers.t_s >= moves_from_s(trial.grip)
+    seen = np.asarray(np.isfinite(trial.markers.xy_m).all(axis=(1, 2)), dtype=np.bool_)
+    moving = int(after.sum())
+    share = float(seen[after].mean()) if moving else 0.0
+    if share < acceptance.least_seen:
+        raise CableRejectedError(
+            Reason.UNSEEN_FRAMES,
+            f"the cable is seen in {int(seen[after].sum())} of {moving} frames of the swing "
+            f"({share:.0%}), needs {acceptance.least_seen:.0%}",
+        )
+    tip = trial.markers.xy_m[after & seen, 0]
+    t_s = trial.markers.t_s[after & seen]
+    grip = np.column_stack([np.interp(t_s, trial.grip.t_s, v) for v in _xy(trial.grip)])
+    swing_m = float(np.ptp(tip - grip, axis=0).max())
+    if swing_m < acceptance.least_swing_m:
+        raise CableRejectedError(
+            Reason.LITTLE_SWING,
+            f"the tip swings by {swing_m * 1e3:.2f} mm, needs {acceptance.least_swing_m * 1e3:.2f}",
+        )
+
+
+def _accept_residual(identified: Identified, acceptance: Acceptance) -> None:
+    residual_m, noise_m = identified.residual_rms_m, identified.noise.std_m
+    if residual_m > max(acceptance.largest_residual * noise_m, acceptance.negligible_m):
+        raise CableRejectedError(
+            Reason.LARGE_RESIDUAL,
+            f"the model misses the frames by {residual_m * 1e3:.3f} mm rms, noise is "
+            f"{noise_m * 1e3:.3f} mm: this cable does something the model does not know",
+        )
+
+
+def _xy(motion: Motion) -> tuple[FloatArray, FloatArray]:
+    return motion.x_m, motion.y_m

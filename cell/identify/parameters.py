@@ -1,0 +1,176 @@
+"""The numbers that a fit may change: coordinates, bounds and prior of baseline and effects."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable.effects.base import Effect
+from cell.cable.geometry import GRAVITY_M_PER_S2, Cable
+from cell.cable.model import CableModel
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is believed of a cable before it is measured; sizes relative to its own weight.
+
+    knots               of log EI(s), equally spaced
+    rigidity_log_std    std of log EI as a whole, about 0.4·ρ g L³ (a cable that droops by a fifth)
+    rigidity_log_walk   std of the change of log EI over the whole length, as a random walk
+    exponent_std        std of N about 1
+    viscosity_log_std   std of log C, about EI·0.04·√(L/g) (5 % damping in the first mode)
+    effect_std          std of an effect's parameter about its default, in units of the size it is
+                        usually started from
+    """
+
+    knots: int = 6
+    rigidity_log_std: float = 2.0
+    rigidity_log_walk: float = 0.5
+    exponent_std: float = 0.2
+    viscosity_log_std: float = 1.5
+    effect_std: float = 10.0
+
+    def __post_init__(self) -> None:
+        if self.knots < 2:
+            raise ValueError(f"prior.knots = {self.knots}: must be ≥ 2")
+        for name, value in vars(self).items():
+            if not (np.isfinite(value) and value > 0.0):
+                raise ValueError(f"prior.{name} = {value}: must be finite and > 0")
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterSpace:
+    """Fit coordinates q (p,): log EI at the knots, N, log C, then the effects' parameters.
+
+    names, units  of the natural values; effects' parameters are called `effect.parameter`
+    logarithmic   (p,) whether q is the logarithm of the natural value
+    mean, precision   (p,), (p, p) of the Gaussian prior of q
+    low, high     (p,) bounds of q
+    step          (p,) of finite differences
+    """
+
+    cable: Cable
+    gravity_m_per_s2: tuple[float, float]
+    knots: int
+    effects: tuple[type[Effect], ...]
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    logarithmic: NDArray[np.bool_]
+    mean: FloatArray
+    precision: FloatArray
+    low: FloatArray
+    high: FloatArray
+    step: FloatArray
+
+    @classmethod
+    def of(
+        cls,
+        cable: Cable,
+        *,
+        gravity_m_per_s2: tuple[float, float] = GRAVITY_M_PER_S2,
+        effects: Sequence[type[Effect]] = (),
+        prior: Prior = Prior(),
+    ) -> ParameterSpace:
+        """Baseline plus `effects`, with a weak prior."""
+        k = prior.knots
+        weight_n_per_m = cable.line_density_kg_per_m * float(np.hypot(*gravity_m_per_s2))
+        if weight_n_per_m == 0.0:
+            raise ValueError("gravity is 0: a cable without weight cannot be identified")
+        log_rigidity = float(np.log(0.4 * weight_n_per_m * cable.free_length_m**3))
+        time_s = 0.04 * float(np.sqrt(cable.free_length_m / np.hypot(*gravity_m_per_s2)))
+        change = np.diff(np.eye(k), axis=0)
+        walk = prior.rigidity_log_walk / np.sqrt(k - 1)
+        rigidity_precision = change.T @ change / walk**2 + np.full(
+            (k, k), (k * prior.rigidity_log_std) ** -2.0
+        )
+
+        names = [f"rigidity_{i}" for i in range(k)] + ["exponent", "viscosity"]
+        units = ["N·m²"] * k + ["1", "N·m²·s"]
+        logarithmic = [True] * k + [False, True]
+        mean = [log_rigidity] * k + [1.0, log_rigidity + float(np.log(time_s))]
+        std = [prior.exponent_std, prior.viscosity_log_std]
+        low = [log_rigidity - 8.0] * k + [0.3, mean[-1] - 12.0]
+        high = [log_rigidity + 8.0] * k + [3.0, mean[-1] + 8.0]
+        step = [1e-4] * (k + 2)
+        for effect in effects:
+            for p in effect.parameters:
+                names.append(f"{effect.name}.{p.name}")
+                units.append(p.unit)
+                in_logarithm = p.low > 0.0
+                size = max(abs(start - p.default) for start in p.starts) or abs(p.default) or 1.0
+                logarithmic.append(in_logarithm)
+                mean.append(float(np.log(p.default)) if in_logarithm else p.default)
+                std.append(2.0 if in_logarithm else prior.effect_std * size)
+                low.append(float(np.log(p.low)) if in_logarithm else p.low)
+                high.append(float(np.log(p.high)) if in_logarithm else p.high)
+                step.append(1e-3 if in_logarithm else 1e-3 * size)
+        precision = np.diag(np.concatenate([np.zeros(k), np.array(std) ** -2.0]))
+        precision[:k, :k] = rigidity_precision
+        return cls(
+            cable,
+            gravity_m_per_s2,
+            k,
+            tuple(effects),
+            tuple(names),
+            tuple(units),
+            np.array(logarithmic),
+            np.array(mean),
+            precision,
+            np.array(low),
+            np.array(high),
+            np.array(step),
+        )
+
+    def natural(self, q: FloatArray) -> FloatArray:
+        """(…, p) natural values of fit coordinates."""
+        return np.where(self.logarithmic, np.exp(np.where(self.logarithmic, q, 0.0)), q)
+
+    def coordinates(self, natural: FloatArray) -> FloatArray:
+        """(…, p) fit coordinates of natural values."""
+        return np.where(self.logarithmic, np.log(np.where(self.logarithmic, natural, 1.0)), natural)
+
+    def model(self, q: FloatArray) -> CableModel:
+        """The cable with fit coordinates q (p,)."""
+        values = self.natural(q)
+        k = self.knots
+        active = []
+        begin = k + 2
+        for effect in self.effects:
+            end = begin + len(effect.parameters)
+            inside = [
+                min(max(float(v), p.low), p.high)
+                for v, p in zip(values[begin:end], effect.parameters, strict=True)
+            ]
+            active.append(effect.active(**dict(zip(_names(effect), inside, strict=True))))
+            begin = end
+        return CableModel(
+            self.cable,
+            values[:k],
+            float(values[k]),
+            float(values[k + 1]),
+            self.gravity_m_per_s2,
+            tuple(active),
+        )
+
+    def start(self, rigidity_n_m2: float) -> FloatArray:
+        """(p,) a uniform cable, linear, damped as the prior says, effects at their first start."""
+        q = self.mean.copy()
+        shift = np.log(rigidity_n_m2) - q[: self.knots].mean()
+        q[: self.knots] += shift
+        q[self.knots + 1] += shift
+        first = [p.starts[0] for e in self.effects for p in e.parameters]
+        if first:
+            effects = slice(self.knots + 2, None)
+            natural = self.natural(q)
+            natural[effects] = first
+            q[effects] = self.coordinates(natural)[effects]
+        return np.clip(q, self.low, self.high)
+
+
+def _names(effect: type[Effect]) -> list[str]:
+    return [p.name for p in effect.parameters]

@@ -1,0 +1,165 @@
+"""Which offset: every one simulated with the motion as it will be executed, and how surely."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm, qmc
+
+from cell.cable.dynamics import Solver, simulate
+from cell.cable.geometry import Motion
+from cell.identify.identified import Identified
+from cell.plan.destination import Destination
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ChoiceOptions:
+    """How to choose.
+
+    samples           of the uncertain parameters, a power of 2
+    repeatability_m   standard deviation of the tip's height for reasons that are not the cable's:
+                      arm, camera, draught
+    least_probability below which no offset is taken
+    interval_s        between the instants at which a tip is compared with the destination
+    """
+
+    samples: int = 64
+    repeatability_m: float = 1e-4
+    least_probability: float = 0.9
+    interval_s: float = 0.005
+
+
+@dataclass(frozen=True, eq=False)
+class Forecast:
+    """Where the tip will go for each offset.
+
+    offsets_m    (O,) m
+    t_s          (T,) s, from when the path begins
+    tip_m        (O, T, 2) with the most probable parameters, m
+    sensitivity  (O, T, 2, p) derivatives of it by the fit coordinates
+    """
+
+    offsets_m: FloatArray
+    t_s: FloatArray
+    tip_m: FloatArray
+    sensitivity: FloatArray
+
+
+@dataclass(frozen=True)
+class OffsetForecast:
+    """What is expected of one offset: probability of passing, margin (see `Destination`), m."""
+
+    offset_m: float
+    probability: float
+    margin_m: float
+    margin_std_m: float
+
+    @property
+    def miss_m(self) -> float:
+        """By how much the most probable tip path misses, m; 0 if it passes."""
+        return max(0.0, -self.margin_m)
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """The offset chosen, or why none is.
+
+    best      most promising offset, chosen or not
+    table     all offsets
+    reason    None if `best` is chosen, else why it is not
+    t_s, tip_m   (T,), (T, 2) predicted tip path of `best`
+    """
+
+    best: OffsetForecast
+    table: tuple[OffsetForecast, ...]
+    reason: str | None
+    t_s: FloatArray
+    tip_m: FloatArray
+
+    @property
+    def chosen(self) -> bool:
+        """Whether `best` may be executed."""
+        return self.reason is None
+
+
+def forecast(
+    identified: Identified,
+    offsets_m: FloatArray,
+    motions: Sequence[Motion],
+    *,
+    earlier: Forecast | None = None,
+    solver: Solver = Solver(),  # noqa: B008
+    options: ChoiceOptions = ChoiceOptions(),
+) -> Forecast:
+    """Simulate every offset.
+
+    motions  of the hand, one per offset, path beginning at 0 (see `executed_motion`)
+    earlier  forecast of nearly the same cable and motions, whose sensitivities are kept: then
+             only the most probable cable is simulated
+    """
+    if len(motions) != len(offsets_m):
+        raise ValueError(f"{len(offsets_m)} offsets but {len(motions)} motions")
+    end_s = max(float(m.t_s[-1]) for m in motions)
+    t_s = np.arange(0.0, end_s + options.interval_s, options.interval_s)
+    space = identified.space
+    tip_at = np.array([space.cable.free_length_m])
+    step = np.zeros_like(space.step) if earlier is not None else space.step
+    inwards = np.where(identified.mean + step <= space.high, step, -step)
+    shifts = [s for s in np.diag(inwards) if np.any(s)]
+    models = [space.model(identified.mean + s) for s in [np.zeros_like(step), *shifts]]
+    lanes = [(model, motion) for motion in motions for model in models]
+    tips = simulate(
+        [model for model, _ in lanes], [motion for _, motion in lanes], t_s, tip_at, solver=solver
+    ).reshape(len(motions), len(models), len(t_s), 2)
+    if earlier is not None:
+        return Forecast(offsets_m, t_s, tips[:, 0], _resampled(earlier, t_s))
+    slopes = (tips[:, 1:] - tips[:, :1]) / inwards[:, None, None]
+    return Forecast(offsets_m, t_s, tips[:, 0], np.moveaxis(slopes, 1, -1))
+
+
+def choose(
+    expected: Forecast,
+    identified: Identified,
+    destination: Destination,
+    options: ChoiceOptions = ChoiceOptions(),
+) -> Choice:
+    """The offset that passes most probably; of equally probable ones that of the widest margin."""
+    deviates = _deviates(len(identified.mean) + 1, options.samples)
+    shift = deviates[:, :-1] @ identified.root.T
+    tips = expected.tip_m[:, None] + np.einsum("otcp,sp->ostc", expected.sensitivity, shift)
+    tips[..., 1] += options.repeatability_m * deviates[:, -1:]
+    margins = destination.margin_m(tips)
+    probable = destination.margin_m(expected.tip_m)
+    table = tuple(
+        OffsetForecast(float(offset), float(np.mean(m > 0.0)), float(margin), float(np.std(m)))
+        for offset, m, margin in zip(expected.offsets_m, margins, probable, strict=True)
+    )
+    index = max(range(len(table)), key=lambda i: (table[i].probability, table[i].margin_m))
+    best = table[index]
+    reason = None
+    if best.probability < options.least_probability:
+        reason = (
+            f"no offset passes with probability ≥ {options.least_probability:.2f}: the best, "
+            f"{best.offset_m * 1e3:.0f} mm, with {best.probability:.2f} "
+            f"(margin {best.margin_m * 1e3:+.2f} mm)"
+        )
+    return Choice(best, table, reason, expected.t_s, expected.tip_m[index])
+
+
+def _resampled(earlier: Forecast, t_s: FloatArray) -> FloatArray:
+    """Sensitivities at other times, nearest before."""
+    index = np.clip(np.searchsorted(earlier.t_s, t_s, side="right") - 1, 0, None)
+    return earlier.sensitivity[:, index]
+
+
+@lru_cache(maxsize=8)
+def _deviates(dimensions: int, samples: int) -> FloatArray:
+    """(samples, dimensions) standard normal deviates that fill space evenly, same every time."""
+    sobol = qmc.Sobol(dimensions, rng=np.random.default_rng(20260101))
+    return np.asarray(norm.ppf(np.clip(sobol.random(samples), 1e-6, 1.0 - 1e-6)))

@@ -1,0 +1,66 @@
+"""Measured cables of a world finer than the model: 60 segments, half the step, own noise."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from cell.cable.dynamics import Solver, simulate
+from cell.cable.geometry import Cable, Motion, node_arc_lengths
+from cell.cable.model import CableModel
+from cell.plan.paths import MotionLimits, identification_path
+from cell.study.data import Markers, Trial
+from drivers.interfaces import Pose
+
+FLAT_CABLE = Cable(0.1, 0.0074, 0.016, 0.0001)
+WORLD = Solver(segments=60, step_s=5e-4)
+
+
+@dataclass(frozen=True)
+class World:
+    """A cable, how it is measured, and the trial of one hold."""
+
+    model: CableModel
+    trial: Trial
+    clean_m: np.ndarray
+
+
+Measure = Callable[..., World]
+
+
+@pytest.fixture(scope="session")
+def flat_cable() -> Cable:
+    return FLAT_CABLE
+
+
+@pytest.fixture(scope="session")
+def hold_motion() -> Motion:
+    path = identification_path(Pose(0.0, 0.0, 0.02), 0.05, MotionLimits(), 500.0, hold_s=0.9)
+    t = np.append(0.0, path.t_s + 0.2)
+    return Motion(t, *(np.append(v[0], v) for v in (path.x_m, path.y_m, path.angle_rad)))
+
+
+@pytest.fixture(scope="session")
+def measure(hold_motion: Motion) -> Measure:
+    def world(
+        model: CableModel,
+        seed: int = 0,
+        *,
+        noise_m: float = 5e-5,
+        colour: float = 0.0,
+        log_noise_m: float = 1e-5,
+        motion: Motion = hold_motion,
+    ) -> World:
+        rng = np.random.default_rng(seed)
+        t_s = np.arange(0.001, motion.t_s[-1], 0.005)
+        clean = simulate(model, motion, t_s, node_arc_lengths(0.1), solver=WORLD)[0]
+        error = rng.normal(0.0, 1.0, clean.shape)
+        for i in range(1, len(error)):
+            error[i] = colour * error[i - 1] + np.sqrt(1.0 - colour**2) * error[i]
+        logged = [v + rng.normal(0.0, log_noise_m, len(v)) for v in (motion.x_m, motion.y_m)]
+        grip = Motion(motion.t_s, *logged, motion.angle_rad)
+        markers = Markers(t_s, clean + noise_m * error)
+        return World(model, Trial("identify", "fit", "equilibrium", grip, markers), clean)
+
+    return world

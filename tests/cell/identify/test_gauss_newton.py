@@ -1,0 +1,99 @@
+import numpy as np
+import pytest
+
+from cell.identify.gauss_newton import Options, Problem, minimise
+
+#: NIST StRD Misra1a: y = b1 (1 − exp(−b2 x)); certified values and standard deviations.
+MISRA1A = np.array(
+    [
+        [10.07, 77.6],
+        [14.73, 114.9],
+        [17.94, 141.1],
+        [23.93, 190.8],
+        [29.61, 239.9],
+        [35.18, 289.0],
+        [40.02, 332.8],
+        [44.82, 378.4],
+        [50.76, 434.8],
+        [55.05, 477.3],
+        [61.01, 536.8],
+        [66.40, 593.1],
+        [75.47, 689.1],
+        [81.78, 760.0],
+    ]
+)
+CERTIFIED = np.array([2.3894212918e02, 5.5015643181e-04])
+CERTIFIED_STD = np.array([2.7070075241, 7.2668688436e-06])
+RESIDUAL_STD = 1.0187876330e-01
+
+
+def misra(low: float = -np.inf, high: float = np.inf) -> Problem:
+    """In logarithms of the parameters, with hardly any prior."""
+
+    def residuals(lanes: np.ndarray) -> np.ndarray:
+        b1, b2 = np.exp(lanes.T)[:, :, None]
+        y, x = MISRA1A.T
+        return (y - b1 * (1.0 - np.exp(-b2 * x))) / RESIDUAL_STD
+
+    return Problem(
+        residuals,
+        np.log([500.0, 1e-4]),
+        1e-9 * np.eye(2),
+        np.full(2, 1e-6),
+        np.array([-np.inf, low]),
+        np.array([np.inf, high]),
+    )
+
+
+@pytest.mark.parametrize("start", [(500.0, 1e-4), (250.0, 5e-4), (100.0, 2e-3)])
+def test_nist_certified_values_and_standard_deviations(start: tuple[float, float]) -> None:
+    solution = minimise(misra(), np.log(start), Options(tolerance=1e-4))
+    assert solution.converged
+    np.testing.assert_allclose(np.exp(solution.q), CERTIFIED, rtol=1e-5)
+    std = np.sqrt(np.diag(solution.covariance)) * CERTIFIED
+    np.testing.assert_allclose(std, CERTIFIED_STD, rtol=1e-3)
+    assert solution.objective == pytest.approx(12.0, rel=1e-5)  # 14 data, 2 parameters
+
+
+def test_a_bound_is_kept_and_the_rest_is_fitted_beside_it() -> None:
+    bound = np.log(6e-4)
+    solution = minimise(misra(low=bound), np.log([250.0, 8e-4]), Options(tolerance=1e-4))
+    assert solution.converged
+    assert solution.q[1] == bound
+    assert solution.free.tolist() == [True, False]
+    rise = 1.0 - np.exp(-6e-4 * MISRA1A[:, 1])
+    best = rise @ MISRA1A[:, 0] / (rise @ rise)
+    assert np.exp(solution.q[0]) == pytest.approx(best, rel=1e-5)
+
+
+def test_the_prior_decides_what_the_data_do_not() -> None:
+    problem = Problem(
+        lambda lanes: lanes[:, :1] - 3.0,
+        np.array([0.0, 7.0]),
+        np.diag([1.0, 4.0]),
+        np.full(2, 1e-3),
+        np.full(2, -np.inf),
+        np.full(2, np.inf),
+    )
+    solution = minimise(problem, np.zeros(2))
+    np.testing.assert_allclose(solution.q, [1.5, 7.0], atol=1e-9)
+    np.testing.assert_allclose(solution.covariance, np.diag([0.5, 0.25]), atol=1e-9)
+
+
+def test_lanes_that_cannot_be_computed_are_stepped_back_from() -> None:
+    def residuals(lanes: np.ndarray) -> np.ndarray:
+        return np.where(lanes > 1.2, np.inf, 1.0 / np.maximum(lanes, 1e-3) - 1.0)
+
+    problem = Problem(
+        residuals, np.zeros(1), np.zeros((1, 1)), np.full(1, 1e-6), np.zeros(1), np.full(1, 10.0)
+    )
+    solution = minimise(problem, np.array([0.1]), Options(tolerance=1e-8))
+    assert solution.converged
+    assert solution.q[0] == pytest.approx(1.0, abs=1e-6)
+    with pytest.raises(ValueError, match="cannot be simulated"):
+        minimise(problem, np.array([5.0]))
+
+
+def test_too_few_passes_is_said() -> None:
+    solution = minimise(misra(), np.log([500.0, 1e-4]), Options(most_passes=1))
+    assert not solution.converged

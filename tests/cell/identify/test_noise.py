@@ -1,0 +1,104 @@
+import numpy as np
+import pytest
+
+from cell.cable.geometry import Motion
+from cell.identify.noise import Noise, Whitener, estimate_noise, still_frames
+
+BASE_M = np.stack([np.linspace(-0.1, 0.0, 11), np.linspace(-0.03, 0.0, 11)], axis=-1)
+
+
+def ar1(rng: np.random.Generator, colour: float, frames: int) -> np.ndarray:
+    error = rng.normal(size=(frames, 11, 2))
+    for t in range(1, frames):
+        error[t] = colour * error[t - 1] + np.sqrt(1.0 - colour**2) * error[t]
+    return error
+
+
+@pytest.mark.parametrize("colour", [0.0, 0.4, 0.8])
+def test_estimate_is_unbiased(colour: float) -> None:
+    rng = np.random.default_rng(1)
+    estimates = [estimate_noise([BASE_M + 1e-4 * ar1(rng, colour, 40)]) for _ in range(40)]
+    std, found = np.mean([e for e in estimates if e is not None], axis=0)
+    assert std == pytest.approx(1e-4, rel=0.02)
+    assert found == pytest.approx(colour, abs=0.03)
+
+
+def test_estimate_skips_unseen_markers_and_refuses_short_records() -> None:
+    markers = BASE_M + 1e-4 * ar1(np.random.default_rng(2), 0.0, 40)
+    markers[:, 3] = np.nan
+    markers[::3] = np.nan
+    estimate = estimate_noise([markers])
+    assert estimate is not None
+    assert estimate[0] == pytest.approx(1e-4, rel=0.1)
+    assert estimate_noise([markers[:6]]) is None
+    assert estimate_noise([]) is None
+
+
+@pytest.mark.parametrize("colour", [0.0, 0.7])
+def test_whitened_noise_is_white_and_of_unit_size(colour: float) -> None:
+    rng = np.random.default_rng(3)
+    error = 1e-4 * ar1(rng, colour, 400) + 3e-5 * rng.normal(size=(11, 2))
+    measured = BASE_M + error
+    measured[rng.random((400, 11)) < 0.2] = np.nan
+    whitener = Whitener(measured, Noise(1e-4, colour, 3e-5, 3e-5))
+    white = whitener(np.broadcast_to(BASE_M, (1, 400, 11, 2)).copy())[0]
+    assert white @ white / whitener.count == pytest.approx(1.0, abs=0.05)
+    pairs = white.reshape(22, 400)
+    assert np.mean(pairs[:, 1:] * pairs[:, :-1]) == pytest.approx(0.0, abs=0.03)
+
+
+def test_whitening_equals_the_dense_covariance() -> None:
+    """|white|² is eᵀ C⁻¹ e of the covariance that the class promises, while the cable turns."""
+    rng = np.random.default_rng(4)
+    frames, noise = 12, Noise(1e-4, 0.6, 5e-5, 2e-4)
+    turn = np.linspace(0.0, 1.0, frames)
+    along = np.stack([-np.cos(turn), -np.sin(turn)], axis=-1)
+    across = np.stack([-along[:, 1], along[:, 0]], axis=-1)
+    measured = np.stack([0.01 * along, np.zeros((frames, 2))], axis=1)
+    measured[[3, 4, 9], 0] = np.nan
+    seen = np.isfinite(measured[:, 0, 0])
+    error = 1e-4 * rng.normal(size=(frames, 2))
+    predicted = np.nan_to_num(measured) - error[:, None]
+    white = Whitener(measured, noise)(predicted[None])[0].reshape(2, -1)[0]
+
+    frame = np.arange(frames)
+    colour = noise.std_m**2 * noise.colour ** np.abs(frame[:, None] - frame)
+    dense = np.kron(np.eye(2), colour)
+    for direction, bias in ((across, noise.bias_across_m), (along, noise.bias_along_m)):
+        column = bias * direction.T.ravel()
+        dense += np.outer(column, column)
+    keep = np.tile(seen, 2)
+    e = error.T.ravel()[keep]
+    expected = e @ np.linalg.solve(dense[np.ix_(keep, keep)], e)
+    assert white @ white == pytest.approx(expected, rel=1e-9)
+
+
+def test_errors_come_back_from_white_residuals() -> None:
+    rng = np.random.default_rng(5)
+    error = 1e-4 * ar1(rng, 0.5, 50)
+    measured = BASE_M + error
+    measured[10:13, 4] = np.nan
+    whitener = Whitener(measured, Noise(1e-4, 0.5, 1e-5, 1e-4))
+    back = whitener.error_m(whitener(np.broadcast_to(BASE_M, (1, 50, 11, 2)).copy())[0])
+    np.testing.assert_array_equal(np.isnan(back), np.isnan(measured))
+    np.testing.assert_allclose(
+        np.nansum(back**2, axis=-1), np.nansum((measured - BASE_M) ** 2, axis=-1), rtol=1e-9
+    )
+
+
+def test_still_frames_end_before_the_hand_moves() -> None:
+    t = np.arange(0.0, 1.0, 0.002)
+    y = np.where(t < 0.2, 0.0, -(t - 0.2))
+    grip = Motion(t, 0.0 * t, y, 0.0 * t)
+    frames = np.arange(0.0, 1.0, 0.005)
+    still = frames[still_frames(frames, grip)]
+    assert still[-1] == pytest.approx(0.19, abs=0.006)
+    assert len(frames[still_frames(frames, grip, release_s=0.1)]) == 20
+
+
+@pytest.mark.parametrize(
+    "values", [(0.0, 0.0, 0.0), (float("nan"), 0.0, 0.0), (1e-4, 1.0, 0.0), (1e-4, 0.0, -1e-6)]
+)
+def test_impossible_noise_is_refused(values: tuple[float, float, float]) -> None:
+    with pytest.raises(ValueError, match="noise"):
+        Noise(values[0], values[1], values[2])
