@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from drivers.clock import RealClock
+from drivers.emulators.robotiq import EmulatedGripper
 from drivers.files import FilesCamera, write_frames
 from drivers.guard import (
     ArmLimits,
@@ -22,6 +23,7 @@ from drivers.guard import (
     GuardedGripper,
 )
 from drivers.interfaces import Arm, Camera, Clock, Frame, Gripper, Path
+from drivers.serial_gripper import SerialGripper, SerialGripperOptions
 from drivers.sim.arm import ArmFaults
 from drivers.sim.camera import CameraFaults
 from drivers.sim.clock import SimClock
@@ -159,9 +161,27 @@ def guarded_sim_gripper(request: pytest.FixtureRequest) -> Iterator[GripperBench
         yield bench
 
 
+@contextlib.contextmanager
+def serial_gripper(request: pytest.FixtureRequest) -> Iterator[GripperBench]:
+    with EmulatedGripper() as emulator:
+        options = SerialGripperOptions(emulator.port, reply_s=0.03)
+        jaws, faults = emulator.jaws, emulator.jaws.faults
+        clock = RealClock()
+
+        def pull_out() -> None:
+            jaws.object_count = None
+
+        def fall_silent() -> None:
+            faults.silent = True
+
+        yield GripperBench(
+            SerialGripper(options, clock), clock, pull_out, pull_out, fall_silent, fall_silent
+        )
+
+
 ARMS = {"sim": sim_arm, "guarded": guarded_sim_arm}
 CAMERAS = {"sim": sim_camera, "guarded": guarded_sim_camera, "files": files_camera}
-GRIPPERS = {"sim": sim_gripper, "guarded": guarded_sim_gripper}
+GRIPPERS = {"sim": sim_gripper, "guarded": guarded_sim_gripper, "serial": serial_gripper}
 CLOCKS = {"sim": SimClock, "real": RealClock}
 
 
