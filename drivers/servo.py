@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from scipy.signal import cont2discrete, lfilter
 
@@ -47,10 +49,17 @@ def servo_response(
 def _lagged(values: FloatArray, lag_s: float, step_s: float, rest: float) -> FloatArray:
     if lag_s == 0.0:
         return values
+    numerator, denominator = _filter(lag_s, step_s)
+    departure = values - rest
+    departure[0] = 0.0
+    return np.asarray(rest + lfilter(numerator, denominator, departure), dtype=np.float64)
+
+
+@lru_cache(maxsize=16)
+def _filter(lag_s: float, step_s: float) -> tuple[FloatArray, FloatArray]:
+    """Numerator and denominator of the discrete filter."""
     tau = lag_s / 2.0
     numerator, denominator, _ = cont2discrete(  # type: ignore[call-overload]  # the stubs' gap
         ([1.0], [tau * tau, 2.0 * tau, 1.0]), step_s, method="foh"
     )
-    departure = values - rest
-    departure[0] = 0.0
-    return np.asarray(rest + lfilter(numerator.ravel(), denominator, departure), dtype=np.float64)
+    return numerator.ravel(), denominator

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
@@ -42,35 +44,49 @@ class Destination:
             raise ValueError(f"tip path has shape {tip_m.shape}, not (…, T ≥ 2, 2)")
         if not np.all(np.isfinite(tip_m)):
             raise ValueError("tip path has samples that are not finite: leave unseen frames out")
-        x, y = tip_m[..., 0], tip_m[..., 1]
-        step = np.arange(x.shape[-1] - 1)
-        enters = (x[..., :-1] > self.x_max_m) & (x[..., 1:] <= self.x_max_m)
-        first = np.where(enters.any(-1), enters.argmax(-1), x.shape[-1])[..., None]
-        deepens = (x[..., :-1] > self.x_min_m) & (x[..., 1:] <= self.x_min_m) & (step >= first)
-        reached = deepens.any(-1)
-        last = np.where(reached, deepens.argmax(-1), x.shape[-1] - 1)[..., None]
-
-        clearance = np.minimum(y - self.y_min_m, self.y_max_m - y)
-        # samples within the hole, and the points where the path crosses its two ends
-        sample = np.arange(x.shape[-1])
-        within = (sample > first) & (sample <= last) & (x <= self.x_max_m)
-        margin = np.where(within, clearance, np.inf).min(-1)
-        for edge_m in (self.x_max_m, self.x_min_m):
-            crosses = (x[..., :-1] > edge_m) != (x[..., 1:] > edge_m)
-            crosses &= (step >= first) & (step <= last)
-            with np.errstate(divide="ignore", invalid="ignore"):
-                part = (edge_m - x[..., :-1]) / (x[..., 1:] - x[..., :-1])
-                y_edge = y[..., :-1] + part * (y[..., 1:] - y[..., :-1])
-            at_edge = np.minimum(y_edge - self.y_min_m, self.y_max_m - y_edge)
-            margin = np.minimum(margin, np.where(crosses, at_edge, np.inf).min(-1))
-
-        after_entry = np.where(sample > first, x, np.inf).min(-1)
-        lacking = np.where(reached, np.inf, self.x_min_m - after_entry)
-        outside = np.maximum(np.maximum(self.y_min_m - y, y - self.y_max_m), 0.0)
-        distance = np.hypot(x - self.x_max_m, outside).min(-1)
-        result: FloatArray = np.where(enters.any(-1), np.minimum(margin, lacking), -distance)
-        return result
+        paths = np.ascontiguousarray(tip_m, dtype=np.float64).reshape(-1, *tip_m.shape[-2:])
+        box = (self.x_min_m, self.x_max_m, self.y_min_m, self.y_max_m)
+        margins: FloatArray = _margins(paths, *box)
+        return margins.reshape(tip_m.shape[:-2])
 
     def miss_m(self, tip_m: FloatArray) -> FloatArray:
         """(…) how far the tip misses the passage, m; 0 where it passes.  See `margin_m`."""
         return np.maximum(-self.margin_m(tip_m), 0.0)
+
+
+@njit(cache=True)
+def _margins(
+    paths: FloatArray, x_min: float, x_max: float, y_min: float, y_max: float
+) -> FloatArray:
+    """(paths,) signed margins of (paths, T, 2)."""
+    result = np.empty(len(paths))
+    for p in range(len(paths)):
+        path = paths[p]
+        entered, deep = False, False
+        margin, from_mouth = np.inf, np.inf
+        furthest = x_max
+        for t in range(len(path)):
+            x, y = path[t]
+            outside = max(y_min - y, y - y_max, 0.0)
+            from_mouth = min(from_mouth, math.hypot(x - x_max, outside))
+            if t > 0:
+                x_last, y_last = path[t - 1]
+                through_mouth = (x_last > x_max) != (x > x_max)
+                entered = entered or (through_mouth and x <= x_max)
+                if entered and through_mouth:
+                    y_edge = y_last + (x_max - x_last) / (x - x_last) * (y - y_last)
+                    margin = min(margin, y_edge - y_min, y_max - y_edge)
+                if entered and x_last > x_min >= x:
+                    y_edge = y_last + (x_min - x_last) / (x - x_last) * (y - y_last)
+                    margin = min(margin, y_edge - y_min, y_max - y_edge)
+                    deep = True
+                    break
+            if entered and x <= x_max:
+                margin = min(margin, y - y_min, y_max - y)
+                furthest = min(furthest, x)
+        if not entered:
+            margin = -from_mouth
+        elif not deep:
+            margin = min(margin, x_min - furthest)
+        result[p] = margin
+    return result

@@ -9,7 +9,9 @@ import numpy as np
 import ruckig
 from numpy.typing import NDArray
 
+from cell.cable.clamp import pose_of
 from cell.cable.geometry import Motion
+from cell.identify.hand import moves_from_s
 from drivers.interfaces import Path, Pose
 from drivers.servo import servo_response
 
@@ -103,12 +105,14 @@ def executed_motion(
     if settle_s > 0.0:
         rows = np.vstack([rows, rows[-1] + [settle_s, 0.0, 0.0, 0.0]])
     if history is not None:
-        past = np.column_stack([history.t_s, history.x_m, history.y_m, history.angle_rad])
-        if past[-1, 0] > rows[0, 0]:
-            raise ValueError(
-                f"history ends at {past[-1, 0]} s: must be before the path, {rows[0, 0]} s"
-            )
-        rows = np.vstack([past[past[:, 0] < rows[0, 0]], rows])
+        end_s = float(history.t_s[-1])
+        if end_s > rows[0, 0]:
+            raise ValueError(f"history ends at {end_s} s: must be before the path, {rows[0, 0]} s")
+        # without the noise of its log, and from when it first moves: before that the cable rests
+        begin = np.searchsorted(history.t_s, moves_from_s(history) - 0.02, side="right") - 1
+        past_s = history.t_s[max(0, int(begin)) :]
+        past_s = past_s[past_s < rows[0, 0]]
+        rows = np.vstack([np.column_stack([past_s, *pose_of(history)(past_s)]), rows])
     return Motion(*(np.ascontiguousarray(column) for column in rows.T))
 
 
