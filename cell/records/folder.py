@@ -58,12 +58,13 @@ class Record:
         """This cable's parameters."""
         self._write("model.json", _json(model))
 
-    def picture(self, name: str, image: NDArray[np.uint8]) -> None:
-        """One picture (H, W, 3), blue first, as `name`.png."""
-        done, data = cv2.imencode(".png", image)
-        if not done:
-            raise ValueError(f"picture {name} of shape {image.shape} cannot be encoded")
-        self._write(f"{name}.png", data.tobytes())
+    def pictures(self, images: Mapping[str, NDArray[np.uint8]]) -> None:
+        """Pictures (H, W, 3), blue first, each as its name with .png."""
+        for name, image in images.items():
+            done, data = cv2.imencode(".png", image)
+            if not done:
+                raise ValueError(f"picture {name} of shape {image.shape} cannot be encoded")
+            self._write(f"{name}.png", data.tobytes())
 
     def close(self, result: Result) -> None:
         """Write the result and the mark that nothing more comes."""

@@ -59,6 +59,8 @@ def _hand_within_limits(document: Document, settings: Settings) -> list[Problem]
         (("motion", "home", "x_m"), "x_m", home.x_m, limits.x_m),
         (("motion", "home", "y_m"), "y_m", home.y_m, limits.y_m),
         (("motion", "home", "angle_rad"), "angle_rad", home.angle_rad, limits.angle_rad),
+        (("motion", "aside", "x_m"), "x_m", motion.aside.x_m, limits.x_m),
+        (("motion", "aside", "y_m"), "y_m", motion.aside.y_m, limits.y_m),
         (("motion", "lower_m"), "y_m", lowered_m, limits.y_m),
         (("motion", "offsets", "last_m"), "y_m", deepest_m, limits.y_m),
         (("motion", "advance_m"), "x_m", home.x_m - motion.advance_m, limits.x_m),
@@ -77,12 +79,16 @@ def _hand_within_limits(document: Document, settings: Settings) -> list[Problem]
 def _brisker_than_limits(document: Document, settings: Settings) -> list[Problem]:
     return [
         document.problem(
-            ("motion", name),
-            f"{getattr(settings.motion, name):g} is beyond limits.{name} = "
+            ("motion", stroke, name),
+            f"{getattr(briskness, name):g} is beyond limits.{name} = "
             f"{getattr(settings.limits, name):g}; lower it",
         )
+        for stroke, briskness in (
+            ("lowering", settings.motion.lowering),
+            ("insertion", settings.motion.insertion),
+        )
         for name in ("velocity_m_per_s", "acceleration_m_per_s2", "jerk_m_per_s3")
-        if getattr(settings.motion, name) > getattr(settings.limits, name)
+        if getattr(briskness, name) > getattr(settings.limits, name)
     ]
 
 

@@ -72,27 +72,46 @@ class Offsets(_Section):
         return tuple(float(v) for v in self.first_m + self.step_m * np.arange(count))
 
 
+class Briskness(_Section):
+    """How briskly the hand moves along either axis."""
+
+    velocity_m_per_s: Positive
+    acceleration_m_per_s2: Positive
+    jerk_m_per_s3: Positive
+
+
 class Motion(_Section):
-    """What the hand does in a cycle, and how briskly."""
+    """What the hand does in a cycle."""
 
     home: Pose = Pose()
     """Where a cable is grasped."""
-    still_s: NotNegative = 0.1
-    """Filmed at rest before the cable is moved."""
+    aside: Pose = Pose(x_m=0.015, y_m=-0.05)
+    """Where a rejected cable is let go."""
+    calm_s: NotNegative = 0.5
+    """After grasping, until the cable rests."""
+    still_s: Positive = 0.2
+    """Filmed at rest before the cable is moved; shows the noise and the still shape."""
     lower_m: Positive = 0.050
     """Down, to make the cable swing."""
     lower_s: Positive = 0.3
     """In this time, or as long as the limits ask."""
     hold_s: Positive = 1.0
     """Held still while the swing is filmed."""
+    decide_s: NotNegative = 0.2
+    """From the last frame of the swing until the execution begins: time for the computer."""
     offsets: Offsets = Offsets()
     advance_m: Positive = 0.050
     """Left, towards the destination."""
     settle_s: NotNegative = 0.2
     """Filmed after the hand has come to rest."""
-    velocity_m_per_s: Positive = 0.5
-    acceleration_m_per_s2: Positive = 5.0
-    jerk_m_per_s3: Positive = 200.0
+    lowering: Briskness = Briskness(
+        velocity_m_per_s=0.5, acceleration_m_per_s2=5.0, jerk_m_per_s3=200.0
+    )
+    """Brisk, so that the swing is worth filming."""
+    insertion: Briskness = Briskness(
+        velocity_m_per_s=0.25, acceleration_m_per_s2=1.5, jerk_m_per_s3=25.0
+    )
+    """Gentle, so that neighbouring offsets lead the tip to neighbouring heights."""
 
 
 class Limits(_Section):

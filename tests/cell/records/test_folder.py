@@ -76,7 +76,7 @@ def test_a_result_goes_through_json_with_its_fault_and_without_nan() -> None:
 
 def test_pictures_and_settings_are_written_whole(tmp_path: Path) -> None:
     record = Record(tmp_path, 1, NOW)
-    record.picture("overlay", np.zeros((4, 5, 3), np.uint8))
+    record.pictures({"overlay": np.zeros((4, 5, 3), np.uint8)})
     record.settings({"gripper": {"force_n": 20.0}})
     names = {f.name for f in record.folder.iterdir()}
     assert names == {"overlay.png", "settings.yaml"}, "no half-written file may stay"

@@ -1,0 +1,161 @@
+"""What the steps of a cycle work with: devices and task, and what is handed from step to step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.plane import PlaneView
+from cell.cable.geometry import Cable, Motion, node_arc_lengths
+from cell.commands import Commands
+from cell.identify.individual import IdentifyOptions, hold_trial
+from cell.plan.choose import ChoiceOptions, Forecast
+from cell.plan.destination import Destination
+from cell.plan.paths import MotionLimits
+from cell.study.data import Markers, Trial
+from cell.vision.detect import VisionOptions
+from cell.vision.sighting import Sighting
+from drivers.interfaces import Arm, Camera, Clock, Frame, Gripper, Path, Pose
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Devices:
+    """Everything that moves, sees or holds, and the clock they share."""
+
+    arm: Arm
+    camera: Camera
+    gripper: Gripper
+    clock: Clock
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is to be done with every cable."""
+
+    cable: Cable
+    destination: Destination
+    home: Pose
+    aside: Pose
+    calm_s: float
+    still_s: float
+    lower_m: float
+    lower_s: float
+    hold_s: float
+    decide_s: float
+    offsets_m: tuple[float, ...]
+    advance_m: float
+    settle_s: float
+    lowering: MotionLimits
+    insertion: MotionLimits
+    force_n: float
+    view: PlaneView
+    vision: VisionOptions
+    identification: IdentifyOptions
+    choice: ChoiceOptions
+
+    @property
+    def lowered(self) -> Pose:
+        """Where the hand is held while the cable swings."""
+        return Pose(self.home.x_m, self.home.y_m - self.lower_m, self.home.angle_rad)
+
+    @property
+    def arc_length_m(self) -> FloatArray:
+        """(nodes,) where on the cable the camera measures, tip first."""
+        return node_arc_lengths(self.cable.free_length_m, self.vision.nodes)
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Devices, the task, and the commands that may interrupt it."""
+
+    devices: Devices
+    task: Task
+    commands: Commands
+
+
+@dataclass(frozen=True)
+class Filming:
+    """A motion that is being filmed: it began at `begin_s` and the hand rests from `rest_s`."""
+
+    begin_s: float
+    rest_s: float
+    frame_count: int
+
+
+@dataclass(frozen=True)
+class Filmed:
+    """A motion that was filmed, on the cell's clock.
+
+    begin_s     when filming began
+    sightings   one per frame
+    hand        measured poses, from before the first frame to after the last
+    pictures    a few of the frames, to look at later
+    """
+
+    begin_s: float
+    sightings: tuple[Sighting, ...]
+    hand: Path
+    pictures: tuple[Frame, ...] = field(repr=False)
+
+
+@dataclass(frozen=True, eq=False)
+class Prospect:
+    """What each offset would do if its path began at `start_s`: paths in the arm's own frame."""
+
+    start_s: float
+    paths: tuple[Path, ...]
+    forecast: Forecast
+
+
+def held_trial(filmed: Filmed) -> Trial:
+    """The hold as a trial, time counted from the first frame; the hand where the camera saw it."""
+    sightings, hand, zero_s = filmed.sightings, filmed.hand, filmed.begin_s
+    return hold_trial(
+        Motion(hand.t_s - zero_s, hand.x_m, hand.y_m, hand.angle_rad),
+        np.array([s.t_s - zero_s for s in sightings]),
+        np.array([s.nodes_m for s in sightings]),
+        np.array([s.grip_m for s in sightings]),
+        np.array([s.clamp_angle_rad for s in sightings]),
+    )
+
+
+def executed_trial(held: Trial, before: Filmed, after: Filmed) -> Trial:
+    """The execution as a trial: it begins in equilibrium, hence with the hand's motion before."""
+    beside = beside_m_rad(before.hand, held.grip)
+    zero_s = before.begin_s
+    later = after.hand.t_s > before.hand.t_s[-1]
+    hands = [moved(before.hand, beside), moved(after.hand, beside)]
+    grip = [
+        np.concatenate([getattr(hands[0], name), getattr(hands[1], name)[later]])
+        for name in ("t_s", "x_m", "y_m", "angle_rad")
+    ]
+    return Trial(
+        "execute",
+        "validate",
+        "equilibrium",
+        Motion(grip[0] - zero_s, *grip[1:]),
+        Markers(
+            np.array([s.t_s - zero_s for s in after.sightings]),
+            np.array([s.nodes_m for s in after.sightings]),
+        ),
+    )
+
+
+def beside_m_rad(logged: Path, seen: Motion) -> FloatArray:
+    """(3,) x, y, angle by which the camera sees the hand beside where the arm says it is."""
+    return np.array(
+        [
+            seen.x_m[0] - logged.x_m[0],
+            seen.y_m[0] - logged.y_m[0],
+            seen.angle_rad[0] - logged.angle_rad[0],
+        ]
+    )
+
+
+def moved(path: Path, by: FloatArray) -> Path:
+    """Path with `by` (3,) added to x, y and angle."""
+    return Path(path.t_s, path.x_m + by[0], path.y_m + by[1], path.angle_rad + by[2])

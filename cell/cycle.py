@@ -1,0 +1,295 @@
+"""One cycle of the cell: the steps in their order, inside the machine's states, with a record."""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Concatenate, ParamSpec, TypeVar
+
+from cell import steps
+from cell.bench import Bench, Devices, Filmed, Prospect, Task, executed_trial, held_trial
+from cell.commands import INTERRUPTING, RESUMING, Commands, InterruptedByCommandError
+from cell.identify.identified import Identified
+from cell.identify.individual import CableRejectedError
+from cell.machine import CellState, Event, EventRefusedError, Machine
+from cell.pictures import held_pictures, passage_pictures
+from cell.plan.choose import Choice
+from cell.plan.passage import Passage, height_at_mouth_m
+from cell.records.folder import Record
+from cell.records.result import Fault, Outcome, Result
+from cell.study.data import Study, Trial
+from drivers.interfaces import DeviceError
+
+Given = ParamSpec("Given")
+Found = TypeVar("Found")
+
+#: Steps that only compute: their time is the computer's, not that of the cell's clock.
+COMPUTING = frozenset({"identify", "simulate", "choose", "verify"})
+
+
+@dataclass
+class Progress:
+    """The cycle under way: where it is, and the entries of its result as they become known."""
+
+    number: int
+    record: Record
+    step: str = "reset"
+    seconds: dict[str, float] = field(default_factory=dict)
+    known: dict[str, Any] = field(default_factory=dict)
+
+    def result(self) -> Result:
+        """The cycle's result so far."""
+        known = {k: v for k, v in self.known.items() if not (isinstance(v, float) and v != v)}
+        folder = str(self.record.folder)
+        return Result(cycle=self.number, folder=folder, seconds=self.seconds, **known)
+
+
+class Cell:
+    """A live cell: runs cycles, obeys commands from any thread, and always leaves the arm stopped.
+
+    devices   guarded by their limits
+    task      what to do with every cable
+    settings  as resolved, for the record
+    runs      folder in which every cycle gets its own
+    on_step   told of every step as it begins: number of the cycle, name of the step
+    """
+
+    def __init__(
+        self,
+        devices: Devices,
+        task: Task,
+        settings: Mapping[str, Any],
+        runs: Path,
+        on_step: Callable[[int, str], None] = lambda number, step: None,
+    ) -> None:
+        self.commands = Commands()
+        self.machine = Machine(devices.clock.now_s)
+        self._bench = Bench(devices, task, self.commands)
+        self._settings = settings
+        self._runs = runs
+        self._on_step = on_step
+        self._connected = False
+
+    def command(self, event: Event, reason: str = "") -> None:
+        """Stop, abort, hold, unhold, suspend or unsuspend, from any thread, at any time.
+
+        A stop or an abort is given to the arm before this returns.
+        """
+        self.commands.give(event, reason)
+        if event in INTERRUPTING:
+            steps.stop(self._bench.devices, reason or event.value)
+
+    def acknowledge(self) -> None:
+        """A person's word that the cause of a stop or an abort is gone.
+
+        raises  EventRefusedError: the cell is not stopped
+        """
+        if self.machine.state is CellState.ABORTED:
+            self.machine.send(Event.CLEAR)
+            self.machine.send(Event.DONE)
+        if self.machine.state is not CellState.STOPPED:
+            raise EventRefusedError(f"nothing to acknowledge while {self.machine.state.value}")
+        self.commands.clear()
+
+    def close(self) -> None:
+        """Stop the arm and disconnect all devices."""
+        steps.close(self._bench.devices)
+        self._connected = False
+
+    def run_cycle(self, number: int) -> Result:
+        """One cable from grasp to release; whatever happens, a result, a record and a still arm.
+
+        raises  EventRefusedError: the cell was stopped by a fault that nobody acknowledged
+        """
+        if not self.machine.can(Event.RESET):
+            raise EventRefusedError(f"no cycle can begin while {self.machine.state.value}")
+        before = self.machine.seconds()
+        progress = Progress(number, Record(self._runs, number, datetime.now()))
+        try:
+            progress.record.settings(self._settings)
+            self._reset(progress)
+            self._send(progress, Event.START)
+            self._step(progress, "start", steps.check_ready)
+            self._send(progress, Event.DONE)
+            self._execute(progress)
+            self._send(progress, Event.DONE)
+            self._step(progress, "go_home", steps.go_home)
+            self._send(progress, Event.DONE)
+        except BaseException as error:
+            self._end(progress, error)
+        after = self.machine.seconds()
+        progress.known["state_seconds"] = {
+            state.value: after[state] - before[state]
+            for state in CellState
+            if after[state] > before[state]
+        }
+        result = progress.result()
+        progress.record.close(result)
+        return result
+
+    # --- what happens in the states -----------------------------------------------------------
+
+    def _reset(self, progress: Progress) -> None:
+        self._send(progress, Event.RESET)
+        if not self._connected:
+            self._step(progress, "connect", steps.connect)
+            self._connected = True
+        self._step(progress, "reset", steps.reset)
+        self._send(progress, Event.DONE)
+
+    def _execute(self, progress: Progress) -> None:
+        """The nine steps; what each of them finds is recorded at once."""
+        self._step(progress, "grasp", steps.grasp)
+        self._pause(progress)
+        filming = self._step(progress, "lower", steps.lower)
+        held = self._step(progress, "hold_and_capture", steps.hold_and_capture, filming)
+        trial = held_trial(held)
+        self._record_study(progress, trial)
+        ready_from_s = time.perf_counter()
+        try:
+            identified = self._step(progress, "identify", steps.identify, trial)
+        except CableRejectedError as error:
+            self._reject(progress, str(error))
+            return
+        self._record_model(progress, identified)
+        prospect, choice = self._decide(progress, held, trial, identified, ready_from_s)
+        progress.record.pictures(held_pictures(held, trial, identified, self._bench.task))
+        if choice.reason is not None:
+            self._reject(progress, choice.reason)
+            return
+        progress.known["offset_m"] = choice.best.offset_m
+        path = prospect.paths[choice.table.index(choice.best)]
+        executed = self._step(progress, "execute", steps.execute, path, prospect.start_s)
+        self._record_study(progress, trial, executed_trial(trial, held, executed))
+        passage = self._step(progress, "verify", steps.verify, executed, prospect, choice)
+        self._record_passage(progress, passage)
+        progress.record.pictures(passage_pictures(executed, prospect, choice, self._bench.task))
+        self._pause(progress)
+        self._step(progress, "release", steps.release, inserted=passage.passed)
+        progress.known["outcome"] = Outcome.INSERTED if passage.passed else Outcome.MISSED
+
+    def _decide(
+        self,
+        progress: Progress,
+        held: Filmed,
+        trial: Trial,
+        identified: Identified,
+        ready_from_s: float,
+    ) -> tuple[Prospect, Choice]:
+        """Simulate and choose, again if a pause or a slow computer let the moment go by."""
+        lead_s = self._bench.task.decide_s
+        while True:
+            prospect = self._step(
+                progress, "simulate", steps.simulate, held, trial, identified, lead_s
+            )
+            choice = self._step(progress, "choose", steps.choose, prospect, identified)
+            progress.known.update(
+                wait_s=time.perf_counter() - ready_from_s,
+                probability=choice.best.probability,
+                predicted_margin_m=choice.best.margin_m,
+                predicted_miss_m=height_at_mouth_m(self._bench.task.destination, choice.tip_m),
+            )
+            paused = self._pause(progress)
+            if choice.reason is not None or not (
+                paused or steps.is_past(self._bench, prospect.start_s)
+            ):
+                return prospect, choice
+            lead_s *= 1.0 if paused else 2.0
+
+    def _reject(self, progress: Progress, reason: str) -> None:
+        progress.known["reason"] = reason
+        self._pause(progress)
+        self._step(progress, "release", steps.release, inserted=False)
+        progress.known["outcome"] = Outcome.REJECTED
+
+    def _end(self, progress: Progress, error: BaseException) -> None:
+        """Stop, say why, and come to rest in Stopped (by command) or Aborted (by fault)."""
+        fault, event = _fault(progress.step, error)
+        mode = steps.halt(self._bench.devices, fault.cause)
+        for sent in (event, Event.DONE):
+            if self.machine.can(sent):
+                self.machine.send(sent)
+        progress.known.update(outcome=Outcome.FAILED, fault=fault)
+        progress.record.state(
+            state=self.machine.state.value,
+            arm=mode.value,
+            traceback=None
+            if isinstance(error, DeviceError | InterruptedByCommandError | KeyboardInterrupt)
+            else "".join(traceback.format_exception(error)),
+        )
+
+    # --- what surrounds every step ------------------------------------------------------------
+
+    def _step(
+        self,
+        progress: Progress,
+        name: str,
+        act: Callable[Concatenate[Bench, Given], Found],
+        *args: Given.args,
+        **kwargs: Given.kwargs,
+    ) -> Found:
+        progress.step = name
+        progress.record.state(step=name, state=self.machine.state.value)
+        self._on_step(progress.number, name)
+        now_s = time.perf_counter if name in COMPUTING else self._bench.devices.clock.now_s
+        begun_s = now_s()
+        try:
+            return act(self._bench, *args, **kwargs)
+        finally:
+            passed_s = now_s() - begun_s
+            progress.seconds[name] = progress.seconds.get(name, 0.0) + passed_s
+            progress.record.state(seconds=progress.seconds)
+
+    def _send(self, progress: Progress, event: Event) -> None:
+        progress.record.state(state=self.machine.send(event).value)
+
+    def _pause(self, progress: Progress) -> bool:
+        """Hold or suspend if that was asked for, until it is taken back; whether it was."""
+        pause = self.commands.pause
+        if pause is None:
+            return False
+        self._send(progress, pause)
+        self._send(progress, Event.DONE)
+        self._on_step(progress.number, self.machine.state.value)
+        self.commands.wait_until_resumed(pause)
+        self._send(progress, RESUMING[pause])
+        self._send(progress, Event.DONE)
+        return True
+
+    # --- what is recorded ---------------------------------------------------------------------
+
+    def _record_study(self, progress: Progress, *trials: Trial) -> None:
+        task = self._bench.task
+        name = progress.record.folder.name
+        progress.record.study(Study(name, task.cable, task.arc_length_m, trials))
+
+    def _record_model(self, progress: Progress, identified: Identified) -> None:
+        progress.record.model(identified.to_dict())
+        progress.known["parameters"] = {
+            name: float(value)
+            for name, value in zip(identified.space.names, identified.values, strict=True)
+        }
+
+    def _record_passage(self, progress: Progress, passage: Passage) -> None:
+        progress.known.update(
+            measured_miss_m=passage.miss_m,
+            margin_m=passage.margin_m,
+            prediction_error_m=passage.error_m,
+        )
+        if passage.reason is not None:
+            progress.known["reason"] = passage.reason
+
+
+def _fault(step: str, error: BaseException) -> tuple[Fault, Event]:
+    match error:
+        case InterruptedByCommandError():
+            return Fault(step, error.reason or error.event.value), error.event
+        case KeyboardInterrupt():
+            return Fault(step, "interrupted by a person"), Event.STOP
+        case DeviceError():
+            return Fault(step, error.cause, error.device, error.remedy), Event.ABORT
+    return Fault(step, f"{type(error).__name__}: {error}"), Event.ABORT

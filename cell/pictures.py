@@ -1,0 +1,73 @@
+"""Pictures of a cycle for its record: what was seen and what the model says, over the frames."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.bench import Filmed, Prospect, Task
+from cell.cable.dynamics import simulate
+from cell.identify.identified import Identified
+from cell.plan.choose import Choice
+from cell.study.data import Trial
+from cell.vision.overlay import overlay
+from drivers.interfaces import Frame
+
+FloatArray = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+_DESTINATION = (60, 60, 255)  # BGR
+_SEEN = (60, 220, 60)
+_PREDICTED = (60, 140, 255)
+
+
+def held_pictures(
+    filmed: Filmed, trial: Trial, identified: Identified, task: Task
+) -> dict[str, Image]:
+    """The hold: at rest before, in the widest swing, and at its end; with the model's nodes."""
+    tip_y_m = np.array([filmed.sightings[p.index].nodes_m[0, 1] for p in filmed.pictures])
+    widest = int(np.nanargmin(tip_y_m)) if np.isfinite(tip_y_m).any() else 0
+    chosen = {"still": 0, "swing": widest, "held": len(filmed.pictures) - 1}
+    t_s = np.array(sorted({filmed.pictures[i].t_s - filmed.begin_s for i in chosen.values()}))
+    nodes_m = simulate(identified.model, trial.grip, t_s, task.arc_length_m)[0]
+    images = {}
+    for name, i in chosen.items():
+        frame = filmed.pictures[i]
+        at = int(np.argmin(np.abs(t_s - (frame.t_s - filmed.begin_s))))
+        images[f"identify_{name}"] = _drawn(frame, filmed, task, nodes_m[at])
+    return images
+
+
+def passage_pictures(
+    filmed: Filmed, prospect: Prospect, choice: Choice, task: Task
+) -> dict[str, Image]:
+    """The execution near the passage: destination, predicted and measured path of the tip."""
+    destination = task.destination
+    passes_s = (
+        prospect.start_s + choice.t_s[int(np.argmax(choice.tip_m[:, 0] <= destination.x_max_m))]
+    )
+    frame = min(filmed.pictures, key=lambda p: abs(p.t_s - passes_s))
+    image = overlay(frame.image, filmed.sightings[frame.index], task.view)
+    corners_m = np.array(
+        [
+            [destination.x_min_m, destination.y_max_m],
+            [destination.x_max_m, destination.y_max_m],
+            [destination.x_max_m, destination.y_min_m],
+            [destination.x_min_m, destination.y_min_m],
+        ]
+    )
+    seen_m = np.array([s.nodes_m[0] for s in filmed.sightings if s.seen])
+    for line_m, colour, closed in (
+        (corners_m, _DESTINATION, True),
+        (choice.tip_m, _PREDICTED, False),
+        (seen_m, _SEEN, False),
+    ):
+        if len(line_m):
+            pixels = np.rint(task.view.to_pixels(line_m) * 16.0).astype(np.int32)
+            cv2.polylines(image, [pixels], closed, colour, 2, cv2.LINE_AA, 4)
+    return {"execute_passage": image}
+
+
+def _drawn(frame: Frame, filmed: Filmed, task: Task, nodes_m: FloatArray) -> Image:
+    return overlay(frame.image, filmed.sightings[frame.index], task.view, nodes_m)

@@ -1,0 +1,291 @@
+"""The steps of a cycle, one function each: the only code of the cell that calls devices.
+
+grasp → lower → hold and capture → identify → simulate → choose → execute → verify → release.
+Every step takes the bench (devices and task) and what the steps before it found, and returns what
+it found itself; nothing is kept here.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cell.bench import Bench, Devices, Filmed, Filming, Prospect, beside_m_rad, moved
+from cell.cable.geometry import Motion
+from cell.identify.identified import Identified
+from cell.identify.individual import identify as identify_cable
+from cell.plan.choose import Choice, forecast
+from cell.plan.choose import choose as choose_offset
+from cell.plan.passage import Passage, measured_passage
+from cell.plan.paths import executed_motion, identification_path, insertion_path, retreat_path
+from cell.study.data import Trial
+from cell.vision.detect import detect
+from cell.vision.sighting import Sighting
+from drivers.interfaces import (
+    ArmMode,
+    CameraError,
+    DeviceError,
+    DeviceTimeoutError,
+    Frame,
+    GripError,
+    Path,
+    Pose,
+    StoppedError,
+)
+
+#: How long a wait is between two looks at the commands, s.
+POLL_S = 0.01
+#: Longest time that an arm needs to rest after the end of its path, beyond its lag, s.
+REST_TIMEOUT_S = 1.0
+#: A hand this close to where it is sent is there already, m.
+AT_GOAL_M = 2e-4
+#: One frame in so many is kept as a picture, during the hold and during the execution.
+KEEP_EVERY_HELD, KEEP_EVERY_MOVING = 20, 4
+
+
+# --- around the steps ---------------------------------------------------------------------------
+
+
+def connect(bench: Bench) -> None:
+    """Connect all devices, the one that moves last.  Raises ConnectError."""
+    bench.devices.gripper.connect()
+    bench.devices.camera.connect()
+    bench.devices.arm.connect()
+
+
+def close(devices: Devices) -> None:
+    """Disconnect all devices, each whatever happens to the others."""
+    try:
+        devices.arm.close()
+    finally:
+        try:
+            devices.camera.close()
+        finally:
+            devices.gripper.close()
+
+
+def stop(devices: Devices, reason: str) -> None:
+    """Stop the arm now; from any thread; latched until `reset`."""
+    devices.arm.stop(reason)
+
+
+def halt(devices: Devices, reason: str) -> ArmMode:
+    """Stop the arm and the recording, and wait until the arm rests; the jaws stay as they are.
+
+    returns  the arm's mode at rest; LOST if it does not answer, and then nothing more is known
+    """
+    devices.arm.stop(reason)
+    devices.camera.stop()
+    end_s = devices.clock.now_s() + REST_TIMEOUT_S
+    try:
+        while (state := devices.arm.state()).moving and devices.clock.now_s() < end_s:
+            devices.clock.sleep_s(POLL_S)
+    except DeviceError:
+        return ArmMode.LOST
+    return state.mode
+
+
+def is_past(bench: Bench, t_s: float) -> bool:
+    """Whether a moment has gone by."""
+    return bench.devices.clock.now_s() > t_s
+
+
+def reset(bench: Bench) -> None:
+    """Clear our own stop, empty the jaws and bring the hand home, level strokes first."""
+    bench.devices.arm.reset()
+    bench.commands.check()  # after the reset, so that a stop given meanwhile is not lost
+    bench.devices.gripper.release()
+    go_home(bench)
+
+
+def go_home(bench: Bench) -> None:
+    """Bring the hand from wherever it is to where cables are grasped."""
+    _move(bench, bench.task.home)
+
+
+def check_ready(bench: Bench) -> None:
+    """Whether a cycle may begin: arm ready, jaws empty.  Raises a DeviceError that says why not."""
+    _check_arm(bench)
+    if bench.devices.gripper.state().holding:
+        raise GripError(bench.devices.gripper.name, "holds something already", "empty the jaws")
+
+
+# --- the steps ----------------------------------------------------------------------------------
+
+
+def grasp(bench: Bench) -> None:
+    """Close the jaws on the cable and let it calm down.  Raises GripError."""
+    bench.devices.gripper.grip(bench.task.force_n)
+    _wait_until(bench, bench.devices.clock.now_s() + bench.task.calm_s)
+
+
+def lower(bench: Bench) -> Filming:
+    """Begin to film the cable at rest, then move it down so that it swings."""
+    task, arm, camera = bench.task, bench.devices.arm, bench.devices.camera
+    path = identification_path(
+        task.home, task.lower_m, task.lowering, arm.rate_hz, duration_s=task.lower_s, hold_s=0.0
+    )
+    moving_s = float(path.t_s[-1]) + arm.lag_s
+    count = int(np.ceil((task.still_s + moving_s + task.hold_s) * camera.frame_rate_hz))
+    begin_s = bench.devices.clock.now_s()
+    camera.start(count)
+    _wait_until(bench, begin_s + task.still_s)
+    arm.follow(path)
+    rest_s = bench.devices.clock.now_s() + moving_s
+    _wait_until(bench, rest_s)
+    return Filming(begin_s, rest_s, count)
+
+
+def hold_and_capture(bench: Bench, filming: Filming) -> Filmed:
+    """Hold still while the cable swings, and find it in every frame as it comes."""
+    sightings, pictures = _see(bench, filming.frame_count, KEEP_EVERY_HELD)
+    _wait_until(bench, filming.rest_s + bench.task.hold_s)
+    _check_arm(bench)
+    _check_grip(bench)
+    hand = bench.devices.arm.log(filming.begin_s, bench.devices.clock.now_s())
+    return Filmed(filming.begin_s, sightings, hand, pictures)
+
+
+def identify(bench: Bench, trial: Trial) -> Identified:
+    """This cable's parameters.  Raises CableRejectedError."""
+    task = bench.task
+    bench.commands.check()
+    return identify_cable(trial, task.arc_length_m, task.cable, options=task.identification)
+
+
+def simulate(
+    bench: Bench, filmed: Filmed, trial: Trial, identified: Identified, lead_s: float
+) -> Prospect:
+    """Simulate every offset as it would be executed `lead_s` from now.
+
+    The cable still swings and remembers the hand's motion up to now; the hand follows with its
+    known lag, and is seen by the camera a constant beside where the arm says it is.
+    """
+    task, arm = bench.task, bench.devices.arm
+    bench.commands.check()
+    start_s = bench.devices.clock.now_s() + lead_s
+    to_start_s = filmed.begin_s - start_s
+    history = Motion(
+        trial.grip.t_s + to_start_s, trial.grip.x_m, trial.grip.y_m, trial.grip.angle_rad
+    )
+    beside = beside_m_rad(filmed.hand, trial.grip)
+    paths = tuple(
+        insertion_path(task.lowered, offset_m, task.advance_m, task.insertion, arm.rate_hz)
+        for offset_m in task.offsets_m
+    )
+    motions = [
+        executed_motion(moved(path, beside), arm.lag_s, settle_s=task.settle_s, history=history)
+        for path in paths
+    ]
+    expected = forecast(identified, np.array(task.offsets_m), motions, options=task.choice)
+    return Prospect(start_s, paths, expected)
+
+
+def choose(bench: Bench, prospect: Prospect, identified: Identified) -> Choice:
+    """The offset that passes most probably, or why none does."""
+    bench.commands.check()
+    task = bench.task
+    return choose_offset(prospect.forecast, identified, task.destination, task.choice)
+
+
+def verify(bench: Bench, filmed: Filmed, prospect: Prospect, choice: Choice) -> Passage:
+    """Whether the tip was seen to pass the destination, and how far the forecast was off."""
+    bench.commands.check()
+    return measured_passage(
+        bench.task.destination,
+        np.array([s.t_s for s in filmed.sightings]),
+        np.array([s.nodes_m[0] for s in filmed.sightings]),
+        prospect.start_s + choice.t_s,
+        choice.tip_m,
+    )
+
+
+def execute(bench: Bench, path: Path, start_s: float) -> Filmed:
+    """Follow the chosen path from `start_s` on and film it until the hand has settled."""
+    task, arm, camera = bench.task, bench.devices.arm, bench.devices.camera
+    duration_s = float(path.t_s[-1]) + arm.lag_s + task.settle_s
+    frame_count = int(np.ceil(duration_s * camera.frame_rate_hz))
+    _wait_until(bench, start_s)
+    arm.follow(path)
+    camera.start(frame_count)
+    sightings, pictures = _see(bench, frame_count, KEEP_EVERY_MOVING)
+    _wait_until(bench, start_s + duration_s)
+    _check_arm(bench)
+    _check_grip(bench)
+    return Filmed(start_s, sightings, arm.log(start_s, bench.devices.clock.now_s()), pictures)
+
+
+def release(bench: Bench, *, inserted: bool) -> None:
+    """Let go of the cable: where it is if it was inserted, else aside."""
+    if not inserted:
+        _move(bench, bench.task.aside)
+    bench.devices.gripper.release()
+
+
+# --- what the steps share -----------------------------------------------------------------------
+
+
+def _see(
+    bench: Bench, frame_count: int, keep_every: int
+) -> tuple[tuple[Sighting, ...], tuple[Frame, ...]]:
+    """Find the cable in every frame of the recording under way; keep some of the pictures."""
+    task = bench.task
+    sightings: list[Sighting] = []
+    pictures: list[Frame] = []
+    while (frame := bench.devices.camera.read()) is not None:
+        bench.commands.check()
+        previous = sightings[-1] if sightings else None
+        sightings.append(detect(frame.image, frame.t_s, task.view, task.vision, None, previous))
+        if frame.index % keep_every == 0:
+            pictures.append(frame)
+    if len(sightings) < frame_count:
+        raise CameraError(
+            bench.devices.camera.name,
+            f"only {len(sightings)} of {frame_count} frames came",
+            "check cable, load and frame rate of the camera",
+        )
+    return tuple(sightings), tuple(pictures)
+
+
+def _wait_until(bench: Bench, t_s: float) -> None:
+    """Let time pass.  Raises InterruptedByCommandError."""
+    bench.commands.check()
+    clock = bench.devices.clock
+    while (left_s := t_s - clock.now_s()) > 0.0:
+        clock.sleep_s(min(left_s, POLL_S))
+        bench.commands.check()
+
+
+def _move(bench: Bench, goal: Pose) -> None:
+    """Move to `goal`: level first, then up or down, and rest there."""
+    arm = bench.devices.arm
+    here = arm.state().pose
+    if max(abs(here.x_m - goal.x_m), abs(here.y_m - goal.y_m)) < AT_GOAL_M:
+        return
+    path = retreat_path(here, goal, bench.task.lowering, arm.rate_hz)
+    arm.follow(path)
+    _wait_until(bench, bench.devices.clock.now_s() + float(path.t_s[-1]) + arm.lag_s)
+    end_s = bench.devices.clock.now_s() + REST_TIMEOUT_S
+    while arm.state().moving:
+        if bench.devices.clock.now_s() > end_s:
+            raise DeviceTimeoutError(
+                arm.name,
+                f"still moves {REST_TIMEOUT_S:g} s after its path has ended",
+                "check the arm's lag and speed slider",
+            )
+        _wait_until(bench, bench.devices.clock.now_s() + POLL_S)
+    _check_arm(bench)
+
+
+def _check_arm(bench: Bench) -> None:
+    arm = bench.devices.arm
+    mode = arm.state().mode
+    if mode is not ArmMode.READY:
+        raise StoppedError(
+            arm.name, f"is in {mode.value.replace('_', ' ')}", "find the cause and acknowledge it"
+        )
+
+
+def _check_grip(bench: Bench) -> None:
+    gripper = bench.devices.gripper
+    if not gripper.state().holding:
+        raise GripError(gripper.name, "lost the cable", "check force and jaws")
