@@ -36,7 +36,7 @@ from drivers.sim.camera import CameraTwinOptions, SimCamera
 from drivers.sim.clock import SimClock
 from drivers.sim.gripper import SimGripper
 from drivers.sim.render import RenderOptions
-from drivers.sim.world import World
+from drivers.sim.world import CableShape, World
 
 FloatArray = NDArray[np.float64]
 
