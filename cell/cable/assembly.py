@@ -16,7 +16,7 @@ from cell.cable.model import CableModel, knot_basis
 FloatArray = NDArray[np.float64]
 
 #: Discretisation error of a held cable's tip: see `docs/effects.md`, "Accuracy".
-DEFAULT_SEGMENTS = 20
+DEFAULT_SEGMENTS = 28
 
 
 @dataclass(frozen=True)
@@ -44,8 +44,8 @@ def assemble(
     models: Sequence[CableModel], segments: int, start_s: float, threads: int = 1
 ) -> list[Block]:
     """Blocks for all models; models with different sets of effects go to different blocks."""
-    if segments < 3:
-        raise ValueError(f"segments = {segments}: must be ≥ 3")
+    if segments < 4:
+        raise ValueError(f"segments = {segments}: must be ≥ 4")
     groups: dict[tuple[type, ...], list[int]] = {}
     for i, model in enumerate(models):
         groups.setdefault(tuple(a.effect for a in model.effects), []).append(i)
@@ -83,9 +83,10 @@ def _block(
     body = part * length
     hinge_fraction = np.concatenate(([0.0], (np.arange(1, n + 1) - 0.5) / n))
     middle_fraction = np.concatenate(([0.25], np.arange(1, n), [n - 0.25])) / n
-    # Euler–Maclaurin: the sum over hinges then equals the integral over the curve to O(l⁴)
+    # Euler–Maclaurin at the clamp: bends then add up to the angle of the curve to O(l⁴), instead of
+    # O(l²).  None is needed at the tip, where curvature and its slope vanish.
     end = np.ones((n + 1, 1))
-    end[1], end[2] = 25.0 / 24.0, 23.0 / 24.0
+    end[1:4, 0] = 26.0 / 24.0, 21.0 / 24.0, 25.0 / 24.0
 
     def put(field: int, value: Any) -> None:
         state[:, field, :w] = value

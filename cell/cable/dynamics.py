@@ -17,7 +17,7 @@ from cell.cable import layout as at
 from cell.cable.assembly import DEFAULT_SEGMENTS, Block, assemble, marker_weights
 from cell.cable.clamp import base_rows, pose_of
 from cell.cable.geometry import Motion
-from cell.cable.kernel import integrate, nodes
+from cell.cable.kernel import integrate, nodes, weave
 from cell.cable.model import CableModel
 from cell.cable.statics import settle
 
@@ -30,18 +30,18 @@ _MOST_STEPS = 5_000_000
 class Solver:
     """Mesh and step of a simulation.
 
-    segments  ≥ 3
+    segments  4 … 10000
     step_s    the grid of steps is shared by all lanes of a batch
     damping   ρ∞ of generalised-α, 0 … 1: what is left after a step of an infinitely fast mode
     """
 
     segments: int = DEFAULT_SEGMENTS
-    step_s: float = 1e-3
+    step_s: float = 0.75e-3
     damping: float = 0.8
 
     def __post_init__(self) -> None:
-        if not 3 <= self.segments <= 10_000:
-            raise ValueError(f"solver.segments = {self.segments}: must be 3 … 10000")
+        if not 4 <= self.segments <= 10_000:
+            raise ValueError(f"solver.segments = {self.segments}: must be 4 … 10000")
         if not 1e-6 <= self.step_s <= 0.05:
             raise ValueError(f"solver.step_s = {self.step_s} s: must be 1e-6 … 0.05 s")
         if not 0.0 <= self.damping <= 1.0:
@@ -184,7 +184,7 @@ def generalised_alpha(step_s: float, damping: float) -> FloatArray:
 
 def _rows(paths: Sequence[Motion], batch: Sequence[CableModel], grid: _Grid) -> list[FloatArray]:
     """Clamp motion of each lane; equal ones are computed once."""
-    known: dict[tuple[object, ...], FloatArray] = {}
+    known: dict[object, FloatArray] = {}
     rows = []
     c = float(generalised_alpha(grid.solver.step_s, grid.solver.damping)[12])
     for motion, model in zip(paths, batch, strict=True):
@@ -194,6 +194,21 @@ def _rows(paths: Sequence[Motion], batch: Sequence[CableModel], grid: _Grid) -> 
             known[key] = base_rows(motion, acting, grid.begin_s, grid.solver.step_s, grid.steps, c)
         rows.append(known[key])
     return rows
+
+
+def _hand(motion: Motion, model: CableModel) -> tuple[object, ...]:
+    """What the motion of the hand depends on."""
+    return (id(motion), *(a for a in model.effects if a.effect.clamp is not None))
+
+
+def interleave(rows: Sequence[FloatArray], shape: tuple[int, int]) -> FloatArray:
+    """(shape…, LANES) with lane k from rows[k]; cheap when many lanes share one array."""
+    result = np.zeros((*shape, at.LANES))
+    if all(r is rows[0] for r in rows):
+        result[:] = rows[0][:, :, None]
+    else:
+        weave(np.stack(rows), result)
+    return result
 
 
 def _run(
@@ -208,9 +223,7 @@ def _run(
     """(lanes of the block, times, markers, 2) as the camera sees them."""
     solver, n, w = grid.solver, block.segments, len(block.lanes)
     order = block.lanes + block.lanes[:1] * (block.width - w)
-    base = np.zeros((grid.steps, at.BASE_FIELDS, at.LANES))
-    for k, lane in enumerate(order):
-        base[:, :, k] = rows[lane]
+    base = interleave([rows[lane] for lane in order], (grid.steps, at.BASE_FIELDS))
     poses = [pose_of(paths[lane], batch[lane].effects) for lane in order]
     if grid.release_s is None:
         first = np.zeros((1, at.BASE_FIELDS, at.LANES))
@@ -242,9 +255,12 @@ def _run(
         lane = block.lanes[int(np.argmax(broken))]
         raise DivergedError(lane, grid.begin_s + (bad + 1) * solver.step_s, solver.step_s)
     bends[moving] = swing
-    clamp = np.zeros((times.size, 3, at.LANES))
-    for k, pose in enumerate(poses):
-        clamp[:, 0, k], clamp[:, 1, k], clamp[:, 2, k] = pose(times)
+    known: dict[object, FloatArray] = {}
+    for lane, pose in zip(order, poses, strict=True):
+        key = _hand(paths[lane], batch[lane])
+        if key not in known:
+            known[key] = np.stack(pose(times), axis=1)
+    clamp = interleave([known[_hand(paths[lane], batch[lane])] for lane in order], (times.size, 3))
     out = np.empty((block.width, times.size, len(cell), 2))
     nodes(bends.ravel(), block.width, n, block.lengths, clamp.ravel(), cell, weights, out)
     return camera.seen(models, grid.times_s, times, out[:w])

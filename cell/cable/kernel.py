@@ -92,57 +92,54 @@ def kinematics(
     S: FloatArray, lanes: int, n: int, B: FloatArray, row: int, accelerations: bool
 ) -> None:
     """Angles, tangents, positions and velocities at the collocation time, from the clamp out."""
-    b = row * BASE_FIELDS * LANES
+    C = B[row * BASE_FIELDS * LANES :]
     for w in range(lanes):
-        k = w
-        angle = B[b + BASE_ANGLE * LANES + w] + S[k + BEND_C * LANES]
-        spin = B[b + BASE_SPIN * LANES + w] + S[k + RATE_C * LANES]
+        angle = C[w + BASE_ANGLE * LANES] + S[w + BEND_C * LANES]
+        spin = C[w + BASE_SPIN * LANES] + S[w + RATE_C * LANES]
         sine, cosine = sincos(angle)
-        S[k + ANGLE * LANES] = angle
-        S[k + SPIN * LANES] = spin
-        S[k + TX * LANES] = -cosine
-        S[k + TY * LANES] = -sine
-        S[k + PX * LANES] = B[b + BASE_X * LANES + w]
-        S[k + PY * LANES] = B[b + BASE_Y * LANES + w]
-        S[k + UX * LANES] = B[b + BASE_UX * LANES + w]
-        S[k + UY * LANES] = B[b + BASE_UY * LANES + w]
-    for i in range(1, n + 1):
+        S[w + ANGLE * LANES] = angle
+        S[w + SPIN * LANES] = spin
+        S[w + TX * LANES] = -cosine
+        S[w + TY * LANES] = -sine
+        S[w + PX * LANES] = C[w + BASE_X * LANES]
+        S[w + PY * LANES] = C[w + BASE_Y * LANES]
+        S[w + UX * LANES] = C[w + BASE_UX * LANES]
+        S[w + UY * LANES] = C[w + BASE_UY * LANES]
+    for i in range(n):
+        R = S[i * BODY :]
         for w in range(lanes):
-            p = (i - 1) * BODY + w
-            k = i * BODY + w
-            length = S[p + LENGTH * LANES]
-            tx = S[p + TX * LANES]
-            ty = S[p + TY * LANES]
-            turn = length * S[p + SPIN * LANES]
-            S[k + PX * LANES] = S[p + PX * LANES] + length * tx
-            S[k + PY * LANES] = S[p + PY * LANES] + length * ty
-            S[k + UX * LANES] = S[p + UX * LANES] - turn * ty
-            S[k + UY * LANES] = S[p + UY * LANES] + turn * tx
-            angle = S[p + ANGLE * LANES] + S[k + BEND_C * LANES]
-            S[k + ANGLE * LANES] = angle
-            S[k + SPIN * LANES] = S[p + SPIN * LANES] + S[k + RATE_C * LANES]
+            k = BODY + w
+            length = R[w + LENGTH * LANES]
+            tx = R[w + TX * LANES]
+            ty = R[w + TY * LANES]
+            turn = length * R[w + SPIN * LANES]
+            R[k + PX * LANES] = R[w + PX * LANES] + length * tx
+            R[k + PY * LANES] = R[w + PY * LANES] + length * ty
+            R[k + UX * LANES] = R[w + UX * LANES] - turn * ty
+            R[k + UY * LANES] = R[w + UY * LANES] + turn * tx
+            angle = R[w + ANGLE * LANES] + R[k + BEND_C * LANES]
+            R[k + ANGLE * LANES] = angle
+            R[k + SPIN * LANES] = R[w + SPIN * LANES] + R[k + RATE_C * LANES]
             sine, cosine = sincos(angle)
-            S[k + TX * LANES] = -cosine
-            S[k + TY * LANES] = -sine
+            R[k + TX * LANES] = -cosine
+            R[k + TY * LANES] = -sine
     if accelerations:
         for w in range(lanes):
-            S[w + QX * LANES] = B[b + BASE_AX * LANES + w]
-            S[w + QY * LANES] = B[b + BASE_AY * LANES + w]
-            S[w + QA * LANES] = B[b + BASE_AA * LANES + w] + S[w + ACCEL_C * LANES]
-        for i in range(1, n + 1):
+            S[w + QX * LANES] = C[w + BASE_AX * LANES]
+            S[w + QY * LANES] = C[w + BASE_AY * LANES]
+            S[w + QA * LANES] = C[w + BASE_AA * LANES] + S[w + ACCEL_C * LANES]
+        for i in range(n):
+            R = S[i * BODY :]
             for w in range(lanes):
-                p = (i - 1) * BODY + w
-                k = i * BODY + w
-                length = S[p + LENGTH * LANES]
-                turn = length * S[p + QA * LANES]
-                centre = length * S[p + SPIN * LANES] * S[p + SPIN * LANES]
-                S[k + QX * LANES] = (
-                    S[p + QX * LANES] - turn * S[p + TY * LANES] - centre * S[p + TX * LANES]
-                )
-                S[k + QY * LANES] = (
-                    S[p + QY * LANES] + turn * S[p + TX * LANES] - centre * S[p + TY * LANES]
-                )
-                S[k + QA * LANES] = S[p + QA * LANES] + S[k + ACCEL_C * LANES]
+                k = BODY + w
+                length = R[w + LENGTH * LANES]
+                tx = R[w + TX * LANES]
+                ty = R[w + TY * LANES]
+                turn = length * R[w + QA * LANES]
+                centre = length * R[w + SPIN * LANES] * R[w + SPIN * LANES]
+                R[k + QX * LANES] = R[w + QX * LANES] - turn * ty - centre * tx
+                R[k + QY * LANES] = R[w + QY * LANES] + turn * tx - centre * ty
+                R[k + QA * LANES] = R[w + QA * LANES] + R[k + ACCEL_C * LANES]
 
 
 @compiled
@@ -154,29 +151,29 @@ def bending(S: FloatArray, lanes: int, n: int, nonlinear: bool, dq: float, dv: f
         S[w + STIFF * LANES] = spring * dq
     for i in range(1, n + 1):
         if nonlinear:
+            R = S[i * BODY :]
             for w in range(lanes):
-                k = i * BODY + w
-                per_length = S[k + PER_LENGTH * LANES]
-                curvature = S[k + BEND_C * LANES] * per_length - S[k + REST * LANES]
+                per_length = R[w + PER_LENGTH * LANES]
+                curvature = R[w + BEND_C * LANES] * per_length - R[w + REST * LANES]
                 own = curvature * curvature * _KR2
                 scale = own + _KE2
-                exponent = S[k + POWER * LANES]
-                secant = S[k + RIGIDITY * LANES] * power(scale, exponent)
+                exponent = R[w + POWER * LANES]
+                secant = R[w + RIGIDITY * LANES] * power(scale, exponent)
                 tangent = secant * (1.0 + 2.0 * exponent * own / scale)
-                viscosity = S[k + VISCOSITY * LANES] * per_length
-                S[k + MOMENT * LANES] = secant * curvature + viscosity * S[k + RATE_C * LANES]
-                S[k + STIFF * LANES] = tangent * per_length * dq + viscosity * dv
+                viscosity = R[w + VISCOSITY * LANES] * per_length
+                R[w + MOMENT * LANES] = secant * curvature + viscosity * R[w + RATE_C * LANES]
+                R[w + STIFF * LANES] = tangent * per_length * dq + viscosity * dv
         else:
+            R = S[i * BODY :]
             for w in range(lanes):
-                k = i * BODY + w
-                per_length = S[k + PER_LENGTH * LANES]
-                rigidity = S[k + RIGIDITY * LANES]
-                viscosity = S[k + VISCOSITY * LANES] * per_length
-                S[k + MOMENT * LANES] = (
-                    rigidity * (S[k + BEND_C * LANES] * per_length - S[k + REST * LANES])
-                    + viscosity * S[k + RATE_C * LANES]
+                per_length = R[w + PER_LENGTH * LANES]
+                rigidity = R[w + RIGIDITY * LANES]
+                viscosity = R[w + VISCOSITY * LANES] * per_length
+                R[w + MOMENT * LANES] = (
+                    rigidity * (R[w + BEND_C * LANES] * per_length - R[w + REST * LANES])
+                    + viscosity * R[w + RATE_C * LANES]
                 )
-                S[k + STIFF * LANES] = rigidity * per_length * dq + viscosity * dv
+                R[w + STIFF * LANES] = rigidity * per_length * dq + viscosity * dv
 
 
 @compiled
@@ -192,70 +189,64 @@ def solve(
 ) -> None:
     """Accelerations of all hinges at the collocation time: inward and outward sweep.
 
-    T (≥ 6·LANES,) carries the articulated inertia from body to body.
+    T (≥ 9·LANES,) carries the articulated inertia and bias from body to body.
     """
-    for w in range(6 * LANES):
+    for w in range(9 * LANES):
         T[w] = 0.0
-    for w in range(lanes):
-        k = n * BODY + w
-        S[k + HX * LANES] = 0.0
-        S[k + HY * LANES] = 0.0
-        S[k + HA * LANES] = 0.0
     for i in range(n, -1, -1):
-        o = i * BODY
+        R = S[i * BODY :]
         for w in range(lanes):
-            k = o + w
-            tx = S[k + TX * LANES]
-            ty = S[k + TY * LANES]
+            tx = R[w + TX * LANES]
+            ty = R[w + TY * LANES]
             nx = -ty
             ny = tx
-            spin = S[k + SPIN * LANES]
-            length = S[k + LENGTH * LANES]
-            ux = S[k + UX * LANES]
-            uy = S[k + UY * LANES]
+            spin = R[w + SPIN * LANES]
+            length = R[w + LENGTH * LANES]
+            ux = R[w + UX * LANES]
+            uy = R[w + UY * LANES]
             along = ux * tx + uy * ty
             across = ux * nx + uy * ny
             # what hangs on the far end, moved to the near end
             ixx = T[w]
-            ixy = T[LANES + w]
-            iyy = T[2 * LANES + w]
-            hx = T[3 * LANES + w]
-            hy = T[4 * LANES + w]
+            ixy = T[w + LANES]
+            iyy = T[w + 2 * LANES]
+            hx = T[w + 3 * LANES]
+            hy = T[w + 4 * LANES]
             rx = length * nx
             ry = length * ny
             cx = -length * spin * spin * tx
             cy = -length * spin * spin * ty
-            fx = S[k + HX * LANES] + ixx * cx + ixy * cy
-            fy = S[k + HY * LANES] + ixy * cx + iyy * cy
-            ft = S[k + HA * LANES] + hx * cx + hy * cy + rx * fx + ry * fy
+            fx = T[w + 6 * LANES] + ixx * cx + ixy * cy
+            fy = T[w + 7 * LANES] + ixy * cx + iyy * cy
+            ft = T[w + 8 * LANES] + hx * cx + hy * cy + rx * fx + ry * fy
             gx = hx + ixx * rx + ixy * ry
             gy = hy + ixy * rx + iyy * ry
-            ha = T[5 * LANES + w] + hx * rx + hy * ry + rx * gx + ry * gy
+            ha = T[w + 5 * LANES] + hx * rx + hy * ry + rx * gx + ry * gy
             # the body itself
-            mass = S[k + MASS * LANES]
-            mass_1 = S[k + MASS_1 * LANES]
-            extra = S[k + EXTRA * LANES]
-            extra_1 = S[k + EXTRA_1 * LANES]
-            extra_2 = S[k + EXTRA_2 * LANES]
+            mass = R[w + MASS * LANES]
+            mass_1 = R[w + MASS_1 * LANES]
+            extra = R[w + EXTRA * LANES]
+            extra_1 = R[w + EXTRA_1 * LANES]
+            extra_2 = R[w + EXTRA_2 * LANES]
             drive = extra * across + extra_1 * spin
             whirl = -mass_1 * spin * spin - spin * drive
             lift = -along * spin * extra
-            weight = S[k + WEIGHT * LANES]
-            weight_1 = S[k + WEIGHT_1 * LANES]
-            fx += whirl * tx + lift * nx - weight * S[k + GX * LANES]
-            fy += whirl * ty + lift * ny - weight * S[k + GY * LANES]
+            weight = R[w + WEIGHT * LANES]
+            weight_1 = R[w + WEIGHT_1 * LANES]
+            fx += whirl * tx + lift * nx - weight * R[w + GX * LANES]
+            fy += whirl * ty + lift * ny - weight * R[w + GY * LANES]
             ft += extra * across * along - weight_1 * (
-                nx * S[k + GX * LANES] + ny * S[k + GY * LANES]
+                nx * R[w + GX * LANES] + ny * R[w + GY * LANES]
             )
             if damped:
                 half = 0.5 * length
-                ex = S[k + FX * LANES] * length
-                ey = S[k + FY * LANES] * length
-                damp = dv * S[k + DAMP * LANES] * length
+                ex = R[w + FX * LANES] * length
+                ey = R[w + FY * LANES] * length
+                damp = dv * R[w + DAMP * LANES] * length
                 damp_1 = damp * half
                 damp_2 = damp_1 * length * (2.0 / 3.0)
-                qn = S[k + QX * LANES] * nx + S[k + QY * LANES] * ny
-                qa = S[k + QA * LANES]
+                qn = R[w + QX * LANES] * nx + R[w + QY * LANES] * ny
+                qa = R[w + QA * LANES]
                 lag = damp * qn + damp_1 * qa
                 fx -= ex + lag * nx
                 fy -= ey + lag * ny
@@ -268,89 +259,87 @@ def solve(
             iyy += mass + extra * ny * ny
             gx += (mass_1 + extra_1) * nx
             gy += (mass_1 + extra_1) * ny
-            ha += S[k + MASS_2 * LANES] + extra_2
+            ha += R[w + MASS_2 * LANES] + extra_2
             # its hinge gives way
-            stiff = S[k + STIFF * LANES]
-            inv = S[k + FREE * LANES] / (ha + stiff)
-            moment = S[k + MOMENT * LANES] - stiff * S[k + ACCEL_C * LANES]
+            stiff = R[w + STIFF * LANES]
+            inv = R[w + FREE * LANES] / (ha + stiff)
+            moment = R[w + MOMENT * LANES] - stiff * R[w + ACCEL_C * LANES]
             bias = moment + ft
-            S[k + INV * LANES] = inv
-            S[k + BIAS * LANES] = bias
-            S[k + HX * LANES] = gx
-            S[k + HY * LANES] = gy
-            S[k + HA * LANES] = ha
+            R[w + INV * LANES] = inv
+            R[w + BIAS * LANES] = bias
+            R[w + HX * LANES] = gx
+            R[w + HY * LANES] = gy
+            R[w + HA * LANES] = ha
             keep = 1.0 - ha * inv
             T[w] = ixx - gx * gx * inv
-            T[LANES + w] = ixy - gx * gy * inv
-            T[2 * LANES + w] = iyy - gy * gy * inv
-            T[3 * LANES + w] = gx * keep
-            T[4 * LANES + w] = gy * keep
-            T[5 * LANES + w] = ha * keep
-            if i > 0:
-                S[k - BODY + HX * LANES] = fx - gx * inv * bias
-                S[k - BODY + HY * LANES] = fy - gy * inv * bias
-                S[k - BODY + HA * LANES] = ft - ha * inv * bias
-    b = row * BASE_FIELDS * LANES
+            T[w + LANES] = ixy - gx * gy * inv
+            T[w + 2 * LANES] = iyy - gy * gy * inv
+            T[w + 3 * LANES] = gx * keep
+            T[w + 4 * LANES] = gy * keep
+            T[w + 5 * LANES] = ha * keep
+            T[w + 6 * LANES] = fx - gx * inv * bias
+            T[w + 7 * LANES] = fy - gy * inv * bias
+            T[w + 8 * LANES] = ft - ha * inv * bias
+    C = B[row * BASE_FIELDS * LANES :]
     for w in range(lanes):
-        T[w] = B[b + BASE_AX * LANES + w]
-        T[LANES + w] = B[b + BASE_AY * LANES + w]
-        T[2 * LANES + w] = B[b + BASE_AA * LANES + w]
+        T[w] = C[w + BASE_AX * LANES]
+        T[w + LANES] = C[w + BASE_AY * LANES]
+        T[w + 2 * LANES] = C[w + BASE_AA * LANES]
     for i in range(n + 1):
-        o = i * BODY
+        R = S[i * BODY :]
         for w in range(lanes):
-            k = o + w
             ax = T[w]
-            ay = T[LANES + w]
-            aa = T[2 * LANES + w]
-            bend = -S[k + INV * LANES] * (
-                S[k + BIAS * LANES]
-                + S[k + HX * LANES] * ax
-                + S[k + HY * LANES] * ay
-                + S[k + HA * LANES] * aa
+            ay = T[w + LANES]
+            aa = T[w + 2 * LANES]
+            bend = -R[w + INV * LANES] * (
+                R[w + BIAS * LANES]
+                + R[w + HX * LANES] * ax
+                + R[w + HY * LANES] * ay
+                + R[w + HA * LANES] * aa
             )
             aa += bend
-            S[k + ACCEL_C * LANES] = bend
-            length = S[k + LENGTH * LANES]
-            spin = S[k + SPIN * LANES]
+            R[w + ACCEL_C * LANES] = bend
+            length = R[w + LENGTH * LANES]
+            spin = R[w + SPIN * LANES]
             turn = length * aa
             centre = length * spin * spin
-            tx = S[k + TX * LANES]
-            ty = S[k + TY * LANES]
+            tx = R[w + TX * LANES]
+            ty = R[w + TY * LANES]
             T[w] = ax - turn * ty - centre * tx
-            T[LANES + w] = ay + turn * tx - centre * ty
-            T[2 * LANES + w] = aa
+            T[w + LANES] = ay + turn * tx - centre * ty
+            T[w + 2 * LANES] = aa
 
 
 @compiled
 def predict(S: FloatArray, lanes: int, n: int, step: FloatArray) -> None:
     """Bends and rates at the collocation time, were the acceleration the predicted one."""
     for i in range(n + 1):
+        R = S[i * BODY :]
         for w in range(lanes):
-            k = i * BODY + w
-            rate = S[k + RATE * LANES]
-            old = S[k + ACCEL * LANES]
-            guess = S[k + ACCEL_C * LANES]
-            S[k + BEND_C * LANES] = (
-                S[k + BEND * LANES] + step[3] * rate + step[4] * old + step[1] * guess
+            rate = R[w + RATE * LANES]
+            old = R[w + ACCEL * LANES]
+            guess = R[w + ACCEL_C * LANES]
+            R[w + BEND_C * LANES] = (
+                R[w + BEND * LANES] + step[3] * rate + step[4] * old + step[1] * guess
             )
-            S[k + RATE_C * LANES] = rate + step[5] * old + step[2] * guess
+            R[w + RATE_C * LANES] = rate + step[5] * old + step[2] * guess
 
 
 @compiled
 def advance(S: FloatArray, lanes: int, n: int, step: FloatArray) -> None:
     """State at the end of the step from the acceleration in its equation."""
     for i in range(n + 1):
+        R = S[i * BODY :]
         for w in range(lanes):
-            k = i * BODY + w
-            bend = S[k + BEND * LANES]
-            rate = S[k + RATE * LANES]
-            old = S[k + ACCEL * LANES]
-            new = step[6] * S[k + ACCEL_C * LANES] + step[7] * old
-            S[k + BEND_0 * LANES] = bend
-            S[k + BEND * LANES] = bend + step[0] * rate + step[8] * old + step[9] * new
-            S[k + BEND_C * LANES] = rate
-            S[k + RATE * LANES] = rate + step[10] * old + step[11] * new
-            S[k + ACCEL * LANES] = new
+            bend = R[w + BEND * LANES]
+            rate = R[w + RATE * LANES]
+            old = R[w + ACCEL * LANES]
+            new = step[6] * R[w + ACCEL_C * LANES] + step[7] * old
+            R[w + BEND_0 * LANES] = bend
+            R[w + BEND * LANES] = bend + step[0] * rate + step[8] * old + step[9] * new
+            R[w + BEND_C * LANES] = rate
+            R[w + RATE * LANES] = rate + step[10] * old + step[11] * new
+            R[w + ACCEL * LANES] = new
 
 
 @compiled
@@ -365,13 +354,14 @@ def record(
     m0 = h * (u3 - 2.0 * u2 + u)
     m1 = h * (u3 - u2)
     for i in range(n + 1):
+        R = S[i * BODY :]
+        Q = out[(row * (n + 1) + i) * LANES :]
         for w in range(lanes):
-            k = i * BODY + w
-            out[(row * (n + 1) + i) * LANES + w] = (
-                p0 * S[k + BEND_0 * LANES]
-                + p1 * S[k + BEND * LANES]
-                + m0 * S[k + BEND_C * LANES]
-                + m1 * S[k + RATE * LANES]
+            Q[w] = (
+                p0 * R[w + BEND_0 * LANES]
+                + p1 * R[w + BEND * LANES]
+                + m0 * R[w + BEND_C * LANES]
+                + m1 * R[w + RATE * LANES]
             )
 
 
@@ -395,7 +385,7 @@ def integrate(
     returns −1, or the number of the first step whose bends are not below half a turn each
     """
     forces, moments, params, rows, memory, memory_rows, start = effects
-    T = np.zeros(6 * LANES)
+    T = np.zeros(9 * LANES)
     h = step[0]
     dq = step[1]
     dv = step[2]
@@ -404,16 +394,18 @@ def integrate(
     done = 0
     for j in range(steps):
         for i in range(n + 1):
+            R = S[i * BODY :]
             for w in range(lanes):
-                S[i * BODY + BEND_0 * LANES + w] = S[i * BODY + BEND * LANES + w]
+                R[w + BEND_0 * LANES] = R[w + BEND * LANES]
         for _ in range(passes):
             predict(S, lanes, n, step)
             kinematics(S, lanes, n, B, j, forced)
             bending(S, lanes, n, nonlinear, dq, dv)
             if forced:
                 for i in range(n + 1):
+                    R = S[i * BODY :]
                     for w in range(3 * LANES):
-                        S[i * BODY + FX * LANES + w] = 0.0
+                        R[w + FX * LANES] = 0.0
                 time = start + h * (j + step[12])
                 for e in range(forces.size):
                     call_force(forces[e], (S, lanes, n, time, params, rows[e]))
@@ -442,11 +434,13 @@ def integrate(
             call_moment(
                 moments[e], (S, lanes, n, ADVANCE, h, dq, dv, params, row, memory, memory_rows[e])
             )
-        bad = False
+        worst = 0.0
         for i in range(n + 1):
+            R = S[i * BODY :]
             for w in range(lanes):
-                bad |= not (abs(S[i * BODY + BEND * LANES + w]) < math.pi)
-        if bad:
+                bend = abs(R[w + BEND * LANES])
+                worst = worst if bend <= worst else bend
+        if not worst < math.pi:
             return j
         while done < when.size and when[done] <= j + 1:
             record(S, lanes, n, h, when[done] - j, out, done)
@@ -476,43 +470,49 @@ def nodes(
     times = out.shape[1]
     X = np.empty((n + 1) * 4 * LANES)
     for j in range(times):
-        c = j * 3 * LANES
+        held = clamp[j * 3 * LANES :]
         o = j * (n + 1) * LANES
         for w in range(lanes):
-            angle = clamp[c + 2 * LANES + w] + bends[o + w]
+            angle = held[w + 2 * LANES] + bends[o + w]
             sine, cosine = sincos(angle)
-            X[w] = clamp[c + w]
-            X[LANES + w] = clamp[c + LANES + w]
-            X[2 * LANES + w] = -lengths[w] * cosine
-            X[3 * LANES + w] = -lengths[w] * sine
+            X[w] = held[w]
+            X[w + LANES] = held[w + LANES]
+            X[w + 2 * LANES] = -lengths[w] * cosine
+            X[w + 3 * LANES] = -lengths[w] * sine
         for i in range(1, n + 1):
+            R = X[(i - 1) * 4 * LANES :]
+            turn = bends[o + (i - 1) * LANES :]
             for w in range(lanes):
-                k = i * 4 * LANES + w
-                p = k - 4 * LANES
-                # angles add up; the previous one is kept implicitly through its own sum
-                bends[o + i * LANES + w] += bends[o + (i - 1) * LANES + w]
-                angle = clamp[c + 2 * LANES + w] + bends[o + i * LANES + w]
+                k = 4 * LANES + w
+                turn[LANES + w] += turn[w]
+                angle = held[w + 2 * LANES] + turn[LANES + w]
                 sine, cosine = sincos(angle)
                 tx = -lengths[w] * cosine
                 ty = -lengths[w] * sine
-                X[k] = X[p] + 0.5 * (X[p + 2 * LANES] + tx)
-                X[k + LANES] = X[p + LANES] + 0.5 * (X[p + 3 * LANES] + ty)
-                X[k + 2 * LANES] = tx
-                X[k + 3 * LANES] = ty
+                R[k] = R[w] + 0.5 * (R[w + 2 * LANES] + tx)
+                R[k + LANES] = R[w + LANES] + 0.5 * (R[w + 3 * LANES] + ty)
+                R[k + 2 * LANES] = tx
+                R[k + 3 * LANES] = ty
         for m in range(cell.size):
-            k = cell[m] * 4 * LANES
+            R = X[cell[m] * 4 * LANES :]
             a, b, c0, c1 = weights[m, 0], weights[m, 1], weights[m, 2], weights[m, 3]
             for w in range(lanes):
-                q = k + 4 * LANES
+                q = w + 4 * LANES
                 out[w, j, m, 0] = (
-                    a * X[k + w]
-                    + b * X[q + w]
-                    + c0 * X[k + 2 * LANES + w]
-                    + c1 * X[q + 2 * LANES + w]
+                    a * R[w] + b * R[q] + c0 * R[w + 2 * LANES] + c1 * R[q + 2 * LANES]
                 )
                 out[w, j, m, 1] = (
-                    a * X[k + LANES + w]
-                    + b * X[q + LANES + w]
-                    + c0 * X[k + 3 * LANES + w]
-                    + c1 * X[q + 3 * LANES + w]
+                    a * R[w + LANES]
+                    + b * R[q + LANES]
+                    + c0 * R[w + 3 * LANES]
+                    + c1 * R[q + 3 * LANES]
                 )
+
+
+@compiled
+def weave(rows: FloatArray, out: FloatArray) -> None:
+    """(lanes, a, b) rows → (a, b, LANES) out."""
+    for i in range(rows.shape[1]):
+        for j in range(rows.shape[2]):
+            for w in range(rows.shape[0]):
+                out[i, j, w] = rows[w, i, j]
