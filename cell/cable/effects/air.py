@@ -46,18 +46,23 @@ class LinearAirDrag(Effect):
 
 
 class AddedMass(Effect):
-    """Air carried along by the strip: inertia per metre normal to it, π/4·ρ w² in theory.
+    """Air carried along by the strip: inertia per metre without weight, π/4·ρ w² in theory.
 
+    `along` is the share that also resists motion along the strip: 0 for a flat plate in an ideal
+    fluid, 1 for what clings to the cable; the measured studies at hand show 1.
     Source: Brennen, A Review of Added Mass and Fluid Inertial Forces, 1982, table of flat plates.
     """
 
     name = "added_mass"
-    parameters = (Parameter("kg_per_m", "kg/m", 0.0, 1.0, 0.0, (0.00025,)),)
+    parameters = (
+        Parameter("kg_per_m", "kg/m", 0.0, 1.0, 0.0, (0.00025,)),
+        Parameter("along", "1", 0.0, 1.0, 1.0, (1.0,), amplitude=False, fitted=False),
+    )
 
     @staticmethod
     def inertia(cable: CableData, p: Any) -> tuple[float, float]:
         """Inertia along and normal, kg/m."""
-        return 0.0, p.kg_per_m
+        return p.along * p.kg_per_m, p.kg_per_m
 
 
 class Draught(Effect):
