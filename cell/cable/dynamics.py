@@ -246,7 +246,8 @@ def _run(
         block.nonlinear,
         block.passes,
         block.effects,
-        (times[moving] - grid.begin_s) / solver.step_s,
+        # rounding must not put the last time behind the last step: it would never be written
+        np.minimum((times[moving] - grid.begin_s) / solver.step_s, grid.steps),
         swing.ravel(),
     )
     if bad >= 0:
