@@ -1,0 +1,189 @@
+"""Commands of the cell.  Heavy imports wait until a command needs them, so that help is quick."""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import Annotated, NoReturn
+
+import typer
+
+ALL_INSERTED, NOT_ALL_INSERTED, BAD_INPUT = 0, 1, 2
+
+app = typer.Typer(
+    name="cell",
+    help="Grips bendable cables, identifies each from pictures of its swing, and inserts it.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+
+Config = Annotated[
+    Path, typer.Option("--config", "-c", help="Settings of the cell, YAML.", show_default=False)
+]
+
+
+@app.command()
+def run(
+    config: Config,
+    cycles: Annotated[int, typer.Option(min=1, help="Number of cables.")] = 1,
+    seed: Annotated[
+        int, typer.Option(min=0, help="Of the simulated cables and noise; repeats a run.")
+    ] = 1,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="One JSON object per cycle instead of tables.")
+    ] = False,
+    out: Annotated[Path, typer.Option(help="Every cycle gets a folder in here.")] = Path("runs"),
+) -> None:
+    """Insert cables, one after another.
+
+    Ends with 0 if all were inserted, 1 if a cable was rejected or missed or a cycle failed, 2 if
+    the settings are wrong; then nothing has moved.  Ctrl-C stops the arm and closes the record.
+    """
+    from rich.console import Console
+
+    from cell.build import NotAvailableError, build_cell
+    from cell.console import RunProgress, results_table, seconds_table, troubles
+    from cell.located import InputError
+    from cell.records.result import Outcome, Result
+    from cell.settings import load_settings
+
+    results: list[Result] = []
+    try:
+        settings = load_settings(config)
+        with RunProgress(cycles) as progress, _interrupted_once():
+            cell = build_cell(settings, out, seed=seed, cycles=cycles, on_step=progress.step)
+            try:
+                for number in range(1, cycles + 1):
+                    results.append(cell.run_cycle(number))
+                    if as_json:
+                        print(json.dumps(results[-1].to_json(), ensure_ascii=False), flush=True)
+                    if results[-1].outcome is Outcome.FAILED:
+                        break
+            finally:
+                cell.close()
+    except (InputError, NotAvailableError) as error:
+        _refuse(error)
+    if not as_json:
+        console = Console()
+        console.print(results_table(results))
+        console.print(seconds_table(results))
+        for result in results:
+            console.print(f"cable {result.cycle}: {result.folder}", highlight=False)
+    for line in troubles(results):
+        print(line, file=sys.stderr)
+    inserted = [r for r in results if r.outcome is Outcome.INSERTED]
+    raise typer.Exit(ALL_INSERTED if len(inserted) == cycles else NOT_ALL_INSERTED)
+
+
+@app.command()
+def check(config: Config) -> None:
+    """Validate settings without moving anything.
+
+    Ends with 0 if they are right, 2 if not; every mistake is named with line and column.
+    """
+    from cell.located import InputError
+    from cell.settings import load_settings
+
+    try:
+        settings = load_settings(config)
+    except InputError as error:
+        _refuse(error)
+    offsets_m = settings.motion.offsets.values_m
+    print(
+        f"{config}: right; arm {settings.arm.kind}, camera {settings.camera.kind}, gripper "
+        f"{settings.gripper.kind}; {len(offsets_m)} offsets, {offsets_m[0] * 1e3:g} … "
+        f"{offsets_m[-1] * 1e3:g} mm"
+    )
+
+
+@app.command()
+def identify(
+    folder: Annotated[Path, typer.Argument(help="A cycle's folder, or any study.")],
+    as_json: Annotated[bool, typer.Option("--json", help="The model as JSON.")] = False,
+) -> None:
+    """Identify a cable again, from its folder alone.
+
+    Ends with 0, 1 if the cable cannot be identified, 2 if the folder is wrong.
+    """
+    from rich.console import Console
+
+    from cell.console import parameters_table
+    from cell.identify.individual import CableRejectedError, IdentifyOptions
+    from cell.identify.individual import identify as identify_cable
+    from cell.located import InputError, Problem
+    from cell.settings import load_settings
+    from cell.study.folder import read_study
+
+    recorded = (folder / "state.json").exists()
+    try:
+        study = read_study(folder / "study" if recorded else folder)
+        method = "map"
+        if recorded:
+            method = load_settings(folder / "settings.yaml").identification.method
+        if not study.role("fit"):
+            raise InputError([Problem(folder, 1, None, "", "no trial has the role `fit`")])
+        identified = identify_cable(
+            study.role("fit")[0],
+            study.arc_length_m,
+            study.cable,
+            gravity_m_per_s2=study.gravity_m_per_s2,
+            options=IdentifyOptions(method="paper" if method == "paper" else "map"),
+        )
+    except InputError as error:
+        _refuse(error)
+    except CableRejectedError as error:
+        print(f"{folder}: cable rejected: {error}", file=sys.stderr)
+        raise typer.Exit(NOT_ALL_INSERTED) from error
+    if as_json:
+        print(json.dumps(identified.to_dict(), ensure_ascii=False))
+        return
+    Console().print(parameters_table(identified))
+    print(
+        f"residual {identified.residual_rms_m * 1e3:.3f} mm rms, noise "
+        f"{identified.noise.std_m * 1e3:.3f} mm, {identified.frames_used} of "
+        f"{identified.frames_total} frames"
+    )
+
+
+@app.command()
+def schema() -> None:
+    """Print the JSON schema of the settings, for editors."""
+    from cell.settings import Settings
+
+    print(json.dumps(Settings.model_json_schema(), indent=2, ensure_ascii=False))
+
+
+def _refuse(error: Exception) -> NoReturn:
+    print(error, file=sys.stderr)
+    raise typer.Exit(BAD_INPUT) from error
+
+
+@contextmanager
+def _interrupted_once() -> Iterator[None]:
+    """Ctrl-C and SIGTERM interrupt once; while the cell then comes to rest, more are ignored."""
+    given = False
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        nonlocal given
+        if not given:
+            given = True
+            raise KeyboardInterrupt
+        print("stopping already", file=sys.stderr)
+
+    former = {s: signal.signal(s, interrupt) for s in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for s, handler in former.items():
+            signal.signal(s, handler)
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    app()

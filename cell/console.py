@@ -1,0 +1,153 @@
+"""What a person sees of a run: progress while it works, tables at its end."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import TracebackType
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from cell.identify.identified import Identified
+from cell.records.result import Outcome, Result
+
+#: Steps in their order; those of a cycle that another one lacks are shown as empty.
+STEPS = (
+    "connect",
+    "reset",
+    "start",
+    "grasp",
+    "lower",
+    "hold_and_capture",
+    "identify",
+    "simulate",
+    "choose",
+    "execute",
+    "verify",
+    "release",
+    "go_home",
+)
+
+_COLOURS = {
+    Outcome.INSERTED: "green",
+    Outcome.MISSED: "red",
+    Outcome.REJECTED: "yellow",
+    Outcome.FAILED: "red",
+}
+
+
+class RunProgress:
+    """A line that moves on with every step, on the error stream; silent if nobody watches it."""
+
+    def __init__(self, cycles: int) -> None:
+        self._cycles = cycles
+        self._progress = Progress(
+            SpinnerColumn(),
+            TextColumn("cable {task.fields[number]} of {task.fields[cycles]}"),
+            BarColumn(bar_width=24),
+            TextColumn("{task.description}"),
+            TimeElapsedColumn(),
+            console=Console(stderr=True),
+            transient=True,
+        )
+
+    def __enter__(self) -> RunProgress:
+        self._progress.start()
+        self._line = self._progress.add_task(
+            "", total=self._cycles * len(STEPS), number=1, cycles=self._cycles
+        )
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._progress.stop()
+
+    def step(self, number: int, step: str) -> None:
+        """A step of a cycle begins."""
+        done = (number - 1) * len(STEPS) + (STEPS.index(step) if step in STEPS else 0)
+        self._progress.update(
+            self._line, completed=done, description=step.replace("_", " "), number=number
+        )
+
+
+def results_table(results: Sequence[Result]) -> Table:
+    """One row per cable; lengths in mm."""
+    table = Table(title="cables (lengths in mm)", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    for heading in (
+        "cable",
+        "outcome",
+        "offset",
+        "predicted miss",
+        "measured miss",
+        "margin",
+        "forecast error",
+        "passes with",
+        "robot waits",
+    ):
+        table.add_column(heading, justify="left" if heading == "outcome" else "right", min_width=6)
+    for r in results:
+        table.add_row(
+            str(r.cycle),
+            f"[{_COLOURS[r.outcome]}]{r.outcome.value}[/]",
+            _mm(r.offset_m, ".0f"),
+            _mm(r.predicted_miss_m, "+.2f"),
+            _mm(r.measured_miss_m, "+.2f"),
+            _mm(r.margin_m, "+.2f"),
+            _mm(r.prediction_error_m, ".2f"),
+            "" if r.probability is None else f"{r.probability:.1%}",
+            "" if r.wait_s is None else f"{r.wait_s * 1e3:.0f} ms",
+        )
+    return table
+
+
+def seconds_table(results: Sequence[Result]) -> Table:
+    """Time of each step, one column per cable."""
+    table = Table(title="seconds per step", box=SIMPLE_HEAD)
+    table.add_column("step")
+    for r in results:
+        table.add_column(f"cable {r.cycle}", justify="right")
+    for step in STEPS:
+        times = [r.seconds.get(step) for r in results]
+        if any(t is not None for t in times):
+            table.add_row(step.replace("_", " "), *("" if t is None else f"{t:.3f}" for t in times))
+    table.add_section()
+    table.add_row("all", *(f"{sum(r.seconds.values()):.3f}" for r in results))
+    return table
+
+
+def troubles(results: Sequence[Result]) -> list[str]:
+    """One line for every cable that was not inserted: why, and what to do."""
+    lines = []
+    for r in results:
+        if r.fault is not None:
+            device = f"{r.fault.device}: " if r.fault.device else ""
+            remedy = f"; {r.fault.remedy}" if r.fault.remedy else ""
+            lines.append(
+                f"cable {r.cycle} failed in step {r.fault.step}: {device}{r.fault.cause}{remedy}"
+            )
+        elif r.outcome is not Outcome.INSERTED:
+            lines.append(f"cable {r.cycle} {r.outcome.value}: {r.reason}")
+    return lines
+
+
+def parameters_table(identified: Identified) -> Table:
+    """This cable's parameters with their 95 % intervals."""
+    table = Table(title="parameters", box=SIMPLE_HEAD)
+    for heading in ("parameter", "value", "95 % from", "to", "unit"):
+        table.add_column(heading, justify="left" if heading in ("parameter", "unit") else "right")
+    low, high = identified.interval()
+    for name, value, a, b, unit in zip(
+        identified.space.names, identified.values, low, high, identified.space.units, strict=True
+    ):
+        table.add_row(name, f"{value:.4g}", f"{a:.4g}", f"{b:.4g}", unit)
+    return table
+
+
+def _mm(value_m: float | None, form: str) -> str:
+    return "" if value_m is None else format(value_m * 1e3, form)
