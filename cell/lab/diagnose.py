@@ -39,6 +39,7 @@ class Rules:
     tie: float = 9.0
     most_tied: int = 3
     most_effects: int = 3
+    best: int = 6
     misfit: float = 1.04
     gross_misfit: float = 1.10
     misfit_share: float = 0.1
@@ -67,24 +68,21 @@ def diagnose(explorer: Explorer, rules: Rules = Rules()) -> Examination:
     """
     base = explorer.baseline()
     screened = explorer.screened(base)
-    library = [s.effect for s in screened]
-    singles = explorer.add(base, library)
+    singles = explorer.add(base, _worth_refitting(explorer, base, rules))
     current = base
     for _ in range(rules.most_effects):
-        rest = [e for e in library if e.name not in current.names]
-        options = explorer.add(current, rest)
-        better = _accepted(explorer, current, options, rules)
+        options = explorer.add(current, _worth_refitting(explorer, current, rules))
+        better = _accepted(explorer, current, options, len(screened), rules)
         if better is None:
             break
-        current = _exchanged(explorer, better, library)
-        current = _pruned(explorer, current, rules)
+        current = _pruned(explorer, _exchanged(explorer, better, rules), rules)
     steps = _in_order(explorer, current)
-    tied = {e.name: _tied(explorer, current, e, library, rules) for e in current.effects}
+    tied = {e.name: _tied(explorer, current, e, rules) for e in current.effects}
     verdict = _verdict(explorer, base, current, tied, rules)
     if verdict == "unexplained":
         steps, tied = (base,), {}
     missing = tuple(
-        _found(explorer, small, large, tied, len(library))
+        _found(explorer, small, large, tied, len(screened))
         for small, large in itertools.pairwise(steps)
     )
     diagnosis = Diagnosis(
@@ -97,14 +95,28 @@ def diagnose(explorer: Explorer, rules: Rules = Rules()) -> Examination:
     return Examination(diagnosis, steps, tuple(screened), tuple(singles))
 
 
+def _worth_refitting(explorer: Explorer, base: Candidate, rules: Rules) -> list[type[Effect]]:
+    """The best of the screen, and whatever the screen may misjudge: all that are not smooth."""
+    screened = explorer.screened(base)
+    ranked = sorted(screened, key=lambda s: (s.score.p_value, -s.score.statistic))
+    best = [s.effect for s in ranked[: rules.best]]
+    return best + [s.effect for s in ranked[rules.best :] if not s.effect.smooth]
+
+
 def _accepted(
-    explorer: Explorer, current: Candidate, options: Sequence[Candidate], rules: Rules
+    explorer: Explorer,
+    current: Candidate,
+    options: Sequence[Candidate],
+    library: int,
+    rules: Rules,
 ) -> Candidate | None:
-    """The option with the most evidence, if it is significant and confirmed."""
-    if not options:
-        return None
+    """The option with the most evidence, if it is significant and confirmed.
+
+    Effects that were not refitted count as tried: their screen was no better than chance.
+    """
     gains = [explorer.gain(current, o) for o in options]
-    adjusted = holm([g.p_value for g in gains])
+    tried = [g.p_value for g in gains]
+    adjusted = holm(tried + [1.0] * (library - len(tried)))[: len(tried)]
     sound = [
         o
         for o, g, p in zip(options, gains, adjusted, strict=True)
@@ -117,17 +129,15 @@ def _confirmed(current: Candidate, gain: Gain, rules: Rules) -> bool:
     return current.heldout is None or gain.heldout > rules.heldout_gain
 
 
-def _exchanged(
-    explorer: Explorer, candidate: Candidate, library: Sequence[type[Effect]]
-) -> Candidate:
+def _exchanged(explorer: Explorer, candidate: Candidate, rules: Rules) -> Candidate:
     """The candidate with effects exchanged one by one for others while evidence grows."""
     improved = len(candidate.effects) > 1
     while improved:
         improved = False
         for effect in candidate.effects:
             rest = explorer.without(candidate, effect)
-            others = [e for e in library if e.name not in rest.names]
-            best = max(explorer.add(rest, others), key=lambda c: c.evidence)
+            options = explorer.add(rest, _worth_refitting(explorer, rest, rules))
+            best = max(options, key=lambda c: c.evidence, default=candidate)
             if best.evidence > candidate.evidence + 1.0:
                 candidate, improved = best, True
                 break
@@ -157,15 +167,15 @@ def _tied(
     explorer: Explorer,
     final: Candidate,
     effect: type[Effect],
-    library: Sequence[type[Effect]],
     rules: Rules,
 ) -> tuple[str, ...]:
     """Effects that explain as much in place of `effect`, all trials together."""
     rest = explorer.without(final, effect)
-    others = [e for e in library if e.name not in final.names]
-    rivals = sorted(explorer.add(rest, others), key=lambda c: c.chi2)
+    rivals = explorer.add(rest, _worth_refitting(explorer, rest, rules))
     limit = final.chi2 + rules.tie
-    return tuple(next(iter(c.names - rest.names)) for c in rivals if c.chi2 < limit)
+    close = sorted((c for c in rivals if c.chi2 < limit), key=lambda c: c.chi2)
+    names = [next(iter(c.names - rest.names)) for c in close]
+    return tuple(name for name in names if name not in final.names)
 
 
 def _verdict(
@@ -258,15 +268,22 @@ def _ranking(
     rules: Rules,
 ) -> tuple[Ranked, ...]:
     """All effects, by the evidence of adding each alone to the baseline."""
-    gains = [explorer.gain(base, c) for c in singles]
-    adjusted = holm([g.p_value for g in gains])
+    refits = {c.effects[-1].name: c for c in singles}
+    rows = []
+    for screened in explorer.screened(base):
+        name = screened.effect.name
+        if name in refits:
+            gain = explorer.gain(base, refits[name])
+            rows.append((name, gain.delta_chi2, gain.p_value, refits[name].evidence))
+        else:
+            rows.append((name, screened.score.statistic, screened.score.p_value, -np.inf))
+    adjusted = holm([row[2] for row in rows])
     at_end = {s.effect.name: s for s in explorer.screened(final)}
     left = dict(zip(at_end, holm([s.score.p_value for s in at_end.values()]), strict=True))
     rivals = {name for names in tied.values() for name in names}
     ranked = []
-    order = sorted(zip(singles, gains, adjusted, strict=True), key=lambda row: -row[0].evidence)
-    for candidate, gain, p_value in order:
-        name = candidate.effects[-1].name
+    order = sorted(zip(rows, adjusted, strict=True), key=lambda r: (-r[0][3], -r[0][1]))
+    for (name, score, _, _), p_value in order:
         status: Status
         if name in final.names:
             status = "present"
@@ -274,7 +291,7 @@ def _ranking(
             status = "inspect"
         else:
             status = "absent" if _too_small(at_end[name]) else "cannot_tell"
-        ranked.append(Ranked(name, gain.delta_chi2, p_value, status))
+        ranked.append(Ranked(name, float(score), p_value, status))
     return tuple(ranked)
 
 

@@ -36,8 +36,10 @@ COLD_STARTS = 48
 COLD_RANGE = 3.0
 #: Above this χ² per value the baseline cannot fit, and a tempered fit is a better place to start.
 MISFIT = 1.5
-MOST_STARTS = 6
-REFIT = Options(tolerance=0.03, most_passes=20)
+MOST_GUESSES = 9
+#: Fits of an effect from different starts; friction has several minima.
+SMOOTH_TRIES, ROUGH_TRIES = 1, 2
+REFIT = Options(tolerance=0.1, most_passes=15)
 
 Progress = Callable[[str], None]
 
@@ -172,17 +174,17 @@ class Explorer:
         if key in self._known:
             return self._known[key]
         space = space_with(base.fit.space, effects)
-        values = [start, *_typical(effect)] if not effect.smooth else [start, _typical(effect)[0]]
         origins = [base.fit.q]
         if self._calm is not None:
-            calm = base.fit.q.copy()
-            calm[: len(self._calm)] = self._calm
-            origins.append(calm)
-        best: Fit | None = None
-        for origin, value in list(itertools.product(origins, values))[:MOST_STARTS]:
+            origins.append(np.concatenate([self._calm, base.fit.q[len(self._calm) :]]))
+        starts = []
+        for origin, value in itertools.product(origins, [start, *_typical(effect)]):
             q = extended(base.fit, space, effect, value)
             for i, name in enumerate(base.fit.space.names):
                 q[space.names.index(name)] = origin[i]
+            starts.append(q)
+        best: Fit | None = None
+        for q in self._promising(space, starts, SMOOTH_TRIES if effect.smooth else ROUGH_TRIES):
             try:
                 fit = fit_model(self.bench, space, q, base.fit.delay_s, options=REFIT)
             except (ValueError, DivergedError, UnsettledError):
@@ -193,6 +195,19 @@ class Explorer:
             return None
         self._known[key] = self._weigh(effects, best)
         return self._known[key]
+
+    def _promising(
+        self, space: ParameterSpace, starts: Sequence[FloatArray], count: int
+    ) -> list[FloatArray]:
+        """The starts with the least misfit, worth a fit each."""
+        trials = fit_trials(self.bench)[:1]
+        square = []
+        for q in starts:
+            try:
+                square.append(float(np.sum(residuals(self.bench, space, trials, q[None]) ** 2)))
+            except (ValueError, DivergedError, UnsettledError):
+                square.append(np.inf)
+        return [starts[i] for i in np.argsort(square, kind="stable")[:count]]
 
     def _weigh(self, effects: tuple[type[Effect], ...], fit: Fit) -> Candidate:
         held = heldout(self.bench, fit)
@@ -219,4 +234,4 @@ def cold_start(bench: Bench, space: ParameterSpace) -> FloatArray:
 def _typical(effect: type[Effect]) -> list[FloatArray]:
     """All combinations of the effect's starts, the most typical first."""
     choices = itertools.product(*(p.starts for p in effect.parameters))
-    return [np.array(c) for c in itertools.islice(choices, MOST_STARTS)]
+    return [np.array(c) for c in itertools.islice(choices, MOST_GUESSES)]
