@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from types import TracebackType
+from typing import Literal
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -78,19 +79,20 @@ class RunProgress:
 
 def results_table(results: Sequence[Result]) -> Table:
     """One row per cable; lengths in mm."""
-    table = Table(title="cables (lengths in mm)", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table = Table(title="cables (lengths in mm)", box=SIMPLE_HEAD, pad_edge=False)
     for heading in (
         "cable",
         "outcome",
         "offset",
-        "predicted miss",
-        "measured miss",
+        "predicted\nmiss",
+        "measured\nmiss",
         "margin",
-        "forecast error",
-        "passes with",
-        "robot waits",
+        "forecast\nerror",
+        "passes\nwith",
+        "robot\nwaits",
     ):
-        table.add_column(heading, justify="left" if heading == "outcome" else "right", min_width=6)
+        justify: Literal["left", "right"] = "left" if heading == "outcome" else "right"
+        table.add_column(heading, justify=justify, no_wrap=True)
     for r in results:
         table.add_row(
             str(r.cycle),
