@@ -229,6 +229,12 @@ class Controller:
         self.registers = Registers()
         self.note("power off")
 
+    def put_home(self) -> None:
+        """Put the arm back where it was at the start, as a person would by hand; no program."""
+        self.end_program("put home")
+        self._coasting = None
+        self.joints = Joints(self.options.model)
+
     def _stop_for_safety(self, safety: Safety, why: str) -> None:
         self.safety = safety
         self._stopped_s = self.time_s

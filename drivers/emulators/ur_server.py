@@ -200,6 +200,7 @@ class _Faults(_Lines):
             "safeguard_stop": controller.safeguard_stop,
             "emergency_stop": controller.emergency_stop,
             "clear": controller.clear_safety,
+            "home": controller.put_home,
             "end_program": lambda: controller.end_program("injected"),
             "local": lambda on: setattr(controller, "remote_control", not on),
             "speed_fraction": lambda value: setattr(controller, "speed_fraction", float(value)),

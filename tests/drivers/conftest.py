@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import itertools
+import os
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
 
+from drivers.emulators.launch import EmulatedController
 from drivers.interfaces import FloatArray, Path, Pose
+from drivers.plane_mount import PlaneMount
 from drivers.sim.arm import SimArm
 from drivers.sim.camera import CameraTwinOptions, SimCamera
 from drivers.sim.clock import SimClock
 from drivers.sim.gripper import SimGripper
 from drivers.sim.render import RenderOptions
 from drivers.sim.world import World
+from drivers.ur import UrOptions
+from drivers.ur_kinematics import UR5E, pose_of
 
 HOME = Pose(0.5, 0.5, 0.0)
 SCALE_M_PER_PX = 0.001  # coarse pictures are quick pictures
@@ -75,6 +81,41 @@ def cell() -> SimCell:
         SimGripper(world),
         cable,
     ).connect()
+
+
+@pytest.fixture(scope="session")
+def free_loopback() -> Callable[[], str]:
+    """Addresses of this computer that nobody else uses."""
+    numbers = itertools.count(2)
+    worker = os.getpid() % 60000
+    return lambda: f"127.{1 + worker // 250}.{1 + worker % 250}.{next(numbers)}"
+
+
+@pytest.fixture(scope="session")
+def emulated_controller(free_loopback: Callable[[], str]) -> Iterator[EmulatedController]:
+    with EmulatedController(free_loopback()) as emulator:
+        yield emulator
+
+
+@pytest.fixture
+def ur_emulator(emulated_controller: EmulatedController) -> Iterator[EmulatedController]:
+    """An emulated controller in order, with its arm at (0.5, 0.5) of the plane of `ur_options`."""
+    emulated_controller.ask("clear")
+    emulated_controller.ask("home")
+    yield emulated_controller
+    emulated_controller.ask("refuse", on=False)
+    emulated_controller.ask("local", on=False)
+    emulated_controller.ask("freeze", seconds=0.0)
+
+
+@pytest.fixture
+def ur_options(ur_emulator: EmulatedController) -> UrOptions:
+    X_BF = UR5E.forward(np.array([0.0, -np.pi / 2, np.pi / 2, -np.pi / 2, -np.pi / 2, 0.0]))
+    x, y, z = X_BF[:3, 3] - 0.5 * np.array([0.0, -1.0, 0.0]) - 0.5 * np.array([0.0, 0.0, 1.0])
+    mount = PlaneMount((x, y, z), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0))
+    X_FT = np.eye(4)
+    X_FT[:3, :3] = X_BF[:3, :3].T @ mount.X_BP[:3, :3]
+    return UrOptions(ur_emulator.host, mount, tuple(pose_of(X_FT)))
 
 
 PathMaker = Callable[..., Path]

@@ -28,8 +28,9 @@ from drivers.sim.arm import ArmFaults
 from drivers.sim.camera import CameraFaults
 from drivers.sim.clock import SimClock
 from drivers.sim.gripper import GripperFaults
+from drivers.ur import UrArm
 
-Act = Callable[[], None]
+Act = Callable[[], object]
 
 
 @dataclass
@@ -95,6 +96,21 @@ def guarded_sim_arm(request: pytest.FixtureRequest) -> Iterator[ArmBench]:
         wide = ArmLimits(-2.0, 2.0, -2.0, 2.0, -1.0, 1.0, 2.0, 50.0, 2000.0)
         bench.arm = GuardedArm(bench.arm, wide)
         yield bench
+
+
+@contextlib.contextmanager
+def ur_arm(request: pytest.FixtureRequest) -> Iterator[ArmBench]:
+    pytest.importorskip("rtde_control", reason="ur-rtde has no wheel for this machine")
+    emulator = request.getfixturevalue("ur_emulator")
+    yield ArmBench(
+        UrArm(request.getfixturevalue("ur_options")),
+        RealClock(),
+        request.getfixturevalue("line"),
+        lose=lambda: emulator.ask("drop"),
+        controller_stop=lambda: emulator.ask("protective_stop"),
+        person_clears=lambda: emulator.ask("clear"),
+        refuse=lambda: emulator.ask("refuse", on=True),
+    )
 
 
 @contextlib.contextmanager
@@ -179,7 +195,7 @@ def serial_gripper(request: pytest.FixtureRequest) -> Iterator[GripperBench]:
         )
 
 
-ARMS = {"sim": sim_arm, "guarded": guarded_sim_arm}
+ARMS = {"sim": sim_arm, "guarded": guarded_sim_arm, "ur": ur_arm}
 CAMERAS = {"sim": sim_camera, "guarded": guarded_sim_camera, "files": files_camera}
 GRIPPERS = {"sim": sim_gripper, "guarded": guarded_sim_gripper, "serial": serial_gripper}
 CLOCKS = {"sim": SimClock, "real": RealClock}

@@ -1,0 +1,399 @@
+"""Universal Robots arm over RTDE, by way of a supervised child process.
+
+ur-rtde crashes or hangs when a connection drops, and waits with the interpreter's lock held; so it
+lives in `drivers.ur_child`, and this end holds every deadline.  Whatever becomes of the child, the
+controller's own watchdog stops the arm.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pickle
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from dataclasses import dataclass, field
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
+from typing import BinaryIO
+
+import numpy as np
+
+from drivers.interfaces import (
+    ArmMode,
+    ArmState,
+    ConnectError,
+    DeviceLostError,
+    FloatArray,
+    LimitError,
+    Path,
+    Pose,
+    StoppedError,
+)
+from drivers.plane_mount import PlaneMount
+from drivers.ur_child import MODES, ChildOptions
+from drivers.ur_kinematics import MODELS, OutOfReachError, matrix_of
+from drivers.ur_shared import COLUMNS, SIZE_BYTES, Column, SharedState, Slot
+
+_REMEDIES = {
+    ArmMode.STOPPED: "acknowledge and reset",
+    ArmMode.PROTECTIVE_STOP: "find the cause, unlock at the pendant after 5 s, then reset",
+    ArmMode.SAFEGUARD_STOP: "close the guard and acknowledge at the pendant, then reset",
+    ArmMode.EMERGENCY_STOP: "release the button, power on at the pendant, then reset",
+    ArmMode.LOCAL_CONTROL: "switch the pendant to remote control, then reset",
+}
+_LOST_REMEDY = "check the controller's power and network, then connect again"
+_REACH_STEP_S = 0.02
+_RESET_S = 10.0
+_CLOSE_S = 2.0
+_MODEL_TOLERANCE_M = 0.015
+_MOVING_M_PER_S = 0.001
+
+
+@dataclass(frozen=True)
+class UrOptions:
+    """How the arm is reached, where the cell's plane is, how it is driven.
+
+    tcp             pose of the gripping point's frame on the flange: m and rotation vector, rad;
+                    its x and y axes are the plane's when the clamp angle is 0
+    lag_s           measured with this lookahead
+    watchdog_hz     lowest rate of commands before the controller stops the arm
+    stop_m_per_s2   deceleration of a stop
+    connect_s       time that connecting may take
+    stale_s         silence of the controller that counts as lost
+    silent_s        silence of the child that counts as lost
+    off_plane_m, tilt_rad   how far from the plane the tool may be when a motion starts
+    versions        lowest and highest PolyScope version, major and minor
+    """
+
+    host: str
+    mount: PlaneMount
+    tcp: tuple[float, ...] = (0.0,) * 6
+    model: str = "UR5e"
+    rate_hz: float = 500.0
+    lookahead_s: float = 0.03
+    gain: float = 300.0
+    lag_s: float = 0.034
+    watchdog_hz: float = 20.0
+    stop_m_per_s2: float = 10.0
+    connect_s: float = 10.0
+    stale_s: float = 0.04
+    silent_s: float = 0.06
+    off_plane_m: float = 0.002
+    tilt_rad: float = 0.01
+    versions: tuple[tuple[int, int], tuple[int, int]] = field(default=((5, 6), (5, 21)))
+
+    def __post_init__(self) -> None:
+        if self.model not in MODELS:
+            raise ValueError(f"arm.model = {self.model}: must be one of {', '.join(MODELS)}")
+        if len(self.tcp) != 6:
+            raise ValueError(f"arm.tcp has {len(self.tcp)} numbers, 6 are needed")
+
+
+@dataclass
+class _Child:
+    """A running child process and the two ways to it."""
+
+    process: subprocess.Popen[bytes]
+    connection: Connection
+    shared: SharedState
+    errors: BinaryIO
+
+    def last_words(self) -> str:
+        """Last line that ur-rtde printed."""
+        self.errors.seek(0)
+        lines = self.errors.read().decode(errors="replace").strip().splitlines()
+        return lines[-1].strip() if lines else "no message"
+
+    def end(self) -> None:
+        """Kill what is left of it and give everything back."""
+        self.process.kill()
+        self.process.wait()
+        self.connection.close()
+        self.errors.close()
+
+
+class UrArm:
+    """A UR arm.  `stop`, `state` and `log` may be called from any thread."""
+
+    def __init__(self, options: UrOptions, name: str = "arm") -> None:
+        self.name = name
+        self._options = options
+        self._child: _Child | None = None
+        self._lock = threading.RLock()
+        self._stop_reason: str | None = None
+        self._paths = 0
+        self._log = np.empty((0, COLUMNS))
+        self._lost = "not connected"
+
+    @property
+    def lag_s(self) -> float:
+        """Measured delay between a commanded and the executed pose, s."""
+        return self._options.lag_s
+
+    @property
+    def rate_hz(self) -> float:
+        """Rate at which poses are streamed, Hz."""
+        return self._options.rate_hz
+
+    def connect(self) -> None:
+        """Start the child, upload the program.  Raises ConnectError."""
+        with self._lock:
+            self.close()
+            child = self._start_child()
+            try:
+                self._await_done(child, self._options.connect_s)
+                self._await_first_sample(child)
+                self._check_model(child)
+            except ConnectError:
+                child.end()
+                raise
+            self._child, self._paths = child, 0
+            if self._stop_reason is not None:
+                child.shared.add(Slot.STOPS)
+
+    def close(self) -> None:
+        """Stop and disconnect."""
+        with self._lock:
+            child, self._child = self._child, None
+            self._lost = "not connected"
+            if child is not None:
+                self._log = child.shared.samples()
+                with contextlib.suppress(OSError, subprocess.TimeoutExpired):
+                    child.connection.send(("close",))
+                    child.process.wait(_CLOSE_S)
+                child.end()
+
+    def state(self) -> ArmState:
+        """Raises DeviceLostError."""
+        with self._lock:
+            child = self._alive()
+            (sample,) = child.shared.samples(1)
+            speed = float(sample[Column.SPEED_M_PER_S])
+            return ArmState(
+                float(sample[Column.T_S]),
+                _pose(sample),
+                speed,
+                self._busy(child) or speed > _MOVING_M_PER_S,
+                self._mode(child),
+            )
+
+    def follow(self, path: Path) -> None:
+        """Raises LimitError: still moving, off the plane, out of reach; StoppedError."""
+        with self._lock:
+            child = self._alive()
+            stops = child.shared.get(Slot.STOPS)
+            mode = self._mode(child)
+            if mode is not ArmMode.READY:
+                cause = self._stop_reason if mode is ArmMode.STOPPED else mode.value
+                raise StoppedError(
+                    self.name, f"stopped: {cause or 'program ended'}", _REMEDIES[mode]
+                )
+            if self._busy(child):
+                raise LimitError(self.name, "still moving", "wait until it rests, or stop it")
+            (sample,) = child.shared.samples(1)
+            self._check_on_plane(sample)
+            begun = Path(path.t_s - path.t_s[0], path.x_m, path.y_m, path.angle_rad)
+            self._check_reach(begun, sample[Column.Q1_RAD :])
+            self._paths += 1
+            self._send(child, ("follow", begun, stops))
+
+    def log(self, start_s: float, end_s: float) -> Path:
+        """Measured poses; the robot's own time stamps, brought to the cell's clock."""
+        with self._lock:
+            samples = self._log if self._child is None else self._child.shared.samples()
+        t_s = samples[:, Column.T_S]
+        chosen = samples[(t_s >= start_s) & (t_s <= end_s)]
+        return Path(*(chosen[:, c].copy() for c in range(Column.ANGLE_RAD + 1)))
+
+    def stop(self, reason: str) -> None:
+        """Decelerate now and stay stopped until `reset`."""
+        if self._stop_reason is None:
+            self._stop_reason = reason
+        child = self._child  # no lock: a stop waits for nobody
+        if child is not None:
+            child.shared.add(Slot.STOPS)
+
+    def reset(self) -> None:
+        """Raises StoppedError while the controller itself is stopped; DeviceLostError."""
+        with self._lock:
+            child = self._alive()
+            self._send(child, ("reset",))
+            answer = self._receive(child, _RESET_S)
+            if answer[0] == "refused":
+                cause, remedy = answer[1:]
+                mode = ArmMode(cause) if cause in set(ArmMode) else None
+                remedy = remedy if mode is None else _REMEDIES[mode]
+                raise StoppedError(self.name, f"the controller reports {cause}", remedy)
+            self._stop_reason = None
+
+    # --- the child ----------------------------------------------------------------------------
+
+    def _start_child(self) -> _Child:
+        o = self._options
+        options = ChildOptions(
+            host=o.host,
+            mount=o.mount,
+            tcp=o.tcp,
+            period_s=1.0 / o.rate_hz,
+            lookahead_s=o.lookahead_s,
+            gain=o.gain,
+            watchdog_hz=o.watchdog_hz,
+            stop_m_per_s2=o.stop_m_per_s2,
+            stale_s=o.stale_s,
+            versions=o.versions,
+        )
+        ours, theirs = Pipe()
+        with tempfile.TemporaryFile() as memory:
+            memory.truncate(SIZE_BYTES)
+            shared = SharedState(memory.fileno())
+            errors = tempfile.TemporaryFile()  # noqa: SIM115  # closed with the child
+            numbers = [theirs.fileno(), memory.fileno()]
+            process = subprocess.Popen(
+                [sys.executable, "-m", "drivers.ur_child", *map(str, numbers)],
+                pass_fds=numbers,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=errors,
+                env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
+            )
+        theirs.close()
+        ours.send_bytes(pickle.dumps(options))
+        return _Child(process, ours, shared, errors)
+
+    def _await_done(self, child: _Child, seconds: float) -> None:
+        try:
+            if not child.connection.poll(seconds):
+                raise ConnectError(
+                    self.name,
+                    f"no answer from {self._options.host} within {seconds:.1f} s",
+                    _LOST_REMEDY,
+                )
+            answer = child.connection.recv()
+        except (EOFError, OSError):
+            raise ConnectError(self.name, child.last_words(), _LOST_REMEDY) from None
+        if answer[0] == "refused":
+            raise ConnectError(
+                self.name, f"{self._options.host}: {answer[1]}", answer[2] or _LOST_REMEDY
+            )
+
+    def _await_first_sample(self, child: _Child) -> None:
+        until_s = time.monotonic() + 1.0
+        while child.shared.get(Slot.SAMPLES) < 1.0 or child.shared.get(Slot.HEARTBEAT_S) == 0.0:
+            if time.monotonic() > until_s or child.process.poll() is not None:
+                raise ConnectError(self.name, "the controller sends no poses", _LOST_REMEDY)
+            time.sleep(0.002)
+
+    def _alive(self) -> _Child:
+        """The child, if it and the robot are well.  Raises DeviceLostError."""
+        child = self._child
+        if child is None:
+            remedy = "connect first" if self._lost == "not connected" else _LOST_REMEDY
+            raise DeviceLostError(self.name, self._lost, remedy)
+        silent_s = time.monotonic() - child.shared.get(Slot.HEARTBEAT_S)
+        if child.process.poll() is not None:
+            self._lose(child, self._farewell(child))
+        if silent_s > self._options.silent_s:
+            self._lose(child, f"the arm's process has been silent for {silent_s:.3f} s")
+        return child
+
+    def _farewell(self, child: _Child) -> str:
+        with contextlib.suppress(EOFError, OSError):
+            while child.connection.poll(0):
+                answer = child.connection.recv()
+                if answer[0] == "lost":
+                    return str(answer[1])
+        return f"the arm's process ended ({child.process.returncode}): {child.last_words()}"
+
+    def _lose(self, child: _Child, cause: str) -> None:
+        self._log = child.shared.samples()
+        self._child, self._lost = None, cause
+        child.end()
+        raise DeviceLostError(self.name, cause, _LOST_REMEDY)
+
+    def _send(self, child: _Child, request: tuple[object, ...]) -> None:
+        try:
+            child.connection.send(request)
+        except OSError:
+            self._lose(child, self._farewell(child))
+
+    def _receive(self, child: _Child, seconds: float) -> tuple[str, ...]:
+        try:
+            if child.connection.poll(seconds):
+                answer: tuple[str, ...] = child.connection.recv()
+                if answer[0] != "lost":
+                    return answer
+                self._lose(child, answer[1])
+        except (EOFError, OSError):
+            self._lose(child, self._farewell(child))
+        self._lose(child, f"no answer within {seconds:.1f} s")
+        raise AssertionError("_lose raises")
+
+    # --- judgement ----------------------------------------------------------------------------
+
+    def _mode(self, child: _Child) -> ArmMode:
+        mode = MODES[int(child.shared.get(Slot.MODE))]
+        if mode is ArmMode.READY and self._stop_reason is not None:
+            return ArmMode.STOPPED
+        return mode
+
+    def _busy(self, child: _Child) -> bool:
+        shared = child.shared
+        return shared.get(Slot.PATHS) != self._paths or shared.get(Slot.STREAMING) != 0.0
+
+    def _check_model(self, child: _Child) -> None:
+        (sample,) = child.shared.samples(1)
+        model = MODELS[self._options.model]
+        X_BT = model.forward(sample[Column.Q1_RAD :], matrix_of(np.array(self._options.tcp)))
+        there, here = self._options.mount.to_plane(X_BT), _pose(sample)
+        apart_m = float(np.hypot(there.x_m - here.x_m, there.y_m - here.y_m))
+        if apart_m > _MODEL_TOLERANCE_M:
+            raise ConnectError(
+                self.name,
+                f"joints and tool of a {model.name} put it {apart_m * 1e3:.0f} mm from where it is",
+                "check arm.model and arm.tcp",
+            )
+
+    def _check_on_plane(self, sample: FloatArray) -> None:
+        o = self._options
+        off_m, tilt_rad = sample[Column.OFF_PLANE_M], sample[Column.TILT_RAD]
+        if off_m > o.off_plane_m or tilt_rad > o.tilt_rad:
+            raise LimitError(
+                self.name,
+                f"the tool is {off_m * 1e3:.1f} mm off the cell's plane and tilted by "
+                f"{tilt_rad:.3f} rad, allowed {o.off_plane_m * 1e3:.1f} mm and "
+                f"{o.tilt_rad:.3f} rad",
+                "jog it to its start; nothing was moved",
+            )
+
+    def _check_reach(self, path: Path, q_rad: FloatArray) -> None:
+        """Joint angles and speeds along the path, as far as the nominal model knows."""
+        model, X_FT = MODELS[self._options.model], matrix_of(np.array(self._options.tcp))
+        count = max(2, int(np.ceil(path.t_s[-1] / _REACH_STEP_S)) + 1)
+        times_s = np.linspace(0.0, path.t_s[-1], count)
+        for before_s, t_s in zip([None, *times_s], times_s, strict=False):
+            try:
+                q_next = model.inverse(self._options.mount.to_base(path.at(t_s)), q_rad, X_FT)
+            except OutOfReachError as error:
+                raise LimitError(
+                    self.name, f"at t = {t_s:.3f} s {error}", "nothing was moved"
+                ) from error
+            if before_s is not None:
+                fastest = float(np.max(np.abs(q_next - q_rad))) / (t_s - before_s)
+                if fastest > model.max_joint_speed_rad_per_s:
+                    raise LimitError(
+                        self.name,
+                        f"at t = {t_s:.3f} s a joint turns at {fastest:.2f} rad/s, allowed "
+                        f"{model.max_joint_speed_rad_per_s:.2f} rad/s",
+                        "nothing was moved",
+                    )
+            q_rad = q_next
+
+
+def _pose(sample: FloatArray) -> Pose:
+    return Pose(
+        float(sample[Column.X_M]), float(sample[Column.Y_M]), float(sample[Column.ANGLE_RAD])
+    )

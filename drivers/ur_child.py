@@ -1,0 +1,349 @@
+"""The process in which ur-rtde lives: it may hang or crash there without taking the cell along.
+
+Started by `drivers.ur`; speaks to it through a connection (requests, answers) and shared memory
+(stop, heartbeat, samples).  Every cycle it reads the robot, obeys a stop, and either streams the
+next pose of a path or feeds the controller's watchdog.  When the robot falls silent, or the parent
+goes, it ends; the controller's watchdog then stops the arm.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from typing import Any
+
+import numpy as np
+
+from drivers.interfaces import ArmMode, Path
+from drivers.plane_mount import PlaneMount
+from drivers.ur_kinematics import matrix_of, pose_of
+from drivers.ur_shared import SharedState, Slot
+
+MODES = tuple(ArmMode)
+
+_PLAYING = 2  # runtime state
+_EMERGENCY, _SAFEGUARD, _PROTECTIVE, _VIOLATION, _FAULT = (
+    0b11 << 6,
+    0b11 << 4,
+    1 << 2,
+    1 << 8,
+    1 << 9,
+)
+_OUTPUTS = [
+    "timestamp",
+    "actual_q",
+    "actual_TCP_pose",
+    "actual_TCP_speed",
+    "runtime_state",
+    "safety_status_bits",
+]
+_SETTLING = 8.0  # lookaheads after the end of a path until the arm rests
+_DRIFT = 20e-6  # how fast two crystals may part
+_STANDSTILL_M = 2e-4
+_STANDSTILL_S = 0.1
+_PROGRAM_S = 5.0
+
+
+@dataclass(frozen=True)
+class ChildOptions:
+    """What the child needs to know; see `drivers.ur.UrOptions`."""
+
+    host: str
+    mount: PlaneMount
+    tcp: tuple[float, ...]
+    period_s: float
+    lookahead_s: float
+    gain: float
+    watchdog_hz: float
+    stop_m_per_s2: float
+    stale_s: float
+    versions: tuple[tuple[int, int], tuple[int, int]]
+
+
+class RefusedError(Exception):
+    """Something cannot be done now: the cause, and what a person can do."""
+
+    def __init__(self, cause: str, remedy: str) -> None:
+        super().__init__(cause)
+        self.cause = cause
+        self.remedy = remedy
+
+
+class _LostError(Exception):
+    """The robot fell silent."""
+
+
+@dataclass
+class _Motion:
+    path: Path
+    began_s: float
+    last_s: float = 0.0  # time of the last command
+
+
+class _Robot:
+    """ur-rtde's three clients, and nothing of the cell."""
+
+    def __init__(self, options: ChildOptions) -> None:
+        import dashboard_client
+        import rtde_control
+        import rtde_receive
+
+        self._options = options
+        self._dashboard = dashboard_client.DashboardClient(options.host)
+        self._dashboard.connect()
+        self._check_version()
+        self.receive = rtde_receive.RTDEReceiveInterface(
+            options.host, 1.0 / options.period_s, _OUTPUTS
+        )
+        self._check_can_start()
+        self.control = rtde_control.RTDEControlInterface(options.host, 1.0 / options.period_s)
+        self._prepare()
+
+    def mode(self) -> ArmMode:
+        """READY, or why the controller does not let the program run; STOPPED = it has ended."""
+        bits = self.receive.getSafetyStatusBits()
+        if bits & _EMERGENCY:
+            return ArmMode.EMERGENCY_STOP
+        if bits & _SAFEGUARD:
+            return ArmMode.SAFEGUARD_STOP
+        if bits & (_PROTECTIVE | _VIOLATION | _FAULT):
+            return ArmMode.PROTECTIVE_STOP
+        if self.receive.getRuntimeState() != _PLAYING:
+            return ArmMode.STOPPED if self.is_remote() else ArmMode.LOCAL_CONTROL
+        return ArmMode.READY
+
+    def is_remote(self) -> bool:
+        """Whether the pendant leaves control to us."""
+        return bool(self._dashboard.isInRemoteControl())
+
+    def restart_program(self) -> None:
+        """Upload the program anew without the old command starting with it.
+
+        Raises RefusedError: it does not run, or the arm moves.
+        """
+        self.control.kickWatchdog()  # leaves "no command" in the register, see hardware trap 4
+        self.control.reuploadScript()
+        if not _within(_PROGRAM_S, lambda: self.receive.getRuntimeState() == _PLAYING):
+            raise RefusedError("the program does not start", "look at the pendant's log")
+        before = np.array(self.receive.getActualTCPPose()[:3])
+        self._prepare()
+        until_s = time.monotonic() + _STANDSTILL_S
+        while time.monotonic() < until_s:
+            self.control.kickWatchdog()
+            moved_m = float(np.linalg.norm(np.array(self.receive.getActualTCPPose()[:3]) - before))
+            if moved_m > _STANDSTILL_M:
+                self.control.stopScript()
+                raise RefusedError(
+                    f"the arm moved {moved_m * 1e3:.1f} mm by itself after the program started",
+                    "look at the pendant's log",
+                )
+            time.sleep(0.005)
+
+    def _prepare(self) -> None:
+        self.control.setTcp(list(self._options.tcp))
+        self.control.setWatchdog(self._options.watchdog_hz)
+
+    def _check_version(self) -> None:
+        text = str(self._dashboard.polyscopeVersion())
+        major, minor = (int(part) for part in text.split(".")[:2])
+        low, high = self._options.versions
+        if not low <= (major, minor) <= high:
+            raise RefusedError(
+                f"the controller runs PolyScope {text}; this driver is proven with "
+                f"{low[0]}.{low[1]} to {high[0]}.{high[1]}",
+                "install such a version, or prove the driver with this one and widen the range",
+            )
+
+    def _check_can_start(self) -> None:
+        mode = self.mode()
+        if mode not in (ArmMode.READY, ArmMode.STOPPED):
+            raise RefusedError(f"the controller reports {mode.value}", "clear it at the pendant")
+
+
+class _Child:
+    def __init__(self, connection: Connection, shared: SharedState, options: ChildOptions) -> None:
+        self._connection = connection
+        self._shared = shared
+        self._options = options
+        self._motion: _Motion | None = None
+        self._mode = ArmMode.READY
+        self._stops = 0.0
+        self._robot_s = 0.0
+        self._advanced_s = time.monotonic()
+        self._offset_s = np.inf
+        self._robot = _Robot(options)
+
+    def run(self) -> None:
+        """Cycle until told to close.  Raises _LostError; EOFError: the parent has gone."""
+        self._measure(time.monotonic(), first=True)
+        self._look_at_mode()
+        next_s = time.monotonic()
+        while self._obey():
+            now_s = time.monotonic()
+            self._shared.put(Slot.HEARTBEAT_S, now_s)
+            self._measure(now_s)
+            self._look_at_mode()
+            self._obey_stop()
+            if self._motion is not None:
+                self._stream(self._motion, time.monotonic())
+            elif self._mode is ArmMode.READY:
+                self._robot.control.kickWatchdog()
+            next_s += self._options.period_s
+            left_s = next_s - time.monotonic()
+            if left_s > 0.0:
+                time.sleep(left_s)
+            else:
+                next_s = time.monotonic()
+        self._end_motion()
+        self._robot.control.stopScript()
+
+    def _measure(self, now_s: float, first: bool = False) -> None:
+        robot = self._robot.receive
+        # looked at before anything is sent: ur-rtde hangs in a call without connection
+        if not (robot.isConnected() and self._robot.control.isConnected()):
+            raise _LostError("the connection dropped")
+        robot_s = robot.getTimestamp()
+        if robot_s == self._robot_s:
+            silent_s = now_s - self._advanced_s
+            if silent_s > self._options.stale_s:
+                raise _LostError(f"the controller's time has not advanced for {silent_s:.3f} s")
+            return
+        passed_s = robot_s - self._robot_s
+        if first or not 0.0 < passed_s < 10.0:
+            self._offset_s = np.inf
+        self._offset_s = min(self._offset_s + _DRIFT * passed_s, now_s - robot_s)
+        self._robot_s, self._advanced_s = robot_s, now_s
+        X_BT = matrix_of(np.array(robot.getActualTCPPose()))
+        pose = self._options.mount.to_plane(X_BT)
+        speed = float(np.linalg.norm(robot.getActualTCPSpeed()[:3]))
+        off_m, tilt_rad = self._options.mount.off_plane(X_BT)
+        sample = [robot_s + self._offset_s, pose.x_m, pose.y_m, pose.angle_rad, speed]
+        sample += [off_m, tilt_rad, *robot.getActualQ()]
+        self._shared.write_sample(np.array(sample))
+
+    def _look_at_mode(self) -> None:
+        mode = self._robot.mode()
+        if mode is not ArmMode.READY and self._mode is ArmMode.READY:
+            self._motion = None
+            self._shared.put(Slot.STREAMING, 0.0)
+            if mode is not ArmMode.STOPPED:
+                self._robot.control.kickWatchdog()  # "no command", while it still stands
+        self._mode = mode
+        self._shared.put(Slot.MODE, MODES.index(mode))
+
+    def _obey_stop(self) -> None:
+        stops = self._shared.get(Slot.STOPS)
+        if stops != self._stops:
+            self._stops = stops
+            self._end_motion()
+
+    def _end_motion(self) -> None:
+        if self._motion is not None:
+            self._motion = None
+            self._robot.control.servoStop(self._options.stop_m_per_s2)
+            self._shared.put(Slot.STREAMING, 0.0)
+
+    def _stream(self, motion: _Motion, now_s: float) -> None:
+        options = self._options
+        if motion.last_s > 0.0:
+            self._count_period(now_s - motion.last_s)
+        motion.last_s = now_s
+        along_s = now_s - motion.began_s
+        target = pose_of(options.mount.to_base(motion.path.at(along_s)))
+        self._robot.control.servoL(
+            target.tolist(), 0.0, 0.0, options.period_s, options.lookahead_s, options.gain
+        )
+        if along_s > motion.path.t_s[-1] + _SETTLING * options.lookahead_s:
+            self._end_motion()
+
+    def _count_period(self, period_s: float) -> None:
+        self._shared.add(Slot.PERIODS)
+        if period_s > 1.5 * self._options.period_s:
+            self._shared.add(Slot.LATE_PERIODS)
+        if period_s > self._shared.get(Slot.WORST_PERIOD_S):
+            self._shared.put(Slot.WORST_PERIOD_S, period_s)
+
+    # --- requests -----------------------------------------------------------------------------
+
+    def _obey(self) -> bool:
+        """Act on the parent's requests; False when it wants to close."""
+        while self._connection.poll(0):
+            request = self._connection.recv()
+            match request:
+                case ("follow", Path() as path, float(stops)):
+                    self._follow(path, stops)
+                case ("reset",):
+                    self._answer(self._reset)
+                case ("close",):
+                    return False
+        return True
+
+    def _follow(self, path: Path, stops: float) -> None:
+        # a stop that came after the parent had looked for one wins
+        if stops == self._shared.get(Slot.STOPS) and self._mode is ArmMode.READY:
+            self._motion = _Motion(path, time.monotonic())
+            self._shared.put(Slot.STREAMING, 1.0)
+        self._shared.add(Slot.PATHS)
+
+    def _reset(self) -> None:
+        mode = self._robot.mode()
+        if mode not in (ArmMode.READY, ArmMode.STOPPED):
+            raise RefusedError(mode.value, "")
+        if mode is ArmMode.STOPPED:
+            self._robot.restart_program()
+        self._advanced_s = time.monotonic()
+        self._look_at_mode()
+
+    def _answer(self, act: Callable[[], None]) -> None:
+        """Do something that takes its time, and tell how it went."""
+        self._shared.put(Slot.HEARTBEAT_S, np.nan)
+        try:
+            act()
+            answer: tuple[Any, ...] = ("done",)
+        except RefusedError as refusal:
+            answer = ("refused", refusal.cause, refusal.remedy)
+        self._shared.put(Slot.HEARTBEAT_S, time.monotonic())
+        self._connection.send(answer)
+
+
+def _within(seconds: float, holds: Callable[[], bool]) -> bool:
+    until_s = time.monotonic() + seconds
+    while not holds():
+        if time.monotonic() > until_s:
+            return False
+        time.sleep(0.005)
+    return True
+
+
+def main() -> None:
+    """Serve one arm: `python -m drivers.ur_child CONNECTION_FD MEMORY_FD`."""
+    connection = Connection(int(sys.argv[1]))
+    shared = SharedState(int(sys.argv[2]))
+    options: ChildOptions = pickle.loads(connection.recv_bytes())
+    try:
+        child = _Child(connection, shared, options)
+        connection.send(("done",))
+    except RefusedError as refusal:
+        connection.send(("refused", refusal.cause, refusal.remedy))
+        os._exit(1)
+    except (RuntimeError, ValueError, ImportError) as error:
+        connection.send(("refused", " ".join(str(error).split()), ""))
+        os._exit(1)
+    try:
+        child.run()
+    except _LostError as lost:
+        connection.send(("lost", str(lost)))
+    except EOFError:
+        child._robot.control.servoStop(options.stop_m_per_s2)
+        child._robot.control.stopScript()
+    finally:
+        os._exit(0)  # ur-rtde's own farewell hangs once the robot has gone
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,83 @@
+"""Memory that a UR arm's two processes share: flags both ways, and a ring of measured samples.
+
+Every number is an aligned 8-byte float, written whole; each has one writer.
+"""
+
+from __future__ import annotations
+
+import mmap
+from enum import IntEnum
+
+import numpy as np
+
+from drivers.interfaces import FloatArray
+
+#: Samples kept: two minutes at 500 Hz.
+RING = 60_000
+
+
+class Slot(IntEnum):
+    """Numbers in the header, and who writes them."""
+
+    STOPS = 0  # parent: number of stops asked for
+    HEARTBEAT_S = 1  # child: monotonic time of its last cycle; nan while it is busy
+    SAMPLES = 2  # child: number of samples written so far
+    MODE = 3  # child: index of the ArmMode
+    STREAMING = 4  # child: 1 while it streams a path
+    PATHS = 5  # child: number of paths taken
+    WORST_PERIOD_S = 6  # child: longest time between two commands of a path
+    LATE_PERIODS = 7  # child: number of such times above 1.5 periods
+    PERIODS = 8  # child: number of such times
+
+
+class Column(IntEnum):
+    """Numbers of a sample."""
+
+    T_S = 0  # on the cell's clock
+    X_M = 1
+    Y_M = 2
+    ANGLE_RAD = 3
+    SPEED_M_PER_S = 4
+    OFF_PLANE_M = 5
+    TILT_RAD = 6
+    Q1_RAD = 7  # … to 12, the joints
+
+
+COLUMNS = 13
+_HEADER = 16
+SIZE_BYTES = 8 * (_HEADER + RING * COLUMNS)
+
+
+class SharedState:
+    """Header and ring in a file that both processes have mapped."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._map = mmap.mmap(descriptor, SIZE_BYTES)
+        numbers: FloatArray = np.frombuffer(self._map, dtype=np.float64)
+        self._header = numbers[:_HEADER]
+        self._ring = numbers[_HEADER:].reshape(RING, COLUMNS)
+
+    def get(self, slot: Slot) -> float:
+        """A number of the header."""
+        return float(self._header[slot])
+
+    def put(self, slot: Slot, value: float) -> None:
+        """Write a number of the header."""
+        self._header[slot] = value
+
+    def add(self, slot: Slot) -> None:
+        """Count."""
+        self._header[slot] += 1.0
+
+    def write_sample(self, sample: FloatArray) -> None:
+        """Append a sample (13,)."""
+        count = int(self._header[Slot.SAMPLES])
+        self._ring[count % RING] = sample
+        self._header[Slot.SAMPLES] = count + 1
+
+    def samples(self, most: int = RING // 2) -> FloatArray:
+        """(n, 13) the last samples, oldest first; at most half the ring, so that none is being
+        overwritten while it is copied."""
+        count = int(self._header[Slot.SAMPLES])
+        n = min(count, most, RING // 2)
+        return np.array(self._ring[np.arange(count - n, count) % RING])

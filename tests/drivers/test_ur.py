@@ -1,0 +1,277 @@
+"""The real ur-rtde driver against the emulated controller: what is peculiar to it."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+
+from drivers.emulators.launch import EmulatedController
+from drivers.interfaces import (
+    ArmMode,
+    ConnectError,
+    DeviceLostError,
+    LimitError,
+    StoppedError,
+)
+from drivers.plane_mount import PlaneMount
+from drivers.ur import UrArm
+
+pytest.importorskip("rtde_control", reason="ur-rtde has no wheel for this machine")
+
+
+@pytest.fixture
+def arm(ur_options):
+    it = UrArm(ur_options)
+    it.connect()
+    yield it
+    it.close()
+
+
+def until(holds: Callable[[], object], seconds: float = 5.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not holds():
+        assert time.monotonic() < deadline, "it did not happen in time"
+        time.sleep(0.002)
+
+
+def set_moving(arm: UrArm, line, duration_s: float = 1.5) -> None:
+    start = arm.state().pose
+    arm.follow(line(dy_m=-0.05, start=start, duration_s=duration_s))
+    until(lambda: arm.state().pose.y_m < start.y_m - 0.01)
+
+
+def lost(arm: UrArm) -> DeviceLostError:
+    deadline = time.monotonic() + 2.0
+    while time.monotonic() < deadline:
+        try:
+            arm.state()
+        except DeviceLostError as error:
+            return error
+        time.sleep(0.001)
+    raise AssertionError("nobody noticed")
+
+
+BREAKS = {
+    "drop": lambda arm, emulator: emulator.ask("drop"),
+    "freeze": lambda arm, emulator: emulator.ask("freeze", seconds=1.0),
+    "power cycle": lambda arm, emulator: emulator.ask("power_cycle", seconds=0.3),
+    "child killed": lambda arm, emulator: os.kill(arm._child.process.pid, signal.SIGKILL),
+    "child stopped": lambda arm, emulator: os.kill(arm._child.process.pid, signal.SIGSTOP),
+}
+
+
+@pytest.mark.parametrize("fault", BREAKS)
+def test_a_break_is_named_soon_the_arm_rests_and_comes_back(
+    arm, ur_emulator, ur_options, line, fault
+) -> None:
+    set_moving(arm, line)
+    broke_s = time.monotonic()
+    BREAKS[fault](arm, ur_emulator)
+    error = lost(arm)
+    noticed_s = time.monotonic() - broke_s
+    assert noticed_s < 0.15  # 0.1 asked of a machine that does nothing else
+    assert "connect again" in error.remedy
+    time.sleep(1.2 if fault == "freeze" else 0.5)
+    assert ur_emulator.ask("state")["last_moved_s"] - broke_s < 0.2
+    until(lambda: _connects(arm))
+    arm.follow(line(dx_m=-0.01, start=arm.state().pose))
+    until(lambda: not arm.state().moving)
+
+
+def _connects(arm: UrArm) -> bool:
+    try:
+        arm.connect()
+    except ConnectError:
+        return False
+    return True
+
+
+def test_garbage_never_leaves_the_arm_moving(arm, ur_emulator, line) -> None:
+    """ur-rtde may take random bytes for poses, crash or hang; the arm must rest either way."""
+    set_moving(arm, line)
+    for _ in range(5):
+        ur_emulator.ask("garbage", size=200)
+    garbage_s = time.monotonic()
+    lost(arm)
+    assert time.monotonic() - garbage_s < 0.3
+    time.sleep(0.4)
+    assert ur_emulator.ask("state")["last_moved_s"] - garbage_s < 0.3
+
+
+def test_the_death_of_the_cell_leaves_the_arm_stopped(ur_options, ur_emulator, tmp_path) -> None:
+    program = tmp_path / "cell.py"
+    program.write_text(
+        "import pickle, sys, time\n"
+        "import numpy as np\n"
+        "from drivers.interfaces import Path\n"
+        "from drivers.ur import UrArm\n"
+        "arm = UrArm(pickle.loads(bytes.fromhex(sys.argv[1])))\n"
+        "arm.connect()\n"
+        "pose = arm.state().pose\n"
+        "t = np.linspace(0.0, 5.0, 50)\n"
+        "arm.follow(Path(t, pose.x_m + 0 * t, pose.y_m - 0.02 * t, 0 * t))\n"
+        "time.sleep(60)\n"
+    )
+    cell = subprocess.Popen([sys.executable, str(program), pickle.dumps(ur_options).hex()])
+    try:
+        until(lambda: abs(ur_emulator.ask("state")["speed"][2]) > 0.015, 15.0)
+    finally:
+        killed_s = time.monotonic()
+        cell.kill()
+        cell.wait()
+    time.sleep(0.5)
+    state = ur_emulator.ask("state")
+    assert state["last_moved_s"] - killed_s < 0.2
+    assert state["runtime"] == "STOPPED"
+
+
+def test_a_stop_reaches_the_controller_soon(arm, ur_emulator, line) -> None:
+    set_moving(arm, line)
+    asked_s = time.monotonic()
+    arm.stop("test")
+    until(lambda: not arm.state().moving)
+    events = ur_emulator.ask("state")["events"]
+    (stop_s,) = [e["t_s"] for e in events if e["what"] == "servo stop" and e["t_s"] > asked_s]
+    assert stop_s - asked_s < 0.1
+
+
+@pytest.mark.parametrize(
+    ("op", "mode"),
+    [
+        ("protective_stop", ArmMode.PROTECTIVE_STOP),
+        ("safeguard_stop", ArmMode.SAFEGUARD_STOP),
+        ("emergency_stop", ArmMode.EMERGENCY_STOP),
+    ],
+)
+def test_after_a_controllers_stop_nothing_moves_by_itself(arm, ur_emulator, line, op, mode) -> None:
+    """Hardware trap 4: the last pose must not be replayed when the program starts anew."""
+    set_moving(arm, line)
+    ur_emulator.ask(op)
+    until(lambda: arm.state().mode is mode)
+    with pytest.raises(StoppedError, match=mode.value):
+        arm.follow(line(start=arm.state().pose))
+    time.sleep(0.1)
+    rest = arm.state().pose
+    ur_emulator.ask("clear")
+    until(lambda: arm.state().mode is ArmMode.STOPPED)
+    arm.reset()
+    assert arm.state().mode is ArmMode.READY
+    time.sleep(0.2)
+    assert arm.state().pose.y_m == pytest.approx(rest.y_m, abs=1e-4)
+
+
+def test_local_control_is_a_state_with_a_remedy(arm, ur_emulator, line) -> None:
+    ur_emulator.ask("local", on=True)
+    ur_emulator.ask("end_program")
+    until(lambda: arm.state().mode is ArmMode.LOCAL_CONTROL)
+    for act in (arm.reset, lambda: arm.follow(line(start=arm.state().pose))):
+        with pytest.raises(StoppedError, match="remote control"):
+            act()
+    ur_emulator.ask("local", on=False)
+    arm.reset()
+    assert arm.state().mode is ArmMode.READY
+
+
+def test_a_program_that_ended_can_be_started_anew(arm, ur_emulator, line) -> None:
+    ur_emulator.ask("end_program")
+    until(lambda: arm.state().mode is ArmMode.STOPPED)
+    with pytest.raises(StoppedError, match="program ended"):
+        arm.follow(line(start=arm.state().pose))
+    arm.reset()
+    assert arm.state().mode is ArmMode.READY
+
+
+def test_an_idle_arm_feeds_the_watchdog(arm, ur_emulator) -> None:
+    time.sleep(0.5)
+    assert arm.state().mode is ArmMode.READY
+    assert ur_emulator.ask("state")["runtime"] == "PLAYING"
+
+
+def test_out_of_reach_and_too_fast_are_refused_before_anything_is_sent(
+    arm, ur_emulator, line
+) -> None:
+    start = arm.state().pose
+    sent = ur_emulator.ask("state")["servo_writes"]
+    with pytest.raises(LimitError, match=r"UR5e does not reach.*nothing was moved"):
+        arm.follow(line(start=replace(start, y_m=2.5)))
+    with pytest.raises(LimitError, match=r"a joint turns at"):  # stretching out its elbow
+        arm.follow(line(dy_m=1.5, start=start, duration_s=10.0))
+    with pytest.raises(LimitError, match=r"a joint turns at .* rad/s, allowed 3.14"):
+        arm.follow(line(dy_m=-0.3, start=start, duration_s=0.1))
+    assert ur_emulator.ask("state")["servo_writes"] == sent
+    assert arm.state().mode is ArmMode.READY
+
+
+def test_a_tool_off_the_plane_is_refused(ur_options, ur_emulator, line) -> None:
+    x, y, z = ur_options.mount.origin_m
+    off = PlaneMount((x + 0.01, y, z), ur_options.mount.x_axis, ur_options.mount.y_axis)
+    arm = UrArm(replace(ur_options, mount=off))
+    arm.connect()
+    try:
+        with pytest.raises(LimitError, match=r"10.0 mm off the cell's plane"):
+            arm.follow(line(start=arm.state().pose))
+    finally:
+        arm.close()
+
+
+def test_a_wrong_model_is_noticed(ur_options) -> None:
+    with pytest.raises(
+        ConnectError, match=r"UR10e put it \d+ mm from where it is; check arm.model"
+    ):
+        UrArm(replace(ur_options, model="UR10e")).connect()
+    with pytest.raises(ValueError, match="must be one of UR3e, UR5e, UR10e"):
+        replace(ur_options, model="UR5")
+
+
+def test_a_controller_of_another_version_is_refused(free_loopback, ur_options) -> None:
+    host = free_loopback()
+    other = UrArm(replace(ur_options, host=host))
+    named = r"PolyScope 5.22.*proven with 5.6 to 5.21; install"
+    with (
+        EmulatedController(host, version="5.22.0.1"),
+        pytest.raises(ConnectError, match=named),
+    ):
+        other.connect()
+
+
+def test_a_stopped_controller_is_not_connected_to(ur_options, ur_emulator) -> None:
+    ur_emulator.ask("protective_stop")
+    with pytest.raises(ConnectError, match="reports protective_stop; clear it at the pendant"):
+        UrArm(ur_options).connect()
+
+
+def test_a_log_outlives_the_connection(arm, line) -> None:
+    began_s = time.monotonic()
+    time.sleep(0.05)
+    arm.close()
+    assert len(arm.log(began_s, time.monotonic()).t_s) > 5
+
+
+def test_nothing_leaks_over_many_connections(ur_options, ur_emulator) -> None:
+    arm = UrArm(ur_options)
+
+    def handles() -> int:
+        return len(os.listdir("/proc/self/fd"))  # noqa: PTH208  # faster than pathlib, and counts
+
+    arm.connect()
+    arm.close()
+    before, threads = handles(), threading.active_count()
+    for _ in range(5):
+        arm.connect()
+        arm.close()
+    assert handles() <= before + 1
+    assert threading.active_count() == threads
+
+
+def test_poses_are_those_of_the_plane(arm) -> None:
+    pose = arm.state().pose
+    assert (pose.x_m, pose.y_m) == pytest.approx((0.5, 0.5), abs=1e-4)
