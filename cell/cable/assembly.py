@@ -76,7 +76,7 @@ def _block(
     density = each(lambda m: m.cable.line_density_kg_per_m)
     inertia = np.array([_inertia(m) for m in models]).reshape(w, 2)
     tip = each(lambda m: _sum(m, "tip_mass"))
-    compliance = each(lambda m: _sum(m, "grip_compliance"))
+    compliance, lag = np.array([_grip(m) for m in models]).T
 
     part = np.ones((n + 1, 1))
     part[0] = part[-1] = 0.5
@@ -110,6 +110,7 @@ def _block(
     put(at.FREE, 1.0)
     state[0, at.FREE, :w] = compliance > 0.0
     state[0, at.SPRING, :w] = 1.0 / np.where(compliance > 0.0, compliance, 1.0)
+    state[0, at.VISCOSITY, :w] = state[0, at.SPRING, :w] * lag
     along = density + inertia[:, 0]
     extra = inertia[:, 1] - inertia[:, 0]
     put(at.LENGTH, body)
@@ -150,6 +151,16 @@ def _sum(model: CableModel, hook: str) -> float:
         if function is not None:
             total += float(function(cable_data(model), parameters(active)))
     return total
+
+
+def _grip(model: CableModel) -> tuple[float, float]:
+    """Compliance of the grip, rad/(N·m), and its retardation time, s."""
+    total, weighted = 0.0, 0.0
+    for active in model.effects:
+        if active.effect.grip_compliance is not None:
+            compliance, time = active.effect.grip_compliance(cable_data(model), parameters(active))
+            total, weighted = total + compliance, weighted + compliance * time
+    return total, weighted / total if total > 0.0 else 0.0
 
 
 def _inertia(model: CableModel) -> FloatArray:

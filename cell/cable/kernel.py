@@ -147,8 +147,9 @@ def bending(S: FloatArray, lanes: int, n: int, nonlinear: bool, dq: float, dv: f
     """The cable's own bending moments and their slope against the step's acceleration."""
     for w in range(lanes):
         spring = S[w + SPRING * LANES]
-        S[w + MOMENT * LANES] = spring * S[w + BEND_C * LANES]
-        S[w + STIFF * LANES] = spring * dq
+        loss = S[w + VISCOSITY * LANES]
+        S[w + MOMENT * LANES] = spring * S[w + BEND_C * LANES] + loss * S[w + RATE_C * LANES]
+        S[w + STIFF * LANES] = spring * dq + loss * dv
     for i in range(1, n + 1):
         if nonlinear:
             R = S[i * BODY :]

@@ -45,7 +45,7 @@ BEND_0 = 27  # bend at the start of the step, for effects with memory
 # --- the cable ----------------------------------------------------------------------------------
 RIGIDITY = 28  # EI, N·m²
 PER_LENGTH = 29  # curvature per bend angle, 1/m
-VISCOSITY = 30  # N·m²·s
+VISCOSITY = 30  # N·m²·s; of hinge 0 N·m·s/rad
 POWER = 31  # (N − 1)/2
 REST = 32  # rest curvature, 1/m
 FREE = 33  # 1 = the hinge bends, 0 = it is rigid

@@ -43,8 +43,9 @@ class Spline:
 def fit(t_s: FloatArray, value: FloatArray) -> Spline:
     """Spline through `value`, or near it if white noise is found in it.
 
-    The noise is the median fourth difference.  The smoothing is the one with the least
-    generalised cross-validation score, so a jerk is followed as closely as the noise allows.
+    The noise is taken from the median fourth difference.  The smoothing is the one with the least
+    expected error of the curve (Mallows' C_p), so a jerk is followed as closely as the noise
+    allows; cross-validation, which does not know the noise, now and then follows all of it.
     Source: Green & Silverman, Nonparametric Regression and Generalized Linear Models, 1994, ch. 2
     (Reinsch's algorithm); the trace is that of equal spacing.
     """
@@ -66,7 +67,7 @@ def fit(t_s: FloatArray, value: FloatArray) -> Spline:
     for smoothing in np.geomspace(1e-3, 1e7, 41) * spacing**3:
         smooth, _ = _reinsch(t, y, float(smoothing))
         trace = float(np.sum(1.0 / (1.0 + smoothing * wave)))
-        score = float(np.mean((y - smooth) ** 2)) / (1.0 - trace / n) ** 2
+        score = float(np.mean((y - smooth) ** 2)) + 2.0 * noise**2 * trace / n
         if score < best:
             best, chosen = score, float(smoothing)
     smooth, bend = _reinsch(t, y, chosen)

@@ -110,7 +110,7 @@ class Effect:
     inertia(cable, p) -> (along, normal)               kg/m added to the strip's, without weight
     tip_mass(cable, p) -> kg                           point mass with weight at the tip
     rest_curvature(cable, arc_length, p) -> κ₀         1/m, arrays
-    grip_compliance(cable, p) -> c                     rad/(N·m) at the gripping point
+    grip_compliance(cable, p) -> (c, τ)                rad/(N·m) and s at the gripping point
     extra_length(cable, p) -> m                        added to the free length
     clamp(pose: Pose, p) -> t -> (x, y, angle)         the hand's true pose, arrays
     camera_time(cable, t, xy, p) -> t                  when the points (…, 2) of a picture were

@@ -70,7 +70,7 @@ class BendingHysteresis(Effect):
 
 
 class NaturalCurvature(Effect):
-    """Rest shape κ₀(s) = κ_c + g s: the cable is straight nowhere when it is free of load."""
+    """Rest shape κ₀(s) = κ_c + g (s − L/2): the cable free of load is an arc, or a spiral."""
 
     name = "natural_curvature"
     parameters = (
@@ -81,4 +81,6 @@ class NaturalCurvature(Effect):
     @staticmethod
     def rest_curvature(cable: CableData, arc_length: FloatArray, p: Any) -> FloatArray:
         """Curvature free of load, 1/m."""
-        return np.asarray(p.curvature_1_per_m + p.gradient_1_per_m2 * arc_length)
+        return np.asarray(
+            p.curvature_1_per_m + p.gradient_1_per_m2 * (arc_length - 0.5 * cable.free_length_m)
+        )

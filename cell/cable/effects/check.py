@@ -149,9 +149,9 @@ def _try(effect: type[Effect], hook: str, p: Any, path: Path) -> None:
     elif hook == "inertia":
         _numbers(effect, hook, 2, path, _CABLE, p)
     elif hook in ("tip_mass", "grip_compliance", "extra_length"):
-        value = _numbers(effect, hook, 0, path, _CABLE, p)
-        if hook != "extra_length" and value[0] < 0.0:
-            _refuse(effect, hook, path, f"returned {value[0]}: must be ≥ 0")
+        values = _numbers(effect, hook, 2 if hook == "grip_compliance" else 0, path, _CABLE, p)
+        if hook != "extra_length" and min(values) < 0.0:
+            _refuse(effect, hook, path, f"returned {values}: must be ≥ 0")
     elif hook == "rest_curvature":
         _array(effect, hook, (5,), path, _CABLE, np.linspace(0.0, 0.1, 5), p)
     elif hook == "clamp":
@@ -239,9 +239,11 @@ def _check_off(effect: type[Effect], path: Path) -> None:
             off("moment", effect.moment(_CABLE, bend, memory, p) == 0.0)
     if effect.inertia is not None:
         off("inertia", not any(effect.inertia(_CABLE, p)))
-    for hook in ("tip_mass", "grip_compliance", "extra_length"):
+    for hook in ("tip_mass", "extra_length"):
         function = getattr(effect, hook)
         off(hook, function is None or function(_CABLE, p) == 0.0)
+    if effect.grip_compliance is not None:
+        off("grip_compliance", effect.grip_compliance(_CABLE, p)[0] == 0.0)
     if effect.rest_curvature is not None:
         off("rest_curvature", not np.any(effect.rest_curvature(_CABLE, np.linspace(0, 0.1, 5), p)))
     xy = np.array([[-0.1, -0.03], [-0.05, -0.01]])

@@ -37,18 +37,22 @@ class GripAngle(Effect):
 
 
 class GripCompliance(Effect):
-    """The jaws give way: the cable turns at the gripping point by compliance·moment.
+    """The jaws give way: at the gripping point the cable turns by φ, φ + τ dφ/dt = c·moment.
 
-    The parameter is the compliance, so that 0 is a rigid grip; its inverse is the stiffness.
+    The parameter is the compliance c, so that 0 is a rigid grip; 1/c is the rotational stiffness.
+    τ is the retardation time of the jaws' pads (Kelvin–Voigt), 0 for a spring without loss.
     """
 
     name = "grip_compliance"
-    parameters = (Parameter("rad_per_n_m", "rad/(N·m)", 0.0, 1e5, 0.0, (100.0,)),)
+    parameters = (
+        Parameter("rad_per_n_m", "rad/(N·m)", 0.0, 1e5, 0.0, (100.0,)),
+        Parameter("time_s", "s", 0.0, 1.0, 0.01, (0.01,), amplitude=False),
+    )
 
     @staticmethod
-    def grip_compliance(cable: CableData, p: Any) -> float:
-        """Compliance, rad/(N·m)."""
-        return float(p.rad_per_n_m)
+    def grip_compliance(cable: CableData, p: Any) -> tuple[float, float]:
+        """Compliance, rad/(N·m), and retardation time, s."""
+        return float(p.rad_per_n_m), float(p.time_s)
 
 
 class GripSlip(Effect):
