@@ -48,6 +48,9 @@ class Solver:
             raise ValueError(f"solver.damping = {self.damping}: must be 0 … 1")
 
 
+DEFAULT_SOLVER = Solver()
+
+
 class DivergedError(RuntimeError):
     """A simulation left the possible.  Scenario: a step far too long for a fast, soft cable."""
 
@@ -66,7 +69,7 @@ def simulate(
     times_s: FloatArray,
     arc_length_m: FloatArray,
     *,
-    solver: Solver = Solver(),
+    solver: Solver = DEFAULT_SOLVER,
     start: Literal["equilibrium", "straight"] = "equilibrium",
     release_s: float | None = None,
 ) -> FloatArray:
