@@ -69,7 +69,7 @@ class Offsets(_Section):
     def values_m(self) -> tuple[float, ...]:
         """All of them, ascending."""
         count = round((self.last_m - self.first_m) / self.step_m) + 1
-        return tuple(float(v) for v in self.first_m + self.step_m * np.arange(count))
+        return tuple(round(self.first_m + self.step_m * i, 9) for i in range(count))
 
 
 class Briskness(_Section):
@@ -109,7 +109,7 @@ class Motion(_Section):
     )
     """Brisk, so that the swing is worth filming."""
     insertion: Briskness = Briskness(
-        velocity_m_per_s=0.25, acceleration_m_per_s2=1.5, jerk_m_per_s3=25.0
+        velocity_m_per_s=0.2, acceleration_m_per_s2=1.0, jerk_m_per_s3=10.0
     )
     """Gentle, so that neighbouring offsets lead the tip to neighbouring heights."""
 
