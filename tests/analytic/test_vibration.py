@@ -50,14 +50,9 @@ def test_hanging_beam_has_the_frequencies_of_a_tensioned_beam(cable):
     for e in range(n):
         own = slice(2 * e, 2 * e + 4)
         for xi, w in zip((x + 1) / 2, weights / 2 * h, strict=True):
-            shape = np.array(
-                [1 - 3 * xi**2 + 2 * xi**3, h * xi * (1 - xi) ** 2, 3 * xi**2 - 2 * xi**3]
-                + [h * (xi**3 - xi**2)]
-            )
-            slope = np.array(
-                [6 * (xi**2 - xi) / h, 1 - 4 * xi + 3 * xi**2, 6 * (xi - xi**2) / h]
-                + [3 * xi**2 - 2 * xi]
-            )
+            rise, dip = 3 * xi**2 - 2 * xi**3, 6 * (xi - xi**2) / h
+            shape = np.array([1 - rise, h * xi * (1 - xi) ** 2, rise, h * (xi**3 - xi**2)])
+            slope = np.array([-dip, 1 - 4 * xi + 3 * xi**2, dip, 3 * xi**2 - 2 * xi])
             bend = np.array([12 * xi - 6, h * (6 * xi - 4), 6 - 12 * xi, h * (6 * xi - 2)]) / h**2
             tension = RHO * 9.81 * (LENGTH - (e + xi) * h)
             stiff[own, own] += w * (EI * np.outer(bend, bend) + tension * np.outer(slope, slope))
