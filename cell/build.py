@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -29,8 +30,8 @@ from drivers.guard import (
     GuardedCamera,
     GuardedGripper,
 )
-from drivers.interfaces import Camera, Pose
 from drivers.interfaces import Path as HandPath
+from drivers.interfaces import Pose
 from drivers.sim.arm import ArmTwinOptions, SimArm
 from drivers.sim.camera import CameraTwinOptions, SimCamera
 from drivers.sim.clock import SimClock
@@ -95,6 +96,16 @@ def cable_of(settings: Settings) -> Cable:
     return Cable(**settings.cable.model_dump())
 
 
+@dataclass(frozen=True)
+class Twins:
+    """The simulated world and the devices in it, without the limits around them."""
+
+    world: World
+    arm: SimArm
+    camera: SimCamera | FilesCamera
+    gripper: SimGripper
+
+
 def build_cell(
     settings: Settings,
     runs: Path,
@@ -109,11 +120,25 @@ def build_cell(
     cycles  so many simulated cables are laid out
     raises  NotAvailableError: a device that this version cannot drive
     """
-    devices = _simulated_devices(settings, seed, cycles)
+    return cell_with(settings, build_twins(settings, seed, cycles), runs, on_step)
+
+
+def cell_with(
+    settings: Settings, twins: Twins, runs: Path, on_step: Callable[[int, str], None]
+) -> Cell:
+    """A cell around given twins, so that a test can make them fail."""
+    clock = twins.world.clock
+    devices = Devices(
+        arm=GuardedArm(twins.arm, _arm_limits(settings)),
+        camera=GuardedCamera(twins.camera, clock),
+        gripper=GuardedGripper(twins.gripper, GripperLimits(*settings.gripper.force_limits_n)),
+        clock=clock,
+    )
     return Cell(devices, _task(settings), settings.model_dump(mode="json"), runs, on_step)
 
 
-def _simulated_devices(settings: Settings, seed: int, cycles: int) -> Devices:
+def build_twins(settings: Settings, seed: int, cycles: int) -> Twins:
+    """The simulated world with `cycles` cables laid out.  Raises NotAvailableError."""
     arm, gripper = settings.arm, settings.gripper
     if not isinstance(arm, given.SimulatedArm):
         raise NotAvailableError(f"arm.kind: {arm.kind!r} cannot be driven by this version yet")
@@ -121,20 +146,16 @@ def _simulated_devices(settings: Settings, seed: int, cycles: int) -> Devices:
         raise NotAvailableError(
             f"gripper.kind: {gripper.kind!r} cannot be driven by this version yet"
         )
-    clock = SimClock()
-    world = World(clock, _pose(settings.motion.home))
+    world = World(SimClock(), _pose(settings.motion.home))
     for number in range(1, cycles + 1):
         world.present(cable_shape(hidden_cable(settings, seed, number), settings.world.segments))
     options = ArmTwinOptions(lag_s=arm.lag_s, rate_hz=arm.rate_hz, noise_m=arm.noise_m)
-    return Devices(
-        arm=GuardedArm(SimArm(world, options, seed=seed), _arm_limits(settings)),
-        camera=GuardedCamera(_camera(settings, world, seed), clock),
-        gripper=GuardedGripper(SimGripper(world), GripperLimits(*gripper.force_limits_n)),
-        clock=clock,
+    return Twins(
+        world, SimArm(world, options, seed=seed), _camera(settings, world, seed), SimGripper(world)
     )
 
 
-def _camera(settings: Settings, world: World, seed: int) -> Camera:
+def _camera(settings: Settings, world: World, seed: int) -> SimCamera | FilesCamera:
     match settings.camera:
         case given.SimulatedCamera() as camera:
             picture = RenderOptions(

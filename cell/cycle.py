@@ -238,7 +238,13 @@ class Cell:
         now_s = time.perf_counter if name in COMPUTING else self._bench.devices.clock.now_s
         begun_s = now_s()
         try:
-            return act(self._bench, *args, **kwargs)
+            self.commands.check()
+            found = act(self._bench, *args, **kwargs)
+            self.commands.check()
+            return found
+        except DeviceError:
+            self.commands.check()  # a device that refuses because of a stop is not the cause
+            raise
         finally:
             passed_s = now_s() - begun_s
             progress.seconds[name] = progress.seconds.get(name, 0.0) + passed_s

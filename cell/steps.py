@@ -148,7 +148,6 @@ def hold_and_capture(bench: Bench, filming: Filming) -> Filmed:
 def identify(bench: Bench, trial: Trial) -> Identified:
     """This cable's parameters.  Raises CableRejectedError."""
     task = bench.task
-    bench.commands.check()
     return identify_cable(trial, task.arc_length_m, task.cable, options=task.identification)
 
 
@@ -161,7 +160,6 @@ def simulate(
     known lag, and is seen by the camera a constant beside where the arm says it is.
     """
     task, arm = bench.task, bench.devices.arm
-    bench.commands.check()
     start_s = bench.devices.clock.now_s() + lead_s
     to_start_s = filmed.begin_s - start_s
     history = Motion(
@@ -182,14 +180,12 @@ def simulate(
 
 def choose(bench: Bench, prospect: Prospect, identified: Identified) -> Choice:
     """The offset that passes most probably, or why none does."""
-    bench.commands.check()
     task = bench.task
     return choose_offset(prospect.forecast, identified, task.destination, task.choice)
 
 
 def verify(bench: Bench, filmed: Filmed, prospect: Prospect, choice: Choice) -> Passage:
     """Whether the tip was seen to pass the destination, and how far the forecast was off."""
-    bench.commands.check()
     return measured_passage(
         bench.task.destination,
         np.array([s.t_s for s in filmed.sightings]),

@@ -1,0 +1,140 @@
+"""Whole cycles in the simulated cell, undisturbed, paused and repeated."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from cell.build import hidden_cable
+from cell.console import STEPS
+from cell.machine import CellState, Event
+from cell.records.folder import read_record
+from cell.records.result import Outcome
+from cell.settings import Settings
+
+Live = Callable[..., SimpleNamespace]
+
+
+def test_three_cables_are_inserted_and_leave_complete_records(live: Live, quick: Settings) -> None:
+    it = live(cycles=3, seed=7)
+    results = [it.cell.run_cycle(n) for n in (1, 2, 3)]
+    it.cell.close()
+
+    assert [r.outcome for r in results] == [Outcome.INSERTED] * 3
+    assert len({r.offset_m for r in results}) > 1, "different cables ask for different motions"
+    assert it.twins.world.waiting == 0
+    for r in results:
+        assert r.margin_m is not None and r.margin_m > 0.0
+        assert r.prediction_error_m is not None and r.prediction_error_m < 1e-3
+        assert r.measured_miss_m == pytest.approx(r.predicted_miss_m, abs=1e-3)
+        assert r.wait_s is not None and r.wait_s > 0.0
+        assert set(r.seconds) == set(STEPS) - ({"connect"} if r.cycle > 1 else set())
+        read = read_record(Path(r.folder))
+        assert read.closed
+        assert read.result == r
+        assert read.study is not None and read.model is not None
+        assert [t.name for t in read.study.trials] == ["identify", "execute"]
+        assert {f.stem for f in Path(r.folder).glob("*.png")} == {
+            "identify_still",
+            "identify_swing",
+            "identify_held",
+            "execute_passage",
+        }
+        truth = hidden_cable(quick, 7, r.cycle)
+        found = np.array([r.parameters[f"rigidity_{k}"] for k in range(6)])
+        s = np.linspace(0.0, quick.cable.free_length_m, 6)
+        bends = s < 0.6 * quick.cable.free_length_m
+        ratio = found / truth.rigidity_at(s)
+        np.testing.assert_allclose(ratio[bends], 1.0, atol=0.08)
+
+
+def test_the_same_seed_gives_the_same_cycle_and_another_seed_another(
+    live: Live, quick: Settings
+) -> None:
+    a, b = (live(seed=5).cell.run_cycle(1) for _ in range(2))
+    assert (a.offset_m, a.margin_m, a.parameters) == (b.offset_m, b.margin_m, b.parameters)
+    assert hidden_cable(quick, 5, 1).exponent != hidden_cable(quick, 6, 1).exponent
+    assert hidden_cable(quick, 5, 1).exponent != hidden_cable(quick, 5, 2).exponent
+
+
+def test_time_is_spent_in_the_states_that_the_cycle_goes_through(live: Live) -> None:
+    it = live()
+    result = it.cell.run_cycle(1)
+    assert it.cell.machine.state is CellState.COMPLETE
+    in_steps = sum(result.seconds[s] for s in ("grasp", "lower", "hold_and_capture", "release"))
+    assert result.state_seconds["execute"] > in_steps
+    assert result.state_seconds["completing"] == pytest.approx(result.seconds["go_home"])
+
+
+@pytest.mark.parametrize(
+    ("pause", "resume", "state"),
+    [(Event.HOLD, Event.UNHOLD, "held"), (Event.SUSPEND, Event.UNSUSPEND, "suspended")],
+)
+def test_a_pause_takes_effect_between_steps_and_the_moment_is_planned_anew(
+    live: Live, pause: Event, resume: Event, state: str
+) -> None:
+    def later(it: SimpleNamespace) -> None:
+        assert it.cell.machine.state.value == state
+        it.twins.world.clock.sleep_s(2.0)
+        threading.Timer(0.05, it.cell.command, (resume,)).start()
+
+    it = live({"simulate": lambda it: it.cell.command(pause), state: later})
+    result = it.cell.run_cycle(1)
+    assert result.outcome is Outcome.INSERTED
+    begin = it.steps.index(state)
+    assert it.steps[begin - 1 : begin + 4] == ["choose", state, "simulate", "choose", "execute"]
+    assert result.prediction_error_m is not None and result.prediction_error_m < 1e-3
+
+
+def test_a_computer_too_slow_for_the_planned_moment_plans_a_later_one(live: Live) -> None:
+    it = live({"choose": lambda it: it.twins.world.clock.sleep_s(0.3)})
+    result = it.cell.run_cycle(1)
+    assert it.steps.count("simulate") == 2
+    assert result.outcome is Outcome.INSERTED
+
+
+def test_a_cable_that_no_offset_can_insert_is_put_aside(live: Live, quick: Settings) -> None:
+    high = quick.destination.model_copy(update={"y_m": (-0.065, -0.055)})
+    it = live(settings=quick.model_copy(update={"destination": high}), seed=1)
+    where: list[float] = []
+    it.twins.gripper.release = _noting(it, where, it.twins.gripper.release)
+    result = it.cell.run_cycle(1)
+    assert result.outcome is Outcome.REJECTED
+    assert result.reason is not None and result.reason.startswith("no offset passes")
+    assert result.offset_m is None and result.measured_miss_m is None
+    assert result.predicted_margin_m is not None and result.predicted_margin_m < 0.0
+    assert "execute" not in it.steps
+    assert where[-1] == pytest.approx(quick.motion.aside.x_m, abs=1e-4)
+    assert it.cell.machine.state is CellState.COMPLETE, "a rejected cable does not stop the cell"
+    assert read_record(Path(result.folder)).model is not None
+
+
+def _noting(it: SimpleNamespace, where: list[float], release: Callable[[], object]) -> object:
+    def noted() -> object:
+        where.append(it.twins.world.hand_pose().x_m)
+        return release()
+
+    return noted
+
+
+def test_a_cable_that_hardly_swings_is_rejected_with_the_reason(
+    live: Live, quick: Settings
+) -> None:
+    stiff = quick.world.model_copy(update={"rigidity_n_m2": (0.9, 1.0)})
+    result = live(settings=quick.model_copy(update={"world": stiff})).cell.run_cycle(1)
+    assert result.outcome is Outcome.REJECTED
+    assert result.reason is not None and result.reason.startswith("little swing: the tip swings by")
+    assert result.parameters == {}
+
+
+def test_a_cycle_leaves_the_arm_at_home_and_the_jaws_open(live: Live) -> None:
+    it = live()
+    it.cell.run_cycle(1)
+    home = it.twins.world.hand_pose()
+    assert (home.x_m, home.y_m) == pytest.approx((0.0, 0.0), abs=1e-4)
+    assert not it.twins.world.holds

@@ -1,0 +1,172 @@
+"""Whatever happens in whatever step: the arm comes to rest, and the record says what and where."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from cell.console import STEPS
+from cell.machine import CellState, Event, EventRefusedError
+from cell.records.folder import read_record
+from cell.records.result import Outcome, Result
+from drivers.interfaces import ArmMode
+from drivers.sim.arm import ArmFaults
+from drivers.sim.camera import CameraFaults
+from drivers.sim.gripper import GripperFaults
+
+Live = Callable[..., SimpleNamespace]
+
+#: Steps during which the hand moves, and those after which there is something measured.
+KNOWS_STUDY = STEPS[STEPS.index("identify") :]
+KNOWS_MODEL = STEPS[STEPS.index("simulate") :]
+
+
+def check_stopped(it: SimpleNamespace, result: Result, step: str) -> None:
+    """The arm rests, the jaws are as they were, and the record is readable and complete."""
+    assert result.outcome is Outcome.FAILED
+    assert result.fault is not None and result.fault.step == step
+    world = it.twins.world
+    resting = world.hand_pose()
+    assert world.hand_rests_from_s() <= world.clock.now_s()
+    world.clock.sleep_s(5.0)
+    assert world.hand_pose() == resting
+    read = read_record(Path(result.folder))
+    assert read.closed and read.result == result and read.step == step
+    assert (read.study is not None) is (step in KNOWS_STUDY)
+    assert (read.model is not None) is (step in KNOWS_MODEL)
+    assert set(result.seconds) <= set(STEPS[: STEPS.index(step) + 1])
+
+
+def interrupt(it: SimpleNamespace) -> None:
+    raise KeyboardInterrupt
+
+
+def stop_from_another_thread(it: SimpleNamespace) -> None:
+    thread = threading.Thread(target=it.cell.command, args=(Event.STOP, "guard opened"))
+    thread.start()
+    thread.join()
+
+
+def lose_the_arm(it: SimpleNamespace) -> None:
+    it.twins.arm.faults = ArmFaults(lost_at_s=it.twins.world.clock.now_s())
+
+
+@pytest.mark.parametrize("step", STEPS)
+def test_a_stop_in_any_step_ends_stopped(live: Live, step: str) -> None:
+    it = live({step: stop_from_another_thread})
+    result = it.cell.run_cycle(1)
+    check_stopped(it, result, step)
+    assert result.fault is not None and result.fault.cause == "guard opened"
+    assert it.cell.machine.state is CellState.STOPPED
+
+
+@pytest.mark.parametrize("step", ["reset", "lower", "hold_and_capture", "execute", "go_home"])
+def test_an_interruption_ends_stopped(live: Live, step: str) -> None:
+    it = live({step: interrupt})
+    result = it.cell.run_cycle(1)
+    check_stopped(it, result, step)
+    assert result.fault is not None and result.fault.cause == "interrupted by a person"
+    assert it.cell.machine.state is CellState.STOPPED
+
+
+@pytest.mark.parametrize("step", ["start", "lower", "hold_and_capture", "execute", "go_home"])
+def test_a_lost_arm_ends_aborted(live: Live, step: str) -> None:
+    it = live({step: lose_the_arm})
+    result = it.cell.run_cycle(1)
+    check_stopped(it, result, step)
+    assert result.fault is not None and result.fault.device == "arm"
+    assert "connect again" in result.fault.remedy
+    assert it.cell.machine.state is CellState.ABORTED
+    assert read_record(Path(result.folder)).state["arm"] == ArmMode.LOST.value
+
+
+def test_a_stop_in_the_middle_of_a_motion_does_not_wait_for_its_end(live: Live) -> None:
+    def soon(it: SimpleNamespace) -> None:
+        clock = it.twins.world.clock
+        clock.call_at(clock.now_s() + 0.5, lambda: it.cell.command(Event.ABORT, "e-stop pressed"))
+
+    it = live({"execute": soon})
+    result = it.cell.run_cycle(1)
+    check_stopped(it, result, "execute")
+    assert result.seconds["execute"] < 0.6
+    assert it.twins.world.hand_pose().x_m > -0.049, "stopped short of the end of the stroke"
+    assert it.cell.machine.state is CellState.ABORTED
+    assert it.twins.world.holds, "a stop releases nothing"
+
+
+DEVICE_FAULTS = [
+    ("connect", "camera", CameraFaults(refuses_to_connect=True), "no camera answers"),
+    ("connect", "gripper", GripperFaults(refuses_to_connect=True), "does not answer"),
+    ("connect", "arm", ArmFaults(refuses_to_connect=True), "refuses the connection"),
+    ("start", "arm", ArmFaults(local_control=True), "local control"),
+    ("grasp", "gripper", GripperFaults(misses=True), "nothing between the jaws"),
+    ("grasp", "gripper", GripperFaults(jams=True), "did not come to rest"),
+    ("hold_and_capture", "camera", CameraFaults(missing_frames=frozenset({20})), "was due"),
+    ("hold_and_capture", "camera", CameraFaults(frozen_from=10), "the camera is frozen"),
+    ("hold_and_capture", "camera", CameraFaults(late_from=10, late_s=1.0), "s late, allowed"),
+]
+
+
+@pytest.mark.parametrize(
+    ("step", "device", "faults", "cause"), DEVICE_FAULTS, ids=[f[3] for f in DEVICE_FAULTS]
+)
+def test_a_device_that_fails_is_named_with_its_cause(
+    live: Live, step: str, device: str, faults: object, cause: str
+) -> None:
+    it = live({step: lambda it: setattr(getattr(it.twins, device), "faults", faults)})
+    result = it.cell.run_cycle(1)
+    check_stopped(it, result, step)
+    assert result.fault is not None
+    assert result.fault.device == device and cause in result.fault.cause
+    assert result.fault.remedy
+
+
+def test_a_cable_that_falls_out_of_the_jaws_is_noticed_before_anything_is_identified(
+    live: Live,
+) -> None:
+    def slip(it: SimpleNamespace) -> None:
+        at_s = it.twins.world.clock.now_s() + 0.3
+        it.twins.gripper.faults = GripperFaults(slips_at_s=at_s)
+
+    it = live({"lower": slip})
+    result = it.cell.run_cycle(1)
+    check_stopped(it, result, "hold_and_capture")
+    assert result.fault is not None and result.fault.cause == "lost the cable"
+
+
+def test_a_mistake_of_the_program_is_a_fault_with_its_traceback(live: Live) -> None:
+    def mistake(it: SimpleNamespace) -> None:
+        raise ZeroDivisionError("by mistake")
+
+    it = live({"execute": mistake})
+    result = it.cell.run_cycle(1)
+    check_stopped(it, result, "execute")
+    assert result.fault is not None and result.fault.cause == "ZeroDivisionError: by mistake"
+    assert "in mistake" in read_record(Path(result.folder)).state["traceback"]
+
+
+def test_nothing_moves_after_a_fault_until_a_person_acknowledges_it(live: Live) -> None:
+    def miss(it: SimpleNamespace) -> None:
+        it.twins.gripper.faults = GripperFaults(misses=True)
+
+    it = live({"grasp": miss})
+    assert it.cell.run_cycle(1).outcome is Outcome.FAILED
+    with pytest.raises(EventRefusedError, match="no cycle can begin while aborted"):
+        it.cell.run_cycle(2)
+    assert len(list(it.runs.iterdir())) == 1
+    it.twins.gripper.faults = GripperFaults()
+    it.cell.acknowledge()
+    assert it.cell.run_cycle(2).outcome is Outcome.INSERTED
+
+
+def test_a_stop_given_between_cycles_is_not_lost(live: Live) -> None:
+    it = live()
+    it.cell.command(Event.STOP, "not now")
+    result = it.cell.run_cycle(1)
+    assert result.outcome is Outcome.FAILED
+    assert result.fault is not None and result.fault.cause == "not now"
+    assert it.twins.world.waiting == 1, "no cable was taken"
