@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from statistics import median
 from types import TracebackType
 from typing import Literal
 
@@ -31,6 +32,9 @@ STEPS = (
     "go_home",
 )
 
+#: Cables that have a column of their own in the table of times.
+MOST_COLUMNS = 5
+
 _COLOURS = {
     Outcome.INSERTED: "green",
     Outcome.MISSED: "red",
@@ -44,14 +48,16 @@ class RunProgress:
 
     def __init__(self, cycles: int) -> None:
         self._cycles = cycles
+        console = Console(stderr=True)
         self._progress = Progress(
             SpinnerColumn(),
             TextColumn("cable {task.fields[number]} of {task.fields[cycles]}"),
             BarColumn(bar_width=24),
             TextColumn("{task.description}"),
             TimeElapsedColumn(),
-            console=Console(stderr=True),
+            console=console,
             transient=True,
+            disable=not console.is_terminal,
         )
 
     def __enter__(self) -> RunProgress:
@@ -79,7 +85,7 @@ class RunProgress:
 
 def results_table(results: Sequence[Result]) -> Table:
     """One row per cable; lengths in mm."""
-    table = Table(title="cables (lengths in mm)", box=SIMPLE_HEAD, pad_edge=False)
+    table = Table(title="cables (lengths in mm)", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for heading in (
         "cable",
         "outcome",
@@ -89,7 +95,6 @@ def results_table(results: Sequence[Result]) -> Table:
         "margin",
         "forecast\nerror",
         "passes\nwith",
-        "robot\nwaits",
     ):
         justify: Literal["left", "right"] = "left" if heading == "outcome" else "right"
         table.add_column(heading, justify=justify, no_wrap=True)
@@ -103,23 +108,30 @@ def results_table(results: Sequence[Result]) -> Table:
             _mm(r.margin_m, "+.2f"),
             _mm(r.prediction_error_m, ".2f"),
             "" if r.probability is None else f"{r.probability:.1%}",
-            "" if r.wait_s is None else f"{r.wait_s * 1e3:.0f} ms",
         )
     return table
 
 
 def seconds_table(results: Sequence[Result]) -> Table:
-    """Time of each step, one column per cable."""
+    """Time of each step: one column per cable, or median and longest of many cables."""
     table = Table(title="seconds per step", box=SIMPLE_HEAD)
     table.add_column("step")
-    for r in results:
-        table.add_column(f"cable {r.cycle}", justify="right")
+    many = len(results) > MOST_COLUMNS
+    for heading in ["median", "longest"] if many else [f"cable {r.cycle}" for r in results]:
+        table.add_column(heading, justify="right")
+
+    def row(name: str, times: Sequence[float | None]) -> None:
+        known = [t for t in times if t is not None]
+        if not known:
+            return
+        shown = [median(known), max(known)] if many else times
+        table.add_row(name, *("" if t is None else f"{t:.3f}" for t in shown))
+
     for step in STEPS:
-        times = [r.seconds.get(step) for r in results]
-        if any(t is not None for t in times):
-            table.add_row(step.replace("_", " "), *("" if t is None else f"{t:.3f}" for t in times))
+        row(step.replace("_", " "), [r.seconds.get(step) for r in results])
     table.add_section()
-    table.add_row("all", *(f"{sum(r.seconds.values()):.3f}" for r in results))
+    row("all", [sum(r.seconds.values()) for r in results])
+    row("robot waited for the computer", [r.wait_s for r in results])
     return table
 
 

@@ -1,0 +1,180 @@
+"""The commands as a user gives them: exit codes, JSON, what is printed where, and being killed."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from cell.cli import app
+from cell.records.folder import read_record
+from cell.settings import Settings
+
+FIELDS = {
+    "cycle",
+    "outcome",
+    "offset_m",
+    "predicted_miss_m",
+    "measured_miss_m",
+    "margin_m",
+    "seconds",
+    "folder",
+}
+
+
+def cell(*arguments: object) -> tuple[int, str, str]:
+    done = CliRunner().invoke(app, [str(a) for a in arguments])
+    return done.exit_code, done.stdout, done.stderr
+
+
+@pytest.fixture(scope="module")
+def inserted(quick_config: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """Folder and standard output of a run of one cable with --json."""
+    runs = tmp_path_factory.mktemp("runs")
+    code, out, err = cell("run", "--config", quick_config, "--json", "--out", runs)
+    assert (code, err) == (0, "")
+    return runs, out
+
+
+def test_json_is_one_object_per_cycle_and_nothing_else(inserted: tuple[Path, str]) -> None:
+    (line,) = inserted[1].splitlines()
+    result = json.loads(line)
+    assert set(result) >= FIELDS
+    assert (result["cycle"], result["outcome"]) == (1, "inserted")
+    assert {"grasp", "identify", "execute"} <= set(result["seconds"])
+    assert Path(result["folder"]).parent == inserted[0]
+
+
+def test_identification_is_repeated_from_the_folder_alone(inserted: tuple[Path, str]) -> None:
+    (folder,) = inserted[0].iterdir()
+    code, out, _ = cell("identify", folder, "--json")
+    assert code == 0
+    model, recorded = json.loads(out), read_record(folder).model
+    assert recorded is not None
+    for again, before in zip(model["parameters"], recorded["parameters"], strict=True):
+        assert again["name"] == before["name"]
+        assert again["value"] == pytest.approx(before["value"], rel=1e-6)
+    code, out, _ = cell("identify", folder / "study")
+    assert code == 0 and "viscosity" in out and "mm rms" in out
+
+
+def test_a_table_is_printed_for_people(quick_config: Path, tmp_path: Path) -> None:
+    code, out, _ = cell("run", "-c", quick_config, "--out", tmp_path / "runs")
+    assert code == 0
+    for words in ("offset", "predicted", "measured", "margin", "hold and capture", "robot waited"):
+        assert words in out
+    assert "…" not in out, "80 columns are enough for every heading and number"
+
+
+def test_bad_settings_end_with_2_and_nothing_is_written(quick_config: Path, tmp_path: Path) -> None:
+    bad = tmp_path / "bad.yaml"
+    text = quick_config.read_text(encoding="utf-8")
+    bad.write_text(text.replace("force_n: 20.0", "force: 20.0"), encoding="utf-8")
+    for command in (("run", "--out", tmp_path / "runs"), ("check",)):
+        code, out, err = cell(command[0], "--config", bad, *command[1:])
+        assert (code, out) == (2, "")
+        assert f"{bad}:47:3: gripper.force: unknown key; did you mean 'force_n'?" in err
+    assert not (tmp_path / "runs").exists()
+
+
+def test_a_device_that_this_version_cannot_drive_ends_with_2(tmp_path: Path) -> None:
+    line3 = Path(__file__).parents[2] / "config" / "line3.yaml"
+    code, out, err = cell("check", "--config", line3)
+    assert code == 0 and "arm ur" in out
+    code, out, err = cell("run", "--config", line3, "--out", tmp_path / "runs")
+    assert (code, out) == (2, "")
+    assert "arm.kind: 'ur' cannot be driven by this version yet" in err
+    assert not (tmp_path / "runs").exists()
+
+
+def test_a_rejected_cable_ends_with_1_and_its_reason(quick_config: Path, tmp_path: Path) -> None:
+    high = tmp_path / "high.yaml"
+    text = quick_config.read_text(encoding="utf-8")
+    high.write_text(text.replace("[-0.111, -0.101]", "[-0.065, -0.055]"), encoding="utf-8")
+    code, out, err = cell("run", "-c", high, "--json", "--out", tmp_path / "runs")
+    assert code == 1
+    assert json.loads(out)["outcome"] == "rejected"
+    assert "cable 1 rejected: no offset passes" in err
+
+
+def test_identify_says_what_is_wrong_with_a_folder(tmp_path: Path) -> None:
+    code, out, err = cell("identify", tmp_path)
+    assert (code, out) == (2, "")
+    assert "study.yaml:1:1: cannot be read" in err
+
+
+def test_the_schema_is_printed_as_json() -> None:
+    code, out, _ = cell("schema")
+    assert code == 0 and json.loads(out) == Settings.model_json_schema()
+
+
+def test_help_names_the_exit_codes_and_is_quick() -> None:
+    code, out, _ = cell("run", "--help")
+    assert code == 0
+    assert "Ends with 0 if all were inserted" in out
+    heavy = "import sys; import cell.cli; print(sorted({'numba','cv2','scipy'} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", heavy], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]", "help must not wait for heavy imports"
+
+
+# --- being killed --------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def running(quick_config: Path, tmp_path: Path) -> subprocess.Popen[str]:
+    command = "from cell.cli import main; main()"
+    arguments = ["run", "-c", quick_config, "--json", "--cycles", "50", "--out", tmp_path / "runs"]
+    return subprocess.Popen(
+        [sys.executable, "-c", command, *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONUNBUFFERED": "1"},
+    )
+
+
+def until_running(runs: Path, cycle: int) -> None:
+    """Wait until a cycle is under way."""
+    for _ in range(3000):
+        if any(runs.glob(f"*-{cycle}/state.json")):
+            return
+        time.sleep(0.02)
+    raise AssertionError("the run never came so far")
+
+
+@pytest.mark.parametrize("given", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_stops_the_arm_closes_the_record_and_ends_with_1(
+    running: subprocess.Popen[str], tmp_path: Path, given: signal.Signals
+) -> None:
+    until_running(tmp_path / "runs", 1)
+    running.send_signal(given)
+    out, err = running.communicate(timeout=60)
+    assert running.returncode == 1, err
+    last = json.loads(out.splitlines()[-1])
+    assert last["outcome"] == "failed"
+    assert last["fault"]["cause"] == "interrupted by a person"
+    assert f"cable {last['cycle']} failed in step {last['fault']['step']}" in err
+    read = read_record(Path(last["folder"]))
+    assert read.closed and read.state["state"] == "stopped"
+    assert read.state["arm"] in ("stopped", "lost"), "lost: not connected yet"
+
+
+def test_a_killed_run_leaves_a_readable_record(
+    running: subprocess.Popen[str], tmp_path: Path
+) -> None:
+    until_running(tmp_path / "runs", 2)
+    running.kill()
+    running.communicate(timeout=60)
+    folders = sorted((tmp_path / "runs").iterdir(), key=lambda f: int(f.name.split("-")[-1]))
+    assert len(folders) >= 2
+    assert read_record(folders[0]).closed
+    killed = read_record(folders[-1])
+    assert not killed.closed and killed.result is None
+    assert killed.state["state"] in ("stopped", "resetting", "starting", "execute", "completing")
