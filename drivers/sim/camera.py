@@ -15,7 +15,7 @@ from drivers.interfaces import (
     Image,
 )
 from drivers.sim.render import RenderOptions, render
-from drivers.sim.world import World
+from drivers.sim.world import View, World
 
 _LOST_REMEDY = "check the camera's cable and power, then connect again"
 
@@ -151,18 +151,23 @@ class SimCamera:
             picture = replace(picture, read_noise=noise)
         span_s = max(picture.exposure_s, 1e-4)
         view = self._world.look(exposed_s + span_s * np.array([-0.5, 0.0, 0.5]))
-        grip_rate = (view.grip[2] - view.grip[0]) / span_s
-        return render(
-            None if view.cables is None else view.cables[1],
-            _triple(view.grip[1]),
-            self._options.homography,
-            picture,
-            np.random.default_rng([self._seed, self._recordings, index]),
-            cable_m_per_s=None
-            if view.cables is None
-            else (view.cables[2] - view.cables[0]) / span_s,
-            grip_per_s=_triple(grip_rate),
-        )
+        rng = np.random.default_rng([self._seed, self._recordings, index])
+        return photograph(view, replace(self._options, picture=picture), rng)
+
+
+def photograph(view: View, options: CameraTwinOptions, rng: np.random.Generator) -> Image:
+    """Picture of a view at three moments: the exposure's beginning, middle and end."""
+    span_s = float(view.t_s[2] - view.t_s[0])
+    cables = view.cables
+    return render(
+        None if cables is None else cables[1],
+        _triple(view.grip[1]),
+        options.homography,
+        options.picture,
+        rng,
+        cable_m_per_s=None if cables is None else (cables[2] - cables[0]) / span_s,
+        grip_per_s=_triple((view.grip[2] - view.grip[0]) / span_s),
+    )
 
 
 def _triple(values: FloatArray) -> tuple[float, float, float]:

@@ -10,6 +10,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
+from drivers.emulators.camera import CameraEmulatorOptions, EmulatedCamera, StreamFaults
+from drivers.emulators.camera_scene import TestCard
 from drivers.emulators.launch import EmulatedController
 from drivers.interfaces import FloatArray, Path, Pose
 from drivers.plane_mount import PlaneMount
@@ -140,3 +142,17 @@ def line() -> PathMaker:
         )
 
     return make
+
+
+@pytest.fixture(scope="session")
+def camera_process() -> Iterator[EmulatedCamera]:
+    options = CameraEmulatorOptions(width_px=160, height_px=120, frame_rate_hz=200.0)
+    with EmulatedCamera(TestCard(160, 120, 200.0), options) as camera:
+        yield camera
+
+
+@pytest.fixture
+def emulated_camera(camera_process: EmulatedCamera) -> Iterator[EmulatedCamera]:
+    """A camera of 160 × 120 pixels at 200 Hz, without faults at first."""
+    yield camera_process
+    camera_process.faults = StreamFaults()

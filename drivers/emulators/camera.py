@@ -1,0 +1,349 @@
+"""An emulated camera: a process that streams what it sees to whoever connects, on loopback.
+
+OpenCV opens its address as it is: pictures arrive unchanged, bit by bit, with their time stamps.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import queue
+import socket
+import threading
+import time
+from dataclasses import dataclass, replace
+from multiprocessing.connection import Connection
+from typing import Any, Self
+
+from drivers.emulators.camera_scene import Scene, SceneFactory
+from drivers.emulators.camera_stream import picture_header, stream_header
+from drivers.emulators.launch import EmulatorError
+from drivers.interfaces import Image
+
+_HOST = "127.0.0.1"
+_START_S = 30.0
+_ANSWER_S = 5.0
+_GLANCE_S = 0.02  # how often whoever waits looks whether something changed
+
+
+@dataclass(frozen=True)
+class CameraEmulatorOptions:
+    """What is emulated.
+
+    look_s     from the middle of an exposure until the scene is asked for the picture: it may
+               need what others measured at that moment
+    readout_s  from the middle of an exposure until the picture leaves the camera
+    backlog_s  a picture that would leave that much too late is dropped, as in a real camera
+    """
+
+    width_px: int = 1280
+    height_px: int = 1024
+    frame_rate_hz: float = 200.0
+    look_s: float = 0.006
+    readout_s: float = 0.012
+    backlog_s: float = 0.1
+
+
+@dataclass(frozen=True)
+class StreamFaults:
+    """What goes wrong, until `faults` is set anew.
+
+    refuses  nobody may connect, and whoever is connected is cut off
+    silent   no pictures leave, the connection stays
+    frozen   the picture before is sent again and again, with new stamps
+    missing  so many pictures are dropped, once
+    slow     periods last that much longer
+    garbage  random bytes in place of pictures
+    """
+
+    refuses: bool = False
+    silent: bool = False
+    frozen: bool = False
+    missing: int = 0
+    slow: float = 1.0
+    garbage: bool = False
+
+
+@dataclass(frozen=True)
+class StreamCounts:
+    """Pictures sent, dropped because the scene or the reader was too slow, and the latest of
+    those sent, s after its time.
+    """
+
+    sent: int = 0
+    dropped: int = 0
+    latest_s: float = 0.0
+
+
+class EmulatedCamera:
+    """A camera in its own process, alive within a `with`; it ends when its parent does.
+
+    scene  picklable; called in the camera's process
+    """
+
+    def __init__(self, scene: SceneFactory, options: CameraEmulatorOptions | None = None) -> None:
+        self._scene = scene
+        self._options = options if options is not None else CameraEmulatorOptions()
+        self._faults = StreamFaults()
+        self._port = 0
+
+    def __enter__(self) -> Self:
+        context = multiprocessing.get_context("spawn")
+        self._door, theirs = context.Pipe()
+        self._process = context.Process(
+            target=serve, args=(theirs, self._scene, self._options), daemon=True, name="camera"
+        )
+        self._process.start()
+        theirs.close()
+        try:
+            self._port = self._answer(_START_S)
+        except EmulatorError:
+            self.__exit__()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._door.close()  # upon which it ends
+        self._process.join(_ANSWER_S)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+
+    @property
+    def url(self) -> str:
+        """What OpenCV is to open."""
+        return f"tcp://{_HOST}:{self._port}"
+
+    @property
+    def pid(self) -> int | None:
+        """Process, for those who want to kill it."""
+        return self._process.pid
+
+    @property
+    def faults(self) -> StreamFaults:
+        """What goes wrong."""
+        return self._faults
+
+    @faults.setter
+    def faults(self, faults: StreamFaults) -> None:
+        self._faults = faults
+        self._ask("faults", faults)
+
+    def tell(self, message: object) -> None:
+        """Tell the scene something picklable; it knows before its next picture."""
+        self._ask("tell", message)
+
+    def counts(self) -> StreamCounts:
+        """What was sent so far."""
+        counts: StreamCounts = self._ask("counts")
+        return counts
+
+    def _ask(self, what: str, content: object = None) -> Any:
+        try:
+            self._door.send((what, content))
+        except OSError as error:
+            raise EmulatorError("the emulated camera is gone") from error
+        return self._answer(_ANSWER_S)
+
+    def _answer(self, wait_s: float) -> Any:
+        try:
+            if not self._door.poll(wait_s):
+                raise EmulatorError(f"the emulated camera did not answer within {wait_s} s")
+            done, answer = self._door.recv()
+        except (EOFError, OSError) as error:
+            raise EmulatorError("the emulated camera is gone") from error
+        if not done:
+            raise EmulatorError(f"the emulated camera: {answer}")
+        return answer
+
+
+# --- the camera's process ---------------------------------------------------------------------
+
+
+def serve(door: Connection, factory: SceneFactory, options: CameraEmulatorOptions) -> None:
+    """Be a camera until the other end of `door` is gone."""
+    try:
+        scene = factory()
+        _check(scene.picture(time.monotonic() - options.look_s), options)
+        server = _Server(scene, options)
+    except Exception as error:
+        door.send((False, f"{type(error).__name__}: {error}"))
+        return
+    threading.Thread(target=_listen, args=(door, server), daemon=True).start()
+    door.send((True, server.port))
+    server.run()
+
+
+def _listen(door: Connection, server: _Server) -> None:
+    """Do as the parent says; end the process when it is gone, whatever that process does."""
+    try:
+        while True:
+            what, content = door.recv()
+            if what == "faults":
+                server.faults = content
+                server.wait_for_door()
+            elif what == "tell":
+                server.messages.put(content)
+            door.send((True, server.counts if what == "counts" else None))
+    except (EOFError, OSError):
+        os._exit(0)
+
+
+def _check(image: Image, options: CameraEmulatorOptions) -> None:
+    wanted = (options.height_px, options.width_px)
+    if image.shape != wanted or image.dtype != "uint8":
+        raise ValueError(f"the scene's picture is {image.shape} {image.dtype}, not {wanted} uint8")
+
+
+@dataclass(frozen=True)
+class _Parcel:
+    """Bytes to send, not before `leave_s`."""
+
+    leave_s: float
+    parts: tuple[bytes | memoryview, ...]
+
+
+class _Server:
+    """One client at a time; looks in one thread, sends in another."""
+
+    def __init__(self, scene: Scene, options: CameraEmulatorOptions) -> None:
+        self.faults = StreamFaults()
+        self.counts = StreamCounts()
+        self.messages: queue.SimpleQueue[object] = queue.SimpleQueue()
+        self._scene = scene
+        self._options = options
+        self._listener: socket.socket | None = socket.create_server((_HOST, 0))
+        self.port: int = self._listener.getsockname()[1]
+
+    def wait_for_door(self) -> None:
+        """Wait until it is shut or open as the faults want it."""
+        until_s = time.monotonic() + 1.0
+        while (self._listener is None) != self.faults.refuses and time.monotonic() < until_s:
+            time.sleep(1e-3)
+
+    def run(self) -> None:
+        """Serve clients for ever."""
+        while True:
+            client = self._accept()
+            with client:
+                parcels: queue.Queue[_Parcel | None] = queue.Queue()
+                gone = threading.Event()
+                sender = threading.Thread(target=self._send_all, args=(client, parcels, gone))
+                sender.start()
+                try:
+                    self._look(parcels, gone)
+                finally:
+                    parcels.put(None)
+                    sender.join()
+
+    def _accept(self) -> socket.socket:
+        while True:
+            if self.faults.refuses:
+                if self._listener is not None:
+                    self._listener.close()
+                    self._listener = None
+                time.sleep(_GLANCE_S)
+                continue
+            if self._listener is None:
+                self._listener = socket.create_server((_HOST, self.port))
+            self._listener.settimeout(_GLANCE_S)
+            try:
+                client, _ = self._listener.accept()
+            except TimeoutError:
+                self._hear()
+                continue
+            client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            client.settimeout(_GLANCE_S)
+            return client
+
+    def _look(self, parcels: queue.Queue[_Parcel | None], gone: threading.Event) -> None:
+        """Take pictures at their times until the client has gone."""
+        options = self._options
+        size = (options.width_px, options.height_px)
+        start_s = due_s = time.monotonic()
+        header = stream_header(*size, options.frame_rate_hz)
+        parcels.put(_Parcel(start_s, (header,)))
+        image: Image | None = None
+        missing_of: StreamFaults | None = None
+        missing = 0
+        while not gone.is_set():
+            faults = self.faults
+            due_s += faults.slow / options.frame_rate_hz
+            _sleep_until(due_s + options.look_s)
+            self._hear()
+            if faults is not missing_of:
+                missing_of, missing = faults, faults.missing
+            behind = parcels.qsize() / options.frame_rate_hz > options.backlog_s
+            if behind or time.monotonic() > due_s + options.readout_s + options.backlog_s:
+                self.counts = replace(self.counts, dropped=self.counts.dropped + 1)
+                continue
+            if missing > 0:
+                missing -= 1
+                continue
+            if faults.silent:
+                continue
+            if image is None or not faults.frozen:
+                image = self._scene.picture(due_s)
+            parts: tuple[bytes | memoryview, ...]
+            if faults.garbage:
+                parts = (os.urandom(image.size),)
+            else:
+                parts = (picture_header(due_s - start_s, image.size), image.data.cast("B"))
+            parcels.put(_Parcel(due_s + options.readout_s, parts))
+
+    def _send_all(
+        self,
+        client: socket.socket,
+        parcels: queue.Queue[_Parcel | None],
+        gone: threading.Event,
+    ) -> None:
+        try:
+            while (parcel := self._next(client, parcels)) is not None:
+                _sleep_until(parcel.leave_s)
+                late_s = time.monotonic() - parcel.leave_s
+                for part in parcel.parts:
+                    self._send(client, memoryview(part))
+                latest_s = max(self.counts.latest_s, late_s)
+                self.counts = replace(self.counts, sent=self.counts.sent + 1, latest_s=latest_s)
+        except OSError:
+            gone.set()
+
+    def _next(self, client: socket.socket, parcels: queue.Queue[_Parcel | None]) -> _Parcel | None:
+        """The next parcel; meanwhile see whether the reader is still there.  Raises OSError."""
+        while True:
+            try:
+                return parcels.get(timeout=_GLANCE_S)
+            except queue.Empty:
+                self._check_not_refused()
+            with contextlib.suppress(TimeoutError):
+                client.recv(1)  # a reader says nothing: what can be read is the end
+                raise ConnectionResetError("the reader has gone")
+
+    def _check_not_refused(self) -> None:
+        if self.faults.refuses:
+            raise ConnectionAbortedError("cut off")
+
+    def _send(self, client: socket.socket, data: memoryview) -> None:
+        """Send all of it, however slow the reader.  Raises OSError: it has gone, or must go."""
+        while data:
+            self._check_not_refused()
+            try:
+                data = data[client.send(data) :]
+            except TimeoutError:
+                continue
+
+    def _hear(self) -> None:
+        """Tell the scene what came for it."""
+        while True:
+            try:
+                message = self.messages.get_nowait()
+            except queue.Empty:
+                return
+            self._scene.tell(message)
+
+
+def _sleep_until(t_s: float) -> None:
+    left_s = t_s - time.monotonic()
+    if left_s > 0.0:
+        time.sleep(left_s)

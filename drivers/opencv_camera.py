@@ -1,0 +1,217 @@
+"""Cameras that OpenCV reads: UVC through Video4Linux, or a stream through FFmpeg.
+
+Video4Linux stamps a picture when its transfer begins or ends (the driver's choice), FFmpeg hands
+on the stamps of the stream.  Their origin is found anew at every `connect`; what remains, the
+latency, is an option of the capture, measured by calibration.
+
+source  OpenCV, videoio flags; Linux, V4L2_CID_EXPOSURE_AUTO (1 = manual) and
+        V4L2_CID_EXPOSURE_ABSOLUTE (units of 100 µs)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from drivers.capture import CaptureOptions, Shot, StreamingCamera
+from drivers.interfaces import CameraError, Clock, ConnectError, DeviceLostError, Image
+
+_MANUAL = 1.0
+_EXPOSURE_UNIT_S = 100e-6
+_STREAM_SILENCE_MS = 500
+_SETTINGS_REMEDY = "ask for what the camera can do: `v4l2-ctl --list-formats-ext --list-ctrls`"
+
+
+@dataclass(frozen=True)
+class OpenCvOptions:
+    """Which camera, and how it is set.
+
+    device         number or path of a Video4Linux device, or the URL of a stream
+    frame_rate_hz  asked for and read back; likewise width_px and height_px
+    exposure_s     manual exposure, set and read back; None = as it is (a stream has no exposure)
+    fourcc         pixel format, e.g. GREY, YUYV, MJPG; None = as it is.  GREY and YUYV are exact
+    stamps         whose time stamps: those of the `device`, or the `arrival` of the pictures,
+                   which carries the jitter of this computer and hides a missing picture
+    """
+
+    device: int | str = 0
+    width_px: int = 1280
+    height_px: int = 1024
+    frame_rate_hz: float = 200.0
+    exposure_s: float | None = 0.0005
+    fourcc: str | None = None
+    stamps: Literal["device", "arrival"] = "device"
+    setting_tolerance: float = 0.05
+    capture: CaptureOptions = field(default_factory=CaptureOptions)
+
+    def __post_init__(self) -> None:
+        for name in ("width_px", "height_px", "frame_rate_hz"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"camera.{name} = {getattr(self, name)}: must be > 0")
+        if self.exposure_s is not None and not self.exposure_s > 0.0:
+            raise ValueError(f"camera.exposure_s = {self.exposure_s} s: must be > 0")
+        if self.fourcc is not None and len(self.fourcc) != 4:
+            raise ValueError(f"camera.fourcc = {self.fourcc!r}: must be four characters")
+
+    @property
+    def is_stream(self) -> bool:
+        """Whether the device is a URL."""
+        return isinstance(self.device, str) and "://" in self.device
+
+
+class OpenCvCamera(StreamingCamera):
+    """A camera through OpenCV's VideoCapture."""
+
+    def __init__(self, options: OpenCvOptions, clock: Clock, name: str = "camera") -> None:
+        super().__init__(lambda: _OpenCvSource(options, name), options.capture, clock, name)
+
+
+class _OpenCvSource:
+    """An open VideoCapture that is set up as asked."""
+
+    def __init__(self, options: OpenCvOptions, device: str) -> None:
+        self._options = options
+        self._device = device
+        self._capture = _open(options, device)
+        self._last_stamp_s = -np.inf
+        try:
+            self.rate_hz = self._set_up()
+        except BaseException:
+            self.close()
+            raise
+
+    def grab(self, wanted: Callable[[], bool]) -> Shot:
+        """Raises DeviceLostError: the stream ended; CameraError: a picture of another kind."""
+        if not self._capture.grab():
+            raise DeviceLostError(
+                self._device,
+                "the stream of pictures ended",
+                "check the camera's cable and power, then connect again",
+            )
+        stamp_s = self._stamp_s()
+        return Shot(self._image() if wanted() else None, stamp_s)
+
+    def close(self) -> None:
+        """Release the camera."""
+        self._capture.release()
+
+    # --- setting up ---------------------------------------------------------------------------
+
+    def _set_up(self) -> float:
+        """Set everything, read it back; the frame rate, Hz.  Raises ConnectError."""
+        options, capture = self._options, self._capture
+        if options.fourcc is not None:
+            code = cv2.VideoWriter.fourcc(*options.fourcc)
+            capture.set(cv2.CAP_PROP_FOURCC, code)
+            found = int(capture.get(cv2.CAP_PROP_FOURCC))
+            if found != code:
+                said = found.to_bytes(4, "little", signed=False).decode("latin-1")
+                raise self._refused("fourcc", options.fourcc, repr(said))
+        for name, key, value in (
+            ("width_px", cv2.CAP_PROP_FRAME_WIDTH, float(options.width_px)),
+            ("height_px", cv2.CAP_PROP_FRAME_HEIGHT, float(options.height_px)),
+        ):
+            self._set(name, key, value, value, 0.0)
+        if options.exposure_s is not None:
+            self._set("auto_exposure (1 = manual)", cv2.CAP_PROP_AUTO_EXPOSURE, _MANUAL, _MANUAL)
+            units = options.exposure_s / _EXPOSURE_UNIT_S
+            self._set("exposure_s", cv2.CAP_PROP_EXPOSURE, units, options.exposure_s)
+        # the rate last: it may depend on all the others
+        rate_hz = options.frame_rate_hz
+        rate_hz = self._set("frame_rate_hz", cv2.CAP_PROP_FPS, rate_hz, rate_hz)
+        self._take_grey_as_it_is()
+        return rate_hz
+
+    def _set(
+        self, name: str, key: int, value: float, asked: float, tolerance: float | None = None
+    ) -> float:
+        """Set a property; what the camera then has, in units of `asked`.  Raises ConnectError."""
+        tolerance = self._options.setting_tolerance if tolerance is None else tolerance
+        if self._capture.get(key) != value:
+            self._capture.set(key, value)
+        found = float(self._capture.get(key)) * asked / value
+        if not abs(found - asked) <= tolerance * asked:
+            raise self._refused(name, f"{asked:g}", f"{found:g}")
+        return found
+
+    def _refused(self, name: str, asked: str, found: str) -> ConnectError:
+        return ConnectError(
+            self._device, f"{name} = {asked} refused, the camera has {found}", _SETTINGS_REMEDY
+        )
+
+    def _take_grey_as_it_is(self) -> None:
+        """Ask for pictures without conversion to colour, if the camera's own hold their grey."""
+        self._capture.set(cv2.CAP_PROP_CONVERT_RGB, 0.0)
+        self.grab(lambda: False)
+        came, picture = self._capture.retrieve()
+        if not came or _luminance(picture, self._shape) is None:
+            self._capture.set(cv2.CAP_PROP_CONVERT_RGB, 1.0)
+
+    @property
+    def _shape(self) -> tuple[int, int]:
+        return self._options.height_px, self._options.width_px
+
+    # --- pictures -----------------------------------------------------------------------------
+
+    def _stamp_s(self) -> float | None:
+        if self._options.stamps == "arrival":
+            return None
+        stamp_s = 1e-3 * float(self._capture.get(cv2.CAP_PROP_POS_MSEC))
+        if not stamp_s > self._last_stamp_s:
+            raise CameraError(
+                self._device,
+                f"time stamps do not advance: {stamp_s:.6f} s after {self._last_stamp_s:.6f} s",
+                "for a camera without them set `stamps: arrival`",
+            )
+        self._last_stamp_s = stamp_s
+        return stamp_s
+
+    def _image(self) -> Image:
+        came, picture = self._capture.retrieve()
+        if not came:
+            raise CameraError(self._device, "a picture cannot be decoded", "check cable and bus")
+        image = _luminance(picture, self._shape)
+        if image is None and picture.ndim == 3 and picture.shape[:2] == self._shape:
+            image = np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+        if image is None:
+            raise CameraError(
+                self._device,
+                f"a picture of shape {picture.shape} came, {self._shape} expected",
+                "connect again",
+            )
+        return image
+
+
+def _open(options: OpenCvOptions, device: str) -> cv2.VideoCapture:
+    if options.is_stream:
+        # what a stream is must be told by its first bytes, and one thread adds no delay
+        settings = {
+            cv2.CAP_PROP_OPEN_TIMEOUT_MSEC: int(options.capture.connect_s * 1e3),
+            cv2.CAP_PROP_READ_TIMEOUT_MSEC: _STREAM_SILENCE_MS,
+            cv2.CAP_PROP_N_THREADS: 1,
+        }
+        flat = [number for pair in settings.items() for number in pair]
+        capture = cv2.VideoCapture(options.device, cv2.CAP_FFMPEG, flat)
+    else:
+        capture = cv2.VideoCapture(options.device, cv2.CAP_V4L2)
+    if not capture.isOpened():
+        capture.release()
+        raise ConnectError(
+            device, f"{options.device} does not open", "check address, cable, power and permissions"
+        )
+    return capture
+
+
+def _luminance(picture: np.ndarray, shape: tuple[int, int]) -> Image | None:
+    """(H, W) grey of a picture that came unconverted: grey, or YUYV; None = something else."""
+    if picture.dtype != np.uint8 or picture.shape[:2] != shape:
+        return None
+    if picture.ndim == 2:
+        return np.asarray(picture, dtype=np.uint8)
+    if picture.shape[2] in (1, 2):
+        return np.ascontiguousarray(picture[:, :, 0])
+    return None

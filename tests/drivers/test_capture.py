@@ -1,0 +1,287 @@
+from __future__ import annotations
+
+import queue
+import threading
+
+import numpy as np
+import pytest
+
+from drivers.capture import CaptureOptions, Shot, StreamingCamera
+from drivers.interfaces import CameraError, ConnectError, DeviceLostError
+
+RATE_HZ = 200.0
+PERIOD_S = 1.0 / RATE_HZ
+BOOT_S = 640.0  # the camera's clock at the cell's zero
+
+
+class ManualClock:
+    def __init__(self) -> None:
+        self.t_s = 0.0
+
+    def now_s(self) -> float:
+        return self.t_s
+
+    def sleep_s(self, duration_s: float) -> None:
+        self.t_s += duration_s
+
+
+class Bench:
+    """A camera whose pictures come when the test says so."""
+
+    def __init__(self, **options) -> None:
+        self.clock = ManualClock()
+        self.rate_hz = RATE_HZ
+        self.closed = threading.Event()
+        self.opened = 0
+        self._script: queue.Queue = queue.Queue()
+        self._taken = threading.Semaphore(0)
+        self._rng = np.random.default_rng(1)
+        self._waits = False
+        self.options = CaptureOptions(**{"settle_frames": 10, "connect_s": 1.0, **options})
+        self.camera = StreamingCamera(self._open, self.options, self.clock, "cam")
+
+    def _open(self):
+        self.opened += 1
+        return self
+
+    def grab(self, wanted):
+        if self._waits:
+            self._taken.release()
+        self._waits = False
+        try:
+            item = self._script.get(timeout=0.01)
+        except queue.Empty:
+            return None
+        self._waits = True
+        if isinstance(item, Exception):
+            raise item
+        image, stamp_s, number, arrived_s = item
+        self.clock.t_s = max(self.clock.t_s, arrived_s)
+        return Shot(image if wanted() else None, stamp_s, number)
+
+    def close(self) -> None:
+        self.closed.set()
+
+    def put(
+        self, exposed_s, delay_s=0.010, image=None, number=None, stamped=True, wait=True
+    ) -> None:
+        if image is None:
+            image = self._rng.integers(0, 255, (8, 6), dtype=np.uint8)
+        stamp_s = exposed_s + BOOT_S if stamped else None
+        self._script.put((image, stamp_s, number, exposed_s + delay_s))
+        if wait:
+            assert self._taken.acquire(timeout=2.0)
+
+    def fail(self, error: Exception) -> None:
+        self._script.put(error)
+
+    def connect(self, numbered=False, stamped=True, period_s=PERIOD_S) -> None:
+        for k in range(12):
+            self.put(k * period_s, number=k if numbered else None, stamped=stamped, wait=False)
+        self.camera.connect()
+        for _ in range(12):
+            assert self._taken.acquire(timeout=2.0)
+
+    def close_camera(self) -> None:
+        self.camera.close()
+
+
+@pytest.fixture
+def make():
+    benches = []
+
+    def build(**options) -> Bench:
+        benches.append(Bench(**options))
+        return benches[-1]
+
+    yield build
+    for bench in benches:
+        bench.close_camera()
+
+
+def first_s(bench: Bench) -> float:
+    """Exposure of the first picture after now."""
+    return bench.clock.t_s + 0.25 * PERIOD_S
+
+
+def test_stamps_are_mapped_onto_the_cells_clock_less_the_latency(make) -> None:
+    bench = make(latency_s=0.010)
+    bench.connect()
+    bench.camera.start(5)
+    exposed_s = first_s(bench) + PERIOD_S * np.arange(5)
+    for k, t_s in enumerate(exposed_s):
+        bench.put(t_s, delay_s=0.010 + 0.004 * (k % 2))  # jitter of the arrival is not seen
+    assert [f.t_s for f in iter(bench.camera.read, None)] == pytest.approx(exposed_s)
+    assert bench.camera.frame_rate_hz == RATE_HZ
+
+
+def test_only_pictures_exposed_after_the_start_are_recorded(make) -> None:
+    bench = make(latency_s=0.010)
+    bench.connect()
+    now_s = bench.clock.t_s
+    bench.camera.start(1)
+    bench.put(now_s - 0.001)
+    bench.put(now_s + 0.004)
+    assert bench.camera.read().t_s == pytest.approx(now_s + 0.004)
+
+
+def test_a_gap_in_the_stamps_is_named(make) -> None:
+    bench = make(latency_s=0.010)
+    bench.connect()
+    bench.camera.start(10)
+    begin_s = first_s(bench)
+    for k in (0, 1, 4):
+        bench.put(begin_s + k * PERIOD_S)
+    assert [bench.camera.read().index for _ in range(2)] == [0, 1]
+    with pytest.raises(CameraError, match="2 pictures missing before picture 3 of 10"):
+        bench.camera.read()
+    assert bench.camera.read() is None
+
+
+def test_a_missing_first_picture_is_named(make) -> None:
+    bench = make(latency_s=0.010)
+    bench.connect()
+    bench.camera.start(3)
+    bench.put(first_s(bench) + 3 * PERIOD_S)
+    with pytest.raises(CameraError, match="pictures missing before the first"):
+        bench.camera.read()
+
+
+def test_the_cameras_own_count_finds_a_gap_without_stamps(make) -> None:
+    bench = make()
+    bench.connect(numbered=True, stamped=False)
+    bench.camera.start(10)
+    begin_s = first_s(bench)
+    for k, number in enumerate((20, 21, 23)):
+        bench.put(begin_s + k * PERIOD_S, number=number, stamped=False)
+    bench.camera.read()
+    bench.camera.read()
+    with pytest.raises(CameraError, match="goes from 21 to 23"):
+        bench.camera.read()
+
+
+def test_repeated_pictures_are_a_frozen_camera_blank_ones_are_not(make) -> None:
+    bench = make(latency_s=0.010)
+    bench.connect()
+    bench.camera.start(10)
+    begin_s = first_s(bench)
+    black = np.zeros((8, 6), dtype=np.uint8)
+    same = np.arange(48, dtype=np.uint8).reshape(8, 6)
+    for k, image in enumerate((black, black, same, same.copy())):
+        bench.put(begin_s + k * PERIOD_S, image=image)
+    for _ in range(3):
+        bench.camera.read()
+    with pytest.raises(CameraError, match=r"picture 4 of 10 repeats .* frozen"):
+        bench.camera.read()
+
+
+def test_pictures_that_nobody_reads_are_a_named_overflow(make) -> None:
+    bench = make(latency_s=0.010, buffer_frames=4)
+    bench.connect()
+    bench.camera.start(10)
+    begin_s = first_s(bench)
+    for k in range(6):
+        bench.put(begin_s + k * PERIOD_S)
+    assert [bench.camera.read().index for _ in range(4)] == [0, 1, 2, 3]
+    with pytest.raises(CameraError, match="overflow: 4 pictures wait to be read at picture 5"):
+        bench.camera.read()
+
+
+def test_a_camera_that_slows_down_is_noticed(make) -> None:
+    bench = make(latency_s=0.010, rate_tolerance=0.05)
+    bench.connect()
+    bench.camera.start(30)
+    begin_s = first_s(bench)
+    for k in range(12):
+        bench.put(begin_s + k * PERIOD_S * 1.2)
+    with pytest.raises(CameraError, match=r"slow: 166\.7 Hz measured, 200\.0 Hz expected"):
+        list(iter(bench.camera.read, None))
+
+
+def test_pictures_that_pile_up_on_their_way_are_late(make) -> None:
+    bench = make(latency_s=0.010, late_s=0.05)
+    bench.connect()
+    bench.camera.start(5)
+    begin_s = first_s(bench)
+    bench.put(begin_s)
+    bench.put(begin_s + PERIOD_S, delay_s=0.070)
+    bench.camera.read()
+    with pytest.raises(CameraError, match=r"picture 2 of 5 came 0\.060 s late, allowed 0\.050"):
+        bench.camera.read()
+
+
+def test_another_size_of_picture_is_an_error(make) -> None:
+    bench = make(latency_s=0.010)
+    bench.connect()
+    bench.camera.start(5)
+    begin_s = first_s(bench)
+    bench.put(begin_s)
+    bench.put(begin_s + PERIOD_S, image=np.zeros((4, 4), dtype=np.uint8))
+    bench.camera.read()
+    with pytest.raises(CameraError, match="4 × 4 pixels, the one before 6 × 8"):
+        bench.camera.read()
+
+
+def test_silence_is_a_lost_camera_until_it_is_connected_again(make) -> None:
+    bench = make(latency_s=0.010, lost_after_periods=4.0)
+    bench.connect()
+    bench.camera.start(5)
+    bench.put(first_s(bench))
+    bench.camera.read()
+    bench.clock.sleep_s(4.1 * PERIOD_S)
+    with pytest.raises(DeviceLostError, match=r"no picture came for 0\.0\d+ s, allowed 0\.020"):
+        bench.camera.read()
+    with pytest.raises(DeviceLostError):
+        bench.camera.start(1)
+
+
+def test_the_end_of_the_stream_is_told_to_the_reader_and_to_the_next(make) -> None:
+    bench = make()
+    bench.connect()
+    bench.camera.start(5)
+    bench.fail(DeviceLostError("cam", "the stream of pictures ended", "connect again"))
+    with pytest.raises(DeviceLostError, match="the stream of pictures ended; connect again"):
+        bench.camera.read()
+    assert bench.closed.wait(1.0)
+    with pytest.raises(DeviceLostError):
+        bench.camera.start(1)
+
+
+def test_a_camera_slower_than_it_says_does_not_connect(make) -> None:
+    bench = make(connect_s=0.3)
+    threading.Timer(0.2, bench.clock.sleep_s, (1.0,)).start()
+    with pytest.raises(ConnectError, match=r"slow or uneven: 100\.0 Hz measured, 200\.0 Hz exp"):
+        bench.connect(period_s=2 * PERIOD_S)
+
+
+def test_a_camera_that_sends_nothing_does_not_connect(make) -> None:
+    bench = make(connect_s=0.05)
+    threading.Timer(0.02, bench.clock.sleep_s, (1.0,)).start()
+    with pytest.raises(ConnectError, match="only 0 pictures came within"):
+        bench.camera.connect()
+
+
+def test_opening_that_hangs_is_given_up_and_released_when_it_returns() -> None:
+    clock, let_go = ManualClock(), threading.Event()
+    bench = Bench()
+
+    def hang():
+        let_go.wait(5.0)
+        return bench
+
+    camera = StreamingCamera(hang, CaptureOptions(connect_s=0.05), clock, "cam")
+    threading.Timer(0.02, clock.sleep_s, (1.0,)).start()
+    with pytest.raises(ConnectError, match="did not open within"):
+        camera.connect()
+    assert not bench.closed.is_set()
+    let_go.set()
+    assert bench.closed.wait(2.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("latency_s", -1e-3), ("connect_s", 0.0), ("buffer_frames", 0), ("settle_frames", 1)],
+)
+def test_impossible_options_are_named(name, value) -> None:
+    with pytest.raises(ValueError, match=f"capture.{name} = {value}"):
+        CaptureOptions(**{name: value})
