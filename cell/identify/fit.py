@@ -12,27 +12,32 @@ from cell.cable.dynamics import DivergedError, Solver, simulate
 from cell.cable.model import CableModel
 from cell.cable.statics import UnsettledError
 from cell.identify import gauss_newton
-from cell.identify.hand import moves_from_s
+from cell.identify.hand import HandErrors, likely_motions, moves_from_s, quiet_motion
 from cell.identify.identified import Identified
-from cell.identify.noise import Noise, Whitener, estimate_noise, still_frames
+from cell.identify.noise import Noise, Whitener, across, estimate_noise, still_frames
 from cell.identify.parameters import ParameterSpace
 from cell.study.data import Markers, Trial
 
 FloatArray = NDArray[np.float64]
+
+#: Variance inflation from which a fit is repeated with frames that weigh as much less.
+_MATTERS = 1.3
 
 
 @dataclass(frozen=True)
 class FitOptions:
     """How a fit goes about it.
 
-    solver           of the cable engine
+    solver           of the cable engine; its error should be well below the noise
     minimiser        see `gauss_newton`
+    hand             how far its motion may be wrong
     first_window_s   a cold start is first fitted to this much of the swing, so that no whole
                      period is lost between model and measurement
     starts           uniform cables tried for a cold start, over `start_range` in units of ρ g L³
     """
 
-    solver: Solver = Solver()  # noqa: RUF009
+    solver: Solver = Solver(segments=30)  # noqa: RUF009
+    hand: HandErrors = HandErrors()  # noqa: RUF009
     minimiser: gauss_newton.Options = gauss_newton.Options()  # noqa: RUF009
     first_window_s: float = 0.4
     starts: int = 32
@@ -49,43 +54,101 @@ def fit(
     space: ParameterSpace,
     *,
     noise: Noise | None = None,
-    start: FloatArray | None = None,
+    previous: Identified | None = None,
     options: FitOptions = FitOptions(),
 ) -> Identified:
     """Most probable parameters of a cable, given everything seen in `trials`.
 
     arc_length_m  (markers,) from the gripping point, m
     noise         of the markers; None = size and colour estimated from the still frames
-    start         (p,) fit coordinates; None = the best of a row of uniform cables
+    previous      fit of the same parameters to fewer frames of the same trials: where to start,
+                  and what the hand's errors do; None = start from a row of uniform cables
     raises        FitError: nothing seen, no still frames and no noise given, no convergence
     """
     if not any(np.isfinite(t.markers.xy_m).any() for t in trials):
         raise FitError("no marker is seen in any frame")
     if noise is None:
         noise = still_noise(trials)
-    if start is None:
+    if previous is None:
         start = _cold_start(trials, arc_length_m, space, noise, options)
-    whiteners = whiteners_of(trials, noise)
-    residuals = _residuals(trials, arc_length_m, space, whiteners, options.solver)
-    try:
-        solution = gauss_newton.minimise(_problem(space, residuals), start, options.minimiser)
-    except ValueError as error:
-        raise FitError(str(error)) from error
-    if not solution.converged:
-        raise FitError(f"the fit does not converge ({solution.passes} passes)")
-    inflation = variance_inflation(solution.residual, whiteners, len(start))
+    else:
+        start = previous.mean
+    quiet = [replace(t, grip=quiet_motion(t.grip)) for t in trials]
+    widened = 1.0 if previous is None else previous.inflation
+    passes = 0
+    while True:
+        # frames with errors beyond the camera's noise weigh less against prior and constant errors
+        used = replace(noise, std_m=noise.std_m * float(np.sqrt(widened)))
+        whiteners = whiteners_of(trials, used)
+        residuals = _residuals(quiet, arc_length_m, space, whiteners, options.solver)
+        try:
+            solution = gauss_newton.minimise(_problem(space, residuals), start, options.minimiser)
+        except ValueError as error:
+            raise FitError(str(error)) from error
+        passes += solution.passes
+        if not solution.converged:
+            raise FitError(f"the fit does not converge ({passes} passes)")
+        further = variance_inflation(solution.residual, whiteners, len(start))
+        if further < _MATTERS or widened > 1.0:
+            break
+        widened, start = further, solution.q
+    if previous is not None and previous.hand_covariance.any():
+        hand_covariance = previous.hand_covariance
+    else:
+        hand_covariance = _hand_covariance(
+            trials, arc_length_m, space.model(solution.q), whiteners, solution, options
+        )
     return Identified(
         space=space,
         mean=solution.q,
-        covariance=solution.covariance * inflation,
+        covariance=solution.covariance * further + hand_covariance,
         noise=noise,
         residual_rms_m=rms_m(solution.residual, whiteners),
-        inflation=inflation,
+        inflation=widened * further,
         frames_used=sum(frames_seen(t) for t in trials),
         frames_total=sum(len(t.markers.t_s) for t in trials),
-        passes=solution.passes,
+        passes=passes,
         method="map",
+        hand_covariance=hand_covariance,
     )
+
+
+def _hand_covariance(
+    trials: Sequence[Trial],
+    arc_length_m: FloatArray,
+    model: CableModel,
+    whiteners: Sequence[Whitener],
+    solution: gauss_newton.Solution,
+    options: FitOptions,
+) -> FloatArray:
+    """(p, p) what the uncertainty of the hand's motion adds to that of the parameters.
+
+    The linear answer of the fit to residuals that other, as likely, motions of the hand bring.
+    """
+    answers = np.zeros((options.hand.samples, len(solution.q)))
+    if options.hand.samples == 0:
+        return np.zeros_like(solution.covariance)
+    begin = 0
+    for trial, whitener in zip(trials, whiteners, strict=True):
+        rows = slice(begin, begin + whitener.rows)
+        begin += whitener.rows
+        try:
+            predicted = simulate(
+                model,
+                likely_motions(trial.grip, options.hand),
+                trial.markers.t_s,
+                arc_length_m,
+                solver=options.solver,
+                start=trial.start,
+                release_s=trial.release_s,
+            )
+        except (DivergedError, UnsettledError) as error:
+            raise FitError(str(error)) from error
+        white = whitener(predicted)
+        answers -= (white[1:] - white[0]) @ solution.jacobian[rows]
+    answers = answers @ solution.covariance
+    covariance: FloatArray = answers.T @ answers / options.hand.samples
+    return covariance
 
 
 def whiteners_of(trials: Sequence[Trial], noise: Noise) -> list[Whitener]:
@@ -98,13 +161,22 @@ def frames_seen(trial: Trial) -> int:
     return int(np.count_nonzero(np.isfinite(trial.markers.xy_m).all(axis=-1).any(axis=-1)))
 
 
-def still_noise(trials: Sequence[Trial]) -> Noise:
+def still_noise(
+    trials: Sequence[Trial], *, bias_m: float = 0.0, across_only: bool = False
+) -> Noise:
     """Noise from the frames before anything moves.  Raises FitError if there are too few."""
-    stills = [t.markers.xy_m[still_frames(t.markers.t_s, t.grip, t.release_s)] for t in trials]
+    stills = []
+    for trial in trials:
+        still = still_frames(trial.markers.t_s, trial.grip, trial.release_s)
+        markers = trial.markers.xy_m[still]
+        if across_only and len(markers):
+            axes = across(markers)
+            markers = np.sum((markers - markers[:1]) * axes, axis=-1, keepdims=True)
+        stills.append(markers)
     estimate = estimate_noise(stills)
     if estimate is None or estimate[0] == 0.0:
         raise FitError("the noise cannot be estimated: too few still frames; give it")
-    return Noise(*estimate)
+    return Noise(*estimate, bias_m, across_only)
 
 
 def predict(
@@ -152,7 +224,7 @@ def variance_inflation(
         if correlation < 2.0 / np.sqrt(count):
             break
         time += 2.0 * correlation
-    return max(1.0, mean_square * time)
+    return float(max(1.0, mean_square * time))
 
 
 def rms_m(white_residual: FloatArray, whiteners: Sequence[Whitener]) -> float:
@@ -190,9 +262,13 @@ def _cold_start(
     noise: Noise,
     options: FitOptions,
 ) -> FloatArray:
-    """Best of a row of uniform cables on the beginning of the first trial, then fitted to it."""
+    """Best of a row of uniform cables on the beginning of the first trial, then fitted to it.
+
+    Roughly, as if markers were known to a hundredth of the cable's length.
+    """
     beginning = [_window(trials[0], options.first_window_s)]
-    whiteners = whiteners_of(beginning, noise)
+    rough = replace(noise, std_m=max(noise.std_m, 0.01 * space.cable.free_length_m))
+    whiteners = whiteners_of(beginning, rough)
     residuals = _residuals(beginning, arc_length_m, space, whiteners, options.solver)
     weight = space.cable.line_density_kg_per_m * float(np.hypot(*space.gravity_m_per_s2))
     row = np.geomspace(*options.start_range, options.starts) * weight

@@ -15,7 +15,8 @@ FloatArray = NDArray[np.float64]
 #: A lane that cannot be computed is not finite throughout.
 Residuals = Callable[[FloatArray], FloatArray]
 
-_NEGLIGIBLE_DAMPING = 1e-3
+_FIRST_DAMPING = 1e-2
+_NEGLIGIBLE_DAMPING = 1e-2
 _HOPELESS_DAMPING = 1e8
 
 
@@ -74,14 +75,15 @@ def minimise(problem: Problem, start: FloatArray, options: Options = Options()) 
     costs one pass.  The last step, smaller than the tolerance, is taken without another pass:
     residuals and derivatives are then those of the linear model.
     raises  ValueError: the residuals at `start` are not finite
-    source  Nocedal & Wright 2006, Numerical Optimization, ch. 10.3; bounds by active set
+    source  Madsen, Nielsen & Tingleff 2004, Methods for Non-Linear Least Squares, alg. 3.16, with
+            damping relative to the diagonal and 0 at first; bounds by active set
     """
     q = np.clip(start, problem.low, problem.high)
     residual, jacobian = _linearise(problem, q)
     if not (np.all(np.isfinite(residual)) and np.all(np.isfinite(jacobian))):
         raise ValueError("the model cannot be simulated at the start of the fit")
     objective = _objective(problem, q, residual)
-    damping, passes, converged = 0.0, 1, False
+    damping, growth, passes, converged = 0.0, 2.0, 1, False
     while True:
         normal = jacobian.T @ jacobian + problem.precision
         slope = jacobian.T @ residual + problem.precision @ (q - problem.mean)
@@ -99,15 +101,19 @@ def minimise(problem: Problem, start: FloatArray, options: Options = Options()) 
         trial_residual, trial_jacobian = _linearise(problem, trial)
         trial_objective = _objective(problem, trial, trial_residual)
         if trial_objective < objective and np.all(np.isfinite(trial_jacobian)):
+            promised = -float(step @ (2.0 * slope + normal @ step))
+            gain = (objective - trial_objective) / promised
             q, residual, jacobian, objective = (
                 trial,
                 trial_residual,
                 trial_jacobian,
                 trial_objective,
             )
-            damping = damping / 10.0 if damping > _NEGLIGIBLE_DAMPING else 0.0
+            damping *= max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3)
+            growth = 2.0
         else:
-            damping = max(10.0 * damping, _NEGLIGIBLE_DAMPING)
+            damping = max(growth * damping, _FIRST_DAMPING)
+            growth *= 2.0
             if damping > _HOPELESS_DAMPING:
                 break
     free = (q > problem.low) & (q < problem.high)

@@ -28,13 +28,14 @@ class Identified:
 
     space           what the coordinates mean
     mean            (p,) fit coordinates (log EI at knots, N, log C, effects' parameters)
-    covariance      (p, p) of them; already widened by `inflation`
+    covariance      (p, p) of them: widened by `inflation`, hand's errors included
     noise           of the measurement, as used
     residual_rms_m  measured − predicted, per coordinate, over all frames used, m
     inflation       variance factor for residuals larger or more coloured than the noise; ≥ 1
     frames_used, frames_total   frames with at least one marker seen, and all
     passes          batches of simulations it took
     method          "map" or "paper"
+    hand_covariance (p, p) share of the hand's errors in `covariance`
     """
 
     space: ParameterSpace
@@ -47,6 +48,7 @@ class Identified:
     frames_total: int
     passes: int
     method: Literal["map", "paper"]
+    hand_covariance: FloatArray
 
     @property
     def model(self) -> CableModel:
@@ -102,6 +104,7 @@ class Identified:
                 )
             ],
             "covariance": self.covariance.tolist(),
+            "hand_covariance": self.hand_covariance.tolist(),
             "noise": dict(vars(self.noise)),
             "residual_rms_m": self.residual_rms_m,
             "inflation": self.inflation,
@@ -149,6 +152,7 @@ class Identified:
                 int(data["frames_total"]),
                 int(data["passes"]),
                 data["method"],
+                np.array(data["hand_covariance"], dtype=np.float64),
             )
         except (KeyError, TypeError) as error:
             raise ValueError(f"model: missing or mistyped entry {error}") from error

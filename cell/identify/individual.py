@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Literal
 
@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from cell.cable.geometry import GRAVITY_M_PER_S2, Cable, Motion
 from cell.identify.fit import FitError, FitOptions, fit, still_noise
-from cell.identify.hand import align_motion, moves_from_s
+from cell.identify.hand import HandErrors, align_motion, moves_from_s
 from cell.identify.identified import Identified
-from cell.identify.noise import Noise
 from cell.identify.paper import fit_as_paper
 from cell.identify.parameters import ParameterSpace, Prior
 from cell.study.data import Markers, Trial
@@ -58,16 +57,14 @@ class Acceptance:
 class IdentifyOptions:
     """How cables are identified.
 
-    bias_across_m, bias_along_m   constant error of every node, see `Noise`: of the centreline's
-                  middle, and of the end that the camera sees, hence of equal arc lengths
+    bias_m        constant error across the cable of every node: vision's and the mesh's
     """
 
     method: Literal["map", "paper"] = "map"
     prior: Prior = Prior()  # noqa: RUF009
-    fit: FitOptions = FitOptions()  # noqa: RUF009
+    fit: FitOptions = FitOptions(hand=HandErrors(offset_m=5e-6, offset_rad=5e-5))  # noqa: RUF009
     acceptance: Acceptance = Acceptance()
-    bias_across_m: float = 2e-5
-    bias_along_m: float = 2e-4
+    bias_m: float = 6e-6
 
 
 def hold_trial(
@@ -104,9 +101,12 @@ def identify(
     raises  CableRejectedError
     """
     _accept_frames(trial, options.acceptance)
+    # the node at the gripping point tells of the jaw, not of the cable
+    hangs = arc_length_m > 0.0
+    markers = Markers(trial.markers.t_s, trial.markers.xy_m[:, hangs])
+    free = replace(trial, markers=markers)
     try:
-        still = still_noise([trial])
-        noise = Noise(still.std_m, still.colour, options.bias_across_m, options.bias_along_m)
+        noise = still_noise([free], bias_m=options.bias_m, across_only=True)
     except FitError as error:
         raise CableRejectedError(Reason.NO_STILL_FRAMES, str(error)) from error
     try:
@@ -122,9 +122,13 @@ def identify(
             )
         else:
             space = ParameterSpace.of(cable, gravity_m_per_s2=gravity_m_per_s2, prior=options.prior)
-            start = previous.mean if previous is not None else None
             identified = fit(
-                [trial], arc_length_m, space, noise=noise, start=start, options=options.fit
+                [free],
+                arc_length_m[hangs],
+                space,
+                noise=noise,
+                previous=previous,
+                options=options.fit,
             )
     except FitError as error:
         raise CableRejectedError(Reason.NO_CONVERGENCE, str(error)) from error

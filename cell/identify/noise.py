@@ -24,24 +24,25 @@ _STRONGEST_COLOUR = 0.98
 class Noise:
     """Error of one coordinate of one marker: coloured in time, and constant within a trial.
 
-    std_m       standard deviation in one frame, m
-    colour      correlation between neighbouring frames (AR(1) coefficient), 0 … <1
-    bias_across_m, bias_along_m   standard deviation of what is constant throughout a trial, across
-                the cable and along it, m: what a tracer of a line's middle does at its end
+    std_m        standard deviation in one frame, m
+    colour       correlation between neighbouring frames (AR(1) coefficient), 0 … <1
+    bias_m       standard deviation of what is constant throughout a trial, m
+    across_only  markers tell where the cable is, not how far along it they are: nodes placed at
+                 equal arc lengths on a line that was seen
     """
 
     std_m: float
     colour: float = 0.0
-    bias_across_m: float = 0.0
-    bias_along_m: float = 0.0
+    bias_m: float = 0.0
+    across_only: bool = False
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.std_m) and self.std_m > 0.0):
             raise ValueError(f"noise std is {self.std_m} m: must be finite and > 0")
         if not 0.0 <= self.colour < 1.0:
             raise ValueError(f"noise colour is {self.colour}: must be in [0, 1)")
-        if min(self.bias_across_m, self.bias_along_m) < 0.0:
-            raise ValueError("noise bias must be ≥ 0")
+        if not self.bias_m >= 0.0:
+            raise ValueError(f"noise bias is {self.bias_m} m: must be ≥ 0")
 
 
 def still_frames(t_s: FloatArray, grip: Motion, release_s: float | None = None) -> slice:
@@ -55,13 +56,15 @@ def still_frames(t_s: FloatArray, grip: Motion, release_s: float | None = None) 
 def estimate_noise(still: Sequence[FloatArray]) -> tuple[float, float] | None:
     """Size and colour of the noise from frames in which nothing moves.
 
-    still    per trial (T, markers, 2) markers, m; nan where not seen
+    still    per trial (T, markers, coordinates), m; nan where not seen
     returns  standard deviation [m] and AR(1) coefficient, pooled over all markers and coordinates;
              None if no marker of any trial was seen in `FEWEST_STILL_FRAMES`
     source   moments of lag 0 and 1 about the sample mean, whose own variance is allowed for
     """
     square = product = squares = products = channel_count = 0.0
     for markers in still:
+        if len(markers) < FEWEST_STILL_FRAMES:
+            continue
         channels = markers.reshape(len(markers), -1)
         channels = channels[:, np.isfinite(channels).sum(0) >= FEWEST_STILL_FRAMES]
         if channels.shape[1] == 0:
@@ -93,73 +96,10 @@ def _variance_of_mean(colour: float, frames: float) -> float:
     return float((1.0 + 2.0 * np.sum((1.0 - lags / frames) * colour**lags)) / frames)
 
 
-class Whitener:
-    """Turns predicted markers of one trial into white residuals of unit size.
+def across(markers_m: FloatArray) -> FloatArray:
+    """(T, markers, 2) unit vectors across the cable, from the neighbours seen in the frame.
 
-    A coordinate's error is AR(1) over the frames in which its marker was seen, plus the noise's
-    constant biases across and along the cable, whose covariance is divided out by its root.
-    """
-
-    def __init__(self, markers_m: FloatArray, noise: Noise) -> None:
-        """`markers_m` (T, markers, 2) as measured, nan where not seen."""
-        self.noise = noise
-        self.seen = np.asarray(np.isfinite(markers_m).all(axis=-1), dtype=np.bool_)
-        self.measured = np.where(self.seen[..., None], markers_m, 0.0)
-        self.frames, markers = self.seen.shape
-        self.rows = self.frames * markers * 2
-        self.count = int(self.seen.sum()) * 2
-        self._memory, self._weight = _innovations(self.seen, noise)
-        self._bias, self._kept = np.zeros((markers, 2, 2 * self.frames)), np.ones((markers, 2))
-        sizes = (noise.bias_across_m, noise.bias_along_m)
-        if max(sizes) > 0.0:
-            constant = _across_and_along(markers_m) * np.reshape(sizes, (2, 1, 1, 1))
-            self._bias, self._kept = self._principal(constant)
-
-    def _principal(self, constant_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """What two constant errors (2, T, markers, 2) look like when white, as directions.
-
-        returns  (markers, 2, 2T) orthonormal, and (markers, 2) what is kept of a residual along
-                 each, 1/√(1 + variance)
-        """
-        none = np.zeros_like(self._bias), np.ones_like(self._kept)
-        white = np.empty((2, self._bias.shape[0], 2 * self.frames))
-        still = np.zeros_like(self.measured)
-        _whiten(-constant_m, still, self._memory, self._weight, *none, white)
-        left, size, _ = np.linalg.svd(np.moveaxis(white, 0, -1), full_matrices=False)
-        return np.ascontiguousarray(np.moveaxis(left, -1, -2)), 1.0 / np.sqrt(1.0 + size**2)
-
-    def __call__(self, predicted_m: FloatArray) -> FloatArray:
-        """White residuals (measured − predicted).
-
-        predicted_m  (lanes, T, markers, 2), m
-        returns      (lanes, rows) ordered marker, coordinate, frame; 0 where not seen
-        """
-        lanes, markers = len(predicted_m), len(self._kept)
-        out = np.empty((lanes, markers, 2 * self.frames))
-        _whiten(predicted_m, self.measured, self._memory, self._weight, self._bias, self._kept, out)
-        return out.reshape(lanes, self.rows)
-
-    def error_m(self, white: FloatArray) -> FloatArray:
-        """(T, markers, 2) measured − predicted behind white residuals (rows,), m; nan if unseen."""
-        markers = len(self._kept)
-        fresh = white.reshape(markers, -1)
-        along = np.einsum("mbr,mr->mb", self._bias, fresh) * (1.0 / self._kept - 1.0)
-        fresh = fresh + np.einsum("mbr,mb->mr", self._bias, along)
-        fresh = fresh.reshape(markers, 2, self.frames)
-        error = np.full((self.frames, markers, 2), np.nan)
-        last = np.zeros((markers, 2))
-        for t in range(self.frames):
-            seen = self.seen[t]
-            weight = self._weight[seen, t, None]
-            last[seen] = self._memory[seen, t, None] * last[seen] + fresh[seen, :, t] / weight
-            error[t, seen] = last[seen]
-        return error
-
-
-def _across_and_along(markers_m: FloatArray) -> FloatArray:
-    """(2, T, markers, 2) unit vectors across and along the cable, from the neighbours seen.
-
-    Where there are none, those of the marker's last frame that has some, else y and x.
+    Where there are none, that of the marker's last frame that has some, else upwards.
     """
     frames, markers, _ = markers_m.shape
     along = np.gradient(markers_m, axis=1) if markers > 1 else np.full_like(markers_m, np.nan)
@@ -168,7 +108,72 @@ def _across_and_along(markers_m: FloatArray) -> FloatArray:
     along = np.where(known[..., None], along / np.where(known, length, 1.0)[..., None], [1.0, 0.0])
     last = np.maximum.accumulate(np.where(known, np.arange(frames)[:, None], 0), axis=0)
     along = along[last, np.arange(markers)]
-    return np.stack([np.stack([-along[..., 1], along[..., 0]], axis=-1), along])
+    return np.stack([-along[..., 1], along[..., 0]], axis=-1)
+
+
+class Whitener:
+    """Turns predicted markers of one trial into white residuals of unit size.
+
+    A channel (x and y of a marker, or its place across the cable) has an AR(1) error over the
+    frames in which the marker was seen, plus a constant of known variance, which is integrated out.
+    """
+
+    def __init__(self, markers_m: FloatArray, noise: Noise) -> None:
+        """`markers_m` (T, markers, 2) as measured, nan where not seen."""
+        self.noise = noise
+        self.seen = np.asarray(np.isfinite(markers_m).all(axis=-1), dtype=np.bool_)
+        self.measured = np.where(self.seen[..., None], markers_m, 0.0)
+        self.frames, markers = self.seen.shape
+        if noise.across_only:
+            self._axes = np.ascontiguousarray(across(markers_m)[:, :, None])
+        else:
+            self._axes = np.broadcast_to(np.eye(2), (self.frames, markers, 2, 2)).copy()
+        self.channels = self._axes.shape[2]
+        self.rows = markers * self.channels * self.frames
+        self.count = int(self.seen.sum()) * self.channels
+        self._memory, self._weight = _innovations(self.seen, noise)
+        # what a constant looks like when white, and which part of a residual along it is taken out
+        self._ones = self._weight.copy()
+        self._ones[:, 1:] *= 1.0 - self._memory[:, 1:]
+        size = np.sum(self._ones**2, axis=1)
+        self._kept = 1.0 / np.sqrt(1.0 + noise.bias_m**2 * size)
+        self._size = np.where(size > 0.0, size, 1.0)
+
+    def __call__(self, predicted_m: FloatArray) -> FloatArray:
+        """White residuals (measured − predicted).
+
+        predicted_m  (lanes, T, markers, 2), m
+        returns      (lanes, rows) ordered marker, channel, frame; 0 where not seen
+        """
+        markers = len(self._kept)
+        out = np.empty((len(predicted_m), markers, self.channels, self.frames))
+        pull = (1.0 - self._kept) / self._size
+        _whiten(
+            predicted_m,
+            self.measured,
+            self._axes,
+            self._memory,
+            self._weight,
+            self._ones,
+            pull,
+            out,
+        )
+        return out.reshape(len(predicted_m), self.rows)
+
+    def error_m(self, white: FloatArray) -> FloatArray:
+        """(T, markers, channels) errors behind white residuals (rows,), m; nan if unseen."""
+        fresh = white.reshape(len(self._kept), self.channels, self.frames)
+        along = np.einsum("mct,mt->mc", fresh, self._ones)
+        back = (1.0 / self._kept - 1.0) / self._size
+        fresh = fresh + (back[:, None] * along)[..., None] * self._ones[:, None]
+        error = np.full((self.frames, len(self._kept), self.channels), np.nan)
+        last = np.zeros(error.shape[1:])
+        for t in range(self.frames):
+            seen = self.seen[t]
+            weight = self._weight[seen, t, None]
+            last[seen] = self._memory[seen, t, None] * last[seen] + fresh[seen, :, t] / weight
+            error[t, seen] = last[seen]
+        return error
 
 
 def _innovations(seen: NDArray[np.bool_], noise: Noise) -> tuple[FloatArray, FloatArray]:
@@ -186,31 +191,31 @@ def _innovations(seen: NDArray[np.bool_], noise: Noise) -> tuple[FloatArray, Flo
 def _whiten(
     predicted: FloatArray,
     measured: FloatArray,
+    axes: FloatArray,
     memory: FloatArray,
     weight: FloatArray,
-    bias: FloatArray,
-    kept: FloatArray,
+    ones: FloatArray,
+    pull: FloatArray,
     out: FloatArray,
 ) -> None:
-    lanes, frames, markers, _ = predicted.shape
+    lanes, markers, channels, frames = out.shape
     for lane in range(lanes):
         for marker in range(markers):
-            row = out[lane, marker]
-            for coordinate in range(2):
-                begin = coordinate * frames
+            for channel in range(channels):
+                row = out[lane, marker, channel]
                 last = 0.0
+                along = 0.0
                 for t in range(frames):
                     if weight[marker, t] == 0.0:
-                        row[begin + t] = 0.0
+                        row[t] = 0.0
                         continue
-                    error = measured[t, marker, coordinate] - predicted[lane, t, marker, coordinate]
-                    row[begin + t] = (error - memory[marker, t] * last) * weight[marker, t]
+                    dx = measured[t, marker, 0] - predicted[lane, t, marker, 0]
+                    dy = measured[t, marker, 1] - predicted[lane, t, marker, 1]
+                    error = axes[t, marker, channel, 0] * dx + axes[t, marker, channel, 1] * dy
+                    row[t] = (error - memory[marker, t] * last) * weight[marker, t]
+                    along += row[t] * ones[marker, t]
                     last = error
-            for b in range(2):
-                if kept[marker, b] < 1.0:
-                    along = 0.0
-                    for k in range(2 * frames):
-                        along += bias[marker, b, k] * row[k]
-                    along *= 1.0 - kept[marker, b]
-                    for k in range(2 * frames):
-                        row[k] -= along * bias[marker, b, k]
+                along *= pull[marker]
+                if along != 0.0:
+                    for t in range(frames):
+                        row[t] -= along * ones[marker, t]

@@ -80,7 +80,8 @@ def still_shape(
         arm = nodes_m[: i + 1] - nodes_m[i + 1]
         moment[i] = np.sum(masses[: i + 1] * (arm[:, 0] * gy - arm[:, 1] * gx))
     # a second difference of nodes over a segment; in the grip the clamp's angle is known, and the
-    # paper's K_{n-1} is that of half a segment
+    # paper's K_{n-1} is that of half a segment, which bends as the cable does at a third of it
+    moment[-1] += (moment[-2] - moment[-1]) / 3.0
     span_m, noisy_nodes = np.full(n, length), np.full(n, 6.0)
     span_m[-1], noisy_nodes[-1] = 0.5 * length, 2.0
     return StillShape(
@@ -179,6 +180,7 @@ def fit_as_paper(
         frames_total=len(trial.markers.t_s),
         passes=solution.passes,
         method="paper",
+        hand_covariance=np.zeros((n + 3, n + 3)),
     )
 
 

@@ -30,7 +30,7 @@ class Prior:
 
     knots: int = 6
     rigidity_log_std: float = 2.0
-    rigidity_log_walk: float = 0.5
+    rigidity_log_walk: float = 0.4
     exponent_std: float = 0.2
     viscosity_log_std: float = 1.5
     effect_std: float = 10.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -41,14 +41,24 @@ class Forecast:
 
     offsets_m    (O,) m
     t_s          (T,) s, from when the path begins
-    tip_m        (O, T, 2) with the most probable parameters, m
+    mean         (p,) fit coordinates simulated
+    tip_m        (O, T, 2) with them, m
     sensitivity  (O, T, 2, p) derivatives of it by the fit coordinates
     """
 
     offsets_m: FloatArray
     t_s: FloatArray
+    mean: FloatArray
     tip_m: FloatArray
     sensitivity: FloatArray
+
+    def moved_to(self, mean: FloatArray) -> Forecast:
+        """Forecast for slightly different coordinates (p,), to first order, without simulating.
+
+        So that the last frames of a hold, which change little, cost nothing: see `choose`.
+        """
+        tip_m = self.tip_m + self.sensitivity @ (mean - self.mean)
+        return replace(self, mean=mean, tip_m=tip_m)
 
 
 @dataclass(frozen=True)
@@ -93,34 +103,30 @@ def forecast(
     offsets_m: FloatArray,
     motions: Sequence[Motion],
     *,
-    earlier: Forecast | None = None,
     solver: Solver = Solver(),  # noqa: B008
     options: ChoiceOptions = ChoiceOptions(),
 ) -> Forecast:
-    """Simulate every offset.
+    """Simulate every offset, and how its tip depends on every parameter.
 
     motions  of the hand, one per offset, path beginning at 0 (see `executed_motion`)
-    earlier  forecast of nearly the same cable and motions, whose sensitivities are kept: then
-             only the most probable cable is simulated
+    raises   ValueError: not one motion per offset; what the engine raises
     """
     if len(motions) != len(offsets_m):
         raise ValueError(f"{len(offsets_m)} offsets but {len(motions)} motions")
     end_s = max(float(m.t_s[-1]) for m in motions)
     t_s = np.arange(0.0, end_s + options.interval_s, options.interval_s)
-    space = identified.space
-    tip_at = np.array([space.cable.free_length_m])
-    step = np.zeros_like(space.step) if earlier is not None else space.step
-    inwards = np.where(identified.mean + step <= space.high, step, -step)
-    shifts = [s for s in np.diag(inwards) if np.any(s)]
-    models = [space.model(identified.mean + s) for s in [np.zeros_like(step), *shifts]]
-    lanes = [(model, motion) for motion in motions for model in models]
+    space, mean = identified.space, identified.mean
+    step = np.where(mean + space.step <= space.high, space.step, -space.step)
+    models = [space.model(q) for q in np.vstack([mean, mean + np.diag(step)])]
     tips = simulate(
-        [model for model, _ in lanes], [motion for _, motion in lanes], t_s, tip_at, solver=solver
+        models * len(motions),
+        [motion for motion in motions for _ in models],
+        t_s,
+        np.array([space.cable.free_length_m]),
+        solver=solver,
     ).reshape(len(motions), len(models), len(t_s), 2)
-    if earlier is not None:
-        return Forecast(offsets_m, t_s, tips[:, 0], _resampled(earlier, t_s))
-    slopes = (tips[:, 1:] - tips[:, :1]) / inwards[:, None, None]
-    return Forecast(offsets_m, t_s, tips[:, 0], np.moveaxis(slopes, 1, -1))
+    slopes = (tips[:, 1:] - tips[:, :1]) / step[:, None, None]
+    return Forecast(offsets_m, t_s, mean, tips[:, 0], np.moveaxis(slopes, 1, -1))
 
 
 def choose(
@@ -129,7 +135,11 @@ def choose(
     destination: Destination,
     options: ChoiceOptions = ChoiceOptions(),
 ) -> Choice:
-    """The offset that passes most probably; of equally probable ones that of the widest margin."""
+    """The offset that passes most probably; of equally probable ones that of the widest margin.
+
+    expected  forecast of `identified` or of nearly the same cable, made while the hold went on
+    """
+    expected = expected.moved_to(identified.mean)
     deviates = _deviates(len(identified.mean) + 1, options.samples)
     shift = deviates[:, :-1] @ identified.root.T
     tips = expected.tip_m[:, None] + np.einsum("otcp,sp->ostc", expected.sensitivity, shift)
@@ -150,12 +160,6 @@ def choose(
             f"(margin {best.margin_m * 1e3:+.2f} mm)"
         )
     return Choice(best, table, reason, expected.t_s, expected.tip_m[index])
-
-
-def _resampled(earlier: Forecast, t_s: FloatArray) -> FloatArray:
-    """Sensitivities at other times, nearest before."""
-    index = np.clip(np.searchsorted(earlier.t_s, t_s, side="right") - 1, 0, None)
-    return earlier.sensitivity[:, index]
 
 
 @lru_cache(maxsize=8)

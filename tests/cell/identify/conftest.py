@@ -37,8 +37,9 @@ def flat_cable() -> Cable:
 @pytest.fixture(scope="session")
 def hold_motion() -> Motion:
     path = identification_path(Pose(0.0, 0.0, 0.02), 0.05, MotionLimits(), 500.0, hold_s=0.9)
-    t = np.append(0.0, path.t_s + 0.2)
-    return Motion(t, *(np.append(v[0], v) for v in (path.x_m, path.y_m, path.angle_rad)))
+    t = np.arange(0.0, path.t_s[-1] + 0.2, 0.002)
+    poses = (path.x_m, path.y_m, path.angle_rad)
+    return Motion(t, *(np.interp(t - 0.2, path.t_s, v) for v in poses))
 
 
 @pytest.fixture(scope="session")

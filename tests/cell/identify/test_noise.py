@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from cell.cable.geometry import Motion
-from cell.identify.noise import Noise, Whitener, estimate_noise, still_frames
+from cell.identify.noise import Noise, Whitener, across, estimate_noise, still_frames
 
 BASE_M = np.stack([np.linspace(-0.1, 0.0, 11), np.linspace(-0.03, 0.0, 11)], axis=-1)
 
@@ -34,56 +34,64 @@ def test_estimate_skips_unseen_markers_and_refuses_short_records() -> None:
     assert estimate_noise([]) is None
 
 
+@pytest.mark.parametrize("across_only", [False, True])
 @pytest.mark.parametrize("colour", [0.0, 0.7])
-def test_whitened_noise_is_white_and_of_unit_size(colour: float) -> None:
+def test_whitened_noise_is_white_and_of_unit_size(colour: float, across_only: bool) -> None:
     rng = np.random.default_rng(3)
     error = 1e-4 * ar1(rng, colour, 400) + 3e-5 * rng.normal(size=(11, 2))
     measured = BASE_M + error
     measured[rng.random((400, 11)) < 0.2] = np.nan
-    whitener = Whitener(measured, Noise(1e-4, colour, 3e-5, 3e-5))
+    whitener = Whitener(measured, Noise(1e-4, colour, 3e-5, across_only))
     white = whitener(np.broadcast_to(BASE_M, (1, 400, 11, 2)).copy())[0]
-    assert white @ white / whitener.count == pytest.approx(1.0, abs=0.05)
-    pairs = white.reshape(22, 400)
-    assert np.mean(pairs[:, 1:] * pairs[:, :-1]) == pytest.approx(0.0, abs=0.03)
+    assert whitener.count == np.isfinite(measured).sum() / (2 if across_only else 1)
+    assert white @ white / whitener.count == pytest.approx(1.0, abs=0.06)
+    pairs = white.reshape(-1, 400)
+    assert np.mean(pairs[:, 1:] * pairs[:, :-1]) == pytest.approx(0.0, abs=0.05)
 
 
 def test_whitening_equals_the_dense_covariance() -> None:
-    """|white|² is eᵀ C⁻¹ e of the covariance that the class promises, while the cable turns."""
+    """|white|² is eᵀ C⁻¹ e of the covariance that the class promises."""
     rng = np.random.default_rng(4)
-    frames, noise = 12, Noise(1e-4, 0.6, 5e-5, 2e-4)
-    turn = np.linspace(0.0, 1.0, frames)
-    along = np.stack([-np.cos(turn), -np.sin(turn)], axis=-1)
-    across = np.stack([-along[:, 1], along[:, 0]], axis=-1)
-    measured = np.stack([0.01 * along, np.zeros((frames, 2))], axis=1)
-    measured[[3, 4, 9], 0] = np.nan
+    frames, noise = 12, Noise(1e-4, 0.6, 2e-4)
+    measured = rng.normal(size=(frames, 1, 2))
+    measured[[3, 4, 9]] = np.nan
     seen = np.isfinite(measured[:, 0, 0])
     error = 1e-4 * rng.normal(size=(frames, 2))
     predicted = np.nan_to_num(measured) - error[:, None]
-    white = Whitener(measured, noise)(predicted[None])[0].reshape(2, -1)[0]
-
-    frame = np.arange(frames)
-    colour = noise.std_m**2 * noise.colour ** np.abs(frame[:, None] - frame)
-    dense = np.kron(np.eye(2), colour)
-    for direction, bias in ((across, noise.bias_across_m), (along, noise.bias_along_m)):
-        column = bias * direction.T.ravel()
-        dense += np.outer(column, column)
-    keep = np.tile(seen, 2)
-    e = error.T.ravel()[keep]
-    expected = e @ np.linalg.solve(dense[np.ix_(keep, keep)], e)
-    assert white @ white == pytest.approx(expected, rel=1e-9)
+    white = Whitener(measured, noise)(predicted[None])[0].reshape(2, frames)
+    frame = np.arange(frames)[seen]
+    dense = noise.std_m**2 * noise.colour ** np.abs(frame[:, None] - frame) + noise.bias_m**2
+    for channel in (0, 1):
+        e = error[seen, channel]
+        expected = e @ np.linalg.solve(dense, e)
+        assert white[channel] @ white[channel] == pytest.approx(expected, rel=1e-9)
 
 
-def test_errors_come_back_from_white_residuals() -> None:
+def test_errors_along_the_cable_do_not_count_across_it() -> None:
+    turned = np.linspace(0.0, 0.5, 30)[:, None]
+    s = np.linspace(0.1, 0.0, 11)
+    line = np.stack([-s * np.cos(turned), -s * np.sin(turned)], axis=-1)
+    along = np.stack([-np.cos(turned), -np.sin(turned)], axis=-1)
+    up = np.stack([-along[..., 1], along[..., 0]], axis=-1)
+    whitener = Whitener(line, Noise(1e-4, across_only=True))
+    white = whitener(np.stack([line - 1e-3 * along, line - 1e-4 * up]))
+    np.testing.assert_allclose(white[0], 0.0, atol=1e-9)
+    np.testing.assert_allclose(np.abs(white[1]), 1.0, rtol=1e-9)
+
+
+@pytest.mark.parametrize("across_only", [False, True])
+def test_errors_come_back_from_white_residuals(across_only: bool) -> None:
     rng = np.random.default_rng(5)
     error = 1e-4 * ar1(rng, 0.5, 50)
     measured = BASE_M + error
     measured[10:13, 4] = np.nan
-    whitener = Whitener(measured, Noise(1e-4, 0.5, 1e-5, 1e-4))
+    whitener = Whitener(measured, Noise(1e-4, 0.5, 1e-5, across_only))
     back = whitener.error_m(whitener(np.broadcast_to(BASE_M, (1, 50, 11, 2)).copy())[0])
-    np.testing.assert_array_equal(np.isnan(back), np.isnan(measured))
-    np.testing.assert_allclose(
-        np.nansum(back**2, axis=-1), np.nansum((measured - BASE_M) ** 2, axis=-1), rtol=1e-9
-    )
+    np.testing.assert_array_equal(np.isnan(back[..., 0]), np.isnan(measured[..., 0]))
+    expected = measured - BASE_M
+    if across_only:
+        expected = np.sum(expected * across(measured), axis=-1, keepdims=True)
+    np.testing.assert_allclose(back, expected, atol=1e-15)
 
 
 def test_still_frames_end_before_the_hand_moves() -> None:

@@ -1,0 +1,107 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cell.cable.dynamics import Solver, simulate
+from cell.cable.geometry import Cable, Motion
+from cell.identify.identified import Identified
+from cell.identify.noise import Noise
+from cell.identify.parameters import ParameterSpace
+from cell.plan.choose import ChoiceOptions, Forecast, choose, forecast
+from cell.plan.destination import Destination
+from cell.plan.paths import MotionLimits, executed_motion, insertion_path
+from drivers.interfaces import Pose
+
+OFFSETS_M = np.array([0.0, 0.01, 0.02])
+SPACE = ParameterSpace.of(Cable(0.1, 0.0074, 0.016, 0.0001))
+
+
+def identified(std: float) -> Identified:
+    mean = SPACE.start(3e-5)
+    covariance = std**2 * np.eye(len(mean))
+    none = np.zeros_like(covariance)
+    return Identified(SPACE, mean, covariance, Noise(5e-5), 5e-5, 1.0, 250, 250, 2, "map", none)
+
+
+@pytest.fixture(scope="module")
+def motions() -> list[Motion]:
+    paths = [insertion_path(Pose(0, 0), o, 0.05, MotionLimits(), 500.0) for o in OFFSETS_M]
+    return [executed_motion(path, 0.03, settle_s=0.1) for path in paths]
+
+
+@pytest.fixture(scope="module")
+def expected(motions: list[Motion]) -> Forecast:
+    return forecast(identified(0.01), OFFSETS_M, motions)
+
+
+def hole_around(expected: Forecast, index: int, half_height_m: float) -> Destination:
+    """A hole whose mouth the tip of one offset meets in the middle."""
+    mouth, depth = -0.13, 0.004
+    tip = expected.tip_m[index]
+    at = int(np.argmax(tip[:, 0] <= mouth))
+    y = float(tip[at, 1])
+    return Destination(mouth - depth, mouth, y - half_height_m, y + half_height_m)
+
+
+def test_the_offset_that_meets_the_hole_is_chosen(expected: Forecast) -> None:
+    for index in range(3):
+        choice = choose(expected, identified(0.01), hole_around(expected, index, 0.004))
+        assert choice.chosen
+        assert choice.best.offset_m == OFFSETS_M[index]
+        assert choice.best.probability == 1.0
+        assert choice.best.miss_m == 0.0
+        np.testing.assert_array_equal(choice.tip_m, expected.tip_m[index])
+        assert sum(o.probability > 0.5 for o in choice.table) == 1
+
+
+def test_uncertain_parameters_lower_the_probability(expected: Forecast) -> None:
+    hole = hole_around(expected, 1, 0.004)
+    sure, unsure = (choose(expected, identified(std), hole) for std in (0.01, 0.3))
+    assert unsure.best.margin_std_m > 5.0 * sure.best.margin_std_m
+    assert unsure.best.probability < 0.9
+    assert not unsure.chosen
+    assert unsure.reason is not None
+    assert "10 mm" in unsure.reason
+
+
+def test_none_passes_gives_the_reason_and_the_nearest(expected: Forecast) -> None:
+    hole = hole_around(expected, 2, 0.002)
+    far = replace(hole, y_min_m=hole.y_min_m - 0.1, y_max_m=hole.y_max_m - 0.1)
+    choice = choose(expected, identified(0.01), far)
+    assert not choice.chosen
+    assert choice.best.offset_m == 0.02
+    assert choice.best.miss_m > 0.05
+    assert choice.reason is not None
+    assert "no offset passes" in choice.reason
+
+
+def test_probability_agrees_with_simulating_the_samples(
+    expected: Forecast, motions: list[Motion]
+) -> None:
+    """The linear spread of tips against cables drawn from the posterior and really simulated."""
+    wide = identified(0.05)
+    hole = hole_around(expected, 1, 0.002)
+    options = ChoiceOptions(samples=256, repeatability_m=0.0)
+    probability = choose(expected, wide, hole, options).table[1].probability
+    models = wide.models(np.random.default_rng(0).normal(size=(128, len(wide.mean))))
+    tips = simulate(models, motions[1], expected.t_s, np.array([0.1]), solver=Solver())[:, :, 0]
+    simulated = float(np.mean(hole.margin_m(tips) > 0.0))
+    assert 0.2 < simulated < 0.98
+    assert probability == pytest.approx(simulated, abs=0.12)
+
+
+def test_last_moment_change_of_parameters_needs_no_simulation(
+    expected: Forecast, motions: list[Motion]
+) -> None:
+    later = replace(identified(0.01), mean=expected.mean + 0.01)
+    exact = forecast(later, OFFSETS_M, motions)
+    moved = expected.moved_to(later.mean)
+    changed = np.abs(exact.tip_m - expected.tip_m).max()
+    assert changed > 2e-4
+    assert np.abs(moved.tip_m - exact.tip_m).max() < 0.05 * changed
+
+
+def test_one_motion_per_offset(motions: list[Motion]) -> None:
+    with pytest.raises(ValueError, match="3 offsets but 2 motions"):
+        forecast(identified(0.01), OFFSETS_M, motions[:2])
