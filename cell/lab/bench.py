@@ -8,17 +8,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.cable.dynamics import Solver, simulate
+from cell.cable.dynamics import DivergedError, Solver, simulate
 from cell.cable.model import CableModel
+from cell.cable.statics import UnsettledError
 from cell.identify.noise import Noise, Whitener
 from cell.lab.noise import Floor, estimate_noise
 from cell.study.data import Study, Trial
 
 FloatArray = NDArray[np.float64]
 
+#: Within 4 µm (rms over the markers of a swing) of a converged cable.
+SOLVER = Solver(segments=32, step_s=1e-3)
+#: A model errs if its rms is above the noise by this factor.
+ERRS = 1.1
 #: A cable held straight by a person is let go within this of the time noted.
 RELEASE_STD_S = 0.005
-RELEASE_LIMIT_S = 0.010
+RELEASE_LIMIT_S = 0.020
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,14 +48,14 @@ class Bench:
         raises  NoiseUnknownError
         """
         floor = estimate_noise(study)
-        noise = misfit if misfit and misfit.std_m > floor.noise.std_m else floor.noise
+        noise = misfit if misfit and misfit.std_m > ERRS * floor.noise.std_m else floor.noise
         whiteners = {t.name: Whitener(t.markers.xy_m, noise) for t in study.trials}
-        return Bench(study, floor, noise, whiteners, solver or Solver())
+        return Bench(study, floor, noise, whiteners, solver or SOLVER)
 
     def predict(
         self, trial: Trial, models: Sequence[CableModel], delay_s: FloatArray | None = None
     ) -> FloatArray:
-        """(lanes, times, markers, 2) where models put a trial's markers, m.
+        """(lanes, times, markers, 2) where models put a trial's markers, m; nan where they cannot.
 
         delay_s  (lanes,) by which the release of a cable held straight is late; the hand then
                  stands still, so that everything happens later by as much
@@ -59,16 +64,27 @@ class Bench:
         out = np.empty((len(models), *trial.markers.xy_m.shape))
         for delay in np.unique(delays):
             lanes = np.flatnonzero(delays == delay)
-            out[lanes] = simulate(
-                [models[int(i)] for i in lanes],
+            out[lanes] = self._run(trial, [models[int(i)] for i in lanes], float(delay))
+        return out
+
+    def _run(self, trial: Trial, models: list[CableModel], delay_s: float) -> FloatArray:
+        """As `simulate`; a lane that cannot be simulated is nan and does not spoil the others."""
+        try:
+            return simulate(
+                models,
                 [trial.grip],
-                trial.markers.t_s - delay,
+                trial.markers.t_s - delay_s,
                 self.study.arc_length_m,
                 solver=self.solver,
                 start=trial.start,
                 release_s=trial.release_s,
             )
-        return out
+        except (DivergedError, UnsettledError):
+            if len(models) == 1:
+                return np.full((1, *trial.markers.xy_m.shape), np.nan)
+            half = len(models) // 2
+            halves = models[:half], models[half:]
+            return np.concatenate([self._run(trial, part, delay_s) for part in halves])
 
     def white(self, trial: Trial, predicted_m: FloatArray) -> FloatArray:
         """(lanes, rows) whitened residuals of predictions (lanes, times, markers, 2)."""

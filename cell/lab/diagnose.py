@@ -26,6 +26,9 @@ class Rules:
 
     significance     family-wise, over the library (Holm), on the fit trials
     heldout_gain     ln of how much likelier the held-out trials must become
+    first_share, more_share, excess_share   least fall of the held-out mean square: of the noise's
+                     for the first effect and for more, and of the baseline's excess for more.
+                     Below lie the errors of models, ours included, whatever their significance
     tie              sets of effects are tied if their χ² over all trials differs by less
     most_tied        more than these tied: these motions cannot tell
     most_effects     added one after another
@@ -36,6 +39,9 @@ class Rules:
 
     significance: float = 0.01
     heldout_gain: float = 3.0
+    first_share: float = 0.003
+    more_share: float = 0.01
+    excess_share: float = 0.001
     tie: float = 9.0
     most_tied: int = 3
     most_effects: int = 3
@@ -77,7 +83,7 @@ def diagnose(explorer: Explorer, rules: Rules = Rules()) -> Examination:
             break
         current = _pruned(explorer, _exchanged(explorer, better, rules), rules)
     steps = _in_order(explorer, current)
-    tied = {e.name: _tied(explorer, current, e, rules) for e in current.effects}
+    tied = {e.name: _tied(explorer, current, e, rules) for e in _added(explorer, current)}
     verdict = _verdict(explorer, base, current, tied, rules)
     if verdict == "unexplained":
         steps, tied = (base,), {}
@@ -93,6 +99,11 @@ def diagnose(explorer: Explorer, rules: Rules = Rules()) -> Examination:
         ranking=_ranking(explorer, base, steps[-1], singles, tied, rules),
     )
     return Examination(diagnosis, steps, tuple(screened), tuple(singles))
+
+
+def _added(explorer: Explorer, candidate: Candidate) -> list[type[Effect]]:
+    """Effects of a candidate that the baseline did not have already."""
+    return [e for e in candidate.effects if e not in explorer.space.effects]
 
 
 def _worth_refitting(explorer: Explorer, base: Candidate, rules: Rules) -> list[type[Effect]]:
@@ -120,21 +131,35 @@ def _accepted(
     sound = [
         o
         for o, g, p in zip(options, gains, adjusted, strict=True)
-        if p < rules.significance and g.delta_bic > 0.0 and _confirmed(current, g, rules)
+        if p < rules.significance
+        and g.delta_bic > 0.0
+        and _confirmed(explorer, current, o, g, rules)
     ]
     return max(sound, key=lambda o: o.evidence) if sound else None
 
 
-def _confirmed(current: Candidate, gain: Gain, rules: Rules) -> bool:
-    return current.heldout is None or gain.heldout > rules.heldout_gain
+def _confirmed(
+    explorer: Explorer, small: Candidate, large: Candidate, gain: Gain, rules: Rules
+) -> bool:
+    """Whether the held-out trials bear out the last effect of `large`, by enough to matter."""
+    base = explorer.baseline().heldout
+    if small.heldout is None or large.heldout is None or base is None:
+        return True
+    noise = explorer.bench.noise.std_m**2
+    least = rules.first_share * noise
+    if _added(explorer, small):
+        excess = max(base.rms_m**2 - noise, 0.0)
+        least = max(rules.more_share * noise, rules.excess_share * excess)
+    fall = small.heldout.rms_m**2 - large.heldout.rms_m**2
+    return gain.heldout > rules.heldout_gain and fall > least
 
 
 def _exchanged(explorer: Explorer, candidate: Candidate, rules: Rules) -> Candidate:
     """The candidate with effects exchanged one by one for others while evidence grows."""
-    improved = len(candidate.effects) > 1
+    improved = len(_added(explorer, candidate)) > 1
     while improved:
         improved = False
-        for effect in candidate.effects:
+        for effect in _added(explorer, candidate):
             rest = explorer.without(candidate, effect)
             options = explorer.add(rest, _worth_refitting(explorer, rest, rules))
             best = max(options, key=lambda c: c.evidence, default=candidate)
@@ -146,10 +171,10 @@ def _exchanged(explorer: Explorer, candidate: Candidate, rules: Rules) -> Candid
 
 def _pruned(explorer: Explorer, candidate: Candidate, rules: Rules) -> Candidate:
     """The candidate without effects that the others have made unnecessary."""
-    for effect in candidate.effects[:-1]:
+    for effect in _added(explorer, candidate)[:-1]:
         rest = explorer.without(candidate, effect)
         gain = explorer.gain(rest, candidate)
-        if gain.delta_bic <= 0.0 or not _confirmed(rest, gain, rules):
+        if gain.delta_bic <= 0.0 or not _confirmed(explorer, rest, candidate, gain, rules):
             return _pruned(explorer, rest, rules)
     return candidate
 
@@ -157,8 +182,8 @@ def _pruned(explorer: Explorer, candidate: Candidate, rules: Rules) -> Candidate
 def _in_order(explorer: Explorer, final: Candidate) -> tuple[Candidate, ...]:
     """From the baseline to `final`, the effect with the most evidence first."""
     steps = [final]
-    while steps[0].effects:
-        smaller = [explorer.without(steps[0], e) for e in steps[0].effects]
+    while added := _added(explorer, steps[0]):
+        smaller = [explorer.without(steps[0], e) for e in added]
         steps.insert(0, max(smaller, key=lambda c: c.evidence))
     return tuple(steps)
 
@@ -187,7 +212,7 @@ def _verdict(
 ) -> Verdict:
     if not _explains(explorer, base, final, rules):
         return "unexplained"
-    if not final.effects:
+    if final is base:
         return "complete"
     if final.heldout is None or any(len(t) + 1 > rules.most_tied for t in tied.values()):
         return "cannot_tell"

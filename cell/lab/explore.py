@@ -10,9 +10,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.cable.dynamics import DivergedError, threads
+from cell.cable.dynamics import threads
 from cell.cable.effects.base import Effect
-from cell.cable.statics import UnsettledError
 from cell.identify.gauss_newton import Options
 from cell.identify.parameters import ParameterSpace
 from cell.lab.bench import Bench
@@ -33,13 +32,15 @@ FloatArray = NDArray[np.float64]
 
 #: Uniform cables tried for a cold start, over this range about the prior's EI, in logarithm.
 COLD_STARTS = 48
+
 COLD_RANGE = 3.0
 #: Above this χ² per value the baseline cannot fit, and a tempered fit is a better place to start.
 MISFIT = 1.5
+TEMPER = 3.0
 MOST_GUESSES = 9
 #: Fits of an effect from different starts; friction has several minima.
 SMOOTH_TRIES, ROUGH_TRIES = 1, 2
-REFIT = Options(tolerance=0.1, most_passes=15)
+REFIT = Options(tolerance=0.1, most_passes=25)
 
 Progress = Callable[[str], None]
 
@@ -90,19 +91,18 @@ class Explorer:
     _calm: FloatArray | None = None
 
     def baseline(self) -> Candidate:
-        """The model without effects (beyond those of `space`)."""
-        key: frozenset[str] = frozenset()
+        """The model with no effects beyond those that `space` brings along."""
+        key = frozenset(e.name for e in self.space.effects)
         if key not in self._known:
             start = cold_start(self.bench, self.space)
             fit = fit_model(self.bench, self.space, start, options=REFIT)
             count = self.bench.count(fit_trials(self.bench))
             if fit.chi2 > MISFIT * count:
-                temper = float(np.sqrt(fit.chi2 / count))
+                # A model that lacks something puts it into EI(s); the prior keeps it plausible.
+                temper = TEMPER * float(np.sqrt(fit.chi2 / count))
                 calm = fit_model(self.bench, self.space, start, temper=temper, options=REFIT)
                 self._calm = calm.q
-                again = fit_model(self.bench, self.space, calm.q, options=REFIT)
-                fit = min(fit, again, key=lambda f: f.objective)
-            self._known[key] = self._weigh((), fit)
+            self._known[key] = self._weigh(self.space.effects, fit)
         return self._known[key]
 
     def screened(self, base: Candidate) -> list[Screened]:
@@ -133,8 +133,6 @@ class Explorer:
     def without(self, candidate: Candidate, effect: type[Effect]) -> Candidate:
         """The candidate with one effect taken out, refitted."""
         rest = tuple(e for e in candidate.effects if e is not effect)
-        if not rest:
-            return self.baseline()
         key = frozenset(e.name for e in rest)
         if key not in self._known:
             space = space_with(candidate.fit.space, rest)
@@ -177,37 +175,34 @@ class Explorer:
         origins = [base.fit.q]
         if self._calm is not None:
             origins.append(np.concatenate([self._calm, base.fit.q[len(self._calm) :]]))
-        starts = []
-        for origin, value in itertools.product(origins, [start, *_typical(effect)]):
-            q = extended(base.fit, space, effect, value)
-            for i, name in enumerate(base.fit.space.names):
-                q[space.names.index(name)] = origin[i]
-            starts.append(q)
         best: Fit | None = None
-        for q in self._promising(space, starts, SMOOTH_TRIES if effect.smooth else ROUGH_TRIES):
-            try:
-                fit = fit_model(self.bench, space, q, base.fit.delay_s, options=REFIT)
-            except (ValueError, DivergedError, UnsettledError):
-                continue
-            if best is None or fit.objective < best.objective:
-                best = fit
+        for origin in origins:
+            starts = []
+            for value in [start, *_typical(effect)]:
+                q = extended(base.fit, space, effect, value)
+                for i, name in enumerate(base.fit.space.names):
+                    q[space.names.index(name)] = origin[i]
+                starts.append(q)
+            tries = SMOOTH_TRIES if effect.smooth else ROUGH_TRIES
+            for q in self._promising(space, np.array(starts), tries):
+                try:
+                    fit = fit_model(self.bench, space, q, base.fit.delay_s, options=REFIT)
+                except ValueError:
+                    continue
+                if best is None or fit.objective < best.objective:
+                    best = fit
         if best is None:
             return None
         self._known[key] = self._weigh(effects, best)
         return self._known[key]
 
-    def _promising(
-        self, space: ParameterSpace, starts: Sequence[FloatArray], count: int
-    ) -> list[FloatArray]:
-        """The starts with the least misfit, worth a fit each."""
-        trials = fit_trials(self.bench)[:1]
-        square = []
-        for q in starts:
-            try:
-                square.append(float(np.sum(residuals(self.bench, space, trials, q[None]) ** 2)))
-            except (ValueError, DivergedError, UnsettledError):
-                square.append(np.inf)
-        return [starts[i] for i in np.argsort(square, kind="stable")[:count]]
+    def _promising(self, space: ParameterSpace, starts: FloatArray, count: int) -> FloatArray:
+        """The starts (lanes, p) with the least misfit, worth a fit each."""
+        square = np.zeros(len(starts))
+        for trial in fit_trials(self.bench):
+            square += np.sum(residuals(self.bench, space, [trial], starts) ** 2, axis=1)
+        order = np.argsort(np.where(np.isfinite(square), square, np.inf), kind="stable")
+        return np.asarray(starts[order[:count]])
 
     def _weigh(self, effects: tuple[type[Effect], ...], fit: Fit) -> Candidate:
         held = heldout(self.bench, fit)

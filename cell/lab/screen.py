@@ -19,6 +19,10 @@ FloatArray = NDArray[np.float64]
 
 #: Effects are nudged by this share of their typical size, so that a vanishing slope at zero shows.
 NUDGE = 0.05
+#: A nudge that moves a marker by more than this many standard deviations of the noise, or that
+#: cannot be simulated, is made smaller, this often.
+LARGEST_CHANGE = 300.0
+TRIES = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,19 +39,20 @@ def screen(bench: Bench, fit: Fit, effects: Sequence[type[Effect]]) -> list[Scre
 
     All effects, at every guess of their shape parameters, go into one batch per trial.
     """
-    trials = fit_trials(bench)
-    model = fit.model
     guesses = [g for effect in effects for g in _guesses(effect)]
-    models = [model, *(_with(model, ActiveEffect(g.effect, g.values)) for g in guesses)]
-    parts = []
-    for trial in trials:
-        delay = np.full(len(models), fit.delay_s.get(trial.name, 0.0))
-        parts.append(bench.white(trial, bench.predict(trial, models, delay)))
-    white = np.concatenate(parts, axis=1)
+    change = np.full((len(guesses), len(fit.solution.residual)), np.nan)
+    for _ in range(TRIES):
+        undone = [i for i in range(len(guesses)) if not _usable(change[i])]
+        if not undone:
+            break
+        change[undone] = _changes(bench, fit, [guesses[i] for i in undone])
+        for i in undone:
+            if not _usable(change[i]):
+                guesses[i] = guesses[i].smaller()
+    change[[not _usable(row) for row in change]] = 0.0
     nuisance = _nuisance(fit)
     priors = np.zeros((len(guesses), len(fit.solution.q)))
-    change = np.hstack([white[0] - white[1:], priors])
-    rows = change / np.array([g.nudge for g in guesses])[:, None]
+    rows = np.hstack([change, priors]) / np.array([g.nudge for g in guesses])[:, None]
     found = []
     for effect in effects:
         mine = [i for i, g in enumerate(guesses) if g.effect is effect]
@@ -68,7 +73,32 @@ class _Guess:
     effect: type[Effect]
     shape: int
     values: tuple[float, ...]
+    which: int
     nudge: float
+
+    def smaller(self) -> _Guess:
+        """A tenth of the nudge: this cable is more sensitive than the effect's typical one."""
+        default = self.effect.parameters[self.which].default
+        nudge = 0.1 * self.nudge
+        values = (*self.values[: self.which], default + nudge, *self.values[self.which + 1 :])
+        return _Guess(self.effect, self.shape, values, self.which, nudge)
+
+
+def _usable(change: FloatArray) -> bool:
+    """Whether a nudge's effect could be simulated, and is small enough to be a slope."""
+    return bool(np.all(np.isfinite(change)) and np.max(np.abs(change)) < LARGEST_CHANGE)
+
+
+def _changes(bench: Bench, fit: Fit, guesses: Sequence[_Guess]) -> FloatArray:
+    """(guesses, rows) whitened change of the fit trials' markers by each nudge."""
+    model = fit.model
+    models = [model, *(_with(model, ActiveEffect(g.effect, g.values)) for g in guesses)]
+    parts = []
+    for trial in fit_trials(bench):
+        delay = np.full(len(models), fit.delay_s.get(trial.name, 0.0))
+        parts.append(bench.white(trial, bench.predict(trial, models, delay)))
+    white = np.concatenate(parts, axis=1)
+    return np.asarray(white[0] - white[1:])
 
 
 def _guesses(effect: type[Effect]) -> list[_Guess]:
@@ -82,7 +112,7 @@ def _guesses(effect: type[Effect]) -> list[_Guess]:
             if p.amplitude:
                 nudge = _nudge(p)
                 nudged = (*values[:i], p.default + nudge, *values[i + 1 :])
-                guesses.append(_Guess(effect, shape, nudged, nudge))
+                guesses.append(_Guess(effect, shape, nudged, i, nudge))
     return guesses
 
 
@@ -98,14 +128,12 @@ def _nudge(parameter: Parameter) -> float:
 
 
 def _start(effect: type[Effect], guess: _Guess, amplitude: FloatArray) -> FloatArray:
-    """Parameter values of the guess, amplitudes as the score expects them, kept within reason."""
+    """Parameter values of the guess, amplitudes as the score expects them, within bounds."""
     values = np.array(guess.values)
     expected = iter(np.atleast_1d(amplitude))
     for i, p in enumerate(effect.parameters):
         if p.amplitude:
-            size = abs(_nudge(p)) / NUDGE
-            step = float(np.clip(next(expected), -5.0 * size, 5.0 * size))
-            values[i] = np.clip(p.default + step, p.low, p.high)
+            values[i] = np.clip(p.default + next(expected), p.low, p.high)
     return values
 
 

@@ -1,0 +1,97 @@
+"""One cable's model as a file: written by `cell fit`, read as another fit's prior."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cell.cable.effects.base import Effect
+from cell.cable.geometry import Cable
+from cell.identify.fit import frames_seen, variance_inflation
+from cell.identify.identified import Identified
+from cell.identify.noise import Noise
+from cell.identify.parameters import ParameterSpace
+from cell.lab.bench import Bench
+from cell.lab.fitting import Fit, fit_trials, space_with
+from cell.located import InputError, Problem
+from cell.study.data import Study
+
+#: Datasheets of one kind of cable agree to this.
+SAME_CABLE = 0.01
+
+
+def identified(bench: Bench, fit: Fit) -> Identified:
+    """A fit in the form in which models are kept; intervals widened by what it leaves."""
+    trials = fit_trials(bench)
+    whiteners = [bench.whiteners[t.name] for t in trials]
+    inflation = variance_inflation(fit.solution.residual, whiteners, len(fit.solution.q))
+    return Identified(
+        space=fit.space,
+        mean=fit.q,
+        covariance=fit.covariance * inflation,
+        noise=bench.noise,
+        residual_rms_m=fit.rms_m,
+        inflation=inflation,
+        frames_used=sum(frames_seen(t) for t in trials),
+        frames_total=sum(len(t.markers.t_s) for t in trials),
+        passes=fit.solution.passes,
+        method="map",
+        hand_covariance=np.zeros_like(fit.covariance),
+    )
+
+
+def read_model(path: Path, effects: Mapping[str, type[Effect]]) -> Identified:
+    """The model in a file.  Raises InputError: it cannot be read, or is something else."""
+    try:
+        data: Any = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise _wrong(path, 1, f"cannot be read: {error.strerror}") from error
+    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise _wrong(path, getattr(error, "lineno", 1), f"is not JSON: {error}") from error
+    if not isinstance(data, dict):
+        raise _wrong(path, 1, "must hold one JSON object, as `cell fit -o` writes it")
+    try:
+        return Identified.from_dict(data, effects)
+    except ValueError as error:
+        raise _wrong(path, 1, str(error)) from error
+
+
+def check_same_kind(path: Path, model: Identified, cable: Cable) -> None:
+    """Raise InputError if a model is of another kind of cable than the datasheet's."""
+    for name, value in vars(cable).items():
+        theirs = getattr(model.space.cable, name)
+        if abs(theirs - value) > SAME_CABLE * value:
+            raise _wrong(
+                path,
+                1,
+                f"is of another cable: its {name} is {theirs:g}, the study's {value:g}; "
+                "give a model of the same kind of cable",
+            )
+
+
+def prior_space(study: Study, model: Identified) -> ParameterSpace:
+    """The study's parameters with an earlier individual's posterior as prior, its effects in."""
+    space = ParameterSpace.of(study.cable, gravity_m_per_s2=study.gravity_m_per_s2)
+    space = space_with(space, model.space.effects)
+    precision = np.linalg.inv(model.covariance + 1e-12 * np.eye(len(model.mean)))
+    return replace(space, mean=model.mean.copy(), precision=0.5 * (precision + precision.T))
+
+
+def misfit(model: Identified) -> Noise:
+    """What an individual's model has been seen to leave, as noise.
+
+    The inflation of its variance is its mean square over the noise's, times its correlation time
+    (1 + ρ) / (1 − ρ).
+    """
+    square = (model.residual_rms_m / model.noise.std_m) ** 2
+    time = max(model.inflation / square, 1.0)
+    return Noise(model.residual_rms_m, min((time - 1.0) / (time + 1.0), 0.98))
+
+
+def _wrong(path: Path, line: int, message: str) -> InputError:
+    return InputError([Problem(path, line, None, "", message)])
