@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from calib.plane import PlaneView
 from cell.bench import Devices, Task
 from cell.cable.dynamics import Solver, simulate
+from cell.cable.effects import library
 from cell.cable.geometry import Cable, Motion
 from cell.cable.model import CableModel
 from cell.cycle import Cell
@@ -75,6 +76,7 @@ def hidden_cable(settings: Settings, seed: int, number: int) -> CableModel:
         profile,
         exponent=float(rng.uniform(*truth.exponent)),
         viscosity_n_m2_s=float(2.0 * damping_ratio * rigidity / first_mode_rad_per_s),
+        effects=tuple(library()[name].active(**v) for name, v in truth.effects.items()),
     )
 
 

@@ -169,7 +169,7 @@ def _problem(document: Document, details: ErrorDetails, model: type[BaseModel]) 
         case "extra_forbidden":
             known = _known_keys(document.data, details["loc"], model)
             name = str(details["loc"][-1])
-            return document.problem(key, f"unknown key{_did_you_mean(name, known)}")
+            return document.problem(key, f"unknown key{did_you_mean(name, known)}")
         case "missing":
             return document.problem(key, "is missing")
         case "value_error" | "assertion_error":
@@ -179,7 +179,7 @@ def _problem(document: Document, details: ErrorDetails, model: type[BaseModel]) 
             return document.problem((*key, "kind"), "is missing")
         case "union_tag_invalid":
             tag, tags = str(context["tag"]), str(context["expected_tags"])
-            guess = _did_you_mean(tag, [t.strip(" '") for t in tags.split(",")])
+            guess = did_you_mean(tag, [t.strip(" '") for t in tags.split(",")])
             return document.problem((*key, "kind"), f"{tag!r} is not one of {tags}{guess}")
     value = details["input"]
     shown = "" if isinstance(value, dict | list) else f" = {value!r}"
@@ -211,7 +211,7 @@ def _resolved(schema: dict[str, Any], node: dict[str, Any]) -> dict[str, Any]:
     return node
 
 
-def _did_you_mean(name: str, known: Sequence[str]) -> str:
+def did_you_mean(name: str, known: Sequence[str]) -> str:
     """'; did you mean …?', comparing names with and without their unit."""
     bare = {_UNITS.sub("", k): k for k in known}
     close = difflib.get_close_matches(name, known, 1, 0.6)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cell.located import Document, InputError, Key, Problem, load, validate
+from cell.located import Document, InputError, Key, Problem, did_you_mean, load, validate
 from cell.settings.model import Settings
 
 
@@ -30,6 +30,7 @@ def contradictions(document: Document, settings: Settings) -> list[Problem]:
         *_hand_within_limits(document, settings),
         *_brisker_than_limits(document, settings),
         *_devices(document, settings),
+        *_hidden_effects(document, settings),
     ]
     # Where the hand cannot go, what the tip can reach is an idle question.
     return problems or [*_destination_in_reach(document, settings), *_in_view(document, settings)]
@@ -134,6 +135,26 @@ def _devices(document: Document, settings: Settings) -> list[Problem]:
                     f"{[float(v) for v in y]}",
                 )
             )
+    return problems
+
+
+def _hidden_effects(document: Document, settings: Settings) -> list[Problem]:
+    if not settings.world.effects:
+        return []
+    from cell.cable.effects import library  # compiled code, which few settings need
+
+    problems = []
+    known = library()
+    for name, values in settings.world.effects.items():
+        key: Key = ("world", "effects", name)
+        if name not in known:
+            message = f"unknown effect{did_you_mean(name, list(known))}"
+            problems.append(document.problem(key, message))
+            continue
+        try:
+            known[name].active(**values)
+        except ValueError as error:
+            problems.append(document.problem(key, str(error)))
     return problems
 
 

@@ -256,6 +256,9 @@ class World(_Section):
     """Bending exponent N."""
     damping_ratio: Range = (0.02, 0.06)
     """Of the first swing mode, from which the viscosity follows."""
+    effects: dict[str, dict[str, Finite]] = {}
+    """Physics that the model lacks: names of effects with their parameters, e.g.
+    `air_drag: {drag_coefficient: 2.0}`."""
     segments: Annotated[int, Field(ge=60, le=400)] = 80
     """Of the simulated cable; more than the model has."""
 

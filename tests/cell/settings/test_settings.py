@@ -92,6 +92,9 @@ MISTAKES = [
     ("kind: sim\n  force", "kind: serial\n  port: p\n  force", "make all three `sim`, or none"),
     ("frame_rate_hz: 200.0", "frame_rate_hz: 1000\n  exposure_s: 0.002", "longer than a frame"),
     ("exponent: [0.95, 1.05]", "exponent: [0.95]", "world.exponent[1]: is missing"),
+    ("effects: {}", "effects: {air_drga: {}}", "unknown effect; did you mean 'air_drag'?"),
+    ("effects: {}", "effects: {tip_mass: {kg: 1}}", "tip_mass has no parameter 'kg'; it has"),
+    ("effects: {}", "effects: {tip_mass: {mass_kg: -1}}", "tip_mass.mass_kg = -1.0 kg"),
     ("cable:\n", "cable:\n\tx: 1\n", ":6:1: is not YAML"),
 ]
 
