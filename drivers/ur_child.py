@@ -12,6 +12,7 @@ import os
 import pickle
 import sys
 import time
+import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -21,6 +22,7 @@ import numpy as np
 
 from drivers.interfaces import ArmMode, Path
 from drivers.plane_mount import PlaneMount
+from drivers.priority import bound_spinning, run_in_real_time
 from drivers.ur_kinematics import matrix_of, pose_of
 from drivers.ur_shared import SharedState, Slot
 
@@ -47,6 +49,7 @@ _DRIFT = 20e-6  # how fast two crystals may part
 _STANDSTILL_M = 2e-4
 _STANDSTILL_S = 0.1
 _PROGRAM_S = 5.0
+_SETTING_UP_S, _CYCLING_S = 0.5, 0.03  # longest that ur-rtde may spin
 
 
 @dataclass(frozen=True)
@@ -93,6 +96,8 @@ class _Robot:
         import rtde_control
         import rtde_receive
 
+        bound_spinning(_SETTING_UP_S)
+        run_in_real_time()  # after the imports, before the clients start their threads
         self._options = options
         self._dashboard = dashboard_client.DashboardClient(options.host)
         self._dashboard.connect()
@@ -174,7 +179,8 @@ class _Child:
         self._mode = ArmMode.READY
         self._stops = 0.0
         self._robot_s = 0.0
-        self._advanced_s = time.monotonic()
+        self._looked_s = time.monotonic()
+        self._silent_s = 0.0
         self._offset_s = np.inf
         self._robot = _Robot(options)
 
@@ -182,6 +188,7 @@ class _Child:
         """Cycle until told to close.  Raises _LostError; EOFError: the parent has gone."""
         self._measure(time.monotonic(), first=True)
         self._look_at_mode()
+        bound_spinning(_CYCLING_S)
         next_s = time.monotonic()
         while self._obey():
             now_s = time.monotonic()
@@ -199,6 +206,11 @@ class _Child:
                 time.sleep(left_s)
             else:
                 next_s = time.monotonic()
+        self.rest()
+
+    def rest(self) -> None:
+        """Stop the arm and end the program."""
+        bound_spinning(_SETTING_UP_S)
         self._end_motion()
         self._robot.control.stopScript()
 
@@ -208,16 +220,21 @@ class _Child:
         if not (robot.isConnected() and self._robot.control.isConnected()):
             raise _LostError("the connection dropped")
         robot_s = robot.getTimestamp()
+        # time in which this process was not run is not the controller's silence
+        self._silent_s += min(now_s - self._looked_s, 2.0 * self._options.period_s)
+        self._looked_s = now_s
         if robot_s == self._robot_s:
-            silent_s = now_s - self._advanced_s
-            if silent_s > self._options.stale_s:
-                raise _LostError(f"the controller's time has not advanced for {silent_s:.3f} s")
+            if self._silent_s > self._options.stale_s:
+                raise _LostError(
+                    f"the controller's time has not advanced for {self._silent_s:.3f} s"
+                )
             return
+        self._silent_s = 0.0
         passed_s = robot_s - self._robot_s
         if first or not 0.0 < passed_s < 10.0:
             self._offset_s = np.inf
         self._offset_s = min(self._offset_s + _DRIFT * passed_s, now_s - robot_s)
-        self._robot_s, self._advanced_s = robot_s, now_s
+        self._robot_s = robot_s
         X_BT = matrix_of(np.array(robot.getActualTCPPose()))
         pose = self._options.mount.to_plane(X_BT)
         speed = float(np.linalg.norm(robot.getActualTCPSpeed()[:3]))
@@ -296,17 +313,19 @@ class _Child:
             raise RefusedError(mode.value, "")
         if mode is ArmMode.STOPPED:
             self._robot.restart_program()
-        self._advanced_s = time.monotonic()
+        self._silent_s = 0.0
         self._look_at_mode()
 
     def _answer(self, act: Callable[[], None]) -> None:
         """Do something that takes its time, and tell how it went."""
         self._shared.put(Slot.HEARTBEAT_S, np.nan)
+        bound_spinning(_SETTING_UP_S)
         try:
             act()
             answer: tuple[Any, ...] = ("done",)
         except RefusedError as refusal:
             answer = ("refused", refusal.cause, refusal.remedy)
+        bound_spinning(_CYCLING_S)
         self._shared.put(Slot.HEARTBEAT_S, time.monotonic())
         self._connection.send(answer)
 
@@ -334,15 +353,17 @@ def main() -> None:
     except (RuntimeError, ValueError, ImportError) as error:
         connection.send(("refused", " ".join(str(error).split()), ""))
         os._exit(1)
+    code = 0
     try:
         child.run()
     except _LostError as lost:
         connection.send(("lost", str(lost)))
-    except EOFError:
-        child._robot.control.servoStop(options.stop_m_per_s2)
-        child._robot.control.stopScript()
-    finally:
-        os._exit(0)  # ur-rtde's own farewell hangs once the robot has gone
+    except (EOFError, OSError):  # the parent has gone
+        child.rest()
+    except Exception:
+        traceback.print_exc()  # its last line becomes the cause that the parent names
+        code = 1
+    os._exit(code)  # ur-rtde's own farewell hangs once the robot has gone
 
 
 if __name__ == "__main__":

@@ -35,6 +35,7 @@ from drivers.emulators.rtde_wire import (
     names_in,
 )
 from drivers.emulators.ur_controller import CYCLE_S, Controller, ControllerOptions
+from drivers.priority import run_in_real_time
 from drivers.ur_kinematics import MODELS
 
 RTDE_PORT, SCRIPT_PORT, DASHBOARD_PORT, FAULT_PORT = 30004, 30003, 29999, 39999
@@ -401,6 +402,7 @@ def main() -> None:
         (major, minor, bugfix, build), MODELS[arguments.model], arguments.time_scale
     )
     server = UrServer(arguments.host, options)
+    run_in_real_time()  # as a controller does
     print("ready", flush=True)
     server.run_until_stdin_ends()
 

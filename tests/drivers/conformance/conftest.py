@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from drivers.clock import RealClock
+from drivers.emulators.camera import StreamFaults
 from drivers.emulators.robotiq import EmulatedGripper
 from drivers.files import FilesCamera, write_frames
 from drivers.guard import (
@@ -23,6 +24,7 @@ from drivers.guard import (
     GuardedGripper,
 )
 from drivers.interfaces import Arm, Camera, Clock, Frame, Gripper, Path
+from drivers.opencv_camera import OpenCvCamera, OpenCvOptions
 from drivers.serial_gripper import SerialGripper, SerialGripperOptions
 from drivers.sim.arm import ArmFaults
 from drivers.sim.camera import CameraFaults
@@ -148,6 +150,23 @@ def files_camera(request: pytest.FixtureRequest) -> Iterator[CameraBench]:
 
 
 @contextlib.contextmanager
+def opencv_camera(request: pytest.FixtureRequest) -> Iterator[CameraBench]:
+    stream = request.getfixturevalue("emulated_camera")
+    clock = RealClock()
+    options = OpenCvOptions(stream.url, 160, 120, 200.0, exposure_s=None)
+
+    def break_it(**faults: bool) -> Act:
+        def act() -> None:
+            stream.faults = StreamFaults(**faults)
+
+        return act
+
+    yield CameraBench(
+        OpenCvCamera(options, clock), clock, break_it(silent=True), break_it(refuses=True)
+    )
+
+
+@contextlib.contextmanager
 def sim_gripper(request: pytest.FixtureRequest) -> Iterator[GripperBench]:
     cell = request.getfixturevalue("cell")
     cell.gripper.close()
@@ -180,7 +199,7 @@ def guarded_sim_gripper(request: pytest.FixtureRequest) -> Iterator[GripperBench
 @contextlib.contextmanager
 def serial_gripper(request: pytest.FixtureRequest) -> Iterator[GripperBench]:
     with EmulatedGripper() as emulator:
-        options = SerialGripperOptions(emulator.port, reply_s=0.03)
+        options = SerialGripperOptions(emulator.port)
         jaws, faults = emulator.jaws, emulator.jaws.faults
         clock = RealClock()
 
@@ -196,7 +215,12 @@ def serial_gripper(request: pytest.FixtureRequest) -> Iterator[GripperBench]:
 
 
 ARMS = {"sim": sim_arm, "guarded": guarded_sim_arm, "ur": ur_arm}
-CAMERAS = {"sim": sim_camera, "guarded": guarded_sim_camera, "files": files_camera}
+CAMERAS = {
+    "sim": sim_camera,
+    "guarded": guarded_sim_camera,
+    "files": files_camera,
+    "opencv": opencv_camera,
+}
 GRIPPERS = {"sim": sim_gripper, "guarded": guarded_sim_gripper, "serial": serial_gripper}
 CLOCKS = {"sim": SimClock, "real": RealClock}
 

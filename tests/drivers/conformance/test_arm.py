@@ -60,9 +60,10 @@ def test_returns_at_once_and_then_follows(bench) -> None:
 
 
 def test_logs_what_it_did_about_one_lag_late(bench) -> None:
-    start, began_s = here(bench), bench.clock.now_s()
+    start = here(bench)
     path = bench.make_path(dy_m=-0.05, start=start)
     bench.arm.follow(path)
+    began_s = bench.clock.now_s()
     wait_for_rest(bench)
     log = bench.arm.log(began_s, bench.clock.now_s())
     assert np.all(np.diff(log.t_s) > 0.0)

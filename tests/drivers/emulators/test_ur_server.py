@@ -59,6 +59,8 @@ def test_the_real_client_moves_and_measures(emulator) -> None:
 def test_a_client_that_dies_leaves_the_arm_stopped_by_the_watchdog(emulator, eventually) -> None:
     program = (
         "import rtde_control, time\n"
+        "from drivers.priority import run_in_real_time\n"
+        "run_in_real_time()\n"
         f"c = rtde_control.RTDEControlInterface('{emulator.host}')\n"
         "c.setWatchdog(20.0)\n"
         "while True:\n"

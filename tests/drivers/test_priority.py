@@ -1,0 +1,47 @@
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from drivers import priority
+
+_ASK = (
+    "import os; from drivers.priority import run_in_real_time\n"
+    "print(run_in_real_time(), os.sched_getscheduler(0) == os.SCHED_FIFO)"
+)
+_SPIN = (
+    "import sys, time; from drivers.priority import bound_spinning, run_in_real_time\n"
+    "if not run_in_real_time(): sys.exit(77)\n"
+    "bound_spinning(0.05)\n"
+    "until = time.monotonic() + 2.0\n"
+    "while time.monotonic() < until: pass\n"
+)
+
+pytestmark = pytest.mark.skipif(
+    not hasattr(os, "sched_setscheduler"), reason="this system has no such scheduler"
+)
+
+
+def test_says_truly_whether_it_was_granted() -> None:
+    out = subprocess.run([sys.executable, "-c", _ASK], capture_output=True, text=True, check=True)
+    granted, real_time = out.stdout.split()
+    assert granted == real_time
+
+
+def test_a_refusal_is_not_an_error(monkeypatch) -> None:
+    def refuse(*_: object) -> None:
+        raise PermissionError
+
+    monkeypatch.setattr(os, "sched_setscheduler", refuse)
+    assert priority.run_in_real_time() is False
+
+
+def test_a_spinning_process_ends() -> None:
+    out = subprocess.run([sys.executable, "-c", _SPIN], check=False)
+    if out.returncode == 77:
+        pytest.skip("this user may not run in real time")
+    assert out.returncode == -signal.SIGXCPU
