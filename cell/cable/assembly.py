@@ -189,7 +189,8 @@ def marker_weights(
     """Cell of every marker and cubic Hermite weights of its two nodes and their tangents.
 
     returns  (markers,) numbers of the cells, (markers, 4) weights
-    raises   ValueError: marker beyond the cable, or cables of different lengths
+    raises   ValueError: marker beyond the cable or crossing another, or cables of different
+             lengths
     """
     lengths = {m.cable.free_length_m for m in models}
     if len(lengths) != 1:
@@ -200,6 +201,13 @@ def marker_weights(
     if s.ndim != 1 or bad.any():
         i = int(np.argmax(bad))
         raise ValueError(f"arc_length_m[{i}] = {s.flat[i]} m: must be 0 … {length} m")
+    turn = np.sign(np.diff(s))
+    if np.any(turn == 0.0) or np.any(turn != turn[:1]):
+        i = 1 + int(np.argmax((turn == 0.0) | (turn != turn[:1])))
+        raise ValueError(
+            f"arc_length_m[{i}] = {s[i]} m after {s[i - 1]} m: markers must run along the cable, "
+            "each beyond the one before"
+        )
     place = s / length * segments
     cell = np.minimum(place.astype(np.int64), segments - 1)
     u = place - cell

@@ -6,12 +6,14 @@ import hashlib
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from numba import njit
 
 #: Fused multiply-add is allowed, reordering is not: results do not depend on the vector width.
 FASTMATH = {"contract", "nsz"}
+
+F = TypeVar("F", bound=Callable[..., Any])
 
 inline = njit(fastmath=FASTMATH, error_model="numpy")
 
@@ -26,7 +28,7 @@ def fingerprint() -> str:
     return digest.hexdigest()
 
 
-def compiled(function: Callable[..., Any]) -> Any:
+def compiled(function: F) -> F:
     """Compile on first use, without the interpreter lock, and keep the machine code on disk.
 
     numba compares the time stamp of the function's own file only, and so would run old code after
@@ -34,4 +36,4 @@ def compiled(function: Callable[..., Any]) -> Any:
     """
     dispatcher: Any = njit(fastmath=FASTMATH, error_model="numpy", nogil=True, cache=True)(function)
     dispatcher._cache._cache_file._source_stamp = fingerprint()
-    return dispatcher
+    return dispatcher  # type: ignore[no-any-return]

@@ -88,9 +88,9 @@ def power(base: float, exponent: float) -> float:
 def relaxed(rate: float, decay: float, duration: float) -> float:
     """Change over `duration` of dz/dt = rate − decay·(z − z₀): exact, however stiff."""
     x = decay * duration
-    x = 500.0 if x > 500.0 else x
-    x = -50.0 if x < -50.0 else x
+    bounded = 500.0 if x > 500.0 else x
+    bounded = -50.0 if x < -50.0 else bounded
     small = abs(x) < 1e-3
     share = 1.0 - x * (0.5 - x * (1.0 / 6.0 - x / 24.0))
-    share = share if small else (1.0 - exponential(-x)) / (1.0 if small else x)
+    share = share if small else (1.0 - exponential(-bounded)) / (1.0 if small else x)
     return rate * duration * share

@@ -1,0 +1,129 @@
+"""The project's own effects: names, that each does something, that each is off when off."""
+
+import numpy as np
+import pytest
+
+from cell.cable.dynamics import Solver, simulate
+from cell.cable.effects import library
+from cell.cable.effects.check import check
+from cell.cable.model import CableModel
+from cell.cable.statics import equilibrium
+
+NAMES = [
+    "air_drag",
+    "linear_air_drag",
+    "added_mass",
+    "draught",
+    "stress_relaxation",
+    "bending_hysteresis",
+    "natural_curvature",
+    "tip_mass",
+    "grip_angle",
+    "grip_compliance",
+    "grip_slip",
+    "camera_latency",
+    "robot_lag",
+    "robot_ringing",
+    "camera_scale",
+    "camera_roll",
+    "rolling_shutter",
+]
+EFFECTS = library()
+TIMES = np.arange(0.0, 1.5, 0.01)
+
+#: Largest displacement of the tip at the first of each parameter's `starts`, mm: expected sizes.
+SIZE_MM = {
+    "air_drag": (1, 5),
+    "linear_air_drag": (1, 5),
+    "added_mass": (2, 6),
+    "draught": (0.2, 2),
+    "stress_relaxation": (4, 13),
+    "bending_hysteresis": (3, 12),
+    "natural_curvature": (1, 9),
+    "tip_mass": (7, 17),
+    "grip_angle": (1, 5),
+    "grip_compliance": (3, 20),
+    "grip_slip": (1, 7),
+    "camera_latency": (0.5, 4),
+    "robot_lag": (0.5, 4),
+    "robot_ringing": (0.2, 1.5),
+    "camera_scale": (0.3, 1.2),
+    "camera_roll": (0.3, 1.2),
+    "rolling_shutter": (0.1, 2),
+}
+
+
+def paths(cable, jerk, arc, *active, **options):
+    models = [
+        CableModel(cable, np.array([3.5e-5, 2.5e-5]), 1.05, 1e-7, effects=(a,) if a else ())
+        for a in active
+    ]
+    return simulate(models, jerk, TIMES, arc, **options)
+
+
+def typical(effect):
+    return effect.active(**{p.name: p.starts[0] for p in effect.parameters})
+
+
+def test_all_names_are_there():
+    assert sorted(EFFECTS) == sorted(NAMES)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_checks_of_a_users_effect_hold_for_ours(name):
+    check(EFFECTS[name])
+    assert len(EFFECTS[name].__doc__) > 30
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_effect_changes_the_output_by_its_size_and_is_off_when_off(cable, jerk, arc, name):
+    effect = EFFECTS[name]
+    without, on, off = paths(cable, jerk, arc, None, typical(effect), effect.active())
+    change = np.linalg.norm(on - without, axis=-1).max() * 1e3
+    low, high = SIZE_MM[name]
+    assert low < change < high
+    assert off == pytest.approx(without, abs=2e-7)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_parameter_does_something(cable, jerk, arc, name):
+    effect = EFFECTS[name]
+    values = {p.name: p.starts[0] for p in effect.parameters}
+    changed = []
+    for p in effect.parameters:
+        size = 0.3 * (p.starts[0] or 1.0)
+        other = p.starts[0] + size if p.starts[0] + size <= p.high else p.starts[0] - size
+        changed.append(effect.active(**(values | {p.name: other})))
+    base, *others = paths(cable, jerk, arc, typical(effect), *changed)
+    for p, path in zip(effect.parameters, others, strict=True):
+        assert np.abs(path - base).max() > 1e-6, p.name
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_parameters_mean_the_same_on_every_mesh(cable, jerk, arc, name):
+    active = typical(EFFECTS[name])
+    changes = []
+    for segments in (12, 40):
+        without, on = paths(cable, jerk, arc, None, active, solver=Solver(segments, 7.5e-4))
+        changes.append(on - without)
+    scale = np.abs(changes[1]).max()
+    assert np.abs(changes[0] - changes[1]).max() < 0.03 * scale + 2e-5
+
+
+def test_from_rest_lag_of_the_hand_and_latency_of_the_camera_look_alike(cable, jerk, arc):
+    late = (
+        EFFECTS["robot_lag"].active(delay_s=0.008),
+        EFFECTS["camera_latency"].active(delay_s=0.008),
+    )
+    lag, latency = paths(cable, jerk, arc, *late)
+    assert np.abs(lag - latency).max() < 2e-6
+
+
+def test_compliance_turns_the_clamp_by_the_moment(cable, arc):
+    soft = EFFECTS["grip_compliance"].active(rad_per_n_m=50.0)
+    model = CableModel(cable, 3e-5, effects=(soft,))
+    shape = equilibrium(model, np.linspace(0.0, 0.1, 2001), segments=200)[0]
+    x = shape[:, 0]
+    moment = 0.0074 * 9.81 * np.trapezoid(-x, np.linspace(0.0, 0.1, 2001))
+    angle = np.arctan2(-shape[1, 1], -shape[1, 0])
+    assert angle == pytest.approx(50.0 * moment, rel=0.02)

@@ -1,0 +1,137 @@
+"""A user's own effect: the documented example, and mistakes named with file and line."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cell.cable.dynamics import simulate
+from cell.cable.effects import EffectError, load_effect
+from cell.cable.effects.compiled import loops_of
+from cell.cable.model import CableModel
+
+DOCS = Path(__file__).parents[4] / "docs" / "effects.md"
+
+HEAD = """from cell.cable.effects import Effect, Parameter
+class Mine(Effect):
+    name = "mine"
+    parameters = (Parameter("size", "1", 0.0, 1.0, 0.0, (0.5,)),)
+"""
+
+FORCE = HEAD + "    def force(cable, at, p):\n"
+
+
+def written(folder, text):
+    path = folder / "mine.py"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_the_documented_example_runs(tmp_path, monkeypatch):
+    example, use, _memory = re.findall(r"```python\n(.*?)```", DOCS.read_text("utf-8"), re.DOTALL)
+    assert len([line for line in example.splitlines() if line.strip()]) <= 20
+    (tmp_path / "magnet.py").write_text(example, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    names: dict = {}
+    exec(compile(use, "docs/effects.md", "exec"), names)
+    model, still = names["model"], names["still"]
+    plain = CableModel(model.cable, 3e-5, viscosity_n_m2_s=1e-7)
+    off = CableModel(model.cable, 3e-5, viscosity_n_m2_s=1e-7, effects=(names["magnet"].active(),))
+    times, arc = np.array([0.0, 0.5]), np.array([0.05, 0.1])
+    without = simulate([plain, off], still, times, arc)
+    assert without[0] == pytest.approx(without[1], abs=1e-12)
+    assert names["xy"][0, -1, -1, 1] < without[0, -1, -1, 1] - 1e-4  # it pulls down
+
+
+def test_changing_a_value_compiles_nothing(tmp_path, cable, arc, jerk):
+    effect = load_effect(written(tmp_path, FORCE + "        return -p.size*at.vx, 0.0\n"))
+    loops = loops_of(effect)
+    for size in (0.1, 0.2):
+        model = CableModel(cable, 3e-5, effects=(effect.active(size=size),))
+        simulate(model, jerk, np.array([0.0, 0.2]), arc)
+    assert loops_of(effect) is loops
+    (module,) = loops.alive
+    assert len(module.loop.overloads) == 1
+
+
+def test_an_edited_file_is_compiled_anew(tmp_path, cable, arc, jerk):
+    tips = []
+    for factor in (1.0, 2.0):
+        text = FORCE + f"        return 0.0, -{factor}*p.size\n"
+        effect = load_effect(written(tmp_path, text))
+        model = CableModel(cable, 3e-5, effects=(effect.active(size=0.01),))
+        tips.append(simulate(model, jerk, np.array([0.0]), arc)[0, 0, -1, 1])
+    assert tips[1] < tips[0] - 1e-4
+
+
+def test_an_exception_while_running_is_not_swallowed(tmp_path, cable, arc, jerk):
+    text = (
+        FORCE + "        if at.x > 30.0:\n"
+        "            raise ValueError('beyond the wall')\n"
+        "        return 0.0, 0.0 * p.size\n"
+    )
+    effect = load_effect(written(tmp_path, text))
+    away = type(jerk)(jerk.t_s, jerk.x_m + 31.0, jerk.y_m, jerk.angle_rad)
+    model = CableModel(cable, 3e-5, effects=(effect.active(size=0.1),))
+    with pytest.raises(ValueError, match="beyond the wall"):
+        simulate(model, away, np.array([0.0, 0.1]), arc)
+
+
+MISTAKES = {
+    "syntax": ("class Mine(:\n", 1, "syntax"),
+    "import": ("import nowhere_to_be_found\n", 1, "ModuleNotFoundError"),
+    "no effect": ("x = 1\n", 1, "exactly one"),
+    "wrong hook": (HEAD + "    def forces(cable, at, p):\n        return 0.0, 0.0\n", 5, "'force'"),
+    "arguments": (HEAD + "    def force(at, p):\n        return 0.0, 0.0\n", 5, "(cable, at, p)"),
+    "name": (FORCE + "        f = 1.0\n        return p.sice, f\n", 7, "sice"),
+    "shape": (FORCE + "        return 1.0\n", 5, "tuple of 2 numbers"),
+    "nan": (FORCE + "        return float('nan'), 0.0\n", 5, "finite"),
+    "division": (
+        FORCE + "        return p.size / (at.vx - 0.3), 0.0\n",
+        6,
+        "ZeroDivisionError",
+    ),
+    "always on": (FORCE + "        return 0.0, 1.0\n", 5, "not off at size = 0"),
+    "no hook": (HEAD, 2, "does nothing"),
+    "feeds": (
+        HEAD + "    dissipative = True\n    def force(cable, at, p):\n"
+        "        return p.size * at.vx, p.size * at.vy\n",
+        6,
+        "although declared dissipative",
+    ),
+    "feeds by bending": (
+        HEAD + "    dissipative = True\n    def moment(cable, at, m, p):\n"
+        "        return -1e-6 * p.size * at.rate\n",
+        6,
+        "although declared dissipative",
+    ),
+    "memory without rate": (
+        HEAD + "    memory = ('z',)\n"
+        "    def moment(cable, at, m, p):\n        return p.size * m.z\n",
+        2,
+        "memory_rate",
+    ),
+    "not compilable": (
+        FORCE + "        return p.size * len({'a': [1], 2: 3}), 0.0\n",
+        5,
+        "cannot be compiled",
+    ),
+    "parameters": (
+        "from cell.cable.effects import Effect, Parameter\nclass Mine(Effect):\n    name = 'mine'\n"
+        "    parameters = (Parameter('size', '1', 0.0, 1.0, 2.0, (0.5,)),)\n",
+        4,
+        "default 2.0 outside 0.0 … 1.0",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("mistake", sorted(MISTAKES))
+def test_a_mistake_is_refused_with_its_line(tmp_path, mistake):
+    text, line, cause = MISTAKES[mistake]
+    path = written(tmp_path, text)
+    with pytest.raises(EffectError) as caught:
+        load_effect(path)
+    assert caught.value.line == line
+    assert str(caught.value).startswith(f"{path}:{line}: ")
+    assert cause in str(caught.value)

@@ -1,0 +1,158 @@
+"""The batch interface: lanes, starts, input that is refused, divergence, start-up."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from cell.cable.dynamics import DivergedError, Solver, simulate
+from cell.cable.effects import library
+from cell.cable.geometry import Cable, Motion
+from cell.cable.model import CableModel
+from cell.cable.statics import equilibrium
+
+TIMES = np.arange(0.0, 1.0, 0.02)
+
+
+def models(cable, count):
+    return [CableModel(cable, 3e-5 * (1 + 0.01 * k), viscosity_n_m2_s=1e-7) for k in range(count)]
+
+
+@pytest.mark.parametrize("lanes", [1, 3, 8, 9, 17, 37])
+def test_a_lane_does_not_depend_on_its_neighbours(cable, arc, jerk, lanes):
+    batch = models(cable, lanes)
+    together = simulate(batch, jerk, TIMES, arc)
+    assert together.shape == (lanes, TIMES.size, arc.size, 2)
+    last = simulate(batch[-1], jerk, TIMES, arc)
+    assert together[-1] == pytest.approx(last[0], abs=1e-13)
+
+
+def test_lanes_with_different_effects_keep_their_order(cable, arc, jerk):
+    drag, mass = library()["air_drag"].active(drag_coefficient=2.0), library()["tip_mass"]
+    kinds = [(), (drag,), (mass.active(mass_kg=2e-5),), (), (drag,)]
+    batch = [CableModel(cable, 3e-5, viscosity_n_m2_s=1e-7, effects=k) for k in kinds]
+    together = simulate(batch, jerk, TIMES, arc)
+    for lane, model in enumerate(batch):
+        alone = simulate(model, jerk, TIMES, arc)[0]
+        assert together[lane] == pytest.approx(alone, abs=1e-13)
+    assert np.abs(together[0] - together[1]).max() > 1e-4
+
+
+def test_one_model_many_motions(cable, arc, jerk):
+    half = Motion(jerk.t_s, jerk.x_m, 0.5 * jerk.y_m, jerk.angle_rad)
+    both = simulate(models(cable, 1)[0], [jerk, half], TIMES, arc)
+    assert both[1] == pytest.approx(simulate(models(cable, 1)[0], half, TIMES, arc)[0], abs=1e-13)
+
+
+def test_starts_at_rest_and_ends_at_rest(cable, arc, jerk):
+    (model,) = models(cable, 1)
+    path = simulate(model, jerk, np.array([0.0, 0.05, 30.0]), arc)[0]
+    still = equilibrium(model, arc)[0]
+    assert path[:2] == pytest.approx(np.stack([still, still]), abs=1e-9)
+    assert path[2] == pytest.approx(still + np.array([0.0, -0.05]), abs=1e-6)
+
+
+def test_straight_until_released(cable, arc):
+    still = Motion(np.array([0.0, 1.0]), np.zeros(2), np.zeros(2), np.full(2, 0.1))
+    xy = simulate(models(cable, 1)[0], still, TIMES, arc, start="straight", release_s=0.1)[0]
+    held = -arc[:, None] * np.array([np.cos(0.1), np.sin(0.1)])
+    assert xy[TIMES <= 0.1] == pytest.approx(np.broadcast_to(held, xy[TIMES <= 0.1].shape))
+    assert xy[-1, -1, 1] < held[-1, 1] - 5e-3
+
+
+def test_noise_of_a_robots_log_hardly_moves_the_tip(cable, arc, jerk):
+    rng = np.random.default_rng(3)
+    logs = [
+        Motion(*(v + rng.normal(0.0, s, v.size) for v, s in zip(
+            (jerk.t_s, jerk.x_m, jerk.y_m, jerk.angle_rad), (0.0, 1e-5, 1e-5, 0.0), strict=True
+        )))
+        for _ in range(12)
+    ]  # fmt: skip
+    (model,) = models(cable, 1)
+    tips = simulate(model, logs, TIMES, arc)[:, :, -1]
+    error = np.linalg.norm(tips - simulate(model, jerk, TIMES, arc)[0, :, -1], axis=-1)
+    assert np.sqrt(np.mean(error**2)) < 1e-5
+    assert error.max() < 3e-5
+
+
+def test_a_bar_of_silicone(arc):
+    bar = Cable(0.3, 0.963, 0.03, 0.03)
+    drag = library()["air_drag"].active(drag_coefficient=2.0)
+    model = CableModel(bar, 0.05, viscosity_n_m2_s=1e-4, effects=(drag,))
+    still = Motion(np.array([0.0, 1.0]), np.zeros(2), np.zeros(2), np.zeros(2))
+    xy = simulate(model, still, TIMES, np.array([0.3]), start="straight", release_s=0.0)
+    assert np.all(np.isfinite(xy)) and xy[0, -1, 0, 1] < -0.05
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"rigidity_n_m2": np.array([3e-5, np.nan])}, r"rigidity_n_m2\[1\] = nan"),
+        ({"rigidity_n_m2": 0.0}, r"rigidity_n_m2\[0\] = 0"),
+        ({"rigidity_n_m2": -1e-5}, r"rigidity_n_m2\[0\] = -1e-05"),
+        ({"exponent": np.nan}, "exponent = nan"),
+        ({"viscosity_n_m2_s": -1.0}, "viscosity_n_m2_s = -1"),
+        ({"gravity_m_per_s2": (0.0, np.inf)}, "gravity_m_per_s2"),
+    ],
+)
+def test_bad_models_are_named(cable, change, named):
+    with pytest.raises(ValueError, match=named):
+        CableModel(**({"cable": cable, "rigidity_n_m2": 3e-5} | change))
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"arc_length_m": np.array([0.05, 0.12])}, r"arc_length_m\[1\] = 0.12"),
+        ({"arc_length_m": np.array([0.05, np.nan])}, r"arc_length_m\[1\] = nan"),
+        ({"arc_length_m": np.array([0.0, 0.05, 0.04])}, r"arc_length_m\[2\] = 0.04"),
+        ({"times_s": np.array([0.0, 0.0])}, "times_s"),
+        ({"times_s": np.array([0.0, np.nan])}, "times_s"),
+        ({"release_s": 0.1}, "release_s"),
+        ({"models": []}, "0 models"),
+        ({"times_s": np.array([0.0, 1e6])}, "steps"),
+    ],
+)
+def test_bad_requests_are_named(cable, arc, jerk, change, named):
+    good = {"models": models(cable, 1), "motions": jerk, "times_s": TIMES, "arc_length_m": arc}
+    with pytest.raises(ValueError, match=named):
+        simulate(**(good | change))
+
+
+@pytest.mark.parametrize(
+    "bad", [{"step_s": 0.0}, {"step_s": 1.0}, {"step_s": np.nan}, {"segments": 2}, {"damping": 2.0}]
+)
+def test_absurd_solvers_are_refused(bad):
+    with pytest.raises(ValueError, match=f"solver.{next(iter(bad))}"):
+        Solver(**bad)
+
+
+def test_divergence_is_named_and_gives_no_numbers(cable, arc, jerk):
+    wild = Motion(jerk.t_s, jerk.x_m, 400.0 * jerk.y_m, jerk.angle_rad)
+    batch = [CableModel(cable, ei, viscosity_n_m2_s=1e-7) for ei in (3e-5, 1e-9)]
+    with pytest.raises(DivergedError, match=r"lane 1 diverged at t = .* shorter step") as caught:
+        simulate(batch, [jerk, wild], TIMES, arc, solver=Solver(20, 5e-3))
+    assert caught.value.lane == 1
+
+
+def test_a_second_process_starts_in_under_three_seconds(cable, arc, jerk, tmp_path):
+    simulate(models(cable, 1), jerk, TIMES, arc)
+    program = (
+        "import time; t = time.perf_counter()\n"
+        "import numpy as np\n"
+        "from cell.cable.dynamics import simulate\n"
+        "from cell.cable.geometry import Cable, Motion\n"
+        "from cell.cable.model import CableModel\n"
+        "z = np.zeros(3)\n"
+        "m = CableModel(Cable(0.1, 0.0074, 0.016, 1e-4), 3e-5)\n"
+        "simulate(m, Motion(np.arange(3.0), z, z, z), np.array([0.0, 0.1]), np.array([0.1]))\n"
+        "from cell.cable.kernel import integrate\n"
+        "print(time.process_time(), sum(integrate.stats.cache_misses.values()))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    seconds, compiled = done.stdout.split()
+    assert compiled == "0"
+    assert float(seconds) < 3.0

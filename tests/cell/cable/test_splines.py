@@ -1,0 +1,55 @@
+"""C² motion from logs: exact where the log is clean, quiet where it is noisy."""
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+from cell.cable.splines import fit
+
+T = np.arange(0.0, 0.8, 0.002)
+FINE = np.linspace(0.0, 0.798, 3001)
+
+
+def jerk(t):
+    x = np.clip((t - 0.1) / 0.3, 0.0, 1.0)
+    return -0.05 * x**3 * (10 - 15 * x + 6 * x**2)
+
+
+def test_a_clean_log_is_interpolated():
+    spline = fit(T, jerk(T))
+    assert spline.noise_std == 0.0
+    assert spline(T) == pytest.approx(jerk(T), abs=1e-15)
+    assert spline(FINE) == pytest.approx(jerk(FINE), abs=1e-9)
+
+
+def test_it_is_the_natural_spline():
+    t = np.sort(np.random.default_rng(0).uniform(0, 1, 15))
+    y = np.sin(9 * t)
+    peer = CubicSpline(t, y, bc_type="natural")
+    inside = np.linspace(t[0], t[-1], 200)[1:-1]
+    assert fit(t, y)(inside) == pytest.approx(peer(inside), abs=1e-12)
+    assert fit(t, y)(inside, 1) == pytest.approx(peer(inside, 1), abs=1e-9)
+
+
+def test_it_is_held_outside():
+    spline = fit(T, jerk(T))
+    assert spline(np.array([-1.0, 9.0])) == pytest.approx([0.0, -0.05])
+    assert np.all(spline(np.array([-1.0, 9.0]), 1) == 0.0)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_noise_is_estimated_and_taken_out_without_smearing_the_jerk(seed):
+    noise = np.random.default_rng(seed).normal(0.0, 1e-5, T.size)
+    spline = fit(T, jerk(T) + noise)
+    assert spline.noise_std == pytest.approx(1e-5, rel=0.2)
+    error = spline(FINE) - jerk(FINE)
+    assert np.sqrt(np.mean(error**2)) < 4.5e-6
+    assert np.abs(error).max() < 2e-5
+    assert np.std(spline(FINE, 1)[FINE > 0.5]) < 5e-4  # a hand at rest is still
+
+
+def test_irregular_times():
+    rng = np.random.default_rng(5)
+    t = T + rng.uniform(-5e-4, 5e-4, T.size)
+    error = fit(t, jerk(t) + rng.normal(0.0, 1e-5, T.size))(FINE) - jerk(FINE)
+    assert np.sqrt(np.mean(error**2)) < 5e-6
