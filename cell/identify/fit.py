@@ -38,7 +38,7 @@ class FitOptions:
 
     solver: Solver = Solver(segments=30)  # noqa: RUF009
     hand: HandErrors = HandErrors()  # noqa: RUF009
-    minimiser: gauss_newton.Options = gauss_newton.Options()  # noqa: RUF009
+    minimiser: gauss_newton.Options = gauss_newton.Options(tolerance=1.5)  # noqa: RUF009
     first_window_s: float = 0.4
     starts: int = 32
     start_range: tuple[float, float] = (0.05, 20.0)

@@ -38,7 +38,11 @@ class Problem:
 
 @dataclass(frozen=True)
 class Options:
-    """When to stop.  `tolerance`: largest step left, in posterior standard deviations."""
+    """When to stop.
+
+    tolerance  largest last step, in posterior standard deviations; what is left after it is of
+               second order
+    """
 
     tolerance: float = 0.1
     most_passes: int = 25

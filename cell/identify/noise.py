@@ -167,12 +167,7 @@ class Whitener:
         back = (1.0 / self._kept - 1.0) / self._size
         fresh = fresh + (back[:, None] * along)[..., None] * self._ones[:, None]
         error = np.full((self.frames, len(self._kept), self.channels), np.nan)
-        last = np.zeros(error.shape[1:])
-        for t in range(self.frames):
-            seen = self.seen[t]
-            weight = self._weight[seen, t, None]
-            last[seen] = self._memory[seen, t, None] * last[seen] + fresh[seen, :, t] / weight
-            error[t, seen] = last[seen]
+        _colour(np.ascontiguousarray(fresh), self._memory, self._weight, error)
         return error
 
 
@@ -219,3 +214,15 @@ def _whiten(
                 if along != 0.0:
                     for t in range(frames):
                         row[t] -= along * ones[marker, t]
+
+
+@njit(cache=True)
+def _colour(fresh: FloatArray, memory: FloatArray, weight: FloatArray, error: FloatArray) -> None:
+    markers, channels, frames = fresh.shape
+    for marker in range(markers):
+        for channel in range(channels):
+            last = 0.0
+            for t in range(frames):
+                if weight[marker, t] > 0.0:
+                    last = memory[marker, t] * last + fresh[marker, channel, t] / weight[marker, t]
+                    error[t, marker, channel] = last

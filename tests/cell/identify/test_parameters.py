@@ -1,0 +1,50 @@
+import numpy as np
+import pytest
+
+from cell.cable.effects.air import AirDrag
+from cell.cable.geometry import Cable
+from cell.identify.parameters import ParameterSpace, Prior
+
+
+def test_model_and_coordinates_agree(flat_cable: Cable) -> None:
+    space = ParameterSpace.of(flat_cable, effects=[AirDrag])
+    natural = np.array([2e-5, 3e-5, 4e-5, 3e-5, 2e-5, 1e-5, 1.1, 2e-7, 1.5])
+    model = space.model(space.coordinates(natural))
+    np.testing.assert_allclose(model.rigidity_n_m2, natural[:6])
+    assert model.exponent == pytest.approx(1.1)
+    assert model.viscosity_n_m2_s == pytest.approx(2e-7)
+    assert model.effects[0].effect is AirDrag
+    assert model.effects[0].values == pytest.approx((1.5,))
+    assert space.names[-3:] == ("exponent", "viscosity", "air_drag.drag_coefficient")
+    np.testing.assert_allclose(space.natural(space.coordinates(natural)), natural)
+
+
+def test_prior_is_positive_definite_and_prefers_smooth_rigidity(flat_cable: Cable) -> None:
+    space = ParameterSpace.of(flat_cable, prior=Prior(knots=8))
+    np.linalg.cholesky(space.precision)
+    even, rough = np.zeros(10), np.zeros(10)
+    even[:8], rough[:8] = 0.3, 0.3 * (-1.0) ** np.arange(8)
+    assert rough @ space.precision @ rough > 100.0 * (even @ space.precision @ even)
+
+
+def test_prior_scales_with_the_cable() -> None:
+    """A silicone bar and a flat cable: both start within a factor 4 of their rigidity."""
+    bar = ParameterSpace.of(Cable(0.1, 0.963, 0.03, 0.03))
+    assert np.exp(bar.mean[0]) == pytest.approx(1e-2, rel=3.0)
+
+
+def test_start_takes_viscosity_and_effects_along(flat_cable: Cable) -> None:
+    space = ParameterSpace.of(flat_cable, effects=[AirDrag])
+    soft, stiff = space.start(1e-5), space.start(1e-4)
+    np.testing.assert_allclose(stiff[:6] - soft[:6], np.log(10.0))
+    assert stiff[7] - soft[7] == pytest.approx(np.log(10.0))
+    assert soft[-1] == AirDrag.parameters[0].starts[0]
+
+
+def test_impossible_priors_are_refused(flat_cable: Cable) -> None:
+    with pytest.raises(ValueError, match="knots"):
+        Prior(knots=1)
+    with pytest.raises(ValueError, match="exponent_std"):
+        Prior(exponent_std=0.0)
+    with pytest.raises(ValueError, match="gravity"):
+        ParameterSpace.of(flat_cable, gravity_m_per_s2=(0.0, 0.0))
