@@ -131,7 +131,7 @@ class EmulatedCamera:
         self._ask("faults", faults)
 
     def tell(self, message: object) -> None:
-        """Tell the scene something picklable; it knows before its next picture."""
+        """Tell the scene something picklable.  Raises EmulatorError: it does not understand."""
         self._ask("tell", message)
 
     def counts(self) -> StreamCounts:
@@ -179,13 +179,15 @@ def _listen(door: Connection, server: _Server) -> None:
     """Do as the parent says; end the process when it is gone, whatever that process does."""
     try:
         while True:
-            what, content = door.recv()
-            if what == "faults":
-                server.faults = content
-                server.wait_for_door()
-            elif what == "tell":
-                server.messages.put(content)
-            door.send((True, server.counts if what == "counts" else None))
+            answer: tuple[bool, object]
+            try:
+                what, content = door.recv()
+                answer = True, server.do(what, content)
+            except (EOFError, OSError):
+                raise
+            except Exception as error:
+                answer = False, f"{type(error).__name__}: {error}"
+            door.send(answer)
     except (EOFError, OSError):
         os._exit(0)
 
@@ -204,19 +206,38 @@ class _Parcel:
     parts: tuple[bytes | memoryview, ...]
 
 
+#: Something for the scene, and where to put the error that it raises.
+_Message = tuple[object, "queue.SimpleQueue[Exception | None]"]
+
+
 class _Server:
     """One client at a time; looks in one thread, sends in another."""
 
     def __init__(self, scene: Scene, options: CameraEmulatorOptions) -> None:
         self.faults = StreamFaults()
-        self.counts = StreamCounts()
-        self.messages: queue.SimpleQueue[object] = queue.SimpleQueue()
+        self._counts = StreamCounts()
+        self._messages: queue.SimpleQueue[_Message] = queue.SimpleQueue()
         self._scene = scene
         self._options = options
         self._listener: socket.socket | None = socket.create_server((_HOST, 0))
         self.port: int = self._listener.getsockname()[1]
 
-    def wait_for_door(self) -> None:
+    def do(self, what: str, content: object) -> object:
+        """What the parent asks for.  Raises whatever the scene does when it is told something."""
+        if what == "faults" and isinstance(content, StreamFaults):
+            self.faults = content
+            self._wait_for_door()
+        elif what == "tell":
+            answer: queue.SimpleQueue[Exception | None] = queue.SimpleQueue()
+            self._messages.put((content, answer))
+            error = answer.get()
+            if error is not None:
+                raise error
+        elif what == "counts":
+            return self._counts
+        return None
+
+    def _wait_for_door(self) -> None:
         """Wait until it is shut or open as the faults want it."""
         until_s = time.monotonic() + 1.0
         while (self._listener is None) != self.faults.refuses and time.monotonic() < until_s:
@@ -244,6 +265,7 @@ class _Server:
                     self._listener.close()
                     self._listener = None
                 time.sleep(_GLANCE_S)
+                self._hear()
                 continue
             if self._listener is None:
                 self._listener = socket.create_server((_HOST, self.port))
@@ -276,7 +298,7 @@ class _Server:
                 missing_of, missing = faults, faults.missing
             behind = parcels.qsize() / options.frame_rate_hz > options.backlog_s
             if behind or time.monotonic() > due_s + options.readout_s + options.backlog_s:
-                self.counts = replace(self.counts, dropped=self.counts.dropped + 1)
+                self._counts = replace(self._counts, dropped=self._counts.dropped + 1)
                 continue
             if missing > 0:
                 missing -= 1
@@ -304,8 +326,8 @@ class _Server:
                 late_s = time.monotonic() - parcel.leave_s
                 for part in parcel.parts:
                     self._send(client, memoryview(part))
-                latest_s = max(self.counts.latest_s, late_s)
-                self.counts = replace(self.counts, sent=self.counts.sent + 1, latest_s=latest_s)
+                latest_s = max(self._counts.latest_s, late_s)
+                self._counts = replace(self._counts, sent=self._counts.sent + 1, latest_s=latest_s)
         except OSError:
             gone.set()
 
@@ -334,13 +356,18 @@ class _Server:
                 continue
 
     def _hear(self) -> None:
-        """Tell the scene what came for it."""
+        """Tell the scene what came for it, and let it live on."""
+        self._scene.keep_up()
         while True:
             try:
-                message = self.messages.get_nowait()
+                message, answer = self._messages.get_nowait()
             except queue.Empty:
                 return
-            self._scene.tell(message)
+            try:
+                self._scene.tell(message)
+                answer.put(None)
+            except Exception as error:
+                answer.put(error)
 
 
 def _sleep_until(t_s: float) -> None:

@@ -2,108 +2,155 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 
+from drivers.emulators.camera_poses import RtdePoses
 from drivers.interfaces import FloatArray, Image, Path
+from drivers.plane_mount import PlaneMount
 from drivers.sim.camera import CameraTwinOptions, photograph
 from drivers.sim.world import View
+from drivers.ur_kinematics import MODELS, matrix_of
 
-#: Poses and shapes older than this are forgotten.
-_KEPT_S = 1.0
+_KEPT_S = 1.0  # poses and shapes older than this are forgotten
+_FIRST_POSE_S = 5.0
 
 
 class PoseFeed(Protocol):
     """Poses of the gripping point as they are measured: where the emulated arm really is."""
 
     def __call__(self) -> Path | None:
-        """Poses since the last call, times on the monotonic clock; None = fewer than two."""
+        """Poses since the last call, times on the monotonic clock, at least one; None = none."""
         ...
 
 
 class LiveCable(Protocol):
-    """A cable that is moved along as the poses come."""
+    """A cable that is moved along as the poses come; it keeps its own state."""
 
     def advance(self, grip: Path) -> FloatArray:
         """Shapes at the times of `grip`, which continues the one before; (T, K, 2) m, tip first.
 
-        The first call begins with the cable in equilibrium at the first pose.
+        The first call begins with the cable in equilibrium at the first pose.  A call has about
+        10 ms of poses and must take less than 2 ms.
         """
         ...
 
 
-#: Tells a `LiveScene` that a new cable is gripped from now on.
+#: Makes, in the camera's process, the cable that is gripped from now on; picklable.
 CableFactory = Callable[[], LiveCable]
+
+
+@dataclass(frozen=True)
+class ArmScene:
+    """Makes a `LiveScene` in front of an emulated arm; picklable.
+
+    host, mount, model, tcp  as of the arm's driver
+    camera                   where the camera really stands, and what its pictures look like
+    """
+
+    host: str
+    mount: PlaneMount
+    model: str = "UR5e"
+    tcp: tuple[float, ...] = (0.0,) * 6
+    camera: CameraTwinOptions = field(kw_only=True)
+    seed: int = 0
+
+    def __call__(self) -> LiveScene:
+        """Raises RuntimeError: the emulated arm does not run."""
+        X_FT = matrix_of(np.array(self.tcp))
+        scene = LiveScene(
+            RtdePoses(self.host, self.mount, MODELS[self.model], X_FT), self.camera, self.seed
+        )
+        scene.wait_for_pose(_FIRST_POSE_S)
+        return scene
 
 
 class LiveScene:
     """The jaw where the poses say it is, and the cable that swings from it.
 
-    Between the poses jaw and cable are interpolated by cubics; after the last known pose the last
-    ones stand still.
+    Between the poses jaw and cable are interpolated by cubics; after the last known pose they
+    stand still.
     """
 
-    def __init__(self, poses: PoseFeed, options: CameraTwinOptions, seed: int = 0) -> None:
+    def __init__(self, poses: PoseFeed, camera: CameraTwinOptions, seed: int = 0) -> None:
         self._poses = poses
-        self._options = options
+        self._camera = camera
         self._rng = np.random.default_rng(seed)
         self._cable: LiveCable | None = None
-        self._t_s = np.empty(0)
-        self._grip = np.empty((0, 3))
-        self._shapes: FloatArray | None = None
-        self._shapes_t_s = np.empty(0)
+        self._grip = _Track()
+        self._shape = _Track()
+
+    def wait_for_pose(self, longest_s: float) -> None:
+        """Wait until it is known where the arm is.  Raises RuntimeError: not in time."""
+        until_s = time.monotonic() + longest_s
+        while self._grip.empty:
+            if time.monotonic() > until_s:
+                raise RuntimeError(f"no pose came within {longest_s} s: does the arm run?")
+            time.sleep(0.005)
+            self.keep_up()
 
     def tell(self, message: object) -> None:
         """A `CableFactory` = gripped; None = let go.  Raises TypeError: anything else."""
         if message is not None and not callable(message):
             raise TypeError(f"{message!r} is neither a cable's factory nor None")
         self._cable = None if message is None else message()
-        self._shapes, self._shapes_t_s = None, np.empty(0)
+        self._shape = _Track()
 
     def picture(self, t_s: float) -> Image:
-        """Raises RuntimeError: no poses are known."""
-        self._follow()
-        if len(self._t_s) < 2:
-            raise RuntimeError("no poses came: is the emulated arm running?")
-        span_s = max(self._options.picture.exposure_s, 1e-4)
+        """Raises RuntimeError: no pose is known."""
+        self.keep_up()
+        if self._grip.empty:
+            raise RuntimeError("no pose is known")
+        span_s = max(self._camera.picture.exposure_s, 1e-4)
         moments_s = t_s + span_s * np.array([-0.5, 0.0, 0.5])
-        grip = _cubic(self._t_s, self._grip, moments_s)
-        cables = None
-        if self._shapes is not None:
-            cables = _cubic(self._shapes_t_s, self._shapes, moments_s)
-        return photograph(View(moments_s, grip, cables), self._options, self._rng)
+        cables = None if self._shape.empty else self._shape.at(moments_s)
+        return photograph(
+            View(moments_s, self._grip.at(moments_s), cables), self._camera, self._rng
+        )
 
-    def _follow(self) -> None:
+    def keep_up(self) -> None:
         """Take in the new poses, and move the cable along."""
         new = self._poses()
         if new is None:
             return
-        self._t_s = np.concatenate([self._t_s, new.t_s])
-        grip = np.stack([new.x_m, new.y_m, new.angle_rad], axis=-1)
-        self._grip = np.concatenate([self._grip, grip])
-        keep = self._t_s > self._t_s[-1] - _KEPT_S
-        self._t_s, self._grip = self._t_s[keep], self._grip[keep]
+        self._grip.add(new.t_s, np.stack([new.x_m, new.y_m, new.angle_rad], axis=-1))
         if self._cable is not None:
-            shapes = self._cable.advance(new)
-            old = self._shapes if self._shapes is not None else shapes[:0]
-            self._shapes = np.concatenate([old, shapes])
-            self._shapes_t_s = np.concatenate([self._shapes_t_s, new.t_s])
-            keep = self._shapes_t_s > self._shapes_t_s[-1] - _KEPT_S
-            self._shapes, self._shapes_t_s = self._shapes[keep], self._shapes_t_s[keep]
+            self._shape.add(new.t_s, self._cable.advance(new))
 
 
-def _cubic(t_s: FloatArray, values: FloatArray, at_s: FloatArray) -> FloatArray:
-    """(S, …) values (T, …) at times (S,), by Lagrange cubics; held outside of t_s."""
-    count = min(4, len(t_s))
-    at_s = np.clip(at_s, t_s[0], t_s[-1])
-    first = np.clip(np.searchsorted(t_s, at_s) - count // 2, 0, len(t_s) - count)
-    nodes = first[:, None] + np.arange(count)
-    times = t_s[nodes]
-    weights = np.ones_like(times)
-    for j in range(count):
-        for k in range(count):
-            if k != j:
-                weights[:, j] *= (at_s - times[:, k]) / (times[:, j] - times[:, k])
-    return np.asarray(np.einsum("sf,sf...->s...", weights, values[nodes]), dtype=np.float64)
+class _Track:
+    """Values of the last second against time."""
+
+    def __init__(self) -> None:
+        self._t_s = np.empty(0)
+        self._values = np.empty(0)
+
+    @property
+    def empty(self) -> bool:
+        return len(self._t_s) == 0
+
+    def add(self, t_s: FloatArray, values: FloatArray) -> None:
+        """(T,) increasing times after all others, (T, …) values."""
+        if not self.empty:
+            t_s = np.concatenate([self._t_s, t_s])
+            values = np.concatenate([self._values, values])
+        keep = t_s > t_s[-1] - _KEPT_S
+        self._t_s, self._values = t_s[keep], values[keep]
+
+    def at(self, t_s: FloatArray) -> FloatArray:
+        """(S, …) values at times (S,), by Lagrange cubics; held outside."""
+        count = min(4, len(self._t_s))
+        t_s = np.clip(t_s, self._t_s[0], self._t_s[-1])
+        first = np.searchsorted(self._t_s, t_s) - count // 2
+        nodes = np.clip(first, 0, len(self._t_s) - count)[:, None] + np.arange(count)
+        times_s = self._t_s[nodes]
+        weights = np.ones_like(times_s)
+        for j in range(count):
+            for k in range(count):
+                if k != j:
+                    weights[:, j] *= (t_s - times_s[:, k]) / (times_s[:, j] - times_s[:, k])
+        return np.asarray(np.einsum("sf,sf...->s...", weights, self._values[nodes]))

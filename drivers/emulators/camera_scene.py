@@ -20,6 +20,10 @@ class Scene(Protocol):
         """
         ...
 
+    def keep_up(self) -> None:
+        """Called many times a second, whether or not anybody looks."""
+        ...
+
     def tell(self, message: object) -> None:
         """Something that the parent process says, e.g. that a cable was gripped."""
         ...
@@ -52,6 +56,9 @@ class TestCard:
         shift = round(t_s * self.rate_hz) % 256
         image: Image = ((columns + shift).astype(np.uint8) + rows.astype(np.uint8)).astype(np.uint8)
         return image
+
+    def keep_up(self) -> None:
+        """Nothing happens to a test card."""
 
     def tell(self, message: object) -> None:
         """Nothing can be told to a test card."""
