@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from calib.plane import PlaneView
 from cell.cable.geometry import Cable, Motion, node_arc_lengths
 from cell.commands import Commands
+from cell.identify.identified import Identified
 from cell.identify.individual import IdentifyOptions, hold_trial
 from cell.plan.choose import ChoiceOptions, Forecast
 from cell.plan.destination import Destination
@@ -86,6 +87,23 @@ class Filming:
     frame_count: int
 
 
+@dataclass(frozen=True, eq=False)
+class Prospect:
+    """What each offset would do if its path began at `start_s`: paths in the arm's own frame."""
+
+    start_s: float
+    paths: tuple[Path, ...]
+    forecast: Forecast
+
+
+@dataclass(frozen=True, eq=False)
+class Early:
+    """What the first frames of a hold say: nearly the last word, and ready when it is needed."""
+
+    identified: Identified
+    prospect: Prospect
+
+
 @dataclass(frozen=True)
 class Filmed:
     """A motion that was filmed, on the cell's clock.
@@ -94,21 +112,16 @@ class Filmed:
     sightings   one per frame
     hand        measured poses, from before the first frame to after the last
     pictures    a few of the frames, to look at later
+    seen_at_s   when the cable was found in the last frame, by the computer's own clock
+    early       what was computed while the filming went on, if anything
     """
 
     begin_s: float
     sightings: tuple[Sighting, ...]
     hand: Path
     pictures: tuple[Frame, ...] = field(repr=False)
-
-
-@dataclass(frozen=True, eq=False)
-class Prospect:
-    """What each offset would do if its path began at `start_s`: paths in the arm's own frame."""
-
-    start_s: float
-    paths: tuple[Path, ...]
-    forecast: Forecast
+    seen_at_s: float
+    early: Early | None = None
 
 
 def held_trial(filmed: Filmed) -> Trial:

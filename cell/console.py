@@ -18,6 +18,7 @@ from cell.records.result import Outcome, Result
 #: Steps in their order; those of a cycle that another one lacks are shown as empty.
 STEPS = (
     "connect",
+    "warm_up",
     "reset",
     "start",
     "grasp",

@@ -22,13 +22,14 @@ from cell.plan.passage import Passage, height_at_mouth_m
 from cell.records.folder import Record
 from cell.records.result import Fault, Outcome, Result
 from cell.study.data import Study, Trial
+from cell.warmup import warm_up
 from drivers.interfaces import DeviceError
 
 Given = ParamSpec("Given")
 Found = TypeVar("Found")
 
 #: Steps that only compute: their time is the computer's, not that of the cell's clock.
-COMPUTING = frozenset({"identify", "simulate", "choose", "verify"})
+COMPUTING = frozenset({"warm_up", "identify", "simulate", "choose", "verify"})
 
 
 @dataclass
@@ -138,6 +139,7 @@ class Cell:
         if not self._connected:
             self._step(progress, "connect", steps.connect)
             self._connected = True
+            self._step(progress, "warm_up", lambda bench: warm_up(bench.task.cable))
         self._step(progress, "reset", steps.reset)
         self._send(progress, Event.DONE)
 
@@ -149,14 +151,13 @@ class Cell:
         held = self._step(progress, "hold_and_capture", steps.hold_and_capture, filming)
         trial = held_trial(held)
         self._record_study(progress, trial)
-        ready_from_s = time.perf_counter()
         try:
-            identified = self._step(progress, "identify", steps.identify, trial)
+            identified = self._step(progress, "identify", steps.identify, trial, held.early)
         except CableRejectedError as error:
             self._reject(progress, str(error))
             return
         self._record_model(progress, identified)
-        prospect, choice = self._decide(progress, held, trial, identified, ready_from_s)
+        prospect, choice = self._decide(progress, held, trial, identified)
         progress.record.pictures(held_pictures(held, trial, identified, self._bench.task))
         if choice.reason is not None:
             self._reject(progress, choice.reason)
@@ -178,7 +179,6 @@ class Cell:
         held: Filmed,
         trial: Trial,
         identified: Identified,
-        ready_from_s: float,
     ) -> tuple[Prospect, Choice]:
         """Simulate and choose, again if a pause or a slow computer let the moment go by."""
         lead_s = self._bench.task.decide_s
@@ -188,7 +188,7 @@ class Cell:
             )
             choice = self._step(progress, "choose", steps.choose, prospect, identified)
             progress.known.update(
-                wait_s=time.perf_counter() - ready_from_s,
+                wait_s=time.perf_counter() - held.seen_at_s,
                 probability=choice.best.probability,
                 predicted_margin_m=choice.best.margin_m,
                 predicted_miss_m=height_at_mouth_m(self._bench.task.destination, choice.tip_m),

@@ -7,11 +7,26 @@ it found itself; nothing is kept here.
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+
 import numpy as np
 
-from cell.bench import Bench, Devices, Filmed, Filming, Prospect, beside_m_rad, moved
+from cell.bench import (
+    Bench,
+    Devices,
+    Early,
+    Filmed,
+    Filming,
+    Prospect,
+    beside_m_rad,
+    held_trial,
+    moved,
+)
 from cell.cable.geometry import Motion
 from cell.identify.identified import Identified
+from cell.identify.individual import CableRejectedError
 from cell.identify.individual import identify as identify_cable
 from cell.plan.choose import Choice, forecast
 from cell.plan.choose import choose as choose_offset
@@ -40,6 +55,10 @@ REST_TIMEOUT_S = 1.0
 AT_GOAL_M = 2e-4
 #: One frame in so many is kept as a picture, during the hold and during the execution.
 KEEP_EVERY_HELD, KEEP_EVERY_MOVING = 20, 4
+#: Share of the hold after which the computer begins with the frames so far.
+EARLY_SHARE = 0.5
+#: A forecast is corrected to first order, without simulating again, if its tips move less, m.
+SMALL_SHIFT_M = 5e-4
 
 
 # --- around the steps ---------------------------------------------------------------------------
@@ -136,46 +155,60 @@ def lower(bench: Bench) -> Filming:
 
 
 def hold_and_capture(bench: Bench, filming: Filming) -> Filmed:
-    """Hold still while the cable swings, and find it in every frame as it comes."""
-    sightings, pictures = _see(bench, filming.frame_count, KEEP_EVERY_HELD)
-    _wait_until(bench, filming.rest_s + bench.task.hold_s)
-    _check_arm(bench)
-    _check_grip(bench)
-    hand = bench.devices.arm.log(filming.begin_s, bench.devices.clock.now_s())
-    return Filmed(filming.begin_s, sightings, hand, pictures)
+    """Hold still while the cable swings, and find it in every frame as it comes.
+
+    Half way through, a second thread identifies the cable and simulates all offsets from the
+    frames so far, so that little is left to be computed after the last one.
+    """
+    task, arm, clock = bench.task, bench.devices.arm, bench.devices.clock
+    end_s = filming.rest_s + task.hold_s
+    early_s = filming.rest_s + EARLY_SHARE * task.hold_s
+    worker = ThreadPoolExecutor(1, "early")
+    early: list[Future[Early | None]] = []
+
+    def begin_early(sightings: list[Sighting]) -> None:
+        if not early and sightings[-1].t_s >= early_s:
+            hand = arm.log(filming.begin_s, sightings[-1].t_s)
+            so_far = Filmed(filming.begin_s, tuple(sightings), hand, (), time.perf_counter())
+            early.append(worker.submit(_early, bench, so_far, end_s + task.decide_s))
+
+    try:
+        sightings, pictures = _see(bench, filming.frame_count, KEEP_EVERY_HELD, begin_early)
+        seen_at_s = time.perf_counter()
+        _wait_until(bench, end_s)
+        _check_arm(bench)
+        _check_grip(bench)
+        hand = arm.log(filming.begin_s, clock.now_s())
+        known = early[0].result() if early else None
+    finally:
+        worker.shutdown(wait=False, cancel_futures=True)
+    return Filmed(filming.begin_s, sightings, hand, pictures, seen_at_s, known)
 
 
-def identify(bench: Bench, trial: Trial) -> Identified:
+def identify(bench: Bench, trial: Trial, early: Early | None = None) -> Identified:
     """This cable's parameters.  Raises CableRejectedError."""
     task = bench.task
-    return identify_cable(trial, task.arc_length_m, task.cable, options=task.identification)
+    return identify_cable(
+        trial,
+        task.arc_length_m,
+        task.cable,
+        previous=None if early is None else early.identified,
+        options=task.identification,
+    )
 
 
 def simulate(
     bench: Bench, filmed: Filmed, trial: Trial, identified: Identified, lead_s: float
 ) -> Prospect:
-    """Simulate every offset as it would be executed `lead_s` from now.
-
-    The cable still swings and remembers the hand's motion up to now; the hand follows with its
-    known lag, and is seen by the camera a constant beside where the arm says it is.
-    """
-    task, arm = bench.task, bench.devices.arm
-    start_s = bench.devices.clock.now_s() + lead_s
-    to_start_s = filmed.begin_s - start_s
-    history = Motion(
-        trial.grip.t_s + to_start_s, trial.grip.x_m, trial.grip.y_m, trial.grip.angle_rad
-    )
-    beside = beside_m_rad(filmed.hand, trial.grip)
-    paths = tuple(
-        insertion_path(task.lowered, offset_m, task.advance_m, task.insertion, arm.rate_hz)
-        for offset_m in task.offsets_m
-    )
-    motions = [
-        executed_motion(moved(path, beside), arm.lag_s, settle_s=task.settle_s, history=history)
-        for path in paths
-    ]
-    expected = forecast(identified, np.array(task.offsets_m), motions, options=task.choice)
-    return Prospect(start_s, paths, expected)
+    """What every offset would do, `lead_s` from now, or as simulated early if that still holds."""
+    now_s = bench.devices.clock.now_s()
+    early = filmed.early
+    if early is not None and early.prospect.start_s > now_s:
+        expected = early.prospect.forecast
+        shift_m = expected.moved_to(identified.mean).tip_m - expected.tip_m
+        if np.abs(shift_m).max() < SMALL_SHIFT_M:
+            return early.prospect
+    return _prospect(bench, filmed, trial, identified, now_s + lead_s)
 
 
 def choose(bench: Bench, prospect: Prospect, identified: Identified) -> Choice:
@@ -207,7 +240,8 @@ def execute(bench: Bench, path: Path, start_s: float) -> Filmed:
     _wait_until(bench, start_s + duration_s)
     _check_arm(bench)
     _check_grip(bench)
-    return Filmed(start_s, sightings, arm.log(start_s, bench.devices.clock.now_s()), pictures)
+    hand = arm.log(start_s, bench.devices.clock.now_s())
+    return Filmed(start_s, sightings, hand, pictures, time.perf_counter())
 
 
 def release(bench: Bench, *, inserted: bool) -> None:
@@ -217,11 +251,53 @@ def release(bench: Bench, *, inserted: bool) -> None:
     bench.devices.gripper.release()
 
 
+# --- computing ahead ----------------------------------------------------------------------------
+
+
+def _early(bench: Bench, so_far: Filmed, start_s: float) -> Early | None:
+    """Cable and prospect from the frames so far; None if these are not enough."""
+    trial = held_trial(so_far)
+    try:
+        identified = identify(bench, trial)
+    except CableRejectedError:
+        return None
+    return Early(identified, _prospect(bench, so_far, trial, identified, start_s))
+
+
+def _prospect(
+    bench: Bench, filmed: Filmed, trial: Trial, identified: Identified, start_s: float
+) -> Prospect:
+    """Simulate every offset as it would be executed from `start_s` on.
+
+    The cable still swings and remembers the hand's motion before; the hand follows with its known
+    lag, and is seen by the camera a constant beside where the arm says it is.
+    """
+    task, arm = bench.task, bench.devices.arm
+    to_start_s = filmed.begin_s - start_s
+    history = Motion(
+        trial.grip.t_s + to_start_s, trial.grip.x_m, trial.grip.y_m, trial.grip.angle_rad
+    )
+    beside = beside_m_rad(filmed.hand, trial.grip)
+    paths = tuple(
+        insertion_path(task.lowered, offset_m, task.advance_m, task.insertion, arm.rate_hz)
+        for offset_m in task.offsets_m
+    )
+    motions = [
+        executed_motion(moved(path, beside), arm.lag_s, settle_s=task.settle_s, history=history)
+        for path in paths
+    ]
+    expected = forecast(identified, np.array(task.offsets_m), motions, options=task.choice)
+    return Prospect(start_s, paths, expected)
+
+
 # --- what the steps share -----------------------------------------------------------------------
 
 
 def _see(
-    bench: Bench, frame_count: int, keep_every: int
+    bench: Bench,
+    frame_count: int,
+    keep_every: int,
+    after_each: Callable[[list[Sighting]], None] = lambda sightings: None,
 ) -> tuple[tuple[Sighting, ...], tuple[Frame, ...]]:
     """Find the cable in every frame of the recording under way; keep some of the pictures."""
     task = bench.task
@@ -233,6 +309,7 @@ def _see(
         sightings.append(detect(frame.image, frame.t_s, task.view, task.vision, None, previous))
         if frame.index % keep_every == 0:
             pictures.append(frame)
+        after_each(sightings)
     if len(sightings) < frame_count:
         raise CameraError(
             bench.devices.camera.name,
