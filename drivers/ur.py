@@ -15,7 +15,7 @@ import sys
 import tempfile
 import threading
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from typing import BinaryIO
@@ -84,7 +84,7 @@ class UrOptions:
     silent_s: float = 0.06
     off_plane_m: float = 0.002
     tilt_rad: float = 0.01
-    versions: tuple[tuple[int, int], tuple[int, int]] = field(default=((5, 6), (5, 21)))
+    versions: tuple[tuple[int, int], tuple[int, int]] = ((5, 6), (5, 21))
 
     def __post_init__(self) -> None:
         if self.model not in MODELS:

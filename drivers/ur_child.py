@@ -49,6 +49,8 @@ _DRIFT = 20e-6  # how fast two crystals may part
 _STANDSTILL_M = 2e-4
 _STANDSTILL_S = 0.1
 _PROGRAM_S = 5.0
+_REMOTE_EVERY_S = 0.5
+_CLOCKS_S = 0.1  # time in which the offset between two clocks is first found
 _SETTING_UP_S, _CYCLING_S = 0.5, 0.03  # longest that ur-rtde may spin
 
 
@@ -99,6 +101,7 @@ class _Robot:
         bound_spinning(_SETTING_UP_S)
         run_in_real_time()  # after the imports, before the clients start their threads
         self._options = options
+        self._remote, self._remote_asked_s = True, -np.inf
         self._dashboard = dashboard_client.DashboardClient(options.host)
         self._dashboard.connect()
         self._check_version()
@@ -119,12 +122,20 @@ class _Robot:
         if bits & (_PROTECTIVE | _VIOLATION | _FAULT):
             return ArmMode.PROTECTIVE_STOP
         if self.receive.getRuntimeState() != _PLAYING:
-            return ArmMode.STOPPED if self.is_remote() else ArmMode.LOCAL_CONTROL
+            return ArmMode.STOPPED if self._is_remote() else ArmMode.LOCAL_CONTROL
         return ArmMode.READY
 
-    def is_remote(self) -> bool:
-        """Whether the pendant leaves control to us."""
-        return bool(self._dashboard.isInRemoteControl())
+    def ask_anew(self) -> None:
+        """Forget what the dashboard said last."""
+        self._remote_asked_s = -np.inf
+
+    def _is_remote(self) -> bool:
+        """Whether the pendant leaves control to us; the dashboard is not asked in every cycle."""
+        now_s = time.monotonic()
+        if now_s > self._remote_asked_s + _REMOTE_EVERY_S:
+            self._remote = bool(self._dashboard.isInRemoteControl())
+            self._remote_asked_s = now_s
+        return self._remote
 
     def restart_program(self) -> None:
         """Upload the program anew without the old command starting with it.
@@ -179,14 +190,14 @@ class _Child:
         self._mode = ArmMode.READY
         self._stops = 0.0
         self._robot_s = 0.0
-        self._looked_s = time.monotonic()
         self._silent_s = 0.0
         self._offset_s = np.inf
+        self._last_t_s = -np.inf
         self._robot = _Robot(options)
+        self._began_s = self._looked_s = time.monotonic()
 
     def run(self) -> None:
         """Cycle until told to close.  Raises _LostError; EOFError: the parent has gone."""
-        self._measure(time.monotonic(), first=True)
         self._look_at_mode()
         bound_spinning(_CYCLING_S)
         next_s = time.monotonic()
@@ -214,7 +225,7 @@ class _Child:
         self._end_motion()
         self._robot.control.stopScript()
 
-    def _measure(self, now_s: float, first: bool = False) -> None:
+    def _measure(self, now_s: float) -> None:
         robot = self._robot.receive
         # looked at before anything is sent: ur-rtde hangs in a call without connection
         if not (robot.isConnected() and self._robot.control.isConnected()):
@@ -230,16 +241,19 @@ class _Child:
                 )
             return
         self._silent_s = 0.0
-        passed_s = robot_s - self._robot_s
-        if first or not 0.0 < passed_s < 10.0:
-            self._offset_s = np.inf
-        self._offset_s = min(self._offset_s + _DRIFT * passed_s, now_s - robot_s)
+        # least transport delay seen, allowing for drift: the robot's clock brought to the cell's
+        drift_s = _DRIFT * (robot_s - self._robot_s)
+        self._offset_s = min(self._offset_s + drift_s, now_s - robot_s)
         self._robot_s = robot_s
+        t_s = robot_s + self._offset_s
+        if now_s < self._began_s + _CLOCKS_S or t_s <= self._last_t_s:
+            return
+        self._last_t_s = t_s
         X_BT = matrix_of(np.array(robot.getActualTCPPose()))
         pose = self._options.mount.to_plane(X_BT)
         speed = float(np.linalg.norm(robot.getActualTCPSpeed()[:3]))
         off_m, tilt_rad = self._options.mount.off_plane(X_BT)
-        sample = [robot_s + self._offset_s, pose.x_m, pose.y_m, pose.angle_rad, speed]
+        sample = [t_s, pose.x_m, pose.y_m, pose.angle_rad, speed]
         sample += [off_m, tilt_rad, *robot.getActualQ()]
         self._shared.write_sample(np.array(sample))
 
@@ -308,6 +322,7 @@ class _Child:
         self._shared.add(Slot.PATHS)
 
     def _reset(self) -> None:
+        self._robot.ask_anew()
         mode = self._robot.mode()
         if mode not in (ArmMode.READY, ArmMode.STOPPED):
             raise RefusedError(mode.value, "")

@@ -104,6 +104,7 @@ class Controller:
         self.events: deque[Event] = deque(maxlen=1000)
         self.last_moved_s = 0.0  # monotonic time at which the arm was last seen moving
         self.servo_writes = 0
+        self.dashboard_lines = 0
         self.longest_servo_gap_s = 0.0
         self._servo_s: float | None = None
         self._step_s = CYCLE_S * options.time_scale
@@ -316,6 +317,7 @@ class Controller:
 
     def dashboard(self, line: str) -> str:
         """Answer to a dashboard command; ur-rtde compares some of them letter by letter."""
+        self.dashboard_lines += 1
         command = line.strip().lower()
         playing = self.runtime is Runtime.PLAYING
         match command:

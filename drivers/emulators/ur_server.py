@@ -227,6 +227,7 @@ def _state_of(controller: Controller) -> dict[str, Any]:
         "safety": controller.safety.value,
         "last_moved_s": controller.last_moved_s,
         "servo_writes": controller.servo_writes,
+        "dashboard_lines": controller.dashboard_lines,
         "longest_servo_gap_s": controller.longest_servo_gap_s,
         "events": [dataclasses.asdict(e) for e in controller.events],
     }

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from drivers.emulators.launch import EmulatedController
@@ -188,6 +189,22 @@ def test_a_program_that_ended_can_be_started_anew(arm, ur_emulator, line) -> Non
         arm.follow(line(start=arm.state().pose))
     arm.reset()
     assert arm.state().mode is ArmMode.READY
+
+
+def test_the_dashboard_is_asked_now_and_then_not_in_every_cycle(arm, ur_emulator) -> None:
+    ur_emulator.ask("end_program")
+    until(lambda: arm.state().mode is ArmMode.STOPPED)
+    before = ur_emulator.ask("state")["dashboard_lines"]
+    time.sleep(0.6)
+    assert 1 <= ur_emulator.ask("state")["dashboard_lines"] - before <= 4
+
+
+def test_the_log_is_in_order_from_the_first_sample_on_and_not_from_the_future(arm) -> None:
+    time.sleep(0.3)
+    t_s = arm.log(0.0, float("inf")).t_s
+    assert len(t_s) > 20
+    assert np.all(np.diff(t_s) > 0.0)
+    assert t_s[-1] <= time.monotonic()
 
 
 def test_an_idle_arm_feeds_the_watchdog(arm, ur_emulator) -> None:
