@@ -12,7 +12,7 @@ from cell.cable.dynamics import DivergedError, Solver, simulate
 from cell.cable.model import CableModel
 from cell.cable.statics import UnsettledError
 from cell.identify import gauss_newton
-from cell.identify.hand import HandErrors, likely_motions, moves_from_s, quiet_motion
+from cell.identify.hand import HandErrors, likely_motions, moves_from_s
 from cell.identify.identified import Identified
 from cell.identify.noise import Noise, Whitener, across, estimate_noise, still_frames
 from cell.identify.parameters import ParameterSpace
@@ -73,14 +73,13 @@ def fit(
         start = _cold_start(trials, arc_length_m, space, noise, options)
     else:
         start = previous.mean
-    quiet = [replace(t, grip=quiet_motion(t.grip)) for t in trials]
     widened = 1.0 if previous is None else previous.inflation
     passes = 0
     while True:
         # frames with errors beyond the camera's noise weigh less against prior and constant errors
         used = replace(noise, std_m=noise.std_m * float(np.sqrt(widened)))
         whiteners = whiteners_of(trials, used)
-        residuals = _residuals(quiet, arc_length_m, space, whiteners, options.solver)
+        residuals = _residuals(trials, arc_length_m, space, whiteners, options.solver)
         try:
             solution = gauss_newton.minimise(_problem(space, residuals), start, options.minimiser)
         except ValueError as error:
@@ -135,7 +134,7 @@ def _hand_covariance(
         try:
             predicted = simulate(
                 model,
-                likely_motions(trial.grip, options.hand),
+                [trial.grip, *likely_motions(trial.grip, options.hand)],
                 trial.markers.t_s,
                 arc_length_m,
                 solver=options.solver,

@@ -16,8 +16,6 @@ FloatArray = NDArray[np.float64]
 STILL_WITHIN_M = 1e-4
 STILL_WITHIN_RAD = 2e-3
 
-_SETTLING_S = 0.04
-
 
 def align_motion(
     motion: Motion, t_s: FloatArray, grip_m: FloatArray, clamp_angle_rad: FloatArray
@@ -69,51 +67,21 @@ class HandErrors:
     offset_rad: float = 0.0
 
 
-def quiet_motion(motion: Motion) -> Motion:
-    """The motion without its log's noise: smooth while it moves, still where it rests.
-
-    A rest is a beginning or an end that stays within the log's noise of its mean; `_SETTLING_S`
-    next to the motion is left to the smoothing, for an arm does not stop at once.
-    """
-    quiet = []
-    for spline in motion_splines(motion):
-        value = spline(motion.t_s)
-        if spline.noise_std > 0.0:
-            value = _at_rest(motion.t_s, value, spline.noise_std)
-            value = _at_rest(-motion.t_s[::-1], value[::-1], spline.noise_std)[::-1]
-        quiet.append(np.ascontiguousarray(value))
-    return Motion(motion.t_s, *quiet)
-
-
-def _at_rest(t_s: FloatArray, value: FloatArray, noise_std: float) -> FloatArray:
-    """Value with its resting beginning, if any, replaced by its mean, and blended over."""
-    first = np.searchsorted(t_s, t_s[0] + _SETTLING_S, side="right")
-    away = np.abs(value - np.mean(value[:first])) > 2.0 * noise_std
-    until_s = (t_s[away.argmax()] if away.any() else t_s[-1] + 2.0 * _SETTLING_S) - _SETTLING_S
-    rests = t_s < until_s
-    if not rests.any():
-        return value
-    kept = np.clip((t_s - until_s) / (0.5 * _SETTLING_S) + 1.0, 0.0, 1.0)
-    kept = kept * kept * (3.0 - 2.0 * kept)
-    mean = np.mean(value[rests])
-    return np.asarray(mean + kept * (value - mean))
-
-
 def likely_motions(motion: Motion, errors: HandErrors) -> list[Motion]:
-    """`quiet_motion`, then `errors.samples` others as likely as it.
+    """`errors.samples` motions as likely as the logged one.
 
-    source  parametric bootstrap: the noise found in the log, drawn anew and taken out again
+    source  parametric bootstrap: the noise that the engine's splines find in the log and take out,
+            drawn anew, for them to take out again
     """
     rng = np.random.default_rng(20260101)
-    quiet = quiet_motion(motion)
     splines = motion_splines(motion)
-    values = (quiet.x_m, quiet.y_m, quiet.angle_rad)
+    values = [spline(motion.t_s) for spline in splines]
     offsets = (errors.offset_m, errors.offset_m, errors.offset_rad)
-    motions = [quiet]
+    motions = []
     for _ in range(errors.samples):
         drawn = [
             value + spline.noise_std * rng.normal(size=len(value)) + offset * rng.normal()
             for value, spline, offset in zip(values, splines, offsets, strict=True)
         ]
-        motions.append(quiet_motion(Motion(motion.t_s, *drawn)))
+        motions.append(Motion(motion.t_s, *drawn))
     return motions
