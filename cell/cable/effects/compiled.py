@@ -141,7 +141,8 @@ def _module(source: str, effect: type[Effect]) -> Any:
     """Module made from `source`, in a file named after all that its machine code depends on."""
     defined_in = getattr(sys.modules.get(effect.__module__), "__file__", None)
     text = Path(defined_in).read_text(encoding="utf-8") if defined_in else ""
-    depends = [source, effect.__qualname__, text, fingerprint(), numba.__version__, np.__version__]
+    effect_is = f"{effect.__module__}.{effect.__qualname__}"  # numba loads it by this name
+    depends = [source, effect_is, text, fingerprint(), numba.__version__, np.__version__]
     key = hashlib.sha256("\0".join(depends).encode()).hexdigest()[:20]
     path = _cache_folder() / f"{effect.name}_{key}.py"
     if not path.exists():
