@@ -23,7 +23,9 @@ from cell.plan.paths import MotionLimits
 from cell.settings import Settings
 from cell.settings import model as given
 from cell.vision.detect import VisionOptions
+from drivers.clock import RealClock
 from drivers.files import FilesCamera
+from drivers.genicam_camera import GenicamCamera, GenicamOptions
 from drivers.guard import (
     ArmLimits,
     GripperLimits,
@@ -31,14 +33,18 @@ from drivers.guard import (
     GuardedCamera,
     GuardedGripper,
 )
+from drivers.interfaces import Camera, Pose
 from drivers.interfaces import Path as HandPath
-from drivers.interfaces import Pose
+from drivers.opencv_camera import OpenCvCamera, OpenCvOptions
+from drivers.plane_mount import PlaneMount
+from drivers.serial_gripper import SerialGripper, SerialGripperOptions
 from drivers.sim.arm import ArmTwinOptions, SimArm
 from drivers.sim.camera import CameraTwinOptions, SimCamera
 from drivers.sim.clock import SimClock
 from drivers.sim.gripper import SimGripper
 from drivers.sim.render import RenderOptions
 from drivers.sim.world import CableShape, World
+from drivers.ur import UrArm, UrOptions
 
 FloatArray = NDArray[np.float64]
 
@@ -47,9 +53,7 @@ HIDDEN_KNOTS = 13
 #: First eigenvalue β₁L of a clamped beam.
 FIRST_MODE = 1.8751
 
-
-class NotAvailableError(Exception):
-    """The settings ask for a device that this version cannot drive."""
+_UR_TUNING = ("lookahead_s", "gain", "lag_s")
 
 
 def hidden_cable(settings: Settings, seed: int, number: int) -> CableModel:
@@ -120,65 +124,92 @@ def build_cell(
 
     seed    of the simulated cables and of their devices' noise
     cycles  so many simulated cables are laid out
-    raises  NotAvailableError: a device that this version cannot drive
     """
-    return cell_with(settings, build_twins(settings, seed, cycles), runs, on_step)
+    if isinstance(settings.arm, given.SimulatedArm):
+        devices = twin_devices(build_twins(settings, seed, cycles))
+    else:
+        devices = real_devices(settings)
+    return cell_with(settings, devices, runs, on_step)
 
 
 def cell_with(
-    settings: Settings, twins: Twins, runs: Path, on_step: Callable[[int, str], None]
+    settings: Settings, devices: Devices, runs: Path, on_step: Callable[[int, str], None]
 ) -> Cell:
-    """A cell around given twins, so that a test can make them fail."""
-    clock = twins.world.clock
-    devices = Devices(
-        arm=GuardedArm(twins.arm, _arm_limits(settings)),
-        camera=GuardedCamera(twins.camera, clock),
-        gripper=GuardedGripper(twins.gripper, GripperLimits(*settings.gripper.force_limits_n)),
-        clock=clock,
+    """A cell around given devices, which it surrounds with their limits."""
+    guarded = Devices(
+        arm=GuardedArm(devices.arm, _arm_limits(settings)),
+        camera=GuardedCamera(devices.camera, devices.clock),
+        gripper=GuardedGripper(devices.gripper, GripperLimits(*settings.gripper.force_limits_n)),
+        clock=devices.clock,
     )
-    return Cell(devices, _task(settings), settings.model_dump(mode="json"), runs, on_step)
+    return Cell(guarded, _task(settings), settings.model_dump(mode="json"), runs, on_step)
 
 
 def build_twins(settings: Settings, seed: int, cycles: int) -> Twins:
-    """The simulated world with `cycles` cables laid out.  Raises NotAvailableError."""
-    arm, gripper = settings.arm, settings.gripper
-    if not isinstance(arm, given.SimulatedArm):
-        raise NotAvailableError(f"arm.kind: {arm.kind!r} cannot be driven by this version yet")
-    if not isinstance(gripper, given.SimulatedGripper):
-        raise NotAvailableError(
-            f"gripper.kind: {gripper.kind!r} cannot be driven by this version yet"
-        )
+    """The simulated world with `cycles` cables laid out; for settings whose devices are `sim`."""
+    arm = settings.arm
+    assert isinstance(arm, given.SimulatedArm)
     world = World(SimClock(), _pose(settings.motion.home))
     for number in range(1, cycles + 1):
         world.present(cable_shape(hidden_cable(settings, seed, number), settings.world.segments))
     options = ArmTwinOptions(lag_s=arm.lag_s, rate_hz=arm.rate_hz, noise_m=arm.noise_m)
     return Twins(
-        world, SimArm(world, options, seed=seed), _camera(settings, world, seed), SimGripper(world)
+        world,
+        SimArm(world, options, seed=seed),
+        _simulated_camera(settings, world, seed),
+        SimGripper(world),
     )
 
 
-def _camera(settings: Settings, world: World, seed: int) -> SimCamera | FilesCamera:
+def twin_devices(twins: Twins) -> Devices:
+    """The twins as the cell's devices."""
+    return Devices(twins.arm, twins.camera, twins.gripper, twins.world.clock)
+
+
+def _simulated_camera(settings: Settings, world: World, seed: int) -> SimCamera | FilesCamera:
+    camera = settings.camera
+    if isinstance(camera, given.FilesCamera):
+        return FilesCamera(camera.folder, camera.frame_rate_hz, world.clock)
+    assert isinstance(camera, given.SimulatedCamera)
+    picture = RenderOptions(
+        width_px=camera.width_px,
+        height_px=camera.height_px,
+        thickness_m=settings.cable.thickness_m,
+        lens_blur_px=camera.lens_blur_px,
+        exposure_s=camera.exposure_s,
+        read_noise=camera.read_noise,
+        scene_seed=seed,
+    )
+    options = CameraTwinOptions(_view(camera.view).homography, picture, camera.frame_rate_hz)
+    return SimCamera(world, options, seed=seed)
+
+
+def real_devices(settings: Settings) -> Devices:
+    """Arm, camera and gripper as the settings name them, not connected yet."""
+    arm, gripper, clock = settings.arm, settings.gripper, RealClock()
+    assert isinstance(arm, given.UrArm)
+    assert isinstance(gripper, given.SerialGripper)
+    mount = PlaneMount(arm.plane_origin_m, arm.plane_x_axis, arm.plane_y_axis)
+    reached = arm.model_dump(include={"host", "model", "tcp", "rate_hz", *_UR_TUNING})
+    serial = gripper.model_dump(include={"port", "address", "baud"})
+    return Devices(
+        arm=UrArm(UrOptions(mount=mount, **reached)),
+        camera=_real_camera(settings, clock),
+        gripper=SerialGripper(SerialGripperOptions(**serial), clock),
+        clock=clock,
+    )
+
+
+def _real_camera(settings: Settings, clock: RealClock) -> Camera:
+    values = settings.camera.model_dump(exclude={"kind", "view"})
     match settings.camera:
-        case given.SimulatedCamera() as camera:
-            picture = RenderOptions(
-                width_px=camera.width_px,
-                height_px=camera.height_px,
-                thickness_m=settings.cable.thickness_m,
-                lens_blur_px=camera.lens_blur_px,
-                exposure_s=camera.exposure_s,
-                read_noise=camera.read_noise,
-                scene_seed=seed,
-            )
-            options = CameraTwinOptions(
-                _view(camera.view).homography, picture, camera.frame_rate_hz
-            )
-            return SimCamera(world, options, seed=seed)
+        case given.OpenCvCamera():
+            return OpenCvCamera(OpenCvOptions(**values), clock)
+        case given.GenicamCamera():
+            return GenicamCamera(GenicamOptions(**values), clock)
         case given.FilesCamera() as camera:
-            return FilesCamera(camera.folder, camera.frame_rate_hz, world.clock)
-        case camera:
-            raise NotAvailableError(
-                f"camera.kind: {camera.kind!r} cannot be driven by this version yet"
-            )
+            return FilesCamera(camera.folder, camera.frame_rate_hz, clock)
+    raise AssertionError("the settings refuse a simulated camera beside a real arm")
 
 
 def _task(settings: Settings) -> Task:

@@ -47,7 +47,7 @@ def run(
     """
     from rich.console import Console
 
-    from cell.build import NotAvailableError, build_cell
+    from cell.build import build_cell
     from cell.console import RunProgress, results_table, seconds_table, troubles
     from cell.located import InputError
     from cell.records.result import Outcome, Result
@@ -67,7 +67,7 @@ def run(
                         break
             finally:
                 cell.close()
-    except (InputError, NotAvailableError) as error:
+    except InputError as error:
         _refuse(error)
     if not as_json:
         console = Console()

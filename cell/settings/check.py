@@ -115,7 +115,7 @@ def _devices(document: Document, settings: Settings) -> list[Problem]:
                 "make all three `sim`, or none of them",
             )
         )
-    exposure_s = getattr(settings.camera, "exposure_s", 0.0)
+    exposure_s = getattr(settings.camera, "exposure_s", None) or 0.0
     if exposure_s > 1.0 / settings.camera.frame_rate_hz:
         problems.append(
             document.problem(

@@ -159,6 +159,10 @@ class UrArm(_Section):
     kind: Literal["ur"]
     host: Annotated[str, Field(min_length=1)]
     """Address of the controller."""
+    model: Literal["UR3e", "UR5e", "UR10e"] = "UR5e"
+    tcp: tuple[Finite, Finite, Finite, Finite, Finite, Finite] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    """Gripping point on the flange: x, y, z in m and rotation vector in rad.  Its x and y axes are
+    the plane's when the clamp is level."""
     rate_hz: Annotated[float, Field(ge=50.0, le=500.0)] = 500.0
     lookahead_s: Annotated[float, Field(ge=0.03, le=0.2)] = 0.03
     gain: Annotated[float, Field(ge=100.0, le=2000.0)] = 300.0
@@ -203,7 +207,13 @@ class OpenCvCamera(_Camera):
 
     kind: Literal["opencv"]
     device: Annotated[int, Field(ge=0)] | str = 0
-    exposure_s: Positive = 0.0005
+    """Number or path of the device, or the URL of a stream."""
+    exposure_s: Positive | None = 0.0005
+    """Set and read back; null = as it is, as with a stream."""
+    fourcc: Annotated[str, Field(min_length=4, max_length=4)] | None = None
+    """Pixel format, e.g. GREY or YUYV; null = as it is."""
+    stamps: Literal["device", "arrival"] = "device"
+    """Whose time stamps are believed: the device's, or the moment at which a picture arrives."""
 
 
 class GenicamCamera(_Camera):
@@ -213,7 +223,8 @@ class GenicamCamera(_Camera):
     producer: Path
     """The vendor's .cti file."""
     serial_number: str | None = None
-    exposure_s: Positive = 0.0005
+    """Null = the only camera there is."""
+    exposure_s: Positive | None = 0.0005
 
 
 class FilesCamera(_Camera):

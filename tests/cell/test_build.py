@@ -7,10 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cell.build import FIRST_MODE, build_twins, cable_shape, hidden_cable
+from cell.build import FIRST_MODE, build_twins, cable_shape, hidden_cable, real_devices
 from cell.identify.parameters import Prior
 from cell.settings import Settings, load_settings
+from drivers.genicam_camera import GenicamCamera
 from drivers.interfaces import Path as HandPath
+from drivers.opencv_camera import OpenCvCamera
+from drivers.serial_gripper import SerialGripper
+from drivers.ur import UrArm
 
 CONFIG = Path(__file__).parents[2] / "config"
 
@@ -75,3 +79,22 @@ def test_hidden_effects_change_what_the_world_does(settings: Settings) -> None:
 
 def test_as_many_cables_are_laid_out_as_there_are_cycles(settings: Settings) -> None:
     assert build_twins(settings, 1, 4).world.waiting == 4
+
+
+def test_hardware_is_built_as_the_settings_say_and_not_touched(tmp_path: Path) -> None:
+    text = (CONFIG / "line3.yaml").read_text(encoding="utf-8")
+    uvc = tmp_path / "uvc.yaml"
+    uvc.write_text(
+        "\n".join(
+            line
+            for line in text.replace("kind: genicam", "kind: opencv").splitlines()
+            if not line.strip().startswith(("producer:", "serial_number:"))
+        ),
+        encoding="utf-8",
+    )
+    for path, camera in ((CONFIG / "line3.yaml", GenicamCamera), (uvc, OpenCvCamera)):
+        devices = real_devices(load_settings(path))
+        assert isinstance(devices.arm, UrArm)
+        assert isinstance(devices.camera, camera)
+        assert isinstance(devices.gripper, SerialGripper)
+        assert (devices.arm.lag_s, devices.arm.rate_hz) == (0.034, 500.0)

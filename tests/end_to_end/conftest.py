@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from cell.build import build_twins, cell_with
+from cell.build import build_twins, cell_with, twin_devices
 from cell.settings import Settings, load_settings
 
 CONFIG = Path(__file__).parents[2] / "config" / "fake.yaml"
@@ -56,7 +56,7 @@ def live(quick: Settings, tmp_path: Path) -> Callable[..., SimpleNamespace]:
             if step in happens:
                 happens.pop(step)(live)
 
-        live.cell = cell_with(settings, twins, live.runs, on_step)
+        live.cell = cell_with(settings, twin_devices(twins), live.runs, on_step)
         return live
 
     return build

@@ -86,14 +86,19 @@ def test_bad_settings_end_with_2_and_nothing_is_written(quick_config: Path, tmp_
     assert not (tmp_path / "runs").exists()
 
 
-def test_a_device_that_this_version_cannot_drive_ends_with_2(tmp_path: Path) -> None:
+def test_hardware_that_is_not_there_fails_by_name_and_ends_with_1(tmp_path: Path) -> None:
     line3 = Path(__file__).parents[2] / "config" / "line3.yaml"
     code, out, err = cell("check", "--config", line3)
     assert code == 0 and "arm ur" in out
-    code, out, err = cell("run", "--config", line3, "--out", tmp_path / "runs")
-    assert (code, out) == (2, "")
-    assert "arm.kind: 'ur' cannot be driven by this version yet" in err
-    assert not (tmp_path / "runs").exists()
+    absent = tmp_path / "line3.yaml"
+    text = line3.read_text(encoding="utf-8").replace("/dev/ttyUSB0", str(tmp_path / "no_port"))
+    absent.write_text(text, encoding="utf-8")
+    code, out, err = cell("run", "--config", absent, "--json", "--out", tmp_path / "runs")
+    assert code == 1
+    result = json.loads(out)
+    assert (result["outcome"], result["fault"]["step"]) == ("failed", "connect")
+    assert result["fault"]["device"] == "gripper" and result["fault"]["remedy"]
+    assert "cable 1 failed in step connect: gripper: " in err
 
 
 def test_a_rejected_cable_ends_with_1_and_its_reason(quick_config: Path, tmp_path: Path) -> None:
