@@ -69,6 +69,9 @@ def run(
                 cell.close()
     except InputError as error:
         _refuse(error)
+    except OSError as error:  # of the record: a device's own is a fault with a result
+        print(f"the record cannot be written: {error}", file=sys.stderr)
+        raise typer.Exit(NOT_ALL_INSERTED if results else BAD_INPUT) from error
     if not as_json:
         console = Console()
         console.print(results_table(results))

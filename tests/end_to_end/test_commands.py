@@ -111,6 +111,15 @@ def test_a_rejected_cable_ends_with_1_and_its_reason(quick_config: Path, tmp_pat
     assert "cable 1 rejected: no offset passes" in err
 
 
+def test_a_record_that_cannot_be_written_is_said_before_anything_moves(
+    quick_config: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "runs").write_text("a file where a folder should be")
+    code, out, err = cell("run", "-c", quick_config, "--json", "--out", tmp_path / "runs")
+    assert (code, out) == (2, "")
+    assert err.startswith("the record cannot be written: ") and "runs" in err
+
+
 def test_identify_says_what_is_wrong_with_a_folder(tmp_path: Path) -> None:
     code, out, err = cell("identify", tmp_path)
     assert (code, out) == (2, "")

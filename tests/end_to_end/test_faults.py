@@ -170,3 +170,16 @@ def test_a_stop_given_between_cycles_is_not_lost(live: Live) -> None:
     assert result.outcome is Outcome.FAILED
     assert result.fault is not None and result.fault.cause == "not now"
     assert it.twins.world.waiting == 1, "no cable was taken"
+
+
+def test_a_record_that_can_no_longer_be_written_stops_the_arm_too(live: Live) -> None:
+    def disk_full(it: SimpleNamespace) -> None:
+        (folder,) = it.runs.iterdir()
+        (folder / "state.json.part").mkdir()  # the next write of the state fails
+
+    it = live({"lower": disk_full})
+    with pytest.raises(OSError, match="state"):
+        it.cell.run_cycle(1)
+    assert it.twins.world.hand_rests_from_s() <= it.twins.world.clock.now_s()
+    assert it.cell.machine.state is CellState.ABORTED
+    assert it.twins.arm.state().mode is ArmMode.STOPPED
