@@ -260,10 +260,16 @@ def _found(
     )
 
 
+#: Converged simulators of the same cable differ by this much in the parameters that they need.
+MODEL_ERROR = 0.01
+
+
 def intervals(candidate: Candidate, effect: type[Effect]) -> dict[str, Interval]:
     """Values and 95 % intervals of an effect's parameters."""
     space, q = candidate.fit.space, candidate.fit.q
-    reach = float(stats.norm.ppf(0.975)) * np.sqrt(np.diag(candidate.fit.covariance))
+    systematic = MODEL_ERROR * np.where(space.logarithmic, 1.0, np.abs(q))
+    spread = np.sqrt(np.diag(candidate.fit.covariance) + systematic**2)
+    reach = float(stats.norm.ppf(0.975)) * spread
     low = space.natural(np.clip(q - reach, space.low, space.high))
     high = space.natural(np.clip(q + reach, space.low, space.high))
     value = space.natural(q)
@@ -276,6 +282,7 @@ def intervals(candidate: Candidate, effect: type[Effect]) -> dict[str, Interval]
             p.unit,
         )
         for p in effect.parameters
+        if p.fitted
     }
 
 

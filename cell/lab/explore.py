@@ -39,7 +39,7 @@ MISFIT = 1.5
 TEMPER = 3.0
 MOST_GUESSES = 9
 #: Fits of an effect from different starts; friction has several minima.
-SMOOTH_TRIES, ROUGH_TRIES = 1, 2
+SMOOTH_TRIES, ROUGH_TRIES, PLACED_TRIES = 1, 2, 8
 REFIT = Options(tolerance=0.1, most_passes=25)
 
 Progress = Callable[[str], None]
@@ -88,7 +88,7 @@ class Explorer:
     progress: Progress = lambda _: None
     _known: dict[frozenset[str], Candidate] = field(default_factory=dict)
     _screens: dict[frozenset[str], list[Screened]] = field(default_factory=dict)
-    _calm: FloatArray | None = None
+    _calm: Fit | None = None
 
     def baseline(self) -> Candidate:
         """The model with no effects beyond those that `space` brings along."""
@@ -101,7 +101,7 @@ class Explorer:
                 # A model that lacks something puts it into EI(s); the prior keeps it plausible.
                 temper = TEMPER * float(np.sqrt(fit.chi2 / count))
                 calm = fit_model(self.bench, self.space, start, temper=temper, options=REFIT)
-                self._calm = calm.q
+                self._calm = calm
             self._known[key] = self._weigh(self.space.effects, fit)
         return self._known[key]
 
@@ -112,15 +112,23 @@ class Explorer:
             self._screens[base.names] = screen(self.bench, base.fit, others)
         return self._screens[base.names]
 
+    def _screened_calmly(self, base: Candidate, effects: Sequence[type[Effect]]) -> list[Screened]:
+        """The same from the tempered baseline: where the best is wild, its slopes mislead."""
+        if self._calm is None or base is not self.baseline():
+            return []
+        return screen(self.bench, self._calm, effects)
+
     def add(self, base: Candidate, effects: Sequence[type[Effect]]) -> list[Candidate]:
         """The candidate with each of the effects added to it, side by side on all cores.
 
         An effect with which the cable cannot be simulated from any start is left out.
         """
-        starts = {s.effect.name: s.start for s in self.screened(base)}
+        guesses: dict[str, list[FloatArray]] = {}
+        for found in (*self.screened(base), *self._screened_calmly(base, effects)):
+            guesses.setdefault(found.effect.name, []).extend(found.starts)
 
         def one(effect: type[Effect]) -> Candidate | None:
-            return self._extend(base, effect, starts[effect.name])
+            return self._extend(base, effect, guesses[effect.name])
 
         with ThreadPoolExecutor(threads()) as pool:
             found = []
@@ -166,7 +174,9 @@ class Explorer:
             heldout=held,
         )
 
-    def _extend(self, base: Candidate, effect: type[Effect], start: FloatArray) -> Candidate | None:
+    def _extend(
+        self, base: Candidate, effect: type[Effect], guesses: Sequence[FloatArray]
+    ) -> Candidate | None:
         effects = (*base.effects, effect)
         key = frozenset(e.name for e in effects)
         if key in self._known:
@@ -174,17 +184,16 @@ class Explorer:
         space = space_with(base.fit.space, effects)
         origins = [base.fit.q]
         if self._calm is not None:
-            origins.append(np.concatenate([self._calm, base.fit.q[len(self._calm) :]]))
+            origins.append(np.concatenate([self._calm.q, base.fit.q[len(self._calm.q) :]]))
         best: Fit | None = None
         for origin in origins:
             starts = []
-            for value in [start, *_typical(effect)]:
+            for value in [*guesses, *_typical(effect)]:
                 q = extended(base.fit, space, effect, value)
                 for i, name in enumerate(base.fit.space.names):
                     q[space.names.index(name)] = origin[i]
                 starts.append(q)
-            tries = SMOOTH_TRIES if effect.smooth else ROUGH_TRIES
-            for q in self._promising(space, np.array(starts), tries):
+            for q in self._promising(space, np.array(starts), _tries(effect)):
                 try:
                     fit = fit_model(self.bench, space, q, base.fit.delay_s, options=REFIT)
                 except ValueError:
@@ -224,6 +233,13 @@ def cold_start(bench: Bench, space: ParameterSpace) -> FloatArray:
     away = q - space.mean
     square += np.einsum("ij,jk,ik->i", away, space.precision, away)
     return np.asarray(q[int(np.argmin(square))])
+
+
+def _tries(effect: type[Effect]) -> int:
+    """Starts worth a fit: more where there is friction, most where a place must be found."""
+    if sum(is_shape(p) for p in effect.parameters) > 2:
+        return PLACED_TRIES
+    return SMOOTH_TRIES if effect.smooth else ROUGH_TRIES
 
 
 def _typical(effect: type[Effect]) -> list[FloatArray]:

@@ -112,6 +112,9 @@ def fit_model(
     known = delay_s or {}
     begin = np.concatenate([start, [known.get(name, 0.0) for name in released]])
     solution = gauss_newton.minimise(problem, begin, options)
+    solution = replace(
+        solution, residual=solution.residual * temper, jacobian=solution.jacobian * temper
+    )
     q, delays = solution.q[:p], dict(zip(released, map(float, solution.q[p:]), strict=True))
     model = space.model(q)
     errors = [
@@ -153,7 +156,7 @@ def heldout(bench: Bench, fit: Fit) -> Heldout | None:
     predicted: dict[str, FloatArray] = {}
     rows, slopes, extra = [], [], []
     for trial in trials:
-        delay = _best_delay(bench, fit.model, trial) if is_released(trial) else 0.0
+        delay = best_delay(bench, fit.model, trial) if is_released(trial) else 0.0
         lanes = [fit.model, *(space.model(fit.q + np.eye(p)[i] * bent[i]) for i in range(p))]
         delays = np.full(p + 1, delay)
         if is_released(trial):
@@ -225,7 +228,7 @@ def space_with(space: ParameterSpace, effects: Sequence[type[Effect]]) -> Parame
     return replace(new, mean=mean, precision=precision, low=low, high=high)
 
 
-def _best_delay(bench: Bench, model: CableModel, trial: Trial) -> float:
+def best_delay(bench: Bench, model: CableModel, trial: Trial) -> float:
     """Release delay of one trial, the model given."""
     problem = gauss_newton.Problem(
         residuals=lambda q: bench.white(trial, bench.predict(trial, [model] * len(q), q[:, 0])),

@@ -14,6 +14,9 @@ FloatArray = NDArray[np.float64]
 #: Draws behind the p-value of a maximum over shapes; below a few of them Bonferroni is used.
 DRAWS = 20_000
 MIN_EXCEEDING = 20
+#: Shapes are nearly the same if what they explain correlates by more than this.
+SAME_SHAPE = 0.9
+MOST_SHAPES = 8
 
 
 @dataclass(frozen=True)
@@ -52,6 +55,8 @@ class Score:
     amplitude    (freedom,) expected coefficients of the sensitivities
     std          (freedom,) their standard deviations, the other amplitudes free
     shape        which of the shapes offered that is
+    others       further shapes and their coefficients, by falling statistic, none nearly the same
+                 as one before
     p_value      of the largest statistic over all shapes, under noise alone
     left         share of the sensitivity (rms) that the fitted parameters cannot imitate
     """
@@ -63,6 +68,7 @@ class Score:
     shape: int
     p_value: float
     left: float
+    others: tuple[tuple[int, FloatArray], ...] = ()
 
 
 def score_test(
@@ -80,17 +86,18 @@ def score_test(
     left = nuisance.remove(sensitivity)
     raw = np.linalg.norm(sensitivity, axis=2)
     norm = np.linalg.norm(left, axis=2)
-    best = _Best(-np.inf, 0, np.zeros(freedom))
+    tried: list[_Tried] = []
     usable = norm > 1e-6 * np.maximum(raw, 1e-300)
     for shape in np.flatnonzero(usable.any(axis=1)):
         rows = left[shape]
         amplitude = np.linalg.lstsq(rows.T, nuisance.residual, rcond=1e-8)[0]
         statistic = float(amplitude @ (rows @ nuisance.residual))
         signed = -statistic if one_sided and amplitude[0] < 0.0 else statistic
-        if signed > best.signed:
-            best = _Best(signed, int(shape), amplitude)
-    if not np.isfinite(best.signed):
+        tried.append(_Tried(signed, int(shape), amplitude, amplitude @ rows))
+    if not tried:
         return Score(0.0, freedom, np.zeros(freedom), np.full(freedom, np.inf), 0, 1.0, 0.0)
+    tried.sort(key=lambda t: -t.signed)
+    best = tried[0]
     if freedom == 1:
         unit = left[usable[:, 0], 0] / norm[usable[:, 0]]
         z = float(np.sign(best.signed) * np.sqrt(abs(best.signed)))
@@ -105,14 +112,31 @@ def score_test(
         shape=best.shape,
         p_value=p_value,
         left=float(np.linalg.norm(norm[best.shape]) / np.linalg.norm(raw[best.shape])),
+        others=tuple((t.shape, t.amplitude) for t in _distinct(tried)[1:]),
     )
 
 
 @dataclass(frozen=True, eq=False)
-class _Best:
+class _Tried:
     signed: float
     shape: int
     amplitude: FloatArray
+    explained: FloatArray
+
+
+def _distinct(tried: list[_Tried]) -> list[_Tried]:
+    """The best shapes of which none explains nearly what a better one does."""
+    kept: list[_Tried] = []
+    units: list[FloatArray] = []
+    for one in tried:
+        size = float(np.linalg.norm(one.explained))
+        if len(kept) == MOST_SHAPES or one.signed <= 0.0 or size == 0.0:
+            break
+        unit = one.explained / size
+        if all(abs(float(unit @ u)) < SAME_SHAPE for u in units):
+            kept.append(one)
+            units.append(unit)
+    return kept or tried[:1]
 
 
 def _p_of_maximum(z: float, correlation: FloatArray, one_sided: bool, seed: int) -> float:

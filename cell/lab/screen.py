@@ -27,11 +27,11 @@ TRIES = 6
 
 @dataclass(frozen=True, eq=False)
 class Screened:
-    """An effect's score test, and the parameter values from which a refit should start."""
+    """An effect's score test, and parameter values from which refits should start, best first."""
 
     effect: type[Effect]
     score: Score
-    start: FloatArray
+    starts: tuple[FloatArray, ...]
 
 
 def screen(bench: Bench, fit: Fit, effects: Sequence[type[Effect]]) -> list[Screened]:
@@ -61,8 +61,11 @@ def screen(bench: Bench, fit: Fit, effects: Sequence[type[Effect]]) -> list[Scre
         amplitudes = [p for p in effect.parameters if p.amplitude]
         one_sided = len(amplitudes) == 1 and amplitudes[0].low >= amplitudes[0].default
         score = score_test(nuisance, grouped, one_sided=one_sided)
-        first = guesses[mine[score.shape * grouped.shape[1]]]
-        found.append(Screened(effect, score, _start(effect, first, score.amplitude)))
+        starts = tuple(
+            _start(effect, guesses[mine[shape * grouped.shape[1]]], amplitude)
+            for shape, amplitude in ((score.shape, score.amplitude), *score.others)
+        )
+        found.append(Screened(effect, score, starts))
     return sorted(found, key=lambda s: (s.score.p_value, -s.score.statistic))
 
 

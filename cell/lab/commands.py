@@ -1,0 +1,249 @@
+"""Commands of the model lab: fit, compare, diagnose, effects, discover, suggest, study.
+
+A typer app without a name of its own; the cell's command line takes its commands in at the top
+level with `app.add_typer(cell.lab.commands.app)`, so that they are called `cell fit …`.
+Heavy imports wait until a command needs them, so that help is quick.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+DONE, BAD_INPUT = 0, 2
+
+app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, add_completion=False)
+
+StudyFolder = Annotated[Path, typer.Argument(help="A study: a folder with study.yaml.")]
+Effects = Annotated[
+    list[str] | None,
+    typer.Option("--effect", help="Name of an effect, or a file.py with one of your own."),
+]
+PriorFile = Annotated[
+    Path | None, typer.Option("--prior", help="Model of an earlier individual, by `cell fit -o`.")
+]
+JsonFile = Annotated[Path | None, typer.Option("--json", help="Write the result here as JSON.")]
+ReportFile = Annotated[
+    Path | None, typer.Option("--report", help="Write a self-contained HTML report here.")
+]
+
+
+@app.command()
+def fit(
+    study: StudyFolder,
+    out: Annotated[Path | None, typer.Option("-o", "--out", help="Write the model here.")] = None,
+    effect: Effects = None,
+    prior: PriorFile = None,
+    as_json: JsonFile = None,
+) -> None:
+    """Fit the cable's parameters, and those of effects, to the study's `fit` trials."""
+    from cell.lab import session
+    from cell.lab.results import write_json
+    from cell.lab.tables import errors_line, model_table
+
+    with _refusing(), _progress() as progress:
+        explorer = session.explorer_of(
+            session.open_study(study),
+            session.choose_effects(effect or []),
+            session.read_prior(prior),
+            progress,
+        )
+        model, candidate = session.fit_study(explorer)
+        for path in filter(None, (out, as_json)):
+            write_json(model.to_dict(), path)
+    _print(model_table(model), errors_line(explorer.bench, candidate))
+
+
+@app.command()
+def compare(
+    study: StudyFolder,
+    model: Annotated[Path, typer.Option("--model", help="Model by `cell fit -o`.")],
+    effect: Effects = None,
+    as_json: JsonFile = None,
+    report: ReportFile = None,
+) -> None:
+    """Compare a model with every trial of a study: overlay, error, noise floor, where it fails."""
+    from cell.lab import session
+    from cell.lab.compare import compare_model
+    from cell.lab.individual import check_same_kind, read_model
+    from cell.lab.report import comparison_page, write_page
+    from cell.lab.results import write_json
+    from cell.lab.tables import comparison_table, follows_table
+
+    with _refusing():
+        chosen = session.choose_effects(effect or [])
+        opened = session.open_study(study)
+        individual = read_model(model, chosen.library)
+        check_same_kind(model, individual, opened.cable)
+        comparison = compare_model(opened, individual.model)
+        if as_json:
+            write_json(comparison.to_json(), as_json)
+        if report:
+            write_page(comparison_page(comparison), report)
+    _print(comparison_table(comparison), follows_table(comparison))
+
+
+@app.command()
+def diagnose(
+    study: StudyFolder,
+    effect: Effects = None,
+    prior: PriorFile = None,
+    as_json: JsonFile = None,
+    report: ReportFile = None,
+) -> None:
+    """Tell which physical effect the model lacks, none, an unknown one, or that one cannot tell.
+
+    An effect named is taken as known to be there; one from a file joins the library.
+    """
+    from cell.lab import session
+    from cell.lab.compare import compare_model
+    from cell.lab.diagnose import diagnose as diagnose_study
+    from cell.lab.report import diagnosis_page, write_page
+    from cell.lab.results import to_json, write_json
+    from cell.lab.tables import ranking_table, sentence, waterfall_table
+
+    with _refusing(), _progress() as progress:
+        opened = session.open_study(study)
+        explorer = session.explorer_of(
+            opened, session.choose_effects(effect or []), session.read_prior(prior), progress
+        )
+        examination = diagnose_study(explorer)
+        if as_json:
+            write_json(to_json(examination.diagnosis), as_json)
+        if report:
+            comparisons = [compare_model(opened, c.fit.model) for c in examination.steps]
+            write_page(diagnosis_page(opened.name, examination, comparisons), report)
+    diagnosis = examination.diagnosis
+    _print(sentence(diagnosis), waterfall_table(diagnosis), ranking_table(diagnosis))
+
+
+@app.command()
+def effects(
+    effect: Annotated[
+        list[str] | None, typer.Option("--effect", help="A file.py to check and list as well.")
+    ] = None,
+    as_json: JsonFile = None,
+) -> None:
+    """List the effects that a model may be given: laws, parameters, units and limits."""
+    from cell.lab import session
+    from cell.lab.results import write_json
+    from cell.lab.tables import describe_effects, effects_table
+
+    with _refusing():
+        library = session.choose_effects(effect or []).library
+        if as_json:
+            write_json({"effects": describe_effects(library)}, as_json)
+    _print(effects_table(library))
+
+
+@app.command()
+def discover(
+    study: StudyFolder,
+    out: Annotated[Path, typer.Option("-o", "--out", help="Write the effect's file here.")],
+    prior: PriorFile = None,
+    as_json: JsonFile = None,
+) -> None:
+    """Infer the missing force from the residual and write it as an effect that one can read."""
+    from cell.lab import session
+    from cell.lab.discover import discover as discover_effect
+    from cell.lab.results import write_json
+    from cell.lab.tables import discovery_table
+
+    with _refusing(), _progress() as progress:
+        explorer = session.explorer_of(
+            session.open_study(study),
+            session.choose_effects([]),
+            session.read_prior(prior),
+            progress,
+        )
+        discovery = discover_effect(explorer, out)
+        if as_json:
+            write_json(discovery.to_json(), as_json)
+    _print(discovery_table(discovery), f"written to {out}; use it with --effect {out}")
+
+
+@app.command()
+def suggest(
+    study: StudyFolder,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="Write the motion here, for --motion.")
+    ] = None,
+    config: Annotated[
+        Path | None, typer.Option("--config", "-c", help="Settings of a cell, for its limits.")
+    ] = None,
+    prior: PriorFile = None,
+    as_json: JsonFile = None,
+) -> None:
+    """Suggest the safe motion that best tells the remaining candidates apart, and its power."""
+    from cell.lab import session
+    from cell.lab.diagnose import diagnose as diagnose_study
+    from cell.lab.results import write_json
+    from cell.lab.suggest import read_limits, suggest_motion, write_motion
+    from cell.lab.tables import suggestion_table
+
+    with _refusing(), _progress() as progress:
+        limits = read_limits(config)
+        explorer = session.explorer_of(
+            session.open_study(study),
+            session.choose_effects([]),
+            session.read_prior(prior),
+            progress,
+        )
+        suggestion = suggest_motion(explorer, diagnose_study(explorer), limits)
+        if out:
+            write_motion(suggestion, out)
+        if as_json:
+            write_json(suggestion.to_json(), as_json)
+    _print(suggestion_table(suggestion))
+
+
+@app.command()
+def study(
+    runs: Annotated[list[Path], typer.Argument(help="Folders of recorded cycles.")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="Folder of the new study.")],
+) -> None:
+    """Gather recorded cycles of one cable into a study."""
+    from cell.lab.gather import gather
+    from cell.study.folder import write_study
+
+    with _refusing():
+        gathered = gather(runs, out.name)
+        write_study(gathered, out)
+    print(f"{out}: {len(gathered.trials)} trials of {len(runs)} cycles")
+
+
+@contextmanager
+def _refusing() -> Iterator[None]:
+    """Ends with 2 and a message, nothing written, if what was given is wrong."""
+    from cell.cable.effects import EffectError
+    from cell.lab.noise import NoiseUnknownError
+    from cell.located import InputError
+
+    try:
+        yield
+    except (InputError, EffectError, NoiseUnknownError, FileNotFoundError, ValueError) as error:
+        print(error, file=sys.stderr)
+        raise typer.Exit(BAD_INPUT) from error
+
+
+@contextmanager
+def _progress() -> Iterator[Any]:
+    """A line that tells what is being done, on the error stream; silent if nobody watches it."""
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    with console.status("starting") as status:
+        yield lambda text: status.update(text)
+
+
+def _print(*parts: Any) -> None:
+    from rich.console import Console
+
+    console = Console()
+    for part in parts:
+        console.print(part, highlight=False)
