@@ -158,9 +158,9 @@ class Cell:
             return
         self._record_model(progress, identified)
         prospect, choice = self._decide(progress, held, trial, identified)
-        progress.record.pictures(held_pictures(held, trial, identified, self._bench.task))
         if choice.reason is not None:
             self._reject(progress, choice.reason)
+            progress.record.pictures(held_pictures(held, trial, identified, self._bench.task))
             return
         progress.known["offset_m"] = choice.best.offset_m
         path = prospect.paths[choice.table.index(choice.best)]
@@ -168,6 +168,8 @@ class Cell:
         self._record_study(progress, trial, executed_trial(trial, held, executed))
         passage = self._step(progress, "verify", steps.verify, executed, prospect, choice)
         self._record_passage(progress, passage)
+        # Pictures take their time, and the execution began at a moment that had been planned.
+        progress.record.pictures(held_pictures(held, trial, identified, self._bench.task))
         progress.record.pictures(passage_pictures(executed, prospect, choice, self._bench.task))
         self._pause(progress)
         self._step(progress, "release", steps.release, inserted=passage.passed)
