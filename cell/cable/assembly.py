@@ -18,6 +18,9 @@ FloatArray = NDArray[np.float64]
 #: Discretisation error of a held cable's tip: see `docs/effects.md`, "Accuracy".
 DEFAULT_SEGMENTS = 28
 
+#: With more segments than this a full block leaves the second-level cache.
+_WIDE_UP_TO = 64
+
 
 @dataclass(frozen=True)
 class Block:
@@ -52,7 +55,8 @@ def assemble(
     blocks = []
     for members in groups.values():
         hooks = hooks_of(models[members[0]].effects)
-        width = at.VECTOR if len(members) <= at.VECTOR * threads else at.LANES
+        narrow = len(members) <= at.VECTOR * threads or segments > _WIDE_UP_TO
+        width = at.VECTOR if narrow else at.LANES
         for first in range(0, len(members), width):
             lanes = tuple(members[first : first + width])
             blocks.append(_block([models[i] for i in lanes], lanes, segments, hooks, start_s))
@@ -105,8 +109,9 @@ def _block(
     arc_hinge = hinge_fraction[:, None] * total
     put(at.ARC_HINGE, arc_hinge)
     put(at.ARC_MIDDLE, middle_fraction[:, None] * total)
-    for i, model in enumerate(models):
-        state[:, at.REST, i] = _rest(model, arc_hinge[:, i])
+    if models[0].effects:
+        for i, model in enumerate(models):
+            state[:, at.REST, i] = _rest(model, arc_hinge[:, i])
     put(at.FREE, 1.0)
     state[0, at.FREE, :w] = compliance > 0.0
     state[0, at.SPRING, :w] = 1.0 / np.where(compliance > 0.0, compliance, 1.0)

@@ -83,6 +83,9 @@ from cell.cable.numerics import power, sincos
 FloatArray = NDArray[np.float64]
 
 
+#: Steps between looks for divergence.
+_CHECK_EVERY = 8
+
 _KE2 = (REGULAR_CURVATURE_1_PER_M / REFERENCE_CURVATURE_1_PER_M) ** 2
 _KR2 = 1.0 / REFERENCE_CURVATURE_1_PER_M**2
 
@@ -317,12 +320,12 @@ def predict(S: FloatArray, lanes: int, n: int, step: FloatArray) -> None:
     for i in range(n + 1):
         R = S[i * BODY :]
         for w in range(lanes):
+            bend = R[w + BEND * LANES]
             rate = R[w + RATE * LANES]
             old = R[w + ACCEL * LANES]
             guess = R[w + ACCEL_C * LANES]
-            R[w + BEND_C * LANES] = (
-                R[w + BEND * LANES] + step[3] * rate + step[4] * old + step[1] * guess
-            )
+            R[w + BEND_0 * LANES] = bend
+            R[w + BEND_C * LANES] = bend + step[3] * rate + step[4] * old + step[1] * guess
             R[w + RATE_C * LANES] = rate + step[5] * old + step[2] * guess
 
 
@@ -341,6 +344,18 @@ def advance(S: FloatArray, lanes: int, n: int, step: FloatArray) -> None:
             R[w + BEND_C * LANES] = rate
             R[w + RATE * LANES] = rate + step[10] * old + step[11] * new
             R[w + ACCEL * LANES] = new
+
+
+@compiled
+def wild(S: FloatArray, lanes: int, n: int) -> bool:
+    """Whether any hinge is bent by half a turn or more, or not finite."""
+    worst = 0.0
+    for i in range(n + 1):
+        R = S[i * BODY :]
+        for w in range(lanes):
+            bend = abs(R[w + BEND * LANES])
+            worst = worst if bend <= worst else bend
+    return not worst < math.pi
 
 
 @compiled
@@ -394,10 +409,6 @@ def integrate(
     forced = forces.size > 0
     done = 0
     for j in range(steps):
-        for i in range(n + 1):
-            R = S[i * BODY :]
-            for w in range(lanes):
-                R[w + BEND_0 * LANES] = R[w + BEND * LANES]
         for _ in range(passes):
             predict(S, lanes, n, step)
             kinematics(S, lanes, n, B, j, forced)
@@ -435,13 +446,7 @@ def integrate(
             call_moment(
                 moments[e], (S, lanes, n, ADVANCE, h, dq, dv, params, row, memory, memory_rows[e])
             )
-        worst = 0.0
-        for i in range(n + 1):
-            R = S[i * BODY :]
-            for w in range(lanes):
-                bend = abs(R[w + BEND * LANES])
-                worst = worst if bend <= worst else bend
-        if not worst < math.pi:
+        if (j % _CHECK_EVERY == 0 or j == steps - 1) and wild(S, lanes, n):
             return j
         while done < when.size and when[done] <= j + 1:
             record(S, lanes, n, h, when[done] - j, out, done)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -47,17 +48,16 @@ class CableModel:
         object.__setattr__(self, "effects", tuple(self.effects))
         if rigidity.ndim != 1 or rigidity.size == 0:
             raise ValueError(f"model.rigidity_n_m2 has shape {rigidity.shape}, needs (k,), k ≥ 1")
-        bad = ~(np.isfinite(rigidity) & (rigidity > 0.0))
-        if bad.any():
-            i = int(np.argmax(bad))
+        if not (rigidity.min() > 0.0 and rigidity.max() < np.inf):
+            i = int(np.argmin(np.isfinite(rigidity) & (rigidity > 0.0)))
             raise ValueError(f"model.rigidity_n_m2[{i}] = {rigidity[i]}: must be finite and > 0")
         if not 0.1 <= self.exponent <= 10.0:
             raise ValueError(f"model.exponent = {self.exponent}: must be 0.1 … 10")
-        if not (np.isfinite(self.viscosity_n_m2_s) and self.viscosity_n_m2_s >= 0.0):
+        if not 0.0 <= self.viscosity_n_m2_s < math.inf:
             raise ValueError(
                 f"model.viscosity_n_m2_s = {self.viscosity_n_m2_s}: must be finite and ≥ 0"
             )
-        if not np.all(np.isfinite(self.gravity_m_per_s2)):
+        if not all(math.isfinite(g) for g in self.gravity_m_per_s2):
             raise ValueError(f"model.gravity_m_per_s2 = {self.gravity_m_per_s2}: must be finite")
         names = [a.effect.name for a in self.effects]
         if len(set(names)) != len(names):

@@ -93,13 +93,16 @@ def sensitivities(
         if name not in known:
             raise ValueError(f"the model has no parameter {name!r}; it has {', '.join(known)}")
     scales = _scales(model)
+    values = parameter_values(model)
 
     def run(models: list[CableModel]) -> FloatArray:
         return simulate(
             models, motion, times_s, arc_length_m, solver=solver, start=start, release_s=release_s
         )
 
-    pairs = [_pair(model, known.index(n), scales, differences, nudged=False) for n in wanted]
+    pairs = [
+        _pair(model, values, known.index(n), scales, differences, nudged=False) for n in wanted
+    ]
     lanes = [model]
     for pair in pairs:
         lanes += [m for m in pair[1:] if m is not model]
@@ -116,7 +119,7 @@ def sensitivities(
         if parameter is None or not parameter.amplitude:
             continue
         if np.abs(jacobian[row]).max() * scales[i][0] / _STEP < _VANISHING_M:
-            span, below, above = _pair(model, i, scales, differences, nudged=True)
+            span, below, above = _pair(model, values, i, scales, differences, nudged=True)
             low, high = run([below, above])
             jacobian[row] = (high - low) / span
     return Sensitivities(wanted, here, jacobian)
@@ -137,31 +140,31 @@ def _scales(model: CableModel) -> list[tuple[float, Parameter | None]]:
 
 def _pair(
     model: CableModel,
+    here: FloatArray,
     i: int,
     scales: list[tuple[float, Parameter | None]],
     differences: str,
     nudged: bool,
 ) -> tuple[float, CableModel, CableModel]:
     """Distance between two models that differ in parameter i, and the models."""
-    values = parameter_values(model)
+    values = here.copy()
     scale, parameter = scales[i]
     if parameter is not None and (nudged or not parameter.amplitude):
-        _nudge(model, values, i)
+        nudged = _nudge(model, values, i)
     low, high = (0.0, np.inf) if parameter is None else (parameter.low, parameter.high)
     below, above = values.copy(), values.copy()
     above[i] = min(values[i] + scale, high)
     if differences == "central" or above[i] == values[i]:
         below[i] = max(values[i] - scale, low)
-    here = parameter_values(model)
 
     def varied(x: FloatArray) -> CableModel:
-        return model if np.array_equal(x, here) else with_values(model, x)
+        return model if x[i] == here[i] and not nudged else with_values(model, x)
 
     return float(above[i] - below[i]), varied(below), varied(above)
 
 
-def _nudge(model: CableModel, values: FloatArray, i: int) -> None:
-    """Switch on, a little, the effect that parameter i belongs to, if it is off."""
+def _nudge(model: CableModel, values: FloatArray, i: int) -> bool:
+    """Switch on, a little, the effect that parameter i belongs to, if it is off; whether it was."""
     first = model.rigidity_n_m2.size + 2
     for active in model.effects:
         parameters = active.effect.parameters
@@ -171,4 +174,6 @@ def _nudge(model: CableModel, values: FloatArray, i: int) -> None:
             if all(values[j] == p.default for j, p in amplitudes):
                 for j, p in amplitudes:
                     values[j] += _NUDGE * (p.starts[0] - p.default)
+                return True
         first += len(parameters)
+    return False
