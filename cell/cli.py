@@ -13,6 +13,8 @@ from typing import Annotated, NoReturn
 
 import typer
 
+from cell.lab.commands import app as lab
+
 ALL_INSERTED, NOT_ALL_INSERTED, BAD_INPUT = 0, 1, 2
 
 app = typer.Typer(
@@ -22,6 +24,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     add_completion=False,
 )
+app.add_typer(lab)
 
 Config = Annotated[
     Path, typer.Option("--config", "-c", help="Settings of the cell, YAML.", show_default=False)
