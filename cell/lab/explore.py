@@ -39,8 +39,14 @@ MISFIT = 1.5
 TEMPER = 3.0
 MOST_GUESSES = 9
 #: Fits of an effect from different starts; friction has several minima.
-SMOOTH_TRIES, ROUGH_TRIES, PLACED_TRIES = 1, 2, 8
-REFIT = Options(tolerance=0.1, most_passes=25)
+SMOOTH_TRIES, ROUGH_TRIES = 1, 2
+PLACES = 2
+#: Passes of a first refit; the best few are then taken to convergence.
+REFIT = Options(tolerance=0.1, most_passes=12)
+POLISH = Options(tolerance=0.1, most_passes=40)
+POLISHED = 3
+#: A place is sought with residuals tempered by this much more.
+SEARCH = Options(tolerance=0.3, most_passes=10)
 
 Progress = Callable[[str], None]
 
@@ -95,7 +101,7 @@ class Explorer:
         key = frozenset(e.name for e in self.space.effects)
         if key not in self._known:
             start = cold_start(self.bench, self.space)
-            fit = fit_model(self.bench, self.space, start, options=REFIT)
+            fit = fit_model(self.bench, self.space, start, options=POLISH)
             count = self.bench.count(fit_trials(self.bench))
             if fit.chi2 > MISFIT * count:
                 # A model that lacks something puts it into EI(s); the prior keeps it plausible.
@@ -104,6 +110,10 @@ class Explorer:
                 self._calm = calm
             self._known[key] = self._weigh(self.space.effects, fit)
         return self._known[key]
+
+    def known(self) -> tuple[Candidate, ...]:
+        """Every candidate so far."""
+        return tuple(self._known.values())
 
     def screened(self, base: Candidate) -> list[Screened]:
         """Score tests of the whole library against a candidate, likeliest first."""
@@ -124,8 +134,8 @@ class Explorer:
         An effect with which the cable cannot be simulated from any start is left out.
         """
         guesses: dict[str, list[FloatArray]] = {}
-        for found in (*self.screened(base), *self._screened_calmly(base, effects)):
-            guesses.setdefault(found.effect.name, []).extend(found.starts)
+        for screened in (*self.screened(base), *self._screened_calmly(base, effects)):
+            guesses.setdefault(screened.effect.name, []).extend(screened.starts)
 
         def one(effect: type[Effect]) -> Candidate | None:
             return self._extend(base, effect, guesses[effect.name])
@@ -136,7 +146,23 @@ class Explorer:
                 self.progress(f"refit with {effect.name}")
                 if candidate is not None:
                     found.append(candidate)
-        return found
+            best = sorted(found, key=lambda c: -c.evidence)[:POLISHED]
+            better = {c.names: p for c, p in zip(best, pool.map(self._polished, best), strict=True)}
+        return [better.get(c.names, c) for c in found]
+
+    def _polished(self, candidate: Candidate) -> Candidate:
+        """The candidate taken to convergence."""
+        if candidate.fit.solution.converged:
+            return candidate
+        fit = fit_model(
+            self.bench,
+            candidate.fit.space,
+            candidate.fit.q,
+            candidate.fit.delay_s,
+            options=POLISH,
+        )
+        self._known[candidate.names] = self._weigh(candidate.effects, fit)
+        return self._known[candidate.names]
 
     def without(self, candidate: Candidate, effect: type[Effect]) -> Candidate:
         """The candidate with one effect taken out, refitted."""
@@ -186,14 +212,20 @@ class Explorer:
         if self._calm is not None:
             origins.append(np.concatenate([self._calm.q, base.fit.q[len(self._calm.q) :]]))
         best: Fit | None = None
-        for origin in origins:
+        placed = sum(is_shape(p) for p in effect.parameters) > 2
+        for origin in origins[-1:] if placed else origins:
             starts = []
             for value in [*guesses, *_typical(effect)]:
                 q = extended(base.fit, space, effect, value)
                 for i, name in enumerate(base.fit.space.names):
                     q[space.names.index(name)] = origin[i]
                 starts.append(q)
-            for q in self._promising(space, np.array(starts), _tries(effect)):
+            if placed:
+                promising = self._sought(base, space, starts[: len(guesses)])
+            else:
+                tries = SMOOTH_TRIES if effect.smooth else ROUGH_TRIES
+                promising = list(self._promising(space, np.array(starts), tries))
+            for q in promising:
                 try:
                     fit = fit_model(self.bench, space, q, base.fit.delay_s, options=REFIT)
                 except ValueError:
@@ -204,6 +236,24 @@ class Explorer:
             return None
         self._known[key] = self._weigh(effects, best)
         return self._known[key]
+
+    def _sought(
+        self, base: Candidate, space: ParameterSpace, starts: Sequence[FloatArray]
+    ) -> list[FloatArray]:
+        """Where tempered fits from all starts lead to, the best of them.
+
+        The place of a force is found from far away only while the residuals are not yet asked to
+        be noise.
+        """
+        count = self.bench.count(fit_trials(self.bench))
+        temper = TEMPER * max(1.0, float(np.sqrt(base.fit.chi2 / count)))
+        fits = []
+        for q in starts:
+            try:
+                fits.append(fit_model(self.bench, space, q, temper=temper, options=SEARCH))
+            except ValueError:
+                continue
+        return [f.q for f in sorted(fits, key=lambda f: f.objective)[:PLACES]]
 
     def _promising(self, space: ParameterSpace, starts: FloatArray, count: int) -> FloatArray:
         """The starts (lanes, p) with the least misfit, worth a fit each."""
@@ -233,13 +283,6 @@ def cold_start(bench: Bench, space: ParameterSpace) -> FloatArray:
     away = q - space.mean
     square += np.einsum("ij,jk,ik->i", away, space.precision, away)
     return np.asarray(q[int(np.argmin(square))])
-
-
-def _tries(effect: type[Effect]) -> int:
-    """Starts worth a fit: more where there is friction, most where a place must be found."""
-    if sum(is_shape(p) for p in effect.parameters) > 2:
-        return PLACED_TRIES
-    return SMOOTH_TRIES if effect.smooth else ROUGH_TRIES
 
 
 def _typical(effect: type[Effect]) -> list[FloatArray]:

@@ -42,9 +42,8 @@ def gather(runs: Sequence[Path], name: str) -> Study:
 
 
 def _alike(a: Study, b: Study) -> bool:
-    numbers = [
-        (list(vars(a.cable).values()), list(vars(b.cable).values())),
-        (a.arc_length_m, b.arc_length_m),
-        (a.gravity_m_per_s2, b.gravity_m_per_s2),
-    ]
-    return all(np.shape(x) == np.shape(y) and np.allclose(x, y, rtol=SAME) for x, y in numbers)
+    ours, theirs = (
+        np.concatenate([list(vars(s.cable).values()), s.arc_length_m, s.gravity_m_per_s2])
+        for s in (a, b)
+    )
+    return ours.shape == theirs.shape and np.allclose(ours, theirs, rtol=SAME)
