@@ -82,11 +82,11 @@ class CaptureOptions:
 
     latency_s: float = 0.0
     connect_s: float = 5.0
-    lost_after_periods: float = 20.0
+    lost_after_periods: float = 30.0
     rate_tolerance: float = 0.05
-    buffer_frames: int = 128
+    buffer_frames: int = 512
     settle_frames: int = 40
-    late_s: float = 0.25
+    late_s: float = 0.5
 
     def __post_init__(self) -> None:
         for name in ("connect_s", "lost_after_periods", "rate_tolerance", "late_s"):

@@ -16,14 +16,18 @@ from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from typing import Any, Self
 
+import cv2
+
 from drivers.emulators.camera_scene import Scene, SceneFactory
 from drivers.emulators.camera_stream import picture_header, stream_header
 from drivers.emulators.launch import EmulatorError
 from drivers.interfaces import Image
+from drivers.priority import run_in_real_time
 
 _HOST = "127.0.0.1"
 _START_S = 30.0
 _ANSWER_S = 5.0
+_PRIORITY = 10
 _GLANCE_S = 0.02  # how often whoever waits looks whether something changed
 
 
@@ -42,7 +46,7 @@ class CameraEmulatorOptions:
     frame_rate_hz: float = 200.0
     look_s: float = 0.006
     readout_s: float = 0.012
-    backlog_s: float = 0.1
+    backlog_s: float = 0.25
 
 
 @dataclass(frozen=True)
@@ -163,6 +167,7 @@ class EmulatedCamera:
 
 def serve(door: Connection, factory: SceneFactory, options: CameraEmulatorOptions) -> None:
     """Be a camera until the other end of `door` is gone."""
+    cv2.setNumThreads(1)  # OpenCV's own threads would have to wait for the rest of the computer
     try:
         scene = factory()
         _check(scene.picture(time.monotonic() - options.look_s), options)
@@ -170,6 +175,8 @@ def serve(door: Connection, factory: SceneFactory, options: CameraEmulatorOption
     except Exception as error:
         door.send((False, f"{type(error).__name__}: {error}"))
         return
+    # a camera does not slow down when the computer is busy; the arm's emulator goes before it
+    run_in_real_time(_PRIORITY)
     threading.Thread(target=_listen, args=(door, server), daemon=True).start()
     door.send((True, server.port))
     server.run()
