@@ -1,8 +1,8 @@
 """Recording from a camera that streams: a thread takes every picture, and counts.
 
 A camera library is a `Source`.  Everything else is the same for all of them and lives here: the
-deadline of opening, the bounded buffer, missing, frozen, slow and silent cameras, and the mapping
-of the camera's time stamps onto the cell's clock.
+deadline of opening, slow and silent cameras, and the origin of the camera's time stamps; what is
+wrong with single pictures is in `recording`.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -22,26 +21,10 @@ from drivers.interfaces import (
     DeviceError,
     DeviceLostError,
     Frame,
-    Image,
 )
+from drivers.recording import SLOW_REMEDY, CaptureOptions, Recording, Shot, Taken
 
-_SLOW_REMEDY = "shorten the exposure, lower the frame rate, or use a faster bus or computer"
 _LOST_REMEDY = "check the camera's cable and power, then connect again"
-_MISSING_REMEDY = "check cable and load, or lower the frame rate, then record again"
-
-
-@dataclass(frozen=True)
-class Shot:
-    """What a source says of one picture.
-
-    image    (H, W) grey levels; None = not asked for
-    stamp_s  the camera's own time of the exposure, from any origin; None = it has none
-    number   the camera's own count; None = it has none
-    """
-
-    image: Image | None
-    stamp_s: float | None = None
-    number: int | None = None
 
 
 class Source(Protocol):
@@ -63,40 +46,6 @@ class Source(Protocol):
     def close(self) -> None:
         """Release the camera.  Does not raise."""
         ...
-
-
-@dataclass(frozen=True)
-class CaptureOptions:
-    """What is asked of the stream of pictures.
-
-    latency_s           from the middle of an exposure to the arrival of its picture, at best:
-                        exposure, readout and transport.  Measured by calibration each session,
-                        for no camera tells; a wrong value shifts all times of a session alike
-    connect_s           longest time until pictures come at the rate asked for
-    lost_after_periods  the camera is lost when no picture came for so many periods
-    rate_tolerance      allowed departure of the measured from the camera's own frame rate
-    buffer_frames       pictures that may wait to be read
-    settle_frames       pictures over which the rate is measured, and the stamps' origin found
-    late_s              longest time that a picture may come later than the quickest ones do
-    """
-
-    latency_s: float = 0.0
-    connect_s: float = 5.0
-    lost_after_periods: float = 30.0
-    rate_tolerance: float = 0.05
-    buffer_frames: int = 512
-    settle_frames: int = 40
-    late_s: float = 0.5
-
-    def __post_init__(self) -> None:
-        for name in ("connect_s", "lost_after_periods", "rate_tolerance", "late_s"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"capture.{name} = {getattr(self, name)}: must be > 0")
-        if not self.latency_s >= 0.0:
-            raise ValueError(f"capture.latency_s = {self.latency_s} s: must be ≥ 0")
-        for name, least in (("buffer_frames", 1), ("settle_frames", 2)):
-            if getattr(self, name) < least:
-                raise ValueError(f"capture.{name} = {getattr(self, name)}: must be ≥ {least}")
 
 
 class StreamingCamera:
@@ -163,117 +112,6 @@ class StreamingCamera:
             self._stream.stop()
 
 
-@dataclass(frozen=True)
-class _Taken:
-    shot: Shot
-    arrived_s: float
-
-
-class _Recording:
-    """Frames of one `start`, checked one by one as they come."""
-
-    def __init__(
-        self,
-        frame_count: int,
-        start_s: float,
-        origin_s: float,
-        rate_hz: float,
-        options: CaptureOptions,
-        device: str,
-    ) -> None:
-        self.waiting: deque[Frame] = deque()
-        self.error: DeviceError | None = None
-        self._device = device
-        self._count = frame_count
-        self._start_s = start_s
-        self._origin_s = origin_s  # what is added to a stamp to have the time of its arrival
-        self._period_s = 1.0 / rate_hz
-        self._options = options
-        self._taken = 0
-        self._first_s = 0.0
-        self._last: Frame | None = None
-        self._last_number: int | None = None
-
-    @property
-    def complete(self) -> bool:
-        """Whether no more pictures are to be taken."""
-        return self.error is not None or self._taken == self._count
-
-    def take(self, taken: _Taken) -> None:
-        """Add a picture, if it was exposed after the start."""
-        shot, options = taken.shot, self._options
-        reached_s = taken.arrived_s
-        if shot.stamp_s is not None:
-            reached_s = shot.stamp_s + self._origin_s
-        t_s = reached_s - options.latency_s
-        if shot.image is None or t_s < self._start_s:
-            return
-        frame = Frame(self._taken, t_s, shot.image)
-        self.error = self._fault(frame, shot, taken.arrived_s - reached_s)
-        if self.error is not None:
-            return
-        if self._taken == 0:
-            self._first_s = t_s
-        self.waiting.append(frame)
-        self._taken += 1
-        self._last, self._last_number = frame, shot.number
-
-    def _fault(self, frame: Frame, shot: Shot, late_s: float) -> CameraError | None:
-        options, which = self._options, f"picture {frame.index + 1} of {self._count}"
-        if len(self.waiting) >= options.buffer_frames:
-            return self._error(
-                f"overflow: {len(self.waiting)} pictures wait to be read at {which}",
-                "read while recording, or allow a larger buffer",
-            )
-        if late_s > options.late_s:
-            return self._error(
-                f"{which} came {late_s:.3f} s late, allowed {options.late_s:.3f} s", _SLOW_REMEDY
-            )
-        last = self._last
-        if last is None:
-            missing = (frame.t_s - self._start_s) / self._period_s - 1.0
-            if missing > 0.5 and shot.stamp_s is not None:
-                return self._error(f"{missing:.0f} pictures missing before the first")
-            return None
-        if shot.number is not None and self._last_number is not None:
-            missing = shot.number - self._last_number - 1
-            if missing != 0:
-                return self._error(
-                    f"{missing} pictures missing before {which}: the camera's count goes from "
-                    f"{self._last_number} to {shot.number}"
-                )
-        else:
-            missing = round((frame.t_s - last.t_s) / self._period_s) - 1
-            if missing > 0:
-                return self._error(
-                    f"{missing} pictures missing before {which}: "
-                    f"{(frame.t_s - last.t_s) * 1e3:.2f} ms after the one before, period "
-                    f"{self._period_s * 1e3:.2f} ms"
-                )
-        if frame.t_s <= last.t_s:
-            return self._error(
-                f"the time of {which} is not later than the one before", _MISSING_REMEDY
-            )
-        if frame.image.shape != last.image.shape:
-            return self._error(
-                f"{which} is {_size(frame.image)} pixels, the one before {_size(last.image)}"
-            )
-        if _same(frame.image, last.image):
-            return self._error(f"{which} repeats the one before: the camera is frozen")
-        rate_hz = frame.index / (frame.t_s - self._first_s)
-        if frame.index >= options.settle_frames and (
-            rate_hz * self._period_s < 1.0 - options.rate_tolerance
-        ):
-            return self._error(
-                f"slow: {rate_hz:.1f} Hz measured, {1.0 / self._period_s:.1f} Hz expected",
-                _SLOW_REMEDY,
-            )
-        return None
-
-    def _error(self, cause: str, remedy: str = _MISSING_REMEDY) -> CameraError:
-        return CameraError(self._device, cause, remedy)
-
-
 class _Stream:
     """One connection: its thread, and what the thread and the callers share."""
 
@@ -291,9 +129,9 @@ class _Stream:
         self._changed = threading.Condition()
         self._quit = threading.Event()
         self._rate_hz: float | None = None
-        self._recent: deque[_Taken] = deque(maxlen=max(2, options.settle_frames))
+        self._recent: deque[Taken] = deque(maxlen=max(2, options.settle_frames))
         self._error: DeviceError | None = None
-        self._recording: _Recording | None = None
+        self._recording: Recording | None = None
         self._thread = threading.Thread(target=self._run, name=device, daemon=True)
         self._thread.start()
 
@@ -312,7 +150,7 @@ class _Stream:
             while not self._quit.is_set():
                 shot = source.grab(self._wanted)
                 if shot is not None:
-                    self._take(_Taken(shot, self._clock.now_s()))
+                    self._take(Taken(shot, self._clock.now_s()))
         except DeviceError as error:
             self._fail(error)
         finally:
@@ -322,9 +160,9 @@ class _Stream:
         recording = self._recording
         return recording is not None and not recording.complete
 
-    def _take(self, taken: _Taken) -> None:
+    def _take(self, taken: Taken) -> None:
         with self._changed:
-            self._recent.append(_Taken(_without_image(taken.shot), taken.arrived_s))
+            self._recent.append(Taken(_without_image(taken.shot), taken.arrived_s))
             recording = self._recording
             if recording is not None and not recording.complete:
                 recording.take(taken)
@@ -370,7 +208,7 @@ class _Stream:
                 (t.arrived_s - t.shot.stamp_s for t in self._recent if t.shot.stamp_s is not None),
                 default=0.0,
             )
-            self._recording = _Recording(
+            self._recording = Recording(
                 frame_count,
                 self._clock.now_s(),
                 origin_s,
@@ -443,7 +281,7 @@ class _Stream:
         return ConnectError(
             self._device,
             f"slow or uneven: {measured_hz:.1f} Hz measured, {self._rate_hz:.1f} Hz expected",
-            _SLOW_REMEDY,
+            SLOW_REMEDY,
         )
 
 
@@ -455,12 +293,3 @@ def _as_connect_error(error: DeviceError) -> ConnectError:
 
 def _without_image(shot: Shot) -> Shot:
     return Shot(None, shot.stamp_s, shot.number)
-
-
-def _same(a: Image, b: Image) -> bool:
-    """Whether two pictures are equal and not blank: a covered lens is not a frozen camera."""
-    return np.array_equal(a[::16], b[::16]) and np.array_equal(a, b) and bool(a.min() != a.max())
-
-
-def _size(image: Image) -> str:
-    return f"{image.shape[1]} × {image.shape[0]}"

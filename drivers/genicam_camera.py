@@ -16,8 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from drivers.capture import CaptureOptions, Shot, StreamingCamera
+from drivers.capture import StreamingCamera
 from drivers.interfaces import CameraError, Clock, ConnectError, DeviceLostError, Image
+from drivers.recording import CaptureOptions, Shot
 
 _FETCH_S = 0.2
 _BUFFERS = 32

@@ -17,8 +17,9 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from drivers.capture import CaptureOptions, Shot, StreamingCamera
+from drivers.capture import StreamingCamera
 from drivers.interfaces import CameraError, Clock, ConnectError, DeviceLostError, Image
+from drivers.recording import CaptureOptions, Shot
 
 _MANUAL = 1.0
 _EXPOSURE_UNIT_S = 100e-6

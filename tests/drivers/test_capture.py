@@ -6,8 +6,9 @@ import threading
 import numpy as np
 import pytest
 
-from drivers.capture import CaptureOptions, Shot, StreamingCamera
+from drivers.capture import StreamingCamera
 from drivers.interfaces import CameraError, ConnectError, DeviceLostError
+from drivers.recording import CaptureOptions, Shot
 
 RATE_HZ = 200.0
 PERIOD_S = 1.0 / RATE_HZ

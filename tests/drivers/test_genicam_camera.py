@@ -11,10 +11,10 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 
-from drivers.capture import CaptureOptions
 from drivers.clock import RealClock
 from drivers.genicam_camera import GenicamCamera, GenicamOptions
 from drivers.interfaces import Camera, CameraError, ConnectError, DeviceLostError
+from drivers.recording import CaptureOptions
 
 CLOCK = RealClock()
 CAPTURE = CaptureOptions(connect_s=1.5, settle_frames=10, rate_tolerance=0.3)

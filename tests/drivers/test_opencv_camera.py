@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 from drivers import opencv_camera
-from drivers.capture import CaptureOptions
 from drivers.clock import RealClock
 from drivers.emulators.camera import CameraEmulatorOptions, EmulatedCamera, StreamFaults
 from drivers.emulators.camera_scene import TestCard
 from drivers.guard import GuardedCamera
 from drivers.interfaces import CameraError, ConnectError, DeviceLostError
 from drivers.opencv_camera import OpenCvCamera, OpenCvOptions
+from drivers.recording import CaptureOptions
 
 CLOCK = RealClock()
 
