@@ -19,6 +19,15 @@ Model = TypeVar("Model", bound=BaseModel)
 _UNITS = re.compile(r"_(?:m|mm|s|ms|hz|n|kg|rad|deg|px|[a-z]+_per_[a-z0-9_]+|fraction)$")
 
 
+#: Ending of a key, how many of the smaller unit make one, what to say.
+_SMALLER_UNITS = (
+    ("_kg_per_m", 1e3, "give kg/m, not g/m"),
+    ("_rad", 57.3, "give radians, not degrees"),
+    ("_m", 1e3, "give metres, not millimetres"),
+    ("_s", 1e3, "give seconds, not milliseconds"),
+)
+
+
 @dataclass(frozen=True)
 class Problem:
     """One thing wrong with a file.  `line` and `column` count from 1; `key` is dotted or empty."""
@@ -186,8 +195,18 @@ def _problem(document: Document, details: ErrorDetails, model: type[BaseModel]) 
     hint = ""
     if isinstance(value, str) and re.match(r"^[-+0-9.]+\s*[a-zA-Z°]", value):
         hint = "; write the number alone, its unit is in the key's name"
+    if kind in ("less_than", "less_than_equal") and isinstance(value, int | float):
+        hint = _mistaken_unit(str(key[-1]), value, context.get("le", context.get("lt")))
     message = details["msg"][0].lower() + details["msg"][1:]
     return document.problem(key, f"{message}{shown and f' (got{shown[2:]})'}{hint}")
+
+
+def _mistaken_unit(name: str, value: float, limit: float) -> str:
+    """What to say of a value that would be possible in the smaller unit; '' if it would not."""
+    for ending, factor, advice in _SMALLER_UNITS:
+        if name.endswith(ending) and value / factor <= limit:
+            return f"; {advice}"
+    return ""
 
 
 def _known_keys(data: Any, loc: tuple[int | str, ...], model: type[BaseModel]) -> list[str]:

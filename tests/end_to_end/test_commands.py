@@ -158,7 +158,7 @@ def running(quick_config: Path, tmp_path: Path) -> subprocess.Popen[str]:
 
 def until_running(runs: Path, cycle: int) -> None:
     """Wait until a cycle is under way."""
-    for _ in range(3000):
+    for _ in range(9000):
         if any(runs.glob(f"*-{cycle}/state.json")):
             return
         time.sleep(0.02)
@@ -171,7 +171,7 @@ def test_a_signal_stops_the_arm_closes_the_record_and_ends_with_1(
 ) -> None:
     until_running(tmp_path / "runs", 1)
     running.send_signal(given)
-    out, err = running.communicate(timeout=60)
+    out, err = running.communicate(timeout=180)
     assert running.returncode == 1, err
     last = json.loads(out.splitlines()[-1])
     assert last["outcome"] == "failed"
@@ -187,7 +187,7 @@ def test_a_killed_run_leaves_a_readable_record(
 ) -> None:
     until_running(tmp_path / "runs", 2)
     running.kill()
-    running.communicate(timeout=60)
+    running.communicate(timeout=180)
     folders = sorted((tmp_path / "runs").iterdir(), key=lambda f: int(f.name.split("-")[-1]))
     assert len(folders) >= 2
     assert read_record(folders[0]).closed
