@@ -196,7 +196,8 @@ def _problem(document: Document, details: ErrorDetails, model: type[BaseModel]) 
     if isinstance(value, str) and re.match(r"^[-+0-9.]+\s*[a-zA-Z°]", value):
         hint = "; write the number alone, its unit is in the key's name"
     if kind in ("less_than", "less_than_equal") and isinstance(value, int | float):
-        hint = _mistaken_unit(str(key[-1]), value, context.get("le", context.get("lt")))
+        limit = float(context["le"] if "le" in context else context["lt"])
+        hint = _mistaken_unit(str(key[-1]), value, limit)
     message = details["msg"][0].lower() + details["msg"][1:]
     return document.problem(key, f"{message}{shown and f' (got{shown[2:]})'}{hint}")
 
