@@ -48,7 +48,7 @@ class CaptureOptions:
 
     latency_s: float = 0.0
     connect_s: float = 5.0
-    lost_after_periods: float = 30.0
+    lost_after_periods: float = 60.0
     rate_tolerance: float = 0.05
     buffer_frames: int = 512
     settle_frames: int = 40
