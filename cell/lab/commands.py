@@ -115,11 +115,13 @@ def diagnose(
         examination = diagnose_study(explorer)
         if as_json:
             write_json(to_json(examination.diagnosis), as_json)
+        comparisons = [compare_model(opened, c.fit.model) for c in examination.steps]
         if report:
-            comparisons = [compare_model(opened, c.fit.model) for c in examination.steps]
             write_page(diagnosis_page(opened.name, examination, comparisons), report)
     diagnosis = examination.diagnosis
-    _print(sentence(diagnosis), waterfall_table(diagnosis), ranking_table(diagnosis))
+    _print(
+        sentence(diagnosis, comparisons[0]), waterfall_table(diagnosis), ranking_table(diagnosis)
+    )
 
 
 @app.command()

@@ -47,7 +47,7 @@ def diagnosis_page(name: str, examination: Examination, comparisons: Sequence[Co
     diagnosis = examination.diagnosis
     first, last = comparisons[0], comparisons[-1]
     parts = [
-        f'<p class="says">{html.escape(sentence(diagnosis))}</p>',
+        f'<p class="says">{html.escape(sentence(diagnosis, first))}</p>',
         "<h2>Error as effects are added</h2>",
         _div(waterfall(examination)),
         "<h2>Which effect</h2>",
@@ -290,7 +290,7 @@ def _div(figure: go.Figure) -> str:
     figure.update_layout(
         template="plotly_white", margin={"l": 60, "r": 20, "t": 50, "b": 50}, font={"size": 12}
     )
-    return str(figure.to_html(full_html=False, include_plotlyjs=False))
+    return str(figure.to_html(full_html=False, include_plotlyjs=False, auto_play=False))
 
 
 def _page(title: str, parts: Sequence[str]) -> str:

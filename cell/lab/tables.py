@@ -23,8 +23,11 @@ if TYPE_CHECKING:
 _COLOURS = {"present": "green", "inspect": "yellow", "absent": "dim", "cannot_tell": ""}
 
 
-def sentence(diagnosis: Diagnosis) -> str:
-    """What was found, as one would say it to a production engineer."""
+def sentence(diagnosis: Diagnosis, baseline: Comparison | None = None) -> str:
+    """What was found, as one would say it to a production engineer.
+
+    baseline  the model without the effects found beside the trials: to say where it fails
+    """
     noise_mm = diagnosis.noise_m * 1e3
     before_mm = _shown_mm(diagnosis.baseline.heldout_rms_m, diagnosis.baseline.fit_rms_m)
     if diagnosis.verdict == "complete":
@@ -32,15 +35,17 @@ def sentence(diagnosis: Diagnosis) -> str:
             f"The model is complete: what it misses ({before_mm:.2f} mm) is camera noise "
             f"({noise_mm:.2f} mm)."
         )
+    place = "" if baseline is None else _worst_place(baseline)
+    misses = f"The model misses {before_mm:.2f} mm{place}"
     if diagnosis.verdict == "unexplained":
         return (
-            f"The model misses {before_mm:.2f} mm, camera noise is {noise_mm:.2f} mm, and no known "
-            "effect explains it: try `cell discover`."
+            f"{misses}, camera noise is {noise_mm:.2f} mm, and no known effect explains it: "
+            "try `cell discover`."
         )
     if not diagnosis.missing:
         return (
-            f"The model misses {before_mm:.2f} mm at {noise_mm:.2f} mm of noise; these motions "
-            "cannot tell why: try `cell suggest`."
+            f"{misses} at {noise_mm:.2f} mm of noise; these motions cannot tell why: "
+            "try `cell suggest`."
         )
     last = diagnosis.missing[-1].errors
     after_mm = _shown_mm(last.heldout_rms_m, last.fit_rms_m)
@@ -52,9 +57,26 @@ def sentence(diagnosis: Diagnosis) -> str:
     rest = "camera noise" if after_mm < 1.1 * noise_mm else f"{after_mm:.2f} mm, not yet explained"
     hedge = " These motions cannot tell them apart." if diagnosis.verdict == "cannot_tell" else ""
     return (
-        f"The model misses {before_mm:.2f} mm; {names} explains {share:.0f} % of it; "
+        f"{misses}; {names} explains {share:.0f} % of what is beyond camera noise; "
         f"the remaining error is {rest}.{hedge}"
     )
+
+
+def _worst_place(comparison: Comparison) -> str:
+    """Which part of the cable, and which phase of the motion, have the largest error."""
+    by_marker = np.sqrt(np.mean([w.by_arc_length.rms_m**2 for w in comparison.where], axis=0))
+    share = comparison.study.arc_length_m[int(np.nanargmax(by_marker))]
+    share /= comparison.study.cable.free_length_m
+    part = "at the tip" if share > 0.8 else "at the grip" if share < 0.2 else "in mid-cable"
+    phases = list(comparison.where[0].by_phase)
+    by_phase = [np.nanmean([w.by_phase[p] ** 2 for w in comparison.where]) for p in phases]
+    when = {
+        "still": "even at rest",
+        "moving": "while the hand moves",
+        "early swing": "early in the swing",
+        "late swing": "late in the swing",
+    }
+    return f", most of it {part} {when[phases[int(np.nanargmax(by_phase))]]}"
 
 
 def waterfall_table(diagnosis: Diagnosis) -> Table:

@@ -1,0 +1,92 @@
+"""Studies of a world finer than the model: 60 segments, half the step, coloured noise."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cell.cable.dynamics import Solver, simulate
+from cell.cable.effects import ActiveEffect
+from cell.cable.geometry import Cable, Motion, node_arc_lengths
+from cell.cable.model import CableModel
+from cell.study.data import Markers, Study, Trial
+
+PRACTICE = Path(__file__).parents[4] / "shared" / "data" / "practice"
+REAL = Path(__file__).parents[4] / "shared" / "data" / "real"
+
+CABLE = Cable(0.1, 0.0074, 0.016, 0.0001)
+WORLD = Solver(segments=60, step_s=5e-4)
+
+MakeStudy = Callable[..., Study]
+
+
+@dataclass(frozen=True)
+class Stroke:
+    name: str
+    role: str
+    angle_rad: float
+    dx_m: float
+    dy_m: float
+    duration_s: float
+
+
+STROKES = (
+    Stroke("identify", "fit", 0.0, 0.0, -0.05, 0.3),
+    Stroke("up", "fit", -0.9, 0.0, -0.05, 0.3),
+    Stroke("left", "validate", 0.0, -0.05, 0.0, 0.25),
+    Stroke("deep", "validate", 0.0, 0.0, -0.08, 0.35),
+)
+
+
+def coloured(rng: np.random.Generator, shape: tuple[int, ...], colour: float) -> np.ndarray:
+    noise = rng.normal(size=shape)
+    for i in range(1, len(noise)):
+        noise[i] = colour * noise[i - 1] + np.sqrt(1 - colour**2) * noise[i]
+    return noise
+
+
+@pytest.fixture(scope="session")
+def make_study() -> MakeStudy:
+    def make(
+        effects: Sequence[ActiveEffect] = (),
+        *,
+        seed: int = 0,
+        noise_m: float = 1e-4,
+        colour: float = 0.3,
+        strokes: Sequence[Stroke] = STROKES,
+    ) -> Study:
+        rng = np.random.default_rng(seed)
+        rigidity = 2.5e-5 * np.exp(rng.uniform(-0.2, 0.2, 4))
+        model = CableModel(CABLE, rigidity, 1.05, 1e-7, effects=tuple(effects))
+        arcs = node_arc_lengths(0.1)
+        trials = []
+        for stroke in strokes:
+            t = np.arange(0.0, 0.2 + stroke.duration_s + 0.8, 0.002)
+            u = np.clip((t - 0.2) / stroke.duration_s, 0.0, 1.0)
+            s = u**3 * (10 - 15 * u + 6 * u**2)
+            motion = Motion(t, stroke.dx_m * s, stroke.dy_m * s, np.full_like(t, stroke.angle_rad))
+            t_s = np.arange(0.002, t[-1], 0.005)
+            clean = simulate(model, motion, t_s, arcs, solver=WORLD)[0]
+            seen = clean + noise_m * coloured(rng, clean.shape, colour)
+            trials.append(
+                Trial(stroke.name, stroke.role, "equilibrium", motion, Markers(t_s, seen))
+            )
+        return Study("made", CABLE, arcs, tuple(trials))
+
+    return make
+
+
+@pytest.fixture
+def practice() -> Path:
+    if not PRACTICE.is_dir():
+        pytest.skip("the practice studies are not beside this checkout")
+    return PRACTICE
+
+
+@pytest.fixture
+def real() -> Path:
+    if not REAL.is_dir():
+        pytest.skip("the measured studies are not beside this checkout")
+    return REAL

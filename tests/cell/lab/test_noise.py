@@ -1,0 +1,48 @@
+"""Noise from still frames: level and colour without bias, also while the cable still settles."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cell.lab.noise import NoiseUnknownError, estimate_noise
+from cell.study.data import Markers
+
+
+@pytest.mark.parametrize("colour", [0.0, 0.5, 0.9])
+def test_level_and_colour_are_recovered(make_study, colour):
+    found = [
+        estimate_noise(make_study(seed=s, colour=colour, noise_m=2e-4)).noise for s in range(3)
+    ]
+    assert np.mean([n.colour for n in found]) == pytest.approx(colour, abs=0.05)
+    assert np.mean([n.std_m for n in found]) == pytest.approx(
+        2e-4, rel=0.03 if colour < 0.6 else 0.1
+    )
+
+
+def test_a_settling_cable_does_not_count_as_noise(make_study):
+    study = make_study(colour=0.0)
+    drifting = []
+    for trial in study.trials:
+        sag = 2e-3 * np.exp(-trial.markers.t_s / 0.15)[:, None, None]
+        drifting.append(
+            replace(trial, markers=Markers(trial.markers.t_s, trial.markers.xy_m + sag))
+        )
+    found = estimate_noise(replace(study, trials=tuple(drifting))).noise
+    assert found.std_m == pytest.approx(1e-4, rel=0.1)
+    assert found.colour < 0.2
+
+
+def test_a_stated_level_is_kept(make_study):
+    assert estimate_noise(replace(make_study(), noise_std_m=3e-4)).noise.std_m == 3e-4
+
+
+def test_without_still_frames_the_level_must_be_given(make_study):
+    study = make_study()
+    late = [
+        replace(t, markers=Markers(t.markers.t_s[50:], t.markers.xy_m[50:])) for t in study.trials
+    ]
+    moving = replace(study, trials=tuple(late))
+    with pytest.raises(NoiseUnknownError, match="noise_std_m"):
+        estimate_noise(moving)
+    assert estimate_noise(replace(moving, noise_std_m=1e-4)).noise.std_m == 1e-4
