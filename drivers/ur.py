@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import os
 import pickle
+import signal
 import subprocess
 import sys
 import tempfile
@@ -306,6 +307,8 @@ class UrArm:
                 answer = child.connection.recv()
                 if answer[0] == "lost":
                     return str(answer[1])
+        if child.process.returncode == -signal.SIGXCPU:  # see priority.bound_spinning
+            return "ur-rtde waited for an answer of the controller for too long"
         return f"the arm's process ended ({child.process.returncode}): {child.last_words()}"
 
     def _lose(self, child: _Child, cause: str) -> None:

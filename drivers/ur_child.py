@@ -294,7 +294,7 @@ class _Child:
 
     def _count_period(self, period_s: float) -> None:
         self._shared.add(Slot.PERIODS)
-        if period_s > 1.5 * self._options.period_s:
+        if period_s > 1.25 * self._options.period_s:
             self._shared.add(Slot.LATE_PERIODS)
         if period_s > self._shared.get(Slot.WORST_PERIOD_S):
             self._shared.put(Slot.WORST_PERIOD_S, period_s)

@@ -26,7 +26,7 @@ class Slot(IntEnum):
     STREAMING = 4  # child: 1 while it streams a path
     PATHS = 5  # child: number of paths taken
     WORST_PERIOD_S = 6  # child: longest time between two commands of a path
-    LATE_PERIODS = 7  # child: number of such times above 1.5 periods
+    LATE_PERIODS = 7  # child: number of such times above 1.25 periods
     PERIODS = 8  # child: number of such times
 
 

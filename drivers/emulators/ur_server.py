@@ -403,7 +403,7 @@ def main() -> None:
         (major, minor, bugfix, build), MODELS[arguments.model], arguments.time_scale
     )
     server = UrServer(arguments.host, options)
-    run_in_real_time()  # as a controller does
+    run_in_real_time(30)  # before its clients: they do not hold a real controller up either
     print("ready", flush=True)
     server.run_until_stdin_ends()
 
