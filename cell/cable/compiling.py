@@ -34,6 +34,10 @@ def compiled(function: F) -> F:
     numba compares the time stamp of the function's own file only, and so would run old code after
     a change in a file that the function calls into; here the stamp is the whole package's hash.
     """
-    dispatcher: Any = njit(fastmath=FASTMATH, error_model="numpy", nogil=True, cache=True)(function)
+    options: dict[str, Any] = {"fastmath": FASTMATH, "error_model": "numpy", "nogil": True}
+    try:
+        dispatcher: Any = njit(cache=True, **options)(function)
+    except RuntimeError:  # numba found no folder that it may write to
+        return njit(**options)(function)  # type: ignore[no-any-return]
     dispatcher._cache._cache_file._source_stamp = fingerprint()
     return dispatcher  # type: ignore[no-any-return]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
 import sys
 from pathlib import Path
@@ -31,7 +32,7 @@ def load_effect(path: str | Path) -> type[Effect]:
     file = Path(path).resolve()
     if not file.is_file():
         raise FileNotFoundError(f"{path}: no such effect file")
-    name = f"cable_effect_{file.stem}"
+    name = f"cable_effect_{file.stem}_{hashlib.sha256(str(file).encode()).hexdigest()[:8]}"
     spec = importlib.util.spec_from_file_location(name, file)
     if spec is None or spec.loader is None:
         raise EffectError(file, 1, "is not a Python file")
