@@ -1,0 +1,126 @@
+"""The whole chain on studies of a finer world: right verdict, nothing false beside it."""
+
+import json
+from dataclasses import replace
+
+import jsonschema
+import numpy as np
+import pytest
+
+from cell.cable.effects import library
+from cell.identify.parameters import ParameterSpace
+from cell.lab.bench import Bench
+from cell.lab.diagnose import diagnose
+from cell.lab.explore import Explorer
+from cell.lab.results import to_json
+from cell.lab.screen import screen
+from cell.study.folder import read_study
+
+SCHEMA = {
+    "type": "object",
+    "additionalProperties": False,
+    "required": ["format", "noise_m", "baseline", "verdict", "missing", "ranking"],
+    "properties": {
+        "format": {"const": "cable-diagnosis/1"},
+        "noise_m": {"type": "number"},
+        "baseline": {"required": ["fit_rms_m", "heldout_rms_m"]},
+        "verdict": {"enum": ["complete", "missing", "unexplained", "cannot_tell"]},
+        "missing": {
+            "items": {
+                "additionalProperties": False,
+                "required": [
+                    "effect", "tied_with", "p_value", "delta_bic", "parameters", "fit_rms_m",
+                    "heldout_rms_m",
+                ],
+                "properties": {
+                    k: {}
+                    for k in (
+                        "effect", "tied_with", "p_value", "delta_bic", "parameters", "fit_rms_m",
+                        "heldout_rms_m",
+                    )
+                },
+            }
+        },
+        "ranking": {
+            "items": {
+                "required": ["effect", "score", "p_value", "status"],
+                "properties": {"status": {"enum": ["present", "absent", "inspect", "cannot_tell"]}},
+            }
+        },
+    },
+}  # fmt: skip
+
+#: Enough of the library to confuse, few enough to be quick.
+RIVALS = ("air_drag", "linear_air_drag", "tip_mass", "grip_angle", "natural_curvature")
+
+
+def explore(study, names=RIVALS):
+    known = library()
+    space = ParameterSpace.of(study.cable, gravity_m_per_s2=study.gravity_m_per_s2)
+    return Explorer(Bench.of(study), space, {n: known[n] for n in names})
+
+
+def test_a_complete_model_is_called_complete(make_study):
+    examination = diagnose(explore(make_study(seed=5)))
+    found = examination.diagnosis
+    assert found.verdict == "complete"
+    assert found.missing == ()
+    assert found.baseline.heldout_rms_m == pytest.approx(1e-4, rel=0.03)
+    jsonschema.validate(json.loads(json.dumps(to_json(found), allow_nan=False)), SCHEMA)
+
+
+def test_a_hidden_effect_is_named_measured_and_removed(make_study):
+    drag = library()["air_drag"].active(drag_coefficient=2.0)
+    found = diagnose(explore(make_study([drag], seed=6))).diagnosis
+    assert found.verdict == "missing"
+    assert [f.effect for f in found.missing] == ["air_drag"]
+    value = found.missing[0].parameters["drag_coefficient"]
+    assert value.low < 2.0 < value.high
+    assert value.high - value.low < 0.6
+    assert found.missing[0].errors.heldout_rms_m < 1.03e-4
+    assert found.baseline.heldout_rms_m > 1.1e-4
+    assert found.ranking[0].status == "present"
+    jsonschema.validate(json.loads(json.dumps(to_json(found), allow_nan=False)), SCHEMA)
+
+
+def test_two_effects_are_both_found(make_study):
+    known = library()
+    hidden = [known["tip_mass"].active(mass_kg=2.5e-5), known["grip_angle"].active(angle_rad=0.03)]
+    found = diagnose(explore(make_study(hidden, seed=7))).diagnosis
+    assert found.verdict == "missing"
+    assert {f.effect for f in found.missing} == {"tip_mass", "grip_angle"}
+    assert found.missing[-1].errors.heldout_rms_m < 1.03e-4
+
+
+def test_an_effect_outside_the_library_is_unexplained(make_study):
+    mass = library()["tip_mass"].active(mass_kg=3e-5)
+    found = diagnose(explore(make_study([mass], seed=8), ("air_drag", "linear_air_drag")))
+    assert found.diagnosis.verdict == "unexplained"
+    assert found.diagnosis.missing == ()
+
+
+def test_without_held_out_trials_nothing_is_claimed(make_study):
+    study = make_study([library()["tip_mass"].active(mass_kg=3e-5)], seed=9)
+    study = replace(study, trials=study.role("fit"))
+    found = diagnose(explore(study, ("tip_mass", "air_drag"))).diagnosis
+    assert found.verdict == "cannot_tell"
+    assert to_json(found)["baseline"]["heldout_rms_m"] is None
+
+
+def test_screening_a_cable_that_its_typical_nudges_would_break(make_study):
+    explorer = explore(make_study(), ("grip_compliance",))
+    stiff = replace(explorer.baseline().fit, q=explorer.baseline().fit.q.copy())
+    (found,) = screen(explorer.bench, stiff, [library()["grip_compliance"]])
+    assert np.isfinite(found.score.statistic)
+
+
+@pytest.mark.parametrize("name", ["bending_hysteresis", "added_mass"])
+def test_practice_studies(practice, name):
+    study = read_study(practice / name)
+    known = library()
+    names = ("bending_hysteresis", "added_mass", "natural_curvature", "draught", "tip_mass")
+    found = diagnose(explore(study, [n for n in names if n in known])).diagnosis
+    assert found.verdict == "missing"
+    assert name in (found.missing[0].effect, *found.missing[0].tied_with)
+    assert len(found.missing) == 1
+    assert found.missing[0].errors.heldout_rms_m < 1.05 * found.noise_m
