@@ -245,11 +245,11 @@ def against_mujoco() -> None:
 
 
 def linear_cost() -> None:
-    print("\ncost of a step of 8 lanes against the number of segments")
+    print("\ncost of a step of 16 lanes against the number of segments")
     sizes = (10, 20, 40, 80, 160)
-    runs, counts = [], [16000 // n for n in sizes]
+    runs, counts = [], [4000 // n for n in sizes]
     for n, steps in zip(sizes, counts, strict=True):
-        (block,) = assemble([MODEL] * at.VECTOR, n, 0.0)
+        (block,) = assemble([MODEL] * at.LANES, n, 0.0)
         base = np.zeros(steps * at.BASE_FIELDS * at.LANES)
         settle(block, base)
         fresh = block.state.copy()
@@ -259,13 +259,13 @@ def linear_cost() -> None:
         ) -> None:
             out = np.empty(0)
             integrate(
-                fresh, at.VECTOR, n, base, generalised_alpha(1e-4, 0.8), False, 1,
+                fresh, at.LANES, n, base, generalised_alpha(1e-4, 0.8), False, 1,
                 block.effects, out, out,  # type: ignore[attr-defined]
             )  # fmt: skip
 
         run()
         runs.append(run)
-    shortest = best_of(*runs, rounds=30, clock=time.thread_time)
+    shortest = best_of(*runs, rounds=300, clock=time.thread_time)
     per = [s / k / (n + 1) for s, k, n in zip(shortest, counts, sizes, strict=True)]
     for n, seconds in zip(sizes, per, strict=True):
         print(f"  {n:4d} segments: {seconds * (n + 1) * 1e6:7.2f} µs, {seconds * 1e9:6.1f} ns each")
@@ -290,7 +290,7 @@ def gauss_newton_pass() -> None:
             return np.linalg.lstsq(jacobian @ jacobian.T, jacobian @ residual, rcond=None)[0]
 
         one_pass()
-        (seconds,) = best_of(one_pass, rounds=80)
+        (seconds,) = best_of(one_pass, rounds=200)
         count = len(model.rigidity_n_m2) + 2 + len(model.effects) + 1
         print(f"\na Gauss–Newton pass, {count} lanes, 1.5 s, {label}, default mesh and step")
         report("milliseconds", seconds * 1e3, "<=", 10.0)

@@ -18,9 +18,6 @@ FloatArray = NDArray[np.float64]
 #: Discretisation error of a held cable's tip: see `docs/effects.md`, "Accuracy".
 DEFAULT_SEGMENTS = 28
 
-#: With more segments than this a full block leaves the second-level cache.
-_WIDE_UP_TO = 64
-
 
 @dataclass(frozen=True)
 class Block:
@@ -55,8 +52,7 @@ def assemble(
     blocks = []
     for members in groups.values():
         hooks = hooks_of(models[members[0]].effects)
-        narrow = len(members) <= at.VECTOR * threads or segments > _WIDE_UP_TO
-        width = at.VECTOR if narrow else at.LANES
+        width = at.VECTOR if len(members) <= at.VECTOR * threads else at.LANES
         for first in range(0, len(members), width):
             lanes = tuple(members[first : first + width])
             blocks.append(_block([models[i] for i in lanes], lanes, segments, hooks, start_s))
