@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 
+#: Densities of anything that is sold as a cable, from foam to gold, kg/m³.
+PLAUSIBLE_DENSITY_KG_PER_M3 = (20.0, 25_000.0)
+
 #: Standard gravity in the cell's plane (x right, y up), m/s².
 GRAVITY_M_PER_S2 = (0.0, -9.81)
 
@@ -26,6 +29,21 @@ class Cable:
         for name, value in vars(self).items():
             if not (np.isfinite(value) and value > 0.0):
                 raise ValueError(f"cable.{name} = {value}: must be finite and > 0")
+
+    def implausible(self) -> str | None:
+        """Why these numbers together cannot be a cable's, mostly a mistaken unit; None if they can.
+
+        The message is about `line_density_kg_per_m`, whose unit is the most easily mistaken.
+        """
+        low, high = PLAUSIBLE_DENSITY_KG_PER_M3
+        density = self.line_density_kg_per_m / (self.width_m * self.thickness_m)
+        if low <= density <= high:
+            return None
+        return (
+            f"{self.line_density_kg_per_m:g} kg/m over width {self.width_m:g} m × thickness "
+            f"{self.thickness_m:g} m is {density:.3g} kg/m³, not {low:g} … {high:g}; "
+            "give kg/m, not g/m, and metres, not millimetres"
+        )
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from cell.cable.geometry import Cable
 from cell.located import Document, InputError, Key, Problem, did_you_mean, load, validate
 from cell.settings.model import Settings
 
@@ -26,6 +27,7 @@ def load_settings(path: Path) -> Settings:
 def contradictions(document: Document, settings: Settings) -> list[Problem]:
     """Entries that are possible alone and impossible together."""
     problems = [
+        *_cable(document, settings),
         *_offsets(document, settings),
         *_hand_within_limits(document, settings),
         *_brisker_than_limits(document, settings),
@@ -34,6 +36,11 @@ def contradictions(document: Document, settings: Settings) -> list[Problem]:
     ]
     # Where the hand cannot go, what the tip can reach is an idle question.
     return problems or [*_destination_in_reach(document, settings), *_in_view(document, settings)]
+
+
+def _cable(document: Document, settings: Settings) -> list[Problem]:
+    message = Cable(**settings.cable.model_dump()).implausible()
+    return [document.problem(("cable", "line_density_kg_per_m"), message)] if message else []
 
 
 def _offsets(document: Document, settings: Settings) -> list[Problem]:

@@ -73,11 +73,11 @@ class Offsets(_Section):
 
 
 class Briskness(_Section):
-    """How briskly the hand moves along either axis."""
+    """How briskly the hand moves along either axis; no arm of this kind is brisker."""
 
-    velocity_m_per_s: Positive
-    acceleration_m_per_s2: Positive
-    jerk_m_per_s3: Positive
+    velocity_m_per_s: Annotated[float, Field(gt=0.0, le=5.0)]
+    acceleration_m_per_s2: Annotated[float, Field(gt=0.0, le=100.0)]
+    jerk_m_per_s3: Annotated[float, Field(gt=0.0, le=50_000.0)]
 
 
 class Motion(_Section):
@@ -114,15 +114,12 @@ class Motion(_Section):
     """Gentle, so that neighbouring offsets lead the tip to neighbouring heights."""
 
 
-class Limits(_Section):
+class Limits(Briskness):
     """Beyond these no command is sent, whatever the motion asks for."""
 
     x_m: Range
     y_m: Range
     angle_rad: Range
-    velocity_m_per_s: Positive
-    acceleration_m_per_s2: Positive
-    jerk_m_per_s3: Positive
 
 
 class Identification(_Section):

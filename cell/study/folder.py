@@ -22,7 +22,6 @@ GRIP_COLUMNS = ("t_s", "x_m", "y_m", "angle_rad")
 
 #: Beyond these a number is taken for a mistaken unit.
 MAX_LENGTH_M = 10.0
-MAX_DENSITY_KG_PER_M3 = 50_000.0
 MAX_GRAVITY_M_PER_S2 = 100.0
 MAX_NOISE_FRACTION = 0.2
 
@@ -152,14 +151,9 @@ def _implausible(document: Document, header: _Study) -> list[Problem]:
                 ("cable", name),
                 f"{value:g} m is beyond {MAX_LENGTH_M:g} m; give metres, not millimetres",
             )
-    if not problems:
-        density = cable.line_density_kg_per_m / (cable.width_m * cable.thickness_m)
-        if density > MAX_DENSITY_KG_PER_M3:
-            add(
-                ("cable", "line_density_kg_per_m"),
-                f"{cable.line_density_kg_per_m:g} kg/m over width × thickness is {density:.3g} "
-                f"kg/m³, beyond {MAX_DENSITY_KG_PER_M3:g}; give kg/m, not g/m, and metres",
-            )
+    implausible = Cable(**cable.model_dump()).implausible()
+    if implausible and not problems:
+        add(("cable", "line_density_kg_per_m"), implausible)
     if np.hypot(*header.gravity_m_per_s2) > MAX_GRAVITY_M_PER_S2:
         add(
             ("gravity_m_per_s2",),

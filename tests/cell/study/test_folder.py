@@ -98,7 +98,7 @@ def studies(draw: st.DrawFn) -> Study:
         )
     return Study(
         draw(st.text(st.characters(codec="utf-8", categories=("L", "N")), min_size=1)),
-        Cable(free_length_m, draw(st.floats(1e-6, 0.01)), 0.016, 1e-4),
+        Cable(free_length_m, draw(st.floats(4e-5, 0.035)), 0.016, 1e-4),
         fractions * free_length_m,
         tuple(trials),
         (draw(st.floats(-9.0, 9.0)), -9.81),
