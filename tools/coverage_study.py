@@ -53,8 +53,8 @@ class Errors:
     across_m: float = 4e-6
     end_m: float = 1e-4
     log_m: float = 1e-5
-    grip_m: float = 1.5e-5
-    angle_rad: float = 1e-3
+    grip_m: float = 1e-5
+    angle_rad: float = 1e-4
 
 
 @dataclass(frozen=True)

@@ -62,7 +62,7 @@ class IdentifyOptions:
 
     method: Literal["map", "paper"] = "map"
     prior: Prior = Prior()  # noqa: RUF009
-    fit: FitOptions = FitOptions(hand=HandErrors(offset_m=5e-6, offset_rad=5e-5))  # noqa: RUF009
+    fit: FitOptions = FitOptions(hand=HandErrors(offset_m=2e-6, offset_rad=2e-5))  # noqa: RUF009
     acceptance: Acceptance = Acceptance()
     bias_m: float = 6e-6
 
