@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from cell.cable.dynamics import DivergedError, Solver, simulate
 from cell.cable.model import CableModel
 from cell.cable.statics import UnsettledError
-from cell.identify.noise import Noise, Whitener
+from cell.identify.noise import Noise, Whitener, still_frames
 from cell.lab.noise import Floor, estimate_noise
-from cell.study.data import Study, Trial
+from cell.study.data import Markers, Study, Trial
 
 FloatArray = NDArray[np.float64]
 
@@ -47,6 +47,7 @@ class Bench:
         misfit  error of the model that an earlier individual has shown, if it exceeds the camera's
         raises  NoiseUnknownError
         """
+        study = placed(study)
         floor = estimate_noise(study)
         noise = misfit if misfit and misfit.std_m > ERRS * floor.noise.std_m else floor.noise
         whiteners = {t.name: Whitener(t.markers.xy_m, noise) for t in study.trials}
@@ -93,6 +94,29 @@ class Bench:
     def count(self, trials: Sequence[Trial]) -> int:
         """Coordinates seen in trials."""
         return sum(self.whiteners[t.name].count for t in trials)
+
+
+def placed(study: Study) -> Study:
+    """The study with markers where they are on cables that are held straight before release.
+
+    There every point's place is known without a model: what the still frames show beside it is how
+    the marker was put on, and is taken off all frames of the trial.
+    """
+    return replace(study, trials=tuple(_placed(t, study.arc_length_m) for t in study.trials))
+
+
+def _placed(trial: Trial, arc_length_m: FloatArray) -> Trial:
+    t_s, grip = trial.markers.t_s, trial.grip
+    still = still_frames(t_s, grip, trial.release_s)
+    if not is_released(trial) or still.stop == 0:
+        return trial
+    x, y, angle = (np.interp(t_s[still], grip.t_s, v) for v in (grip.x_m, grip.y_m, grip.angle_rad))
+    along = np.stack([-np.cos(angle), -np.sin(angle)], axis=-1)
+    straight = np.stack([x, y], axis=-1)[:, None] + arc_length_m[:, None] * along[:, None]
+    beside = trial.markers.xy_m[still] - straight
+    seen = np.isfinite(beside).any(axis=0)
+    offset = np.where(seen, np.nanmean(np.where(seen, beside, 0.0), axis=0), 0.0)
+    return replace(trial, markers=Markers(t_s, trial.markers.xy_m - offset))
 
 
 def is_released(trial: Trial) -> bool:

@@ -66,6 +66,7 @@ class Comparison:
 def compare_model(study: Study, model: CableModel) -> Comparison:
     """Errors of a model on all trials.  Raises NoiseUnknownError, ValueError: cannot simulate."""
     bench = Bench.of(study)
+    study = bench.study
     predicted, found = {}, []
     for trial in study.trials:
         delay = best_delay(bench, model, trial) if is_released(trial) else 0.0

@@ -93,7 +93,7 @@ def diagnose(explorer: Explorer, rules: Rules = Rules()) -> Examination:
     )
     diagnosis = Diagnosis(
         noise_m=explorer.bench.floor.noise.std_m,
-        baseline=_errors(base),
+        baseline=_errors(explorer.as_believed()),
         verdict=verdict,
         missing=missing,
         ranking=_ranking(explorer, base, steps[-1], singles, tied, rules),

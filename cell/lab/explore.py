@@ -22,6 +22,7 @@ from cell.lab.fitting import (
     fit_model,
     fit_trials,
     heldout,
+    pinned,
     residuals,
     space_with,
 )
@@ -41,6 +42,8 @@ MOST_GUESSES = 9
 #: Fits of an effect from different starts; friction has several minima.
 SMOOTH_TRIES, ROUGH_TRIES = 1, 2
 PLACES = 2
+#: Amplitudes tried, as shares of those that the screen expects.
+SHARES = (2.0, 0.5, 0.25, 0.1)
 #: Passes of a first refit; the best few are then taken to convergence.
 REFIT = Options(tolerance=0.1, most_passes=12)
 POLISH = Options(tolerance=0.1, most_passes=40)
@@ -86,15 +89,20 @@ class Gain:
 
 @dataclass(eq=False)
 class Explorer:
-    """Remembers every set of effects that it has fitted to one study."""
+    """Remembers every set of effects that it has fitted to one study.
+
+    believed  an earlier individual's coordinates: an effect may be all that sets this one apart
+    """
 
     bench: Bench
     space: ParameterSpace
     library: Mapping[str, type[Effect]]
     progress: Progress = lambda _: None
+    believed: FloatArray | None = None
     _known: dict[frozenset[str], Candidate] = field(default_factory=dict)
     _screens: dict[frozenset[str], list[Screened]] = field(default_factory=dict)
     _calm: Fit | None = None
+    _as_believed: Candidate | None = None
 
     def baseline(self) -> Candidate:
         """The model with no effects beyond those that `space` brings along."""
@@ -111,6 +119,16 @@ class Explorer:
             self._known[key] = self._weigh(self.space.effects, fit)
         return self._known[key]
 
+    def as_believed(self) -> Candidate:
+        """The earlier individual's model as it is; the baseline if there is none."""
+        if self.believed is None:
+            return self.baseline()
+        if self._as_believed is None:
+            space = pinned(self.space, self.believed)
+            fit = fit_model(self.bench, space, self.believed, options=REFIT)
+            self._as_believed = self._weigh(self.space.effects, fit)
+        return self._as_believed
+
     def known(self) -> tuple[Candidate, ...]:
         """Every candidate so far."""
         return tuple(self._known.values())
@@ -123,10 +141,16 @@ class Explorer:
         return self._screens[base.names]
 
     def _screened_calmly(self, base: Candidate, effects: Sequence[type[Effect]]) -> list[Screened]:
-        """The same from the tempered baseline: where the best is wild, its slopes mislead."""
-        if self._calm is None or base is not self.baseline():
+        """The same from the tempered baseline and from what was believed of the cable.
+
+        Where the best baseline has been bent to imitate an effect, its slopes mislead.
+        """
+        if base is not self.baseline():
             return []
-        return screen(self.bench, self._calm, effects)
+        found = [] if self._calm is None else screen(self.bench, self._calm, effects)
+        if self.believed is not None:
+            found += screen(self.bench, self.as_believed().fit, effects)
+        return found
 
     def add(self, base: Candidate, effects: Sequence[type[Effect]]) -> list[Candidate]:
         """The candidate with each of the effects added to it, side by side on all cores.
@@ -211,11 +235,13 @@ class Explorer:
         origins = [base.fit.q]
         if self._calm is not None:
             origins.append(np.concatenate([self._calm.q, base.fit.q[len(self._calm.q) :]]))
+        if self.believed is not None:
+            origins.append(np.concatenate([self.believed, base.fit.q[len(self.believed) :]]))
         best: Fit | None = None
         placed = sum(is_shape(p) for p in effect.parameters) > 2
         for origin in origins[-1:] if placed else origins:
             starts = []
-            for value in [*guesses, *_typical(effect)]:
+            for value in [*_scaled(effect, guesses), *_typical(effect)]:
                 q = extended(base.fit, space, effect, value)
                 for i, name in enumerate(base.fit.space.names):
                     q[space.names.index(name)] = origin[i]
@@ -283,6 +309,20 @@ def cold_start(bench: Bench, space: ParameterSpace) -> FloatArray:
     away = q - space.mean
     square += np.einsum("ij,jk,ik->i", away, space.precision, away)
     return np.asarray(q[int(np.argmin(square))])
+
+
+def _scaled(effect: type[Effect], guesses: Sequence[FloatArray]) -> list[FloatArray]:
+    """The guesses, then with amplitudes larger and smaller: far from zero a slope misleads."""
+    default = np.array([p.default for p in effect.parameters])
+    low = np.array([p.low for p in effect.parameters])
+    high = np.array([p.high for p in effect.parameters])
+    strong = np.array([p.amplitude for p in effect.parameters])
+    scaled = [
+        np.clip(np.where(strong, default + share * (g - default), g), low, high)
+        for share in SHARES
+        for g in guesses
+    ]
+    return [*guesses, *scaled]
 
 
 def _typical(effect: type[Effect]) -> list[FloatArray]:

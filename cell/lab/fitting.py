@@ -208,7 +208,8 @@ def extended(
 def space_with(space: ParameterSpace, effects: Sequence[type[Effect]]) -> ParameterSpace:
     """The same cable, prior and baseline with other effects.
 
-    The prior of everything that both spaces have is kept, an earlier individual's included.
+    The prior of everything that both spaces have is kept, an earlier individual's included; the
+    amplitudes of effects have none to speak of.
     """
     new = ParameterSpace.of(
         space.cable, gravity_m_per_s2=space.gravity_m_per_s2, effects=tuple(effects)
@@ -220,12 +221,21 @@ def space_with(space: ParameterSpace, effects: Sequence[type[Effect]]) -> Parame
     mean[to] = space.mean[source]
     precision[np.ix_(to, to)] = space.precision[np.ix_(source, source)]
     low, high = new.low.copy(), new.high.copy()
+    low[to], high[to] = space.low[source], space.high[source]
     for effect in effects:
         for parameter in effect.parameters:
+            i = new.names.index(f"{effect.name}.{parameter.name}")
             if not parameter.fitted:
-                i = new.names.index(f"{effect.name}.{parameter.name}")
                 low[i] = high[i] = mean[i]
+            elif parameter.amplitude and i not in to:
+                # no opinion on how strong it is: cables differ by orders of magnitude
+                precision[i, i] = (parameter.high - parameter.low) ** -2.0
     return replace(new, mean=mean, precision=precision, low=low, high=high)
+
+
+def pinned(space: ParameterSpace, q: FloatArray) -> ParameterSpace:
+    """The space with its coordinates held at q; effects added to it later are free."""
+    return replace(space, mean=q, low=q.copy(), high=q.copy())
 
 
 def best_delay(bench: Bench, model: CableModel, trial: Trial) -> float:

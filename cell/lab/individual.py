@@ -16,7 +16,7 @@ from cell.identify.fit import frames_seen, variance_inflation
 from cell.identify.identified import Identified
 from cell.identify.noise import Noise
 from cell.identify.parameters import ParameterSpace
-from cell.lab.bench import Bench
+from cell.lab.bench import RELEASE_STD_S, Bench
 from cell.lab.fitting import Fit, fit_trials, space_with
 from cell.located import InputError, Problem
 from cell.study.data import Study
@@ -29,11 +29,16 @@ def identified(bench: Bench, fit: Fit) -> Identified:
     """A fit in the form in which models are kept; intervals widened by what it leaves."""
     trials = fit_trials(bench)
     whiteners = [bench.whiteners[t.name] for t in trials]
-    inflation = variance_inflation(fit.solution.residual, whiteners, len(fit.solution.q))
+    solution, p = fit.solution, len(fit.q)
+    inflation = variance_inflation(solution.residual, whiteners, len(solution.q))
+    # What the data say is worth less by the inflation, what the prior says is not.
+    precision = solution.jacobian.T @ solution.jacobian / inflation
+    precision[:p, :p] += fit.space.precision
+    precision[p:, p:] += np.eye(len(solution.q) - p) / RELEASE_STD_S**2
     return Identified(
         space=fit.space,
         mean=fit.q,
-        covariance=fit.covariance * inflation,
+        covariance=np.asarray(np.linalg.inv(precision)[:p, :p], dtype=np.float64),
         noise=bench.noise,
         residual_rms_m=fit.rms_m,
         inflation=inflation,
@@ -82,15 +87,16 @@ def prior_space(study: Study, model: Identified) -> ParameterSpace:
     return replace(space, mean=model.mean.copy(), precision=0.5 * (precision + precision.T))
 
 
-def misfit(model: Identified) -> Noise:
-    """What an individual's model has been seen to leave, as noise.
+def misfit(model: Identified, rms_m: float = 0.0) -> Noise:
+    """What an individual's model has been seen to leave, as noise of independent frames.
 
-    The inflation of its variance is its mean square over the noise's, times its correlation time
-    (1 + ρ) / (1 − ρ).
+    Where a model errs it errs for many frames; they count as the few that they are worth, by a
+    level raised by the root of the residual's correlation time (`inflation` over its mean square).
+    rms_m  error of the present study's best model, if that is larger
     """
     square = (model.residual_rms_m / model.noise.std_m) ** 2
-    time = max(model.inflation / square, 1.0)
-    return Noise(model.residual_rms_m, min((time - 1.0) / (time + 1.0), 0.98))
+    time = max(model.inflation / max(square, 1.0), 1.0)
+    return Noise(max(model.residual_rms_m, rms_m) * float(np.sqrt(time)))
 
 
 def _wrong(path: Path, line: int, message: str) -> InputError:

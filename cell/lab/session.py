@@ -15,7 +15,7 @@ from cell.identify.noise import Noise, still_frames
 from cell.identify.parameters import ParameterSpace
 from cell.lab.bench import ERRS, Bench
 from cell.lab.explore import Candidate, Explorer, Progress
-from cell.lab.fitting import space_with
+from cell.lab.fitting import pinned, space_with
 from cell.lab.individual import (
     check_same_kind,
     identified,
@@ -105,15 +105,30 @@ def explorer_of(
 ) -> Explorer:
     """The study made ready, with an earlier individual's model as prior if there is one."""
     if prior is None:
-        bench = Bench.of(study)
+        bench, believed = Bench.of(study), None
         space = ParameterSpace.of(study.cable, gravity_m_per_s2=study.gravity_m_per_s2)
     else:
         path, model = prior
         check_same_kind(path, model, study.cable)
-        bench = Bench.of(study, misfit=misfit(model))
         space = prior_space(study, model)
+        believed = space.mean
+        bench = Bench.of(study, misfit=misfit(model, _least_rms_m(study, space, model, chosen)))
     effects = [*space.effects, *(e for e in chosen.named if e not in space.effects)]
-    return Explorer(bench, space_with(space, effects), chosen.library, progress)
+    return Explorer(bench, space_with(space, effects), chosen.library, progress, believed)
+
+
+def _least_rms_m(study: Study, space: ParameterSpace, model: Identified, chosen: Chosen) -> float:
+    """Error of the earlier individual's model with whichever single effect helps it most, m.
+
+    What even that leaves is the model's own error on this study; were it taken for information,
+    the cable's parameters would be bent to remove it.
+    """
+    bench = Bench.of(study, misfit=misfit(model))
+    pilot = Explorer(bench, pinned(space, space.mean), chosen.library)
+    base = pilot.baseline()
+    smooth = [e for e in chosen.library.values() if e.smooth and e not in space.effects]
+    tried = pilot.add(base, smooth)
+    return min([base.fit.rms_m, *(c.fit.rms_m for c in tried)])
 
 
 def read_prior(path: Path | None) -> tuple[Path, Identified] | None:
