@@ -80,10 +80,14 @@ class Bench:
 
 @dataclass(frozen=True)
 class Filming:
-    """A motion that is being filmed: it began at `begin_s` and the hand rests from `rest_s`."""
+    """A motion that is being filmed.
+
+    It began at `begin_s`, the hand rests from `rest_s`, and it is filmed until `end_s`.
+    """
 
     begin_s: float
     rest_s: float
+    end_s: float
     frame_count: int
 
 

@@ -15,7 +15,7 @@ import typer
 
 from cell.lab.commands import app as lab
 
-ALL_INSERTED, NOT_ALL_INSERTED, BAD_INPUT = 0, 1, 2
+ALL_DONE, NOT_ALL_DONE, BAD_INPUT = 0, 1, 2
 
 app = typer.Typer(
     name="cell",
@@ -42,28 +42,45 @@ def run(
         bool, typer.Option("--json", help="One JSON object per cycle instead of tables.")
     ] = False,
     out: Annotated[Path, typer.Option(help="Every cycle gets a folder in here.")] = Path("runs"),
+    motion: Annotated[
+        Path | None,
+        typer.Option(help="Only measure, with this motion by `cell suggest`; insert nothing."),
+    ] = None,
 ) -> None:
-    """Insert cables, one after another.
+    """Insert cables, one after another; or measure them, for the model lab.
 
-    Ends with 0 if all were inserted, 1 if a cable was rejected or missed or a cycle failed, 2 if
-    the settings are wrong; then nothing has moved.  Ctrl-C stops the arm and closes the record.
+    Ends with 0 if all were inserted (or measured), 1 if a cable was rejected or missed or a cycle
+    failed, 2 if the settings or the motion are wrong; then nothing has moved.  Ctrl-C stops the arm
+    and closes the record.
     """
     from rich.console import Console
 
     from cell.build import build_cell
-    from cell.console import RunProgress, results_table, seconds_table, troubles
+    from cell.console import (
+        MEASURING_STEPS,
+        STEPS,
+        RunProgress,
+        results_table,
+        seconds_table,
+        troubles,
+    )
     from cell.located import InputError
+    from cell.motion_file import load_motion
     from cell.records.result import Outcome, Result
     from cell.settings import load_settings
 
     results: list[Result] = []
+    steps, aim = (
+        (STEPS, Outcome.INSERTED) if motion is None else (MEASURING_STEPS, Outcome.MEASURED)
+    )
     try:
         settings = load_settings(config)
-        with RunProgress(cycles) as progress, _interrupted_once():
+        measuring = None if motion is None else load_motion(motion, settings)
+        with RunProgress(cycles, steps) as progress, _interrupted_once():
             cell = build_cell(settings, out, seed=seed, cycles=cycles, on_step=progress.step)
             try:
                 for number in range(1, cycles + 1):
-                    results.append(cell.run_cycle(number))
+                    results.append(cell.run_cycle(number, measuring))
                     if as_json:
                         print(json.dumps(results[-1].to_json(), ensure_ascii=False), flush=True)
                     if results[-1].outcome is Outcome.FAILED:
@@ -74,17 +91,17 @@ def run(
         _refuse(error)
     except OSError as error:  # of the record: a device's own is a fault with a result
         print(f"the record cannot be written: {error}", file=sys.stderr)
-        raise typer.Exit(NOT_ALL_INSERTED if results else BAD_INPUT) from error
+        raise typer.Exit(NOT_ALL_DONE if results else BAD_INPUT) from error
     if not as_json:
         console = Console()
         console.print(results_table(results))
-        console.print(seconds_table(results))
+        console.print(seconds_table(results, steps))
         for result in results:
             console.print(f"cable {result.cycle}: {result.folder}", highlight=False)
     for line in troubles(results):
         print(line, file=sys.stderr)
-    inserted = [r for r in results if r.outcome is Outcome.INSERTED]
-    raise typer.Exit(ALL_INSERTED if len(inserted) == cycles else NOT_ALL_INSERTED)
+    reached = [r for r in results if r.outcome is aim]
+    raise typer.Exit(ALL_DONE if len(reached) == cycles else NOT_ALL_DONE)
 
 
 @app.command()
@@ -145,7 +162,7 @@ def identify(
         _refuse(error)
     except CableRejectedError as error:
         print(f"{folder}: cable rejected: {error}", file=sys.stderr)
-        raise typer.Exit(NOT_ALL_INSERTED) from error
+        raise typer.Exit(NOT_ALL_DONE) from error
     if as_json:
         print(json.dumps(identified.to_dict(), ensure_ascii=False))
         return

@@ -33,6 +33,20 @@ STEPS = (
     "go_home",
 )
 
+#: Steps of a cycle that only measures.
+MEASURING_STEPS = (
+    "connect",
+    "warm_up",
+    "reset",
+    "start",
+    "grasp",
+    "approach",
+    "measure",
+    "go_back",
+    "release",
+    "go_home",
+)
+
 #: Cables that have a column of their own in the table of times.
 MOST_COLUMNS = 5
 
@@ -41,14 +55,16 @@ _COLOURS = {
     Outcome.MISSED: "red",
     Outcome.REJECTED: "yellow",
     Outcome.FAILED: "red",
+    Outcome.MEASURED: "green",
 }
 
 
 class RunProgress:
     """A line that moves on with every step, on the error stream; silent if nobody watches it."""
 
-    def __init__(self, cycles: int) -> None:
+    def __init__(self, cycles: int, steps: Sequence[str] = STEPS) -> None:
         self._cycles = cycles
+        self._steps = steps
         console = Console(stderr=True)
         self._progress = Progress(
             SpinnerColumn(),
@@ -64,7 +80,7 @@ class RunProgress:
     def __enter__(self) -> RunProgress:
         self._progress.start()
         self._line = self._progress.add_task(
-            "", total=self._cycles * len(STEPS), number=1, cycles=self._cycles
+            "", total=self._cycles * len(self._steps), number=1, cycles=self._cycles
         )
         return self
 
@@ -78,7 +94,8 @@ class RunProgress:
 
     def step(self, number: int, step: str) -> None:
         """A step of a cycle begins."""
-        done = (number - 1) * len(STEPS) + (STEPS.index(step) if step in STEPS else 0)
+        within = self._steps.index(step) if step in self._steps else 0
+        done = (number - 1) * len(self._steps) + within
         self._progress.update(
             self._line, completed=done, description=step.replace("_", " "), number=number
         )
@@ -113,7 +130,7 @@ def results_table(results: Sequence[Result]) -> Table:
     return table
 
 
-def seconds_table(results: Sequence[Result]) -> Table:
+def seconds_table(results: Sequence[Result], steps: Sequence[str] = STEPS) -> Table:
     """Time of each step: one column per cable, or median and longest of many cables."""
     table = Table(title="seconds per step", box=SIMPLE_HEAD)
     table.add_column("step")
@@ -128,7 +145,7 @@ def seconds_table(results: Sequence[Result]) -> Table:
         shown = [median(known), max(known)] if many else times
         table.add_row(name, *("" if t is None else f"{t:.3f}" for t in shown))
 
-    for step in STEPS:
+    for step in steps:
         row(step.replace("_", " "), [r.seconds.get(step) for r in results])
     table.add_section()
     row("all", [sum(r.seconds.values()) for r in results])
@@ -146,7 +163,7 @@ def troubles(results: Sequence[Result]) -> list[str]:
             lines.append(
                 f"cable {r.cycle} failed in step {r.fault.step}: {device}{r.fault.cause}{remedy}"
             )
-        elif r.outcome is not Outcome.INSERTED:
+        elif r.outcome not in (Outcome.INSERTED, Outcome.MEASURED):
             lines.append(f"cable {r.cycle} {r.outcome.value}: {r.reason}")
     return lines
 

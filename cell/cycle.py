@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 import traceback
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Concatenate, ParamSpec, TypeVar
@@ -16,8 +16,9 @@ from cell.commands import INTERRUPTING, RESUMING, Commands, InterruptedByCommand
 from cell.identify.identified import Identified
 from cell.identify.individual import CableRejectedError
 from cell.machine import CellState, Event, EventRefusedError, Machine
-from cell.pictures import held_pictures, passage_pictures
+from cell.pictures import held_pictures, measured_pictures, passage_pictures
 from cell.plan.choose import Choice
+from cell.plan.measuring import Measuring
 from cell.plan.passage import Passage, height_at_mouth_m
 from cell.records.folder import Record
 from cell.records.result import Fault, Outcome, Result
@@ -30,6 +31,9 @@ Found = TypeVar("Found")
 
 #: Steps that only compute: their time is the computer's, not that of the cell's clock.
 COMPUTING = frozenset({"warm_up", "identify", "simulate", "choose", "verify"})
+
+#: Share of a measuring motion's frames in which the cable must be seen.
+LEAST_SEEN = 0.8
 
 
 @dataclass
@@ -101,9 +105,10 @@ class Cell:
         steps.close(self._bench.devices)
         self._connected = False
 
-    def run_cycle(self, number: int) -> Result:
+    def run_cycle(self, number: int, motion: Measuring | None = None) -> Result:
         """One cable from grasp to release; whatever happens, a result, a record and a still arm.
 
+        motion  only measure the cable with this motion; None = insert it
         raises  EventRefusedError: the cell was stopped by a fault that nobody acknowledged
         """
         if not self.machine.can(Event.RESET):
@@ -116,7 +121,10 @@ class Cell:
             self._send(progress, Event.START)
             self._step(progress, "start", steps.check_ready)
             self._send(progress, Event.DONE)
-            self._execute(progress)
+            if motion is None:
+                self._insert(progress)
+            else:
+                self._measure(progress, motion)
             self._send(progress, Event.DONE)
             self._step(progress, "go_home", steps.go_home)
             self._send(progress, Event.DONE)
@@ -143,21 +151,18 @@ class Cell:
         self._step(progress, "reset", steps.reset)
         self._send(progress, Event.DONE)
 
-    def _execute(self, progress: Progress) -> None:
+    def _insert(self, progress: Progress) -> None:
         """The nine steps; what each of them finds is recorded at once."""
         self._step(progress, "grasp", steps.grasp)
         self._pause(progress)
         filming = self._step(progress, "lower", steps.lower)
         held = self._step(progress, "hold_and_capture", steps.hold_and_capture, filming)
         trial = held_trial(held)
-        self._record_study(progress, trial)
         try:
-            identified = self._step(progress, "identify", steps.identify, trial, held.early)
+            identified, prospect, choice = self._conclude(progress, held, trial)
         except CableRejectedError as error:
             self._reject(progress, str(error))
             return
-        self._record_model(progress, identified)
-        prospect, choice = self._decide(progress, held, trial, identified)
         if choice.reason is not None:
             self._reject(progress, choice.reason)
             progress.record.pictures(held_pictures(held, trial, identified, self._bench.task))
@@ -172,8 +177,21 @@ class Cell:
         progress.record.pictures(held_pictures(held, trial, identified, self._bench.task))
         progress.record.pictures(passage_pictures(executed, prospect, choice, self._bench.task))
         self._pause(progress)
-        self._step(progress, "release", steps.release, inserted=passage.passed)
+        self._step(progress, "release", steps.release, aside=not passage.passed)
         progress.known["outcome"] = Outcome.INSERTED if passage.passed else Outcome.MISSED
+
+    def _conclude(
+        self, progress: Progress, held: Filmed, trial: Trial
+    ) -> tuple[Identified, Prospect, Choice]:
+        """What cable this is and what to do with it; recorded then, for the hand waits for it."""
+        identified: Identified | None = None
+        try:
+            identified = self._step(progress, "identify", steps.identify, trial, held.early)
+            return identified, *self._decide(progress, held, trial, identified)
+        finally:
+            self._record_study(progress, trial)
+            if identified is not None:
+                self._record_model(progress, identified)
 
     def _decide(
         self,
@@ -205,8 +223,29 @@ class Cell:
     def _reject(self, progress: Progress, reason: str) -> None:
         progress.known["reason"] = reason
         self._pause(progress)
-        self._step(progress, "release", steps.release, inserted=False)
+        self._step(progress, "release", steps.release, aside=True)
         progress.known["outcome"] = Outcome.REJECTED
+
+    def _measure(self, progress: Progress, motion: Measuring) -> None:
+        """A trial for the model lab, after which the cable is back where it was grasped."""
+        self._step(progress, "grasp", steps.grasp)
+        self._pause(progress)
+        self._step(progress, "approach", steps.approach, motion)
+        filmed = self._step(progress, "measure", steps.measure, motion)
+        self._record_study(progress, replace(held_trial(filmed), name=motion.name))
+        progress.record.pictures(measured_pictures(filmed, self._bench.task))
+        self._pause(progress)
+        self._step(progress, "go_back", steps.go_home)
+        self._step(progress, "release", steps.release, aside=False)
+        seen = sum(s.seen for s in filmed.sightings)
+        if seen < LEAST_SEEN * len(filmed.sightings):
+            progress.known["outcome"] = Outcome.REJECTED
+            progress.known["reason"] = (
+                f"the cable is seen in {seen} of {len(filmed.sightings)} frames, needs "
+                f"{LEAST_SEEN:.0%}; keep the motion inside the picture"
+            )
+        else:
+            progress.known["outcome"] = Outcome.MEASURED
 
     def _end(self, progress: Progress, error: BaseException) -> None:
         """Stop, say why, and come to rest in Stopped (by command) or Aborted (by fault)."""

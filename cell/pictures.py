@@ -26,9 +26,7 @@ def held_pictures(
     filmed: Filmed, trial: Trial, identified: Identified, task: Task
 ) -> dict[str, Image]:
     """The hold: at rest before, in the widest swing, and at its end; with the model's nodes."""
-    tip_y_m = np.array([filmed.sightings[p.index].nodes_m[0, 1] for p in filmed.pictures])
-    widest = int(np.nanargmin(tip_y_m)) if np.isfinite(tip_y_m).any() else 0
-    chosen = {"still": 0, "swing": widest, "held": len(filmed.pictures) - 1}
+    chosen = _chosen(filmed)
     t_s = np.array(sorted({filmed.pictures[i].t_s - filmed.begin_s for i in chosen.values()}))
     nodes_m = simulate(identified.model, trial.grip, t_s, task.arc_length_m)[0]
     images = {}
@@ -37,6 +35,14 @@ def held_pictures(
         at = int(np.argmin(np.abs(t_s - (frame.t_s - filmed.begin_s))))
         images[f"identify_{name}"] = _drawn(frame, filmed, task, nodes_m[at])
     return images
+
+
+def measured_pictures(filmed: Filmed, task: Task) -> dict[str, Image]:
+    """A measuring motion: at rest before, with the tip lowest, and at its end; what was seen."""
+    return {
+        f"measure_{name}": _drawn(filmed.pictures[i], filmed, task, None)
+        for name, i in _chosen(filmed).items()
+    }
 
 
 def passage_pictures(
@@ -69,5 +75,12 @@ def passage_pictures(
     return {"execute_passage": image}
 
 
-def _drawn(frame: Frame, filmed: Filmed, task: Task, nodes_m: FloatArray) -> Image:
+def _chosen(filmed: Filmed) -> dict[str, int]:
+    """Which of the pictures kept show the cable at rest, with its tip lowest, and at the end."""
+    tip_y_m = np.array([filmed.sightings[p.index].nodes_m[0, 1] for p in filmed.pictures])
+    lowest = int(np.nanargmin(tip_y_m)) if np.isfinite(tip_y_m).any() else 0
+    return {"still": 0, "swing": lowest, "held": len(filmed.pictures) - 1}
+
+
+def _drawn(frame: Frame, filmed: Filmed, task: Task, nodes_m: FloatArray | None) -> Image:
     return overlay(frame.image, filmed.sightings[frame.index], task.view, nodes_m)

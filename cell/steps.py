@@ -1,6 +1,7 @@
 """The steps of a cycle, one function each: the only code of the cell that calls devices.
 
 grasp → lower → hold and capture → identify → simulate → choose → execute → verify → release.
+A measuring cycle: grasp → approach → measure → go home → release.
 Every step takes the bench (devices and task) and what the steps before it found, and returns what
 it found itself; nothing is kept here.
 """
@@ -10,6 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 
@@ -30,8 +32,16 @@ from cell.identify.individual import CableRejectedError
 from cell.identify.individual import identify as identify_cable
 from cell.plan.choose import Choice, forecast
 from cell.plan.choose import choose as choose_offset
+from cell.plan.measuring import Measuring, measuring_path
 from cell.plan.passage import Passage, measured_passage
-from cell.plan.paths import executed_motion, identification_path, insertion_path, retreat_path
+from cell.plan.paths import (
+    SAME_ANGLE_RAD,
+    MotionLimits,
+    executed_motion,
+    identification_path,
+    insertion_path,
+    retreat_path,
+)
 from cell.study.data import Trial
 from cell.vision.detect import detect
 from cell.vision.sighting import Sighting
@@ -57,6 +67,8 @@ AT_GOAL_M = 2e-4
 KEEP_EVERY_HELD, KEEP_EVERY_MOVING = 20, 4
 #: Share of the hold after which the computer begins with the frames so far.
 EARLY_SHARE = 0.5
+#: So many times slower than an insertion a cable is brought to where it is measured, at rest.
+APPROACH_SLOWER = 4.0
 #: A forecast is corrected to first order, without simulating again, if its tips move less, m.
 SMALL_SHIFT_M = 5e-4
 
@@ -118,7 +130,7 @@ def reset(bench: Bench) -> None:
 
 def go_home(bench: Bench) -> None:
     """Bring the hand from wherever it is to where cables are grasped."""
-    _move(bench, bench.task.home)
+    _move(bench, bench.task.home, bench.task.lowering)
 
 
 def check_ready(bench: Bench) -> None:
@@ -139,19 +151,16 @@ def grasp(bench: Bench) -> None:
 
 def lower(bench: Bench) -> Filming:
     """Begin to film the cable at rest, then move it down so that it swings."""
-    task, arm, camera = bench.task, bench.devices.arm, bench.devices.camera
+    task = bench.task
     path = identification_path(
-        task.home, task.lower_m, task.lowering, arm.rate_hz, duration_s=task.lower_s, hold_s=0.0
+        task.home,
+        task.lower_m,
+        task.lowering,
+        bench.devices.arm.rate_hz,
+        duration_s=task.lower_s,
+        hold_s=0.0,
     )
-    moving_s = float(path.t_s[-1]) + arm.lag_s
-    count = int(np.ceil((task.still_s + moving_s + task.hold_s) * camera.frame_rate_hz))
-    begin_s = bench.devices.clock.now_s()
-    camera.start(count)
-    _wait_until(bench, begin_s + task.still_s)
-    arm.follow(path)
-    rest_s = bench.devices.clock.now_s() + moving_s
-    _wait_until(bench, rest_s)
-    return Filming(begin_s, rest_s, count)
+    return _film(bench, path, task.still_s, task.hold_s)
 
 
 def hold_and_capture(bench: Bench, filming: Filming) -> Filmed:
@@ -160,9 +169,8 @@ def hold_and_capture(bench: Bench, filming: Filming) -> Filmed:
     Half way through, a second thread identifies the cable and simulates all offsets from the
     frames so far, so that little is left to be computed after the last one.
     """
-    task, arm, clock = bench.task, bench.devices.arm, bench.devices.clock
-    end_s = filming.rest_s + task.hold_s
-    early_s = filming.rest_s + EARLY_SHARE * task.hold_s
+    task, arm = bench.task, bench.devices.arm
+    early_s = filming.rest_s + EARLY_SHARE * (filming.end_s - filming.rest_s)
     worker = ThreadPoolExecutor(1, "early")
     early: list[Future[Early | None]] = []
 
@@ -170,19 +178,13 @@ def hold_and_capture(bench: Bench, filming: Filming) -> Filmed:
         if not early and sightings[-1].t_s >= early_s:
             hand = arm.log(filming.begin_s, sightings[-1].t_s)
             so_far = Filmed(filming.begin_s, tuple(sightings), hand, (), time.perf_counter())
-            early.append(worker.submit(_early, bench, so_far, end_s + task.decide_s))
+            early.append(worker.submit(_early, bench, so_far, filming.end_s + task.decide_s))
 
     try:
-        sightings, pictures = _see(bench, filming.frame_count, KEEP_EVERY_HELD, begin_early)
-        seen_at_s = time.perf_counter()
-        _wait_until(bench, end_s)
-        _check_arm(bench)
-        _check_grip(bench)
-        hand = arm.log(filming.begin_s, clock.now_s())
-        known = early[0].result() if early else None
+        filmed = _capture(bench, filming, KEEP_EVERY_HELD, begin_early)
+        return replace(filmed, early=early[0].result() if early else None)
     finally:
         worker.shutdown(wait=False, cancel_futures=True)
-    return Filmed(filming.begin_s, sightings, hand, pictures, seen_at_s, known)
 
 
 def identify(bench: Bench, trial: Trial, early: Early | None = None) -> Identified:
@@ -233,21 +235,31 @@ def execute(bench: Bench, path: Path, start_s: float) -> Filmed:
     task, arm, camera = bench.task, bench.devices.arm, bench.devices.camera
     duration_s = float(path.t_s[-1]) + arm.lag_s + task.settle_s
     frame_count = int(np.ceil(duration_s * camera.frame_rate_hz))
+    end_s = start_s + duration_s
     _wait_until(bench, start_s)
     arm.follow(path)
     camera.start(frame_count)
-    sightings, pictures = _see(bench, frame_count, KEEP_EVERY_MOVING)
-    _wait_until(bench, start_s + duration_s)
-    _check_arm(bench)
-    _check_grip(bench)
-    hand = arm.log(start_s, bench.devices.clock.now_s())
-    return Filmed(start_s, sightings, hand, pictures, time.perf_counter())
+    filming = Filming(start_s, end_s - task.settle_s, end_s, frame_count)
+    return _capture(bench, filming, KEEP_EVERY_MOVING)
 
 
-def release(bench: Bench, *, inserted: bool) -> None:
-    """Let go of the cable: where it is if it was inserted, else aside."""
-    if not inserted:
-        _move(bench, bench.task.aside)
+def approach(bench: Bench, motion: Measuring) -> None:
+    """Bring the cable slowly to where a measuring motion begins, and let it calm down."""
+    _move(bench, motion.start, bench.task.insertion.slowed(APPROACH_SLOWER))
+    _wait_until(bench, bench.devices.clock.now_s() + bench.task.calm_s)
+
+
+def measure(bench: Bench, motion: Measuring) -> Filmed:
+    """Film the cable at rest, during the moves and while the hand is held after them."""
+    path = measuring_path(motion.start, motion.moves, bench.devices.arm.rate_hz)
+    filming = _film(bench, path, motion.still_s, motion.hold_s)
+    return _capture(bench, filming, KEEP_EVERY_HELD)
+
+
+def release(bench: Bench, *, aside: bool) -> None:
+    """Let go of the cable: aside, or where it is."""
+    if aside:
+        _move(bench, bench.task.aside, bench.task.lowering)
     bench.devices.gripper.release()
 
 
@@ -293,11 +305,41 @@ def _prospect(
 # --- what the steps share -----------------------------------------------------------------------
 
 
+def _film(bench: Bench, path: Path, still_s: float, hold_s: float) -> Filming:
+    """Begin to film the cable at rest, then follow `path`; returns when the hand rests again."""
+    arm, camera, clock = bench.devices.arm, bench.devices.camera, bench.devices.clock
+    moving_s = float(path.t_s[-1]) + arm.lag_s
+    frame_count = int(np.ceil((still_s + moving_s + hold_s) * camera.frame_rate_hz))
+    begin_s = clock.now_s()
+    camera.start(frame_count)
+    _wait_until(bench, begin_s + still_s)
+    arm.follow(path)
+    rest_s = clock.now_s() + moving_s
+    _wait_until(bench, rest_s)
+    return Filming(begin_s, rest_s, rest_s + hold_s, frame_count)
+
+
+def _capture(
+    bench: Bench,
+    filming: Filming,
+    keep_every: int,
+    after_each: Callable[[list[Sighting]], None] = lambda sightings: None,
+) -> Filmed:
+    """See the filming to its end, and make sure that the arm is ready and the cable still held."""
+    sightings, pictures = _see(bench, filming.frame_count, keep_every, after_each)
+    seen_at_s = time.perf_counter()
+    _wait_until(bench, filming.end_s)
+    _check_arm(bench)
+    _check_grip(bench)
+    hand = bench.devices.arm.log(filming.begin_s, bench.devices.clock.now_s())
+    return Filmed(filming.begin_s, sightings, hand, pictures, seen_at_s)
+
+
 def _see(
     bench: Bench,
     frame_count: int,
     keep_every: int,
-    after_each: Callable[[list[Sighting]], None] = lambda sightings: None,
+    after_each: Callable[[list[Sighting]], None],
 ) -> tuple[tuple[Sighting, ...], tuple[Frame, ...]]:
     """Find the cable in every frame of the recording under way; keep some of the pictures."""
     task = bench.task
@@ -328,13 +370,14 @@ def _wait_until(bench: Bench, t_s: float) -> None:
         bench.commands.check()
 
 
-def _move(bench: Bench, goal: Pose) -> None:
-    """Move to `goal`: level first, then up or down, and rest there."""
+def _move(bench: Bench, goal: Pose, limits: MotionLimits) -> None:
+    """Move to `goal`: level first, then up or down, then turning, and rest there."""
     arm = bench.devices.arm
     here = arm.state().pose
-    if max(abs(here.x_m - goal.x_m), abs(here.y_m - goal.y_m)) < AT_GOAL_M:
+    away_m = max(abs(here.x_m - goal.x_m), abs(here.y_m - goal.y_m))
+    if away_m < AT_GOAL_M and abs(here.angle_rad - goal.angle_rad) < SAME_ANGLE_RAD:
         return
-    path = retreat_path(here, goal, bench.task.lowering, arm.rate_hz)
+    path = retreat_path(here, goal, limits, arm.rate_hz)
     arm.follow(path)
     _wait_until(bench, bench.devices.clock.now_s() + float(path.t_s[-1]) + arm.lag_s)
     end_s = bench.devices.clock.now_s() + REST_TIMEOUT_S

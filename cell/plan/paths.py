@@ -17,19 +17,36 @@ from drivers.servo import servo_response
 
 FloatArray = NDArray[np.float64]
 
+#: A clamp angle this close to where it is sent is there already.
+SAME_ANGLE_RAD = 1e-3
+
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """What the gripping point may do along either axis of the cell's plane."""
+    """What the gripping point may do along either axis of the cell's plane, and when turning."""
 
     velocity_m_per_s: float = 0.5
     acceleration_m_per_s2: float = 5.0
     jerk_m_per_s3: float = 200.0
+    velocity_rad_per_s: float = 0.8
+    acceleration_rad_per_s2: float = 4.0
+    jerk_rad_per_s3: float = 40.0
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
             if not (np.isfinite(value) and value > 0.0):
                 raise ValueError(f"motion limit {name} = {value}: must be finite and > 0")
+
+    def slowed(self, times: float) -> MotionLimits:
+        """Limits of the same motion in `times` the time."""
+        return MotionLimits(
+            self.velocity_m_per_s / times,
+            self.acceleration_m_per_s2 / times**2,
+            self.jerk_m_per_s3 / times**3,
+            self.velocity_rad_per_s / times,
+            self.acceleration_rad_per_s2 / times**2,
+            self.jerk_rad_per_s3 / times**3,
+        )
 
 
 def identification_path(
@@ -69,18 +86,21 @@ def insertion_path(
 
 
 def retreat_path(start: Pose, end: Pose, limits: MotionLimits, rate_hz: float) -> Path:
-    """First level, then up or down to `end`: back out of a hole before anything else.
+    """First level, then up or down, then turning in place: back out of a hole before anything else.
 
-    raises  ValueError: the clamp angle would change, the poses are the same, an impossible rate
+    raises  ValueError: the poses are the same, an impossible rate
     """
-    if abs(end.angle_rad - start.angle_rad) > 0.01:
-        raise ValueError(f"retreat from {start} to {end}: the clamp angle must stay")
     level = _stroke((start.x_m, start.y_m), (end.x_m - start.x_m, 0.0), limits, rate_hz)
     upright = _stroke((end.x_m, start.y_m), (0.0, end.y_m - start.y_m), limits, rate_hz)
-    path = _path([level, upright[1:]], start.angle_rad, rate_hz)
-    if len(path.t_s) < 2:
+    xy = np.concatenate([level, upright[1:]])
+    angle_rad = np.full(len(xy), start.angle_rad)
+    if abs(end.angle_rad - start.angle_rad) > SAME_ANGLE_RAD:
+        turn_rad = _turn(start.angle_rad, end.angle_rad, limits, rate_hz)[1:]
+        xy = np.vstack([xy, np.repeat(xy[-1:], len(turn_rad), axis=0)])
+        angle_rad = np.concatenate([angle_rad, turn_rad])
+    if len(xy) < 2:
         raise ValueError(f"retreat from {start} to {end}: no distance to go")
-    return path
+    return Path(np.arange(len(xy)) / rate_hz, xy[:, 0].copy(), xy[:, 1].copy(), angle_rad)
 
 
 def executed_motion(
@@ -136,10 +156,28 @@ def _stroke(
     wish.max_jerk = [limits.jerk_m_per_s3] * 2
     if minimum_duration_s is not None:
         wish.minimum_duration = minimum_duration_s
-    trajectory = ruckig.Trajectory(2)
-    result = ruckig.Ruckig(2).calculate(wish, trajectory)
+    return _sampled(wish, rate_hz)
+
+
+def _turn(start_rad: float, end_rad: float, limits: MotionLimits, rate_hz: float) -> FloatArray:
+    """(samples,) clamp angles from rest to rest, both ends included, rad."""
+    wish = ruckig.InputParameter(1)
+    wish.current_position, wish.target_position = [start_rad], [end_rad]
+    wish.max_velocity = [limits.velocity_rad_per_s]
+    wish.max_acceleration = [limits.acceleration_rad_per_s2]
+    wish.max_jerk = [limits.jerk_rad_per_s3]
+    return _sampled(wish, rate_hz)[:, 0]
+
+
+def _sampled(wish: ruckig.InputParameter, rate_hz: float) -> FloatArray:
+    """(samples, axes) positions of the fastest trajectory, both ends included."""
+    axes = len(wish.target_position)
+    trajectory = ruckig.Trajectory(axes)
+    result = ruckig.Ruckig(axes).calculate(wish, trajectory)
     if result not in (ruckig.Result.Working, ruckig.Result.Finished):
-        raise ValueError(f"no path from {start_m} m by {move_m} m within {limits}: {result}")
+        raise ValueError(
+            f"no path from {wish.current_position} to {wish.target_position}: {result}"
+        )
     count = int(np.ceil(trajectory.duration * rate_hz - 1e-9)) + 1
     times = np.minimum(np.arange(count) / rate_hz, trajectory.duration)
     return np.array([trajectory.at_time(float(t))[0] for t in times], dtype=np.float64)

@@ -10,12 +10,16 @@ from typing import Any
 
 
 class Outcome(StrEnum):
-    """Inserted and missed were executed; a rejected cable was put aside; failed = a fault."""
+    """Inserted and missed were executed; a rejected cable was put aside; failed = a fault.
+
+    Measured: a measuring cycle, in which nothing is inserted, has come to its end.
+    """
 
     INSERTED = "inserted"
     MISSED = "missed"
     REJECTED = "rejected"
     FAILED = "failed"
+    MEASURED = "measured"
 
 
 @dataclass(frozen=True)

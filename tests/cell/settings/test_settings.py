@@ -92,7 +92,7 @@ MISTAKES = [
         "velocity_m_per_s: 0.4",
         "motion.lowering.velocity_m_per_s: 0.5 is beyond limits.velocity",
     ),
-    ("angle_rad: [-0.1, 0.1]", "angle_rad: [0.1, 0.2]", "outside limits.angle_rad = [0.1, 0.2]"),
+    ("angle_rad: [-0.6, 1.1]", "angle_rad: [0.1, 0.2]", "outside limits.angle_rad = [0.1, 0.2]"),
     ("kind: sim", "kind: simm", "'simm' is not one of 'sim', 'ur'; did you mean 'sim'?"),
     ("  kind: sim\n  rate", "  rate", "arm.kind: is missing"),
     ("rate_hz: 500.0", "rate: 500.0", "arm.rate: unknown key; did you mean 'rate_hz'?"),
