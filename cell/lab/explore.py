@@ -238,10 +238,12 @@ class Explorer:
         if self.believed is not None:
             origins.append(np.concatenate([self.believed, base.fit.q[len(self.believed) :]]))
         best: Fit | None = None
+        # An earlier individual is far from one with, say, a load: there slopes say little.
+        values = list(guesses) if self.believed is None else _scaled(effect, guesses)
         placed = sum(is_shape(p) for p in effect.parameters) > 2
         for origin in origins[-1:] if placed else origins:
             starts = []
-            for value in [*_scaled(effect, guesses), *_typical(effect)]:
+            for value in [*values, *_typical(effect)]:
                 q = extended(base.fit, space, effect, value)
                 for i, name in enumerate(base.fit.space.names):
                     q[space.names.index(name)] = origin[i]

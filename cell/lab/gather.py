@@ -20,11 +20,12 @@ def gather(runs: Sequence[Path], name: str) -> Study:
     """One study of the studies in cycles' folders (or of studies themselves).
 
     The first cycle's roles are kept; later cycles' trials are only compared with, so that what was
-    fitted stays what one cable showed.  Trials are named after their cycle's folder.
+    fitted stays what one cable showed.  Trials are named after their cycle's folder.  The noise is
+    the largest that any of them states.
     raises  InputError: a folder has no study, or is of another cable, markers or gravity
     """
     first: Study | None = None
-    trials = []
+    trials, noise_std_m = [], []
     for run in runs:
         folder = run / "study" if (run / "study" / "study.yaml").exists() else run
         study = read_study(folder)
@@ -32,13 +33,15 @@ def gather(runs: Sequence[Path], name: str) -> Study:
         if not _alike(first, study):
             message = "is of another cable, other markers or another gravity than the first"
             raise InputError([Problem(folder / "study.yaml", 1, None, "cable", message)])
+        noise_std_m.append(study.noise_std_m)
         for trial in study.trials:
             role = trial.role if study is first else "validate"
             label = trial.name if len(runs) == 1 else f"{run.resolve().name}_{trial.name}"
             trials.append(replace(trial, name=label, role=role))
     if first is None:
         raise ValueError("no cycle given")
-    return replace(first, name=name, trials=tuple(trials))
+    stated_m = max((n for n in noise_std_m if n is not None), default=None)
+    return replace(first, name=name, trials=tuple(trials), noise_std_m=stated_m)
 
 
 def _alike(a: Study, b: Study) -> bool:
