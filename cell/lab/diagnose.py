@@ -267,10 +267,12 @@ MODEL_ERROR = 0.01
 def intervals(candidate: Candidate, effect: type[Effect]) -> dict[str, Interval]:
     """Values and 95 % intervals of an effect's parameters."""
     space, q = candidate.fit.space, candidate.fit.q
-    off = np.zeros(len(q))
+    systematic = np.zeros(len(q))
     for p in effect.parameters:
-        off[space.names.index(f"{effect.name}.{p.name}")] = p.default
-    systematic = MODEL_ERROR * np.where(space.logarithmic, 1.0, np.abs(q - off))
+        i = space.names.index(f"{effect.name}.{p.name}")
+        off = (np.log(p.default) if space.logarithmic[i] else p.default) if p.amplitude else 0.0
+        relative = space.logarithmic[i] and not p.amplitude
+        systematic[i] = MODEL_ERROR * (1.0 if relative else abs(q[i] - off))
     spread = np.sqrt(np.diag(candidate.fit.covariance) + systematic**2)
     reach = float(stats.norm.ppf(0.975)) * spread
     low = space.natural(np.clip(q - reach, space.low, space.high))
