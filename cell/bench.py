@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,15 +13,22 @@ from cell.cable.geometry import Cable, Motion, node_arc_lengths
 from cell.commands import Commands
 from cell.identify.identified import Identified
 from cell.identify.individual import IdentifyOptions, hold_trial
+from cell.identify.noise import estimate_noise, still_frames
 from cell.plan.choose import ChoiceOptions, Forecast
 from cell.plan.destination import Destination
 from cell.plan.paths import MotionLimits
-from cell.study.data import Markers, Trial
+from cell.study.data import Markers, Study, Trial
 from cell.vision.detect import VisionOptions
+from cell.vision.marks import pixels_per_metre
+from cell.vision.recording import steady_nodes
 from cell.vision.sighting import Sighting
 from drivers.interfaces import Arm, Camera, Clock, Frame, Gripper, Path, Pose
 
 FloatArray = NDArray[np.float64]
+
+#: Error of one coordinate of a node in motion.  At rest less is seen of it, because how the tip
+#: falls between the pixels is then the same in every frame.
+NODE_ERROR_PX = 0.1
 
 
 @dataclass(frozen=True)
@@ -134,7 +142,7 @@ def held_trial(filmed: Filmed) -> Trial:
     return hold_trial(
         Motion(hand.t_s - zero_s, hand.x_m, hand.y_m, hand.angle_rad),
         np.array([s.t_s - zero_s for s in sightings]),
-        np.array([s.nodes_m for s in sightings]),
+        steady_nodes(sightings),
         np.array([s.grip_m for s in sightings]),
         np.array([s.clamp_angle_rad for s in sightings]),
     )
@@ -157,9 +165,22 @@ def executed_trial(held: Trial, before: Filmed, after: Filmed) -> Trial:
         Motion(grip[0] - zero_s, *grip[1:]),
         Markers(
             np.array([s.t_s - zero_s for s in after.sightings]),
-            np.array([s.nodes_m for s in after.sightings]),
+            steady_nodes(after.sightings),
         ),
     )
+
+
+def study_of(name: str, task: Task, trials: Sequence[Trial]) -> Study:
+    """Trials of one cable as a study; its noise is the camera's in motion, or more if seen at rest.
+
+    The first trial begins at rest.
+    """
+    markers, grip = trials[0].markers, trials[0].grip
+    at_rest = estimate_noise([markers.xy_m[still_frames(markers.t_s, grip)]])
+    grip_px = task.view.to_pixels(np.array([grip.x_m[0], grip.y_m[0]]))
+    in_motion_m = NODE_ERROR_PX / pixels_per_metre(task.view, grip_px)
+    noise_m = max(in_motion_m, 0.0 if at_rest is None else at_rest[0])
+    return Study(name, task.cable, task.arc_length_m, tuple(trials), noise_std_m=noise_m)
 
 
 def beside_m_rad(logged: Path, seen: Motion) -> FloatArray:

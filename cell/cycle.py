@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from cell import steps
-from cell.bench import Bench, Devices, Filmed, Prospect, Task, executed_trial, held_trial
+from cell.bench import Bench, Devices, Filmed, Prospect, Task, executed_trial, held_trial, study_of
 from cell.commands import INTERRUPTING, RESUMING, Commands, InterruptedByCommandError
 from cell.identify.identified import Identified
 from cell.identify.individual import CableRejectedError
@@ -22,7 +22,7 @@ from cell.plan.measuring import Measuring
 from cell.plan.passage import Passage, height_at_mouth_m
 from cell.records.folder import Record
 from cell.records.result import Fault, Outcome, Result
-from cell.study.data import Study, Trial
+from cell.study.data import Trial
 from cell.warmup import warm_up
 from drivers.interfaces import DeviceError
 
@@ -310,9 +310,7 @@ class Cell:
     # --- what is recorded ---------------------------------------------------------------------
 
     def _record_study(self, progress: Progress, *trials: Trial) -> None:
-        task = self._bench.task
-        name = progress.record.folder.name
-        progress.record.study(Study(name, task.cable, task.arc_length_m, trials))
+        progress.record.study(study_of(progress.record.folder.name, self._bench.task, trials))
 
     def _record_model(self, progress: Progress, identified: Identified) -> None:
         progress.record.model(identified.to_dict())

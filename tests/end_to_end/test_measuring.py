@@ -144,3 +144,25 @@ def test_a_motion_beyond_the_limits_ends_with_2_and_nothing_moves(
     assert (code, out) == (2, "")
     assert f"{motion_file}:6:18: moves[0].y_m: takes the hand to y_m = -0.25" in err
     assert not runs.exists()
+
+
+def test_an_effect_hidden_in_the_world_is_found_through_the_pictures(
+    quick_config: Path, motion_file: Path, tmp_path: Path
+) -> None:
+    hidden = tmp_path / "hidden.yaml"
+    text = quick_config.read_text(encoding="utf-8")
+    hidden.write_text(
+        text.replace("effects: {}", "effects: {air_drag: {drag_coefficient: 2.0}}"), "utf-8"
+    )
+    runs, study, out = (tmp_path / name for name in ("runs", "study", "diagnosis.json"))
+    for extra in ((), ("--motion", motion_file)):
+        assert run("run", "-c", hidden, "--out", runs, *extra)[0] == 0
+    assert run("study", *sorted(runs.iterdir()), "-o", study)[0] == 0
+    assert run("diagnose", study, "--json", out)[0] == 0
+    diagnosis = json.loads(out.read_text(encoding="utf-8"))
+    assert diagnosis["verdict"] == "missing"
+    assert diagnosis["missing"][0]["effect"] == "air_drag"
+    assert diagnosis["ranking"][0]["effect"] == "air_drag"
+    drag = diagnosis["missing"][0]["parameters"]["drag_coefficient"]
+    assert drag["low"] < 2.0 < drag["high"]
+    assert diagnosis["missing"][0]["heldout_rms_m"] < 0.2 * diagnosis["baseline"]["heldout_rms_m"]

@@ -1,0 +1,35 @@
+"""What the pictures of one recording say together that none of them says alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.vision.sighting import Sighting
+
+FloatArray = NDArray[np.float64]
+
+#: A length further off than this is no scatter of the tip's detection; such a frame is left alone.
+SCATTER_M = 2e-4
+
+
+def steady_nodes(sightings: Sequence[Sighting]) -> FloatArray:
+    """(T, nodes, 2) nodes, tip first, of a cable whose length does not change; nan where unseen.
+
+    In every single picture the tip's detection scatters, and all nodes with it, being at equal
+    arc length.  Here they are moved along the cable to where the recording's median length puts
+    them.
+    """
+    nodes_m = np.array([s.nodes_m for s in sightings])
+    length_m = np.array([s.length_m if s.seen else np.nan for s in sightings])
+    if not np.isfinite(length_m).any():
+        return nodes_m
+    longer_m = np.nanmedian(length_m) - length_m
+    longer_m = np.where(np.abs(longer_m) < SCATTER_M, longer_m, 0.0)
+    along = -np.gradient(nodes_m, axis=1)
+    along /= np.linalg.norm(along, axis=-1, keepdims=True)
+    share = np.linspace(1.0, 0.0, nodes_m.shape[1])
+    steady: FloatArray = nodes_m + (longer_m[:, None] * share)[..., None] * along
+    return steady

@@ -1,0 +1,31 @@
+"""A recording's nodes do not scatter along the cable with the tip's detection."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cell.vision.recording import steady_nodes
+from cell.vision.sighting import Sighting, Unseen
+
+
+def sighting(length_m: float, unseen: Unseen | None = None) -> Sighting:
+    """Of an arc of radius 0.1 m from the origin to the left and down, ended at `length_m`."""
+    angle = np.linspace(length_m, 0.0, 11) / 0.1
+    nodes = 0.1 * np.column_stack([-np.sin(angle), np.cos(angle) - 1.0])
+    nodes = nodes if unseen is None else np.full_like(nodes, np.nan)
+    return Sighting(0.0, nodes, np.zeros(2), 0.0, 1.0, unseen, length_m)
+
+
+def test_the_scatter_of_the_tip_is_taken_out_of_all_nodes() -> None:
+    scatter_m = np.random.default_rng(1).normal(scale=4e-5, size=201)
+    steady = steady_nodes([sighting(0.1 + d) for d in scatter_m])
+    truth = sighting(0.1 + float(np.median(scatter_m))).nodes_m
+    assert np.abs(steady - truth).max() < 0.1 * np.abs(scatter_m).max()
+
+
+def test_unseen_frames_stay_unseen_and_other_lengths_as_they_are() -> None:
+    longer = sighting(0.101)
+    steady = steady_nodes([sighting(0.1), sighting(0.1), longer, sighting(0.1, Unseen.NO_CABLE)])
+    np.testing.assert_array_equal(steady[2], longer.nodes_m)
+    assert np.isnan(steady[3]).all() and np.isfinite(steady[:3]).all()
+    assert np.isnan(steady_nodes([sighting(0.1, Unseen.NO_CABLE)])).all()
