@@ -8,7 +8,6 @@ import pytest
 
 from cell.located import InputError
 from cell.motion_file import load_motion
-from cell.plan.measuring import Move
 from cell.settings import Settings, load_settings
 from cell.settings.model import Pose as HomePose
 from drivers.interfaces import Pose
@@ -44,10 +43,10 @@ def test_places_count_from_home_and_angles_from_level(settings: Settings, tmp_pa
     it = load_motion(written(tmp_path, RIGHT), settings.model_copy(update={"motion": moved}))
     assert it.name == "tilted"
     assert it.start == Pose(0.01, -0.01, 0.05)
-    assert it.moves == (
-        Move(Pose(0.01, pytest.approx(-0.06), 0.05), 0.27),
-        Move(Pose(pytest.approx(-0.01), pytest.approx(-0.06), 0.0), 0.4),
-    )
+    assert [m.duration_s for m in it.moves] == [0.27, 0.4]
+    goals = [(m.goal.x_m, m.goal.y_m, m.goal.angle_rad) for m in it.moves]
+    assert goals[0] == pytest.approx((0.01, -0.06, 0.05))
+    assert goals[1] == pytest.approx((-0.01, -0.06, 0.0))
     assert (it.still_s, it.hold_s) == (0.2, 1.0)
 
 
