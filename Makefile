@@ -4,7 +4,7 @@ BIN := $(VENV)/bin
 PYTHON ?= $(firstword $(foreach p,python3.12 python3.11 python3,$(shell $(p) -c "import sys; print('$(p)' if (3,11) <= sys.version_info[:2] < (3,13) else '')" 2>/dev/null)))
 CYCLES ?= 3
 
-.PHONY: run test lint types imports tests bench figures coverage false-alarms confusion clean help
+.PHONY: run test lint types imports tests bench figures coverage practice false-alarms confusion clean help
 
 help:            ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
@@ -36,11 +36,14 @@ figures: $(VENV)/.dev   ## the paper's figures from this code
 coverage: $(VENV)/.dev   ## do the 95 % intervals cover the truth? 100 filmed cables, ~10 min
 	$(BIN)/python tools/coverage_study.py --pictures
 
+practice: $(VENV)/.dev   ## every practice study beside its truth
+	$(BIN)/python tools/practice_table.py --discover
+
 false-alarms: $(VENV)/.dev   ## false claims of the lab on 200 complete studies (long)
-	$(BIN)/python tools/false_alarm_study.py
+	$(BIN)/python tools/false_alarm_study.py --studies 200
 
 confusion: $(VENV)/.dev   ## which effect is named for which, 100 studies (long)
-	$(BIN)/python tools/confusion_study.py
+	$(BIN)/python tools/confusion_study.py --studies 100
 
 $(VENV)/bin/python:
 	@test -n "$(PYTHON)" || { echo "error: Python 3.11 or 3.12 is needed; none found on PATH (set PYTHON=/path/to/python3.11)"; exit 2; }
