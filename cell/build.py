@@ -149,7 +149,8 @@ def build_twins(settings: Settings, seed: int, cycles: int) -> Twins:
     """The simulated world with `cycles` cables laid out; for settings whose devices are `sim`."""
     arm = settings.arm
     assert isinstance(arm, given.SimulatedArm)
-    world = World(SimClock(), _pose(settings.motion.home))
+    clock = SimClock(real_time_factor=settings.world.real_time_factor)
+    world = World(clock, _pose(settings.motion.home))
     for number in range(1, cycles + 1):
         world.present(cable_shape(hidden_cable(settings, seed, number), settings.world.segments))
     options = ArmTwinOptions(lag_s=arm.lag_s, rate_hz=arm.rate_hz, noise_m=arm.noise_m)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
@@ -76,8 +76,13 @@ def run(
     try:
         settings = load_settings(config)
         measuring = None if motion is None else load_motion(motion, settings)
-        with RunProgress(cycles, steps) as progress, _interrupted_once():
-            cell = build_cell(settings, out, seed=seed, cycles=cycles, on_step=progress.step)
+        with RunProgress(cycles, steps) as progress, _interrupted_once() as not_lost:
+
+            def on_step(number: int, step: str) -> None:
+                not_lost()
+                progress.step(number, step)
+
+            cell = build_cell(settings, out, seed=seed, cycles=cycles, on_step=on_step)
             try:
                 for number in range(1, cycles + 1):
                     results.append(cell.run_cycle(number, measuring))
@@ -188,8 +193,8 @@ def _refuse(error: Exception) -> NoReturn:
 
 
 @contextmanager
-def _interrupted_once() -> Iterator[None]:
-    """Ctrl-C and SIGTERM interrupt once; while the cell then comes to rest, more are ignored."""
+def _interrupted_once() -> Iterator[Callable[[], None]]:
+    """Ctrl-C and SIGTERM interrupt once, and are not lost; while the cell then rests, more are."""
     given = False
 
     def interrupt(number: int, frame: FrameType | None) -> None:
@@ -199,9 +204,14 @@ def _interrupted_once() -> Iterator[None]:
             raise KeyboardInterrupt
         print("stopping already", file=sys.stderr)
 
+    def not_lost() -> None:
+        """Interrupt again: where Python cannot raise, as in a callback, it drops what is raised."""
+        if given:
+            raise KeyboardInterrupt
+
     former = {s: signal.signal(s, interrupt) for s in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield
+        yield not_lost
     finally:
         for s, handler in former.items():
             signal.signal(s, handler)

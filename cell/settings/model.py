@@ -269,6 +269,9 @@ class World(_Section):
     `air_drag: {drag_coefficient: 2.0}`."""
     segments: Annotated[int, Field(ge=60, le=400)] = 80
     """Of the simulated cable; more than the model has."""
+    real_time_factor: Annotated[float, Field(ge=0.1, le=10.0)] | None = None
+    """null = as fast as the computer can; 1 = at the speed of reality, in which the reported wait
+    for the computer is that of a real cell."""
 
 
 class Settings(_Section):

@@ -8,13 +8,17 @@ import threading
 import time
 from collections.abc import Callable
 
+#: A simulation in real time that is later than this goes on from there; less it makes up for, s.
+MOST_LATE_S = 0.5
+
 
 class SimClock:
     """Time that passes only when somebody sleeps; everything in between is instantaneous.
 
     One thread lets time pass; others may read it and act on devices meanwhile.
 
-    real_time_factor  None = at once; 1.0 = at the speed of reality, for watching; 10.0 = ten times
+    real_time_factor  None = at once; 1.0 = at the speed of reality; 10.0 = ten times.  What the
+                      computer takes for its own work meanwhile passes too, as in reality.
     """
 
     def __init__(self, start_s: float = 0.0, real_time_factor: float | None = None) -> None:
@@ -22,6 +26,7 @@ class SimClock:
             raise ValueError(f"real_time_factor = {real_time_factor}: must be > 0")
         self._now_s = start_s
         self._factor = real_time_factor
+        self._anchor_s = (start_s, time.perf_counter())
         self._events: list[tuple[float, int, Callable[[], None]]] = []
         self._number = itertools.count()
         self._lock = threading.RLock()
@@ -56,5 +61,10 @@ class SimClock:
         if t_s <= self._now_s:
             return
         if self._factor is not None:
-            time.sleep((t_s - self._now_s) / self._factor)
+            simulated_s, real_s = self._anchor_s
+            early_s = real_s + (t_s - simulated_s) / self._factor - time.perf_counter()
+            if early_s > 0.0:
+                time.sleep(early_s)
+            elif early_s < -MOST_LATE_S:
+                self._anchor_s = (t_s, time.perf_counter())
         self._now_s = t_s

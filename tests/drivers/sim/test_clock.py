@@ -45,6 +45,15 @@ def test_real_time_factor_takes_its_time() -> None:
     assert time.perf_counter() - began >= 0.02
 
 
+def test_in_real_time_the_computers_own_work_passes_too() -> None:
+    clock = SimClock(real_time_factor=1.0)
+    clock.sleep_s(0.01)
+    time.sleep(0.05)  # stands for work of the computer
+    began = time.perf_counter()
+    clock.sleep_s(0.04)
+    assert time.perf_counter() - began < 0.03
+
+
 def test_real_time_factor_must_be_positive() -> None:
     with pytest.raises(ValueError, match=r"real_time_factor = 0.0"):
         SimClock(real_time_factor=0.0)

@@ -1,0 +1,21 @@
+"""A signal that falls where Python drops what is raised still interrupts, at the next step."""
+
+from __future__ import annotations
+
+import os
+import signal
+
+import pytest
+
+from cell.cli import _interrupted_once
+
+
+def test_a_swallowed_interruption_is_raised_again() -> None:
+    with _interrupted_once() as not_lost:
+        not_lost()
+        try:
+            os.kill(os.getpid(), signal.SIGTERM)
+        except KeyboardInterrupt:
+            pass  # as the interpreter does in a callback or a destructor
+        with pytest.raises(KeyboardInterrupt):
+            not_lost()
