@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 
@@ -13,9 +14,8 @@ from cell.cli import _interrupted_once
 def test_a_swallowed_interruption_is_raised_again() -> None:
     with _interrupted_once() as not_lost:
         not_lost()
-        try:
+        # as the interpreter does in a callback or a destructor
+        with contextlib.suppress(KeyboardInterrupt):
             os.kill(os.getpid(), signal.SIGTERM)
-        except KeyboardInterrupt:
-            pass  # as the interpreter does in a callback or a destructor
         with pytest.raises(KeyboardInterrupt):
             not_lost()
