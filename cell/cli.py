@@ -194,7 +194,7 @@ def _refuse(error: Exception) -> NoReturn:
 
 @contextmanager
 def _interrupted_once() -> Iterator[Callable[[], None]]:
-    """Ctrl-C and SIGTERM interrupt once, and are not lost; while the cell then rests, more are."""
+    """The first Ctrl-C or SIGTERM interrupts, once; those that follow are ignored."""
     given = False
 
     def interrupt(number: int, frame: FrameType | None) -> None:
