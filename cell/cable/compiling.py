@@ -15,7 +15,7 @@ FASTMATH = {"contract", "nsz"}
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-inline = njit(fastmath=FASTMATH, error_model="numpy")
+inline = njit(fastmath=FASTMATH, error_model="numpy", forceinline=True)
 
 
 @lru_cache(maxsize=1)

@@ -233,8 +233,8 @@ class Explorer:
             return self._known[key]
         space = space_with(base.fit.space, effects)
         origins = [base.fit.q]
-        if self._calm is not None:
-            origins.append(np.concatenate([self._calm.q, base.fit.q[len(self._calm.q) :]]))
+        if self._calm is not None and base is self.baseline():
+            origins.append(self._calm.q)
         if self.believed is not None:
             origins.append(np.concatenate([self.believed, base.fit.q[len(self.believed) :]]))
         best: Fit | None = None
