@@ -147,4 +147,5 @@ class SwingingCable:
             *self._markers,
             out,
         )
-        return camera.seen([self._model], t_s, t_s, out[:1])[0]
+        shown: FloatArray = camera.seen([self._model], t_s, t_s, out[:1])[0]
+        return shown
