@@ -85,6 +85,11 @@ class GuardedArm:
         """Raises DeviceLostError."""
         return self._arm.state()
 
+    def check(self, path: Path) -> None:
+        """Raises LimitError naming point, value and limit; else as the arm."""
+        check_path(path, self._limits, self.name)
+        self._arm.check(path)
+
     def follow(self, path: Path) -> None:
         """Raises LimitError naming point, value and limit; else as the arm."""
         check_path(path, self._limits, self.name)

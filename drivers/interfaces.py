@@ -181,6 +181,13 @@ class Arm(Protocol):
         """Measured state.  Raises DeviceLostError."""
         ...
 
+    def check(self, path: Path) -> None:
+        """Whether `path` may be followed, once the arm is where it begins; nothing is sent.
+
+        Raises LimitError naming what it would break; DeviceLostError.
+        """
+        ...
+
     def follow(self, path: Path) -> None:
         """Start to follow `path` (its first pose is the present one) and return at once.
 

@@ -182,6 +182,12 @@ class UrArm:
                 self._mode(child),
             )
 
+    def check(self, path: Path) -> None:
+        """Raises LimitError: out of reach, or a joint too fast; DeviceLostError."""
+        with self._lock:
+            (sample,) = self._alive().shared.samples(1)
+            self._check_reach(_from_zero(path), sample[Column.Q1_RAD :])
+
     def follow(self, path: Path) -> None:
         """Raises LimitError: still moving, off the plane, out of reach; StoppedError."""
         with self._lock:
@@ -197,7 +203,7 @@ class UrArm:
                 raise LimitError(self.name, "still moving", "wait until it rests, or stop it")
             (sample,) = child.shared.samples(1)
             self._check_on_plane(sample)
-            begun = Path(path.t_s - path.t_s[0], path.x_m, path.y_m, path.angle_rad)
+            begun = _from_zero(path)
             self._check_reach(begun, sample[Column.Q1_RAD :])
             self._paths += 1
             self._send(child, ("follow", begun, stops))
@@ -400,3 +406,8 @@ def _pose(sample: FloatArray) -> Pose:
     return Pose(
         float(sample[Column.X_M]), float(sample[Column.Y_M]), float(sample[Column.ANGLE_RAD])
     )
+
+
+def _from_zero(path: Path) -> Path:
+    """The path with its times counted from its beginning."""
+    return Path(path.t_s - path.t_s[0], path.x_m, path.y_m, path.angle_rad)

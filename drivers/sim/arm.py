@@ -148,6 +148,11 @@ class SimArm:
             latest = self.log(now_s - 1.0 / self.rate_hz, now_s)
             return ArmState(float(latest.t_s[-1]), latest.at(now_s), speed, moving, self._mode())
 
+    def check(self, path: Path) -> None:
+        """Raises DeviceLostError; this arm reaches everything."""
+        with self._world.lock:
+            self._check_alive()
+
     def follow(self, path: Path) -> None:
         """Raises LimitError: still moving; StoppedError; DeviceLostError."""
         with self._world.lock:

@@ -218,8 +218,9 @@ def test_out_of_reach_and_too_fast_are_refused_before_anything_is_sent(
 ) -> None:
     start = arm.state().pose
     sent = ur_emulator.ask("state")["servo_writes"]
-    with pytest.raises(LimitError, match=r"UR5e does not reach.*nothing was moved"):
-        arm.follow(line(start=replace(start, y_m=2.5)))
+    for act in (arm.check, arm.follow):
+        with pytest.raises(LimitError, match=r"UR5e does not reach.*nothing was moved"):
+            act(line(start=replace(start, y_m=2.5)))
     with pytest.raises(LimitError, match=r"a joint turns at"):  # stretching out its elbow
         arm.follow(line(dy_m=1.5, start=start, duration_s=10.0))
     with pytest.raises(LimitError, match=r"a joint turns at .* rad/s, allowed 3.14"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -57,6 +58,16 @@ def test_returns_at_once_and_then_follows(bench) -> None:
     wait_for_rest(bench)
     assert here(bench).y_m == pytest.approx(start.y_m - 0.05, abs=2e-4)
     assert here(bench).x_m == pytest.approx(start.x_m, abs=2e-4)
+
+
+def test_a_path_may_be_checked_from_anywhere_and_moves_nothing(bench) -> None:
+    start = here(bench)
+    elsewhere = replace(start, y_m=start.y_m - 0.05)
+    bench.arm.check(bench.make_path(dy_m=0.05, start=elsewhere))
+    bench.arm.stop("a check does not move, so a stop does not matter")
+    bench.arm.check(bench.make_path(dx_m=-0.01, start=start))
+    assert not bench.arm.state().moving
+    assert here(bench).y_m == pytest.approx(start.y_m, abs=2e-4)
 
 
 def test_logs_what_it_did_about_one_lag_late(bench) -> None:
@@ -144,8 +155,9 @@ def test_closing_stops_and_may_be_repeated(bench) -> None:
 def test_not_connected_is_an_error_but_stop_is_not(arm_bench) -> None:
     with pytest.raises(DeviceLostError):
         arm_bench.arm.state()
-    with pytest.raises(DeviceLostError):
-        arm_bench.arm.follow(arm_bench.make_path())
+    for act in (arm_bench.arm.check, arm_bench.arm.follow):
+        with pytest.raises(DeviceLostError):
+            act(arm_bench.make_path())
     arm_bench.arm.stop("harmless")
     arm_bench.arm.close()
 
