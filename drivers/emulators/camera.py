@@ -6,27 +6,23 @@ OpenCV opens its address as it is: pictures arrive unchanged, bit by bit, with t
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
 import os
 import queue
+import signal
 import socket
 import threading
 import time
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
-from typing import Any, Self
 
 import cv2
 
 from drivers.emulators.camera_scene import Scene, SceneFactory
 from drivers.emulators.camera_stream import picture_header, stream_header
-from drivers.emulators.launch import EmulatorError
+from drivers.emulators.launch import EmulatorProcess, answer_all
 from drivers.interfaces import Image
 from drivers.priority import run_in_real_time
 
-_HOST = "127.0.0.1"
-_START_S = 30.0
-_ANSWER_S = 5.0
 _PRIORITY = 10
 _GLANCE_S = 0.02  # how often whoever waits looks whether something changed
 
@@ -80,49 +76,32 @@ class StreamCounts:
     latest_s: float = 0.0
 
 
-class EmulatedCamera:
+class EmulatedCamera(EmulatorProcess):
     """A camera in its own process, alive within a `with`; it ends when its parent does.
 
-    scene  picklable; called in the camera's process
+    scene    picklable; called in the camera's process
+    address  where it listens; port 0 = any that is free
     """
 
-    def __init__(self, scene: SceneFactory, options: CameraEmulatorOptions | None = None) -> None:
-        self._scene = scene
-        self._options = options if options is not None else CameraEmulatorOptions()
+    def __init__(
+        self,
+        scene: SceneFactory,
+        options: CameraEmulatorOptions | None = None,
+        address: tuple[str, int] = ("127.0.0.1", 0),
+    ) -> None:
+        options = options if options is not None else CameraEmulatorOptions()
+        super().__init__("camera", serve, (scene, options, address))
         self._faults = StreamFaults()
-        self._port = 0
+        self._host, self._port = address
 
-    def __enter__(self) -> Self:
-        context = multiprocessing.get_context("spawn")
-        self._door, theirs = context.Pipe()
-        self._process = context.Process(
-            target=serve, args=(theirs, self._scene, self._options), daemon=True, name="camera"
-        )
-        self._process.start()
-        theirs.close()
-        try:
-            self._port = self._answer(_START_S)
-        except EmulatorError:
-            self.__exit__()
-            raise
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._door.close()  # upon which it ends
-        self._process.join(_ANSWER_S)
-        if self._process.is_alive():
-            self._process.kill()
-            self._process.join()
+    def started(self, said: int) -> None:
+        """Take the port on which it listens."""
+        self._port = said
 
     @property
     def url(self) -> str:
         """What OpenCV is to open."""
-        return f"tcp://{_HOST}:{self._port}"
-
-    @property
-    def pid(self) -> int | None:
-        """Process, for those who want to kill it."""
-        return self._process.pid
+        return f"tcp://{self._host}:{self._port}"
 
     @property
     def faults(self) -> StreamFaults:
@@ -132,71 +111,42 @@ class EmulatedCamera:
     @faults.setter
     def faults(self, faults: StreamFaults) -> None:
         self._faults = faults
-        self._ask("faults", faults)
+        self.ask("faults", faults)
 
     def tell(self, message: object) -> None:
         """Tell the scene something picklable.  Raises EmulatorError: it does not understand."""
-        self._ask("tell", message)
+        self.ask("tell", message)
 
     def counts(self) -> StreamCounts:
         """What was sent so far."""
-        counts: StreamCounts = self._ask("counts")
+        counts: StreamCounts = self.ask("counts")
         return counts
-
-    def _ask(self, what: str, content: object = None) -> Any:
-        try:
-            self._door.send((what, content))
-        except OSError as error:
-            raise EmulatorError("the emulated camera is gone") from error
-        return self._answer(_ANSWER_S)
-
-    def _answer(self, wait_s: float) -> Any:
-        try:
-            if not self._door.poll(wait_s):
-                raise EmulatorError(f"the emulated camera did not answer within {wait_s} s")
-            done, answer = self._door.recv()
-        except (EOFError, OSError) as error:
-            raise EmulatorError("the emulated camera is gone") from error
-        if not done:
-            raise EmulatorError(f"the emulated camera: {answer}")
-        return answer
 
 
 # --- the camera's process ---------------------------------------------------------------------
 
 
-def serve(door: Connection, factory: SceneFactory, options: CameraEmulatorOptions) -> None:
+def serve(
+    door: Connection,
+    factory: SceneFactory,
+    options: CameraEmulatorOptions,
+    address: tuple[str, int],
+) -> None:
     """Be a camera until the other end of `door` is gone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C is for the parent, who then ends it
     cv2.setNumThreads(1)  # OpenCV's own threads would have to wait for the rest of the computer
     try:
         scene = factory()
         _check(scene.picture(time.monotonic() - options.look_s), options)
-        server = _Server(scene, options)
+        server = _Server(scene, options, address)
     except Exception as error:
         door.send((False, f"{type(error).__name__}: {error}"))
         return
     # a camera does not slow down when the computer is busy; the arm's emulator goes before it
     run_in_real_time(_PRIORITY)
-    threading.Thread(target=_listen, args=(door, server), daemon=True).start()
+    threading.Thread(target=answer_all, args=(door, server.do), daemon=True).start()
     door.send((True, server.port))
     server.run()
-
-
-def _listen(door: Connection, server: _Server) -> None:
-    """Do as the parent says; end the process when it is gone, whatever that process does."""
-    try:
-        while True:
-            answer: tuple[bool, object]
-            try:
-                what, content = door.recv()
-                answer = True, server.do(what, content)
-            except (EOFError, OSError):
-                raise
-            except Exception as error:
-                answer = False, f"{type(error).__name__}: {error}"
-            door.send(answer)
-    except (EOFError, OSError):
-        os._exit(0)
 
 
 def _check(image: Image, options: CameraEmulatorOptions) -> None:
@@ -220,14 +170,16 @@ _Message = tuple[object, "queue.SimpleQueue[Exception | None]"]
 class _Server:
     """One client at a time; looks in one thread, sends in another."""
 
-    def __init__(self, scene: Scene, options: CameraEmulatorOptions) -> None:
+    def __init__(
+        self, scene: Scene, options: CameraEmulatorOptions, address: tuple[str, int]
+    ) -> None:
         self.faults = StreamFaults()
         self._counts = StreamCounts()
         self._messages: queue.SimpleQueue[_Message] = queue.SimpleQueue()
         self._scene = scene
         self._options = options
-        self._listener: socket.socket | None = socket.create_server((_HOST, 0))
-        self.port: int = self._listener.getsockname()[1]
+        self._listener: socket.socket | None = socket.create_server(address)
+        self._host, self.port = self._listener.getsockname()
 
     def do(self, what: str, content: object) -> object:
         """What the parent asks for.  Raises whatever the scene does when it is told something."""
@@ -275,7 +227,7 @@ class _Server:
                 self._hear()
                 continue
             if self._listener is None:
-                self._listener = socket.create_server((_HOST, self.port))
+                self._listener = socket.create_server((self._host, self.port))
             self._listener.settimeout(_GLANCE_S)
             try:
                 client, _ = self._listener.accept()

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
+import os
 import select
 import socket
 import subprocess
 import sys
+from collections.abc import Callable
+from multiprocessing.connection import Connection
 from typing import Any, Self
 
 from drivers.emulators.ur_server import FAULT_PORT
+from drivers.interfaces import FloatArray
 
-_START_S = 20.0
+_START_S = 30.0
 _ANSWER_S = 5.0
 
 
@@ -20,7 +25,10 @@ class EmulatorError(RuntimeError):
 
 
 class EmulatedController:
-    """A UR controller on a loopback address, alive within a `with`."""
+    """A UR controller on a loopback address, alive within a `with`.
+
+    start_rad  (6,) joints at which the arm stands at first; None = as it likes
+    """
 
     def __init__(
         self,
@@ -28,15 +36,22 @@ class EmulatedController:
         version: str = "5.12.2.1101534",
         model: str = "UR5e",
         time_scale: float = 1.0,
+        start_rad: FloatArray | None = None,
     ) -> None:
         self.host = host
         self._command = [sys.executable, "-m", "drivers.emulators.ur_server", "--host", host]
         self._command += ["--version", version, "--model", model, "--time-scale", str(time_scale)]
+        if start_rad is not None:
+            self._command += ["--start-rad=" + ",".join(f"{q:.12g}" for q in start_rad)]
         self._process: subprocess.Popen[str] | None = None
 
     def __enter__(self) -> Self:
         self._process = process = subprocess.Popen(
-            self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+            self._command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            start_new_session=True,  # a Ctrl-C is for whoever started it, who then ends it
         )
         assert process.stdout is not None
         ready, _, _ = select.select([process.stdout], [], [], _START_S)
@@ -51,6 +66,11 @@ class EmulatedController:
             return
         process.communicate()  # closes its standard input, upon which it ends
 
+    @property
+    def pid(self) -> int | None:
+        """Process, for those who want to kill it."""
+        return None if self._process is None else self._process.pid
+
     def ask(self, op: str, **arguments: Any) -> dict[str, Any]:
         """Cause a fault or ask for the `state`.  Raises EmulatorError: not understood."""
         with socket.create_connection((self.host, FAULT_PORT), _ANSWER_S) as door:
@@ -59,3 +79,81 @@ class EmulatedController:
         if "error" in answer:
             raise EmulatorError(f"{op}: {answer['error']}")
         return answer
+
+
+class EmulatorProcess:
+    """An emulator in a process of its own, alive within a `with`; it ends when its parent does.
+
+    name   as a person calls it: "camera"
+    serve  called in that process, with its end of a pipe and `args`; says first what `start`
+           returns here, then answers with `answer_all`
+    """
+
+    def __init__(self, name: str, serve: Callable[..., None], args: tuple[object, ...]) -> None:
+        self._name = name
+        self._serve = serve
+        self._args = args
+
+    def __enter__(self) -> Self:
+        context = multiprocessing.get_context("spawn")
+        self._door, theirs = context.Pipe()
+        self._process = context.Process(
+            target=self._serve, args=(theirs, *self._args), daemon=True, name=self._name
+        )
+        self._process.start()
+        theirs.close()
+        try:
+            self.started(self._answer(_START_S))
+        except EmulatorError:
+            self.__exit__()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._door.close()  # upon which it ends
+        self._process.join(_ANSWER_S)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+
+    @property
+    def pid(self) -> int | None:
+        """Process, for those who want to kill it."""
+        return self._process.pid
+
+    def started(self, said: Any) -> None:
+        """Take what the process said when it was ready."""
+
+    def ask(self, what: str, content: object = None) -> Any:
+        """Raises EmulatorError: it is gone, or did not understand."""
+        try:
+            self._door.send((what, content))
+        except OSError as error:
+            raise EmulatorError(f"the emulated {self._name} is gone") from error
+        return self._answer(_ANSWER_S)
+
+    def _answer(self, wait_s: float) -> Any:
+        try:
+            if not self._door.poll(wait_s):
+                raise EmulatorError(f"the emulated {self._name} did not answer within {wait_s} s")
+            done, answer = self._door.recv()
+        except (EOFError, OSError) as error:
+            raise EmulatorError(f"the emulated {self._name} is gone") from error
+        if not done:
+            raise EmulatorError(f"the emulated {self._name}: {answer}")
+        return answer
+
+
+def answer_all(door: Connection, do: Callable[[str, Any], object]) -> None:
+    """Do as the parent says; end the process when it is gone, whatever that process does."""
+    try:
+        while True:
+            answer: tuple[bool, object]
+            what, content = door.recv()
+            try:
+                answer = True, do(what, content)
+            except Exception as error:
+                answer = False, f"{type(error).__name__}: {error}"
+            door.send(answer)
+    except (EOFError, OSError):
+        os._exit(0)

@@ -72,6 +72,11 @@ class Jaws:
         else:
             self.object = 2 if target < min(asked, _CLOSED_COUNT) else 3
 
+    @property
+    def holds(self) -> bool:
+        """Whether something is between the closed jaws."""
+        return self.object_count is not None and self.count >= self.object_count - 0.5
+
     def read(self, address: int) -> int:
         """A register.  Raises IndexError: there is none."""
         if 0 <= address - _COMMAND < _REGISTERS:
@@ -149,7 +154,10 @@ def _listed(jaws: Jaws, first: int, count: int) -> bytes:
 class EmulatedGripper:
     """The gripper on a pseudo terminal `port`, served by a thread within a `with`."""
 
-    def __init__(self, address: int = 9, object_count: float | None = 200.0) -> None:
+    #: Where the jaws meet a cable.
+    CABLE_COUNT = 200.0
+
+    def __init__(self, address: int = 9, object_count: float | None = CABLE_COUNT) -> None:
         self.jaws = Jaws(object_count)
         self._address = address
         # the slave end stays open: without any opener, reading the master fails

@@ -10,7 +10,8 @@ import numpy as np
 from drivers.interfaces import FloatArray
 from drivers.ur_kinematics import UR5E, UrModel, matrix_of, pose_of
 
-_HOME_RAD = (0.0, -np.pi / 2, np.pi / 2, -np.pi / 2, -np.pi / 2, 0.0)
+#: Where an arm stands at first, unless it is told otherwise.
+HOME_RAD = (0.0, -np.pi / 2, np.pi / 2, -np.pi / 2, -np.pi / 2, 0.0)
 
 
 @dataclass
@@ -18,7 +19,7 @@ class Joints:
     """Joint angles and speeds of an arm and the tool on its flange."""
 
     model: UrModel = UR5E
-    q_rad: FloatArray = field(default_factory=lambda: np.array(_HOME_RAD))
+    q_rad: FloatArray = field(default_factory=lambda: np.array(HOME_RAD))
     qd_rad_per_s: FloatArray = field(default_factory=lambda: np.zeros(6))
     X_FT: FloatArray = field(default_factory=lambda: np.eye(4))
 

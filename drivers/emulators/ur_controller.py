@@ -12,7 +12,7 @@ from enum import IntEnum, StrEnum
 import numpy as np
 
 from drivers.emulators.rtde_wire import OUTPUTS, TYPES, Value
-from drivers.emulators.ur_arm import Decelerate, Joints
+from drivers.emulators.ur_arm import HOME_RAD, Decelerate, Joints
 from drivers.emulators.ur_script import ControlScript, Effects, Registers, ScriptError
 from drivers.ur_kinematics import UR5E, UrModel, pose_of
 
@@ -65,12 +65,14 @@ class ControllerOptions:
 
     version     PolyScope version: major, minor, bugfix, build
     time_scale  controller seconds per real second
+    start_rad   joints at which the arm stands at first
     """
 
     version: tuple[int, int, int, int] = (5, 12, 2, 1101534)
     model: UrModel = UR5E
     time_scale: float = 1.0
     serial_number: str = "20225500001"
+    start_rad: tuple[float, ...] = HOME_RAD
 
 
 @dataclass
@@ -93,7 +95,7 @@ class Controller:
 
     def __init__(self, options: ControllerOptions) -> None:
         self.options = options
-        self.joints = Joints(options.model)
+        self.joints = Joints(options.model, np.array(options.start_rad))
         self.registers = Registers()
         self.time_s = 100.0
         self.runtime = Runtime.STOPPED
@@ -234,7 +236,7 @@ class Controller:
         """Put the arm back where it was at the start, as a person would by hand; no program."""
         self.end_program("put home")
         self._coasting = None
-        self.joints = Joints(self.options.model)
+        self.joints = Joints(self.options.model, np.array(self.options.start_rad))
 
     def _stop_for_safety(self, safety: Safety, why: str) -> None:
         self.safety = safety

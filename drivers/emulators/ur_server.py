@@ -34,6 +34,7 @@ from drivers.emulators.rtde_wire import (
     WireError,
     names_in,
 )
+from drivers.emulators.ur_arm import HOME_RAD
 from drivers.emulators.ur_controller import CYCLE_S, Controller, ControllerOptions
 from drivers.priority import run_in_real_time
 from drivers.ur_kinematics import MODELS
@@ -395,12 +396,17 @@ def main() -> None:
     parser.add_argument("--version", default="5.12.2.1101534", help="PolyScope version")
     parser.add_argument("--model", default="UR5e", choices=sorted(MODELS))
     parser.add_argument("--time-scale", type=float, default=1.0)
+    parser.add_argument("--start-rad", help="six joint angles at which the arm stands at first")
     arguments = parser.parse_args()
     if not arguments.host.startswith("127."):
         parser.error("an emulator serves loopback addresses only")
     major, minor, bugfix, build = (int(part) for part in arguments.version.split("."))
+    start = arguments.start_rad
     options = ControllerOptions(
-        (major, minor, bugfix, build), MODELS[arguments.model], arguments.time_scale
+        (major, minor, bugfix, build),
+        MODELS[arguments.model],
+        arguments.time_scale,
+        start_rad=HOME_RAD if start is None else tuple(float(q) for q in start.split(",")),
     )
     server = UrServer(arguments.host, options)
     run_in_real_time(30)  # before its clients: they do not hold a real controller up either

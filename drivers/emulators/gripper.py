@@ -1,0 +1,133 @@
+"""The emulated gripper as a process of its own, on a serial line whose name can be chosen."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+from drivers.emulators.launch import EmulatorProcess, answer_all
+from drivers.emulators.robotiq import EmulatedGripper, GripperFaults
+
+
+@dataclass(frozen=True)
+class JawsSeen:
+    """What somebody who stands beside the gripper sees.
+
+    held  a cable is between the closed jaws
+    """
+
+    held: bool
+    count: float
+    active: bool
+
+
+class GripperProcess(EmulatorProcess):
+    """A gripper in its own process, alive within a `with`; it ends when its parent does.
+
+    link     name of the serial line, a symbolic link that is made; None = the terminal's own name
+    address  Modbus slave
+    """
+
+    def __init__(self, link: Path | None = None, address: int = 9) -> None:
+        super().__init__("gripper", serve, (link, address))
+        self._faults = GripperFaults()
+        self.port = "" if link is None else str(link)
+
+    def started(self, said: str) -> None:
+        """Take the name of the serial line."""
+        self.port = said
+
+    @property
+    def faults(self) -> GripperFaults:
+        """What goes wrong; set it anew to change it."""
+        return self._faults
+
+    @faults.setter
+    def faults(self, faults: GripperFaults) -> None:
+        self._faults = faults
+        self.ask("faults", faults)
+
+    def unplug(self) -> None:
+        """Pull the cable, which is also its power: jaws stay, activation goes."""
+        self.ask("unplug")
+
+    def plug(self) -> None:
+        """Put the cable back."""
+        self.ask("plug")
+
+    def lay_out(self, cable: bool) -> None:
+        """Put a cable between the jaws, or take it away."""
+        self.ask("lay_out", cable)
+
+    def look(self) -> JawsSeen:
+        """What the jaws do."""
+        seen: JawsSeen = self.ask("look")
+        return seen
+
+
+def serve(door: Connection, link: Path | None, address: int) -> None:
+    """Be a gripper until the other end of `door` is gone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C is for the parent, who then ends it
+    try:
+        bench = _Bench(link, address)
+    except OSError as error:
+        door.send((False, str(error)))
+        return
+    threading.Thread(target=answer_all, args=(door, bench.do), daemon=True).start()
+    door.send((True, bench.port))
+    threading.Event().wait()
+
+
+class _Bench:
+    """The gripper, its cable, and the hand that pulls it."""
+
+    def __init__(self, link: Path | None, address: int) -> None:
+        self._link = link
+        self._address = address
+        self._gripper = EmulatedGripper(address)
+        self._gripper.__enter__()
+        self.port = self._gripper.port
+        if link is not None:
+            self._name_it(link)
+            self.port = str(link)
+
+    def do(self, what: str, content: object) -> object:
+        """What the parent asks for."""
+        jaws = self._gripper.jaws
+        match what, content:
+            case "faults", GripperFaults() as faults:
+                jaws.faults = faults
+            case "lay_out", bool(cable):
+                jaws.object_count = EmulatedGripper.CABLE_COUNT if cable else None
+            case "unplug", _:
+                self._gripper.unplug()
+            case "plug", _:
+                self._plug()
+            case "look", _:
+                return JawsSeen(jaws.holds, jaws.count, jaws.activation == 3)
+            case _:
+                raise ValueError(f"{what!r} is not understood")
+        return None
+
+    def _plug(self) -> None:
+        before = self._gripper
+        before.unplug()
+        self._gripper = EmulatedGripper(self._address)
+        jaws, old = self._gripper.jaws, before.jaws
+        jaws.count, jaws.object_count, jaws.faults = old.count, old.object_count, old.faults
+        self._gripper.__enter__()
+        if self._link is not None:
+            self._name_it(self._link)
+
+    def _name_it(self, link: Path) -> None:
+        """Raises FileExistsError: there is something else of that name."""
+        if link.exists() and not link.is_symlink():
+            raise FileExistsError(f"{link} exists and is no link to an emulated line")
+        link.parent.mkdir(parents=True, exist_ok=True)
+        new = link.with_name(link.name + ".new")
+        new.unlink(missing_ok=True)
+        new.symlink_to(self._gripper.port)
+        new.rename(link)
