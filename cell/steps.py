@@ -45,22 +45,17 @@ from cell.plan.paths import (
 from cell.study.data import Trial
 from cell.vision.detect import detect
 from cell.vision.sighting import Sighting
+from cell.waiting import POLL_S, REST_TIMEOUT_S, await_rest, check_arm, wait_until
 from drivers.interfaces import (
     ArmMode,
     CameraError,
     DeviceError,
-    DeviceTimeoutError,
     Frame,
     GripError,
     Path,
     Pose,
-    StoppedError,
 )
 
-#: How long a wait is between two looks at the commands, s.
-POLL_S = 0.01
-#: Longest time that an arm needs to rest after the end of its path, beyond its lag, s.
-REST_TIMEOUT_S = 1.0
 #: A hand this close to where it is sent is there already, m.
 AT_GOAL_M = 2e-4
 #: One frame in so many is kept as a picture, during the hold and during the execution.
@@ -136,7 +131,7 @@ def go_home(bench: Bench) -> None:
 
 def check_ready(bench: Bench) -> None:
     """Whether a cycle may begin: arm ready, jaws empty.  Raises a DeviceError that says why not."""
-    _check_arm(bench)
+    check_arm(bench)
     if bench.devices.gripper.state().holding:
         raise GripError(bench.devices.gripper.name, "holds something already", "empty the jaws")
 
@@ -147,7 +142,7 @@ def check_ready(bench: Bench) -> None:
 def grasp(bench: Bench) -> None:
     """Close the jaws on the cable and let it calm down.  Raises GripError."""
     bench.devices.gripper.grip(bench.task.force_n)
-    _wait_until(bench, bench.devices.clock.now_s() + bench.task.calm_s)
+    wait_until(bench, bench.devices.clock.now_s() + bench.task.calm_s)
 
 
 def lower(bench: Bench) -> Filming:
@@ -237,7 +232,7 @@ def execute(bench: Bench, path: Path, start_s: float) -> Filmed:
     duration_s = float(path.t_s[-1]) + arm.lag_s + task.settle_s
     frame_count = int(np.ceil(duration_s * camera.frame_rate_hz))
     end_s = start_s + duration_s
-    _wait_until(bench, start_s)
+    wait_until(bench, start_s)
     arm.follow(path)
     camera.start(frame_count)
     filming = Filming(start_s, end_s - task.settle_s, end_s, frame_count)
@@ -247,7 +242,7 @@ def execute(bench: Bench, path: Path, start_s: float) -> Filmed:
 def approach(bench: Bench, motion: Measuring) -> None:
     """Bring the cable slowly to where a measuring motion begins, and let it calm down."""
     _move(bench, motion.start, bench.task.insertion.slowed(APPROACH_SLOWER))
-    _wait_until(bench, bench.devices.clock.now_s() + bench.task.calm_s)
+    wait_until(bench, bench.devices.clock.now_s() + bench.task.calm_s)
 
 
 def measure(bench: Bench, motion: Measuring) -> Filmed:
@@ -313,10 +308,10 @@ def _film(bench: Bench, path: Path, still_s: float, hold_s: float) -> Filming:
     frame_count = int(np.ceil((still_s + moving_s + hold_s) * camera.frame_rate_hz))
     begin_s = clock.now_s()
     camera.start(frame_count)
-    _wait_until(bench, begin_s + still_s)
+    wait_until(bench, begin_s + still_s)
     arm.follow(path)
     rest_s = clock.now_s() + moving_s
-    _wait_until(bench, rest_s)
+    wait_until(bench, rest_s)
     return Filming(begin_s, rest_s, rest_s + hold_s, frame_count)
 
 
@@ -329,8 +324,8 @@ def _capture(
     """See the filming to its end, and make sure that the arm is ready and the cable still held."""
     sightings, pictures = _see(bench, filming.frame_count, keep_every, after_each)
     seen_at_s = time.perf_counter()
-    _wait_until(bench, filming.end_s)
-    _check_arm(bench)
+    wait_until(bench, filming.end_s)
+    check_arm(bench)
     _check_grip(bench)
     hand = bench.devices.arm.log(filming.begin_s, bench.devices.clock.now_s())
     return Filmed(filming.begin_s, sightings, hand, pictures, seen_at_s)
@@ -362,15 +357,6 @@ def _see(
     return tuple(sightings), tuple(pictures)
 
 
-def _wait_until(bench: Bench, t_s: float) -> None:
-    """Let time pass.  Raises InterruptedByCommandError."""
-    bench.commands.check()
-    clock = bench.devices.clock
-    while (left_s := t_s - clock.now_s()) > 0.0:
-        clock.sleep_s(min(left_s, POLL_S))
-        bench.commands.check()
-
-
 def _move(bench: Bench, goal: Pose, limits: MotionLimits) -> None:
     """Move to `goal`: level first, then up or down, then turning, and rest there."""
     arm = bench.devices.arm
@@ -380,26 +366,8 @@ def _move(bench: Bench, goal: Pose, limits: MotionLimits) -> None:
         return
     path = retreat_path(here, goal, limits, arm.rate_hz)
     arm.follow(path)
-    _wait_until(bench, bench.devices.clock.now_s() + float(path.t_s[-1]) + arm.lag_s)
-    end_s = bench.devices.clock.now_s() + REST_TIMEOUT_S
-    while arm.state().moving:
-        if bench.devices.clock.now_s() > end_s:
-            raise DeviceTimeoutError(
-                arm.name,
-                f"still moves {REST_TIMEOUT_S:g} s after its path has ended",
-                "check the arm's lag and speed slider",
-            )
-        _wait_until(bench, bench.devices.clock.now_s() + POLL_S)
-    _check_arm(bench)
-
-
-def _check_arm(bench: Bench) -> None:
-    arm = bench.devices.arm
-    mode = arm.state().mode
-    if mode is not ArmMode.READY:
-        raise StoppedError(
-            arm.name, f"is in {mode.value.replace('_', ' ')}", "find the cause and acknowledge it"
-        )
+    wait_until(bench, bench.devices.clock.now_s() + float(path.t_s[-1]) + arm.lag_s)
+    await_rest(bench)
 
 
 def _check_grip(bench: Bench) -> None:
