@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,8 +71,11 @@ def fit(t_s: FloatArray, value: FloatArray) -> Spline:
     half = min(int(_CALM_S / spacing) + 1, (len(t) - 1) // 2)
     window = np.hanning(2 * half + 3)[1:-1]
     local = np.ones_like(t)
+    probes = np.random.default_rng(0).choice([-1.0, 1.0], (_PROBES, len(t)))
+    signals = np.ascontiguousarray(np.vstack([y, probes]).T)
+    multiples = np.geomspace(1e-3, 1e7, 18) * spacing**3
     for _ in range(_ROUNDS):
-        smooth = _least_error(t, y, noise, local, spacing)
+        smooth = _least_error(signals, t, noise, local, multiples)
         energy = np.convolve(_natural(t, smooth) ** 2, window / window.sum(), "same")
         if energy.max() == 0.0:
             break
@@ -81,91 +85,130 @@ def fit(t_s: FloatArray, value: FloatArray) -> Spline:
 
 def _noise(t: FloatArray, y: FloatArray) -> float:
     """Standard deviation of white noise from fourth divided differences, robustly."""
-    near = np.lib.stride_tricks.sliding_window_view(t, 5)
-    gaps = near[:, :, None] - near[:, None, :] + np.eye(5)
-    weights = 1.0 / gaps.prod(axis=2)
-    weights /= np.sqrt(np.sum(weights**2, axis=1, keepdims=True))
-    differences = np.sum(weights * np.lib.stride_tricks.sliding_window_view(y, 5), axis=1)
-    return float(np.median(np.abs(differences))) / 0.6745
+    return float(np.median(np.abs(_fourth_differences(t, y)))) / 0.6745
 
 
+@compiled
+def _fourth_differences(t: FloatArray, y: FloatArray) -> FloatArray:
+    """(T − 4,) fourth divided differences, scaled to the variance of a single value."""
+    out = np.empty(t.size - 4)
+    for k in range(out.size):
+        difference, square = 0.0, 0.0
+        for i in range(k, k + 5):
+            gaps = 1.0
+            for j in range(k, k + 5):
+                if j != i:
+                    gaps *= t[i] - t[j]
+            difference += y[i] / gaps
+            square += 1.0 / (gaps * gaps)
+        out[k] = difference / math.sqrt(square)
+    return out
+
+
+@compiled
 def _least_error(
-    t: FloatArray, y: FloatArray, noise: float, local: FloatArray, spacing: float
+    signals: FloatArray,
+    t: FloatArray,
+    noise: float,
+    local: FloatArray,
+    multiples: FloatArray,
 ) -> FloatArray:
-    """The smoothed values for the best multiple of the local penalties."""
-    probes = np.random.default_rng(0).choice([-1.0, 1.0], (_PROBES, len(t)))
-    best, chosen = np.inf, y
-    for multiple in np.geomspace(1e-3, 1e7, 18) * spacing**3:
-        root = np.sqrt(multiple * local)
-        smooth: FloatArray = _smooth(t, y, root)
-        trace = np.mean([z @ _smooth(t, z, root) for z in probes])  # Hutchinson's estimate
-        score = float(np.mean((y - smooth) ** 2) + 2.0 * noise**2 * trace / len(t))
+    """The smoothed values for the best multiple of the local penalties.
+
+    signals  (T, 1 + probes) values, and random signs for Hutchinson's estimate of the trace
+    """
+    best = np.inf
+    chosen = signals[:, 0].copy()
+    for multiple in multiples:
+        smooth = _smooth(t, signals, np.sqrt(multiple * local))
+        square, trace = 0.0, 0.0
+        for j in range(t.size):
+            square += (signals[j, 0] - smooth[j, 0]) ** 2
+            for k in range(1, signals.shape[1]):
+                trace += signals[j, k] * smooth[j, k]
+        trace /= signals.shape[1] - 1
+        score = (square + 2.0 * noise**2 * trace) / t.size
         if score < best:
-            best, chosen = score, smooth
+            best = score
+            chosen[:] = smooth[:, 0]
     return chosen
 
 
 @compiled
 def _natural(t: FloatArray, y: FloatArray) -> FloatArray:
     """Second derivatives at the knots of the natural spline through y."""
-    return _solve(t, y, np.zeros(t.size), False)
+    return _solve(t, y.copy().reshape(-1, 1), np.zeros(t.size), False)[:, 0].copy()
 
 
 @compiled
 def _smooth(t: FloatArray, y: FloatArray, root: FloatArray) -> FloatArray:
-    """Minimise Σ(y − g)² + ∫penalty·g″², root (T,) = √penalty at the knots: g at the knots."""
+    """Minimise Σ(y − g)² + ∫penalty·g″², root (T,) = √penalty at the knots: g at the knots.
+
+    y  (T, signals), each on its own
+    """
     n = t.size
     u = _solve(t, y, root, True)
     smooth = y.copy()
     for j in range(n):
-        if j > 0:
-            h = t[j] - t[j - 1]
-            smooth[j] -= (root[j - 1] * u[j - 1] - root[j] * u[j]) / h
-        if j < n - 1:
-            h = t[j + 1] - t[j]
-            smooth[j] -= (root[j + 1] * u[j + 1] - root[j] * u[j]) / h
+        for k in range(y.shape[1]):
+            if j > 0:
+                h = t[j] - t[j - 1]
+                smooth[j, k] -= (root[j - 1] * u[j - 1, k] - root[j] * u[j, k]) / h
+            if j < n - 1:
+                h = t[j + 1] - t[j]
+                smooth[j, k] -= (root[j + 1] * u[j + 1, k] - root[j] * u[j, k]) / h
     return smooth
 
 
 @compiled
 def _solve(t: FloatArray, y: FloatArray, root: FloatArray, scaled: bool) -> FloatArray:
-    """(R + DQᵀQD) u = Qᵀy, or = DQᵀy if scaled, D = diag(root): pentadiagonal, by LDLᵀ."""
-    n = t.size
+    """(R + DQᵀQD) u = Qᵀy, or = DQᵀy if scaled, D = diag(root): pentadiagonal, by LDLᵀ.
+
+    y, u  (T, signals)
+    """
+    n, signals = y.shape
     h = t[1:] - t[:-1]
     d = np.zeros(n)
     below = np.zeros(n)
     below2 = np.zeros(n)
-    u = np.zeros(n)
+    u = np.zeros((n, signals))
     for j in range(1, n - 1):
         a = 1.0 / h[j - 1]
         c = 1.0 / h[j]
         b = -a - c
         r = root[j]
         diag = (h[j - 1] + h[j]) / 3.0 + r * r * (a * a + b * b + c * c)
-        rhs = ((y[j + 1] - y[j]) * c - (y[j] - y[j - 1]) * a) * (r if scaled else 1.0)
         off, off2 = 0.0, 0.0
         if j < n - 2:
             e = 1.0 / h[j + 1]
             off = h[j] / 6.0 + r * root[j + 1] * (b * c - c * (c + e))
             if j < n - 3:
                 off2 = r * root[j + 2] * c * e
+        before = below[j - 1] if j > 1 else 0.0
+        before2 = below2[j - 2] if j > 2 else 0.0
         if j > 1:
-            diag -= d[j - 1] * below[j - 1] ** 2
-            off -= d[j - 1] * below[j - 1] * below2[j - 1]
-            rhs -= below[j - 1] * u[j - 1]
+            diag -= d[j - 1] * before**2
+            off -= d[j - 1] * before * below2[j - 1]
         if j > 2:
-            diag -= d[j - 2] * below2[j - 2] ** 2
-            rhs -= below2[j - 2] * u[j - 2]
+            diag -= d[j - 2] * before2**2
         d[j] = diag
         below[j] = off / diag
         below2[j] = off2 / diag
-        u[j] = rhs
+        size = r if scaled else 1.0
+        for k in range(signals):
+            rhs = ((y[j + 1, k] - y[j, k]) * c - (y[j, k] - y[j - 1, k]) * a) * size
+            if j > 1:
+                rhs -= before * u[j - 1, k]
+            if j > 2:
+                rhs -= before2 * u[j - 2, k]
+            u[j, k] = rhs
     for j in range(n - 2, 0, -1):
-        u[j] /= d[j]
-        if j + 1 < n - 1:
-            u[j] -= below[j] * u[j + 1]
-        if j + 2 < n - 1:
-            u[j] -= below2[j] * u[j + 2]
+        for k in range(signals):
+            u[j, k] /= d[j]
+            if j + 1 < n - 1:
+                u[j, k] -= below[j] * u[j + 1, k]
+            if j + 2 < n - 1:
+                u[j, k] -= below2[j] * u[j + 2, k]
     return u
 
 
