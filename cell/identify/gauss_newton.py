@@ -16,7 +16,6 @@ FloatArray = NDArray[np.float64]
 Residuals = Callable[[FloatArray], FloatArray]
 
 _FIRST_DAMPING = 1e-2
-_NEGLIGIBLE_DAMPING = 1e-2
 _HOPELESS_DAMPING = 1e8
 
 
@@ -91,16 +90,18 @@ def minimise(problem: Problem, start: FloatArray, options: Options = Options()) 
     while True:
         normal = jacobian.T @ jacobian + problem.precision
         slope = jacobian.T @ residual + problem.precision @ (q - problem.mean)
-        step = _bounded_step(problem, q, normal, slope, damping)
+        # Damping hides how far it still is along a valley, so nearness is judged without it.
+        step = _bounded_step(problem, q, normal, slope, 0.0)
         rows = int(np.count_nonzero(residual))
         scale = max(1.0, float(residual @ residual) / max(1, rows))
-        small = float(step @ normal @ step) <= options.tolerance**2 * scale
-        if small and damping <= _NEGLIGIBLE_DAMPING:
+        if float(step @ normal @ step) <= options.tolerance**2 * scale:
             q, residual, converged = q + step, residual + jacobian @ step, True
             break
         if passes >= options.most_passes:
             break
         passes += 1
+        if damping > 0.0:
+            step = _bounded_step(problem, q, normal, slope, damping)
         trial = q + step
         trial_residual, trial_jacobian = _linearise(problem, trial)
         trial_objective = _objective(problem, trial, trial_residual)

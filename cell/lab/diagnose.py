@@ -7,17 +7,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from cell.cable.effects.base import Effect
+from cell.lab.estimate import Estimate, estimate
 from cell.lab.explore import Candidate, Explorer, Gain
 from cell.lab.fitting import fit_trials
-from cell.lab.results import Diagnosis, Errors, Found, Interval, Ranked, Status, Verdict
+from cell.lab.results import Diagnosis, Errors, Found, Ranked, Status, Verdict
 from cell.lab.score import holm
 from cell.lab.screen import Screened
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -33,6 +31,8 @@ class Rules:
     most_tied        more than these tied: these motions cannot tell
     most_effects     added one after another
     best             of the screen that are refitted, besides all that are not smooth
+    doubted          a stated noise of which the baseline leaves less than this share bounds what
+                     the measurement can be trusted for: below it nothing is claimed
     misfit           rms over noise above which a significant misfit also matters
     misfit_share     of the baseline's excess that a known effect may leave
     """
@@ -46,6 +46,7 @@ class Rules:
     most_tied: int = 3
     most_effects: int = 3
     best: int = 6
+    doubted: float = 0.8
     misfit: float = 1.04
     gross_misfit: float = 1.10
     misfit_share: float = 0.1
@@ -76,7 +77,7 @@ def diagnose(explorer: Explorer, rules: Rules = Rules()) -> Examination:
     screened = explorer.screened(base)
     singles = explorer.add(base, _worth_refitting(explorer, base, rules))
     current = base
-    for _ in range(rules.most_effects):
+    for _ in range(0 if _below_stated(explorer, base, rules) else rules.most_effects):
         options = explorer.add(current, _worth_refitting(explorer, current, rules))
         better = _accepted(explorer, current, options, len(screened), rules)
         if better is None:
@@ -87,9 +88,11 @@ def diagnose(explorer: Explorer, rules: Rules = Rules()) -> Examination:
     verdict = _verdict(explorer, base, current, tied, rules)
     if verdict == "unexplained":
         steps, tied = (base,), {}
+    final = estimate(explorer.bench, steps[-1].fit) if len(steps) > 1 else None
     missing = tuple(
-        _found(explorer, small, large, tied, len(screened))
+        _found(explorer, small, large, tied, len(screened), final)
         for small, large in itertools.pairwise(steps)
+        if final is not None
     )
     diagnosis = Diagnosis(
         noise_m=explorer.bench.floor.noise.std_m,
@@ -104,6 +107,13 @@ def diagnose(explorer: Explorer, rules: Rules = Rules()) -> Examination:
 def _added(explorer: Explorer, candidate: Candidate) -> list[type[Effect]]:
     """Effects of a candidate that the baseline did not have already."""
     return [e for e in candidate.effects if e not in explorer.space.effects]
+
+
+def _below_stated(explorer: Explorer, base: Candidate, rules: Rules) -> bool:
+    """Whether the baseline errs by much less than the measurement is said to."""
+    worst_m = max(base.fit.rms_m, base.heldout.rms_m if base.heldout else 0.0)
+    floor = explorer.bench.floor
+    return bool(np.isinf(floor.freedom)) and worst_m < rules.doubted * floor.noise.std_m
 
 
 def _worth_refitting(explorer: Explorer, base: Candidate, rules: Rules) -> list[type[Effect]]:
@@ -247,6 +257,7 @@ def _found(
     large: Candidate,
     tied: dict[str, tuple[str, ...]],
     library: int,
+    final: Estimate,
 ) -> Found:
     effect = next(e for e in large.effects if e.name not in small.names)
     gain = explorer.gain(small, large)
@@ -255,40 +266,9 @@ def _found(
         tied_with=tied.get(effect.name, ()),
         p_value=min(1.0, gain.p_value * (library - len(small.effects))),
         delta_bic=gain.delta_bic,
-        parameters=intervals(large, effect),
+        parameters=final.intervals(effect),
         errors=_errors(large),
     )
-
-
-#: Converged simulators of the same cable differ by this much in the parameters that they need.
-MODEL_ERROR = 0.01
-
-
-def intervals(candidate: Candidate, effect: type[Effect]) -> dict[str, Interval]:
-    """Values and 95 % intervals of an effect's parameters."""
-    space, q = candidate.fit.space, candidate.fit.q
-    systematic = np.zeros(len(q))
-    for p in effect.parameters:
-        i = space.names.index(f"{effect.name}.{p.name}")
-        off = (np.log(p.default) if space.logarithmic[i] else p.default) if p.amplitude else 0.0
-        relative = space.logarithmic[i] and not p.amplitude
-        systematic[i] = MODEL_ERROR * (1.0 if relative else abs(q[i] - off))
-    spread = np.sqrt(np.diag(candidate.fit.covariance) + systematic**2)
-    reach = float(stats.norm.ppf(0.975)) * spread
-    low = space.natural(np.clip(q - reach, space.low, space.high))
-    high = space.natural(np.clip(q + reach, space.low, space.high))
-    value = space.natural(q)
-    index = {p.name: space.names.index(f"{effect.name}.{p.name}") for p in effect.parameters}
-    return {
-        p.name: Interval(
-            float(value[index[p.name]]),
-            float(low[index[p.name]]),
-            float(high[index[p.name]]),
-            p.unit,
-        )
-        for p in effect.parameters
-        if p.fitted
-    }
 
 
 def _errors(candidate: Candidate) -> Errors:

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from cell.cable.effects import Effect, load_effect
-from cell.lab.diagnose import Rules, diagnose, intervals
+from cell.lab.diagnose import Rules, diagnose
+from cell.lab.estimate import estimate
 from cell.lab.explore import Candidate, Explorer
 from cell.lab.fitting import fit_trials
 from cell.lab.terms import Term, admissible, effect_source
@@ -95,11 +96,12 @@ def discover(explorer: Explorer, out: Path, rules: Rules = ALL_TERMS) -> Discove
                     "nothing written"
                 )
     kept = [terms[e.name] for e in found.effects if e.name in terms]
+    settled = estimate(explorer.bench, found.fit)
     values = {
         name: interval.value
         for effect in found.effects
         if effect.name in terms
-        for name, interval in intervals(found, effect).items()
+        for name, interval in settled.intervals(effect).items()
     }
     about = f"Law inferred from the residuals of study {explorer.bench.study.name}."
     source = effect_source("discovered", kept, about, values)
@@ -115,7 +117,7 @@ def discover(explorer: Explorer, out: Path, rules: Rules = ALL_TERMS) -> Discove
     return Discovery(
         terms=tuple(
             TermFound(n, i.value, i.low, i.high, i.unit)
-            for n, i in intervals(final, effect).items()
+            for n, i in estimate(explorer.bench, final.fit).intervals(effect).items()
         ),
         laws=tuple(t.law for t in kept),
         noise_m=explorer.bench.noise.std_m,

@@ -12,7 +12,7 @@ from cell.cable.effects.base import Effect
 from cell.cable.model import CableModel
 from cell.identify import gauss_newton
 from cell.identify.gauss_newton import Solution
-from cell.identify.parameters import ParameterSpace
+from cell.identify.parameters import ParameterSpace, Prior
 from cell.lab.bench import RELEASE_LIMIT_S, RELEASE_STD_S, Bench, is_released
 from cell.lab.where import overall
 from cell.study.data import Trial
@@ -86,16 +86,18 @@ def fit_model(
     start: FloatArray,
     delay_s: dict[str, float] | None = None,
     *,
+    trials: Sequence[Trial] | None = None,
     temper: float = 1.0,
     options: gauss_newton.Options = gauss_newton.Options(tolerance=0.03),  # noqa: B008
 ) -> Fit:
     """Fit near `start`, with the release delays of trials held straight as further unknowns.
 
+    trials  default: the `fit` trials
     temper  residuals are divided by it: where a model cannot fit, the prior then still keeps its
             parameters plausible
     raises  ValueError: the model cannot be simulated at the start
     """
-    trials = fit_trials(bench)
+    trials = fit_trials(bench) if trials is None else trials
     released = [t.name for t in trials if is_released(t)]
     p, more = len(space.names), len(released)
     precision = np.zeros((p + more, p + more))
@@ -212,7 +214,10 @@ def space_with(space: ParameterSpace, effects: Sequence[type[Effect]]) -> Parame
     amplitudes of effects have none to speak of.
     """
     new = ParameterSpace.of(
-        space.cable, gravity_m_per_s2=space.gravity_m_per_s2, effects=tuple(effects)
+        space.cable,
+        gravity_m_per_s2=space.gravity_m_per_s2,
+        effects=tuple(effects),
+        prior=Prior(knots=space.knots),
     )
     kept = [n for n in new.names if n in space.names]
     to = [new.names.index(n) for n in kept]

@@ -97,3 +97,17 @@ def test_lanes_that_cannot_be_computed_are_stepped_back_from() -> None:
 def test_too_few_passes_is_said() -> None:
     solution = minimise(misra(), np.log([500.0, 1e-4]), Options(most_passes=1))
     assert not solution.converged
+
+
+def test_far_along_a_narrow_valley_is_not_called_converged() -> None:
+    """Rosenbrock's valley, a hundred times narrower than long: damped steps across it are tiny."""
+
+    def residuals(lanes: np.ndarray) -> np.ndarray:
+        x, y = lanes.T
+        return np.stack([100.0 * (y - x**2), 10.0 * (1.0 - x)], axis=1)
+
+    wide = np.full(2, 10.0)
+    problem = Problem(residuals, np.zeros(2), np.zeros((2, 2)), np.full(2, 1e-6), -wide, wide)
+    solution = minimise(problem, np.array([-1.2, 1.44]), Options(most_passes=100))
+    assert solution.converged
+    assert solution.q == pytest.approx([1.0, 1.0], abs=1e-4)

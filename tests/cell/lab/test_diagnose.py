@@ -90,6 +90,19 @@ def test_two_effects_are_both_found(make_study):
     assert found.verdict == "missing"
     assert {f.effect for f in found.missing} == {"tip_mass", "grip_angle"}
     assert found.missing[-1].errors.heldout_rms_m < 1.03e-4
+    # the first one's too is of the model with both: alone it would stand in for the other
+    parameters = {n: p for f in found.missing for n, p in f.parameters.items()}
+    for name, true in (("mass_kg", 2.5e-5), ("angle_rad", 0.03)):
+        assert parameters[name].low < true < parameters[name].high
+
+
+def test_nothing_is_claimed_below_the_noise_that_the_study_states(make_study):
+    slip = library()["grip_slip"].active(length_m=2e-5)
+    study = make_study([slip], seed=4, noise_m=1e-5, colour=0.0)
+    names = ("grip_slip", "tip_mass")
+    assert diagnose(explore(study, names)).diagnosis.verdict == "missing"
+    found = diagnose(explore(replace(study, noise_std_m=2e-5), names)).diagnosis
+    assert found.verdict == "complete"
 
 
 def test_an_effect_outside_the_library_is_unexplained(make_study):

@@ -1,0 +1,102 @@
+"""How strong the effects found are: parameters from all trials, with honest intervals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from cell.cable.effects.base import Effect
+from cell.identify.gauss_newton import Options
+from cell.lab.bench import Bench
+from cell.lab.fitting import Fit, fit_model
+from cell.lab.results import Interval
+
+FloatArray = NDArray[np.float64]
+
+#: Converged simulators of the same cable differ by this much in the parameters that they need.
+MODEL_ERROR = 0.01
+#: A trial is asked about directions of which it holds at least this share of all that is known.
+LEAST_KNOWN = 0.01
+#: Trials that share fewer degrees of freedom than this cannot be said to disagree.
+MIN_FREEDOM = 4
+CONVERGED = Options(tolerance=0.03, most_passes=40)
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """A model's parameters from every trial of a study.
+
+    fit           to all trials, those held out included: they have done their work as judges
+    disagreement  mean square by which trials differ in the parameters that each asks for, 1 if by
+                  their noise alone; the covariance is multiplied by it
+    """
+
+    fit: Fit
+    disagreement: float
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(p, p) of the fit's coordinates."""
+        return np.asarray(self.fit.covariance * self.disagreement)
+
+    def intervals(self, effect: type[Effect]) -> dict[str, Interval]:
+        """Values and 95 % intervals of an effect's parameters."""
+        space, q = self.fit.space, self.fit.q
+        systematic = np.zeros(len(q))
+        index = {p.name: space.names.index(f"{effect.name}.{p.name}") for p in effect.parameters}
+        for p in effect.parameters:
+            i = index[p.name]
+            off = (np.log(p.default) if space.logarithmic[i] else p.default) if p.amplitude else 0.0
+            relative = space.logarithmic[i] and not p.amplitude
+            systematic[i] = MODEL_ERROR * (1.0 if relative else abs(q[i] - off))
+        spread = np.sqrt(np.diag(self.covariance) + systematic**2)
+        reach = float(stats.norm.ppf(0.975)) * spread
+        low = space.natural(np.clip(q - reach, space.low, space.high))
+        high = space.natural(np.clip(q + reach, space.low, space.high))
+        value = space.natural(q)
+        return {
+            p.name: Interval(
+                float(value[index[p.name]]),
+                float(low[index[p.name]]),
+                float(high[index[p.name]]),
+                p.unit,
+            )
+            for p in effect.parameters
+            if p.fitted
+        }
+
+
+def estimate(bench: Bench, fit: Fit) -> Estimate:
+    """The parameters of a fitted model, from all trials."""
+    whole = fit_model(
+        bench, fit.space, fit.q, fit.delay_s, trials=bench.study.trials, options=CONVERGED
+    )
+    return Estimate(whole, disagreement(bench, whole))
+
+
+def disagreement(bench: Bench, whole: Fit) -> float:
+    """Cochran's Q of the trials over its degrees of freedom, at least 1.
+
+    Each trial, linearised at the common fit, asks for parameters of its own; where the model errs
+    they differ by more than noise explains.
+    whole   fit to all trials
+    source  Cochran 1954, Biometrics 10, 101; as a factor on the variance: Birge 1932, Phys. Rev.
+            40, 207
+    """
+    solution, p = whole.solution, len(whole.q)
+    free = solution.free[:p]
+    unit = np.linalg.cholesky(whole.covariance[np.ix_(free, free)])
+    square, freedom, begin = 0.0, -float(np.count_nonzero(free)), 0
+    for trial in bench.study.trials:
+        rows = slice(begin, begin + bench.whiteners[trial.name].rows)
+        begin = rows.stop
+        jacobian = solution.jacobian[rows, :p][:, free] @ unit
+        known, directions = np.linalg.eigh(jacobian.T @ jacobian)
+        asked = directions.T @ (jacobian.T @ solution.residual[rows])
+        kept = known > LEAST_KNOWN
+        square += float(np.sum(asked[kept] ** 2 / known[kept]))
+        freedom += float(np.count_nonzero(kept))
+    return max(1.0, square / freedom) if freedom >= MIN_FREEDOM else 1.0
