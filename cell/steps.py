@@ -65,6 +65,8 @@ KEEP_EVERY_HELD, KEEP_EVERY_MOVING = 20, 4
 EARLY_SHARE = 0.2
 #: So many times slower than an insertion a cable is brought to where it is measured, at rest.
 APPROACH_SLOWER = 4.0
+#: The arm is told so long before it is to start, because it first checks where a path leads, s.
+AHEAD_S = 0.05
 #: A forecast is corrected to first order, without simulating again, if its tips move less, m.
 SMALL_SHIFT_M = 5e-4
 
@@ -112,8 +114,8 @@ def halt(devices: Devices, reason: str) -> ArmMode:
 
 
 def is_past(bench: Bench, t_s: float) -> bool:
-    """Whether a moment has gone by."""
-    return bench.devices.clock.now_s() > t_s
+    """Whether it is too late to tell the arm to start at a moment."""
+    return bench.devices.clock.now_s() > t_s - AHEAD_S
 
 
 def reset(bench: Bench) -> None:
@@ -201,7 +203,7 @@ def simulate(
     """What every offset would do, `lead_s` from now, or as simulated early if that still holds."""
     now_s = bench.devices.clock.now_s()
     early = filmed.early
-    if early is not None and early.prospect.start_s > now_s:
+    if early is not None and not is_past(bench, early.prospect.start_s):
         expected = early.prospect.forecast
         shift_m = expected.moved_to(identified.mean).tip_m - expected.tip_m
         if np.abs(shift_m).max() < SMALL_SHIFT_M:
@@ -232,8 +234,8 @@ def execute(bench: Bench, path: Path, start_s: float) -> Filmed:
     duration_s = float(path.t_s[-1]) + arm.lag_s + task.settle_s
     frame_count = int(np.ceil(duration_s * camera.frame_rate_hz))
     end_s = start_s + duration_s
+    arm.follow(path, start_s)
     wait_until(bench, start_s)
-    arm.follow(path)
     camera.start(frame_count)
     filming = Filming(start_s, end_s - task.settle_s, end_s, frame_count)
     return _capture(bench, filming, KEEP_EVERY_MOVING)

@@ -90,11 +90,11 @@ class GuardedArm:
         check_path(path, self._limits, self.name)
         self._arm.check(path)
 
-    def follow(self, path: Path) -> None:
+    def follow(self, path: Path, start_s: float | None = None) -> None:
         """Raises LimitError naming point, value and limit; else as the arm."""
         check_path(path, self._limits, self.name)
         self._check_start(path)
-        self._arm.follow(path)
+        self._arm.follow(path, start_s)
 
     def log(self, start_s: float, end_s: float) -> Path:
         """Measured poses."""

@@ -125,6 +125,15 @@ class LimitError(DeviceError):
     """A command is outside the limits; nothing was sent.  Scenario: offset beyond the cell."""
 
 
+def too_late(device: str, late_s: float) -> LimitError:
+    """What an arm says that is told to start in the past."""
+    return LimitError(
+        device,
+        f"told {late_s * 1e3:.1f} ms after the moment at which it was to start",
+        "tell it earlier; nothing was moved",
+    )
+
+
 class StoppedError(DeviceError):
     """The device is stopped and must be reset by a person.  Scenario: protective stop."""
 
@@ -188,11 +197,13 @@ class Arm(Protocol):
         """
         ...
 
-    def follow(self, path: Path) -> None:
+    def follow(self, path: Path, start_s: float | None = None) -> None:
         """Start to follow `path` (its first pose is the present one) and return at once.
 
-        The times of `path` count from now.  Raises LimitError (outside the limits, or still moving
-        on another path; nothing was sent), StoppedError, DeviceLostError.
+        The times of `path` count from `start_s` on the cell's clock, None = now.  What has to be
+        checked before takes its time, so an arm that is to start at a certain moment is told
+        before.  Raises LimitError (outside the limits, still moving on another path, or the start
+        has gone by; nothing was sent), StoppedError, DeviceLostError.
         """
         ...
 

@@ -33,6 +33,7 @@ from drivers.interfaces import (
     Path,
     Pose,
     StoppedError,
+    too_late,
 )
 from drivers.plane_mount import PlaneMount
 from drivers.ur_child import MODES, ChildOptions
@@ -188,8 +189,8 @@ class UrArm:
             (sample,) = self._alive().shared.samples(1)
             self._check_reach(_from_zero(path), sample[Column.Q1_RAD :])
 
-    def follow(self, path: Path) -> None:
-        """Raises LimitError: still moving, off the plane, out of reach; StoppedError."""
+    def follow(self, path: Path, start_s: float | None = None) -> None:
+        """Raises LimitError: still moving, off the plane, out of reach, too late; StoppedError."""
         with self._lock:
             child = self._alive()
             stops = child.shared.get(Slot.STOPS)
@@ -205,8 +206,11 @@ class UrArm:
             self._check_on_plane(sample)
             begun = _from_zero(path)
             self._check_reach(begun, sample[Column.Q1_RAD :])
+            now_s = time.monotonic()
+            if start_s is not None and start_s < now_s:
+                raise too_late(self.name, now_s - start_s)
             self._paths += 1
-            self._send(child, ("follow", begun, stops))
+            self._send(child, ("follow", begun, stops, start_s))
 
     def log(self, start_s: float, end_s: float) -> Path:
         """Measured poses; the robot's own time stamps, brought to the cell's clock."""

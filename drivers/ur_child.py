@@ -306,18 +306,18 @@ class _Child:
         while self._connection.poll(0):
             request = self._connection.recv()
             match request:
-                case ("follow", Path() as path, float(stops)):
-                    self._follow(path, stops)
+                case ("follow", Path() as path, float(stops), start_s):
+                    self._follow(path, stops, start_s)
                 case ("reset",):
                     self._answer(self._reset)
                 case ("close",):
                     return False
         return True
 
-    def _follow(self, path: Path, stops: float) -> None:
+    def _follow(self, path: Path, stops: float, start_s: float | None) -> None:
         # a stop that came after the parent had looked for one wins
         if stops == self._shared.get(Slot.STOPS) and self._mode is ArmMode.READY:
-            self._motion = _Motion(path, time.monotonic())
+            self._motion = _Motion(path, time.monotonic() if start_s is None else start_s)
             self._shared.put(Slot.STREAMING, 1.0)
         self._shared.add(Slot.PATHS)
 

@@ -9,6 +9,7 @@ import select
 import socket
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
 from multiprocessing.connection import Connection
 from typing import Any, Self
@@ -93,6 +94,7 @@ class EmulatorProcess:
         self._name = name
         self._serve = serve
         self._args = args
+        self._asking = threading.Lock()
 
     def __enter__(self) -> Self:
         context = multiprocessing.get_context("spawn")
@@ -125,12 +127,13 @@ class EmulatorProcess:
         """Take what the process said when it was ready."""
 
     def ask(self, what: str, content: object = None) -> Any:
-        """Raises EmulatorError: it is gone, or did not understand."""
-        try:
-            self._door.send((what, content))
-        except OSError as error:
-            raise EmulatorError(f"the emulated {self._name} is gone") from error
-        return self._answer(_ANSWER_S)
+        """Ask from any thread.  Raises EmulatorError: it is gone, or did not understand."""
+        with self._asking:
+            try:
+                self._door.send((what, content))
+            except OSError as error:
+                raise EmulatorError(f"the emulated {self._name} is gone") from error
+            return self._answer(_ANSWER_S)
 
     def _answer(self, wait_s: float) -> Any:
         try:

@@ -15,6 +15,7 @@ from drivers.interfaces import (
     LimitError,
     Path,
     StoppedError,
+    too_late,
 )
 from drivers.servo import servo_response
 from drivers.sim.world import World
@@ -153,8 +154,8 @@ class SimArm:
         with self._world.lock:
             self._check_alive()
 
-    def follow(self, path: Path) -> None:
-        """Raises LimitError: still moving; StoppedError; DeviceLostError."""
+    def follow(self, path: Path, start_s: float | None = None) -> None:
+        """Raises LimitError: still moving, too late; StoppedError; DeviceLostError."""
         with self._world.lock:
             self._check_alive()
             mode = self._mode()
@@ -164,7 +165,10 @@ class SimArm:
             now_s = self._clock.now_s()
             if now_s < self._world.hand_rests_from_s():
                 raise LimitError(self.name, "still moving", "wait until it rests, or stop it")
-            absolute = Path(path.t_s - path.t_s[0] + now_s, path.x_m, path.y_m, path.angle_rad)
+            begin_s = now_s if start_s is None else start_s
+            if begin_s < now_s:
+                raise too_late(self.name, now_s - begin_s)
+            absolute = Path(path.t_s - path.t_s[0] + begin_s, path.x_m, path.y_m, path.angle_rad)
             true_lag_s = self._options.true_lag_s
             lag_s = self._options.lag_s if true_lag_s is None else true_lag_s
             self._world.commit(servo_response(absolute, lag_s, start=self._world.hand_pose()))

@@ -60,6 +60,29 @@ def test_returns_at_once_and_then_follows(bench) -> None:
     assert here(bench).x_m == pytest.approx(start.x_m, abs=2e-4)
 
 
+def test_starts_at_the_moment_it_was_told(bench) -> None:
+    start, told_s = here(bench), bench.clock.now_s()
+    path = bench.make_path(dy_m=-0.05, start=start)
+    start_s = told_s + 0.25
+    bench.arm.follow(path, start_s)
+    assert bench.clock.now_s() < start_s
+    bench.clock.sleep_s(0.3)
+    wait_for_rest(bench)
+    log = bench.arm.log(told_s, bench.clock.now_s())
+    gone_m = start.y_m - log.y_m
+    half_way_s = float(np.interp(0.025, gone_m, log.t_s))
+    assert half_way_s - start_s == pytest.approx(path.t_s[-1] / 2.0 + bench.arm.lag_s, abs=0.015)
+    assert np.all(gone_m[log.t_s < start_s] < 2e-4)
+
+
+def test_told_too_late_it_does_not_start_at_all(bench) -> None:
+    start = here(bench)
+    path = bench.make_path(dy_m=-0.05, start=start)
+    with pytest.raises(LimitError, match=r"told .* ms after .*nothing was moved"):
+        bench.arm.follow(path, bench.clock.now_s() - 0.01)
+    assert not bench.arm.state().moving
+
+
 def test_a_path_may_be_checked_from_anywhere_and_moves_nothing(bench) -> None:
     start = here(bench)
     elsewhere = replace(start, y_m=start.y_m - 0.05)
