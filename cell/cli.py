@@ -46,20 +46,33 @@ def run(
         Path | None,
         typer.Option(help="Only measure, with this motion by `cell suggest`; insert nothing."),
     ] = None,
+    dry_run: Annotated[
+        bool,
+        typer.Option(
+            "--dry-run",
+            help="Make all motions of a cycle with empty jaws, and check arm, camera and gripper.",
+        ),
+    ] = False,
+    speed: Annotated[
+        float,
+        typer.Option(min=0.01, max=1.0, help="Share of the full speed; only with --dry-run."),
+    ] = 1.0,
 ) -> None:
-    """Insert cables, one after another; or measure them, for the model lab.
+    """Insert cables, one after another; or measure them, for the model lab; or rehearse it.
 
-    Ends with 0 if all were inserted (or measured), 1 if a cable was rejected or missed or a cycle
-    failed, 2 if the settings or the motion are wrong; then nothing has moved.  Ctrl-C stops the arm
-    and closes the record.
+    Ends with 0 if all were inserted (or measured, or rehearsed and everything is right), 1 if a
+    cable was rejected or missed, a cycle failed or something is not right, 2 if the settings or the
+    motion are wrong; then nothing has moved.  Ctrl-C stops the arm and closes the record.
     """
     from rich.console import Console
 
     from cell.build import build_cell
     from cell.console import (
+        DRY_RUN_STEPS,
         MEASURING_STEPS,
         STEPS,
         RunProgress,
+        checks_table,
         results_table,
         seconds_table,
         troubles,
@@ -69,10 +82,20 @@ def run(
     from cell.records.result import Outcome, Result
     from cell.settings import load_settings
 
+    if speed != 1.0 and not dry_run:
+        _refuse(
+            ValueError(
+                f"--speed {speed:g}: only with --dry-run; a cable that is moved slowly hardly "
+                "swings, and what does not swing cannot be identified"
+            )
+        )
     results: list[Result] = []
     steps, aim = (
         (STEPS, Outcome.INSERTED) if motion is None else (MEASURING_STEPS, Outcome.MEASURED)
     )
+    if dry_run:
+        steps, aim = DRY_RUN_STEPS, Outcome.REHEARSED
+    dry_run_speed, cables = (speed, 0) if dry_run else (None, cycles)
     try:
         settings = load_settings(config)
         measuring = None if motion is None else load_motion(motion, settings)
@@ -82,10 +105,10 @@ def run(
                 not_lost()
                 progress.step(number, step)
 
-            cell = build_cell(settings, out, seed=seed, cycles=cycles, on_step=on_step)
+            cell = build_cell(settings, out, seed=seed, cycles=cables, on_step=on_step)
             try:
                 for number in range(1, cycles + 1):
-                    results.append(cell.run_cycle(number, measuring))
+                    results.append(cell.run_cycle(number, measuring, dry_run_speed=dry_run_speed))
                     if as_json:
                         print(json.dumps(results[-1].to_json(), ensure_ascii=False), flush=True)
                     if results[-1].outcome is Outcome.FAILED:
@@ -99,10 +122,15 @@ def run(
         raise typer.Exit(NOT_ALL_DONE if results else BAD_INPUT) from error
     if not as_json:
         console = Console()
-        console.print(results_table(results))
+        if dry_run:
+            for result in results:
+                console.print(checks_table(result))
+        else:
+            console.print(results_table(results))
         console.print(seconds_table(results, steps))
         for result in results:
-            console.print(f"cable {result.cycle}: {result.folder}", highlight=False)
+            what = "dry run" if dry_run else "cable"
+            console.print(f"{what} {result.cycle}: {result.folder}", highlight=False)
     for line in troubles(results):
         print(line, file=sys.stderr)
     reached = [r for r in results if r.outcome is aim]

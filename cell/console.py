@@ -13,7 +13,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 from rich.table import Table
 
 from cell.identify.identified import Identified
-from cell.records.result import Outcome, Result
+from cell.records.result import Check, Outcome, Result
 
 #: Steps in their order; those of a cycle that another one lacks are shown as empty.
 STEPS = (
@@ -47,6 +47,20 @@ MEASURING_STEPS = (
     "go_home",
 )
 
+#: Steps of a dry run.
+DRY_RUN_STEPS = (
+    "connect",
+    "reset",
+    "start",
+    "check_paths",
+    "go_home",
+    "approach",
+    "lower",
+    "insert",
+    "measure",
+    "go_aside",
+)
+
 #: Cables that have a column of their own in the table of times.
 MOST_COLUMNS = 5
 
@@ -56,6 +70,21 @@ _COLOURS = {
     Outcome.REJECTED: "yellow",
     Outcome.FAILED: "red",
     Outcome.MEASURED: "green",
+    Outcome.REHEARSED: "green",
+    Outcome.UNFIT: "red",
+}
+
+#: What a run may come to without anything to be said of it.
+_GOOD = (Outcome.INSERTED, Outcome.MEASURED, Outcome.REHEARSED)
+
+#: SI unit → unit for people, how many of it, and how it is written.
+_SHOWN = {
+    "m": ("mm", 1e3, ".2f"),
+    "s": ("ms", 1e3, ".2f"),
+    "rad": ("mrad", 1e3, ".2f"),
+    "m/s": ("mm/s", 1e3, ".0f"),
+    "Hz": ("Hz", 1.0, ".1f"),
+    "": ("", 1.0, ".4g"),
 }
 
 
@@ -130,6 +159,19 @@ def results_table(results: Sequence[Result]) -> Table:
     return table
 
 
+def checks_table(result: Result) -> Table:
+    """What a dry run found out, and what it must be."""
+    at = "" if result.speed is None else f" at {result.speed:.0%} of the speed"
+    table = Table(title=f"dry run{at}: {result.outcome.value}", box=SIMPLE_HEAD)
+    for heading in ("", "found", "must be", ""):
+        table.add_column(heading, justify="left" if not heading else "right", no_wrap=True)
+    for check in result.checks:
+        wanted = _wanted(check)
+        verdict = "[green]right[/]" if check.right else "[red]wrong[/]"
+        table.add_row(check.what, _shown(check), wanted, verdict if wanted else "")
+    return table
+
+
 def seconds_table(results: Sequence[Result], steps: Sequence[str] = STEPS) -> Table:
     """Time of each step: one column per cable, or median and longest of many cables."""
     table = Table(title="seconds per step", box=SIMPLE_HEAD)
@@ -163,7 +205,9 @@ def troubles(results: Sequence[Result]) -> list[str]:
             lines.append(
                 f"cable {r.cycle} failed in step {r.fault.step}: {device}{r.fault.cause}{remedy}"
             )
-        elif r.outcome not in (Outcome.INSERTED, Outcome.MEASURED):
+        elif r.outcome is Outcome.UNFIT:
+            lines += [f"{c.what}: {_shown(c)}; {c.remedy}" for c in r.checks if not c.right]
+        elif r.outcome not in _GOOD:
             lines.append(f"cable {r.cycle} {r.outcome.value}: {r.reason}")
     return lines
 
@@ -183,3 +227,18 @@ def parameters_table(identified: Identified) -> Table:
 
 def _mm(value_m: float | None, form: str) -> str:
     return "" if value_m is None else format(value_m * 1e3, form)
+
+
+def _shown(check: Check) -> str:
+    unit, factor, form = _SHOWN[check.unit]
+    return f"{check.found * factor:{form}} {unit}".rstrip()
+
+
+def _wanted(check: Check) -> str:
+    unit, factor, _ = _SHOWN[check.unit]
+    low, high = (None if v is None else f"{v * factor:g}" for v in (check.low, check.high))
+    if low is None or high is None:
+        words = "" if low is high else f"≥ {low}" if high is None else f"≤ {high}"
+    else:
+        words = f"{low} … {high}"
+    return f"{words} {unit}".strip() if words else ""

@@ -10,13 +10,15 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
-from cell import steps
+from cell import dry_run, steps
+from cell.agreement import agreement
 from cell.bench import Bench, Devices, Filmed, Prospect, Task, executed_trial, held_trial, study_of
 from cell.commands import INTERRUPTING, RESUMING, Commands, InterruptedByCommandError
 from cell.identify.identified import Identified
 from cell.identify.individual import CableRejectedError
+from cell.legs import cycle_legs, measuring_legs, slowed, slowed_motion
 from cell.machine import CellState, Event, EventRefusedError, Machine
-from cell.pictures import held_pictures, measured_pictures, passage_pictures
+from cell.pictures import dry_run_pictures, held_pictures, measured_pictures, passage_pictures
 from cell.plan.choose import Choice
 from cell.plan.measuring import Measuring
 from cell.plan.passage import Passage, height_at_mouth_m
@@ -42,6 +44,7 @@ class Progress:
 
     number: int
     record: Record
+    bench: Bench
     step: str = "reset"
     seconds: dict[str, float] = field(default_factory=dict)
     known: dict[str, Any] = field(default_factory=dict)
@@ -77,7 +80,7 @@ class Cell:
         self._settings = settings
         self._runs = runs
         self._on_step = on_step
-        self._connected = False
+        self._connected = self._warm = False
 
     def command(self, event: Event, reason: str = "") -> None:
         """Stop, abort, hold, unhold, suspend or unsuspend, from any thread, at any time.
@@ -105,23 +108,32 @@ class Cell:
         steps.close(self._bench.devices)
         self._connected = False
 
-    def run_cycle(self, number: int, motion: Measuring | None = None) -> Result:
+    def run_cycle(
+        self, number: int, motion: Measuring | None = None, *, dry_run_speed: float | None = None
+    ) -> Result:
         """One cable from grasp to release; whatever happens, a result, a record and a still arm.
 
-        motion  only measure the cable with this motion; None = insert it
-        raises  EventRefusedError: the cell was stopped by a fault that nobody acknowledged
+        motion         only measure the cable with this motion; None = insert it
+        dry_run_speed  make these motions with empty jaws, at this share of their speed
+        raises  EventRefusedError: the cell was stopped by a fault that nobody acknowledged;
+                ValueError: a speed that is not > 0 and ≤ 1
         """
         if not self.machine.can(Event.RESET):
             raise EventRefusedError(f"no cycle can begin while {self.machine.state.value}")
         before = self.machine.seconds()
-        progress = Progress(number, Record(self._runs, number, datetime.now()))
+        bench = self._bench
+        if dry_run_speed is not None:
+            bench = replace(bench, task=slowed(bench.task, dry_run_speed))
+        progress = Progress(number, Record(self._runs, number, datetime.now()), bench)
         try:
             progress.record.settings(self._settings)
-            self._reset(progress)
+            self._reset(progress, dry_run_speed)
             self._send(progress, Event.START)
             self._step(progress, "start", steps.check_ready)
             self._send(progress, Event.DONE)
-            if motion is None:
+            if dry_run_speed is not None:
+                self._rehearse(progress, motion, dry_run_speed)
+            elif motion is None:
                 self._insert(progress)
             else:
                 self._measure(progress, motion)
@@ -142,13 +154,19 @@ class Cell:
 
     # --- what happens in the states -----------------------------------------------------------
 
-    def _reset(self, progress: Progress) -> None:
+    def _reset(self, progress: Progress, dry_run_speed: float | None) -> None:
         self._send(progress, Event.RESET)
         if not self._connected:
             self._step(progress, "connect", steps.connect)
             self._connected = True
-            self._step(progress, "warm_up", lambda bench: warm_up(bench.task.cable))
-        self._step(progress, "reset", steps.reset)
+        if dry_run_speed is not None:
+            progress.known["speed"] = dry_run_speed
+            progress.known["checks"] = self._step(progress, "reset", dry_run.reset)
+        else:
+            if not self._warm:
+                self._step(progress, "warm_up", lambda bench: warm_up(bench.task.cable))
+                self._warm = True
+            self._step(progress, "reset", steps.reset)
         self._send(progress, Event.DONE)
 
     def _insert(self, progress: Progress) -> None:
@@ -247,6 +265,30 @@ class Cell:
         else:
             progress.known["outcome"] = Outcome.MEASURED
 
+    def _rehearse(self, progress: Progress, motion: Measuring | None, speed: float) -> None:
+        """All motions of a cycle, or of a measuring one, with empty jaws; and what they show."""
+        task, arm = progress.bench.task, progress.bench.devices.arm
+        legs = (
+            cycle_legs(task, arm.rate_hz)
+            if motion is None
+            else measuring_legs(task, slowed_motion(motion, speed), arm.rate_hz)
+        )
+        progress.known["checks"] += self._step(progress, "check_paths", dry_run.check_paths, legs)
+        followed = []
+        for leg in legs:
+            self._pause(progress)
+            followed.append(self._step(progress, leg.name, dry_run.follow, leg))
+        made = [f for f in followed if f is not None]
+        camera = progress.bench.devices.camera
+        progress.known["checks"] += agreement(
+            made, lag_s=arm.lag_s, frame_rate_hz=camera.frame_rate_hz
+        )
+        progress.record.pictures(dry_run_pictures(made, task))
+        wrong = [check.what for check in progress.known["checks"] if not check.right]
+        progress.known["outcome"] = Outcome.UNFIT if wrong else Outcome.REHEARSED
+        if wrong:
+            progress.known["reason"] = f"not as it must be: {', '.join(wrong)}"
+
     def _end(self, progress: Progress, error: BaseException) -> None:
         """Stop, say why, and come to rest in Stopped (by command) or Aborted (by fault)."""
         fault, event = _fault(progress.step, error)
@@ -280,7 +322,7 @@ class Cell:
         begun_s = now_s()
         try:
             self.commands.check()
-            found = act(self._bench, *args, **kwargs)
+            found = act(progress.bench, *args, **kwargs)
             self.commands.check()
             return found
         except DeviceError:

@@ -171,16 +171,30 @@ def _turn(start_rad: float, end_rad: float, limits: MotionLimits, rate_hz: float
 
 def _sampled(wish: ruckig.InputParameter, rate_hz: float) -> FloatArray:
     """(samples, axes) positions of the fastest trajectory, both ends included."""
-    axes = len(wish.target_position)
-    trajectory = ruckig.Trajectory(axes)
-    result = ruckig.Ruckig(axes).calculate(wish, trajectory)
-    if result not in (ruckig.Result.Working, ruckig.Result.Finished):
-        raise ValueError(
-            f"no path from {wish.current_position} to {wish.target_position}: {result}"
-        )
+    trajectory = _trajectory(wish)
     count = int(np.ceil(trajectory.duration * rate_hz - 1e-9)) + 1
     times = np.minimum(np.arange(count) / rate_hz, trajectory.duration)
     return np.array([trajectory.at_time(float(t))[0] for t in times], dtype=np.float64)
+
+
+def _trajectory(wish: ruckig.InputParameter) -> ruckig.Trajectory:
+    """The fastest trajectory.  Where speed and acceleration reach their limits at the same moment,
+    rounding makes ruckig find none, and limits lower by a billionth help.
+    """
+    axes = len(wish.target_position)
+    acceleration, jerk = wish.max_acceleration, wish.max_jerk
+    for less in (0.0, 1e-9, 1e-7):
+        wish.max_acceleration = [(1.0 - less) * a for a in acceleration]
+        wish.max_jerk = [(1.0 - 2.0 * less) * j for j in jerk]
+        trajectory = ruckig.Trajectory(axes)
+        try:
+            result = ruckig.Ruckig(axes).calculate(wish, trajectory)
+        except ruckig.RuckigError as error:
+            result = error
+            continue
+        if result in (ruckig.Result.Working, ruckig.Result.Finished):
+            return trajectory
+    raise ValueError(f"no path from {wish.current_position} to {wish.target_position}: {result}")
 
 
 def _path(strokes: Sequence[FloatArray], angle_rad: float, rate_hz: float) -> Path:

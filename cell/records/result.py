@@ -12,7 +12,8 @@ from typing import Any
 class Outcome(StrEnum):
     """Inserted and missed were executed; a rejected cable was put aside; failed = a fault.
 
-    Measured: a measuring cycle, in which nothing is inserted, has come to its end.
+    Measured: a measuring cycle, in which nothing is inserted, has come to its end.  Rehearsed and
+    unfit end a dry run: everything is as it must be, or something is not.
     """
 
     INSERTED = "inserted"
@@ -20,6 +21,8 @@ class Outcome(StrEnum):
     REJECTED = "rejected"
     FAILED = "failed"
     MEASURED = "measured"
+    REHEARSED = "rehearsed"
+    UNFIT = "unfit"
 
 
 @dataclass(frozen=True)
@@ -30,6 +33,30 @@ class Fault:
     cause: str
     device: str | None = None
     remedy: str = ""
+
+
+@dataclass(frozen=True)
+class Check:
+    """One thing that a dry run found out.
+
+    found      in SI units, `unit`
+    low, high  what it must be within; None = no such limit
+    remedy     what to do if it is not
+    """
+
+    what: str
+    found: float
+    unit: str = ""
+    low: float | None = None
+    high: float | None = None
+    remedy: str = ""
+
+    @property
+    def right(self) -> bool:
+        """Whether it is as it must be."""
+        low = -math.inf if self.low is None else self.low
+        high = math.inf if self.high is None else self.high
+        return low <= self.found <= high
 
 
 @dataclass(frozen=True)
@@ -49,6 +76,8 @@ class Result:
     state_seconds       time spent in each state of the cell, s
     parameters          of this cable, as identified: name → value, SI units
     reason              why the cable was rejected or missed, in words
+    speed               of a dry run, as a share of the full one
+    checks              what a dry run found out
     """
 
     cycle: int
@@ -67,6 +96,8 @@ class Result:
     parameters: Mapping[str, float] = field(default_factory=dict)
     reason: str | None = None
     fault: Fault | None = None
+    speed: float | None = None
+    checks: tuple[Check, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """Plain data for json.dumps; what is not finite becomes None."""
@@ -78,12 +109,15 @@ class Result:
         known = {f.name: data[f.name] for f in fields(cls) if f.name in data}
         known["outcome"] = Outcome(data["outcome"])
         known["fault"] = None if data.get("fault") is None else Fault(**data["fault"])
+        known["checks"] = tuple(Check(**check) for check in data.get("checks", ()))
         return cls(**known)
 
 
 def _plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value.value if isinstance(value, StrEnum) else value

@@ -49,6 +49,15 @@ def test_identification_takes_longer_when_the_limits_ask() -> None:
     assert largest_derivatives(path)[0] <= 0.1001
 
 
+@pytest.mark.parametrize("speed", np.linspace(0.01, 1.0, 100))
+def test_limits_that_are_reached_at_the_same_moment_are_no_trouble(speed: float) -> None:
+    """20 mm are just enough to reach acceleration and half the speed: rounding decides the rest."""
+    gentle = MotionLimits(0.2, 1.0, 10.0).slowed(1.0 / speed)
+    path = insertion_path(Pose(0.0, -0.05), 0.02, 0.05, gentle, 50.0)
+    assert path.y_m[-1] == pytest.approx(-0.07, abs=1e-9)
+    assert path.t_s[-1] * speed == pytest.approx(0.95, abs=0.05)
+
+
 def test_executed_motion_follows_late_by_the_lag_and_arrives() -> None:
     path = insertion_path(START, 0.02, 0.05, LIMITS, RATE_HZ)
     motion = executed_motion(path, 0.03, settle_s=0.2)
