@@ -37,6 +37,7 @@ from drivers.interfaces import Camera, Pose
 from drivers.interfaces import Path as HandPath
 from drivers.opencv_camera import OpenCvCamera, OpenCvOptions
 from drivers.plane_mount import PlaneMount
+from drivers.recording import CaptureOptions
 from drivers.serial_gripper import SerialGripper, SerialGripperOptions
 from drivers.sim.arm import ArmTwinOptions, SimArm
 from drivers.sim.camera import CameraTwinOptions, SimCamera
@@ -202,12 +203,14 @@ def real_devices(settings: Settings) -> Devices:
 
 
 def _real_camera(settings: Settings, clock: RealClock) -> Camera:
-    values = settings.camera.model_dump(exclude={"kind", "view"})
+    values = settings.camera.model_dump(exclude={"kind", "view", "latency_s"})
     match settings.camera:
-        case given.OpenCvCamera():
-            return OpenCvCamera(OpenCvOptions(**values), clock)
-        case given.GenicamCamera():
-            return GenicamCamera(GenicamOptions(**values), clock)
+        case given.OpenCvCamera() as camera:
+            capture = CaptureOptions(latency_s=camera.latency_s)
+            return OpenCvCamera(OpenCvOptions(**values, capture=capture), clock)
+        case given.GenicamCamera() as camera:
+            capture = CaptureOptions(latency_s=camera.latency_s)
+            return GenicamCamera(GenicamOptions(**values, capture=capture), clock)
         case given.FilesCamera() as camera:
             return FilesCamera(camera.folder, camera.frame_rate_hz, clock)
     raise AssertionError("the settings refuse a simulated camera beside a real arm")

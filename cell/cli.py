@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
 import signal
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
 from cell.lab.commands import app as lab
+
+if TYPE_CHECKING:
+    from cell.settings import Settings
 
 ALL_DONE, NOT_ALL_DONE, BAD_INPUT = 0, 1, 2
 
@@ -99,7 +105,11 @@ def run(
     try:
         settings = load_settings(config)
         measuring = None if motion is None else load_motion(motion, settings)
-        with RunProgress(cycles, steps) as progress, _interrupted_once() as not_lost:
+        with (
+            _emulators(settings, seed),
+            RunProgress(cycles, steps) as progress,
+            _interrupted_once() as not_lost,
+        ):
 
             def on_step(number: int, step: str) -> None:
                 not_lost()
@@ -135,6 +145,36 @@ def run(
         print(line, file=sys.stderr)
     reached = [r for r in results if r.outcome is aim]
     raise typer.Exit(ALL_DONE if len(reached) == cycles else NOT_ALL_DONE)
+
+
+@app.command()
+def emulate(
+    config: Config,
+    seed: Annotated[int, typer.Option(min=0, help="Of the hidden cables and noise.")] = 1,
+) -> None:
+    """Emulate arm, camera and gripper where the settings say they are, until Ctrl-C.
+
+    The settings need a section `emulated`.  `cell run` with the same settings then works with
+    these; so may any other client of the devices' protocols.  It also ends with its parent.  Ends
+    with 0, or 2 if the settings are wrong or the addresses are taken.
+    """
+    from cell.emulated import EmulatedCell
+    from cell.located import InputError
+    from cell.settings import load_settings
+    from drivers.emulators.launch import EmulatorError
+
+    parent = os.getppid()
+    try:
+        settings = load_settings(config)
+        if settings.emulated is None:
+            raise EmulatorError(f"{config}: has no section `emulated`; add `emulated: {{}}`")
+        with _interrupted_once(), EmulatedCell(settings, seed) as cell:
+            print(cell.whereabouts(), flush=True)
+            with contextlib.suppress(KeyboardInterrupt):
+                while os.getppid() == parent:
+                    time.sleep(0.2)
+    except (InputError, EmulatorError) as error:
+        _refuse(error)
 
 
 @app.command()
@@ -213,6 +253,22 @@ def schema() -> None:
     from cell.settings import Settings
 
     print(json.dumps(Settings.model_json_schema(), indent=2, ensure_ascii=False))
+
+
+@contextmanager
+def _emulators(settings: Settings, seed: int) -> Iterator[None]:
+    """The emulators that settings ask for, unless they run already."""
+    with contextlib.ExitStack() as stack:
+        if settings.emulated is not None:
+            from cell.emulated import EmulatedCell, runs_already
+            from drivers.emulators.launch import EmulatorError
+
+            try:
+                if not runs_already(settings):
+                    stack.enter_context(EmulatedCell(settings, seed))
+            except EmulatorError as error:
+                _refuse(error)
+        yield
 
 
 def _refuse(error: Exception) -> NoReturn:

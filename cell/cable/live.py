@@ -10,6 +10,7 @@ from cell.cable import layout as at
 from cell.cable.assembly import assemble, marker_weights
 from cell.cable.clamp import base_rows, pose_of
 from cell.cable.dynamics import DivergedError, Solver, generalised_alpha, interleave
+from cell.cable.effects.base import Effect
 from cell.cable.geometry import Motion
 from cell.cable.kernel import integrate, nodes
 from cell.cable.model import CableModel
@@ -22,6 +23,11 @@ FloatArray = NDArray[np.float64]
 _LATER = 6
 #: Poses kept; far more than a spline feels.
 _KEPT = 64
+
+
+def shown_live(effect: type[Effect]) -> bool:
+    """Whether an effect needs nothing but the present; others look at poses of other times."""
+    return effect.camera_time is None and effect.clamp is None
 
 
 class SwingingCable:
@@ -38,7 +44,7 @@ class SwingingCable:
         self, model: CableModel, arc_length_m: FloatArray, solver: Solver | None = None
     ) -> None:
         for active in model.effects:
-            if active.effect.camera_time is not None or active.effect.clamp is not None:
+            if not shown_live(active.effect):
                 raise ValueError(
                     f"{active.effect.name} needs the hand's or the cable's motion at other times, "
                     "which is not known live; leave it out"

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 
 from cell.cable.geometry import Cable
 from cell.located import Document, InputError, Key, Problem, did_you_mean, load, validate
-from cell.settings.model import Settings
+from cell.settings.model import OpenCvCamera, SerialGripper, Settings, UrArm
+
+#: Where an emulated camera may stream from.
+STREAM = re.compile(r"tcp://(127(?:\.\d{1,3}){3}):(\d{1,5})")
 
 
 def load_settings(path: Path) -> Settings:
@@ -32,6 +36,7 @@ def contradictions(document: Document, settings: Settings) -> list[Problem]:
         *_hand_within_limits(document, settings),
         *_brisker_than_limits(document, settings),
         *_devices(document, settings),
+        *_emulated(document, settings),
         *_hidden_effects(document, settings),
     ]
     # Where the hand cannot go, what the tip can reach is an idle question.
@@ -145,10 +150,50 @@ def _devices(document: Document, settings: Settings) -> list[Problem]:
     return problems
 
 
+def _emulated(document: Document, settings: Settings) -> list[Problem]:
+    """Whether emulators can be where the devices are, and nothing real is there."""
+    if settings.emulated is None:
+        return []
+    arm, camera, gripper = settings.arm, settings.camera, settings.gripper
+    problems = []
+    for section, found, kind in (
+        ("arm", arm.kind, "ur"),
+        ("camera", camera.kind, "opencv"),
+        ("gripper", gripper.kind, "serial"),
+    ):
+        if found != kind:
+            message = f"{found!r} has no emulator; use {kind!r}, or leave out `emulated`"
+            problems.append(document.problem((section, "kind"), message))
+    if isinstance(arm, UrArm) and not arm.host.startswith("127."):
+        problems.append(
+            document.problem(
+                ("arm", "host"),
+                f"{arm.host} is no loopback address, there may be a real arm; "
+                "use 127.0.0.x, or leave out `emulated`",
+            )
+        )
+    if isinstance(camera, OpenCvCamera) and STREAM.fullmatch(str(camera.device)) is None:
+        problems.append(
+            document.problem(
+                ("camera", "device"),
+                f"{camera.device!r} is not where an emulator may be; use tcp://127.0.0.x:port",
+            )
+        )
+    if isinstance(gripper, SerialGripper) and gripper.port.startswith("/dev/"):
+        problems.append(
+            document.problem(
+                ("gripper", "port"),
+                f"{gripper.port} may be a real line; name one outside /dev, which is made",
+            )
+        )
+    return problems
+
+
 def _hidden_effects(document: Document, settings: Settings) -> list[Problem]:
     if not settings.world.effects:
         return []
     from cell.cable.effects import library  # compiled code, which few settings need
+    from cell.cable.live import shown_live
 
     problems = []
     known = library()
@@ -162,6 +207,9 @@ def _hidden_effects(document: Document, settings: Settings) -> list[Problem]:
             known[name].active(**values)
         except ValueError as error:
             problems.append(document.problem(key, str(error)))
+        if settings.emulated is not None and not shown_live(known[name]):
+            message = "cannot be shown live, as an emulated camera must; leave it out"
+            problems.append(document.problem(key, message))
     return problems
 
 

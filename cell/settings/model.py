@@ -199,7 +199,12 @@ class SimulatedCamera(_Camera):
     """Standard deviation, grey levels."""
 
 
-class OpenCvCamera(_Camera):
+class _RealCamera(_Camera):
+    latency_s: Annotated[float, Field(ge=0.0, le=0.5)] = 0.0
+    """From the middle of an exposure to the arrival of its picture, at best; measured."""
+
+
+class OpenCvCamera(_RealCamera):
     """Camera of the operating system (UVC), through OpenCV."""
 
     kind: Literal["opencv"]
@@ -213,7 +218,7 @@ class OpenCvCamera(_Camera):
     """Whose time stamps are believed: the device's, or the moment at which a picture arrives."""
 
 
-class GenicamCamera(_Camera):
+class GenicamCamera(_RealCamera):
     """Industrial camera through its GenTL producer."""
 
     kind: Literal["genicam"]
@@ -274,6 +279,22 @@ class World(_Section):
     for the computer is that of a real cell."""
 
 
+class Emulated(_Section):
+    """Emulators of all three devices, at the addresses that the devices' own sections name.
+
+    They speak the devices' protocols, so that the cell's real drivers work with them; `cell run`
+    starts them unless `cell emulate` did.  The cables are those of `world`.
+    """
+
+    exposure_s: NotNegative = 0.0005
+    """Of the emulated camera."""
+    readout_s: Annotated[float, Field(ge=0.008, le=0.1)] = 0.012
+    """From the middle of an exposure until the picture leaves the emulated camera."""
+    lens_blur_px: NotNegative = 0.6
+    read_noise: NotNegative = 1.0
+    """Standard deviation, grey levels."""
+
+
 class Settings(_Section):
     """Settings of a cell.  Numbers carry their unit in the key; SI throughout."""
 
@@ -289,3 +310,5 @@ class Settings(_Section):
     identification: Identification = Identification()
     choice: Choice = Choice()
     world: World = World()
+    emulated: Emulated | None = None
+    """Null = the devices are real."""

@@ -17,13 +17,13 @@ from multiprocessing.connection import Connection
 
 import cv2
 
+from drivers.emulators.camera_poses import PRIORITY
 from drivers.emulators.camera_scene import Scene, SceneFactory
 from drivers.emulators.camera_stream import picture_header, stream_header
 from drivers.emulators.launch import EmulatorProcess, answer_all
 from drivers.interfaces import Image
 from drivers.priority import run_in_real_time
 
-_PRIORITY = 10
 _GLANCE_S = 0.02  # how often whoever waits looks whether something changed
 
 
@@ -143,7 +143,7 @@ def serve(
         door.send((False, f"{type(error).__name__}: {error}"))
         return
     # a camera does not slow down when the computer is busy; the arm's emulator goes before it
-    run_in_real_time(_PRIORITY)
+    run_in_real_time(PRIORITY)
     threading.Thread(target=answer_all, args=(door, server.do), daemon=True).start()
     door.send((True, server.port))
     server.run()

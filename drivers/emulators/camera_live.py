@@ -18,6 +18,7 @@ from drivers.ur_kinematics import MODELS, matrix_of
 
 _KEPT_S = 1.0  # poses and shapes older than this are forgotten
 _FIRST_POSE_S = 5.0
+_PATIENCE_S = 0.03  # longer than any pose is under way; an arm without power sends none
 
 
 class PoseFeed(Protocol):
@@ -101,10 +102,14 @@ class LiveScene:
         self._shape = _Track()
 
     def picture(self, t_s: float) -> Image:
-        """Raises RuntimeError: no pose is known."""
+        """Waits a little for the pose at that time.  Raises RuntimeError: no pose is known."""
         self.keep_up()
         if self._grip.empty:
             raise RuntimeError("no pose is known")
+        until_s = time.monotonic() + _PATIENCE_S
+        while self._grip.end_s < t_s and time.monotonic() < until_s:
+            time.sleep(0.001)
+            self.keep_up()
         span_s = max(self._camera.picture.exposure_s, 1e-4)
         moments_s = t_s + span_s * np.array([-0.5, 0.0, 0.5])
         cables = None if self._shape.empty else self._shape.at(moments_s)
@@ -132,6 +137,11 @@ class _Track:
     @property
     def empty(self) -> bool:
         return len(self._t_s) == 0
+
+    @property
+    def end_s(self) -> float:
+        """Time of the last."""
+        return float(self._t_s[-1])
 
     def add(self, t_s: FloatArray, values: FloatArray) -> None:
         """(T,) increasing times after all others, (T, …) values."""
