@@ -75,6 +75,11 @@ class StreamingCamera:
         """Frame rate read back from the camera, Hz; 0 before the first `connect`."""
         return self._rate_hz
 
+    @property
+    def latency_s(self) -> float:
+        """Time from the middle of an exposure to the arrival of its picture, s."""
+        return self._options.latency_s
+
     def connect(self) -> None:
         """Open the camera and see pictures come.  Raises ConnectError."""
         self.close()

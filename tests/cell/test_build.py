@@ -98,3 +98,4 @@ def test_hardware_is_built_as_the_settings_say_and_not_touched(tmp_path: Path) -
         assert isinstance(devices.camera, camera)
         assert isinstance(devices.gripper, SerialGripper)
         assert (devices.arm.lag_s, devices.arm.rate_hz) == (0.034, 500.0)
+        assert devices.camera.latency_s == 0.012

@@ -15,6 +15,7 @@ from cell.settings import Settings, load_settings
 CONFIG = Path(__file__).parents[3] / "config"
 FAKE = (CONFIG / "fake.yaml").read_text(encoding="utf-8")
 LINE3 = (CONFIG / "line3.yaml").read_text(encoding="utf-8")
+EMULATED = (CONFIG / "emulated.yaml").read_text(encoding="utf-8")
 
 
 def complaint(tmp_path: Path, text: str) -> str:
@@ -26,7 +27,7 @@ def complaint(tmp_path: Path, text: str) -> str:
     return str(caught.value)
 
 
-@pytest.mark.parametrize("name", ["fake.yaml", "line3.yaml"])
+@pytest.mark.parametrize("name", ["fake.yaml", "line3.yaml", "emulated.yaml"])
 def test_the_shipped_settings_are_valid(name: str) -> None:
     settings = load_settings(CONFIG / name)
     assert len(settings.motion.offsets.values_m) == 21
@@ -43,7 +44,7 @@ def test_what_is_resolved_can_be_loaded_again(tmp_path: Path) -> None:
 def test_the_schema_for_editors_is_fresh_and_accepts_what_is_shipped() -> None:
     schema = json.loads((CONFIG / "cell.schema.json").read_text(encoding="utf-8"))
     assert schema == Settings.model_json_schema(), "run `cell schema > config/cell.schema.json`"
-    for text in (FAKE, LINE3):
+    for text in (FAKE, LINE3, EMULATED):
         jsonschema.validate(yaml.safe_load(text), schema)
     with pytest.raises(jsonschema.ValidationError):
         jsonschema.validate(yaml.safe_load(FAKE.replace("force_n", "force")), schema)
@@ -135,3 +136,35 @@ def test_a_file_that_is_not_there_or_empty_is_named(tmp_path: Path) -> None:
         load_settings(tmp_path / "nowhere.yaml")
     assert "cable: is missing" in complaint(tmp_path, "")
     assert "must hold `key: value` lines" in complaint(tmp_path, "- a\n- b\n")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("host: 127.0.0.2", "host: 192.168.3.10", "arm.host: 192.168.3.10 is no loopback address"),
+        (
+            "device: tcp://127.0.0.2:5600",
+            "device: 0",
+            "camera.device: 0 is not where an emulator may be",
+        ),
+        (
+            "port: /tmp/cable-cell-gripper ",
+            "port: /dev/ttyUSB0 ",
+            "gripper.port: /dev/ttyUSB0 may be a real line",
+        ),
+        (
+            "  damping_ratio: [0.02, 0.06]",
+            "  damping_ratio: [0.02, 0.06]\n  effects: {robot_lag: {delay_s: 0.005}}",
+            "world.effects.robot_lag: cannot be shown live",
+        ),
+    ],
+)
+def test_nothing_real_is_emulated_by_mistake(tmp_path: Path, old: str, new: str, said: str) -> None:
+    assert old in EMULATED
+    assert said in complaint(tmp_path, EMULATED.replace(old, new))
+
+
+def test_only_what_has_an_emulator_is_emulated(tmp_path: Path) -> None:
+    text = complaint(tmp_path, FAKE + "\nemulated: {}\n")
+    for section in ("arm", "camera", "gripper"):
+        assert f"{section}.kind: 'sim' has no emulator" in text
