@@ -148,7 +148,8 @@ def heldout(bench: Bench, fit: Fit) -> Heldout | None:
     """The fit on the `validate` trials; None if there are none.
 
     Their likelihood integrates over what the fit leaves uncertain (linearised), so that a model
-    is not punished for numbers that its fit trials could not know.
+    is not punished for numbers that its fit trials could not know.  A model with which a held-out
+    trial cannot be simulated has likelihood 0 and infinite errors.
     """
     trials = bench.study.role("validate")
     if not trials:
@@ -173,6 +174,15 @@ def heldout(bench: Bench, fit: Fit) -> Heldout | None:
     errors = {t.name: t.markers.xy_m - predicted[t.name] for t in trials}
     residual = np.concatenate(rows)
     sensitivity = np.vstack(slopes)
+    if not (np.all(np.isfinite(residual)) and np.all(np.isfinite(sensitivity))):
+        return Heldout(
+            rms_m=np.inf,
+            by_trial_m={name: np.inf for name in errors},
+            chi2=np.inf,
+            count=bench.count(trials),
+            log_likelihood=-np.inf,
+            predicted_m=predicted,
+        )
     root = _root(fit.covariance)
     spread = sensitivity @ root
     for i, block in enumerate(extra):
