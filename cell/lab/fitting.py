@@ -177,7 +177,7 @@ def heldout(bench: Bench, fit: Fit) -> Heldout | None:
     if not (np.all(np.isfinite(residual)) and np.all(np.isfinite(sensitivity))):
         return Heldout(
             rms_m=np.inf,
-            by_trial_m={name: np.inf for name in errors},
+            by_trial_m=dict.fromkeys(errors, np.inf),
             chi2=np.inf,
             count=bench.count(trials),
             log_likelihood=-np.inf,
