@@ -11,12 +11,16 @@ from numpy.typing import NDArray
 from cell.bench import Bench
 from cell.legs import Leg, paths_from
 from cell.records.result import Check
+from cell.steps import AHEAD_S
 from cell.vision.marks import find_jaw
 from cell.waiting import await_rest, wait_until
 from drivers.interfaces import Frame, GripError, LimitError, Path
 
 FloatArray = NDArray[np.float64]
 
+#: A path is given to the arm so long before it is to start, and by this share of its duration: the
+#: arm looks at all of it first.
+AHEAD_SHARE = 0.03
 #: The jaw is looked for in about so many frames of a motion.
 LOOKS = 300
 
@@ -41,7 +45,7 @@ class Film:
 class Followed:
     """A motion that was made, on the cell's clock.
 
-    began_s  when the arm was told to follow `path`
+    began_s  when the arm was told to start
     hand     measured poses, from before the motion to after it
     film     None = not filmed
     """
@@ -94,14 +98,14 @@ def follow(bench: Bench, leg: Leg) -> Followed | None:
         return None
     lasts_s = float(path.t_s[-1]) + arm.lag_s
     before_s = clock.now_s()
-    filmed = leg.path is not None
-    if filmed:
-        filmed_s = bench.task.still_s + lasts_s + bench.task.settle_s
-        camera.start(int(np.ceil(filmed_s * camera.frame_rate_hz)))
-        wait_until(bench, before_s + bench.task.still_s)
-    began_s = clock.now_s()
-    arm.follow(path)
-    film = _watch(bench, max(1, int(filmed_s * camera.frame_rate_hz / LOOKS))) if filmed else None
+    began_s = before_s + bench.task.still_s + AHEAD_S + AHEAD_SHARE * lasts_s
+    arm.follow(path, began_s)
+    film = None
+    if leg.path is not None:
+        filmed_s = began_s - clock.now_s() + lasts_s + bench.task.settle_s
+        frame_count = int(np.ceil(filmed_s * camera.frame_rate_hz))
+        camera.start(frame_count)
+        film = _watch(bench, max(1, frame_count // LOOKS))
     wait_until(bench, began_s + lasts_s)
     await_rest(bench)
     return Followed(leg.name, path, began_s, arm.log(before_s, clock.now_s()), film)

@@ -40,6 +40,4 @@ def check_arm(bench: Bench) -> None:
     arm = bench.devices.arm
     mode = arm.state().mode
     if mode is not ArmMode.READY:
-        raise StoppedError(
-            arm.name, f"is in {mode.value.replace('_', ' ')}", "find the cause and acknowledge it"
-        )
+        raise StoppedError(arm.name, f"is in {mode.value.replace('_', ' ')}", mode.remedy)

@@ -59,8 +59,29 @@ class ArmMode(StrEnum):
     PROTECTIVE_STOP = "protective_stop"
     SAFEGUARD_STOP = "safeguard_stop"
     EMERGENCY_STOP = "emergency_stop"
+    POWER_OFF = "power_off"  # or its brakes are on
     LOCAL_CONTROL = "local_control"
+    REDUCED_SPEED = "reduced_speed"  # it would not do what it is told when it is told
     LOST = "lost"
+
+    @property
+    def remedy(self) -> str:
+        """What a person does so that it becomes ready."""
+        return _REMEDIES[self]
+
+
+_REMEDIES = {
+    ArmMode.READY: "",
+    ArmMode.STOPPED: "acknowledge and reset",
+    ArmMode.PROTECTIVE_STOP: "find the cause, unlock at the pendant after 5 s, then reset",
+    ArmMode.SAFEGUARD_STOP: "close the guard and acknowledge at the pendant, then reset",
+    ArmMode.EMERGENCY_STOP: "release the button, power on at the pendant, then reset",
+    ArmMode.POWER_OFF: "power on and release the brakes at the pendant, then reset",
+    ArmMode.LOCAL_CONTROL: "switch the pendant to remote control, then reset",
+    ArmMode.REDUCED_SPEED: "set the speed slider to 100 % at the pendant, then reset; for slow "
+    "motions use `cell run --dry-run --speed`",
+    ArmMode.LOST: "check the controller's power and network, then connect again",
+}
 
 
 @dataclass(frozen=True)

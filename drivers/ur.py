@@ -37,18 +37,11 @@ from drivers.interfaces import (
 )
 from drivers.plane_mount import PlaneMount
 from drivers.ur_child import MODES, ChildOptions
-from drivers.ur_kinematics import MODELS, OutOfReachError, matrix_of
+from drivers.ur_kinematics import MODELS, matrix_of
+from drivers.ur_reach import check_reach
 from drivers.ur_shared import COLUMNS, SIZE_BYTES, Column, SharedState, Slot
 
-_REMEDIES = {
-    ArmMode.STOPPED: "acknowledge and reset",
-    ArmMode.PROTECTIVE_STOP: "find the cause, unlock at the pendant after 5 s, then reset",
-    ArmMode.SAFEGUARD_STOP: "close the guard and acknowledge at the pendant, then reset",
-    ArmMode.EMERGENCY_STOP: "release the button, power on at the pendant, then reset",
-    ArmMode.LOCAL_CONTROL: "switch the pendant to remote control, then reset",
-}
-_LOST_REMEDY = "check the controller's power and network, then connect again"
-_REACH_STEP_S = 0.02
+_LOST_REMEDY = ArmMode.LOST.remedy
 _RESET_S = 10.0
 _CLOSE_S = 2.0
 _MODEL_TOLERANCE_M = 0.015
@@ -196,10 +189,7 @@ class UrArm:
             stops = child.shared.get(Slot.STOPS)
             mode = self._mode(child)
             if mode is not ArmMode.READY:
-                cause = self._stop_reason if mode is ArmMode.STOPPED else mode.value
-                raise StoppedError(
-                    self.name, f"stopped: {cause or 'program ended'}", _REMEDIES[mode]
-                )
+                raise StoppedError(self.name, f"stopped: {self._cause(child, mode)}", mode.remedy)
             if self._busy(child):
                 raise LimitError(self.name, "still moving", "wait until it rests, or stop it")
             (sample,) = child.shared.samples(1)
@@ -236,8 +226,8 @@ class UrArm:
             answer = self._receive(child, _RESET_S)
             if answer[0] == "refused":
                 cause, remedy = answer[1:]
-                mode = ArmMode(cause) if cause in set(ArmMode) else None
-                remedy = remedy if mode is None else _REMEDIES[mode]
+                if cause in set(ArmMode):
+                    cause, remedy = self._cause(child, ArmMode(cause)), ArmMode(cause).remedy
                 raise StoppedError(self.name, f"the controller reports {cause}", remedy)
             self._stop_reason = None
 
@@ -349,9 +339,18 @@ class UrArm:
 
     def _mode(self, child: _Child) -> ArmMode:
         mode = MODES[int(child.shared.get(Slot.MODE))]
-        if mode is ArmMode.READY and self._stop_reason is not None:
-            return ArmMode.STOPPED
-        return mode
+        stopped = self._stop_reason is not None or child.shared.get(Slot.SLOWED) != 0.0
+        return ArmMode.STOPPED if mode is ArmMode.READY and stopped else mode
+
+    def _cause(self, child: _Child, mode: ArmMode) -> str:
+        match mode:
+            case ArmMode.REDUCED_SPEED:
+                return f"{mode.value}: {child.shared.get(Slot.SPEED):.0%} of the full speed"
+            case ArmMode.STOPPED if child.shared.get(Slot.SLOWED) != 0.0:
+                return "it was slowed in motion"
+            case ArmMode.STOPPED:
+                return self._stop_reason or "program ended"
+        return mode.value
 
     def _busy(self, child: _Child) -> bool:
         shared = child.shared
@@ -383,27 +382,8 @@ class UrArm:
             )
 
     def _check_reach(self, path: Path, q_rad: FloatArray) -> None:
-        """Joint angles and speeds along the path, as far as the nominal model knows."""
         model, X_FT = MODELS[self._options.model], matrix_of(np.array(self._options.tcp))
-        count = max(2, int(np.ceil(path.t_s[-1] / _REACH_STEP_S)) + 1)
-        times_s = np.linspace(0.0, path.t_s[-1], count)
-        for before_s, t_s in zip([None, *times_s], times_s, strict=False):
-            try:
-                q_next = model.inverse(self._options.mount.to_base(path.at(t_s)), q_rad, X_FT)
-            except OutOfReachError as error:
-                raise LimitError(
-                    self.name, f"at t = {t_s:.3f} s {error}", "nothing was moved"
-                ) from error
-            if before_s is not None:
-                fastest = float(np.max(np.abs(q_next - q_rad))) / (t_s - before_s)
-                if fastest > model.max_joint_speed_rad_per_s:
-                    raise LimitError(
-                        self.name,
-                        f"at t = {t_s:.3f} s a joint turns at {fastest:.2f} rad/s, allowed "
-                        f"{model.max_joint_speed_rad_per_s:.2f} rad/s",
-                        "nothing was moved",
-                    )
-            q_rad = q_next
+        check_reach(path, q_rad, model, X_FT, self._options.mount, self.name)
 
 
 def _pose(sample: FloatArray) -> Pose:

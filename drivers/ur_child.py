@@ -29,13 +29,10 @@ from drivers.ur_shared import SharedState, Slot
 MODES = tuple(ArmMode)
 
 _PLAYING = 2  # runtime state
-_EMERGENCY, _SAFEGUARD, _PROTECTIVE, _VIOLATION, _FAULT = (
-    0b11 << 6,
-    0b11 << 4,
-    1 << 2,
-    1 << 8,
-    1 << 9,
-)
+_RUNNING = 7  # robot mode: powered, brakes released
+# safety status bits: protective; safeguard; system, robot, any emergency; violation, fault, stopped
+_PROTECTIVE, _SAFEGUARD, _EMERGENCY, _OTHER = 1 << 2, 1 << 4, 0b111 << 5, 0b111 << 8
+_FULL_SPEED = 0.995
 _OUTPUTS = [
     "timestamp",
     "actual_q",
@@ -43,6 +40,9 @@ _OUTPUTS = [
     "actual_TCP_speed",
     "runtime_state",
     "safety_status_bits",
+    "robot_mode",
+    "speed_scaling",
+    "target_speed_fraction",
 ]
 _SETTLING = 8.0  # lookaheads after the end of a path until the arm rests
 _DRIFT = 20e-6  # how fast two crystals may part
@@ -112,17 +112,26 @@ class _Robot:
         self.control = rtde_control.RTDEControlInterface(options.host, 1.0 / options.period_s)
         self._prepare()
 
-    def mode(self) -> ArmMode:
+    def speed(self, moving: bool) -> float:
+        """Share of the full speed: of the slider, and in motion of the controller's own limiter."""
+        slider = self.receive.getTargetSpeedFraction()
+        return float(slider * self.receive.getSpeedScaling() if moving else slider)
+
+    def mode(self, moving: bool = False) -> ArmMode:
         """READY, or why the controller does not let the program run; STOPPED = it has ended."""
         bits = self.receive.getSafetyStatusBits()
         if bits & _EMERGENCY:
             return ArmMode.EMERGENCY_STOP
         if bits & _SAFEGUARD:
             return ArmMode.SAFEGUARD_STOP
-        if bits & (_PROTECTIVE | _VIOLATION | _FAULT):
+        if bits & (_PROTECTIVE | _OTHER):
             return ArmMode.PROTECTIVE_STOP
+        if self.receive.getRobotMode() != _RUNNING:
+            return ArmMode.POWER_OFF
         if self.receive.getRuntimeState() != _PLAYING:
             return ArmMode.STOPPED if self._is_remote() else ArmMode.LOCAL_CONTROL
+        if self.speed(moving) < _FULL_SPEED:
+            return ArmMode.REDUCED_SPEED
         return ArmMode.READY
 
     def ask_anew(self) -> None:
@@ -177,8 +186,8 @@ class _Robot:
 
     def _check_can_start(self) -> None:
         mode = self.mode()
-        if mode not in (ArmMode.READY, ArmMode.STOPPED):
-            raise RefusedError(f"the controller reports {mode.value}", "clear it at the pendant")
+        if mode not in (ArmMode.READY, ArmMode.STOPPED, ArmMode.REDUCED_SPEED):
+            raise RefusedError(f"the controller reports {mode.value}", mode.remedy)
 
 
 class _Child:
@@ -209,7 +218,7 @@ class _Child:
             self._obey_stop()
             if self._motion is not None:
                 self._stream(self._motion, time.monotonic())
-            elif self._mode is ArmMode.READY:
+            elif self._mode in (ArmMode.READY, ArmMode.REDUCED_SPEED):
                 self._robot.control.kickWatchdog()
             next_s += self._options.period_s
             left_s = next_s - time.monotonic()
@@ -258,8 +267,14 @@ class _Child:
         self._shared.write_sample(np.array(sample))
 
     def _look_at_mode(self) -> None:
-        mode = self._robot.mode()
-        if mode is not ArmMode.READY and self._mode is ArmMode.READY:
+        moving = self._motion is not None
+        self._shared.put(Slot.SPEED, self._robot.speed(moving))
+        mode = self._robot.mode(moving)
+        if mode is ArmMode.REDUCED_SPEED:
+            if moving:
+                self._shared.put(Slot.SLOWED, 1.0)
+            self._end_motion()
+        elif mode is not ArmMode.READY and self._mode in (ArmMode.READY, ArmMode.REDUCED_SPEED):
             self._motion = None
             self._shared.put(Slot.STREAMING, 0.0)
             if mode is not ArmMode.STOPPED:
@@ -316,7 +331,8 @@ class _Child:
 
     def _follow(self, path: Path, stops: float, start_s: float | None) -> None:
         # a stop that came after the parent had looked for one wins
-        if stops == self._shared.get(Slot.STOPS) and self._mode is ArmMode.READY:
+        free = self._mode is ArmMode.READY and self._shared.get(Slot.SLOWED) == 0.0
+        if free and stops == self._shared.get(Slot.STOPS):
             self._motion = _Motion(path, time.monotonic() if start_s is None else start_s)
             self._shared.put(Slot.STREAMING, 1.0)
         self._shared.add(Slot.PATHS)
@@ -329,6 +345,7 @@ class _Child:
         if mode is ArmMode.STOPPED:
             self._robot.restart_program()
         self._silent_s = 0.0
+        self._shared.put(Slot.SLOWED, 0.0)
         self._look_at_mode()
 
     def _answer(self, act: Callable[[], None]) -> None:

@@ -28,6 +28,8 @@ class Slot(IntEnum):
     WORST_PERIOD_S = 6  # child: longest time between two commands of a path
     LATE_PERIODS = 7  # child: number of such times above 1.25 periods
     PERIODS = 8  # child: number of such times
+    SPEED = 9  # child: share of the full speed that the controller allows
+    SLOWED = 10  # child: 1 from when a path was broken off because it was slowed until a reset
 
 
 class Column(IntEnum):

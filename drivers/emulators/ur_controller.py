@@ -102,7 +102,8 @@ class Controller:
         self.safety = Safety.NORMAL
         self.robot_mode = _RUNNING
         self.remote_control = True
-        self.speed_fraction = 1.0
+        self.speed_fraction = 1.0  # of the slider
+        self.speed_scaling = 1.0  # of the controller's own limiter
         self.events: deque[Event] = deque(maxlen=1000)
         self.last_moved_s = 0.0  # monotonic time at which the arm was last seen moving
         self.servo_writes = 0
@@ -300,8 +301,10 @@ class Controller:
                 value = _SAFETY_MODES[self.safety]
             case "robot_mode":
                 value = self.robot_mode
-            case "speed_scaling" | "target_speed_fraction":
+            case "target_speed_fraction":
                 value = self.speed_fraction
+            case "speed_scaling":
+                value = self.speed_scaling
             case "payload":
                 value = self._payload_kg
             case "joint_mode":

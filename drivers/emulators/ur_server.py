@@ -206,6 +206,8 @@ class _Faults(_Lines):
             "end_program": lambda: controller.end_program("injected"),
             "local": lambda on: setattr(controller, "remote_control", not on),
             "speed_fraction": lambda value: setattr(controller, "speed_fraction", float(value)),
+            "speed_scaling": lambda value: setattr(controller, "speed_scaling", float(value)),
+            "brakes": lambda on: setattr(controller, "robot_mode", 5 if on else 7),
             "drop": server.drop,
             "freeze": server.freeze,
             "refuse": server.refuse,

@@ -22,16 +22,6 @@ from drivers.sim.world import World
 
 _NOISE_BLOCK = 1024
 
-_REMEDIES = {
-    ArmMode.STOPPED: "acknowledge and reset",
-    ArmMode.PROTECTIVE_STOP: "find the cause and unlock at the pendant, then reset",
-    ArmMode.SAFEGUARD_STOP: "close the guard and acknowledge, then reset",
-    ArmMode.EMERGENCY_STOP: "release the button and power on at the pendant, then reset",
-    ArmMode.LOCAL_CONTROL: "switch the pendant to remote control",
-    ArmMode.LOST: "check power and network, then connect again",
-}
-
-
 @dataclass(frozen=True)
 class ArmFaults:
     """What goes wrong with an arm; times on the cell's clock, None = never.
@@ -46,6 +36,7 @@ class ArmFaults:
     safeguard_stop_at_s: float | None = None
     emergency_stop_at_s: float | None = None
     local_control: bool = False
+    reduced_speed: bool = False  # set in motion, it breaks the motion off
 
 
 @dataclass(frozen=True)
@@ -161,7 +152,7 @@ class SimArm:
             mode = self._mode()
             if mode is not ArmMode.READY:
                 cause = self._stop_reason if mode is ArmMode.STOPPED else mode.value
-                raise StoppedError(self.name, f"stopped: {cause}", _REMEDIES[mode])
+                raise StoppedError(self.name, f"stopped: {cause}", mode.remedy)
             now_s = self._clock.now_s()
             if now_s < self._world.hand_rests_from_s():
                 raise LimitError(self.name, "still moving", "wait until it rests, or stop it")
@@ -196,12 +187,10 @@ class SimArm:
         """Raises StoppedError while the controller itself is stopped; DeviceLostError."""
         with self._world.lock:
             self._check_alive()
-            if self._controller_stop is not None:
-                raise StoppedError(
-                    self.name,
-                    f"the controller reports {self._controller_stop.value}",
-                    _REMEDIES[self._controller_stop],
-                )
+            mode = self._mode()
+            if mode not in (ArmMode.READY, ArmMode.STOPPED):
+                cause = f"the controller reports {mode.value}"
+                raise StoppedError(self.name, cause, mode.remedy)
             self._stop_reason = None
 
     def _mode(self) -> ArmMode:
@@ -209,6 +198,8 @@ class SimArm:
             return self._controller_stop
         if self._faults.local_control:
             return ArmMode.LOCAL_CONTROL
+        if self._faults.reduced_speed:
+            return ArmMode.REDUCED_SPEED
         return ArmMode.READY if self._stop_reason is None else ArmMode.STOPPED
 
     def _check_alive(self) -> None:
@@ -225,6 +216,8 @@ class SimArm:
                 self._lose("the connection dropped")
             if self._came(faults.frozen_at_s):
                 self._lose("the controller's time stamps do not advance")
+            if faults.reduced_speed and self._clock.now_s() < self._world.hand_rests_from_s():
+                self.stop(ArmMode.REDUCED_SPEED.value)
             for t_s, mode in (
                 (faults.emergency_stop_at_s, ArmMode.EMERGENCY_STOP),
                 (faults.protective_stop_at_s, ArmMode.PROTECTIVE_STOP),
@@ -259,4 +252,4 @@ class SimArm:
         return out * (o.noise_m, o.noise_m, o.noise_rad)
 
 
-_LOST_REMEDY = _REMEDIES[ArmMode.LOST]
+_LOST_REMEDY = ArmMode.LOST.remedy

@@ -104,6 +104,8 @@ def ur_emulator(emulated_controller: EmulatedController) -> Iterator[EmulatedCon
     """An emulated controller in order, with its arm at (0.5, 0.5) of the plane of `ur_options`."""
     emulated_controller.ask("clear")
     emulated_controller.ask("home")
+    for what in ("speed_fraction", "speed_scaling"):
+        emulated_controller.ask(what, value=1.0)
     yield emulated_controller
     emulated_controller.ask("refuse", on=False)
     emulated_controller.ask("local", on=False)

@@ -182,6 +182,56 @@ def test_local_control_is_a_state_with_a_remedy(arm, ur_emulator, line) -> None:
     assert arm.state().mode is ArmMode.READY
 
 
+def test_a_slider_below_full_speed_is_a_state_with_a_remedy(arm, ur_emulator, line) -> None:
+    ur_emulator.ask("speed_fraction", value=0.4)
+    until(lambda: arm.state().mode is ArmMode.REDUCED_SPEED)
+    for act in (arm.reset, lambda: arm.follow(line(start=arm.state().pose))):
+        with pytest.raises(StoppedError, match=r"40% of the full speed; set the speed slider to"):
+            act()
+    time.sleep(0.5)
+    assert ur_emulator.ask("state")["runtime"] == "PLAYING", "its watchdog is fed all the same"
+    ur_emulator.ask("speed_fraction", value=1.0)
+    until(lambda: arm.state().mode is ArmMode.READY)
+    arm.follow(line(dy_m=-0.01, start=arm.state().pose))
+    until(lambda: not arm.state().moving)
+
+
+@pytest.mark.parametrize("what", ["speed_fraction", "speed_scaling"])
+def test_a_motion_that_is_slowed_is_broken_off_and_stays_so(arm, ur_emulator, line, what) -> None:
+    set_moving(arm, line)
+    asked_s = time.monotonic()
+    ur_emulator.ask(what, value=0.7)
+    until(lambda: not arm.state().moving)
+    rest = arm.state().pose
+    stops = [e["t_s"] for e in ur_emulator.ask("state")["events"] if e["what"] == "servo stop"]
+    assert 0.0 < stops[-1] - asked_s < 0.1
+    ur_emulator.ask(what, value=1.0)
+    until(lambda: arm.state().mode is ArmMode.STOPPED)
+    with pytest.raises(StoppedError, match="it was slowed in motion; acknowledge and reset"):
+        arm.follow(line(start=rest))
+    arm.reset()
+    time.sleep(0.2)
+    assert arm.state().mode is ArmMode.READY
+    assert arm.state().pose.y_m == pytest.approx(rest.y_m, abs=1e-4)
+    arm.follow(line(dy_m=0.01, start=rest))
+    until(lambda: not arm.state().moving)
+    assert arm.state().pose.y_m == pytest.approx(rest.y_m + 0.01, abs=2e-4)
+
+
+def test_an_arm_without_power_or_with_its_brakes_on_says_so(arm, ur_emulator, ur_options) -> None:
+    ur_emulator.ask("end_program")
+    ur_emulator.ask("brakes", on=True)
+    until(lambda: arm.state().mode is ArmMode.POWER_OFF)
+    with pytest.raises(StoppedError, match="power_off; power on and release the brakes"):
+        arm.reset()
+    with pytest.raises(ConnectError, match="power_off; power on and release the brakes"):
+        UrArm(ur_options).connect()
+    ur_emulator.ask("brakes", on=False)
+    until(lambda: arm.state().mode is ArmMode.STOPPED)
+    arm.reset()
+    assert arm.state().mode is ArmMode.READY
+
+
 def test_a_program_that_ended_can_be_started_anew(arm, ur_emulator, line) -> None:
     ur_emulator.ask("end_program")
     until(lambda: arm.state().mode is ArmMode.STOPPED)
@@ -263,7 +313,7 @@ def test_a_controller_of_another_version_is_refused(free_loopback, ur_options) -
 
 def test_a_stopped_controller_is_not_connected_to(ur_options, ur_emulator) -> None:
     ur_emulator.ask("protective_stop")
-    with pytest.raises(ConnectError, match="reports protective_stop; clear it at the pendant"):
+    with pytest.raises(ConnectError, match="reports protective_stop; find the cause, unlock"):
         UrArm(ur_options).connect()
 
 

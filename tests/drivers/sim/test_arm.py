@@ -97,6 +97,22 @@ def test_local_control_refuses_motion(cell, line) -> None:
         cell.arm.follow(line())
 
 
+def test_a_slowed_motion_is_broken_off_and_stays_so(cell, line) -> None:
+    cell.arm.follow(line(dy_m=-0.05))
+    cell.clock.sleep_s(0.2)
+    cell.arm.faults = ArmFaults(reduced_speed=True)
+    assert cell.arm.state().mode is ArmMode.REDUCED_SPEED
+    cell.clock.sleep_s(0.5)
+    for attempt in (cell.arm.reset, lambda: cell.arm.follow(line())):
+        with pytest.raises(StoppedError, match="speed slider"):
+            attempt()
+    assert cell.arm.state().pose.y_m > 0.455
+    cell.arm.faults = ArmFaults()
+    assert cell.arm.state().mode is ArmMode.STOPPED
+    cell.arm.reset()
+    assert cell.arm.state().mode is ArmMode.READY
+
+
 def test_a_second_path_must_wait_for_the_first(cell, line) -> None:
     cell.arm.follow(line(dy_m=-0.05))
     cell.clock.sleep_s(0.1)

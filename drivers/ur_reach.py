@@ -1,0 +1,47 @@
+"""Whether a UR arm's joints can follow a path, as far as its nominal dimensions tell."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drivers.interfaces import FloatArray, LimitError, Path
+from drivers.plane_mount import PlaneMount
+from drivers.ur_kinematics import OutOfReachError, UrModel
+
+_NOTHING_MOVED = "nothing was moved"
+
+#: Time between two places at which the joints are looked at, s; looking takes 0.15 ms each.
+STEP_S = 0.02
+
+
+def check_reach(
+    path: Path,
+    q_rad: FloatArray,
+    model: UrModel,
+    X_FT: FloatArray,
+    mount: PlaneMount,
+    device: str = "arm",
+) -> None:
+    """Joint angles and speeds along a path whose times count from 0.
+
+    q_rad   (6,) joint angles now, near which those of the path are looked for
+    X_FT    (4, 4) tool on the flange
+    raises  LimitError: out of reach, or a joint too fast; with the time of the first such place
+    """
+    steps = max(1, int(np.ceil(path.t_s[-1] / STEP_S)))
+    before_s = None
+    for t_s in np.linspace(0.0, path.t_s[-1], steps + 1).tolist():
+        try:
+            q_next = model.inverse(mount.to_base(path.at(t_s)), q_rad, X_FT)
+        except OutOfReachError as error:
+            raise LimitError(device, f"at t = {t_s:.3f} s {error}", _NOTHING_MOVED) from error
+        if before_s is not None:
+            fastest = float(np.max(np.abs(q_next - q_rad))) / (t_s - before_s)
+            if fastest > model.max_joint_speed_rad_per_s:
+                raise LimitError(
+                    device,
+                    f"at t = {t_s:.3f} s a joint turns at {fastest:.2f} rad/s, allowed "
+                    f"{model.max_joint_speed_rad_per_s:.2f} rad/s",
+                    _NOTHING_MOVED,
+                )
+        before_s, q_rad = t_s, q_next
