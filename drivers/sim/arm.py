@@ -22,6 +22,7 @@ from drivers.sim.world import World
 
 _NOISE_BLOCK = 1024
 
+
 @dataclass(frozen=True)
 class ArmFaults:
     """What goes wrong with an arm; times on the cell's clock, None = never.
