@@ -103,6 +103,7 @@ def diagnose(
     from cell.lab import session
     from cell.lab.compare import compare_model
     from cell.lab.diagnose import diagnose as diagnose_study
+    from cell.lab.individual import identified
     from cell.lab.report import diagnosis_page, write_page
     from cell.lab.results import to_json, write_json
     from cell.lab.tables import ranking_table, sentence, waterfall_table
@@ -115,9 +116,11 @@ def diagnose(
         examination = diagnose_study(explorer)
         if as_json:
             write_json(to_json(examination.diagnosis), as_json)
-        comparisons = [compare_model(opened, c.fit.model) for c in examination.steps]
+        steps = [explorer.as_believed(), *examination.steps[1:]]
+        comparisons = [compare_model(opened, c.fit.model) for c in steps]
         if report:
-            write_page(diagnosis_page(opened.name, examination, comparisons), report)
+            model = identified(explorer.bench, examination.steps[-1].fit)
+            write_page(diagnosis_page(examination, comparisons, model), report)
     diagnosis = examination.diagnosis
     _print(
         sentence(diagnosis, comparisons[0]), waterfall_table(diagnosis), ranking_table(diagnosis)

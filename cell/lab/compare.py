@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,9 +12,12 @@ from cell.cable.model import CableModel
 from cell.lab.bench import Bench, is_released
 from cell.lab.fitting import best_delay
 from cell.lab.where import Where, overall, where
-from cell.study.data import Study
+from cell.study.data import Markers, Study, Trial
 
 FloatArray = NDArray[np.float64]
+
+#: Points that show the whole cable, however few markers it has.
+DRAWN = 21
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,6 +25,7 @@ class Comparison:
     """A model and a study side by side.
 
     predicted_m  per trial (times, markers, 2)
+    cable_m      per trial (times, `DRAWN` points from tip to grip, 2): the whole cable predicted
     where        one per trial, in the study's order
     """
 
@@ -30,6 +34,7 @@ class Comparison:
     fit_rms_m: float
     heldout_rms_m: float
     predicted_m: dict[str, FloatArray]
+    cable_m: dict[str, FloatArray]
     where: tuple[Where, ...]
 
     def to_json(self) -> dict[str, Any]:
@@ -67,12 +72,10 @@ def compare_model(study: Study, model: CableModel) -> Comparison:
     """Errors of a model on all trials.  Raises NoiseUnknownError, ValueError: cannot simulate."""
     bench = Bench.of(study)
     study = bench.study
-    predicted, found = {}, []
+    predicted, cable, found = {}, {}, []
     for trial in study.trials:
         delay = best_delay(bench, model, trial) if is_released(trial) else 0.0
-        points = bench.predict(trial, [model], np.array([delay]))
-        if not np.isfinite(points).all():
-            raise ValueError(f"trial {trial.name}: the model cannot be simulated with this motion")
+        points, cable[trial.name] = _everywhere(bench, trial, model, delay)
         predicted[trial.name] = points[0]
         # rows are (markers, axes, times); unseen values are exactly zero there
         white = bench.white(trial, points)[0].reshape(-1, 2, len(trial.markers.t_s))
@@ -83,8 +86,34 @@ def compare_model(study: Study, model: CableModel) -> Comparison:
         return overall([t.markers.xy_m - predicted[t.name] for t in study.trials if t.role == role])
 
     return Comparison(
-        study, bench.floor.noise.std_m, error("fit"), error("validate"), predicted, tuple(found)
+        study,
+        bench.floor.noise.std_m,
+        error("fit"),
+        error("validate"),
+        predicted,
+        cable,
+        tuple(found),
     )
+
+
+def _everywhere(
+    bench: Bench, trial: Trial, model: CableModel, delay_s: float
+) -> tuple[FloatArray, FloatArray]:
+    """Where the model puts the markers, (1, times, markers, 2), and the cable, (times, `DRAWN`, 2).
+
+    raises  ValueError: the model cannot be simulated
+    """
+    study = bench.study
+    drawn = np.linspace(study.cable.free_length_m, 0.0, DRAWN)
+    arcs = np.unique(np.concatenate([study.arc_length_m, drawn]))[::-1]
+    t_s = trial.markers.t_s
+    blank = replace(trial, markers=Markers(t_s, np.zeros((len(t_s), len(arcs), 2))))
+    finer = replace(bench, study=replace(study, arc_length_m=arcs))
+    points = finer.predict(blank, [model], np.array([delay_s]))
+    if not np.isfinite(points).all():
+        raise ValueError(f"trial {trial.name}: the model cannot be simulated with this motion")
+    at, shape = (np.searchsorted(-arcs, -s) for s in (study.arc_length_m, drawn))
+    return points[:, :, at], points[0, :, shape].swapaxes(0, 1)
 
 
 def _profile(centre: FloatArray, rms_m: FloatArray, name: str) -> dict[str, list[float | None]]:

@@ -4,31 +4,71 @@ from __future__ import annotations
 
 import html
 import inspect
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
 import plotly.graph_objects as go
-from numpy.typing import NDArray
 from plotly.offline import get_plotlyjs
-from plotly.subplots import make_subplots
 
+from cell.identify.identified import Identified
 from cell.lab.compare import Comparison
 from cell.lab.diagnose import Examination
-from cell.lab.tables import sentence
-
-FloatArray = NDArray[np.float64]
-
-#: Frames that the time slider of an overlay offers.
-SLIDER_FRAMES = 60
-SEEN, PREDICTED, NOISE = "#d1495b", "#00798c", "#8d99ae"
-_STYLE = (
-    "body{font-family:system-ui,sans-serif;max-width:1100px;margin:2em auto;color:#222}"
-    "h1{font-size:1.4em}h2{font-size:1.1em;margin-top:2em}.says{font-size:1.25em;padding:.8em 1em;"
-    "background:#eef4f5;border-left:5px solid #00798c}pre{background:#f6f6f6;padding:.8em;"
-    "overflow-x:auto}table{border-collapse:collapse}td,th{padding:.25em .8em;text-align:right;"
-    "border-bottom:1px solid #ddd}td:first-child,th:first-child{text-align:left}"
+from cell.lab.figures import (
+    ADDED,
+    MODEL,
+    Series,
+    profiles,
+    ranking,
+    residual_maps,
+    waterfall,
 )
+from cell.lab.overlay import overlay
+from cell.lab.tables import advice, sentence
+from cell.lab.where import Where
+
+#: A residual is called noise above this p-value of its whiteness, and goes with a signal below it.
+NOTICEABLE = 0.01
+#: Signals that a residual goes with, listed if the correlation is at least this.
+LEAST_CORRELATION = 0.2
+
+_FAILS = "Where the model fails"
+_STYLE = """
+body{font:16px/1.45 system-ui,sans-serif;max-width:1100px;margin:2em auto;padding:0 1em;color:#222}
+h1{font-size:1.5em;margin-bottom:.2em}h2{font-size:1.2em;margin-top:2.2em}
+.facts,.note{color:#555}.says{font-size:1.3em;padding:.8em 1em;background:#eef4f5;
+border-left:6px solid #00798c}.says.bad{background:#fbeff0;border-color:#d1495b}
+pre,code{background:#f4f4f4;padding:.1em .3em}pre{padding:.7em;overflow-x:auto}
+.law{font-size:1.1em;font-family:ui-monospace,monospace;background:#f4f4f4;padding:.6em .8em}
+table{border-collapse:collapse;margin:.8em 0}td,th{padding:.25em .9em;text-align:left;
+border-bottom:1px solid #ddd}.number{text-align:right;font-variant-numeric:tabular-nums}
+.plot{width:100%}summary{cursor:pointer;margin:.6em 0}select{font:inherit;padding:.2em .4em}
+@media print{select,summary{display:none}}
+"""
+
+#: Draws a figure when it is first seen: plotly cannot lay out what is hidden.
+_SCRIPT = """
+const config = {responsive: true, displaylogo: false,
+  modeBarButtons: [['toImage', 'zoom2d', 'pan2d', 'resetScale2d']]};
+function draw() {
+  for (const place of document.querySelectorAll('.plot')) {
+    if (place.offsetParent === null || place.dataset.drawn) continue;
+    place.dataset.drawn = 'yes';
+    const figure = JSON.parse(place.querySelector('script').textContent);
+    const target = place.appendChild(document.createElement('div'));
+    Plotly.newPlot(target, figure.data, figure.layout, config)
+      .then(() => figure.frames && Plotly.addFrames(target, figure.frames));
+  }
+}
+function choose(name) {
+  for (const part of document.querySelectorAll('.trial')) part.hidden = part.dataset.trial !== name;
+  draw();
+}
+const chooser = document.getElementById('chooser');
+chooser.addEventListener('change', () => choose(chooser.value));
+for (const part of document.querySelectorAll('details')) part.addEventListener('toggle', draw);
+choose(chooser.value);
+"""
 
 
 def write_page(page: str, path: Path) -> None:
@@ -39,263 +79,220 @@ def write_page(page: str, path: Path) -> None:
     part.replace(path)
 
 
-def diagnosis_page(name: str, examination: Examination, comparisons: Sequence[Comparison]) -> str:
+def diagnosis_page(
+    examination: Examination, comparisons: Sequence[Comparison], model: Identified
+) -> str:
     """Report of a diagnosis.
 
     comparisons  of the baseline, then with each effect added, as in `examination.steps`
+    model        the last of these
     """
     diagnosis = examination.diagnosis
     first, last = comparisons[0], comparisons[-1]
+    series = [Series("model", "of the model", MODEL, first)]
+    if last is not first:
+        name = f"with {_names(examination)}"
+        series.append(Series(name, name, ADDED, last))
+    says = _code(sentence(diagnosis, first))
+    look = "says" if diagnosis.verdict in ("complete", "missing") else "says bad"
     parts = [
-        f'<p class="says">{html.escape(sentence(diagnosis, first))}</p>',
+        f'<p class="{look}">{says}</p>',
+        _facts(first),
+        f"<p>{_code(advice(diagnosis))}</p>",
         "<h2>Error as effects are added</h2>",
-        _div(waterfall(examination)),
-        "<h2>Which effect</h2>",
-        "<p>χ² that each effect explains on the fit trials, alone beside the baseline; "
-        "whiskers: two standard deviations.</p>",
-        _div(ranking(examination)),
+        _plot(waterfall(diagnosis)),
     ]
     if diagnosis.missing:
-        parts += ["<h2>Effects accepted</h2>", _parameters(examination), _equations(examination)]
-    parts += ["<h2>Overlay</h2>", *_overlays(last)]
-    parts.append("<h2>Where the baseline fails</h2>")
-    parts += _where(first)
-    if last is not first:
-        parts.append("<h2>What is left with the effects added</h2>")
-        parts += _where(last)
-    return _page(f"Diagnosis of {name}", parts)
+        parts += ["<h2>What is missing</h2>", _parameters(examination), _laws(examination)]
+    parts += [
+        "<h2>Which effect</h2>",
+        '<p class="note">Evidence for each effect, alone beside the model, on the trials that were '
+        "fitted: √χ² explained, in standard deviations; whiskers: two of them. Left of the dotted "
+        "line it is chance. Several effects may imitate the true one; their order is what all "
+        "trials say together, those not fitted to included.</p>",
+        _plot(ranking(diagnosis)),
+        _everything(examination),
+        f"<h2>{'What is left' if diagnosis.verdict == 'complete' else _FAILS}</h2>",
+        *_where(series),
+        "<h2>Trial by trial</h2>",
+        *_trials(series),
+        "<h2>The cable</h2>",
+        _cable(model),
+    ]
+    return _page(f"Diagnosis of {first.study.name}", parts)
 
 
 def comparison_page(comparison: Comparison) -> str:
     """Report of a comparison."""
+    held = comparison.heldout_rms_m
+    beyond = "" if np.isnan(held) else f" and {held * 1e3:.2f} mm on motions it was not fitted to"
     says = (
-        f"The model misses {comparison.fit_rms_m * 1e3:.2f} mm where it was fitted and "
-        f"{comparison.heldout_rms_m * 1e3:.2f} mm where it was not; camera noise is "
-        f"{comparison.noise_m * 1e3:.2f} mm."
+        f"The model misses {comparison.fit_rms_m * 1e3:.2f} mm on motions to be fitted{beyond}; "
+        f"camera noise is {comparison.noise_m * 1e3:.2g} mm."
     )
-    parts = [f'<p class="says">{says}</p>', "<h2>Overlay</h2>", *_overlays(comparison)]
-    parts += ["<h2>Where it fails</h2>", *_where(comparison)]
+    series = [Series("model", "of the model", MODEL, comparison)]
+    parts = [
+        f'<p class="says">{says}</p>',
+        _facts(comparison),
+        f"<h2>{_FAILS}</h2>",
+        *_where(series),
+        "<h2>Trial by trial</h2>",
+        *_trials(series),
+    ]
     return _page(f"Comparison with {comparison.study.name}", parts)
 
 
-def waterfall(examination: Examination) -> go.Figure:
-    """Held-out (or fitted) error of baseline and each step, and the noise."""
-    diagnosis = examination.diagnosis
-    names = ["baseline", *(f"+ {f.effect}" for f in diagnosis.missing)]
-    errors = [diagnosis.baseline, *(f.errors for f in diagnosis.missing)]
-    figure = go.Figure()
-    for label, values, colour in (
-        ("held-out trials", [e.heldout_rms_m for e in errors], PREDICTED),
-        ("fitted trials", [e.fit_rms_m for e in errors], NOISE),
-    ):
-        shown = [v * 1e3 for v in values]
-        text = [f"{v:.3f}" for v in shown]
-        figure.add_bar(x=names, y=shown, name=label, marker_color=colour, text=text)
-    figure.add_hline(
-        y=diagnosis.noise_m * 1e3, line_dash="dash", line_color=SEEN, annotation_text="noise"
+def _names(examination: Examination) -> str:
+    return " and ".join(f.effect.replace("_", " ") for f in examination.diagnosis.missing)
+
+
+def _facts(comparison: Comparison) -> str:
+    study = comparison.study
+    markers = len(study.arc_length_m)
+    counts = f"{len(study.role('fit'))} fitted, {len(study.role('validate'))} held out"
+    return (
+        f'<p class="facts">{len(study.trials)} trials ({counts}), {markers} '
+        f"marker{'s' * (markers > 1)} on {study.cable.free_length_m * 1e3:.0f} mm of cable; "
+        f"camera noise {comparison.noise_m * 1e3:.3f} mm. Errors are rms per coordinate.</p>"
     )
-    figure.update_layout(yaxis_title="mm rms per coordinate", height=340, barmode="group")
-    return figure
 
 
-def ranking(examination: Examination) -> go.Figure:
-    """χ² explained by each effect, with two standard deviations."""
-    rows = list(reversed(examination.diagnosis.ranking))
-    score = np.array([max(r.score, 0.1) for r in rows])
-    reach = 2.0 * np.sqrt(2.0 + 4.0 * score)
-    colour = {"present": PREDICTED, "inspect": "#edae49", "absent": NOISE, "cannot_tell": "#c9c9d9"}
-    figure = go.Figure(
-        go.Bar(
-            x=score,
-            y=[r.effect for r in rows],
-            orientation="h",
-            marker_color=[colour[r.status] for r in rows],
-            error_x={"type": "data", "array": reach, "arrayminus": np.minimum(reach, 0.9 * score)},
-            customdata=[[r.p_value, r.status] for r in rows],
-            hovertemplate="%{y}: χ² %{x:.1f}, p %{customdata[0]:.2g}, %{customdata[1]}",
-        )
-    )
-    figure.update_layout(xaxis={"type": "log", "title": "χ² explained"}, height=90 + 24 * len(rows))
-    return figure
-
-
-def overlay(comparison: Comparison, number: int) -> go.Figure:
-    """Markers seen and predicted of one trial, with a time slider, and the tip against time."""
-    trial = comparison.study.trials[number]
-    t_s, seen = trial.markers.t_s, trial.markers.xy_m * 1e3
-    model = comparison.predicted_m[trial.name] * 1e3
-    figure = make_subplots(1, 2, subplot_titles=("cable, mm", "tip height, mm"))
-    shown = np.unique(np.linspace(0, len(t_s) - 1, SLIDER_FRAMES).astype(int))
-    for points, name, colour in ((seen, "seen", SEEN), (model, "predicted", PREDICTED)):
-        style = {"color": colour}
-        figure.add_scatter(
-            x=points[0, :, 0],
-            y=points[0, :, 1],
-            mode="markers" if name == "seen" else "lines+markers",
-            name=name,
-            marker={"size": 8 if name == "seen" else 4, **style},
-            row=1,
-            col=1,
-        )
-        figure.add_scatter(
-            x=t_s, y=points[:, 0, 1], mode="lines", line=style, showlegend=False, row=1, col=2
-        )
-    both = np.concatenate([seen.reshape(-1, 2), model.reshape(-1, 2)])
-    low, high = np.nanmin(both, axis=0) - 5.0, np.nanmax(both, axis=0) + 5.0
-    figure.update_xaxes(range=[low[0], high[0]], row=1, col=1)
-    figure.update_yaxes(range=[low[1], high[1]], scaleanchor="x", row=1, col=1)
-    figure.update_xaxes(title="s", row=1, col=2)
-    figure.frames = [
-        go.Frame(
-            name=str(k),
-            traces=[0, 2],
-            data=[go.Scatter(x=p[k, :, 0], y=p[k, :, 1]) for p in (seen, model)],
-        )
-        for k in shown
-    ]
-    still = {"mode": "immediate", "frame": {"duration": 0, "redraw": False}}
-    figure.update_layout(
-        height=430,
-        title=f"{trial.name} ({trial.role})",
-        sliders=[
-            {
-                "currentvalue": {"prefix": "t = ", "suffix": " s"},
-                "steps": [
-                    {"label": f"{t_s[k]:.3f}", "method": "animate", "args": [[str(k)], still]}
-                    for k in shown
-                ],
-            }
-        ],
-    )
-    return figure
-
-
-def residual_map(comparison: Comparison, number: int) -> go.Figure:
-    """Residual distance of one trial against time and arc length."""
-    trial = comparison.study.trials[number]
-    left = trial.markers.xy_m - comparison.predicted_m[trial.name]
-    figure = go.Figure(
-        go.Heatmap(
-            x=trial.markers.t_s,
-            y=comparison.study.arc_length_m * 1e3,
-            z=np.linalg.norm(left, axis=2).T * 1e3,
-            colorscale="Viridis",
-            zmin=0.0,
-            zmax=max(6e3 * comparison.noise_m, float(np.nanpercentile(np.abs(left), 99)) * 1e3),
-            colorbar={"title": "mm"},
-        )
-    )
-    figure.update_layout(
-        height=260, title=trial.name, xaxis_title="s", yaxis_title="arc length, mm"
-    )
-    return figure
-
-
-def profiles(comparison: Comparison) -> go.Figure:
-    """Residual by arc length, by phase and by frequency of all trials, against the noise."""
-    figure = make_subplots(
-        1, 3, subplot_titles=("by arc length, mm", "by phase, mm", "by frequency, m²/Hz")
-    )
-    palette = ["#00798c", "#d1495b", "#edae49", "#66a182", "#2e4057", "#8d6a9f", "#bb9457"]
-    for i, w in enumerate(comparison.where):
-        style = {"color": palette[i % len(palette)]}
-        shared = {"name": w.trial, "legendgroup": w.trial}
-        figure.add_scatter(
-            x=w.by_arc_length.centre * 1e3,
-            y=w.by_arc_length.rms_m * 1e3,
-            mode="lines+markers",
-            line=style,
-            **shared,
-            row=1,
-            col=1,
-        )
-        figure.add_bar(
-            x=list(w.by_phase),
-            y=[v * 1e3 for v in w.by_phase.values()],
-            marker_color=style["color"],
-            showlegend=False,
-            **shared,
-            row=1,
-            col=2,
-        )
-        figure.add_scatter(
-            x=w.spectrum.frequency_hz,
-            y=w.spectrum.residual,
-            line=style,
-            showlegend=False,
-            **shared,
-            row=1,
-            col=3,
-        )
-    spectrum = comparison.where[0].spectrum
-    dashed = {"color": "black", "dash": "dash"}
-    figure.add_scatter(
-        x=spectrum.frequency_hz, y=spectrum.noise, line=dashed, name="noise", row=1, col=3
-    )
-    for column in (1, 2):
-        figure.add_hline(y=comparison.noise_m * 1e3, line_dash="dash", row=1, col=column)
-    figure.update_xaxes(type="log", title="Hz", row=1, col=3)
-    figure.update_yaxes(type="log", row=1, col=3)
-    figure.update_xaxes(title="mm", row=1, col=1)
-    figure.update_layout(height=380)
-    return figure
-
-
-def _overlays(comparison: Comparison) -> list[str]:
-    worst = int(np.argmax([w.rms_m for w in comparison.where]))
-    count = len(comparison.study.trials)
-    order = [worst, *(i for i in range(count) if i != worst)]
-    first, *others = [_div(overlay(comparison, i)) for i in order]
-    return [first, f"<details><summary>other trials</summary>{''.join(others)}</details>"]
-
-
-def _where(comparison: Comparison) -> list[str]:
-    rows = "".join(
-        f"<tr><td>{html.escape(w.trial)}</td><td>{w.rms_m * 1e3:.3f}</td>"
-        f"<td>{w.whiteness_p_value:.1g}</td><td>"
-        + ", ".join(f"{f.signal} {f.correlation:+.2f}" for f in w.follows[:3])
-        + "</td></tr>"
-        for w in comparison.where
-    )
-    maps = "".join(_div(residual_map(comparison, i)) for i in range(len(comparison.where)))
+def _where(series: Sequence[Series]) -> list[str]:
+    """Profiles over all trials, and a line for each."""
+    heads = ["trial", "used", *(f"{s.name}, mm" for s in series), "what is left", "it goes with"]
+    rows = []
+    for i, trial in enumerate(series[0].comparison.study.trials):
+        wheres = [s.comparison.where[i] for s in series]
+        role = "fitted" if trial.role == "fit" else "held out"
+        errors = [f"{w.rms_m * 1e3:.3f}" for w in wheres]
+        last = wheres[-1]
+        left = "noise" if not last.whiteness_p_value < NOTICEABLE else "has a pattern"
+        rows.append([trial.name, role, *errors, left, _goes_with(wheres[0])])
+    numbers = range(2, 2 + len(series))
     return [
-        _div(profiles(comparison)),
-        "<table><tr><th>trial</th><th>mm rms</th><th>p (white)</th><th>tip residual goes with</th>"
-        f"</tr>{rows}</table>",
-        f"<details><summary>residual maps</summary>{maps}</details>",
+        _plot(profiles(series)),
+        _table(heads, rows, numbers),
+        '<p class="note">“It goes with”: signals with which the tip’s error of the first model '
+        "is most correlated (* = beyond chance).</p>",
     ]
+
+
+def _goes_with(where: Where) -> str:
+    found = [
+        f"{f.signal} ({f.correlation:+.2f}{'*' if f.p_value < NOTICEABLE else ''})"
+        for f in where.follows
+        if abs(f.correlation) >= LEAST_CORRELATION
+    ]
+    return ", ".join(found[:2]) or "–"
+
+
+def _trials(series: Sequence[Series]) -> list[str]:
+    """Overlay and residual maps of every trial, one shown at a time, the worst one first."""
+    comparison = series[0].comparison
+    worst = int(np.nanargmax([w.rms_m for w in comparison.where]))
+    options, parts = [], []
+    for i, trial in enumerate(comparison.study.trials):
+        name, chosen = html.escape(trial.name), i == worst
+        role = "fitted" if trial.role == "fit" else "held out"
+        note = f"{role}{', largest error' if chosen else ''}"
+        picked, hidden = (" selected", "") if chosen else ("", " hidden")
+        options.append(f'<option value="{name}"{picked}>{name} ({note})</option>')
+        parts.append(
+            f'<div class="trial" data-trial="{name}"{hidden}>'
+            f"{_plot(overlay(series, i))}{_plot(residual_maps(series, i))}</div>"
+        )
+    choice = f'<p><label>Trial: <select id="chooser">{"".join(options)}</select></label></p>'
+    note = (
+        '<p class="note">Move the slider or press ▶. The thick lines lead from each point seen '
+        "towards where the model has it, drawn larger by the factor given; grey band: twice the "
+        "camera’s noise.  Between the dotted lines the hand moves.</p>"
+    )
+    return [choice, note, *parts]
 
 
 def _parameters(examination: Examination) -> str:
-    rows = "".join(
-        f"<tr><td>{f.effect}</td><td>{name}</td><td>{p.value:.4g}</td>"
-        f"<td>{p.low:.4g} … {p.high:.4g}</td><td>{p.unit}</td></tr>"
+    rows = [
+        [
+            " or ".join((f.effect, *f.tied_with)),
+            name,
+            f"{p.value:.4g}",
+            f"{p.low:.4g} … {p.high:.4g}",
+            p.unit,
+        ]
         for f in examination.diagnosis.missing
         for name, p in f.parameters.items()
-    )
-    head = "<tr><th>effect</th><th>parameter</th><th>value</th><th>95 %</th><th>unit</th></tr>"
-    return f"<table>{head}{rows}</table>"
+    ]
+    return _table(["effect", "parameter", "value", "95 % interval", "unit"], rows, (2, 3))
 
 
-def _equations(examination: Examination) -> str:
+def _laws(examination: Examination) -> str:
+    """The law of each accepted effect, as its file states it."""
     accepted = {f.effect for f in examination.diagnosis.missing}
-    return "".join(
-        f"<h3>{e.name}</h3><pre>{html.escape(inspect.cleandoc(e.__doc__ or ''))}</pre>"
-        for e in examination.steps[-1].effects
-        if e.name in accepted
-    )
+    laws = []
+    for effect in examination.steps[-1].effects:
+        if effect.name not in accepted:
+            continue
+        first, *others = inspect.cleandoc(effect.__doc__ or "").split("\n\n")
+        laws.append(f"<h3>{effect.name}</h3><p class='law'>{html.escape(first)}</p>")
+        laws += [f"<p>{html.escape(text)}</p>" for text in others]
+    return "".join(laws)
 
 
-def _div(figure: go.Figure) -> str:
-    figure.update_layout(
-        template="plotly_white", margin={"l": 60, "r": 20, "t": 50, "b": 50}, font={"size": 12}
+def _everything(examination: Examination) -> str:
+    rows = [
+        [r.effect, f"{r.score:.1f}", f"{r.p_value:.1g}", r.status.replace("_", " ")]
+        for r in examination.diagnosis.ranking
+    ]
+    table = _table(["effect", "χ² explained", "p", "status"], rows, (1, 2))
+    return f"<details><summary>as numbers</summary>{table}</details>"
+
+
+def _cable(model: Identified) -> str:
+    low, high = model.interval()
+    rows = [
+        [name, f"{value:.4g}", f"{lo:.4g} … {hi:.4g}", unit]
+        for name, value, lo, hi, unit in zip(
+            model.space.names, model.values, low, high, model.space.units, strict=True
+        )
+    ]
+    table = _table(["parameter", "value", "95 % interval", "unit"], rows, (1, 2))
+    return f"<details><summary>all fitted parameters</summary>{table}</details>"
+
+
+def _table(heads: Sequence[str], rows: Iterable[Sequence[str]], numbers: Iterable[int]) -> str:
+    right = set(numbers)
+
+    def line(tag: str, cells: Sequence[str]) -> str:
+        look = [" class='number'" if i in right else "" for i in range(len(cells))]
+        return "".join(
+            f"<{tag}{kind}>{html.escape(cell)}</{tag}>"
+            for cell, kind in zip(cells, look, strict=True)
+        )
+
+    body = "".join(f"<tr>{line('td', row)}</tr>" for row in rows)
+    return f"<table><tr>{line('th', heads)}</tr>{body}</table>"
+
+
+def _code(text: str) -> str:
+    """Text with what stands between backticks as code."""
+    plain, *rest = html.escape(text).split("`")
+    return plain + "".join(f"<code>{t}</code>" if i % 2 == 0 else t for i, t in enumerate(rest))
+
+
+def _plot(figure: go.Figure) -> str:
+    """A place for a figure, and the figure as data."""
+    data = str(figure.to_json()).replace("</", "<\\/")
+    return (
+        f'<div class="plot" style="min-height:{figure.layout.height}px">'
+        f'<script type="application/json">{data}</script></div>'
     )
-    return str(figure.to_html(full_html=False, include_plotlyjs=False, auto_play=False))
 
 
 def _page(title: str, parts: Sequence[str]) -> str:
     return (
-        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}'
-        f"</title><style>{_STYLE}</style><script>{get_plotlyjs()}</script></head><body>"
-        f"<h1>{html.escape(title)}</h1>{''.join(parts)}</body></html>\n"
+        f'<!doctype html><html lang="en"><head><meta charset="utf-8">'
+        f'<meta name="viewport" content="width=device-width"><title>{html.escape(title)}</title>'
+        f"<style>{_STYLE}</style><script>{get_plotlyjs()}</script></head><body>"
+        f"<h1>{html.escape(title)}</h1><noscript><p>The figures need JavaScript.</p></noscript>"
+        f"{''.join(parts)}<script>{_SCRIPT}</script></body></html>\n"
     )

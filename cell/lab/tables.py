@@ -32,19 +32,19 @@ def sentence(diagnosis: Diagnosis, baseline: Comparison | None = None) -> str:
     before_mm = _shown_mm(diagnosis.baseline.heldout_rms_m, diagnosis.baseline.fit_rms_m)
     if diagnosis.verdict == "complete":
         return (
-            f"The model is complete: what it misses ({before_mm:.2f} mm) is camera noise "
-            f"({noise_mm:.2f} mm)."
+            f"The model is complete: what it misses ({_short(before_mm)} mm) is camera noise "
+            f"({_short(noise_mm)} mm)."
         )
     place = "" if baseline is None else _worst_place(baseline)
-    misses = f"The model misses {before_mm:.2f} mm{place}"
+    misses = f"The model misses {_short(before_mm)} mm{place}"
     if diagnosis.verdict == "unexplained":
         return (
-            f"{misses}, camera noise is {noise_mm:.2f} mm, and no known effect explains it: "
+            f"{misses}, camera noise is {_short(noise_mm)} mm, and no known effect explains it: "
             "try `cell discover`."
         )
     if not diagnosis.missing:
         return (
-            f"{misses} at {noise_mm:.2f} mm of noise; these motions cannot tell why: "
+            f"{misses} at {_short(noise_mm)} mm of noise; these motions cannot tell why: "
             "try `cell suggest`."
         )
     last = diagnosis.missing[-1].errors
@@ -54,12 +54,33 @@ def sentence(diagnosis: Diagnosis, baseline: Comparison | None = None) -> str:
     names = " and ".join(
         " or ".join(_plain(n) for n in (f.effect, *f.tied_with)) for f in diagnosis.missing
     )
-    rest = "camera noise" if after_mm < 1.1 * noise_mm else f"{after_mm:.2f} mm, not yet explained"
+    explains = "explains" if len(diagnosis.missing) == 1 else "explain"
+    rest = f"{_short(after_mm)} mm, not yet explained"
+    if after_mm < 1.1 * noise_mm:
+        rest = "camera noise"
     hedge = " These motions cannot tell them apart." if diagnosis.verdict == "cannot_tell" else ""
     return (
-        f"{misses}; {names} explains {share:.0f} % of what is beyond camera noise; "
+        f"{misses}; {names} {explains} {share:.0f} % of what is beyond camera noise; "
         f"the remaining error is {rest}.{hedge}"
     )
+
+
+def advice(diagnosis: Diagnosis) -> str:
+    """What to do next, commands between backticks."""
+    options = " ".join(f"--effect {f.effect}" for f in diagnosis.missing)
+    tied = any(f.tied_with for f in diagnosis.missing)
+    motion = "`cell suggest STUDY -o motion.yaml` gives the motion that tells them apart"
+    match diagnosis.verdict:
+        case "complete":
+            return "Nothing is to be added."
+        case "missing" if not tied:
+            return f"To add it to the model: `cell fit STUDY {options} -o model.json`."
+        case "unexplained":
+            return "To look for an unknown law: `cell discover STUDY -o discovered.py`."
+        case "missing":
+            return f"To add it: `cell fit STUDY {options} -o model.json`; {motion}."
+        case _:
+            return f"Measure more: {motion}."
 
 
 def _worst_place(comparison: Comparison) -> str:
@@ -69,14 +90,17 @@ def _worst_place(comparison: Comparison) -> str:
     share /= comparison.study.cable.free_length_m
     part = "at the tip" if share > 0.8 else "at the grip" if share < 0.2 else "in mid-cable"
     phases = list(comparison.where[0].by_phase)
-    by_phase = [np.nanmean([w.by_phase[p] ** 2 for w in comparison.where]) for p in phases]
+    by_phase = [
+        np.mean([w.by_phase[p] ** 2 for w in comparison.where if np.isfinite(w.by_phase[p])] or [0])
+        for p in phases
+    ]
     when = {
         "still": "even at rest",
         "moving": "while the hand moves",
         "early swing": "early in the swing",
         "late swing": "late in the swing",
     }
-    return f", most of it {part} {when[phases[int(np.nanargmax(by_phase))]]}"
+    return f", most of it {part} {when[phases[int(np.argmax(by_phase))]]}"
 
 
 def waterfall_table(diagnosis: Diagnosis) -> Table:
@@ -243,6 +267,11 @@ def _plain(name: str) -> str:
 
 def _shown_mm(heldout_m: float, fit_m: float) -> float:
     return 1e3 * (heldout_m if np.isfinite(heldout_m) else fit_m)
+
+
+def _short(value_mm: float) -> str:
+    """Two decimals, or two digits of what is smaller."""
+    return f"{value_mm:.2f}" if value_mm >= 0.1 else f"{value_mm:.2g}"
 
 
 def _mm(value_m: float) -> str:

@@ -134,10 +134,10 @@ def spectrum(t_s: FloatArray, residual_m: FloatArray, noise: Noise) -> Spectrum:
     """Mean power over all coordinates against that of the noise (Lomb and Scargle: any stamps)."""
     span_s = float(t_s[-1] - t_s[0])
     highest = 0.5 / float(np.median(np.diff(t_s)))
-    count = int(min(MAX_FREQUENCIES, max(2, highest * span_s)))
-    frequency = np.linspace(highest / count, highest, count)
+    count = int(min(MAX_FREQUENCIES, max(3, highest * span_s)))
+    frequency = np.arange(1, count) * highest / count  # short of Nyquist, where phase is lost
     series = residual_m.reshape(len(t_s), -1).T
-    power, used = np.zeros(count), 0
+    power, used = np.zeros(len(frequency)), 0
     for values in series:
         seen = np.isfinite(values)
         if seen.sum() < 4:
@@ -182,19 +182,13 @@ def follows(trial: Trial, predicted_m: FloatArray, white: FloatArray) -> tuple[F
     t_s = trial.markers.t_s
     if len(t_s) < 2 * LAGS:
         return ()
-    grip = np.column_stack(
-        [np.interp(t_s, trial.grip.t_s, v) for v in (trial.grip.x_m, trial.grip.y_m)]
-    )
-    # outermost marker first; the grip stands in as second where there is only one
-    points = np.concatenate([predicted_m, grip[:, None]], axis=1)
-    along = points[:, 0] - points[:, 1]
-    along /= np.maximum(np.linalg.norm(along, axis=1), 1e-12)[:, None]
-    normal = np.column_stack([-along[:, 1], along[:, 0]])
-    velocity = np.sum(np.gradient(points[:, 0], t_s, axis=0) * normal, axis=1)
+    grip = _hand(trial)
+    normal = across_tip(trial, predicted_m)
+    velocity = np.sum(np.gradient(predicted_m[:, 0], t_s, axis=0) * normal, axis=1)
     smooth = min(len(t_s) - (1 - len(t_s) % 2), 11)
     hand = signal.savgol_filter(grip, smooth, 3, axis=0)
     acceleration = np.gradient(np.gradient(hand, t_s, axis=0), t_s, axis=0)
-    chord = np.unwrap(np.arctan2(along[:, 1], along[:, 0]))
+    chord = np.unwrap(np.arctan2(-normal[:, 0], normal[:, 1]))
     signals = {
         "base acceleration, x": acceleration[:, 0],
         "base acceleration, y": acceleration[:, 1],
@@ -205,6 +199,21 @@ def follows(trial: Trial, predicted_m: FloatArray, white: FloatArray) -> tuple[F
     error = np.sum(white[:, 0] * normal, axis=1)
     found = [Follows(name, *_correlation(error, values)) for name, values in signals.items()]
     return tuple(sorted(found, key=lambda f: -abs(f.correlation)))
+
+
+def across_tip(trial: Trial, predicted_m: FloatArray) -> FloatArray:
+    """(times, 2) unit vector across the cable at the outermost marker."""
+    # the grip stands in as second marker where there is only one
+    points = np.concatenate([predicted_m, _hand(trial)[:, None]], axis=1)
+    along = points[:, 0] - points[:, 1]
+    along /= np.maximum(np.linalg.norm(along, axis=1), 1e-12)[:, None]
+    return np.column_stack([-along[:, 1], along[:, 0]])
+
+
+def _hand(trial: Trial) -> FloatArray:
+    """(times, 2) logged gripping point at the markers' times, m."""
+    t_s, grip = trial.markers.t_s, trial.grip
+    return np.column_stack([np.interp(t_s, grip.t_s, v) for v in (grip.x_m, grip.y_m)])
 
 
 def trial_angle(trial: Trial, t_s: FloatArray) -> FloatArray:

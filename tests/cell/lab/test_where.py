@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cell.identify.noise import Noise
-from cell.lab.where import PHASES, ljung_box, phase_of, rms, spectrum, where
+from cell.lab.where import PHASES, across_tip, ljung_box, phase_of, rms, spectrum, where
 
 
 def test_ljung_box_tells_white_from_coloured():
@@ -66,3 +66,17 @@ def test_an_error_that_follows_the_tip_velocity_is_named(make_study):
 def test_rms_ignores_what_was_not_seen():
     assert rms(np.array([3.0, np.nan, -3.0])) == 3.0
     assert np.isnan(rms(np.array([np.nan])))
+
+
+@pytest.mark.parametrize("markers", [1, 11])
+def test_across_the_tip_is_square_to_the_cable(make_study, markers):
+    trial = make_study(seed=1).trials[0]
+    across = across_tip(trial, trial.markers.xy_m[:, :markers])
+    assert np.linalg.norm(across, axis=1) == pytest.approx(1.0)
+    # level clamp, drooping cable: its tip points left and down, hence across it is down and right
+    assert (across[:30, 1] < -0.5).all()
+
+
+def test_no_frequency_is_at_nyquist_where_half_the_power_is_lost():
+    found = spectrum(np.arange(400) * 0.005, np.ones((400, 3, 2)), Noise(1e-4))
+    assert 99.0 < found.frequency_hz[-1] < 100.0

@@ -1,0 +1,260 @@
+"""The figures of the lab's report, with plotly; numbers as lists, so that any reader gets them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import plotly.graph_objects as go
+from numpy.typing import NDArray
+from plotly.subplots import make_subplots
+from scipy import stats
+
+from cell.lab.compare import Comparison
+from cell.lab.results import Diagnosis
+from cell.lab.where import PHASES, phase_of
+
+FloatArray = NDArray[np.float64]
+
+SEEN, MODEL, ADDED, NOISE, QUIET = "#222222", "#d1495b", "#00798c", "#5c677d", "#c9ced6"
+#: With fewer markers, each is a tick of an axis.
+FEW_MARKERS = 5
+#: Family-wise level at which evidence is beyond chance, as a diagnosis asks for.
+CHANCE = 0.01
+
+_STATUS = {
+    "present": (ADDED, "missing in the model"),
+    "inspect": ("#edae49", "worth a look"),
+    "cannot_tell": (QUIET, "cannot tell"),
+    "absent": (NOISE, "not it"),
+}
+
+
+@dataclass(frozen=True)
+class Series:
+    """A model beside the measurements, under the name and in the colour it has in all figures.
+
+    of  the name after "error"
+    """
+
+    name: str
+    of: str
+    colour: str
+    comparison: Comparison
+
+
+def waterfall(diagnosis: Diagnosis) -> go.Figure:
+    """Error of the baseline and after each effect added, and the noise."""
+    names = ["model", *(f"+ {' or '.join((f.effect, *f.tied_with))}" for f in diagnosis.missing)]
+    errors = [diagnosis.baseline, *(f.errors for f in diagnosis.missing)]
+    figure = go.Figure()
+    for label, values, colour in (
+        ("on motions it was not fitted to", [e.heldout_rms_m for e in errors], ADDED),
+        ("on motions it was fitted to", [e.fit_rms_m for e in errors], QUIET),
+    ):
+        shown = _mm(np.array(values))
+        if all(v is None for v in shown):
+            continue
+        text = ["" if v is None else f"{v:.3f}" for v in shown]
+        figure.add_bar(
+            x=names, y=shown, name=label, marker_color=colour, text=text, textposition="outside"
+        )
+    _noise_line(figure, diagnosis.noise_m * 1e3)
+    highest = max(float(np.nanmax([e.fit_rms_m, e.heldout_rms_m])) for e in errors) * 1e3
+    figure.update_yaxes(range=[0.0, 1.15 * max(highest, diagnosis.noise_m * 1e3)])
+    figure.update_layout(yaxis_title="error, mm rms", barmode="group", bargap=0.5)
+    return laid_out(figure, 340)
+
+
+def ranking(diagnosis: Diagnosis) -> go.Figure:
+    """Evidence for each effect: √χ² explained, whose standard deviation is 1 whatever its size."""
+    rows = list(reversed(diagnosis.ranking))
+    evidence = np.sqrt([max(r.score, 0.0) for r in rows])
+    figure = go.Figure()
+    for status, (colour, label) in _STATUS.items():
+        chosen = [i for i, r in enumerate(rows) if r.status == status]
+        if not chosen:
+            continue
+        figure.add_scatter(
+            x=listed(evidence[chosen], 2),
+            y=[rows[i].effect for i in chosen],
+            mode="markers",
+            name=label,
+            marker={"color": colour, "size": 11},
+            error_x={
+                "type": "data",
+                "array": [2.0] * len(chosen),
+                "arrayminus": listed(np.minimum(2.0, evidence[chosen]), 2),
+                "thickness": 1.5,
+            },
+            customdata=[[f"{rows[i].score:.1f}", f"{rows[i].p_value:.1g}"] for i in chosen],
+            hovertemplate="%{y}: χ² %{customdata[0]}, p %{customdata[1]}<extra></extra>",
+        )
+    limit = float(stats.norm.isf(0.5 * CHANCE / max(len(rows), 1)))
+    figure.add_vline(x=limit, line_dash="dot", line_color=NOISE)
+    figure.add_annotation(
+        x=limit, y=1.0, yref="paper", yanchor="bottom", text="chance", showarrow=False
+    )
+    names = [r.effect for r in rows]
+    figure.update_yaxes(categoryorder="array", categoryarray=names, ticklabelstandoff=8)
+    figure.update_xaxes(title="evidence, standard deviations", rangemode="tozero")
+    figure = laid_out(figure, 130 + 22 * len(rows))
+    return figure.update_layout(margin_l=150)
+
+
+def residual_maps(series: Sequence[Series], number: int) -> go.Figure:
+    """Residual distance of one trial against time and arc length, each model's beside the other."""
+    comparison = series[0].comparison
+    trial = comparison.study.trials[number]
+    t_s = trial.markers.t_s
+    left = [
+        np.linalg.norm(trial.markers.xy_m - s.comparison.predicted_m[trial.name], axis=2) * 1e3
+        for s in series
+    ]
+    highest = max(4e3 * comparison.noise_m, float(np.nanpercentile(left[0], 99)))
+    figure = make_subplots(
+        1, len(series), shared_yaxes=True, subplot_titles=[f"error {s.of}, mm" for s in series],
+        horizontal_spacing=0.04,
+    )  # fmt: skip
+    for column, values in enumerate(left, 1):
+        figure.add_heatmap(
+            x=listed(t_s, 4),
+            y=listed(comparison.study.arc_length_m * 1e3, 2),
+            z=[listed(row, 4) for row in values.T],
+            coloraxis="coloraxis",
+            hovertemplate="%{x:.3f} s, %{y:.0f} mm: %{z:.3f} mm<extra></extra>",
+            row=1,
+            col=column,
+        )
+    moving = t_s[phase_of(trial) == "moving"]
+    for edge in () if not moving.size else (float(moving[0]), float(moving[-1])):
+        figure.add_vline(x=edge, line_dash="dot", line_color="#222")
+    figure.update_xaxes(title="s")
+    figure.update_yaxes(title="from the grip, mm", row=1, col=1)
+    if len(comparison.study.arc_length_m) < FEW_MARKERS:
+        figure.update_yaxes(tickvals=listed(comparison.study.arc_length_m * 1e3, 2))
+    figure.update_layout(
+        coloraxis={
+            "colorscale": [[0.0, "#ffffff"], [0.25, "#fde0c5"], [0.6, "#eb7a52"], [1.0, "#7a0025"]],
+            "cmin": 0.0,
+            "cmax": round(highest, 4),
+            "colorbar": {"title": "mm"},
+        }
+    )
+    return laid_out(figure, 300)
+
+
+def profiles(series: Sequence[Series]) -> go.Figure:
+    """Error by arc length, by phase and by frequency over all trials, against the noise."""
+    figure = make_subplots(
+        1,
+        3,
+        subplot_titles=(
+            "by place on the cable, mm rms",
+            "by phase of the motion, mm rms",
+            "by frequency, mm/√Hz",
+        ),
+    )
+    comparison = series[0].comparison
+    phases = [p for p in PHASES if any(np.isfinite(w.by_phase[p]) for w in comparison.where)]
+    for s in series:
+        wheres = s.comparison.where
+        style = {"color": s.colour}
+        shared = {"name": s.name, "legendgroup": s.name}
+        figure.add_scatter(
+            x=listed(wheres[0].by_arc_length.centre * 1e3, 2),
+            y=_mm(_mean_square([w.by_arc_length.rms_m for w in wheres])),
+            mode="lines+markers",
+            line=style,
+            **shared,
+            row=1,
+            col=1,
+        )
+        figure.add_bar(
+            x=phases,
+            y=_mm(_mean_square([np.array([w.by_phase[p] for p in phases]) for w in wheres])),
+            marker_color=s.colour,
+            showlegend=False,
+            **shared,
+            row=1,
+            col=2,
+        )
+        grid, density = _spectrum(s.comparison)
+        figure.add_scatter(
+            x=listed(grid, 2),
+            y=listed(density, 6),
+            line=style,
+            mode="lines",
+            showlegend=False,
+            **shared,
+            row=1,
+            col=3,
+        )
+    spectrum = comparison.where[0].spectrum
+    figure.add_scatter(
+        x=listed(spectrum.frequency_hz, 2),
+        y=listed(1e3 * np.sqrt(spectrum.noise), 6),
+        mode="lines",
+        line={"color": NOISE, "dash": "dash"},
+        name="camera noise",
+        row=1,
+        col=3,
+    )
+    for column in (1, 2):
+        figure.add_hline(
+            y=comparison.noise_m * 1e3, line_dash="dash", line_color=NOISE, row=1, col=column
+        )
+        figure.update_yaxes(rangemode="tozero", row=1, col=column)
+    length = comparison.study.cable.free_length_m * 1e3
+    reach = [-0.05 * length, 1.05 * length]
+    figure.update_xaxes(title="from the grip, mm", range=reach, row=1, col=1)
+    figure.update_xaxes(type="log", title="Hz", tickvals=[0.1, 1, 10, 100, 1000], row=1, col=3)
+    thirds = [m * 10.0**n for n in range(-6, 3) for m in (1, 2, 5)]
+    figure.update_yaxes(type="log", tickvals=thirds, tickformat="~g", row=1, col=3)
+    return laid_out(figure, 380)
+
+
+def _noise_line(figure: go.Figure, noise_mm: float) -> None:
+    figure.add_hline(y=noise_mm, line_dash="dash", line_color=NOISE)
+    figure.add_annotation(
+        x=1.0, xref="paper", xanchor="left", y=noise_mm, text=" camera noise", showarrow=False
+    )
+    figure.update_layout(margin_r=110)
+
+
+def laid_out(figure: go.Figure, height: int) -> go.Figure:
+    """The figure in the look and size that all share."""
+    return figure.update_layout(
+        template="plotly_white",
+        height=height,
+        margin={"l": 65, "t": 45, "b": 60} | ({} if figure.layout.margin.r else {"r": 20}),
+        font={"size": 13, "color": "#222", "family": "system-ui, sans-serif"},
+        legend={"orientation": "h", "y": -0.2, "yanchor": "top"},
+        hovermode="closest",
+    )
+
+
+def _mean_square(rows: Sequence[FloatArray]) -> FloatArray:
+    """Root of the mean square over trials; nan where no trial has a value."""
+    table = np.array(rows) ** 2
+    seen = np.isfinite(table)
+    total = np.sum(np.where(seen, table, 0.0), axis=0)
+    return np.asarray(np.sqrt(np.where(seen.any(axis=0), total, np.nan) / seen.sum(axis=0).clip(1)))
+
+
+def _spectrum(comparison: Comparison) -> tuple[FloatArray, FloatArray]:
+    """Frequencies and mean residual amplitude over all trials, mm/√Hz."""
+    spectra = [w.spectrum for w in comparison.where]
+    grid = spectra[0].frequency_hz
+    mean = np.mean([np.interp(grid, s.frequency_hz, s.residual) for s in spectra], axis=0)
+    return grid, np.asarray(1e3 * np.sqrt(mean))
+
+
+def _mm(values_m: FloatArray) -> list[float | None]:
+    return listed(values_m * 1e3, 4)
+
+
+def listed(values: FloatArray, digits: int) -> list[float | None]:
+    """Plain numbers, rounded; None where there is none."""
+    return [round(float(v), digits) if np.isfinite(v) else None for v in values]
