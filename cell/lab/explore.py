@@ -42,6 +42,8 @@ MOST_GUESSES = 9
 #: Fits of an effect from different starts; friction has several minima.
 SMOOTH_TRIES, ROUGH_TRIES = 1, 2
 PLACES = 2
+#: An effect with more shapes than this to start from acts at a place that must be sought.
+MOST_SHAPES = 50
 #: Amplitudes tried, as shares of those that the screen expects.
 SHARES = (2.0, 0.5, 0.25, 0.1)
 #: Passes of a first refit; the best few are then taken to convergence.
@@ -240,7 +242,8 @@ class Explorer:
         best: Fit | None = None
         # An earlier individual is far from one with, say, a load: there slopes say little.
         values = list(guesses) if self.believed is None else _scaled(effect, guesses)
-        placed = sum(is_shape(p) for p in effect.parameters) > 2
+        shapes = int(np.prod([len(p.starts) for p in effect.parameters if is_shape(p)]))
+        placed = shapes > MOST_SHAPES
         for origin in origins[-1:] if placed else origins:
             starts = []
             for value in [*values, *_typical(effect)]:

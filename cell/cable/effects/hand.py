@@ -8,8 +8,9 @@ import numpy as np
 
 from cell.cable.effects.base import Effect, FloatArray, Parameter, Pose
 
-#: A stop is where the speed falls below this share of the log's highest.
-_STILL = 0.02
+#: The hand is still below this share of the log's highest speed.  It rests for good a little later:
+#: a motion ends with its speed falling as the square of the time left, which two speeds tell.
+_STILL, _SLOW = 0.02, 0.05
 _LOOK_S = 1e-3
 
 
@@ -28,7 +29,8 @@ class RobotLag(Effect):
 class RobotRinging(Effect):
     """After every stop the hand rings along the direction in which it came.
 
-    A e^(−ζωt) sin ωt with ω = 2π·frequency, t from the stop.
+    A e^(−ζωt) sin ωt with ω = 2π·frequency, t from `onset_s` after the log seems to stand: a smooth
+    stop has no sharp end, and a hundredth of a second is a third of a radian.
     """
 
     name = "robot_ringing"
@@ -36,6 +38,7 @@ class RobotRinging(Effect):
         Parameter("amplitude_m", "m", -0.01, 0.01, 0.0, (3e-4, -3e-4)),
         Parameter("frequency_hz", "Hz", 1.0, 100.0, 12.0, (12.0, 6.0, 25.0), amplitude=False),
         Parameter("damping", "1", 0.0, 1.0, 0.05, (0.05, 0.2), amplitude=False),
+        Parameter("onset_s", "s", -0.05, 0.05, 0.005, (0.005,), amplitude=False),
     )
 
     @staticmethod
@@ -47,7 +50,7 @@ class RobotRinging(Effect):
         def ringing(t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
             x, y, angle = pose(t)
             for stop_s, along_x, along_y in stops:
-                since = np.maximum(np.asarray(t) - stop_s, 0.0)
+                since = np.maximum(np.asarray(t) - stop_s - p.onset_s, 0.0)
                 a = p.amplitude_m * np.exp(-p.damping * omega * since) * np.sin(omega * since)
                 x, y = x + a * along_x, y + a * along_y
             return x, y, angle
@@ -73,5 +76,15 @@ def _stops(pose: Pose) -> list[tuple[float, float, float]]:
         dx, dy = x[end] - x[begin], y[end] - y[begin]
         length = float(np.hypot(dx, dy))
         if length > 0.0:
-            stops.append((float(t[end]), float(dx) / length, float(dy) / length))
+            stop_s = float(t[end]) + _left_s(speed[begin : end + 1] / speed.max())
+            stops.append((stop_s, float(dx) / length, float(dy) / length))
     return stops
+
+
+def _left_s(share: FloatArray) -> float:
+    """Time until rest after the last of these speeds, shares of the highest, `_LOOK_S` apart."""
+    late = np.flatnonzero(share > _SLOW)[-1]
+    fast, slow = np.sqrt(share[late]), np.sqrt(share[-1])
+    if not fast > slow:
+        return 0.0
+    return float(_LOOK_S * (len(share) - 1 - late) * slow / (fast - slow))
