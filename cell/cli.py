@@ -68,13 +68,18 @@ def run(
 
     Ends with 0 if all were inserted (or measured, or rehearsed and everything is right), 1 if a
     cable was rejected or missed, a cycle failed or something is not right, 2 if the settings or the
-    motion are wrong; then nothing has moved.  Ctrl-C stops the arm and closes the record.
+    motion are wrong; then nothing has moved.
+
+    At a terminal, h holds: the motion under way is finished, then the hand keeps still with what it
+    holds until u.  No stop is ever cleared by that.  Ctrl-C stops the arm and closes the record.
     """
     from rich.console import Console
 
     from cell.build import build_cell
     from cell.console import (
         DRY_RUN_STEPS,
+        KEYS,
+        MAY_HOLD,
         MEASURING_STEPS,
         STEPS,
         RunProgress,
@@ -83,6 +88,7 @@ def run(
         seconds_table,
         troubles,
     )
+    from cell.keyboard import Keyboard
     from cell.located import InputError
     from cell.motion_file import load_motion
     from cell.records.result import Outcome, Result
@@ -116,13 +122,24 @@ def run(
                 progress.step(number, step)
 
             cell = build_cell(settings, out, seed=seed, cycles=cables, on_step=on_step)
+
+            def on_key(key: str) -> None:
+                if key in KEYS:
+                    event, hint = KEYS[key]
+                    cell.command(event, f"key {key}")
+                    progress.hint(hint)
+
             try:
-                for number in range(1, cycles + 1):
-                    results.append(cell.run_cycle(number, measuring, dry_run_speed=dry_run_speed))
-                    if as_json:
-                        print(json.dumps(results[-1].to_json(), ensure_ascii=False), flush=True)
-                    if results[-1].outcome is Outcome.FAILED:
-                        break
+                with Keyboard(on_key) as keyboard:
+                    if keyboard.listens:
+                        progress.hint(MAY_HOLD)
+                    for number in range(1, cycles + 1):
+                        result = cell.run_cycle(number, measuring, dry_run_speed=dry_run_speed)
+                        results.append(result)
+                        if as_json:
+                            print(json.dumps(result.to_json(), ensure_ascii=False), flush=True)
+                        if result.outcome is Outcome.FAILED:
+                            break
             finally:
                 cell.close()
     except InputError as error:
@@ -168,11 +185,14 @@ def emulate(
         settings = load_settings(config)
         if settings.emulated is None:
             raise EmulatorError(f"{config}: has no section `emulated`; add `emulated: {{}}`")
-        with _interrupted_once(), EmulatedCell(settings, seed) as cell:
+        with (
+            _interrupted_once(),
+            EmulatedCell(settings, seed) as cell,
+            contextlib.suppress(KeyboardInterrupt),
+        ):
             print(cell.whereabouts(), flush=True)
-            with contextlib.suppress(KeyboardInterrupt):
-                while os.getppid() == parent:
-                    time.sleep(0.2)
+            while os.getppid() == parent:
+                time.sleep(0.2)
     except (InputError, EmulatorError) as error:
         _refuse(error)
 

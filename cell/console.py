@@ -13,6 +13,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 from rich.table import Table
 
 from cell.identify.identified import Identified
+from cell.machine import Event
 from cell.records.result import Check, Outcome, Result
 
 #: Steps in their order; those of a cycle that another one lacks are shown as empty.
@@ -61,6 +62,13 @@ DRY_RUN_STEPS = (
     "go_aside",
 )
 
+#: What the keys do during a run, and what is then said of them.
+MAY_HOLD = "h: hold"
+KEYS = {
+    "h": (Event.HOLD, "holding; u: go on"),
+    "u": (Event.UNHOLD, MAY_HOLD),
+}
+
 #: Cables that have a column of their own in the table of times.
 MOST_COLUMNS = 5
 
@@ -98,9 +106,10 @@ class RunProgress:
         self._progress = Progress(
             SpinnerColumn(),
             TextColumn("cable {task.fields[number]} of {task.fields[cycles]}"),
-            BarColumn(bar_width=24),
+            BarColumn(bar_width=16),
             TextColumn("{task.description}"),
             TimeElapsedColumn(),
+            TextColumn("{task.fields[hint]}"),
             console=console,
             transient=True,
             disable=not console.is_terminal,
@@ -109,7 +118,7 @@ class RunProgress:
     def __enter__(self) -> RunProgress:
         self._progress.start()
         self._line = self._progress.add_task(
-            "", total=self._cycles * len(self._steps), number=1, cycles=self._cycles
+            "", total=self._cycles * len(self._steps), number=1, cycles=self._cycles, hint=""
         )
         return self
 
@@ -123,11 +132,14 @@ class RunProgress:
 
     def step(self, number: int, step: str) -> None:
         """A step of a cycle begins."""
-        within = self._steps.index(step) if step in self._steps else 0
-        done = (number - 1) * len(self._steps) + within
-        self._progress.update(
-            self._line, completed=done, description=step.replace("_", " "), number=number
-        )
+        if step in self._steps:
+            done = (number - 1) * len(self._steps) + self._steps.index(step)
+            self._progress.update(self._line, completed=done)
+        self._progress.update(self._line, description=step.replace("_", " "), number=number)
+
+    def hint(self, words: str) -> None:
+        """Say which key does what."""
+        self._progress.update(self._line, hint=words)
 
 
 def results_table(results: Sequence[Result]) -> Table:

@@ -171,6 +171,7 @@ class Cell:
 
     def _insert(self, progress: Progress) -> None:
         """The nine steps; what each of them finds is recorded at once."""
+        self._pause(progress)
         self._step(progress, "grasp", steps.grasp)
         self._pause(progress)
         filming = self._step(progress, "lower", steps.lower)
@@ -220,18 +221,21 @@ class Cell:
     ) -> tuple[Prospect, Choice]:
         """Simulate and choose, again if a pause or a slow computer let the moment go by."""
         lead_s = self._bench.task.decide_s
+        waits_from_s = held.seen_at_s
         while True:
             prospect = self._step(
                 progress, "simulate", steps.simulate, held, trial, identified, lead_s
             )
             choice = self._step(progress, "choose", steps.choose, prospect, identified)
             progress.known.update(
-                wait_s=time.perf_counter() - held.seen_at_s,
+                wait_s=time.perf_counter() - waits_from_s,
                 probability=choice.best.probability,
                 predicted_margin_m=choice.best.margin_m,
                 predicted_miss_m=height_at_mouth_m(self._bench.task.destination, choice.tip_m),
             )
             paused = self._pause(progress)
+            if paused:
+                waits_from_s = time.perf_counter()
             if choice.reason is not None or not (
                 paused or steps.is_past(self._bench, prospect.start_s)
             ):
@@ -246,6 +250,7 @@ class Cell:
 
     def _measure(self, progress: Progress, motion: Measuring) -> None:
         """A trial for the model lab, after which the cable is back where it was grasped."""
+        self._pause(progress)
         self._step(progress, "grasp", steps.grasp)
         self._pause(progress)
         self._step(progress, "approach", steps.approach, motion)

@@ -81,7 +81,7 @@ def test_a_pause_takes_effect_between_steps_and_the_moment_is_planned_anew(
     def later(it: SimpleNamespace) -> None:
         assert it.cell.machine.state.value == state
         it.twins.world.clock.sleep_s(2.0)
-        threading.Timer(0.05, it.cell.command, (resume,)).start()
+        threading.Timer(3.0, it.cell.command, (resume,)).start()
 
     it = live({"simulate": lambda it: it.cell.command(pause), state: later})
     result = it.cell.run_cycle(1)
@@ -89,6 +89,7 @@ def test_a_pause_takes_effect_between_steps_and_the_moment_is_planned_anew(
     begin = it.steps.index(state)
     assert it.steps[begin - 1 : begin + 4] == ["choose", state, "simulate", "choose", "execute"]
     assert result.prediction_error_m is not None and result.prediction_error_m < 1e-3
+    assert result.wait_s is not None and result.wait_s < 3.0, "a pause is no wait"
 
 
 def test_a_computer_too_slow_for_the_planned_moment_plans_a_later_one(live: Live) -> None:

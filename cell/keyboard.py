@@ -1,0 +1,81 @@
+"""Keys that a person presses at the terminal while a command works."""
+
+from __future__ import annotations
+
+import os
+import select
+import sys
+import termios
+import threading
+import tty
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any
+
+#: How often it is looked whether the terminal is ours again, s.
+_LOOK_S = 0.2
+
+
+class Keyboard:
+    """Tells `on_key` of every key, in a thread of its own, within a `with`.
+
+    Keys come without Enter and are not shown; Ctrl-C stays what it is.  Without a terminal, or in
+    the background, nothing is read: `listens` says whether any key can come.
+    """
+
+    def __init__(self, on_key: Callable[[str], None]) -> None:
+        self._on_key = on_key
+        self._former: list[Any] | None = None
+        self._descriptor = -1
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._listen, name="keyboard", daemon=True)
+
+    @property
+    def listens(self) -> bool:
+        """Whether keys are read."""
+        return self._former is not None
+
+    def __enter__(self) -> Keyboard:
+        try:
+            self._descriptor = sys.stdin.fileno()
+            if self._is_ours():
+                self._former = termios.tcgetattr(self._descriptor)
+                tty.setcbreak(self._descriptor)
+                self._thread.start()
+        except (OSError, ValueError, AttributeError, termios.error):
+            self._former = None  # standard input is no terminal, or closed
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._over.set()
+        if self._former is not None:
+            self._thread.join()
+            if self._is_ours():
+                termios.tcsetattr(self._descriptor, termios.TCSADRAIN, self._former)
+            self._former = None
+
+    def _is_ours(self) -> bool:
+        """A process in the background that touches the terminal would be halted."""
+        try:
+            return os.tcgetpgrp(self._descriptor) == os.getpgrp()
+        except OSError:
+            return False
+
+    def _listen(self) -> None:
+        while not self._over.is_set():
+            ready, _, _ = select.select([self._descriptor], [], [], _LOOK_S)
+            if not ready:
+                continue
+            if not self._is_ours():
+                self._over.wait(_LOOK_S)
+                continue
+            keys = os.read(self._descriptor, 64)
+            if not keys:  # the terminal has gone
+                return
+            for key in keys.decode(errors="replace"):
+                self._on_key(key)

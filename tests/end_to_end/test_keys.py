@@ -1,0 +1,113 @@
+"""Keys at a real terminal: hold, go on, stop; and the terminal is left as it was."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import subprocess
+import sys
+import termios
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+#: Opens the terminal as the controlling one of a new session, as a login shell does.
+AT_TERMINAL = (
+    "import os, sys; from cell.cli import main; "
+    "os.dup2(os.open(sys.argv.pop(1), os.O_RDWR), 0); main()"
+)
+
+
+class Run:
+    """A `cell run` at a terminal of its own."""
+
+    def __init__(self, config: Path, runs: Path, *options: str) -> None:
+        self.runs = runs
+        self.master, self.slave = pty.openpty()
+        self.before = termios.tcgetattr(self.slave)
+        arguments = ["run", "-c", str(config), "--json", "--out", str(runs), *options]
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", AT_TERMINAL, os.ttyname(self.slave), *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+
+    def press(self, key: bytes) -> None:
+        os.write(self.master, key)
+
+    def state(self) -> dict[str, Any]:
+        for path in sorted(self.runs.glob("*/state.json"))[-1:]:
+            state: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+            return state
+        return {}
+
+    def until(self, holds: Callable[[dict[str, Any]], bool]) -> None:
+        until_s = time.monotonic() + 120.0
+        while not holds(self.state()):
+            assert self.process.poll() is None, self.process.communicate()
+            assert time.monotonic() < until_s, self.state()
+            time.sleep(0.005)
+
+    def end(self) -> tuple[int, list[dict[str, Any]]]:
+        out, _ = self.process.communicate(timeout=120)
+        return self.process.returncode, [json.loads(line) for line in out.splitlines()]
+
+
+@pytest.fixture
+def run(quick_config: Path, tmp_path: Path) -> Iterator[Callable[..., Run]]:
+    runs: list[Run] = []
+
+    def start(*options: str) -> Run:
+        runs.append(Run(quick_config, tmp_path / "runs", *options))
+        return runs[-1]
+
+    yield start
+    for one in runs:
+        one.process.kill()
+        one.process.wait()
+        os.close(one.master)
+        os.close(one.slave)
+
+
+def is_held(state: dict[str, Any]) -> bool:
+    return state.get("state") == "held"
+
+
+def test_h_holds_between_motions_and_u_goes_on(run: Callable[..., Run]) -> None:
+    it = run()
+    it.until(lambda state: state.get("step") in ("connect", "warm_up"))
+    it.press(b"h")
+    it.until(is_held)
+    assert it.state()["step"] == "start", "no cable is taken while it is held"
+    it.press(b"x")
+    time.sleep(0.5)
+    assert is_held(it.state())
+    it.press(b"u")
+    it.until(lambda state: state.get("step") in ("grasp", "lower", "hold_and_capture"))
+    it.press(b"h")
+    it.until(is_held)
+    held_in = it.state()["step"]
+    assert held_in in ("grasp", "choose"), "a swing is filmed to its end before it is held"
+    it.press(b"u")
+    code, (result,) = it.end()
+    assert (code, result["outcome"]) == (0, "inserted")
+
+
+def test_a_stop_while_held_stops_and_u_clears_nothing(run: Callable[..., Run]) -> None:
+    it = run("--cycles", "3")
+    it.until(lambda state: state.get("step") == "reset")
+    assert not termios.tcgetattr(it.slave)[3] & termios.ECHO, "keys are not shown"
+    it.press(b"h")
+    it.until(is_held)
+    it.press(b"\x03u")
+    code, (result,) = it.end()
+    assert code == 1
+    assert (result["outcome"], result["fault"]["cause"]) == ("failed", "interrupted by a person")
+    assert termios.tcgetattr(it.slave) == it.before
