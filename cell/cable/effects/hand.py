@@ -29,8 +29,8 @@ class RobotLag(Effect):
 class RobotRinging(Effect):
     """After every stop the hand rings along the direction in which it came.
 
-    A e^(−ζωt) sin ωt with ω = 2π·frequency, t from `onset_s` after the log seems to stand: a smooth
-    stop has no sharp end, and a hundredth of a second is a third of a radian.
+    A e^(−ζωt) sin ωt with ω = 2π·frequency, t from `onset_s` after the end of the stop: that of a
+    smooth one is only roughly seen in a log, and a hundredth of a second is a third of a radian.
     """
 
     name = "robot_ringing"
@@ -38,7 +38,7 @@ class RobotRinging(Effect):
         Parameter("amplitude_m", "m", -0.01, 0.01, 0.0, (3e-4, -3e-4)),
         Parameter("frequency_hz", "Hz", 1.0, 100.0, 12.0, (12.0, 6.0, 25.0), amplitude=False),
         Parameter("damping", "1", 0.0, 1.0, 0.05, (0.05, 0.2), amplitude=False),
-        Parameter("onset_s", "s", -0.05, 0.05, 0.005, (0.005,), amplitude=False),
+        Parameter("onset_s", "s", -0.05, 0.05, 0.0, (0.0,), amplitude=False),
     )
 
     @staticmethod

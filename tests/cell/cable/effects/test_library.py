@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
+from cell.cable.clamp import pose_of
 from cell.cable.dynamics import Solver, simulate
 from cell.cable.effects import library
 from cell.cable.effects.check import check
+from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
 from cell.cable.statics import equilibrium
 
@@ -127,3 +129,16 @@ def test_compliance_turns_the_clamp_by_the_moment(cable, arc):
     moment = 0.0074 * 9.81 * np.trapezoid(-x, np.linspace(0.0, 0.1, 2001))
     angle = np.arctan2(-shape[1, 1], -shape[1, 0])
     assert angle == pytest.approx(50.0 * moment, rel=0.02)
+
+
+@pytest.mark.parametrize("seconds", [0.15, 0.3, 0.6])
+def test_ringing_begins_when_the_hand_stops_however_smoothly(seconds):
+    t = np.arange(0.0, 1.2, 0.002)
+    u = np.clip((t - 0.2) / seconds, 0.0, 1.0)
+    motion = Motion(t, 0 * t, -0.05 * u**3 * (10 - 15 * u + 6 * u**2), 0 * t)
+    ringing = library()["robot_ringing"].active(amplitude_m=4e-4, frequency_hz=12.0, damping=0.0)
+    later = 0.2 + seconds + np.linspace(0.01, 0.2, 20)
+    added = pose_of(motion, (ringing,))(later)[1] - pose_of(motion)(later)[1]
+    # down is the way it came; 2 ms late or early is 0.06 mm
+    wave = -4e-4 * np.sin(2 * np.pi * 12.0 * (later - 0.2 - seconds))
+    assert np.abs(added - wave).max() < 4e-5
