@@ -93,7 +93,7 @@ def test_every_parameter_does_something(cable, jerk, arc, name):
     values = {p.name: p.starts[0] for p in effect.parameters}
     changed = []
     for p in effect.parameters:
-        size = 0.3 * (p.starts[0] or 1.0)
+        size = 0.3 * (p.starts[0] or p.high)
         other = p.starts[0] + size if p.starts[0] + size <= p.high else p.starts[0] - size
         changed.append(effect.active(**(values | {p.name: other})))
     base, *others = paths(cable, jerk, arc, typical(effect), *changed)
