@@ -12,7 +12,7 @@ from cell.cable.dynamics import DivergedError, Solver, simulate
 from cell.cable.model import CableModel
 from cell.cable.statics import UnsettledError
 from cell.identify.noise import Noise, Whitener, still_frames
-from cell.lab.noise import Floor, estimate_noise
+from cell.lab.noise import Floor, noise_floor
 from cell.study.data import Markers, Study, Trial
 
 FloatArray = NDArray[np.float64]
@@ -48,7 +48,7 @@ class Bench:
         raises  NoiseUnknownError
         """
         study = placed(study)
-        floor = estimate_noise(study)
+        floor = noise_floor(study)
         noise = misfit if misfit and misfit.std_m > ERRS * floor.noise.std_m else floor.noise
         whiteners = {t.name: Whitener(t.markers.xy_m, noise) for t in study.trials}
         return Bench(study, floor, noise, whiteners, solver or SOLVER)

@@ -39,7 +39,7 @@ class Floor:
         return (1.0 - self.noise.colour) / (1.0 + self.noise.colour)
 
 
-def estimate_noise(study: Study) -> Floor:
+def noise_floor(study: Study) -> Floor:
     """Noise floor of a study, from the frames before anything moves, all markers together.
 
     Restricted maximum likelihood of level and AR(1) correlation; each coordinate of each trial has

@@ -5,15 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cell.lab.noise import NoiseUnknownError, estimate_noise
+from cell.lab.noise import NoiseUnknownError, noise_floor
 from cell.study.data import Markers
 
 
 @pytest.mark.parametrize("colour", [0.0, 0.5, 0.9])
 def test_level_and_colour_are_recovered(make_study, colour):
-    found = [
-        estimate_noise(make_study(seed=s, colour=colour, noise_m=2e-4)).noise for s in range(3)
-    ]
+    found = [noise_floor(make_study(seed=s, colour=colour, noise_m=2e-4)).noise for s in range(3)]
     assert np.mean([n.colour for n in found]) == pytest.approx(colour, abs=0.05)
     assert np.mean([n.std_m for n in found]) == pytest.approx(
         2e-4, rel=0.03 if colour < 0.6 else 0.1
@@ -28,13 +26,13 @@ def test_a_settling_cable_does_not_count_as_noise(make_study):
         drifting.append(
             replace(trial, markers=Markers(trial.markers.t_s, trial.markers.xy_m + sag))
         )
-    found = estimate_noise(replace(study, trials=tuple(drifting))).noise
+    found = noise_floor(replace(study, trials=tuple(drifting))).noise
     assert found.std_m == pytest.approx(1e-4, rel=0.1)
     assert found.colour < 0.2
 
 
 def test_a_stated_level_is_kept(make_study):
-    assert estimate_noise(replace(make_study(), noise_std_m=3e-4)).noise.std_m == 3e-4
+    assert noise_floor(replace(make_study(), noise_std_m=3e-4)).noise.std_m == 3e-4
 
 
 def test_without_still_frames_the_level_must_be_given(make_study):
@@ -44,5 +42,5 @@ def test_without_still_frames_the_level_must_be_given(make_study):
     ]
     moving = replace(study, trials=tuple(late))
     with pytest.raises(NoiseUnknownError, match="noise_std_m"):
-        estimate_noise(moving)
-    assert estimate_noise(replace(moving, noise_std_m=1e-4)).noise.std_m == 1e-4
+        noise_floor(moving)
+    assert noise_floor(replace(moving, noise_std_m=1e-4)).noise.std_m == 1e-4
