@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from calib.plane import PlaneView
 from cell.cable.geometry import Cable, Motion, node_arc_lengths
 from cell.commands import Commands
+from cell.identify.foreseen import Foreseen
 from cell.identify.identified import Identified
 from cell.identify.individual import IdentifyOptions, hold_trial
 from cell.identify.noise import estimate_noise, still_frames
@@ -90,13 +91,16 @@ class Bench:
 class Filming:
     """A motion that is being filmed.
 
-    It began at `begin_s`, the hand rests from `rest_s`, and it is filmed until `end_s`.
+    It began at `begin_s`, the hand rests from `rest_s`, and it is filmed until `end_s`; sightings
+    and pictures are those of the frames so far.
     """
 
     begin_s: float
     rest_s: float
     end_s: float
     frame_count: int
+    sightings: tuple[Sighting, ...] = ()
+    pictures: tuple[Frame, ...] = field(default=(), repr=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,9 +114,13 @@ class Prospect:
 
 @dataclass(frozen=True, eq=False)
 class Early:
-    """What the first frames of a hold say: nearly the last word, and ready when it is needed."""
+    """What the first frames of a hold say: nearly the last word, and ready when it is needed.
+
+    foreseen   what the frames to come will show, if this is the cable
+    """
 
     identified: Identified
+    foreseen: Foreseen
     prospect: Prospect
 
 
@@ -124,7 +132,7 @@ class Filmed:
     sightings   one per frame
     hand        measured poses, from before the first frame to after the last
     pictures    a few of the frames, to look at later
-    seen_at_s   when the cable was found in the last frame, by the computer's own clock
+    seen_at_s   when the last frame was taken, by the computer's own clock
     early       what was computed while the filming went on, if anything
     """
 

@@ -1,4 +1,4 @@
-"""The steps of a cycle, one function each: the only code of the cell that calls devices.
+"""The steps of a cycle, one function each; with `waiting` and `filming`, all that calls devices.
 
 grasp → lower → hold and capture → identify → simulate → choose → execute → verify → release.
 A measuring cycle: grasp → approach → measure → go home → release.
@@ -8,61 +8,34 @@ it found itself; nothing is kept here.
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 
-from cell.bench import (
-    Bench,
-    Devices,
-    Early,
-    Filmed,
-    Filming,
-    Prospect,
-    beside_m_rad,
-    held_trial,
-    moved,
-)
-from cell.cable.geometry import Motion
+from cell.ahead import Ahead
+from cell.ahead import prospect as foretell
+from cell.bench import Bench, Devices, Early, Filmed, Filming, Prospect
+from cell.filming import capture, film
 from cell.identify.identified import Identified
-from cell.identify.individual import CableRejectedError
 from cell.identify.individual import identify as identify_cable
-from cell.plan.choose import Choice, forecast
+from cell.plan.choose import Choice
 from cell.plan.choose import choose as choose_offset
 from cell.plan.measuring import Measuring, measuring_path
 from cell.plan.passage import Passage, measured_passage
 from cell.plan.paths import (
     SAME_ANGLE_RAD,
     MotionLimits,
-    executed_motion,
     identification_path,
-    insertion_path,
     retreat_path,
 )
 from cell.study.data import Trial
-from cell.vision.detect import detect
-from cell.vision.sighting import Sighting
 from cell.waiting import POLL_S, REST_TIMEOUT_S, await_rest, check_arm, wait_until
-from drivers.interfaces import (
-    ArmMode,
-    CameraError,
-    DeviceError,
-    Frame,
-    GripError,
-    Path,
-    Pose,
-)
+from drivers.interfaces import ArmMode, DeviceError, GripError, Path, Pose
 
 #: A hand this close to where it is sent is there already, m.
 AT_GOAL_M = 2e-4
 #: One frame in so many is kept as a picture, during the hold and during the execution.
 KEEP_EVERY_HELD, KEEP_EVERY_MOVING = 20, 4
-#: Share of the hold after which the computer begins with the frames so far.  Early, because that
-#: takes a third of a second; what the later frames add is mostly within a first-order correction.
-EARLY_SHARE = 0.2
 #: So many times slower than an insertion a cable is brought to where it is measured, at rest.
 APPROACH_SLOWER = 4.0
 #: The arm is told so long before it is to start, because it first checks where a path leads, s.
@@ -158,31 +131,20 @@ def lower(bench: Bench) -> Filming:
         duration_s=task.lower_s,
         hold_s=0.0,
     )
-    return _film(bench, path, task.still_s, task.hold_s)
+    return film(bench, path, task.still_s, task.hold_s, KEEP_EVERY_HELD)
 
 
 def hold_and_capture(bench: Bench, filming: Filming) -> Filmed:
     """Hold still while the cable swings, and find it in every frame as it comes.
 
-    Early in the hold a second thread identifies the cable and simulates all offsets from the
-    frames so far, so that little is left to be computed after the last one.
+    A second thread computes ahead, so that little is left to be computed after the last frame.
     """
-    task, arm = bench.task, bench.devices.arm
-    early_s = filming.rest_s + EARLY_SHARE * (filming.end_s - filming.rest_s)
-    worker = ThreadPoolExecutor(1, "early")
-    early: list[Future[Early | None]] = []
-
-    def begin_early(sightings: list[Sighting]) -> None:
-        if not early and sightings[-1].t_s >= early_s:
-            hand = arm.log(filming.begin_s, sightings[-1].t_s)
-            so_far = Filmed(filming.begin_s, tuple(sightings), hand, (), time.perf_counter())
-            early.append(worker.submit(_early, bench, so_far, filming.end_s + task.decide_s))
-
+    ahead = Ahead(bench, filming)
     try:
-        filmed = _capture(bench, filming, KEEP_EVERY_HELD, begin_early)
-        return replace(filmed, early=early[0].result() if early else None)
+        filmed = capture(bench, filming, KEEP_EVERY_HELD, ahead.look)
+        return replace(filmed, early=ahead.found())
     finally:
-        worker.shutdown(wait=False, cancel_futures=True)
+        ahead.close()
 
 
 def identify(bench: Bench, trial: Trial, early: Early | None = None) -> Identified:
@@ -193,6 +155,7 @@ def identify(bench: Bench, trial: Trial, early: Early | None = None) -> Identifi
         task.arc_length_m,
         task.cable,
         previous=None if early is None else early.identified,
+        foreseen=None if early is None else early.foreseen,
         options=task.identification,
     )
 
@@ -208,7 +171,7 @@ def simulate(
         shift_m = expected.moved_to(identified.mean).tip_m - expected.tip_m
         if np.abs(shift_m).max() < SMALL_SHIFT_M:
             return early.prospect
-    return _prospect(bench, filmed, trial, identified, now_s + lead_s)
+    return foretell(bench, filmed, trial, identified, now_s + lead_s)
 
 
 def choose(bench: Bench, prospect: Prospect, identified: Identified) -> Choice:
@@ -238,7 +201,7 @@ def execute(bench: Bench, path: Path, start_s: float) -> Filmed:
     wait_until(bench, start_s)
     camera.start(frame_count)
     filming = Filming(start_s, end_s - task.settle_s, end_s, frame_count)
-    return _capture(bench, filming, KEEP_EVERY_MOVING)
+    return capture(bench, filming, KEEP_EVERY_MOVING)
 
 
 def approach(bench: Bench, motion: Measuring) -> None:
@@ -250,8 +213,8 @@ def approach(bench: Bench, motion: Measuring) -> None:
 def measure(bench: Bench, motion: Measuring) -> Filmed:
     """Film the cable at rest, during the moves and while the hand is held after them."""
     path = measuring_path(motion.start, motion.moves, bench.devices.arm.rate_hz)
-    filming = _film(bench, path, motion.still_s, motion.hold_s)
-    return _capture(bench, filming, KEEP_EVERY_HELD)
+    filming = film(bench, path, motion.still_s, motion.hold_s, KEEP_EVERY_HELD)
+    return capture(bench, filming, KEEP_EVERY_HELD)
 
 
 def release(bench: Bench, *, aside: bool) -> None:
@@ -261,102 +224,7 @@ def release(bench: Bench, *, aside: bool) -> None:
     bench.devices.gripper.release()
 
 
-# --- computing ahead ----------------------------------------------------------------------------
-
-
-def _early(bench: Bench, so_far: Filmed, start_s: float) -> Early | None:
-    """Cable and prospect from the frames so far; None if these are not enough."""
-    trial = held_trial(so_far)
-    try:
-        identified = identify(bench, trial)
-    except CableRejectedError:
-        return None
-    return Early(identified, _prospect(bench, so_far, trial, identified, start_s))
-
-
-def _prospect(
-    bench: Bench, filmed: Filmed, trial: Trial, identified: Identified, start_s: float
-) -> Prospect:
-    """Simulate every offset as it would be executed from `start_s` on.
-
-    The cable still swings and remembers the hand's motion before; the hand follows with its known
-    lag, and is seen by the camera a constant beside where the arm says it is.
-    """
-    task, arm = bench.task, bench.devices.arm
-    to_start_s = filmed.begin_s - start_s
-    history = Motion(
-        trial.grip.t_s + to_start_s, trial.grip.x_m, trial.grip.y_m, trial.grip.angle_rad
-    )
-    beside = beside_m_rad(filmed.hand, trial.grip)
-    paths = tuple(
-        insertion_path(task.lowered, offset_m, task.advance_m, task.insertion, arm.rate_hz)
-        for offset_m in task.offsets_m
-    )
-    motions = [
-        executed_motion(moved(path, beside), arm.lag_s, settle_s=task.settle_s, history=history)
-        for path in paths
-    ]
-    expected = forecast(identified, np.array(task.offsets_m), motions, options=task.choice)
-    return Prospect(start_s, paths, expected)
-
-
 # --- what the steps share -----------------------------------------------------------------------
-
-
-def _film(bench: Bench, path: Path, still_s: float, hold_s: float) -> Filming:
-    """Begin to film the cable at rest, then follow `path`; returns when the hand rests again."""
-    arm, camera, clock = bench.devices.arm, bench.devices.camera, bench.devices.clock
-    moving_s = float(path.t_s[-1]) + arm.lag_s
-    frame_count = int(np.ceil((still_s + moving_s + hold_s) * camera.frame_rate_hz))
-    begin_s = clock.now_s()
-    camera.start(frame_count)
-    wait_until(bench, begin_s + still_s)
-    arm.follow(path)
-    rest_s = clock.now_s() + moving_s
-    wait_until(bench, rest_s)
-    return Filming(begin_s, rest_s, rest_s + hold_s, frame_count)
-
-
-def _capture(
-    bench: Bench,
-    filming: Filming,
-    keep_every: int,
-    after_each: Callable[[list[Sighting]], None] = lambda sightings: None,
-) -> Filmed:
-    """See the filming to its end, and make sure that the arm is ready and the cable still held."""
-    sightings, pictures = _see(bench, filming.frame_count, keep_every, after_each)
-    seen_at_s = time.perf_counter()
-    wait_until(bench, filming.end_s)
-    check_arm(bench)
-    _check_grip(bench)
-    hand = bench.devices.arm.log(filming.begin_s, bench.devices.clock.now_s())
-    return Filmed(filming.begin_s, sightings, hand, pictures, seen_at_s)
-
-
-def _see(
-    bench: Bench,
-    frame_count: int,
-    keep_every: int,
-    after_each: Callable[[list[Sighting]], None],
-) -> tuple[tuple[Sighting, ...], tuple[Frame, ...]]:
-    """Find the cable in every frame of the recording under way; keep some of the pictures."""
-    task = bench.task
-    sightings: list[Sighting] = []
-    pictures: list[Frame] = []
-    while (frame := bench.devices.camera.read()) is not None:
-        bench.commands.check()
-        previous = sightings[-1] if sightings else None
-        sightings.append(detect(frame.image, frame.t_s, task.view, task.vision, None, previous))
-        if frame.index % keep_every == 0:
-            pictures.append(frame)
-        after_each(sightings)
-    if len(sightings) < frame_count:
-        raise CameraError(
-            bench.devices.camera.name,
-            f"only {len(sightings)} of {frame_count} frames came",
-            "check cable, load and frame rate of the camera",
-        )
-    return tuple(sightings), tuple(pictures)
 
 
 def _move(bench: Bench, goal: Pose, limits: MotionLimits) -> None:
@@ -370,9 +238,3 @@ def _move(bench: Bench, goal: Pose, limits: MotionLimits) -> None:
     arm.follow(path)
     wait_until(bench, bench.devices.clock.now_s() + float(path.t_s[-1]) + arm.lag_s)
     await_rest(bench)
-
-
-def _check_grip(bench: Bench) -> None:
-    gripper = bench.devices.gripper
-    if not gripper.state().holding:
-        raise GripError(gripper.name, "lost the cable", "check force and jaws")

@@ -12,6 +12,7 @@ from cell.cable.dynamics import DivergedError, Solver, simulate
 from cell.cable.model import CableModel
 from cell.cable.statics import UnsettledError
 from cell.identify import gauss_newton
+from cell.identify.foreseen import Foreseen
 from cell.identify.hand import HandErrors, likely_motions, moves_from_s
 from cell.identify.identified import Identified
 from cell.identify.noise import Noise, Whitener, across, estimate_noise, still_frames
@@ -22,6 +23,9 @@ FloatArray = NDArray[np.float64]
 
 #: Variance inflation from which a fit is repeated with frames that weigh as much less.
 _MATTERS = 1.3
+#: Where everything is foreseen the last step is taken linearly: over so many standard deviations,
+#: many times the usual, a tip is wrong by micrometres.
+_ONE_STEP = gauss_newton.Options(tolerance=10.0, most_passes=1)
 
 
 @dataclass(frozen=True)
@@ -55,20 +59,24 @@ def fit(
     *,
     noise: Noise | None = None,
     previous: Identified | None = None,
+    foreseen: Foreseen | None = None,
     options: FitOptions = FitOptions(),
 ) -> Identified:
     """Most probable parameters of a cable, given everything seen in `trials`.
 
     arc_length_m  (markers,) from the gripping point, m
     noise         of the markers; None = size and colour estimated from the still frames
-    previous      fit of the same parameters to fewer frames of the same trials: where to start,
-                  and what the hand's errors do; None = start from a row of uniform cables
+    previous      fit of the same parameters to fewer frames of the same trials: where to start;
+                  None = start from a row of uniform cables
+    foreseen      what was simulated from there already, if there is but one trial
     raises        FitError: nothing seen, no still frames and no noise given, no convergence
     """
     if not any(np.isfinite(t.markers.xy_m).any() for t in trials):
         raise FitError("no marker is seen in any frame")
     if noise is None:
         noise = still_noise(trials)
+    if foreseen is not None:
+        foreseen = foreseen.as_filmed(trials[0])
     if previous is None:
         start = _cold_start(trials, arc_length_m, space, noise, options)
     else:
@@ -79,24 +87,25 @@ def fit(
         # frames with errors beyond the camera's noise weigh less against prior and constant errors
         used = replace(noise, std_m=noise.std_m * float(np.sqrt(widened)))
         whiteners = whiteners_of(trials, used)
-        residuals = _residuals(trials, arc_length_m, space, whiteners, options.solver)
+        residuals = _residuals(trials, arc_length_m, space, whiteners, options.solver, foreseen)
         try:
-            solution = gauss_newton.minimise(_problem(space, residuals), start, options.minimiser)
+            minimiser = options.minimiser if foreseen is None else _ONE_STEP
+            solution = gauss_newton.minimise(_problem(space, residuals), start, minimiser)
         except ValueError as error:
             raise FitError(str(error)) from error
         passes += solution.passes
+        if foreseen is not None and not solution.converged:
+            foreseen = None
+            continue
         if not solution.converged:
             raise FitError(f"the fit does not converge ({passes} passes)")
         further = variance_inflation(solution.residual, whiteners, len(start))
         if further < _MATTERS or widened > 1.0:
             break
-        widened, start = further, solution.q
-    if previous is not None and previous.hand_covariance.any():
-        hand_covariance = previous.hand_covariance
-    else:
-        hand_covariance = _hand_covariance(
-            trials, arc_length_m, space.model(solution.q), whiteners, solution, options
-        )
+        widened, start = further, start if foreseen is not None else solution.q
+    hand_covariance = _hand_covariance(
+        trials, arc_length_m, space.model(solution.q), whiteners, solution, options, foreseen
+    )
     return Identified(
         space=space,
         mean=solution.q,
@@ -119,6 +128,7 @@ def _hand_covariance(
     whiteners: Sequence[Whitener],
     solution: gauss_newton.Solution,
     options: FitOptions,
+    foreseen: Foreseen | None,
 ) -> FloatArray:
     """(p, p) what the uncertainty of the hand's motion adds to that of the parameters.
 
@@ -131,23 +141,33 @@ def _hand_covariance(
     for trial, whitener in zip(trials, whiteners, strict=True):
         rows = slice(begin, begin + whitener.rows)
         begin += whitener.rows
-        try:
-            predicted = simulate(
-                model,
-                [trial.grip, *likely_motions(trial.grip, options.hand)],
-                trial.markers.t_s,
-                arc_length_m,
-                solver=options.solver,
-                start=trial.start,
-                release_s=trial.release_s,
-            )
-        except (DivergedError, UnsettledError) as error:
-            raise FitError(str(error)) from error
+        if foreseen is not None:
+            predicted = np.concatenate([foreseen.markers_m[:1], foreseen.others_m])
+        else:
+            predicted = _with_other_hands(trial, arc_length_m, model, options)
         white = whitener(predicted)
         answers -= (white[1:] - white[0]) @ solution.jacobian[rows]
     answers = answers @ solution.covariance
     covariance: FloatArray = answers.T @ answers / options.hand.samples
     return covariance
+
+
+def _with_other_hands(
+    trial: Trial, arc_length_m: FloatArray, model: CableModel, options: FitOptions
+) -> FloatArray:
+    """(1 + samples, T, markers, 2) markers with the logged hand, and as it may have moved, too."""
+    try:
+        return simulate(
+            model,
+            [trial.grip, *likely_motions(trial.grip, options.hand)],
+            trial.markers.t_s,
+            arc_length_m,
+            solver=options.solver,
+            start=trial.start,
+            release_s=trial.release_s,
+        )
+    except (DivergedError, UnsettledError) as error:
+        raise FitError(str(error)) from error
 
 
 def whiteners_of(trials: Sequence[Trial], noise: Noise) -> list[Whitener]:
@@ -242,11 +262,16 @@ def _residuals(
     space: ParameterSpace,
     whiteners: Sequence[Whitener],
     solver: Solver,
+    foreseen: Foreseen | None = None,
 ) -> gauss_newton.Residuals:
+    def predicted(trial: Trial, lanes: FloatArray) -> FloatArray:
+        if foreseen is not None and np.array_equal(lanes, foreseen.lanes):
+            return foreseen.markers_m
+        return predict(trial, [space.model(q) for q in lanes], arc_length_m, solver)
+
     def residuals(lanes: FloatArray) -> FloatArray:
-        models = [space.model(q) for q in lanes]
         parts = [
-            whitener(predict(trial, models, arc_length_m, solver))
+            whitener(predicted(trial, lanes))
             for trial, whitener in zip(trials, whiteners, strict=True)
         ]
         return np.concatenate(parts, axis=1)

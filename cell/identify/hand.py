@@ -70,18 +70,19 @@ class HandErrors:
 def likely_motions(motion: Motion, errors: HandErrors) -> list[Motion]:
     """`errors.samples` motions as likely as the logged one.
 
+    The noise is the same on the same samples of a log that goes on longer.
     source  parametric bootstrap: the noise that the engine's splines find in the log and take out,
             drawn anew, for them to take out again
     """
-    rng = np.random.default_rng(20260101)
     splines = motion_splines(motion)
     values = [spline(motion.t_s) for spline in splines]
     offsets = (errors.offset_m, errors.offset_m, errors.offset_rad)
     motions = []
-    for _ in range(errors.samples):
-        drawn = [
-            value + spline.noise_std * rng.normal(size=len(value)) + offset * rng.normal()
-            for value, spline, offset in zip(values, splines, offsets, strict=True)
-        ]
+    for sample in range(errors.samples):
+        drawn = []
+        for axis, (value, spline, offset) in enumerate(zip(values, splines, offsets, strict=True)):
+            rng = np.random.default_rng([20260101, sample, axis])
+            constant = offset * rng.normal()
+            drawn.append(value + constant + spline.noise_std * rng.normal(size=len(value)))
         motions.append(Motion(motion.t_s, *drawn))
     return motions

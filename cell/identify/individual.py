@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from cell.cable.geometry import GRAVITY_M_PER_S2, Cable, Motion
 from cell.identify.fit import FitError, FitOptions, fit, still_noise
+from cell.identify.foreseen import Foreseen
+from cell.identify.foreseen import foresee as foresee_frames
 from cell.identify.hand import HandErrors, align_motion, moves_from_s
 from cell.identify.identified import Identified
 from cell.identify.paper import fit_as_paper
@@ -92,12 +94,14 @@ def identify(
     *,
     gravity_m_per_s2: tuple[float, float] = GRAVITY_M_PER_S2,
     previous: Identified | None = None,
+    foreseen: Foreseen | None = None,
     options: IdentifyOptions = IdentifyOptions(),
 ) -> Identified:
     """Parameters of the cable in `trial`.
 
     While a hold is still being filmed, call this with the frames so far; pass the result as
-    `previous` to the next call, which then needs one or two passes instead of a search.
+    `previous` to the next call, which then needs one or two passes instead of a search, and
+    simulates nothing if `foresee` has done so.
     raises  CableRejectedError
     """
     _accept_frames(trial, options.acceptance)
@@ -128,12 +132,37 @@ def identify(
                 space,
                 noise=noise,
                 previous=previous,
+                foreseen=foreseen,
                 options=options.fit,
             )
     except FitError as error:
         raise CableRejectedError(Reason.NO_CONVERGENCE, str(error)) from error
     _accept_residual(identified, options.acceptance)
     return identified
+
+
+def foresee(
+    trial: Trial,
+    t_s: FloatArray,
+    arc_length_m: FloatArray,
+    identified: Identified,
+    options: IdentifyOptions = IdentifyOptions(),
+) -> Foreseen:
+    """What `identify` will need when the last frame of a hold is there.
+
+    trial       what was filmed so far, from which `identified` is
+    t_s         (T,) of all frames, those to come included
+    raises      what the engine raises
+    """
+    return foresee_frames(
+        trial,
+        t_s,
+        arc_length_m[arc_length_m > 0.0],
+        identified.space,
+        identified.mean,
+        solver=options.fit.solver,
+        hand=options.fit.hand,
+    )
 
 
 def _accept_frames(trial: Trial, acceptance: Acceptance) -> None:

@@ -157,6 +157,12 @@ class ParameterSpace:
             tuple(active),
         )
 
+    def beside(self, q: FloatArray) -> FloatArray:
+        """(1 + p, p) a point and its neighbours for forward differences, none beyond `high`."""
+        return np.vstack(
+            [q, q + np.diag(np.where(q + self.step <= self.high, self.step, -self.step))]
+        )
+
     def start(self, rigidity_n_m2: float) -> FloatArray:
         """(p,) a uniform cable, linear, damped as the prior says, effects at their first start."""
         q = self.mean.copy()

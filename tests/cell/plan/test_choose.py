@@ -102,6 +102,17 @@ def test_last_moment_change_of_parameters_needs_no_simulation(
     assert np.abs(moved.tip_m - exact.tip_m).max() < 0.05 * changed
 
 
+def test_longer_steps_are_good_enough_for_slopes(expected: Forecast, motions: list[Motion]) -> None:
+    step = 1e-3 * np.eye(len(expected.mean))
+    models = [SPACE.model(q) for q in np.vstack([expected.mean + step, expected.mean - step])]
+    tips = simulate(models, motions[1], expected.t_s, np.array([0.1]))[:, :, 0]
+    exact = (tips[: len(step)] - tips[len(step) :]) / 2e-3
+    found = np.moveaxis(expected.sensitivity[1], -1, 0)
+    assert np.abs(found - exact).max() < 0.01 * np.abs(exact).max()
+    (tip,) = simulate(SPACE.model(expected.mean), motions[1], expected.t_s, np.array([0.1]))
+    np.testing.assert_allclose(expected.tip_m[1], tip[:, 0], atol=1e-9)
+
+
 def test_one_motion_per_offset(motions: list[Motion]) -> None:
     with pytest.raises(ValueError, match="3 offsets but 2 motions"):
         forecast(identified(0.01), OFFSETS_M, motions[:2])

@@ -1,0 +1,110 @@
+"""The robot does not wait for the computer, and what the computer finds does not depend on when."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from cell import ahead, steps
+from cell.bench import Bench, Filming
+from cell.cli import app
+from cell.identify import fit
+from cell.identify.identified import Identified
+from cell.identify.individual import CableRejectedError, Reason
+from cell.plan import choose
+from cell.records.folder import read_record
+from cell.records.result import Outcome
+
+Live = Callable[..., SimpleNamespace]
+
+
+def test_frames_are_looked_at_while_the_hand_still_moves(
+    live: Live, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun: list[Filming] = []
+    hold = steps.hold_and_capture
+
+    def noting(bench: Bench, filming: Filming) -> Any:
+        begun.append(filming)
+        return hold(bench, filming)
+
+    monkeypatch.setattr(steps, "hold_and_capture", noting)
+    it = live()
+    assert it.cell.run_cycle(1).outcome is Outcome.INSERTED
+    (filming,) = begun
+    rate_hz = it.twins.camera.frame_rate_hz
+    assert filming.rest_s - filming.sightings[-1].t_s < 2.0 / rate_hz
+    assert len(filming.sightings) > 0.9 * (filming.rest_s - filming.begin_s) * rate_hz
+
+
+def test_after_the_last_frame_nothing_is_simulated(
+    live: Live, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    threads: list[str] = []
+
+    def told(simulate: Callable[..., Any]) -> Callable[..., Any]:
+        def simulated(*args: Any, **kwargs: Any) -> Any:
+            threads.append(threading.current_thread().name)
+            return simulate(*args, **kwargs)
+
+        return simulated
+
+    it = live({"lower": lambda it: threads.clear()})
+    monkeypatch.setattr(fit, "simulate", told(fit.simulate))
+    monkeypatch.setattr(choose, "simulate", told(choose.simulate))
+    assert it.cell.run_cycle(1).outcome is Outcome.INSERTED
+    assert threads
+    assert all(name.startswith("ahead") for name in threads)
+
+
+def test_a_slow_computer_finds_the_same(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    def found() -> tuple[object, ...]:
+        r = live(seed=4).cell.run_cycle(1)
+        return r.outcome, r.offset_m, r.parameters, r.predicted_margin_m, r.probability
+
+    quick = found()
+
+    def slowed(act: Callable[..., Any]) -> Callable[..., Any]:
+        def slow(*args: Any, **kwargs: Any) -> Any:
+            time.sleep(0.5)
+            return act(*args, **kwargs)
+
+        return slow
+
+    monkeypatch.setattr(ahead, "identify", slowed(ahead.identify))
+    monkeypatch.setattr(ahead, "foresee", slowed(ahead.foresee))
+    assert found() == quick
+
+
+def test_the_record_tells_the_same_cable(live: Live) -> None:
+    """Identified from the record, from scratch: the same within the errors that are stated."""
+    it = live(seed=6)
+    result = it.cell.run_cycle(1)
+    read = read_record(Path(result.folder))
+    assert read.model is not None
+    then = Identified.from_dict(read.model)
+    done = CliRunner().invoke(app, ["identify", result.folder, "--json"])
+    assert done.exit_code == 0, done.stderr
+    again = Identified.from_dict(json.loads(done.stdout))
+    std = np.sqrt(np.diag(again.covariance))
+    assert np.abs((then.mean - again.mean) / std).max() < 1.0
+    assert np.abs(then.values - again.values)[0] / again.values[0] < 0.01
+
+
+def test_frames_that_are_not_enough_at_first_only_cost_time(
+    live: Live, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*args: Any, **kwargs: Any) -> Any:
+        raise CableRejectedError(Reason.UNSEEN_FRAMES, "not yet")
+
+    monkeypatch.setattr(ahead, "identify", refuse)
+    assert live().cell.run_cycle(1).outcome is Outcome.INSERTED
