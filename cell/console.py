@@ -55,11 +55,11 @@ DRY_RUN_STEPS = (
     "start",
     "check_paths",
     "go_home",
-    "approach",
-    "lower",
-    "insert",
-    "measure",
+    "go_down",
+    "go_in",
     "go_aside",
+    "go_to_start",
+    "go_through",
 )
 
 #: What the keys do during a run, and what is then said of them.

@@ -71,8 +71,8 @@ def cycle_legs(task: Task, rate_hz: float) -> tuple[Leg, ...]:
     for offset_m in sorted({task.offsets_m[0], task.offsets_m[-1]}):
         left = insertion_path(task.lowered, offset_m, task.advance_m, task.insertion, rate_hz)
         legs += [
-            Leg("lower", _end(down), path=down),
-            Leg("insert", _end(left), path=left),
+            Leg("go_down", _end(down), path=down),
+            Leg("go_in", _end(left), path=left),
             Leg("go_aside", task.aside, task.lowering),
             Leg("go_home", task.home, task.lowering),
         ]
@@ -84,8 +84,8 @@ def measuring_legs(task: Task, motion: Measuring, rate_hz: float) -> tuple[Leg, 
     path = measuring_path(motion.start, motion.moves, rate_hz)
     return (
         Leg("go_home", task.home, task.lowering),
-        Leg("approach", motion.start, task.insertion.slowed(APPROACH_SLOWER)),
-        Leg("measure", _end(path), path=path),
+        Leg("go_to_start", motion.start, task.insertion.slowed(APPROACH_SLOWER)),
+        Leg("go_through", _end(path), path=path),
         Leg("go_home", task.home, task.lowering),
     )
 
@@ -100,10 +100,10 @@ def paths_from(
         if path is not None:
             paths.append((leg.name, path))
         here = leg.goal
-    if any(leg.name == "insert" for leg in legs):
+    if any(leg.name == "go_in" for leg in legs):
         for offset_m in task.offsets_m[1:-1]:
             left = insertion_path(task.lowered, offset_m, task.advance_m, task.insertion, rate_hz)
-            paths.append((f"insert with offset {offset_m:g} m", left))
+            paths.append((f"go_in with offset {offset_m:g} m", left))
     return tuple(paths)
 
 

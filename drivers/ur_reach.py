@@ -10,8 +10,9 @@ from drivers.ur_kinematics import OutOfReachError, UrModel
 
 _NOTHING_MOVED = "nothing was moved"
 
-#: Time between two places at which the joints are looked at, s; looking takes 0.15 ms each.
-STEP_S = 0.02
+#: Between two places at which the joints are looked at: at most this time, s, or this way, m (a
+#: turn of 1 rad counts as 0.1 m), whichever is longer.  Looking takes 0.15 ms each.
+STEP_S, STEP_M = 0.02, 0.002
 
 
 def check_reach(
@@ -28,7 +29,9 @@ def check_reach(
     X_FT    (4, 4) tool on the flange
     raises  LimitError: out of reach, or a joint too fast; with the time of the first such place
     """
-    steps = max(1, int(np.ceil(path.t_s[-1] / STEP_S)))
+    turns = 0.1 * np.diff(path.angle_rad)
+    way_m = float(np.sum(np.hypot(np.hypot(np.diff(path.x_m), np.diff(path.y_m)), turns)))
+    steps = max(1, int(np.ceil(min(path.t_s[-1] / STEP_S, way_m / STEP_M))))
     before_s = None
     for t_s in np.linspace(0.0, path.t_s[-1], steps + 1).tolist():
         try:

@@ -85,7 +85,7 @@ def test_a_slow_run_makes_the_same_way_in_inversely_more_time(task: Task, speed:
 @given(tasks(), speeds)
 def test_one_stroke_is_the_other_with_its_time_stretched(task: Task, speed: float) -> None:
     quick, slow = (
-        next(leg.path for leg in cycle_legs(t, RATE_HZ) if leg.name == "lower")
+        next(leg.path for leg in cycle_legs(t, RATE_HZ) if leg.name == "go_down")
         for t in (task, slowed(task, speed))
     )
     assert quick is not None and slow is not None
@@ -109,10 +109,10 @@ def test_what_keeps_the_limits_keeps_them_at_any_lower_speed(task: Task, speed: 
 
 def test_the_least_and_the_greatest_offset_are_made_and_all_are_checked() -> None:
     legs = cycle_legs(FAKE, RATE_HZ)
-    deepest = [leg.goal.y_m for leg in legs if leg.name == "insert"]
+    deepest = [leg.goal.y_m for leg in legs if leg.name == "go_in"]
     assert deepest == pytest.approx([-0.05, -0.09])
     paths = paths_from(FAKE.home, FAKE, legs, RATE_HZ)
-    ends = {round(float(p.y_m[-1]), 6) for name, p in paths if name.startswith("insert")}
+    ends = {round(float(p.y_m[-1]), 6) for name, p in paths if name.startswith("go_in")}
     assert ends == {round(-0.05 - offset_m, 6) for offset_m in FAKE.offsets_m}
 
 
@@ -120,7 +120,7 @@ def test_a_measuring_motion_is_made_as_it_is_measured() -> None:
     start, end = Pose(-0.01, 0.0, 0.5), Pose(-0.01, -0.05, 0.5)
     motion = Measuring("tilted", start, 0.2, (Move(end, 0.4),), 0.5)
     legs = measuring_legs(FAKE, slowed_motion(motion, 0.25), RATE_HZ)
-    assert [leg.name for leg in legs] == ["go_home", "approach", "measure", "go_home"]
+    assert [leg.name for leg in legs] == ["go_home", "go_to_start", "go_through", "go_home"]
     assert legs[1].goal == start
     (path,) = (leg.path for leg in legs if leg.path is not None)
     assert path.t_s[-1] == pytest.approx(1.6, abs=1.0 / RATE_HZ)

@@ -68,10 +68,10 @@ def test_a_cell_in_order_is_rehearsed_and_everything_is_recorded(
     assert read.closed and read.result == result and read.study is None
     pictures = sorted(Path(result.folder).glob("*.png"))
     assert [p.stem.split("_", 1)[1] for p in pictures[:4]] == [
-        "lower_begin",
-        "lower_end",
-        "insert_begin",
-        "insert_end",
+        "go_down_begin",
+        "go_down_end",
+        "go_in_begin",
+        "go_in_end",
     ]
     assert len(pictures) == 8
 
@@ -91,7 +91,7 @@ def test_a_slow_dry_run_is_slower_by_as_much(
 
 
 def test_pictures_show_where_arm_and_camera_see_the_hand(dry_runs: dict[float, Result]) -> None:
-    picture = cv2.imread(str(Path(dry_runs[1.0].folder) / "2_insert_end.png"))
+    picture = cv2.imread(str(Path(dry_runs[1.0].folder) / "2_go_in_end.png"))
     assert picture is not None
     blue, green, red = (picture[:, :, i].astype(int) for i in range(3))
     by_camera = np.argwhere((green - red > 80) & (green - blue > 80)).mean(axis=0)
@@ -134,7 +134,7 @@ def test_a_path_beyond_the_limits_is_named_before_anything_moves(
     it = live(settings=quick.model_copy(update={"limits": low}))
     result = it.cell.run_cycle(1, dry_run_speed=0.5)
     assert result.fault is not None and result.fault.step == "check_paths"
-    assert "on the way 'insert'" in result.fault.cause and "y = -0.088" in result.fault.cause
+    assert "on the way 'go in'" in result.fault.cause and "y = -0.088" in result.fault.cause
     assert it.twins.world.hand_pose() == Pose(0.0, 0.0, 0.0)
 
 
@@ -145,7 +145,7 @@ def test_the_way_home_is_slow_too(live: Live, quick: Settings, tmp_path: Path) -
     fastest: list[float] = []
 
     def on_step(number: int, step: str) -> None:
-        if step == "lower":
+        if step == "go_down":
             log = twins.arm.log(0.0, twins.world.clock.now_s())
             fastest.append(float(np.abs(np.diff(log.y_m[::10])).max() / 0.02))
 
@@ -172,7 +172,7 @@ def test_what_is_not_right_makes_the_cell_unfit_and_names_the_remedy(
     assert result.reason is not None and "arm: lag" in result.reason
 
 
-@pytest.mark.parametrize("step", ["check_paths", "lower", "insert", "go_aside"])
+@pytest.mark.parametrize("step", ["check_paths", "go_down", "go_in", "go_aside"])
 def test_a_stop_in_any_step_stops_and_a_lost_arm_aborts(live: Live, step: str) -> None:
     it = live({step: lambda it: it.cell.command(Event.STOP, "guard opened")})
     result = it.cell.run_cycle(1, dry_run_speed=1.0)
@@ -190,9 +190,9 @@ def test_it_can_be_held_between_motions(live: Live) -> None:
     def later(it: SimpleNamespace) -> None:
         threading.Timer(0.05, it.cell.command, (Event.UNHOLD,)).start()
 
-    it = live({"lower": lambda it: it.cell.command(Event.HOLD), "held": later})
+    it = live({"go_down": lambda it: it.cell.command(Event.HOLD), "held": later})
     assert it.cell.run_cycle(1, dry_run_speed=1.0).outcome is Outcome.REHEARSED
-    assert it.steps[it.steps.index("held") - 1] == "lower"
+    assert it.steps[it.steps.index("held") - 1] == "go_down"
 
 
 def test_a_cycle_with_a_cable_follows_a_dry_run(live: Live) -> None:
@@ -213,7 +213,7 @@ def test_a_measuring_motion_is_rehearsed(live: Live, quick: Settings, tmp_path: 
     it = live()
     result = it.cell.run_cycle(1, load_motion(path, quick), dry_run_speed=0.5)
     assert result.outcome is Outcome.REHEARSED
-    assert {"approach", "measure"} <= set(result.seconds) and "insert" not in result.seconds
+    assert {"go_to_start", "go_through"} <= set(result.seconds) and "go_in" not in result.seconds
 
 
 def test_the_command_prints_a_table_and_ends_with_0(quick_config: Path, tmp_path: Path) -> None:
