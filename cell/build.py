@@ -143,7 +143,14 @@ def cell_with(
         gripper=GuardedGripper(devices.gripper, GripperLimits(*settings.gripper.force_limits_n)),
         clock=devices.clock,
     )
-    return Cell(guarded, _task(settings), settings.model_dump(mode="json"), runs, on_step)
+    return Cell(
+        guarded,
+        _task(settings),
+        settings.model_dump(mode="json"),
+        runs,
+        on_step,
+        watched=isinstance(devices.clock, RealClock),
+    )
 
 
 def build_twins(settings: Settings, seed: int, cycles: int) -> Twins:
@@ -193,7 +200,7 @@ def real_devices(settings: Settings) -> Devices:
     assert isinstance(gripper, given.SerialGripper)
     mount = PlaneMount(arm.plane_origin_m, arm.plane_x_axis, arm.plane_y_axis)
     reached = arm.model_dump(include={"host", "model", "tcp", "rate_hz", *_UR_TUNING})
-    serial = gripper.model_dump(include={"port", "address", "baud"})
+    serial = gripper.model_dump(include={"port", "address", "baud", "reply_s"})
     return Devices(
         arm=UrArm(UrOptions(mount=mount, **reached)),
         camera=_real_camera(settings, clock),

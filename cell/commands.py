@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 
 from cell.machine import Event
+from drivers.interfaces import DeviceError
 
 INTERRUPTING = frozenset({Event.STOP, Event.ABORT})
 PAUSING = frozenset({Event.HOLD, Event.SUSPEND})
@@ -30,7 +31,15 @@ class Commands:
     def __init__(self) -> None:
         self._changed = threading.Condition()
         self._interruption: tuple[Event, str] | None = None
+        self._failure: DeviceError | None = None
         self._pauses: list[Event] = []
+
+    def fail(self, error: DeviceError) -> None:
+        """Latch that a device has failed; a command or a failure that came before counts."""
+        with self._changed:
+            if self._failure is None and self._interruption is None:
+                self._failure = error
+            self._changed.notify_all()
 
     def give(self, event: Event, reason: str = "") -> None:
         """Latch a command.  Raises ValueError: not a command that a running cycle obeys."""
@@ -51,8 +60,10 @@ class Commands:
             self._changed.notify_all()
 
     def check(self) -> None:
-        """Raises InterruptedByCommandError if a stop or an abort was given."""
+        """Raises InterruptedByCommandError if a stop or an abort was given; DeviceError."""
         with self._changed:
+            if self._failure is not None:
+                raise self._failure
             if self._interruption is not None:
                 raise InterruptedByCommandError(*self._interruption)
 
@@ -63,14 +74,14 @@ class Commands:
             return self._pauses[0] if self._pauses else None
 
     def wait_until_resumed(self, pause: Event) -> None:
-        """Block while `pause` lasts.  Raises InterruptedByCommandError."""
+        """Block while `pause` lasts.  Raises InterruptedByCommandError; DeviceError."""
         with self._changed:
-            while pause in self._pauses and self._interruption is None:
+            while pause in self._pauses and self._interruption is None and self._failure is None:
                 self._changed.wait()
         self.check()
 
     def clear(self) -> None:
         """Forget everything, after a person's acknowledgement."""
         with self._changed:
-            self._interruption = None
+            self._interruption = self._failure = None
             self._pauses = []

@@ -26,7 +26,14 @@ from cell.records.folder import Record
 from cell.records.result import Fault, Outcome, Result
 from cell.study.data import Trial
 from cell.warmup import warm_up
-from drivers.interfaces import DeviceError
+from cell.watch import Watch
+from drivers.interfaces import (
+    CameraError,
+    ConnectError,
+    DeviceError,
+    DeviceLostError,
+    DeviceTimeoutError,
+)
 
 Given = ParamSpec("Given")
 Found = TypeVar("Found")
@@ -34,20 +41,40 @@ Found = TypeVar("Found")
 #: Steps that only compute: their time is the computer's, not that of the cell's clock.
 COMPUTING = frozenset({"warm_up", "identify", "simulate", "choose", "verify"})
 
+#: Steps that begin with a cable between the jaws and end with it there.
+HOLDING = frozenset(
+    {"lower", "hold_and_capture", "approach", "measure", "go_back"}
+    | {"identify", "simulate", "choose", "execute", "verify"}
+)
+
+#: After these the devices are connected anew; after the others they are still there.
+UNREACHED = (ConnectError, DeviceLostError, DeviceTimeoutError, CameraError)
+
+#: A computer that needs longer for a choice is not going to manage, s: the longer the hand waits,
+#: the more there is to simulate.
+LONGEST_LEAD_S = 3.0
+
 #: Share of a measuring motion's frames in which the cable must be seen.
 LEAST_SEEN = 0.8
 
 
 @dataclass
 class Progress:
-    """The cycle under way: where it is, and the entries of its result as they become known."""
+    """The cycle under way: where it is, and the entries of its result as they become known.
+
+    empty  the jaws stay empty: a rehearsal
+    """
 
     number: int
     record: Record
     bench: Bench
+    empty: bool
     step: str = "reset"
     seconds: dict[str, float] = field(default_factory=dict)
     known: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.watch = Watch(self.bench)
 
     def result(self) -> Result:
         """The cycle's result so far."""
@@ -63,6 +90,7 @@ class Cell:
     task      what to do with every cable
     settings  as resolved, for the record
     runs      folder in which every cycle gets its own
+    watched   look at the devices all the time; only those that run in real time can be
     on_step   told of every step as it begins: number of the cycle, name of the step
     """
 
@@ -73,6 +101,8 @@ class Cell:
         settings: Mapping[str, Any],
         runs: Path,
         on_step: Callable[[int, str], None] = lambda number, step: None,
+        *,
+        watched: bool = False,
     ) -> None:
         self.commands = Commands()
         self.machine = Machine(devices.clock.now_s)
@@ -80,6 +110,7 @@ class Cell:
         self._settings = settings
         self._runs = runs
         self._on_step = on_step
+        self._watched = watched
         self._connected = self._warm = False
 
     def command(self, event: Event, reason: str = "") -> None:
@@ -121,13 +152,15 @@ class Cell:
         if not self.machine.can(Event.RESET):
             raise EventRefusedError(f"no cycle can begin while {self.machine.state.value}")
         before = self.machine.seconds()
-        bench = self._bench
+        bench, empty = self._bench, dry_run_speed is not None
         if dry_run_speed is not None:
             bench = replace(bench, task=slowed(bench.task, dry_run_speed))
-        progress = Progress(number, Record(self._runs, number, datetime.now()), bench)
+        progress = Progress(number, Record(self._runs, number, datetime.now()), bench, empty)
         try:
             progress.record.settings(self._settings)
             self._reset(progress, dry_run_speed)
+            if self._watched:
+                progress.watch.begin()
             self._send(progress, Event.START)
             self._step(progress, "start", steps.check_ready)
             self._send(progress, Event.DONE)
@@ -142,6 +175,7 @@ class Cell:
             self._send(progress, Event.DONE)
         except BaseException as error:
             self._end(progress, error)
+        progress.watch.end()
         after = self.machine.seconds()
         progress.known["state_seconds"] = {
             state.value: after[state] - before[state]
@@ -240,6 +274,12 @@ class Cell:
                 paused or steps.is_past(self._bench, prospect.start_s)
             ):
                 return prospect, choice
+            if not paused and lead_s > LONGEST_LEAD_S:
+                raise DeviceTimeoutError(
+                    "computer",
+                    f"a choice took longer than the {lead_s:.1f} s allowed for it",
+                    "end other programs, or allow a longer motion.decide_s",
+                )
             lead_s *= 1.0 if paused else 2.0
 
     def _reject(self, progress: Progress, reason: str) -> None:
@@ -297,7 +337,9 @@ class Cell:
     def _end(self, progress: Progress, error: BaseException) -> None:
         """Stop, say why, and come to rest in Stopped (by command) or Aborted (by fault)."""
         fault, event = _fault(progress.step, error)
+        progress.watch.cease()
         mode = steps.halt(self._bench.devices, fault.cause)
+        self._connected &= not isinstance(error, UNREACHED)
         for sent in (event, Event.DONE):
             if self.machine.can(sent):
                 self.machine.send(sent)
@@ -325,6 +367,7 @@ class Cell:
         self._on_step(progress.number, name)
         now_s = time.perf_counter if name in COMPUTING else self._bench.devices.clock.now_s
         begun_s = now_s()
+        progress.watch.holding = name in HOLDING and not progress.empty
         try:
             self.commands.check()
             found = act(progress.bench, *args, **kwargs)

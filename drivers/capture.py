@@ -24,6 +24,8 @@ from drivers.interfaces import (
 )
 from drivers.recording import SLOW_REMEDY, CaptureOptions, Recording, Shot, Taken
 
+_LEAST_PERIODS = 3.0  # of silence before a camera is lost
+_WAKING_S = 0.002
 _LOST_REMEDY = "check the camera's cable and power, then connect again"
 
 
@@ -223,6 +225,7 @@ class _Stream:
             )
 
     def read(self) -> Frame | None:
+        overslept_s = 0.0  # time in which this process was not run is not the camera's silence
         with self._changed:
             while (recording := self._recording) is not None:
                 if recording.waiting:
@@ -233,11 +236,13 @@ class _Stream:
                         raise recording.error
                     return None
                 try:
-                    left_s = self._check_alive()
+                    left_s = self._check_alive(overslept_s)
                 except DeviceLostError:
                     self._recording = None
                     raise
+                due_s = self._clock.now_s() + left_s
                 self._changed.wait(left_s)
+                overslept_s += max(0.0, self._clock.now_s() - due_s - _WAKING_S)
         return None
 
     def stop(self) -> None:
@@ -245,13 +250,13 @@ class _Stream:
             self._recording = None
             self._changed.notify_all()
 
-    def _check_alive(self) -> float:
+    def _check_alive(self, overslept_s: float = 0.0) -> float:
         """Seconds that the next picture may still take.  Raises DeviceLostError."""
         if self._error is not None:
             cause, remedy = self._error.cause, self._error.remedy
             raise DeviceLostError(self._device, cause, remedy or _LOST_REMEDY)
         assert self._rate_hz is not None
-        allowed_s = self._options.lost_after_periods / self._rate_hz
+        allowed_s = max(self._options.lost_after_s, _LEAST_PERIODS / self._rate_hz) + overslept_s
         silent_s = self._clock.now_s() - self._recent[-1].arrived_s
         if silent_s > allowed_s:
             raise DeviceLostError(

@@ -39,7 +39,8 @@ class CaptureOptions:
                         exposure, readout and transport.  Measured by calibration each session,
                         for no camera tells; a wrong value shifts all times of a session alike
     connect_s           longest time until pictures come at the rate asked for
-    lost_after_periods  the camera is lost when no picture came for so many periods
+    lost_after_s        the camera is lost when no picture came for so long, or for three periods
+                        if those last longer
     rate_tolerance      allowed departure of the measured from the camera's own frame rate
     buffer_frames       pictures that may wait to be read
     settle_frames       pictures over which the rate is measured, and the stamps' origin found
@@ -48,14 +49,14 @@ class CaptureOptions:
 
     latency_s: float = 0.0
     connect_s: float = 5.0
-    lost_after_periods: float = 60.0
+    lost_after_s: float = 0.07
     rate_tolerance: float = 0.05
     buffer_frames: int = 512
     settle_frames: int = 40
     late_s: float = 0.5
 
     def __post_init__(self) -> None:
-        for name in ("connect_s", "lost_after_periods", "rate_tolerance", "late_s"):
+        for name in ("connect_s", "lost_after_s", "rate_tolerance", "late_s"):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"capture.{name} = {getattr(self, name)}: must be > 0")
         if not self.latency_s >= 0.0:

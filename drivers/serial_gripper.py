@@ -68,8 +68,8 @@ class SerialGripperOptions:
     port: str
     address: int = 9
     baud: int = 115_200
-    reply_s: float = 0.1
-    attempts: int = 3
+    reply_s: float = 0.04
+    attempts: int = 2
     motion_s: float = 5.0
     poll_s: float = 0.005
     stroke_m: float = 0.085

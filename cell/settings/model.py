@@ -256,6 +256,8 @@ class SerialGripper(_Gripper):
     port: Annotated[str, Field(min_length=1)]
     address: Annotated[int, Field(ge=1, le=247)] = 9
     baud: Annotated[int, Field(ge=1200)] = 115_200
+    reply_s: Annotated[float, Field(ge=0.005, le=1.0)] = 0.04
+    """Time that an answer may take; two missing in a row are a lost gripper, and stop the arm."""
 
 
 class World(_Section):

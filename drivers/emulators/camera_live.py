@@ -18,6 +18,7 @@ from drivers.ur_kinematics import MODELS, matrix_of
 
 _KEPT_S = 1.0  # poses and shapes older than this are forgotten
 _FIRST_POSE_S = 5.0
+_PORTION_S = 0.05  # longest motion that a cable is given at once
 _PATIENCE_S = 0.03  # longer than any pose is under way; an arm without power sends none
 
 
@@ -84,6 +85,7 @@ class LiveScene:
         self._cable: LiveCable | None = None
         self._grip = _Track()
         self._shape = _Track()
+        self._new_s, self._new = np.empty(0), np.empty((0, 3))  # poses new to the cable
 
     def wait_for_pose(self, longest_s: float) -> None:
         """Wait until it is known where the arm is.  Raises RuntimeError: not in time."""
@@ -98,6 +100,7 @@ class LiveScene:
         """A `CableFactory` = gripped; None = let go.  Raises TypeError: anything else."""
         if message is not None and not callable(message):
             raise TypeError(f"{message!r} is neither a cable's factory nor None")
+        self._swing()  # what came so far is not the new cable's
         self._cable = None if message is None else message()
         self._shape = _Track()
 
@@ -110,6 +113,7 @@ class LiveScene:
         while self._grip.end_s < t_s and time.monotonic() < until_s:
             time.sleep(0.001)
             self.keep_up()
+        self._swing()
         span_s = max(self._camera.picture.exposure_s, 1e-4)
         moments_s = t_s + span_s * np.array([-0.5, 0.0, 0.5])
         cables = None if self._shape.empty else self._shape.at(moments_s)
@@ -118,13 +122,23 @@ class LiveScene:
         )
 
     def keep_up(self) -> None:
-        """Take in the new poses, and move the cable along."""
+        """Take in the new poses; move the cable along if nobody looks, for then it is not seen."""
         new = self._poses()
         if new is None:
             return
-        self._grip.add(new.t_s, np.stack([new.x_m, new.y_m, new.angle_rad], axis=-1))
-        if self._cable is not None:
-            self._shape.add(new.t_s, self._cable.advance(new))
+        poses = np.stack([new.x_m, new.y_m, new.angle_rad], axis=-1)
+        self._grip.add(new.t_s, poses)
+        self._new_s = np.concatenate([self._new_s, new.t_s])
+        self._new = np.concatenate([self._new, poses])
+        if self._new_s[-1] - self._new_s[0] > _PORTION_S:
+            self._swing()
+
+    def _swing(self) -> None:
+        """Move the cable along with the poses that are new to it; each call has its price."""
+        t_s, poses = self._new_s, self._new
+        self._new_s, self._new = np.empty(0), np.empty((0, 3))
+        if self._cable is not None and len(t_s) > 0:
+            self._shape.add(t_s, self._cable.advance(Path(t_s, *poses.T)))
 
 
 class _Track:

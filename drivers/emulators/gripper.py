@@ -10,6 +10,9 @@ from pathlib import Path
 
 from drivers.emulators.launch import EmulatorProcess, answer_all
 from drivers.emulators.robotiq import EmulatedGripper, GripperFaults
+from drivers.priority import run_in_real_time
+
+_PRIORITY = 10
 
 
 @dataclass(frozen=True)
@@ -71,6 +74,7 @@ class GripperProcess(EmulatorProcess):
 def serve(door: Connection, link: Path | None, address: int) -> None:
     """Be a gripper until the other end of `door` is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C is for the parent, who then ends it
+    run_in_real_time(_PRIORITY)  # a gripper does not slow down when the computer is busy
     try:
         bench = _Bench(link, address)
     except OSError as error:

@@ -224,7 +224,7 @@ def test_another_size_of_picture_is_an_error(make) -> None:
 
 
 def test_silence_is_a_lost_camera_until_it_is_connected_again(make) -> None:
-    bench = make(latency_s=0.010, lost_after_periods=4.0)
+    bench = make(latency_s=0.010, lost_after_s=4.0 * PERIOD_S)
     bench.connect()
     bench.camera.start(5)
     bench.put(first_s(bench))

@@ -68,7 +68,7 @@ def test_a_cable_that_slips_is_noticed(emulator, gripper) -> None:
 def test_a_line_without_sense_is_a_lost_gripper_soon(emulator, gripper, fault) -> None:
     setattr(emulator.jaws.faults, fault, True)
     began_s = time.monotonic()
-    with pytest.raises(DeviceLostError, match=r"3 attempts.*check the gripper's cable"):
+    with pytest.raises(DeviceLostError, match=r"2 attempts.*check the gripper's cable"):
         gripper.state()
     assert time.monotonic() - began_s < 0.6
     with pytest.raises(DeviceLostError, match="not connected"):

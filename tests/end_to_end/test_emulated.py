@@ -1,0 +1,145 @@
+"""The whole cycle through the real clients: RTDE over TCP, Modbus on a serial line, a stream."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from drivers.emulators.ur_server import FAULT_PORT
+
+pytest.importorskip("rtde_control", reason="ur-rtde has no wheel for this machine")
+
+CONFIG = Path(__file__).parents[2] / "config" / "emulated.yaml"
+
+#: What makes a cycle light enough for a computer that does other things meanwhile; the protocols,
+#: the rates of the arm and the order of work stay as they are.
+_LIGHT = [
+    ("width_px: 800 ", "width_px: 640 "),
+    ("height_px: 640", "height_px: 512"),
+    ("frame_rate_hz: 60.0", "frame_rate_hz: 50.0"),
+    ("metres_per_pixel: 0.00032", "metres_per_pixel: 0.0004"),
+    ("origin_column_px: 625, origin_row_px: 93.75", "origin_column_px: 500, origin_row_px: 75"),
+    ("hold_s: 1.0", "hold_s: 0.5\n  decide_s: 1.5"),
+    ("step_m: 0.002", "step_m: 0.01"),
+    ("reply_s: 0.15", "reply_s: 0.5"),
+]
+
+
+@pytest.fixture(scope="module")
+def light_config(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Settings with addresses that nobody else uses."""
+    folder = tmp_path_factory.mktemp("emulated")
+    worker = os.getpid() % 60000
+    host = f"127.{120 + worker // 250 % 100}.{1 + worker % 250}.9"
+    text = CONFIG.read_text(encoding="utf-8")
+    for old, new in (
+        *_LIGHT,
+        ("host: 127.0.0.2", f"host: {host}"),
+        ("tcp://127.0.0.2:", f"tcp://{host}:"),
+        ("/tmp/cable-cell-gripper", str(folder / "gripper")),
+    ):
+        assert old in text
+        text = text.replace(old, new)
+    path = folder / "light.yaml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def cell(*arguments: str | Path) -> list[str]:
+    return [sys.executable, "-m", "cell", *map(str, arguments)]
+
+
+def host_of(config: Path) -> str:
+    (line,) = [s for s in config.read_text(encoding="utf-8").splitlines() if "host:" in s]
+    return line.split()[1]
+
+
+def listens(config: Path) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex((host_of(config), FAULT_PORT)) == 0
+
+
+def eventually_silent(config: Path) -> None:
+    until_s = time.monotonic() + 10.0
+    while listens(config):
+        assert time.monotonic() < until_s, "the emulators outlived whoever started them"
+        time.sleep(0.05)
+
+
+def test_a_cable_is_inserted_by_the_one_command(light_config: Path, tmp_path: Path) -> None:
+    """Its own emulators, one cycle, and nobody left behind."""
+    command = cell("run", "--config", light_config, "--json", "--out", tmp_path)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    result = json.loads(done.stdout) if done.stdout else {}
+    assert result.get("outcome") == "inserted", f"{result.get('reason')} {done.stderr}"
+    assert result["prediction_error_m"] < 2e-3
+    assert done.returncode == 0
+    eventually_silent(light_config)
+
+
+@pytest.fixture
+def emulating(light_config: Path) -> Iterator[subprocess.Popen[str]]:
+    process = subprocess.Popen(
+        cell("emulate", "--config", light_config), stdout=subprocess.PIPE, text=True
+    )
+    yield process
+    process.kill()
+    process.communicate()
+    eventually_silent(light_config)
+
+
+def test_emulators_can_be_started_beforehand_and_end_with_ctrl_c(
+    light_config: Path, emulating: subprocess.Popen[str]
+) -> None:
+    assert emulating.stdout is not None
+    said = [emulating.stdout.readline() for _ in range(3)]
+    assert [line.split()[0] for line in said] == ["arm", "camera", "gripper"]
+    assert host_of(light_config) in said[0] and "RTDE 30004" in said[0]
+    assert listens(light_config)
+    emulating.send_signal(signal.SIGINT)
+    assert emulating.wait(15.0) == 0
+    eventually_silent(light_config)
+
+
+def test_emulators_end_with_whoever_started_them(light_config: Path) -> None:
+    program = (
+        "import subprocess, sys, time\n"
+        f"child = subprocess.Popen({cell('emulate', '--config', light_config)!r}, "
+        "stdout=subprocess.PIPE, text=True)\n"
+        "print(child.stdout.readline(), flush=True)\n"
+        "time.sleep(60)\n"
+    )
+    parent = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
+    assert parent.stdout is not None
+    assert parent.stdout.readline().startswith("arm")
+    parent.kill()
+    parent.communicate()
+    eventually_silent(light_config)
+
+
+def test_addresses_that_are_taken_are_named_and_end_with_2(
+    light_config: Path, tmp_path: Path
+) -> None:
+    with socket.create_server((host_of(light_config), 5600)):
+        command = cell("run", "--config", light_config, "--out", tmp_path / "runs")
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 2
+    assert "the emulated camera: OSError" in done.stderr and "in use" in done.stderr
+    assert not (tmp_path / "runs").exists()
+
+
+def test_settings_of_real_devices_are_not_emulated(tmp_path: Path) -> None:
+    line3 = CONFIG.with_name("line3.yaml")
+    command = cell("emulate", "--config", line3)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 2
+    assert "has no section `emulated`" in done.stderr
