@@ -4,7 +4,7 @@ BIN := $(VENV)/bin
 PYTHON ?= $(firstword $(foreach p,python3.12 python3.11 python3,$(shell $(p) -c "import sys; print('$(p)' if (3,11) <= sys.version_info[:2] < (3,13) else '')" 2>/dev/null)))
 CYCLES ?= 3
 
-.PHONY: run test lint types imports tests bench figures coverage practice false-alarms confusion clean help
+.PHONY: run test lint types imports tests hardware bench figures coverage practice false-alarms confusion clean help
 
 help:            ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
@@ -26,6 +26,10 @@ imports: $(VENV)/.dev
 
 tests: $(VENV)/.dev
 	$(BIN)/pytest -n 2
+
+hardware: $(VENV)/.dev   ## the conformance suite on the devices of CONFIG=file; they move
+	@test -n "$(CONFIG)" || { echo "error: say which cell: make hardware CONFIG=config/line3.yaml"; exit 2; }
+	$(BIN)/pytest -v -rs --hardware --config $(CONFIG) tests/drivers/conformance
 
 bench: $(VENV)/.dev   ## speed, as ratios against a peer in one run
 	$(BIN)/python tools/bench.py

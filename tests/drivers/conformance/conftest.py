@@ -1,13 +1,17 @@
 """Benches for the conformance suites: each implementation with the means to break it.
 
 A new implementation joins by adding a bench to the table of its kind; the suites do not change.
+With `--hardware --config FILE` the devices of these settings take the place of all others.
 """
 
 from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path as FilePath
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -31,6 +35,9 @@ from drivers.sim.camera import CameraFaults
 from drivers.sim.clock import SimClock
 from drivers.sim.gripper import GripperFaults
 from drivers.ur import UrArm
+
+if TYPE_CHECKING:  # the rest of the cell takes its time, and only devices that are there need it
+    from cell.bench import Bench
 
 Act = Callable[[], object]
 
@@ -58,12 +65,15 @@ class CameraBench:
 
 @dataclass
 class GripperBench:
+    """A gripper with something between its jaws; `take_away` takes that out, or is None."""
+
     gripper: Gripper
     clock: Clock
-    take_away: Act
+    take_away: Act | None = None
     slip: Act | None = None
     lose: Act | None = None
     refuse: Act | None = None
+    force_n: float = 20.0
 
 
 @contextlib.contextmanager
@@ -214,6 +224,46 @@ def serial_gripper(request: pytest.FixtureRequest) -> Iterator[GripperBench]:
         )
 
 
+@pytest.fixture
+def real_bench(request: pytest.FixtureRequest, tmp_path: FilePath) -> Bench:
+    """The devices of the settings, not connected yet, within the settings' limits."""
+    from cell.build import cell_with, real_devices
+    from cell.settings import load_settings
+
+    settings = load_settings(request.config.getoption("--config"))
+    return cell_with(settings, real_devices(settings), tmp_path, lambda number, step: None)._bench
+
+
+@contextlib.contextmanager
+def real_arm(request: pytest.FixtureRequest) -> Iterator[ArmBench]:
+    """At home when a test begins, where it was brought at a quarter of a cycle's speed."""
+    from cell import steps
+    from cell.legs import slowed
+
+    bench = request.getfixturevalue("real_bench")
+    arm = bench.devices.arm
+    arm.connect()
+    try:
+        arm.reset()
+        steps.go_home(replace(bench, task=slowed(bench.task, 0.25)))
+    finally:
+        arm.close()
+    home = bench.task.home
+    yield ArmBench(arm, bench.devices.clock, partial(request.getfixturevalue("line"), start=home))
+
+
+@contextlib.contextmanager
+def real_camera(request: pytest.FixtureRequest) -> Iterator[CameraBench]:
+    devices = request.getfixturevalue("real_bench").devices
+    yield CameraBench(devices.camera, devices.clock)
+
+
+@contextlib.contextmanager
+def real_gripper(request: pytest.FixtureRequest) -> Iterator[GripperBench]:
+    bench = request.getfixturevalue("real_bench")
+    yield GripperBench(bench.devices.gripper, bench.devices.clock, force_n=bench.task.force_n)
+
+
 ARMS = {"sim": sim_arm, "guarded": guarded_sim_arm, "ur": ur_arm}
 CAMERAS = {
     "sim": sim_camera,
@@ -223,29 +273,43 @@ CAMERAS = {
 }
 GRIPPERS = {"sim": sim_gripper, "guarded": guarded_sim_gripper, "serial": serial_gripper}
 CLOCKS = {"sim": SimClock, "real": RealClock}
+KINDS = {"arm_bench": ARMS, "camera_bench": CAMERAS, "gripper_bench": GRIPPERS, "clock": CLOCKS}
+REAL = {"arm_bench": real_arm, "camera_bench": real_camera, "gripper_bench": real_gripper}
 
 
-@pytest.fixture(params=ARMS)
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    on_hardware = metafunc.config.getoption("--hardware")
+    for fixture, kinds in KINDS.items():
+        if fixture in metafunc.fixturenames:
+            names = ["hardware"] if on_hardware and fixture in REAL else list(kinds)
+            metafunc.parametrize(fixture, names, indirect=True)
+
+
+def bench_of(request: pytest.FixtureRequest, kinds: dict[str, Any], fixture: str) -> Any:
+    return (REAL[fixture] if request.param == "hardware" else kinds[request.param])(request)
+
+
+@pytest.fixture
 def arm_bench(request) -> Iterator[ArmBench]:
-    with ARMS[request.param](request) as bench:
+    with bench_of(request, ARMS, "arm_bench") as bench:
         yield bench
         bench.arm.close()
 
 
-@pytest.fixture(params=CAMERAS)
+@pytest.fixture
 def camera_bench(request) -> Iterator[CameraBench]:
-    with CAMERAS[request.param](request) as bench:
+    with bench_of(request, CAMERAS, "camera_bench") as bench:
         yield bench
         bench.camera.close()
 
 
-@pytest.fixture(params=GRIPPERS)
+@pytest.fixture
 def gripper_bench(request) -> Iterator[GripperBench]:
-    with GRIPPERS[request.param](request) as bench:
+    with bench_of(request, GRIPPERS, "gripper_bench") as bench:
         yield bench
         bench.gripper.close()
 
 
-@pytest.fixture(params=CLOCKS)
+@pytest.fixture
 def clock(request) -> Clock:
     return CLOCKS[request.param]()

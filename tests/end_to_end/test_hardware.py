@@ -1,0 +1,76 @@
+"""The conformance suite on devices that are there: these are emulated, and it cannot tell."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from cell.emulated import EmulatedCell
+from cell.settings import load_settings
+
+ROOT = Path(__file__).parents[2]
+
+
+def conformance(*options: object) -> tuple[int, str]:
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:xdist", "-p", "no:cacheprovider"]
+    command += ["tests/drivers/conformance", *map(str, options)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    return done.returncode, done.stdout + done.stderr
+
+
+@pytest.fixture(scope="module")
+def config(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Settings of a cell that answers, at addresses that nobody else uses."""
+    pytest.importorskip("rtde_control", reason="ur-rtde has no wheel for this machine")
+    folder = tmp_path_factory.mktemp("there")
+    worker = os.getpid() % 20000
+    host = f"127.{20 + worker // 250}.{1 + worker % 250}.9"
+    text = (ROOT / "config" / "emulated.yaml").read_text(encoding="utf-8")
+    for old, new in (
+        ("host: 127.0.0.2", f"host: {host}"),
+        ("tcp://127.0.0.2:", f"tcp://{host}:"),
+        ("/tmp/cable-cell-gripper", str(folder / "gripper")),
+    ):
+        assert old in text
+        text = text.replace(old, new)
+    path = folder / "there.yaml"
+    path.write_text(text, encoding="utf-8")
+    with EmulatedCell(load_settings(path), seed=1):
+        yield path
+
+
+def test_arm_camera_and_gripper_of_the_settings_are_tested(config: Path) -> None:
+    some = "logs_what_it_did or stop_in_motion or exactly_the_frames or grips_and_releases"
+    code, out = conformance("--hardware", "--config", config, "-k", some, "-rA")
+    assert code == 0, out
+    passed = [line for line in out.splitlines() if line.startswith("PASSED")]
+    assert len(passed) == 4 and all("[hardware]" in line for line in passed)
+    assert {line.split("::")[0].rsplit("_", 1)[1] for line in passed} == {
+        "arm.py",
+        "camera.py",
+        "gripper.py",
+    }
+
+
+def test_a_device_that_is_not_there_is_no_pass(tmp_path: Path) -> None:
+    absent = tmp_path / "absent.yaml"
+    text = (ROOT / "config" / "line3.yaml").read_text(encoding="utf-8")
+    absent.write_text(text.replace("/dev/ttyUSB0", str(tmp_path / "no_port")), encoding="utf-8")
+    code, out = conformance("--hardware", "--config", absent, "-k", "grips_and_releases")
+    assert code == 1 and "no gripper on" in out
+
+
+def test_nothing_of_it_is_collected_without_being_asked_for() -> None:
+    code, out = conformance("--collect-only")
+    assert code == 0 and "hardware" not in out and "[sim]" in out
+
+
+@pytest.mark.parametrize("options", [["--hardware"], ["--config", ROOT / "config" / "line3.yaml"]])
+def test_one_option_without_the_other_is_refused(options: list[object]) -> None:
+    code, out = conformance("--collect-only", *options)
+    assert code == 4 and "--hardware and --config FILE go together" in out
