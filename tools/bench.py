@@ -1,4 +1,4 @@
-"""Speed of the cable engine, as ratios against a peer in the same run: `make bench`.
+"""Speed of the cable engine, as ratios against a peer in the same run, and the cell's wait for it.
 
 The peer is MuJoCo's own batch runner, `mujoco.rollout`, with as many threads as cores.  It gets
 the engine's own mesh, the best known to us: thin rods hinged between the nodes, the clamp's
@@ -341,6 +341,16 @@ def start_up() -> None:
     report("seconds", seconds, "<=", 3.0)
 
 
+def waiting() -> None:
+    from bench_wait import MOST_WAITED_MS, summary, waits
+
+    print("\nthe robot waits for the computer: simulated cycles at the speed of reality")
+    found = waits(30, 1)
+    print(summary(found))
+    milliseconds = [1e3 * w.wait_s for w in found]
+    report("milliseconds, 95 % of them", np.nanquantile(milliseconds, 0.95), "<=", MOST_WAITED_MS)
+
+
 _MISSED: list[str] = []
 
 
@@ -359,6 +369,7 @@ def main() -> int:
         "pass": gauss_newton_pass,
         "plugin": plug_in,
         "start": start_up,
+        "wait": waiting,
     }
     parser.add_argument("part", nargs="*", choices=[[], *parts], help="default: all")
     chosen = parser.parse_args().part or list(parts)

@@ -1,0 +1,186 @@
+"""How long the robot waits for the computer, over many cycles at the speed of reality.
+
+    python tools/bench_wait.py [--cycles 30] [--seed 1]
+
+A real camera does not need the computer to draw its pictures.  So each cycle is run twice: here
+without pause, which gives the pictures, and then at the speed of reality with these, by a process
+that does nothing else, as `cell run` does.  Its first cycle is its first.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import tempfile
+import time
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cell.build import build_twins, cell_with, twin_devices
+from cell.settings import Settings, load_settings
+from drivers.interfaces import Camera, Frame
+from drivers.sim.clock import SimClock
+
+#: No hand shall hold a cable longer for want of a decision.
+MOST_WAITED_MS = 50.0
+
+CONFIG = Path(__file__).parents[1] / "config" / "fake.yaml"
+
+
+@dataclass(frozen=True)
+class Waited:
+    """One cycle.
+
+    wait_s    from when the last frame of the hold was taken until the offset was chosen, as the
+              cell reports it, and the time by which that frame was read later than it could have
+              been, which a simulated clock does not see
+    behind_s  this time alone
+    load      runnable processes of the machine, mean of the last minute
+    """
+
+    outcome: str
+    wait_s: float
+    behind_s: float
+    load: float
+
+
+class Recorder:
+    """A camera that keeps what it gives."""
+
+    def __init__(self, camera: Camera, clock: SimClock) -> None:
+        self._camera, self._clock = camera, clock
+        self.name = camera.name
+        self.recordings: list[list[tuple[float, Frame]]] = []
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._camera, name)
+
+    def start(self, frame_count: int) -> None:
+        self._start_s = self._clock.now_s()
+        self.recordings.append([])
+        self._camera.start(frame_count)
+
+    def read(self) -> Frame | None:
+        frame = self._camera.read()
+        if frame is not None:
+            since_s = replace(frame, t_s=frame.t_s - self._start_s)
+            self.recordings[-1].append((self._clock.now_s() - self._start_s, since_s))
+        return frame
+
+
+class Player:
+    """A camera that gives what another one kept, at the speed of the clock."""
+
+    def __init__(self, clock: SimClock, frame_rate_hz: float) -> None:
+        self.name, self.frame_rate_hz = "camera", frame_rate_hz
+        self._clock = clock
+        self.recordings: list[list[tuple[float, Frame]]] = []
+        self.late_s: list[list[float]] = []
+        self._left: list[tuple[float, Frame]] = []
+
+    def connect(self) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+    def stop(self) -> None:
+        self._left = []
+
+    def start(self, frame_count: int) -> None:
+        self._start_s = self._clock.now_s()
+        self._left = self.recordings.pop(0)
+        self.late_s.append([])
+
+    def read(self) -> Frame | None:
+        if not self._left:
+            return None
+        ready_s, frame = self._left.pop(0)
+        self._clock.forward_to_s(self._start_s + ready_s)
+        self.late_s[-1].append(time.perf_counter() - ready_s)
+        return replace(frame, t_s=frame.t_s + self._start_s)
+
+
+def measured(settings: Settings, seed: int, cycles: int, to_parent: Connection) -> None:
+    """Run the cycles whose pictures come through the pipe, and send back what they took."""
+    twins = build_twins(settings, seed, cycles)
+    player = Player(twins.world.clock, twins.camera.frame_rate_hz)
+    devices = replace(twin_devices(twins), camera=player)
+    with tempfile.TemporaryDirectory() as runs:
+        cell = cell_with(settings, devices, Path(runs), lambda number, step: None)
+        for number in range(1, cycles + 1):
+            player.recordings, player.late_s = to_parent.recv(), []
+            result = cell.run_cycle(number)
+            hold = player.late_s[0]
+            behind_s = hold[-1] - min(hold)
+            waited_s = np.nan if result.wait_s is None else result.wait_s + behind_s
+            to_parent.send(Waited(result.outcome.value, waited_s, behind_s, os.getloadavg()[0]))
+        cell.close()
+
+
+def waits(cycles: int, seed: int) -> list[Waited]:
+    """Every cycle's wait, told as it comes."""
+    settings = load_settings(CONFIG)
+    real = settings.world.model_copy(update={"real_time_factor": 1.0})
+    context = get_context("spawn")
+    here, there = context.Pipe()
+    child = context.Process(
+        target=measured, args=(settings.model_copy(update={"world": real}), seed, cycles, there)
+    )
+    child.start()
+    twins = build_twins(settings, seed, cycles)
+    recorder = Recorder(twins.camera, twins.world.clock)
+    found = []
+    with tempfile.TemporaryDirectory() as runs:
+        devices = replace(twin_devices(twins), camera=recorder)
+        cell = cell_with(settings, devices, Path(runs), lambda number, step: None)
+        for number in range(1, cycles + 1):
+            recorder.recordings = []
+            cell.run_cycle(number)
+            here.send(recorder.recordings)
+            recorder.recordings = []
+            found.append(here.recv())
+            w = found[-1]
+            print(
+                f"  cycle {number:3d}: {w.outcome}, {w.wait_s * 1e3:6.1f} ms, of these vision "
+                f"behind by {w.behind_s * 1e3:5.1f} ms; load {w.load:.1f}",
+                flush=True,
+            )
+        cell.close()
+    child.join()
+    return found
+
+
+def summary(found: list[Waited]) -> str:
+    """Quantiles and a histogram."""
+    ms = 1e3 * np.array([w.wait_s for w in found])
+    middle, most, worst = np.nanquantile(ms, [0.5, 0.95, 1.0])
+    lines = [
+        f"  {len(ms)} cycles, load {np.mean([w.load for w in found]):.1f}: median {middle:.1f} ms, "
+        f"95 % within {most:.1f} ms, worst {worst:.1f} ms, first {ms[0]:.1f} ms; "
+        f"{np.mean(ms <= MOST_WAITED_MS):.0%} within {MOST_WAITED_MS:g} ms"
+    ]
+    edges = [0, 10, 20, 30, 40, 50, 75, 100, 200, np.inf]
+    for low, high in pairwise(edges):
+        count = int(np.sum((ms > low) & (ms <= high)))
+        if count:
+            lines.append(f"  {low:4.0f} … {high:4.0f} ms  {'█' * count} {count}")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--cycles", type=int, default=30)
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args()
+    print(summary(waits(options.cycles, options.seed)))
+
+
+if __name__ == "__main__":
+    main()
