@@ -1,7 +1,7 @@
 # One command each, nothing before it: `make run`, `make test`.
 VENV ?= .venv
 BIN := $(VENV)/bin
-PYTHON ?= $(firstword $(foreach p,python3.12 python3.11 python3,$(shell $(p) -c "import sys; print('$(p)' if (3,11) <= sys.version_info[:2] < (3,13) else '')" 2>/dev/null)))
+PYTHON ?= $(firstword $(foreach p,python3.12 python3.11 python3.13 python3,$(shell $(p) -c "import sys; print('$(p)' if (3,11) <= sys.version_info[:2] < (3,14) else '')" 2>/dev/null)))
 CYCLES ?= 3
 
 .PHONY: run test lint types imports tests hardware bench figures coverage practice false-alarms confusion clean help
@@ -50,7 +50,7 @@ confusion: $(VENV)/.dev   ## which effect is named for which, 100 studies (long)
 	$(BIN)/python tools/confusion_study.py --studies 100
 
 $(VENV)/bin/python:
-	@test -n "$(PYTHON)" || { echo "error: Python 3.11 or 3.12 is needed; none found on PATH (set PYTHON=/path/to/python3.11)"; exit 2; }
+	@test -n "$(PYTHON)" || { echo "error: Python 3.11 to 3.13 is needed; none found on PATH (set PYTHON=/path/to/python3.11)"; exit 2; }
 	$(PYTHON) -m venv $(VENV)
 
 $(VENV)/.user: pyproject.toml | $(VENV)/bin/python

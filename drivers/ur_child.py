@@ -51,6 +51,10 @@ _STANDSTILL_S = 0.1
 _PROGRAM_S = 5.0
 _REMOTE_EVERY_S = 0.5
 _CLOCKS_S = 0.1  # time in which the offset between two clocks is first found
+_NO_LIBRARY = (
+    "pip install 'ur-rtde>=1.6'; it is made for Python 3.11 and 3.12 on Linux x86-64, and must be "
+    "built from source elsewhere"
+)
 _SETTING_UP_S, _CYCLING_S = 0.5, 0.03  # longest that ur-rtde may spin
 
 
@@ -94,9 +98,12 @@ class _Robot:
     """ur-rtde's three clients, and nothing of the cell."""
 
     def __init__(self, options: ChildOptions) -> None:
-        import dashboard_client
-        import rtde_control
-        import rtde_receive
+        try:
+            import dashboard_client
+            import rtde_control
+            import rtde_receive
+        except ImportError as error:
+            raise RefusedError(f"ur-rtde cannot be loaded ({error})", _NO_LIBRARY) from error
 
         bound_spinning(_SETTING_UP_S)
         run_in_real_time()  # after the imports, before the clients start their threads
@@ -382,7 +389,7 @@ def main() -> None:
     except RefusedError as refusal:
         connection.send(("refused", refusal.cause, refusal.remedy))
         os._exit(1)
-    except (RuntimeError, ValueError, ImportError) as error:
+    except (RuntimeError, ValueError) as error:
         connection.send(("refused", " ".join(str(error).split()), ""))
         os._exit(1)
     code = 0
