@@ -61,7 +61,7 @@ def detect(
 
     image        (H, W) grey levels
     background   (H, W) the scene without jaw and cable; takes static lines and texture off
-    previous     an earlier sighting: the jaw is looked for around it first; only saves time
+    previous     that of the frame before: the jaw is looked for there first; only saves time
     returns      a sighting; `unseen` names the reason if there are no nodes.  Does not guess.
     raises       ValueError: the image is not (H, W) uint8, or the background has another shape
     """
@@ -72,8 +72,10 @@ def detect(
     unusable = _unusable(image)
     if unusable is not None:
         return _unseen(t_s, unusable, None, options)
-    near = previous.grip_m if previous is not None else None
-    jaw = find_jaw(image, view, options.marks, near)
+    near, near_rad = (
+        (None, None) if previous is None else (previous.grip_m, previous.clamp_angle_rad)
+    )
+    jaw = find_jaw(image, view, options.marks, near, near_rad)
     if jaw is None:
         return _unseen(t_s, Unseen.NO_JAW, None, options)
 

@@ -14,6 +14,9 @@ from calib.plane import PlaneView
 FloatArray = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
+#: From one frame to the next a mark moves less than this, or is looked for everywhere, m.
+_NEXT_FRAME_M = 0.006
+
 
 @dataclass(frozen=True)
 class JawMarks:
@@ -60,17 +63,28 @@ class JawPose:
 
 
 def find_jaw(
-    image: Image, view: PlaneView, marks: JawMarks, near: FloatArray | None = None
+    image: Image,
+    view: PlaneView,
+    marks: JawMarks,
+    near: FloatArray | None = None,
+    near_rad: float | None = None,
 ) -> JawPose | None:
     """Pose of the jaw, or None.
 
-    near   (2,) gripping point in an earlier frame, m: looked for around it first
-    source Kabsch 1976 (rigid fit)
+    near      (2,) gripping point in an earlier frame, m: looked for around it first
+    near_rad  clamp angle in that frame, if nothing moves far between the two: looked for nearer
+    source    Kabsch 1976 (rigid fit)
     """
     if near is not None and np.all(np.isfinite(near)):
-        reach = 0.015 + float(np.abs(np.asarray(marks.centres_m)).max()) + marks.radius_m
-        corner = np.array([[-reach, -reach], [-reach, reach], [reach, -reach], [reach, reach]])
-        pixels = view.to_pixels(near + corner)
+        centres = np.asarray(marks.centres_m)
+        if near_rad is None:
+            places, reach = near[None], 0.015 + float(np.abs(centres).max()) + marks.radius_m
+        else:
+            c, s = np.cos(near_rad), np.sin(near_rad)
+            places = near + centres @ np.array([[c, s], [-s, c]])
+            reach = _NEXT_FRAME_M + marks.radius_m
+        corners = np.array([[-reach, -reach], [-reach, reach], [reach, -reach], [reach, reach]])
+        pixels = view.to_pixels((places[:, None] + corners).reshape(-1, 2))
         height, width = image.shape
         left, top = np.clip(np.floor(pixels.min(0)), 0, [width, height]).astype(int).tolist()
         right, bottom = np.clip(np.ceil(pixels.max(0)), 0, [width, height]).astype(int).tolist()

@@ -37,9 +37,27 @@ def test_any_pose_is_found_to_a_fiftieth_of_a_pixel_and_a_hundredth_of_a_degree(
     near = find_jaw(image, VIEW, JawMarks(), near=np.array([x + 0.005, y]))
     assert near is not None
     assert near.grip_m == pytest.approx([x, y], abs=5e-6)
-    astray = find_jaw(image, VIEW, JawMarks(), near=np.array([0.12, 0.1]))
-    assert astray is not None
-    assert astray.grip_m == pytest.approx([x, y], abs=5e-6)
+    for before_rad in (None, 0.3):
+        astray = find_jaw(image, VIEW, JawMarks(), np.array([0.12, 0.1]), before_rad)
+        assert astray is not None
+        assert astray.grip_m == pytest.approx([x, y], abs=5e-6)
+
+
+def test_the_jaw_is_looked_for_where_the_frame_before_showed_it():
+    """Another jaw in the picture does not matter then, nor how the jaw moves between frames."""
+    pose, other = (0.03, 0.06, 0.3), (-0.05, -0.04, 0.3)
+    one, two = (
+        render(None, p, VIEW.homography, RenderOptions(), np.random.default_rng(0))
+        for p in (pose, other)
+    )
+    both = one.copy()
+    column = VIEW.to_pixels(np.array([[0.0, 0.0]]))[0, 0]
+    both[:, : int(column) - 20] = two[:, : int(column) - 20]
+    before = np.array([pose[0] + 0.002, pose[1] + 0.003])
+    jaw = find_jaw(both, VIEW, JawMarks(), before, pose[2] + 0.02)
+    assert jaw is not None
+    assert jaw.grip_m == pytest.approx(pose[:2], abs=5e-6)
+    assert jaw.angle_rad == pytest.approx(pose[2], abs=2e-4)
 
 
 @pytest.mark.parametrize("hidden", range(4))
