@@ -18,7 +18,7 @@ import numpy as np
 
 from drivers.capture import StreamingCamera
 from drivers.interfaces import CameraError, Clock, ConnectError, DeviceLostError, Image
-from drivers.recording import CaptureOptions, Shot
+from drivers.recording import CaptureOptions, Shot, check_settings
 
 _FETCH_S = 0.2
 _BUFFERS = 32
@@ -45,11 +45,7 @@ class GenicamOptions:
     capture: CaptureOptions = field(default_factory=CaptureOptions)
 
     def __post_init__(self) -> None:
-        for name in ("width_px", "height_px", "frame_rate_hz"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"camera.{name} = {getattr(self, name)}: must be > 0")
-        if self.exposure_s is not None and not self.exposure_s > 0.0:
-            raise ValueError(f"camera.exposure_s = {self.exposure_s} s: must be > 0")
+        check_settings(self.width_px, self.height_px, self.frame_rate_hz, self.exposure_s)
 
 
 class GenicamCamera(StreamingCamera):

@@ -19,7 +19,7 @@ import numpy as np
 
 from drivers.capture import StreamingCamera
 from drivers.interfaces import CameraError, Clock, ConnectError, DeviceLostError, Image
-from drivers.recording import CaptureOptions, Shot
+from drivers.recording import CaptureOptions, Shot, check_settings
 
 _MANUAL = 1.0
 _EXPOSURE_UNIT_S = 100e-6
@@ -50,11 +50,7 @@ class OpenCvOptions:
     capture: CaptureOptions = field(default_factory=CaptureOptions)
 
     def __post_init__(self) -> None:
-        for name in ("width_px", "height_px", "frame_rate_hz"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"camera.{name} = {getattr(self, name)}: must be > 0")
-        if self.exposure_s is not None and not self.exposure_s > 0.0:
-            raise ValueError(f"camera.exposure_s = {self.exposure_s} s: must be > 0")
+        check_settings(self.width_px, self.height_px, self.frame_rate_hz, self.exposure_s)
         if self.fourcc is not None and len(self.fourcc) != 4:
             raise ValueError(f"camera.fourcc = {self.fourcc!r}: must be four characters")
 

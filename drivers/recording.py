@@ -66,6 +66,18 @@ class CaptureOptions:
                 raise ValueError(f"capture.{name} = {getattr(self, name)}: must be ≥ {least}")
 
 
+def check_settings(
+    width_px: int, height_px: int, frame_rate_hz: float, exposure_s: float | None
+) -> None:
+    """What can be asked of any camera.  Raises ValueError: not > 0."""
+    numbers = {"width_px": width_px, "height_px": height_px, "frame_rate_hz": frame_rate_hz}
+    if exposure_s is not None:
+        numbers["exposure_s"] = exposure_s
+    for name, value in numbers.items():
+        if not value > 0:
+            raise ValueError(f"camera.{name} = {value}: must be > 0")
+
+
 @dataclass(frozen=True)
 class Taken:
     """A picture, and when it arrived."""
