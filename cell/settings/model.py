@@ -250,9 +250,11 @@ class SimulatedGripper(_Gripper):
 
 
 class SerialGripper(_Gripper):
-    """Robotiq-type gripper, Modbus RTU on a serial line."""
+    """Robotiq-type gripper (2F-85), Modbus RTU on a serial line."""
 
     kind: Literal["serial"]
+    force_n: Annotated[float, Field(ge=20.0, le=235.0)]
+    """Closing force: it can do no less and no more."""
     port: Annotated[str, Field(min_length=1)]
     address: Annotated[int, Field(ge=1, le=247)] = 9
     baud: Annotated[int, Field(ge=1200)] = 115_200

@@ -123,6 +123,12 @@ def test_axes_that_are_not_square_are_refused(tmp_path: Path) -> None:
     assert "is not perpendicular to plane_y_axis" in complaint(tmp_path, text)
 
 
+@pytest.mark.parametrize("force", ["10.0", "240.0"])
+def test_a_force_that_the_gripper_cannot_do_is_refused(tmp_path: Path, force: str) -> None:
+    text = LINE3.replace("force_n: 20.0", f"force_n: {force}").replace("[20.0, 40.0]", "[5, 500]")
+    assert "gripper.force_n: input should be" in complaint(tmp_path, text)
+
+
 def test_all_mistakes_are_told_at_once_in_the_order_of_the_file(tmp_path: Path) -> None:
     text = FAKE.replace("width_m", "widht_m").replace("force_n", "force").replace("lag_s", "lag")
     told = complaint(tmp_path, text).splitlines()
