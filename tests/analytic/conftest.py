@@ -1,4 +1,4 @@
-"""The paper's cable and motions, for the tests of the engine."""
+"""A cable in the compiled layout, and a chain of links, to be stepped and weighed."""
 
 from __future__ import annotations
 
@@ -9,27 +9,9 @@ from cell.cable import layout as at
 from cell.cable.assembly import assemble
 from cell.cable.clamp import base_rows, motion_splines
 from cell.cable.dynamics import generalised_alpha
-from cell.cable.geometry import Cable, Motion
+from cell.cable.geometry import Cable
 from cell.cable.kernel import bending, integrate, kinematics, solve
 from cell.cable.model import REFERENCE_CURVATURE_1_PER_M, REGULAR_CURVATURE_1_PER_M, CableModel
-
-
-@pytest.fixture
-def cable() -> Cable:
-    return Cable(0.1, 0.0074, 0.016, 1e-4)
-
-
-@pytest.fixture
-def arc() -> np.ndarray:
-    return np.linspace(0.0, 0.1, 11)
-
-
-@pytest.fixture
-def jerk() -> Motion:
-    """50 mm down in 0.3 s, least jerk, sampled at 500 Hz."""
-    t = np.arange(0.0, 0.8, 0.002)
-    x = np.clip((t - 0.1) / 0.3, 0.0, 1.0)
-    return Motion(t, 0 * t, -0.05 * x**3 * (10 - 15 * x + 6 * x**2), 0 * t)
 
 
 class Chain:
