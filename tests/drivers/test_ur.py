@@ -61,12 +61,18 @@ def lost(arm: UrArm) -> DeviceLostError:
     raise AssertionError("nobody noticed")
 
 
+def signalled(arm: UrArm, given: signal.Signals) -> float:
+    os.kill(arm._child.process.pid, given)
+    return time.monotonic()
+
+
+#: What breaks, and when it was broken: by the emulator's own account, which shares our clock.
 BREAKS = {
-    "drop": lambda arm, emulator: emulator.ask("drop"),
-    "freeze": lambda arm, emulator: emulator.ask("freeze", seconds=1.0),
-    "power cycle": lambda arm, emulator: emulator.ask("power_cycle", seconds=0.3),
-    "child killed": lambda arm, emulator: os.kill(arm._child.process.pid, signal.SIGKILL),
-    "child stopped": lambda arm, emulator: os.kill(arm._child.process.pid, signal.SIGSTOP),
+    "drop": lambda arm, emulator: emulator.ask("drop")["t_s"],
+    "freeze": lambda arm, emulator: emulator.ask("freeze", seconds=1.0)["t_s"],
+    "power cycle": lambda arm, emulator: emulator.ask("power_cycle", seconds=0.3)["t_s"],
+    "child killed": lambda arm, emulator: signalled(arm, signal.SIGKILL),
+    "child stopped": lambda arm, emulator: signalled(arm, signal.SIGSTOP),
 }
 
 
@@ -75,11 +81,9 @@ def test_a_break_is_named_soon_the_arm_rests_and_comes_back(
     arm, ur_emulator, ur_options, line, fault
 ) -> None:
     set_moving(arm, line)
-    broke_s = time.monotonic()
-    BREAKS[fault](arm, ur_emulator)
+    broke_s = BREAKS[fault](arm, ur_emulator)
     error = lost(arm)
-    noticed_s = time.monotonic() - broke_s
-    assert noticed_s < 0.15  # 0.1 asked of a machine that does nothing else
+    assert time.monotonic() - broke_s < 0.1
     assert "connect again" in error.remedy
     time.sleep(1.2 if fault == "freeze" else 0.5)
     assert ur_emulator.ask("state")["last_moved_s"] - broke_s < 0.2
