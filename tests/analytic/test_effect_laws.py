@@ -1,20 +1,22 @@
 """Effects against closed forms: drag of a towed strip, Maxwell's relaxation, Dahl's loop."""
 
 import itertools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from cell.cable import layout as at
 from cell.cable.dynamics import Solver, simulate
-from cell.cable.effects import library
+from cell.cable.effects import library, rare
 from cell.cable.effects.air import AIR_DENSITY_KG_PER_M3
 from cell.cable.effects.compiled import loops_of
 from cell.cable.effects.pointer import ADVANCE, EVALUATE, REST
 from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
 
-EFFECTS = library()
+EFFECTS = library() | rare()
 RIGIDITY = 3e-5
 
 
@@ -106,6 +108,47 @@ def test_dahl_follows_its_closed_form_whatever_the_step(steps):
         z = sign + (z - sign) * np.exp(-abs(target - here) / scale)
         here = target
         assert found == pytest.approx(moment * z, rel=1e-6)
+
+
+@pytest.mark.parametrize("steps", [60, 2000])
+def test_a_set_cable_levels_off_as_tanh_and_springs_back_straight(steps):
+    radius, most = 0.05, 35.0
+    hinge = Hinge("plastic_set", radius_m=radius)
+    hinge.rest(0.0)
+
+    def bend(curvatures):
+        moments = [hinge.step(*ends, 1e-3) for ends in itertools.pairwise(curvatures)]
+        return np.array(moments) + RIGIDITY * curvatures[1:]
+
+    out = np.linspace(0.0, most, steps + 1)
+    assert bend(out) == pytest.approx(
+        RIGIDITY * np.tanh(radius * out[1:]) / radius, rel=2.0 / steps, abs=1e-9
+    )
+    left = most - np.tanh(radius * most) / radius
+    back = np.linspace(most, left, steps + 1)
+    assert bend(back) == pytest.approx(RIGIDITY * (back[1:] - left), rel=1e-2, abs=1e-6)
+
+
+@pytest.mark.parametrize("curvature", [-30.0, 0.1, 0.3, 25.0])
+def test_at_rest_a_set_cable_was_bent_once(curvature):
+    """The memory at rest joins on to that of a cable bent there from straight."""
+    radius = 0.05
+    hinge = Hinge("plastic_set", radius_m=radius)
+    hinge.rest(curvature)
+    moment = hinge.state[1, at.MOMENT, 0] + RIGIDITY * curvature
+    assert moment == pytest.approx(RIGIDITY * np.tanh(radius * curvature) / radius, rel=1e-6)
+
+
+def test_perspective_is_that_of_a_pinhole():
+    turn, nod, distance = 0.2, -0.1, 0.4
+    lens = EFFECTS["lens_perspective"]
+    p = lens.active(turn_rad=turn, nod_rad=nod, distance_m=distance, centre_x_m=0.0, centre_y_m=0.0)
+    xy = np.random.default_rng(0).uniform(-0.1, 0.1, (50, 2))
+    axis = Rotation.from_euler("yx", [-turn, nod])  # x right, y up, z away from a camera at −z
+    x, y, z = axis.apply(np.column_stack([xy, np.zeros(50)])).T
+    seen = lens.camera_points(None, xy, SimpleNamespace(**p.named))
+    expected = np.column_stack([x, y]) * (distance / (distance + z))[:, None]
+    np.testing.assert_allclose(seen, expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", sorted(EFFECTS))

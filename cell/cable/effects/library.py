@@ -1,4 +1,4 @@
-"""All effects by name, and a user's own from a file."""
+"""Effects by name, and a user's own from a file."""
 
 from __future__ import annotations
 
@@ -10,18 +10,24 @@ from types import ModuleType
 
 from numba.core.errors import NumbaError
 
-from cell.cable.effects import air, bending, camera, grip, hand
+from cell.cable.effects import air, bending, camera, grip, hand, lens, plastic
 from cell.cable.effects.base import Effect
 from cell.cable.effects.check import check
 from cell.cable.effects.compiled import loops_of
 from cell.cable.effects.refused import EffectError
 
 _FAMILIES = (air, bending, grip, hand, camera)
+_RARE = (plastic, lens)
 
 
 def library() -> dict[str, type[Effect]]:
-    """The project's effects by name, family by family."""
+    """The project's effects by name, family by family: those that may be the matter anywhere."""
     return {e.name: e for module in _FAMILIES for e in _effects_in(module)}
+
+
+def rare() -> dict[str, type[Effect]]:
+    """The project's other effects, which are only looked for where somebody has reason to."""
+    return {e.name: e for module in _RARE for e in _effects_in(module)}
 
 
 def load_effect(path: str | Path) -> type[Effect]:

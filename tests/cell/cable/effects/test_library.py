@@ -1,11 +1,13 @@
 """The project's own effects: names, that each does something, that each is off when off."""
 
+import inspect
+
 import numpy as np
 import pytest
 
 from cell.cable.clamp import pose_of
 from cell.cable.dynamics import Solver, simulate
-from cell.cable.effects import library
+from cell.cable.effects import library, load_effect, rare
 from cell.cable.effects.check import check
 from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
@@ -30,7 +32,8 @@ NAMES = [
     "camera_roll",
     "rolling_shutter",
 ]
-EFFECTS = library()
+RARE = ["plastic_set", "lens_perspective"]
+EFFECTS = library() | rare()
 TIMES = np.arange(0.0, 1.5, 0.01)
 
 #: Largest displacement of the tip at the first of each parameter's `starts`, mm: expected sizes.
@@ -52,6 +55,8 @@ SIZE_MM = {
     "camera_scale": (0.3, 1.2),
     "camera_roll": (0.3, 1.2),
     "rolling_shutter": (0.1, 2),
+    "plastic_set": (4, 13),
+    "lens_perspective": (0.3, 1.2),
 }
 
 
@@ -68,16 +73,23 @@ def typical(effect):
 
 
 def test_all_names_are_there():
-    assert sorted(EFFECTS) == sorted(NAMES)
+    assert sorted(library()) == sorted(NAMES)
+    assert sorted(rare()) == sorted(RARE)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", RARE)
+def test_a_rare_effect_can_be_given_as_a_file(name):
+    file = inspect.getsourcefile(EFFECTS[name])
+    assert load_effect(file).name == name
+
+
+@pytest.mark.parametrize("name", NAMES + RARE)
 def test_the_checks_of_a_users_effect_hold_for_ours(name):
     check(EFFECTS[name])
     assert len(EFFECTS[name].__doc__) > 30
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", NAMES + RARE)
 def test_an_effect_changes_the_output_by_its_size_and_is_off_when_off(cable, jerk, arc, name):
     effect = EFFECTS[name]
     without, on, off = paths(cable, jerk, arc, None, typical(effect), effect.active())
@@ -87,7 +99,7 @@ def test_an_effect_changes_the_output_by_its_size_and_is_off_when_off(cable, jer
     assert off == pytest.approx(without, abs=2e-7)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", NAMES + RARE)
 def test_every_parameter_does_something(cable, jerk, arc, name):
     effect = EFFECTS[name]
     values = {p.name: p.starts[0] for p in effect.parameters}
@@ -101,7 +113,7 @@ def test_every_parameter_does_something(cable, jerk, arc, name):
         assert np.abs(path - base).max() > 1e-6, p.name
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", NAMES + RARE)
 def test_parameters_mean_the_same_on_every_mesh(cable, jerk, arc, name):
     active = typical(EFFECTS[name])
     changes = []
