@@ -238,13 +238,21 @@ class Cell:
     ) -> tuple[Identified, Prospect, Choice]:
         """What cable this is and what to do with it; recorded then, for the hand waits for it."""
         identified: Identified | None = None
+        recorded = False
+
+        def record() -> None:
+            nonlocal recorded
+            if not recorded:
+                recorded = True
+                self._record_study(progress, trial)
+                if identified is not None:
+                    self._record_model(progress, identified)
+
         try:
             identified = self._step(progress, "identify", steps.identify, trial, held.early)
-            return identified, *self._decide(progress, held, trial, identified)
+            return identified, *self._decide(progress, held, trial, identified, record)
         finally:
-            self._record_study(progress, trial)
-            if identified is not None:
-                self._record_model(progress, identified)
+            record()
 
     def _decide(
         self,
@@ -252,8 +260,9 @@ class Cell:
         held: Filmed,
         trial: Trial,
         identified: Identified,
+        record: Callable[[], None],
     ) -> tuple[Prospect, Choice]:
-        """Simulate and choose, again if a pause or a slow computer let the moment go by."""
+        """Simulate, choose and record, again if a pause or a slow computer let the moment go by."""
         lead_s = self._bench.task.decide_s
         waits_from_s = held.seen_at_s
         while True:
@@ -267,6 +276,7 @@ class Cell:
                 predicted_margin_m=choice.best.margin_m,
                 predicted_miss_m=height_at_mouth_m(self._bench.task.destination, choice.tip_m),
             )
+            record()
             paused = self._pause(progress)
             if paused:
                 waits_from_s = time.perf_counter()

@@ -39,7 +39,7 @@ KEEP_EVERY_HELD, KEEP_EVERY_MOVING = 20, 4
 #: So many times slower than an insertion a cable is brought to where it is measured, at rest.
 APPROACH_SLOWER = 4.0
 #: The arm is told so long before it is to start, because it first checks where a path leads, s.
-AHEAD_S = 0.05
+AHEAD_S = 0.1
 #: A forecast is corrected to first order, without simulating again, if its tips move less, m.
 SMALL_SHIFT_M = 5e-4
 

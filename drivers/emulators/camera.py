@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import os
 import queue
+import select
 import signal
 import socket
 import threading
@@ -214,6 +215,7 @@ class _Server:
                 try:
                     self._look(parcels, gone)
                 finally:
+                    gone.set()
                     parcels.put(None)
                     sender.join()
 
@@ -253,6 +255,8 @@ class _Server:
             due_s += faults.slow / options.frame_rate_hz
             _sleep_until(due_s + options.look_s)
             self._hear()
+            if self._somebody_waits():
+                break  # the reader before has given up, or forgot to close
             if faults is not missing_of:
                 missing_of, missing = faults, faults.missing
             behind = parcels.qsize() / options.frame_rate_hz > options.backlog_s
@@ -273,6 +277,10 @@ class _Server:
                 parts = (picture_header(due_s - start_s, image.size), image.data.cast("B"))
             parcels.put(_Parcel(due_s + options.readout_s, parts))
 
+    def _somebody_waits(self) -> bool:
+        listener = self._listener
+        return listener is not None and bool(select.select([listener], [], [], 0.0)[0])
+
     def _send_all(
         self,
         client: socket.socket,
@@ -284,7 +292,7 @@ class _Server:
                 _sleep_until(parcel.leave_s)
                 late_s = time.monotonic() - parcel.leave_s
                 for part in parcel.parts:
-                    self._send(client, memoryview(part))
+                    self._send(client, memoryview(part), gone)
                 latest_s = max(self._counts.latest_s, late_s)
                 self._counts = replace(self._counts, sent=self._counts.sent + 1, latest_s=latest_s)
         except OSError:
@@ -305,10 +313,12 @@ class _Server:
         if self.faults.refuses:
             raise ConnectionAbortedError("cut off")
 
-    def _send(self, client: socket.socket, data: memoryview) -> None:
+    def _send(self, client: socket.socket, data: memoryview, gone: threading.Event) -> None:
         """Send all of it, however slow the reader.  Raises OSError: it has gone, or must go."""
         while data:
             self._check_not_refused()
+            if gone.is_set():
+                raise ConnectionAbortedError("somebody else reads now")
             try:
                 data = data[client.send(data) :]
             except TimeoutError:

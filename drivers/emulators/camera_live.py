@@ -19,7 +19,7 @@ from drivers.ur_kinematics import MODELS, matrix_of
 _KEPT_S = 1.0  # poses and shapes older than this are forgotten
 _FIRST_POSE_S = 5.0
 _PORTION_S = 0.05  # longest motion that a cable is given at once
-_PATIENCE_S = 0.03  # longer than any pose is under way; an arm without power sends none
+_PATIENCE_S = 0.03  # longer than any pose is under way
 
 
 class PoseFeed(Protocol):
@@ -105,12 +105,16 @@ class LiveScene:
         self._shape = _Track()
 
     def picture(self, t_s: float) -> Image:
-        """Waits a little for the pose at that time.  Raises RuntimeError: no pose is known."""
+        """Waits a little for the pose at that time, unless none has come for longer.
+
+        Raises RuntimeError: no pose is known.
+        """
         self.keep_up()
         if self._grip.empty:
             raise RuntimeError("no pose is known")
-        until_s = time.monotonic() + _PATIENCE_S
-        while self._grip.end_s < t_s and time.monotonic() < until_s:
+        while t_s - _PATIENCE_S < self._grip.end_s < t_s:
+            if time.monotonic() > t_s + _PATIENCE_S:
+                break
             time.sleep(0.001)
             self.keep_up()
         self._swing()

@@ -26,6 +26,7 @@ PRIORITY = 10
 _PORT = 30004
 _HZ = 500.0
 _RETRY_S = 0.2
+_SENSELESS_S = 0.5  # bytes that are no poses for so long: listen anew
 _WINDOW = 500  # packets over which the controller's clock is compared with this computer's
 
 
@@ -82,8 +83,11 @@ class RtdePoses:
         recipe = Recipe(1, names, ("DOUBLE", "VECTOR6D"))
         splitter = Splitter()
         offsets_s: deque[float] = deque(maxlen=_WINDOW)
+        heard_s = time.monotonic()
         while data := controller.recv(65536):
             arrived_s = time.monotonic()
+            if arrived_s > heard_s + _SENSELESS_S:
+                raise OSError("only nonsense comes")
             for packet in splitter.feed(data):
                 if packet.kind != Kind.DATA:
                     continue
@@ -91,6 +95,7 @@ class RtdePoses:
                 t_s, q_rad = values["timestamp"], values["actual_q"]
                 if not isinstance(t_s, float) or isinstance(q_rad, int | float):
                     raise ValueError("not what was asked for")
+                heard_s = arrived_s
                 offsets_s.append(arrived_s - t_s)
                 with self._lock:
                     self._offset_s = min(offsets_s)

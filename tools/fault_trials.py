@@ -1,0 +1,477 @@
+"""Every device × every step of a cycle × every fault, against the emulators: `make fault-trials`.
+
+A trial injects a fault when a step begins (in steps that move: when the arm moves) and demands:
+the cell stops and names device, step and remedy; the record is closed and says the same; the jaws
+hold what they held; and after the person's repair and acknowledgement the next cycle inserts.
+Then processes of the cell are killed at random moments, and the emulated arm must stand 200 ms
+later.  The table goes to `docs/fault_trials.md`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from cell.build import cell_with, real_devices
+from cell.console import STEPS
+from cell.cycle import Cell
+from cell.emulated import EmulatedCell
+from cell.records.folder import read_record
+from cell.records.result import Outcome, Result
+from cell.settings import Settings, load_settings
+from drivers.emulators.camera import StreamFaults
+from drivers.emulators.robotiq import GripperFaults
+
+ROOT = Path(__file__).parents[1]
+CONFIG = ROOT / "config" / "emulated.yaml"
+TABLE = ROOT / "docs" / "fault_trials.md"
+BAR_S, STILL_S = 0.1, 0.2
+OFF_S = 0.5  # a power cycle
+#: Steps in which a fault waits until the arm moves.
+MOVING = ("lower", "execute", "go_home")
+#: Steps at whose end a cable is held if it was at their beginning.
+HOLDING = STEPS[STEPS.index("lower") : STEPS.index("release")]
+
+Act = Callable[["Bench"], None]
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A fault: how it is caused and how a person ends it."""
+
+    device: str
+    fault: str
+    cause: Act
+    repair: Act
+    at_connect: bool = False
+    drops_cable: bool = False
+
+
+def _camera(**faults: Any) -> Act:
+    return lambda bench: setattr(bench.emulated.camera, "faults", StreamFaults(**faults))
+
+
+def _gripper(**faults: Any) -> Act:
+    return lambda bench: setattr(bench.emulated.gripper, "faults", GripperFaults(**faults))
+
+
+def _arm(op: str, **arguments: Any) -> Act:
+    def act(bench: Bench) -> None:
+        bench.emulated.controller.ask(op, **arguments)
+
+    return act
+
+
+def _kill_child(bench: Bench) -> None:
+    os.kill(bench.devices.arm._child.process.pid, signal.SIGKILL)
+
+
+def _camera_off_and_on(bench: Bench) -> None:
+    _camera(refuses=True)(bench)
+    threading.Timer(OFF_S, _camera(), (bench,)).start()
+
+
+def _gripper_off_and_on(bench: Bench) -> None:
+    bench.emulated.gripper.unplug()
+    threading.Timer(OFF_S, bench.emulated.gripper.plug).start()
+
+
+def _later(bench: Bench) -> None:
+    """It comes back by itself."""
+    time.sleep(OFF_S + 0.2)
+
+
+KINDS = (
+    Kind("arm", "refuses to connect", _arm("refuse", on=True), _arm("refuse", on=False), True),
+    Kind("arm", "connection drops", _arm("drop"), lambda bench: None),
+    Kind("arm", "freezes", _arm("freeze", seconds=1e6), _arm("freeze", seconds=0.0), True),
+    Kind("arm", "answers garbage", _arm("garbage"), lambda bench: None),
+    Kind("arm", "protective stop", _arm("protective_stop"), _arm("clear"), True),
+    Kind("arm", "emergency stop", _arm("emergency_stop"), _arm("clear"), True),
+    Kind("arm", "child killed", _kill_child, lambda bench: None),
+    Kind("arm", "power cycle", _arm("power_cycle", seconds=OFF_S), _later),
+    Kind("camera", "refuses to connect", _camera(refuses=True), _camera(), True),
+    Kind("camera", "connection drops", _camera(refuses=True), _camera()),
+    Kind("camera", "falls silent", _camera(silent=True), _camera(), True),
+    Kind("camera", "freezes", _camera(frozen=True), _camera()),
+    Kind("camera", "answers garbage", _camera(garbage=True), _camera(), True),
+    Kind("camera", "power cycle", _camera_off_and_on, _later),
+    Kind(
+        "gripper",
+        "refuses to connect",
+        lambda bench: bench.emulated.gripper.unplug(),
+        lambda bench: bench.emulated.gripper.plug(),
+        True,
+    ),
+    Kind(
+        "gripper",
+        "unplugged",
+        lambda bench: bench.emulated.gripper.unplug(),
+        lambda bench: bench.emulated.gripper.plug(),
+    ),
+    Kind("gripper", "falls silent", _gripper(silent=True), _gripper(), True),
+    Kind("gripper", "answers garbage", _gripper(garbage=True), _gripper(), True),
+    Kind("gripper", "bad checksums", _gripper(bad_crc=True), _gripper(), True),
+    Kind("gripper", "power cycle", _gripper_off_and_on, _later),
+    Kind(
+        "gripper",
+        "cable lost",
+        lambda bench: bench.emulated.gripper.lay_out(False),
+        lambda bench: bench.emulated.gripper.lay_out(True),
+        drops_cable=True,
+    ),
+)
+
+
+@dataclass
+class Trial:
+    """A fault in a step, and what came of it."""
+
+    kind: Kind
+    step: str
+    given_s: float | None = None
+    held_before: bool = False
+    noticed: str = ""
+    reaction_s: float | None = None
+    moved_on_s: float = 0.0
+    wrong: list[str] = field(default_factory=list)
+
+    @property
+    def name(self) -> str:
+        return f"{self.kind.device}: {self.kind.fault} in {self.step}"
+
+
+def all_trials() -> list[Trial]:
+    found = []
+    for kind in KINDS:
+        if kind.fault == "refuses to connect":
+            found.append(Trial(kind, "connect"))
+            continue
+        steps = ("connect", *STEPS) if kind.at_connect else STEPS
+        if kind.drops_cable:
+            steps = ("grasp", *HOLDING)
+        found += [Trial(kind, s) for s in dict.fromkeys(steps) if s not in ("warm_up", "start")]
+        if not kind.at_connect:
+            found = [t for t in found if not (t.kind is kind and t.step == "connect")]
+    return found
+
+
+class Bench:
+    """Emulators, real drivers and the cell around them."""
+
+    def __init__(self, settings: Settings, emulated: EmulatedCell, runs: Path) -> None:
+        self.settings, self.emulated = settings, emulated
+        self.devices = real_devices(settings)
+        self.stopped_s: list[float] = []
+        self.began_s: dict[str, float] = {}
+        self.trial: Trial | None = None
+        self.number = 0
+        stop = self.devices.arm.stop
+
+        def timed_stop(reason: str) -> None:
+            self.stopped_s.append(time.monotonic())
+            stop(reason)
+
+        self.devices.arm.stop = timed_stop  # type: ignore[method-assign]
+        self.cell: Cell = cell_with(settings, self.devices, runs, self._on_step)
+
+    def cycle(self) -> Result:
+        self.number += 1
+        self.began_s = {}
+        return self.cell.run_cycle(self.number)
+
+    def _on_step(self, number: int, step: str) -> None:
+        self.began_s[step] = time.monotonic()
+        trial = self.trial
+        if trial is None or trial.given_s is not None or step != trial.step:
+            return
+        if step in MOVING:
+            threading.Thread(target=self._give_in_motion, args=(trial,), daemon=True).start()
+        else:
+            self._give(trial)
+
+    def _give_in_motion(self, trial: Trial) -> None:
+        until_s = time.monotonic() + 3.0
+        while self.speed_m_per_s() < 0.05 and time.monotonic() < until_s:
+            time.sleep(0.005)
+        self._give(trial)
+
+    def _give(self, trial: Trial) -> None:
+        trial.held_before = self.emulated.gripper.look().held
+        trial.given_s = time.monotonic()
+        trial.kind.cause(self)
+
+    def speed_m_per_s(self) -> float:
+        speed = self.emulated.controller.ask("state")["speed"]
+        return float(np.linalg.norm(speed[:3]))
+
+
+def run_trial(bench: Bench, trial: Trial) -> None:
+    """One cycle with the fault, the next if that one did not need the device, and one after."""
+    if trial.step == "connect":
+        bench.cell.close()
+    bench.trial = trial
+    bench.stopped_s.clear()
+    result = bench.cycle()
+    if result.outcome is not Outcome.FAILED:
+        result = bench.cycle()
+    ended_s = time.monotonic()
+    bench.trial = None
+    if trial.given_s is None:
+        trial.wrong.append("the fault was never given")
+    else:
+        judge(bench, trial, result)
+    bench.emulated.controller.ask("refuse", on=False)
+    trial.kind.repair(bench)
+    time.sleep(max(0.0, STILL_S - (time.monotonic() - ended_s)))
+    if result.outcome is Outcome.FAILED:
+        bench.cell.acknowledge()
+    after = bench.cycle()
+    if after.outcome is not Outcome.INSERTED:
+        trial.wrong.append(f"the next cycle: {after.outcome.value} {after.reason} {after.fault}")
+        if after.outcome is Outcome.FAILED:
+            bench.cell.acknowledge()
+            bench.cell.close()
+
+
+def judge(bench: Bench, trial: Trial, result: Result) -> None:
+    assert trial.given_s is not None
+    fault = result.fault
+    if fault is None:
+        trial.wrong.append(f"not noticed: {result.outcome.value}")
+        return
+    trial.noticed = fault.step
+    if fault.device != trial.kind.device:
+        trial.wrong.append(f"{fault.device} was named: {fault.cause}")
+    if not fault.remedy:
+        trial.wrong.append(f"no remedy for: {fault.cause}")
+    record = read_record(Path(result.folder))
+    if not record.closed or record.result != result or record.step != fault.step:
+        trial.wrong.append("the record does not say so")
+    # a device that fails while nobody needs it is noticed when it is needed
+    needed_s = max(trial.given_s, bench.began_s.get(fault.step, 0.0))
+    after = [t for t in bench.stopped_s if t >= trial.given_s]
+    if not after:
+        trial.wrong.append("the arm was not stopped")
+    elif fault.step != "connect":  # before, nothing can be stopped
+        trial.reaction_s = max(0.0, after[0] - needed_s)
+    time.sleep(STILL_S)
+    state = bench.emulated.controller.ask("state")
+    trial.moved_on_s = max(0.0, state["last_moved_s"] - needed_s)
+    if trial.moved_on_s > STILL_S:
+        trial.wrong.append(f"the arm moved {trial.moved_on_s:.3f} s later")
+    held = bench.emulated.gripper.look().held
+    if trial.held_before and fault.step in HOLDING and not held and not trial.kind.drops_cable:
+        trial.wrong.append("the cable was let go")
+
+
+# --- killing --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Kill:
+    """A process that was killed, when, and how long the arm moved after that, s."""
+
+    victim: str
+    after_s: float
+    speed_m_per_s: float
+    moved_on_s: float
+
+
+def kill_somebody(
+    emulated: EmulatedCell, config: Path, runs: Path, victim: str, rng: random.Random
+) -> Kill:
+    """Run a cell as a process of its own and kill one of its processes while the arm moves."""
+    command = [sys.executable, "-m", "cell", "run", "--config", str(config), "--out", str(runs)]
+    cell = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    began_s, delay_s = time.monotonic(), rng.uniform(0.0, 0.25)
+    moves = rng.choice([1, 2, 3])  # lower, execute, go home
+    try:
+        seen, moving = 0, False
+        while seen < moves and cell.poll() is None:
+            speed = np.linalg.norm(emulated.controller.ask("state")["speed"][:3])
+            if speed > 0.02 and not moving:
+                seen += 1
+            moving = bool(speed > 0.02)
+            time.sleep(0.004)
+        time.sleep(delay_s)
+        children = _children(cell.pid)
+        state = emulated.controller.ask("state")
+        pids = [cell.pid] if victim == "cell" else children
+        pids = [*children, cell.pid] if victim == "both" else pids
+        killed_s = time.monotonic()
+        for pid in pids:
+            os.kill(pid, signal.SIGKILL)
+        time.sleep(STILL_S + 0.1)
+        moved_s = emulated.controller.ask("state")["last_moved_s"] - killed_s
+        speed = float(np.linalg.norm(state["speed"][:3]))
+        return Kill(victim, killed_s - began_s, speed, max(0.0, moved_s))
+    finally:
+        cell.kill() if victim != "child" else cell.terminate()
+        cell.wait()
+        emulated.controller.ask("clear")
+        emulated.controller.ask("home")
+
+
+def _children(pid: int) -> list[int]:
+    found = []
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit():
+            try:
+                stat = (entry / "stat").read_text().rsplit(")", 1)[1].split()
+                command = (entry / "cmdline").read_text()
+            except OSError:
+                continue
+            if int(stat[1]) == pid and "ur_child" in command:
+                found.append(int(entry.name))
+    return found
+
+
+# --- all of it ------------------------------------------------------------------------------------
+
+
+def light_settings(folder: Path, host: str, reply_s: float) -> Path:
+    """The shipped settings, at addresses of their own, with a cycle as short as it can be."""
+    content = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
+    content["arm"]["host"] = host
+    content["camera"].update(
+        device=f"tcp://{host}:5600", width_px=640, height_px=512, frame_rate_hz=50.0
+    )
+    content["camera"]["view"] = {
+        "metres_per_pixel": 0.0004,
+        "origin_column_px": 500,
+        "origin_row_px": 75,
+    }
+    content["gripper"].update(port=str(folder / "gripper"), reply_s=reply_s)
+    content["motion"].update(calm_s=0.1, hold_s=0.5, decide_s=0.5, settle_s=0.1)
+    content["motion"]["offsets"]["step_m"] = 0.004
+    path = folder / "light.yaml"
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    return path
+
+
+def percentile_ms(values_s: list[float], q: float) -> float:
+    return 1e3 * float(np.percentile(values_s, q)) if values_s else float("nan")
+
+
+def summary(trials: list[Trial], kills: list[Kill]) -> list[str]:
+    reactions = [t.reaction_s for t in trials if t.reaction_s is not None]
+    good = sum(not t.wrong for t in trials)
+    lines = [f"{good} of {len(trials)} trials passed."]
+    if reactions:
+        p99 = percentile_ms(reactions, 99.0)
+        lines.append(
+            f"From fault to stop: median {percentile_ms(reactions, 50.0):.0f} ms, "
+            f"p99 {p99:.0f} ms, largest {1e3 * max(reactions):.0f} ms (bar: p99 ≤ 100 ms)."
+        )
+    if kills:
+        worst = max(k.moved_on_s for k in kills)
+        moving = sum(k.speed_m_per_s > 0.02 for k in kills)
+        lines.append(
+            f"{len(kills)} kills, {moving} of them of a moving arm: it moved on for at most "
+            f"{1e3 * worst:.0f} ms (bar: 200 ms)."
+        )
+    lines.append(f"Load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores.")
+    return lines
+
+
+def table(trials: list[Trial], kills: list[Kill]) -> str:
+    out = [
+        "# Fault trials",
+        "",
+        "Written by `make fault-trials`: the real drivers against the emulators, a fault in every "
+        "step. In",
+        "steps that move, the fault comes while the arm moves; otherwise when the step begins. "
+        "*Stop* is",
+        "the time from the fault (or, if nobody needed the device then, from the step that did) "
+        "until the",
+        "arm was told to stop; *still* until the emulated arm stood. A trial passes if device, "
+        "step and",
+        "remedy are named, the record says the same, the jaws hold what they held, and after "
+        "repair and",
+        "acknowledgement the next cycle inserts.",
+        "",
+        *summary(trials, kills),
+        "",
+        "| device | fault | in step | noticed in | stop, ms | still, ms | passed |",
+        "|---|---|---|---|---:|---:|---|",
+    ]
+    for t in trials:
+        stop = "" if t.reaction_s is None else f"{1e3 * t.reaction_s:.0f}"
+        passed = "yes" if not t.wrong else "**no**: " + "; ".join(t.wrong)
+        out.append(
+            f"| {t.kind.device} | {t.kind.fault} | {t.step} | {t.noticed} | {stop} "
+            f"| {1e3 * t.moved_on_s:.0f} | {passed} |"
+        )
+    if kills:
+        out += ["", "## Processes killed", ""]
+        out += ["| killed | times | of a moving arm | moved on, ms, median | largest |"]
+        out += ["|---|---:|---:|---:|---:|"]
+        for victim in dict.fromkeys(k.victim for k in kills):
+            some = [k for k in kills if k.victim == victim]
+            moved = [k.moved_on_s for k in some]
+            moving = sum(k.speed_m_per_s > 0.02 for k in some)
+            out.append(
+                f"| {victim} | {len(some)} | {moving} | {percentile_ms(moved, 50.0):.0f} "
+                f"| {1e3 * max(moved):.0f} |"
+            )
+    return "\n".join(out) + "\n"
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--only", nargs="*", default=[], help="words that a trial's name contains")
+    parser.add_argument("--kills", type=int, default=30)
+    parser.add_argument("--host", default="127.0.0.77", help="address of the emulated arm")
+    parser.add_argument("--reply-s", type=float, default=0.04, help="patience with the gripper")
+    parser.add_argument("-o", "--output", type=Path, help=f"e.g. {TABLE.relative_to(ROOT)}")
+    arguments = parser.parse_args()
+    chosen = [
+        t
+        for t in all_trials()
+        if not arguments.only or any(word in t.name for word in arguments.only)
+    ]
+    kills: list[Kill] = []
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        config = light_settings(folder, arguments.host, arguments.reply_s)
+        with EmulatedCell(settings := load_settings(config), seed=1) as emulated:
+            bench = Bench(settings, emulated, folder / "runs")
+            bench.cycle()
+            for number, trial in enumerate(chosen, 1):
+                run_trial(bench, trial)
+                stop = "" if trial.reaction_s is None else f"{1e3 * trial.reaction_s:5.0f} ms"
+                said = "passed" if not trial.wrong else "; ".join(trial.wrong)
+                print(f"{number:3d}/{len(chosen)} {trial.name:48s} {stop:9s} {said}", flush=True)
+            bench.cell.close()
+            rng = random.Random(1)
+            for number in range(arguments.kills):
+                victim = ("cell", "child", "both")[number % 3]
+                kills.append(kill_somebody(emulated, config, folder / "runs", victim, rng))
+                print(kills[-1], flush=True)
+    for line in summary(chosen, kills):
+        print(line)
+    if arguments.output is not None:
+        arguments.output.write_text(table(chosen, kills), encoding="utf-8")
+    reactions = [t.reaction_s for t in chosen if t.reaction_s is not None]
+    slow = bool(reactions) and percentile_ms(reactions, 99.0) > 1e3 * BAR_S
+    moved = any(k.moved_on_s > STILL_S for k in kills)
+    return int(any(t.wrong for t in chosen) or slow or moved)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
