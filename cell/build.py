@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from calib.plane import PlaneView
 from cell.bench import Devices, Task
 from cell.cable.dynamics import Solver, simulate
-from cell.cable.effects import library
+from cell.cable.effects import library, rare
 from cell.cable.geometry import Cable, Motion
 from cell.cable.model import CableModel
 from cell.cycle import Cell
@@ -62,7 +62,7 @@ def hidden_cable(settings: Settings, seed: int, number: int) -> CableModel:
 
     Its rigidity varies along the cable, its exponent is not 1; both come from the seed alone.
     """
-    truth = settings.world
+    truth, known = settings.world, library() | rare()
     rng = np.random.default_rng([seed, number])
     low, high = np.log(truth.rigidity_n_m2)
     rigidity = float(np.exp(rng.uniform(low, high)))
@@ -81,7 +81,7 @@ def hidden_cable(settings: Settings, seed: int, number: int) -> CableModel:
         profile,
         exponent=float(rng.uniform(*truth.exponent)),
         viscosity_n_m2_s=float(2.0 * damping_ratio * rigidity / first_mode_rad_per_s),
-        effects=tuple(library()[name].active(**v) for name, v in truth.effects.items()),
+        effects=tuple(known[name].active(**v) for name, v in truth.effects.items()),
     )
 
 

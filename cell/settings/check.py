@@ -192,11 +192,11 @@ def _emulated(document: Document, settings: Settings) -> list[Problem]:
 def _hidden_effects(document: Document, settings: Settings) -> list[Problem]:
     if not settings.world.effects:
         return []
-    from cell.cable.effects import library  # compiled code, which few settings need
+    from cell.cable.effects import library, rare  # compiled code, which few settings need
     from cell.cable.live import shown_live
 
     problems = []
-    known = library()
+    known = library() | rare()
     for name, values in settings.world.effects.items():
         key: Key = ("world", "effects", name)
         if name not in known:

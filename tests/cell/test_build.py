@@ -67,8 +67,13 @@ def test_the_world_knows_more_of_its_cables_than_the_model_can(settings: Setting
     assert length_m == pytest.approx(settings.cable.free_length_m, rel=1e-3)
 
 
-def test_hidden_effects_change_what_the_world_does(settings: Settings) -> None:
-    heavy = settings.world.model_copy(update={"effects": {"tip_mass": {"mass_kg": 5e-5}}})
+@pytest.mark.parametrize(
+    "effects", [{"tip_mass": {"mass_kg": 5e-5}}, {"plastic_set": {"radius_m": 0.05}}]
+)
+def test_hidden_effects_change_what_the_world_does(
+    settings: Settings, effects: dict[str, dict[str, float]]
+) -> None:
+    heavy = settings.world.model_copy(update={"effects": effects})
     rest = HandPath(np.array([0.0, 1.0]), np.zeros(2), np.zeros(2), np.zeros(2))
     tips = [
         cable_shape(hidden_cable(s, 1, 1), 60)(rest, np.array([0.0, 0.5]))[1, 0]
