@@ -21,10 +21,10 @@ from cell.cable.dynamics import Solver, generalised_alpha, simulate, threads
 from cell.cable.effects import air as air_family
 from cell.cable.effects import library, load_effect
 from cell.cable.geometry import Cable, Motion
-from cell.cable.kernel import integrate
 from cell.cable.model import CableModel
 from cell.cable.sensitivity import sensitivities
 from cell.cable.statics import settle
+from cell.cable.stepping import integrate
 
 CABLE = Cable(0.1, 0.0074, 0.016, 1e-4)
 MODEL = CableModel(CABLE, 3e-5, 1.0, 1e-7)

@@ -17,9 +17,9 @@ from cell.cable import layout as at
 from cell.cable.assembly import DEFAULT_SEGMENTS, Block, assemble, marker_weights
 from cell.cable.clamp import base_rows, pose_of
 from cell.cable.geometry import Motion
-from cell.cable.kernel import integrate, nodes, weave
 from cell.cable.model import CableModel
 from cell.cable.statics import settle
+from cell.cable.stepping import integrate, nodes, weave
 
 FloatArray = NDArray[np.float64]
 
@@ -151,7 +151,7 @@ class _Grid:
 
 
 def generalised_alpha(step_s: float, damping: float) -> FloatArray:
-    """Coefficients of a step: see `kernel.predict` and `kernel.advance`.
+    """Coefficients of a step: see `stepping.predict` and `stepping.advance`.
 
     [0] h, [1] ∂q/∂a, [2] ∂v/∂a at the collocation time, [3] v, [4] a_old in q, [5] a_old in v,
     [6], [7] a_new from a and a_old, [8], [9] a_old, a_new in q, [10], [11] in v, [12] the

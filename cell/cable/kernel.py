@@ -1,24 +1,17 @@
-"""Linearly implicit generalised-α steps of a chain of rods, O(segments), many lanes side by side.
+"""Accelerations of a chain of rods, O(segments), many lanes side by side.
 
 Bend angles are relative, so the implicit part of bending only adds to the diagonal of the
 articulated-body recursion (Featherstone, Rigid Body Dynamics Algorithms, 2008, ch. 7), here planar
-and in world axes.  Time: Chung & Hulbert, J. Appl. Mech. 60 (1993) 371; mass matrix and velocity
-terms are taken at the predicted collocation state, bending moments linearised about it.
-Statics: Newton's method in absolute angles, where the Hessian is tridiagonal.
+and in world axes.
 """
 
 from __future__ import annotations
-
-import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable.compiling import compiled
-from cell.cable.effects.pointer import ADVANCE, EVALUATE, call_force, call_moment
 from cell.cable.layout import (
-    ACCEL,
     ACCEL_C,
     ANGLE,
     BASE_AA,
@@ -31,8 +24,6 @@ from cell.cable.layout import (
     BASE_UY,
     BASE_X,
     BASE_Y,
-    BEND,
-    BEND_0,
     BEND_C,
     BIAS,
     BODY,
@@ -62,7 +53,6 @@ from cell.cable.layout import (
     QA,
     QX,
     QY,
-    RATE,
     RATE_C,
     REST,
     RIGIDITY,
@@ -81,10 +71,6 @@ from cell.cable.model import REFERENCE_CURVATURE_1_PER_M, REGULAR_CURVATURE_1_PE
 from cell.cable.numerics import power, sincos
 
 FloatArray = NDArray[np.float64]
-
-
-#: Steps between looks for divergence.
-_CHECK_EVERY = 8
 
 _KE2 = (REGULAR_CURVATURE_1_PER_M / REFERENCE_CURVATURE_1_PER_M) ** 2
 _KR2 = 1.0 / REFERENCE_CURVATURE_1_PER_M**2
@@ -312,213 +298,3 @@ def solve(
             T[w] = ax - turn * ty - centre * tx
             T[w + LANES] = ay + turn * tx - centre * ty
             T[w + 2 * LANES] = aa
-
-
-@compiled
-def predict(S: FloatArray, lanes: int, n: int, step: FloatArray) -> None:
-    """Bends and rates at the collocation time, were the acceleration the predicted one."""
-    for i in range(n + 1):
-        R = S[i * BODY :]
-        for w in range(lanes):
-            bend = R[w + BEND * LANES]
-            rate = R[w + RATE * LANES]
-            old = R[w + ACCEL * LANES]
-            guess = R[w + ACCEL_C * LANES]
-            R[w + BEND_0 * LANES] = bend
-            R[w + BEND_C * LANES] = bend + step[3] * rate + step[4] * old + step[1] * guess
-            R[w + RATE_C * LANES] = rate + step[5] * old + step[2] * guess
-
-
-@compiled
-def advance(S: FloatArray, lanes: int, n: int, step: FloatArray) -> None:
-    """State at the end of the step from the acceleration in its equation."""
-    for i in range(n + 1):
-        R = S[i * BODY :]
-        for w in range(lanes):
-            bend = R[w + BEND * LANES]
-            rate = R[w + RATE * LANES]
-            old = R[w + ACCEL * LANES]
-            new = step[6] * R[w + ACCEL_C * LANES] + step[7] * old
-            R[w + BEND_0 * LANES] = bend
-            R[w + BEND * LANES] = bend + step[0] * rate + step[8] * old + step[9] * new
-            R[w + BEND_C * LANES] = rate
-            R[w + RATE * LANES] = rate + step[10] * old + step[11] * new
-            R[w + ACCEL * LANES] = new
-
-
-@compiled
-def wild(S: FloatArray, lanes: int, n: int) -> bool:
-    """Whether any hinge is bent by half a turn or more, or not finite."""
-    worst = 0.0
-    for i in range(n + 1):
-        R = S[i * BODY :]
-        for w in range(lanes):
-            bend = abs(R[w + BEND * LANES])
-            worst = worst if bend <= worst else bend
-    return not worst < math.pi
-
-
-@compiled
-def record(
-    S: FloatArray, lanes: int, n: int, h: float, u: float, out: FloatArray, row: int
-) -> None:
-    """Bends `u` of the way through the step just made, by cubic Hermite interpolation."""
-    u2 = u * u
-    u3 = u2 * u
-    p0 = 2.0 * u3 - 3.0 * u2 + 1.0
-    p1 = 3.0 * u2 - 2.0 * u3
-    m0 = h * (u3 - 2.0 * u2 + u)
-    m1 = h * (u3 - u2)
-    for i in range(n + 1):
-        R = S[i * BODY :]
-        Q = out[(row * (n + 1) + i) * LANES :]
-        for w in range(lanes):
-            Q[w] = (
-                p0 * R[w + BEND_0 * LANES]
-                + p1 * R[w + BEND * LANES]
-                + m0 * R[w + BEND_C * LANES]
-                + m1 * R[w + RATE * LANES]
-            )
-
-
-@compiled
-def integrate(
-    S: FloatArray,
-    lanes: int,
-    n: int,
-    B: FloatArray,
-    step: FloatArray,
-    nonlinear: bool,
-    passes: int,
-    effects: Any,
-    when: FloatArray,
-    out: FloatArray,
-) -> int:
-    """All steps of a block; bends (times, n + 1, LANES) into `out`; returns the step that blew up.
-
-    step    coefficients of `generalised_alpha`
-    when    (times,) output times in steps from the start, increasing
-    returns −1, or the number of the first step whose bends are not below half a turn each
-    """
-    forces, moments, params, rows, memory, memory_rows, start = effects
-    T = np.zeros(9 * LANES)
-    h = step[0]
-    dq = step[1]
-    dv = step[2]
-    steps = B.size // (BASE_FIELDS * LANES)
-    forced = forces.size > 0
-    done = 0
-    for j in range(steps):
-        for _ in range(passes):
-            predict(S, lanes, n, step)
-            kinematics(S, lanes, n, B, j, forced)
-            bending(S, lanes, n, nonlinear, dq, dv)
-            if forced:
-                for i in range(n + 1):
-                    R = S[i * BODY :]
-                    for w in range(3 * LANES):
-                        R[w + FX * LANES] = 0.0
-                time = start + h * (j + step[12])
-                for e in range(forces.size):
-                    call_force(forces[e], (S, lanes, n, time, params, rows[e]))
-            for e in range(moments.size):
-                row = rows[forces.size + e]
-                call_moment(
-                    moments[e],
-                    (
-                        S,
-                        lanes,
-                        n,
-                        EVALUATE,
-                        h * step[12],
-                        dq,
-                        dv,
-                        params,
-                        row,
-                        memory,
-                        memory_rows[e],
-                    ),
-                )
-            solve(S, T, lanes, n, B, j, dv, forced)
-        advance(S, lanes, n, step)
-        for e in range(moments.size):
-            row = rows[forces.size + e]
-            call_moment(
-                moments[e], (S, lanes, n, ADVANCE, h, dq, dv, params, row, memory, memory_rows[e])
-            )
-        if (j % _CHECK_EVERY == 0 or j == steps - 1) and wild(S, lanes, n):
-            return j
-        while done < when.size and when[done] <= j + 1:
-            record(S, lanes, n, h, when[done] - j, out, done)
-            done += 1
-    return -1
-
-
-@compiled
-def nodes(
-    bends: FloatArray,
-    lanes: int,
-    n: int,
-    lengths: FloatArray,
-    clamp: FloatArray,
-    cell: NDArray[np.int64],
-    weights: FloatArray,
-    out: FloatArray,
-) -> None:
-    """Positions at the markers from bends: rods joined end to end, cubic Hermite in between.
-
-    bends    (times · (n + 1) · LANES,) of `record`
-    lengths  (LANES,) of a full segment, m
-    clamp    (times · 3 · LANES,) x, y, angle of the gripping point
-    cell     (markers,) segment of each marker; weights (markers, 4) of its ends and end tangents
-    out      (lanes, times, markers, 2)
-    """
-    times = out.shape[1]
-    X = np.empty((n + 1) * 4 * LANES)
-    for j in range(times):
-        held = clamp[j * 3 * LANES :]
-        o = j * (n + 1) * LANES
-        for w in range(lanes):
-            angle = held[w + 2 * LANES] + bends[o + w]
-            sine, cosine = sincos(angle)
-            X[w] = held[w]
-            X[w + LANES] = held[w + LANES]
-            X[w + 2 * LANES] = -lengths[w] * cosine
-            X[w + 3 * LANES] = -lengths[w] * sine
-        for i in range(1, n + 1):
-            R = X[(i - 1) * 4 * LANES :]
-            turn = bends[o + (i - 1) * LANES :]
-            for w in range(lanes):
-                k = 4 * LANES + w
-                turn[LANES + w] += turn[w]
-                angle = held[w + 2 * LANES] + turn[LANES + w]
-                sine, cosine = sincos(angle)
-                tx = -lengths[w] * cosine
-                ty = -lengths[w] * sine
-                R[k] = R[w] + 0.5 * (R[w + 2 * LANES] + tx)
-                R[k + LANES] = R[w + LANES] + 0.5 * (R[w + 3 * LANES] + ty)
-                R[k + 2 * LANES] = tx
-                R[k + 3 * LANES] = ty
-        for m in range(cell.size):
-            R = X[cell[m] * 4 * LANES :]
-            a, b, c0, c1 = weights[m, 0], weights[m, 1], weights[m, 2], weights[m, 3]
-            for w in range(lanes):
-                q = w + 4 * LANES
-                out[w, j, m, 0] = (
-                    a * R[w] + b * R[q] + c0 * R[w + 2 * LANES] + c1 * R[q + 2 * LANES]
-                )
-                out[w, j, m, 1] = (
-                    a * R[w + LANES]
-                    + b * R[q + LANES]
-                    + c0 * R[w + 3 * LANES]
-                    + c1 * R[q + 3 * LANES]
-                )
-
-
-@compiled
-def weave(rows: FloatArray, out: FloatArray) -> None:
-    """(lanes, a, b) rows → (a, b, LANES) out."""
-    for i in range(rows.shape[1]):
-        for j in range(rows.shape[2]):
-            for w in range(rows.shape[0]):
-                out[i, j, w] = rows[w, i, j]

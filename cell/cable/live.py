@@ -12,9 +12,9 @@ from cell.cable.clamp import base_rows, pose_of
 from cell.cable.dynamics import DivergedError, Solver, generalised_alpha, interleave
 from cell.cable.effects.base import Effect
 from cell.cable.geometry import Motion
-from cell.cable.kernel import integrate, nodes
 from cell.cable.model import CableModel
 from cell.cable.statics import settle
+from cell.cable.stepping import integrate, nodes
 
 FloatArray = NDArray[np.float64]
 

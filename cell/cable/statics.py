@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cell.cable.assembly import DEFAULT_SEGMENTS, Block, assemble, marker_weights
 from cell.cable.compiling import compiled
 from cell.cable.effects.pointer import REST, call_force, call_moment
-from cell.cable.kernel import bending, kinematics, nodes
+from cell.cable.kernel import bending, kinematics
 from cell.cable.layout import (
     BASE_ANGLE,
     BASE_FIELDS,
@@ -34,6 +34,7 @@ from cell.cable.layout import (
     WEIGHT_1,
 )
 from cell.cable.model import CableModel
+from cell.cable.stepping import nodes
 
 FloatArray = NDArray[np.float64]
 

@@ -10,8 +10,9 @@ from cell.cable.assembly import assemble
 from cell.cable.clamp import base_rows, motion_splines
 from cell.cable.dynamics import generalised_alpha
 from cell.cable.geometry import Cable
-from cell.cable.kernel import bending, integrate, kinematics, solve
+from cell.cable.kernel import bending, kinematics, solve
 from cell.cable.model import REFERENCE_CURVATURE_1_PER_M, REGULAR_CURVATURE_1_PER_M, CableModel
+from cell.cable.stepping import integrate
 
 
 class Chain:

@@ -147,7 +147,7 @@ def test_a_second_process_starts_in_under_three_seconds(cable, arc, jerk, tmp_pa
         "z = np.zeros(3)\n"
         "m = CableModel(Cable(0.1, 0.0074, 0.016, 1e-4), 3e-5)\n"
         "simulate(m, Motion(np.arange(3.0), z, z, z), np.array([0.0, 0.1]), np.array([0.1]))\n"
-        "from cell.cable.kernel import integrate\n"
+        "from cell.cable.stepping import integrate\n"
         "print(time.process_time(), sum(integrate.stats.cache_misses.values()))"
     )
     done = subprocess.run(
