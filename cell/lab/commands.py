@@ -179,7 +179,8 @@ def suggest(
         Path | None, typer.Option("-o", "--out", help="Write the motion here, for --motion.")
     ] = None,
     config: Annotated[
-        Path | None, typer.Option("--config", "-c", help="Settings of a cell, for its limits.")
+        Path | None,
+        typer.Option("--config", "-c", help="Settings of the cell that the motion is for."),
     ] = None,
     prior: PriorFile = None,
     as_json: JsonFile = None,
@@ -188,18 +189,19 @@ def suggest(
     from cell.lab import session
     from cell.lab.diagnose import diagnose as diagnose_study
     from cell.lab.results import write_json
-    from cell.lab.suggest import read_limits, suggest_motion, write_motion
+    from cell.lab.suggest import suggest_motion, write_motion
+    from cell.lab.surroundings import Surroundings
     from cell.lab.tables import suggestion_table
 
     with _refusing(), _progress() as progress:
-        limits = read_limits(config)
+        surroundings = Surroundings.read(config)
         explorer = session.explorer_of(
             session.open_study(study),
             session.choose_effects([]),
             session.read_prior(prior),
             progress,
         )
-        suggestion = suggest_motion(explorer, diagnose_study(explorer), limits)
+        suggestion = suggest_motion(explorer, diagnose_study(explorer), surroundings)
         if out:
             write_motion(suggestion, out)
         if as_json:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -75,8 +76,10 @@ def compare_model(study: Study, model: CableModel) -> Comparison:
     predicted, cable, found = {}, {}, []
     for trial in study.trials:
         delay = best_delay(bench, model, trial) if is_released(trial) else 0.0
-        points, cable[trial.name] = _everywhere(bench, trial, model, delay)
-        predicted[trial.name] = points[0]
+        points, shapes = everywhere(bench, trial, [model], delay)
+        if not np.isfinite(points).all():
+            raise ValueError(f"trial {trial.name}: the model cannot be simulated with this motion")
+        predicted[trial.name], cable[trial.name] = points[0], shapes[0]
         # rows are (markers, axes, times); unseen values are exactly zero there
         white = bench.white(trial, points)[0].reshape(-1, 2, len(trial.markers.t_s))
         white = np.where(np.isfinite(trial.markers.xy_m), np.moveaxis(white, 2, 0), np.nan)
@@ -96,12 +99,12 @@ def compare_model(study: Study, model: CableModel) -> Comparison:
     )
 
 
-def _everywhere(
-    bench: Bench, trial: Trial, model: CableModel, delay_s: float
+def everywhere(
+    bench: Bench, trial: Trial, models: Sequence[CableModel], delay_s: float = 0.0
 ) -> tuple[FloatArray, FloatArray]:
-    """Where the model puts the markers, (1, times, markers, 2), and the cable, (times, `DRAWN`, 2).
+    """Where models put the markers, (models, times, markers, 2), and the cable, (…, `DRAWN`, 2).
 
-    raises  ValueError: the model cannot be simulated
+    In metres; nan where they cannot be simulated.
     """
     study = bench.study
     drawn = np.linspace(study.cable.free_length_m, 0.0, DRAWN)
@@ -109,11 +112,9 @@ def _everywhere(
     t_s = trial.markers.t_s
     blank = replace(trial, markers=Markers(t_s, np.zeros((len(t_s), len(arcs), 2))))
     finer = replace(bench, study=replace(study, arc_length_m=arcs))
-    points = finer.predict(blank, [model], np.array([delay_s]))
-    if not np.isfinite(points).all():
-        raise ValueError(f"trial {trial.name}: the model cannot be simulated with this motion")
+    points = finer.predict(blank, models, np.full(len(models), delay_s))
     at, shape = (np.searchsorted(-arcs, -s) for s in (study.arc_length_m, drawn))
-    return points[:, :, at], points[0, :, shape].swapaxes(0, 1)
+    return points[:, :, at], points[:, :, shape]
 
 
 def _profile(centre: FloatArray, rms_m: FloatArray, name: str) -> dict[str, list[float | None]]:

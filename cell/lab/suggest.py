@@ -7,64 +7,68 @@ Biometrika 62 (1975) 57.
 from __future__ import annotations
 
 import itertools
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
 from scipy import stats
 
 from cell.cable.geometry import Motion
+from cell.cable.model import CableModel
 from cell.identify.noise import Whitener
 from cell.lab.bench import Bench
+from cell.lab.compare import everywhere
 from cell.lab.diagnose import Examination
 from cell.lab.explore import Candidate, Explorer
-from cell.located import InputError, load
+from cell.lab.surroundings import Surroundings, Swept
 from cell.study.data import Markers, Trial
 
 FloatArray = NDArray[np.float64]
 
 FORMAT = "cell-motion/1"
 STILL_S, HOLD_S, RATE_HZ = 0.2, 1.0, 500.0
-ATTITUDES_RAD = tuple(np.radians([-90.0, -60.0, -30.0, 0.0, 30.0, 60.0]))
-STROKES_M = ((0.0, -0.05), (0.0, -0.08), (-0.08, 0.0), (0.0, 0.05), (-0.05, -0.05))
+ATTITUDES_RAD = tuple(np.radians([-90.0, -60.0, -30.0, -15.0, 0.0, 15.0, 30.0, 60.0, 90.0]))
+STROKES_M = (
+    (0.0, -0.05), (0.0, -0.08), (0.0, 0.05), (0.0, 0.08),
+    (-0.05, 0.0), (-0.08, 0.0), (0.05, 0.0), (-0.05, -0.05),
+)  # fmt: skip
 SLOWNESS = (1.0, 1.6)
 #: χ² by which one candidate must beat the other to be believed; as `Rules.tie`.
 DECIDED = 9.0
+#: More candidates than these are not told apart by one motion.
+MOST_CANDIDATES = 4
+#: The cable is taken to be within so many standard deviations of its prediction.
+SURELY = 3.0
+#: Error of a prediction beyond its standard deviation: what the candidates lack, m.
+MODEL_ERROR_M = 0.001
+#: Between home and the clamp angle of a stroke, the resting cable is looked at this often, rad.
+TURN_RAD = np.radians(15.0)
 #: Peaks of a fifth-order polynomial from rest to rest over 1 m in 1 s.
 PEAK_V, PEAK_A, PEAK_J = 1.875, 5.7735, 60.0
 
 
-class SafeLimits(BaseModel):
-    """Where the hand may go and how fast; the `limits` of a cell's settings."""
-
-    model_config = ConfigDict(extra="ignore", frozen=True)
-
-    x_m: tuple[float, float] = (-0.3, 0.3)
-    y_m: tuple[float, float] = (-0.3, 0.3)
-    angle_rad: tuple[float, float] = (-1.6, 1.6)
-    velocity_m_per_s: Annotated[float, Field(gt=0)] = 0.5
-    acceleration_m_per_s2: Annotated[float, Field(gt=0)] = 5.0
-    jerk_m_per_s3: Annotated[float, Field(gt=0)] = 200.0
-
-
 @dataclass(frozen=True)
 class Stroke:
-    """From rest at the origin, clamp at `angle_rad`, straight by (dx, dy) in `duration_s`, held."""
+    """From rest at (x, y), clamp at `angle_rad`, straight by (dx, dy) in `duration_s`, held."""
 
     angle_rad: float
     dx_m: float
     dy_m: float
     duration_s: float
+    x_m: float = 0.0
+    y_m: float = 0.0
 
     def describe(self) -> str:
         """For a person."""
         return (
-            f"clamp at {np.degrees(self.angle_rad):.0f}°, by ({self.dx_m * 1e3:.0f}, "
-            f"{self.dy_m * 1e3:.0f}) mm in {self.duration_s:.2f} s"
+            f"clamp at {np.degrees(self.angle_rad):.0f}°, from ({self.x_m * 1e3:.0f}, "
+            f"{self.y_m * 1e3:.0f}) by ({self.dx_m * 1e3:.0f}, {self.dy_m * 1e3:.0f}) mm in "
+            f"{self.duration_s:.2f} s"
         )
 
     def motion(self) -> Motion:
@@ -72,24 +76,37 @@ class Stroke:
         t_s = np.arange(0.0, STILL_S + self.duration_s + HOLD_S, 1.0 / RATE_HZ)
         u = np.clip((t_s - STILL_S) / self.duration_s, 0.0, 1.0)
         s = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
-        return Motion(t_s, self.dx_m * s, self.dy_m * s, np.full_like(t_s, self.angle_rad))
+        x, y = self.x_m + self.dx_m * s, self.y_m + self.dy_m * s
+        return Motion(t_s, x, y, np.full_like(t_s, self.angle_rad))
 
 
 @dataclass(frozen=True)
 class Option:
-    """A motion, the χ² that it puts between the candidates, and the probability of a decision."""
+    """A motion that keeps all limits, and what it tells.
+
+    separation  χ² that it puts between the likeliest candidate and the one hardest to tell from it
+    hardest     that one
+    power       probability that the motion decides against every other candidate, if the noise and
+                the candidates are as they are taken to be
+    """
 
     motion: Stroke
     separation: float
+    hardest: str
     power: float
 
 
 @dataclass(frozen=True)
 class Suggestion:
-    """Motions, the most telling first, and between what they tell."""
+    """Motions, the most telling first, and between what they tell.
 
-    candidates: tuple[str, str]
+    refused  how many motions were left out, and for which limit
+    """
+
+    candidates: tuple[str, ...]
     options: tuple[Option, ...]
+    surroundings: Surroundings
+    refused: Mapping[str, int]
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
@@ -97,124 +114,236 @@ class Suggestion:
             "format": "cable-suggestion/1",
             "candidates": list(self.candidates),
             "options": [
-                {**vars(o.motion), "separation": o.separation, "power": o.power}
+                {
+                    **vars(o.motion),
+                    "separation": o.separation,
+                    "hardest": o.hardest,
+                    "power": o.power,
+                }
                 for o in self.options
             ],
+            "refused": dict(self.refused),
         }
 
 
-def read_limits(config: Path | None) -> SafeLimits:
-    """`limits` of a cell's settings; cautious ones without.  Raises InputError."""
-    if config is None:
-        return SafeLimits()
-    document = load(config)
-    entries = document.data.get("limits") if isinstance(document.data, dict) else None
-    if not isinstance(entries, dict):
-        raise InputError([document.problem((), "has no section `limits`")])
-    try:
-        return SafeLimits(**entries)
-    except ValueError as error:
-        raise InputError([document.problem(("limits",), str(error))]) from error
-
-
-def suggest_motion(explorer: Explorer, examination: Examination, limits: SafeLimits) -> Suggestion:
-    """The motion at which the two likeliest candidates differ most, whatever both leave open.
+def suggest_motion(
+    explorer: Explorer, examination: Examination, surroundings: Surroundings
+) -> Suggestion:
+    """The safe motion at which the candidates left differ most, whatever each leaves open.
 
     Each candidate may move within what the trials so far leave uncertain of it; what then still
     separates their markers, in standard deviations squared, is the separation.
+    raises  ValueError: nothing is left to tell apart, or no motion keeps the limits
     """
-    first, second = _rivals(explorer, examination)
-    noise = explorer.bench.noise
-    options = []
-    for stroke in strokes(limits):
-        separation = _separation(explorer.bench, first, second, stroke)
-        if not np.isfinite(separation):
-            continue
-        reach = (separation - DECIDED) / (2.0 * np.sqrt(max(separation, 1e-12)))
-        options.append(Option(stroke, separation, float(stats.norm.cdf(reach))))
+    candidates = rivals(explorer, examination)
+    bench = explorer.bench
+    models = [c.fit.model for c in candidates]
+    options, refused = [], Counter[str]()
+    rest: dict[float, float] = {}
+    for stroke in strokes(surroundings):
+        if stroke.angle_rad not in rest:
+            rest[stroke.angle_rad] = _rest_low_m(bench, models, surroundings, stroke.angle_rad)
+        option = _weighed(bench, candidates, stroke, surroundings, rest[stroke.angle_rad])
+        if isinstance(option, str):
+            refused[option] += 1
+        else:
+            options.append(option)
     if not options:
+        why = ", ".join(f"{count} for the {reason}" for reason, count in refused.items())
         raise ValueError(
-            f"no stroke within the limits can be simulated (noise {noise.std_m:g} m); widen them"
+            f"none of {sum(refused.values())} motions is safe in this cell: refused {why}; "
+            "widen limits, or let the camera see more"
         )
     options.sort(key=lambda o: -o.separation)
-    return Suggestion((_label(first), _label(second)), tuple(options))
+    names = tuple(_label(c) for c in candidates)
+    return Suggestion(names, tuple(options), surroundings, dict(refused))
 
 
-def strokes(limits: SafeLimits) -> list[Stroke]:
-    """All strokes on offer that stay within the limits, as fast as these allow and slower."""
+def rivals(explorer: Explorer, examination: Examination) -> list[Candidate]:
+    """The likeliest set of effects, and those that the trials cannot tell from it.
+
+    If it has no equal, the next likeliest that is not the same with more: one, or several where
+    nothing could be confirmed on held-out trials.
+    raises  ValueError: there is nothing to tell apart
+    """
+    diagnosis, final = examination.diagnosis, examination.steps[-1]
+    if diagnosis.verdict == "complete":
+        raise ValueError("the model explains these trials to their noise; nothing to tell apart")
+    known = {c.names: c for c in (*explorer.known(), *examination.singles, *examination.steps)}
+    tied = [
+        known[names]
+        for found in diagnosis.missing
+        for other in found.tied_with
+        if (names := final.names - {found.effect} | {other}) in known
+    ]
+    if tied:
+        return [final, *tied[: MOST_CANDIDATES - 1]]
+    best = sorted(known.values(), key=lambda c: -c.evidence)
+    if diagnosis.missing:
+        best = [final, *(c for c in best if not c.names >= final.names)]
+    if len(best) < 2:
+        raise ValueError("there is only one candidate; nothing to tell apart")
+    return best[: MOST_CANDIDATES if diagnosis.verdict == "cannot_tell" else 2]
+
+
+def strokes(surroundings: Surroundings) -> list[Stroke]:
+    """Strokes from home, as fast as the limits allow and slower, the clamp within its limits."""
+    low, high = surroundings.angle_rad
     found = []
     for angle, (dx, dy), slow in itertools.product(ATTITUDES_RAD, STROKES_M, SLOWNESS):
-        inside = (
-            limits.angle_rad[0] <= angle <= limits.angle_rad[1]
-            and limits.x_m[0] <= dx <= limits.x_m[1]
-            and limits.y_m[0] <= dy <= limits.y_m[1]
-        )
-        if not inside:
+        if not low <= angle <= high:
             continue
         way = float(np.hypot(dx, dy))
         least_s = max(
-            PEAK_V * way / limits.velocity_m_per_s,
-            (PEAK_A * way / limits.acceleration_m_per_s2) ** 0.5,
-            (PEAK_J * way / limits.jerk_m_per_s3) ** (1.0 / 3.0),
+            PEAK_V * way / surroundings.velocity_m_per_s,
+            (PEAK_A * way / surroundings.acceleration_m_per_s2) ** 0.5,
+            (PEAK_J * way / surroundings.jerk_m_per_s3) ** (1.0 / 3.0),
         )
-        found.append(Stroke(float(angle), dx, dy, round(slow * least_s + 0.005, 3)))
+        duration_s = round(slow * least_s + 0.005, 3)
+        found.append(Stroke(float(angle), dx, dy, duration_s, *surroundings.home[:2]))
     return found
 
 
 def write_motion(suggestion: Suggestion, path: Path) -> None:
-    """Write the best motion as YAML for `cell run --motion`."""
-    best = suggestion.options[0]
+    """Write the best motion as YAML for `cell run --motion`: places from the cell's home."""
+    best = suggestion.options[0].motion
+    home_x, home_y, _ = suggestion.surroundings.home
+    x_m, y_m = best.x_m - home_x, best.y_m - home_y
+    first, *others = suggestion.candidates
     content = {
         "format": FORMAT,
-        "purpose": f"tell {suggestion.candidates[0]} from {suggestion.candidates[1]}",
-        "start": {"x_m": 0.0, "y_m": 0.0, "angle_rad": best.motion.angle_rad},
+        "purpose": f"tell {first} from {', '.join(others)}",
+        "start": {"x_m": round(x_m, 6), "y_m": round(y_m, 6), "angle_rad": best.angle_rad},
         "still_s": STILL_S,
         "moves": [
             {
-                "x_m": best.motion.dx_m,
-                "y_m": best.motion.dy_m,
-                "angle_rad": best.motion.angle_rad,
-                "duration_s": best.motion.duration_s,
+                "x_m": round(x_m + best.dx_m, 6),
+                "y_m": round(y_m + best.dy_m, 6),
+                "angle_rad": best.angle_rad,
+                "duration_s": best.duration_s,
             }
         ],
         "hold_s": HOLD_S,
     }
+    path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(path.name + ".part")
     part.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
     part.replace(path)
 
 
-def _rivals(explorer: Explorer, examination: Examination) -> tuple[Candidate, Candidate]:
-    """The two sets of effects that explain the trials best."""
-    known = [*examination.steps, *examination.singles, *explorer.known()]
-    distinct = list({c.names: c for c in known}.values())
-    best = sorted(distinct, key=lambda c: -c.evidence)
-    if len(best) < 2:
-        raise ValueError("there is only one candidate; nothing to tell apart")
-    return best[0], best[1]
+def _weighed(
+    bench: Bench,
+    candidates: Sequence[Candidate],
+    stroke: Stroke,
+    surroundings: Surroundings,
+    rest_low_m: float,
+) -> Option | str:
+    """A stroke from where it is safe, and what it tells; or what it is refused for."""
+    # The likeliest cable shows quickly where the stroke could begin, if anywhere.
+    cable = _simulated(bench, [candidates[0].fit.model], stroke, surroundings)[1]
+    start = _start(stroke, cable, np.zeros_like(cable), surroundings, rest_low_m)
+    if isinstance(start, str):
+        return start
+    views, cables, spreads = [], [], []
+    for candidate in candidates:
+        view, cable, spread = _open(bench, candidate, start, surroundings)
+        views.append(view)
+        cables.append(cable)
+        spreads.append(SURELY * spread + MODEL_ERROR_M)
+    if not all(np.isfinite(v).all() for view in views for v in view):
+        return "simulation"
+    sure = _start(start, np.stack(cables), np.stack(spreads), surroundings, rest_low_m)
+    if isinstance(sure, str):
+        return sure
+    apart = [_separation(views[0], other) for other in views[1:]]
+    missed = [stats.norm.sf((s - DECIDED) / (2.0 * np.sqrt(max(s, 1e-12)))) for s in apart]
+    hardest = int(np.argmin(apart))
+    return Option(
+        sure, apart[hardest], _label(candidates[1 + hardest]), float(max(0.0, 1.0 - sum(missed)))
+    )
 
 
-def _separation(bench: Bench, first: Candidate, second: Candidate, stroke: Stroke) -> float:
-    """χ² between the candidates on a stroke that neither's open parameters can remove."""
+def _start(
+    stroke: Stroke,
+    cable_m: FloatArray,
+    spread_m: FloatArray,
+    surroundings: Surroundings,
+    rest_low_m: float,
+) -> Stroke | str:
+    """The stroke from the place nearest to home at which all of it is safe; or what forbids it.
+
+    cable_m, spread_m  (models, times, points, 2) of the cable, and by which it may be elsewhere
+    """
+    if not np.isfinite(cable_m).all():
+        return "simulation"
+    begin = np.array([stroke.x_m, stroke.y_m])
+    ends = np.array([[0.0, 0.0], [stroke.dx_m, stroke.dy_m]])
+    swept = Swept.of(cable_m - begin, spread_m, ends, stroke.angle_rad, rest_low_m)
+    place = surroundings.nearest_start(swept, (stroke.dx_m, stroke.dy_m))
+    if isinstance(place, str):
+        return place
+    return Stroke(stroke.angle_rad, stroke.dx_m, stroke.dy_m, stroke.duration_s, *place)
+
+
+def _rest_low_m(
+    bench: Bench, models: Sequence[CableModel], surroundings: Surroundings, angle_rad: float
+) -> float:
+    """Least x of the cable at rest beside the hand, turned from home's angle to another, m."""
+    home = surroundings.home[2]
+    steps = 2 + int(abs(angle_rad - home) / TURN_RAD)
+    low = 0.0
+    for angle in np.linspace(home, angle_rad, steps):
+        t_s = np.array([0.0, 0.05, 0.1])
+        motion = Motion(t_s, 0 * t_s, 0 * t_s, np.full(3, angle))
+        trial = Trial("rest", "validate", "equilibrium", motion, _blank(bench, t_s))
+        for model in models:
+            low = min(low, float(np.nan_to_num(everywhere(bench, trial, [model])[1][..., 0]).min()))
+    return low - MODEL_ERROR_M
+
+
+def _simulated(
+    bench: Bench, models: list[CableModel], stroke: Stroke, surroundings: Surroundings
+) -> tuple[FloatArray, FloatArray]:
+    """Markers and whole cable of models of one kind on a stroke, (models, times, points, 2), m."""
     motion = stroke.motion()
-    t_s = motion.t_s[::3][1:]
-    shape = (len(t_s), len(bench.study.arc_length_m), 2)
-    trial = Trial("stroke", "validate", "equilibrium", motion, Markers(t_s, np.zeros(shape)))
-    whiten = Whitener(trial.markers.xy_m, bench.noise)
-    white, spread = [], []
-    for candidate in (first, second):
-        space, q = candidate.fit.space, candidate.fit.q
-        step = np.where(q + space.step <= space.high, space.step, -space.step)
-        lanes = [space.model(q), *(space.model(q + row) for row in np.diag(step))]
-        rows = whiten(bench.predict(trial, lanes))
-        values, vectors = np.linalg.eigh(candidate.fit.covariance)
-        root = vectors * np.sqrt(np.maximum(values, 0.0))
-        white.append(rows[0])
-        spread.append(((rows[1:] - rows[0]).T / step) @ root)
-    apart = white[0] - white[1]
-    if not np.isfinite(apart).all():
-        return float("nan")
-    span = np.hstack(spread)
+    frame_s = float(np.median(np.diff(bench.study.trials[0].markers.t_s)))
+    if surroundings.frame_rate_hz is not None:
+        frame_s = 1.0 / surroundings.frame_rate_hz
+    t_s = np.arange(frame_s, motion.t_s[-1], frame_s)
+    trial = Trial("stroke", "validate", "equilibrium", motion, _blank(bench, t_s))
+    return everywhere(bench, trial, models)
+
+
+def _blank(bench: Bench, t_s: FloatArray) -> Markers:
+    return Markers(t_s, np.zeros((len(t_s), len(bench.study.arc_length_m), 2)))
+
+
+def _open(
+    bench: Bench, candidate: Candidate, stroke: Stroke, surroundings: Surroundings
+) -> tuple[tuple[FloatArray, FloatArray], FloatArray, FloatArray]:
+    """What a candidate predicts, and how far the trials so far leave that open.
+
+    returns  (whitened markers (rows,), their open directions (rows, parameters)); the cable and its
+             standard deviation, (times, points, 2), m
+    """
+    space, q = candidate.fit.space, candidate.fit.q
+    step = np.where(q + space.step <= space.high, space.step, -space.step)
+    lanes = [space.model(q), *(space.model(q + row) for row in np.diag(step))]
+    markers, cable = _simulated(bench, lanes, stroke, surroundings)
+    values, vectors = np.linalg.eigh(candidate.fit.covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    rows = Whitener(np.zeros(markers.shape[1:]), bench.noise)(markers)
+    open_rows = ((rows[1:] - rows[0]).T / step) @ root
+    moves = np.tensordot(root.T / step, cable[1:] - cable[0], axes=1)
+    return (rows[0], open_rows), cable[0], np.sqrt(np.sum(moves**2, axis=0))
+
+
+def _separation(
+    first: tuple[FloatArray, FloatArray], second: tuple[FloatArray, FloatArray]
+) -> float:
+    """χ² between two candidates that neither's open directions can remove."""
+    apart = first[0] - second[0]
+    span = np.hstack([first[1], second[1]])
     against = span.T @ apart
     inner = np.eye(span.shape[1]) + span.T @ span
     return float(apart @ apart - against @ np.linalg.solve(inner, against))

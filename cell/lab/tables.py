@@ -251,14 +251,36 @@ def discovery_table(discovery: Discovery) -> Table:
 
 
 def suggestion_table(suggestion: Suggestion) -> Table:
-    """The motion and what it would tell."""
-    table = Table(title="Suggested motion", box=SIMPLE_HEAD)
-    for column in ("motion", "separation χ²", "power"):
-        table.add_column(column, justify="left" if column == "motion" else "right")
+    """The motions and what they would tell."""
+    table = Table(title="Suggested motion, and the next best", box=SIMPLE_HEAD)
+    for column in ("motion", "separation χ²", "hardest to tell", "power"):
+        table.add_column(
+            column, justify="right" if column in ("separation χ²", "power") else "left"
+        )
     for option in suggestion.options[:5]:
-        table.add_row(option.motion.describe(), f"{option.separation:.1f}", f"{option.power:.2f}")
-    table.caption = f"between {' and '.join(suggestion.candidates)}"
+        table.add_row(
+            option.motion.describe(),
+            f"{option.separation:.1f}",
+            option.hardest,
+            f"{option.power:.2f}",
+        )
+    first, *others = suggestion.candidates
+    table.caption = f"tells {first} from {', '.join(others)}; {_kept(suggestion)}"
     return table
+
+
+def _kept(suggestion: Suggestion) -> str:
+    """Which limits the motions keep, and how many did not."""
+    refused = sum(suggestion.refused.values())
+    if suggestion.surroundings.picture_m is None:
+        return (
+            "checked only against a box of ±100 mm around home: give --config for the limits, the "
+            "picture and the workpiece of a cell"
+        )
+    return (
+        "hand within its limits, cable and jaw in the picture, cable clear of the workpiece, all "
+        f"with what is uncertain of the cable; {refused} motions refused"
+    )
 
 
 def _plain(name: str) -> str:
