@@ -279,6 +279,13 @@ def test_without_the_producer_it_says_which_file(plugged, tmp_path) -> None:
         camera.connect()
 
 
+def test_without_harvesters_it_says_what_to_install(tmp_path, monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "harvesters.core", None)  # as Python marks what is not there
+    camera = GenicamCamera(GenicamOptions(tmp_path / "maker.cti", capture=CAPTURE), CLOCK)
+    with pytest.raises(ConnectError, match=r"not installed .*pip install 'cable-cell\[genicam\]'"):
+        camera.connect()
+
+
 # --- the producer that comes with the GenICam wheel: a game that is a camera -------------------
 
 
