@@ -4,7 +4,7 @@ BIN := $(VENV)/bin
 PYTHON ?= $(firstword $(foreach p,python3.12 python3.11 python3.13 python3,$(shell $(p) -c "import sys; print('$(p)' if (3,11) <= sys.version_info[:2] < (3,14) else '')" 2>/dev/null)))
 CYCLES ?= 3
 
-.PHONY: run test lint types imports tests hardware bench figures coverage practice false-alarms confusion clean help
+.PHONY: run test lint types imports tests hardware bench figures coverage practice false-alarms confusion fault-trials endurance clean help
 
 help:            ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
@@ -48,6 +48,12 @@ false-alarms: $(VENV)/.dev   ## false claims of the lab on 200 complete studies 
 
 confusion: $(VENV)/.dev   ## which effect is named for which, 100 studies (long)
 	$(BIN)/python tools/confusion_study.py --studies 100
+
+fault-trials: $(VENV)/.dev   ## a fault in every device in every step, and processes killed, ~40 min
+	$(BIN)/python tools/fault_trials.py -o docs/fault_trials.md
+
+endurance: $(VENV)/.dev   ## 500 cycles against the emulators: memory, threads, files (~40 min)
+	$(BIN)/python tools/endurance.py --cycles 500
 
 $(VENV)/bin/python:
 	@test -n "$(PYTHON)" || { echo "error: Python 3.11 to 3.13 is needed; none found on PATH (set PYTHON=/path/to/python3.11)"; exit 2; }

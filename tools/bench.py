@@ -351,6 +351,16 @@ def waiting() -> None:
     report("milliseconds, 95 % of them", np.nanquantile(milliseconds, 0.95), "<=", MOST_WAITED_MS)
 
 
+def servo_loop() -> None:
+    from bench_servo import servo, summary
+
+    print("\nservo loop at 500 Hz for 60 s with vision running, as the emulated controller sees it")
+    found = servo(60.0)
+    print(summary(found))
+    report("period in ms, p99", found.percentile_ms(99.0), "<=", 2.5)
+    report("age of the oldest command, ms", found.percentile_ms(100.0), "<=", 10.0)
+
+
 _MISSED: list[str] = []
 
 
@@ -370,6 +380,7 @@ def main() -> int:
         "plugin": plug_in,
         "start": start_up,
         "wait": waiting,
+        "servo": servo_loop,
     }
     parser.add_argument("part", nargs="*", choices=[[], *parts], help="default: all")
     chosen = parser.parse_args().part or list(parts)

@@ -108,7 +108,7 @@ class Controller:
         self.last_moved_s = 0.0  # monotonic time at which the arm was last seen moving
         self.servo_writes = 0
         self.dashboard_lines = 0
-        self.longest_servo_gap_s = 0.0
+        self.servo_gaps_s: deque[float] = deque(maxlen=60_000)  # between two writes of a motion
         self._servo_s: float | None = None
         self._step_s = CYCLE_S * options.time_scale
         self._payload_kg = 0.0
@@ -266,7 +266,7 @@ class Controller:
         if value in (11, 24):
             now_s = time.monotonic()
             if self._servo_s is not None:
-                self.longest_servo_gap_s = max(self.longest_servo_gap_s, now_s - self._servo_s)
+                self.servo_gaps_s.append(now_s - self._servo_s)
             self._servo_s = now_s
             self.servo_writes += 1
         elif register in (0, 24):

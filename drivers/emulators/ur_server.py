@@ -216,6 +216,10 @@ class _Faults(_Lines):
         }
         if op == "state":
             return _state_of(controller)
+        if op == "servo_gaps":
+            gaps_s = list(controller.servo_gaps_s)
+            controller.servo_gaps_s.clear()
+            return {"gaps_s": gaps_s}
         actions[op](**request)
         return {"t_s": time.monotonic()}
 
@@ -231,7 +235,6 @@ def _state_of(controller: Controller) -> dict[str, Any]:
         "last_moved_s": controller.last_moved_s,
         "servo_writes": controller.servo_writes,
         "dashboard_lines": controller.dashboard_lines,
-        "longest_servo_gap_s": controller.longest_servo_gap_s,
         "events": [dataclasses.asdict(e) for e in controller.events],
     }
 

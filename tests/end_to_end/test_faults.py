@@ -185,3 +185,49 @@ def test_a_record_that_can_no_longer_be_written_stops_the_arm_too(live: Live) ->
     assert it.twins.world.hand_rests_from_s() <= it.twins.world.clock.now_s()
     assert it.cell.machine.state is CellState.ABORTED
     assert it.twins.arm.state().mode is ArmMode.STOPPED
+
+
+@pytest.mark.parametrize(
+    ("step", "break_it", "mend_it"),
+    [
+        (
+            "lower",
+            lambda it: setattr(it.twins.arm, "faults", ArmFaults(lost_at_s=now_s(it) + 0.3)),
+            lambda it: setattr(it.twins.arm, "faults", ArmFaults()),
+        ),
+        (
+            "execute",
+            lambda it: setattr(it.twins.camera, "faults", CameraFaults(lost_at_s=now_s(it) + 0.3)),
+            lambda it: setattr(it.twins.camera, "faults", CameraFaults()),
+        ),
+    ],
+)
+def test_a_device_that_was_lost_is_connected_anew_and_the_next_cycle_works(
+    live: Live,
+    step: str,
+    break_it: Callable[[SimpleNamespace], None],
+    mend_it: Callable[[SimpleNamespace], None],
+) -> None:
+    it = live({step: break_it}, cycles=2)
+    assert it.cell.run_cycle(1).outcome is Outcome.FAILED
+    mend_it(it)
+    it.cell.acknowledge()
+    it.steps.clear()
+    assert it.cell.run_cycle(2).outcome is Outcome.INSERTED
+    assert it.steps[0] == "connect"
+
+
+def now_s(it: SimpleNamespace) -> float:
+    time_s: float = it.twins.world.clock.now_s()
+    return time_s
+
+
+def test_a_computer_that_is_too_slow_gives_up_and_says_so(
+    live: Live, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cell.steps.is_past", lambda bench, t_s: True)
+    it = live()
+    result = it.cell.run_cycle(1)
+    check_stopped(it, result, "choose")
+    assert result.fault is not None and result.fault.device == "computer"
+    assert "longer than the" in result.fault.cause and "decide_s" in result.fault.remedy

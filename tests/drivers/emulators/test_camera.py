@@ -113,6 +113,15 @@ def test_a_reader_that_does_not_read_loses_pictures_not_time(
     assert np.diff(stamps_s).max() > 0.009
 
 
+def test_the_newest_reader_is_served(emulated_camera, eventually) -> None:
+    forgotten = socket.create_connection(("127.0.0.1", port(emulated_camera)), 1.0)
+    forgotten.recv(64)
+    with socket.create_connection(("127.0.0.1", port(emulated_camera)), 1.0) as newest:
+        newest.settimeout(2.0)
+        assert newest.recv(64)
+    forgotten.close()
+
+
 def test_a_scene_that_fails_is_told_to_the_parent() -> None:
     with pytest.raises(EmulatorError, match=r"picture is \(120, 100\) uint8, not \(120, 160\)"):
         EmulatedCamera(TestCard(100, 120, 200.0), SIZE).__enter__()

@@ -103,6 +103,33 @@ def test_the_cable_is_seen_from_the_grip_until_it_is_let_go() -> None:
     assert dark_px() == 0
 
 
+class LateFeed(Feed):
+    """Poses that come 10 ms late, in real time."""
+
+    def __call__(self) -> Path | None:
+        self.until_s = time.monotonic() - 0.010
+        if self.known_s == 0.0:
+            self.known_s = self.until_s - 0.02
+        path = super().__call__()
+        return None if path is None else Path(path.t_s, 0 * path.t_s, 0 * path.t_s, 0 * path.t_s)
+
+
+def test_a_picture_waits_for_a_pose_that_is_under_way_but_not_for_an_arm_without_power() -> None:
+    scene = LiveScene(LateFeed(), CAMERA)
+    scene.keep_up()
+    asked_s = time.monotonic()
+    scene.picture(asked_s - 0.002)
+    assert time.monotonic() - asked_s > 0.005
+    still = Feed()
+    still.until_s = 0.1
+    dark = LiveScene(still, CAMERA)
+    dark.keep_up()
+    asked_s = time.monotonic()
+    for k in range(20):
+        dark.picture(asked_s + 0.01 * k)
+    assert time.monotonic() - asked_s < 20 * 0.03
+
+
 def test_without_any_pose_it_says_so_and_nonsense_is_refused() -> None:
     scene = LiveScene(lambda: None, CAMERA)
     with pytest.raises(RuntimeError, match="no pose is known"):
