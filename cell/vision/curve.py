@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
@@ -35,15 +36,15 @@ class Curve:
 
     def at(self, u: FloatArray, derivative: int = 0) -> FloatArray:
         """(M, 2) points, or derivatives by u, at (M,) parameters; u outside 0 … 1 goes on."""
-        basis = basis_matrix(self.intervals, np.asarray(u, dtype=np.float64), derivative)
-        value: FloatArray = basis @ self.coefficients
+        value = np.empty((len(u), 2))
+        pieces = _pieces(self.intervals, derivative) @ self.coefficients
+        _polynomials(pieces, np.asarray(u, dtype=np.float64), value)
         return value
 
     def normals(self, u: FloatArray) -> FloatArray:
         """(M, 2) unit normals: the direction of travel turned by +90°."""
         d = self.at(u, 1)
-        d = d / np.linalg.norm(d, axis=1, keepdims=True)
-        return np.stack([-d[:, 1], d[:, 0]], axis=1)
+        return np.stack([-d[:, 1], d[:, 0]], axis=1) / np.hypot(d[:, 0], d[:, 1])[:, None]
 
     def centreline(self, samples: int) -> Centreline:
         """Dense samples with arc length, direction and curvature; for a curve in metres."""
@@ -99,6 +100,40 @@ def _basis(intervals: int, derivative: int) -> BSpline:
     knots = np.concatenate([np.zeros(DEGREE), inner, np.ones(DEGREE)])
     basis = BSpline(knots, np.eye(intervals + DEGREE), DEGREE)
     return basis.derivative(derivative) if derivative else basis
+
+
+@lru_cache(maxsize=32)
+def _pieces(intervals: int, derivative: int) -> FloatArray:
+    """(intervals, 6, C) from coefficients of splines to those of powers of the place in a piece.
+
+    The place goes from 0 to 1 in every piece; lowest power first.
+    """
+    left = np.arange(intervals) / intervals
+    powers, size = [], 1.0
+    for k in range(DEGREE + 1):
+        more = k + derivative
+        powers.append(
+            basis_matrix(intervals, left, more) / size
+            if more <= DEGREE
+            else np.zeros((intervals, intervals + DEGREE))
+        )
+        size *= (k + 1) * intervals
+    return np.stack(powers, axis=1)
+
+
+@njit(cache=True)
+def _polynomials(pieces, u, out):  # type: ignore[no-untyped-def]
+    """Values (M, 2) of polynomials `pieces` (intervals, 6, 2) at (M,) u; the end ones go on."""
+    intervals, count, _ = pieces.shape
+    for m in range(len(u)):
+        place = u[m] * intervals
+        piece = min(max(int(np.floor(place)), 0), intervals - 1)
+        place -= piece
+        for axis in range(2):
+            value = 0.0
+            for k in range(count - 1, -1, -1):
+                value = value * place + pieces[piece, k, axis]
+            out[m, axis] = value
 
 
 @lru_cache(maxsize=32)

@@ -7,6 +7,7 @@ from itertools import combinations
 
 import cv2
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from calib.plane import PlaneView
@@ -140,33 +141,47 @@ def _discs(part: Image, radius_px: float) -> FloatArray:
 
 def _disc_centre(part: Image, about: FloatArray, radius_px: float) -> FloatArray | None:
     """Centroid of a light disc about a place, or None where there is no such disc."""
-    half = int(np.ceil(1.6 * radius_px))
-    centre = np.asarray(about, dtype=np.float64)
+    centre = _centroid(part, float(about[0]), float(about[1]), radius_px)
+    return None if np.isnan(centre[0]) else np.array(centre)
+
+
+@njit(cache=True)
+def _centroid(part, column, row, radius):  # type: ignore[no-untyped-def]
+    """Column and row, nan where there is no disc: grey levels between inside and around count."""
     height, width = part.shape
+    half = int(np.ceil(1.6 * radius))
     for _ in range(2):
-        column, row = np.rint(centre).astype(int).tolist()
-        if not (half <= column < width - half and half <= row < height - half):
-            return None
-        patch = part[row - half : row + half + 1, column - half : column + half + 1]
-        o = np.arange(-half, half + 1, dtype=np.float64)
-        du, dv = o[None, :] - (centre[0] - column), o[:, None] - (centre[1] - row)
-        distance = np.sqrt(du * du + dv * dv)
-        inside = float(patch[distance < 0.5 * radius_px].mean())
-        around = float(patch[(distance > 1.25 * radius_px) & (distance < 1.55 * radius_px)].mean())
+        left, top = int(np.rint(column)), int(np.rint(row))
+        if not (half <= left < width - half and half <= top < height - half):
+            return np.nan, np.nan
+        inside, around, insiders, outsiders = 0.0, 0.0, 0, 0
+        for v in range(-half, half + 1):
+            for u in range(-half, half + 1):
+                distance = np.hypot(u - (column - left), v - (row - top)) / radius
+                if distance < 0.5:
+                    inside += part[top + v, left + u]
+                    insiders += 1
+                elif 1.25 < distance < 1.55:
+                    around += part[top + v, left + u]
+                    outsiders += 1
+        inside /= insiders
+        around /= outsiders
         if inside - around < 30.0:
-            return None
-        share = np.clip((patch - around) / (inside - around), 0.0, 1.0)
-        share[distance > 1.45 * radius_px] = 0.0
-        total = float(share.sum())
-        if not 0.7 < total / (np.pi * radius_px**2) < 1.4:
-            return None
-        centre = np.array(
-            [
-                column + float((share * o[None, :]).sum()) / total,
-                row + float((share * o[:, None]).sum()) / total,
-            ]
-        )
-    return centre
+            return np.nan, np.nan
+        total, along, down = 0.0, 0.0, 0.0
+        for v in range(-half, half + 1):
+            for u in range(-half, half + 1):
+                if np.hypot(u - (column - left), v - (row - top)) > 1.45 * radius:
+                    continue
+                share = (part[top + v, left + u] - around) / (inside - around)
+                share = min(max(share, 0.0), 1.0)
+                total += share
+                along += share * u
+                down += share * v
+        if not 0.7 < total / (np.pi * radius * radius) < 1.4:
+            return np.nan, np.nan
+        column, row = left + along / total, top + down / total
+    return column, row
 
 
 def _rigid_match(points: FloatArray, marks: JawMarks) -> JawPose | None:

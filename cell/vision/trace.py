@@ -6,6 +6,7 @@ Everything here is in pixels (column, row); `detect` puts it into the cell's pla
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -184,8 +185,7 @@ def _refined(
     contrast: float,
 ) -> Trace | None:
     """The curve again, from offsets across it, sampled at equal arc length from grip to tip."""
-    samples = np.linspace(0.0, 1.0, _SAMPLES)
-    basis = basis_matrix(_INTERVALS, samples)
+    samples, basis = _samples()
     last = tip
     for _ in range(2):
         velocity = curve.at(np.zeros(1), 1)[0]
@@ -212,3 +212,10 @@ def _refined(
         float(np.sqrt(np.mean(left**2))),
         float(np.median(amplitudes[usable]) / max(np.median(noise[usable]), 0.1)),
     )
+
+
+@lru_cache(maxsize=1)
+def _samples() -> tuple[FloatArray, FloatArray]:
+    """Where along the cable offsets are measured, 0 … 1, and the splines there."""
+    samples = np.linspace(0.0, 1.0, _SAMPLES)
+    return samples, basis_matrix(_INTERVALS, samples)

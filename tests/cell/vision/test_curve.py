@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cell.vision.curve import (
+    Curve,
     arc_lengths,
     basis_matrix,
     choose_penalty,
@@ -72,6 +73,17 @@ def test_roughness_is_the_integral_of_the_third_derivative_squared():
     assert coefficients @ roughness(4) @ coefficients == pytest.approx(
         np.trapezoid(third**2, fine), rel=1e-6
     )
+
+
+@pytest.mark.parametrize("derivative", [0, 1, 2, 5])
+@pytest.mark.parametrize("intervals", [1, 7])
+def test_points_are_those_of_the_splines_and_go_on_beyond_the_ends(intervals, derivative):
+    rng = np.random.default_rng(0)
+    curve = Curve(rng.normal(size=(intervals + 5, 2)))
+    u = np.concatenate([rng.uniform(-0.1, 1.1, 50), [0.0, 1.0 / 7.0, 1.0]])
+    expected = basis_matrix(intervals, u, derivative) @ curve.coefficients
+    found = curve.at(u, derivative)
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
 
 
 def test_the_penalty_follows_the_noise():
