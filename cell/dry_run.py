@@ -98,10 +98,13 @@ def follow(bench: Bench, leg: Leg) -> Followed | None:
         return None
     lasts_s = float(path.t_s[-1]) + arm.lag_s
     before_s = clock.now_s()
-    began_s = before_s + bench.task.still_s + AHEAD_S + AHEAD_SHARE * lasts_s
-    arm.follow(path, began_s)
     film = None
-    if leg.path is not None:
+    if leg.path is None:
+        arm.follow(path)
+        began_s = clock.now_s()
+    else:
+        began_s = before_s + bench.task.still_s + AHEAD_S + AHEAD_SHARE * lasts_s
+        arm.follow(path, began_s)
         filmed_s = began_s - clock.now_s() + lasts_s + bench.task.settle_s
         frame_count = int(np.ceil(filmed_s * camera.frame_rate_hz))
         camera.start(frame_count)

@@ -21,7 +21,6 @@ from cell.motion_file import load_motion
 from cell.records.folder import read_record
 from cell.records.result import Outcome, Result
 from cell.settings import Settings
-from cell.steps import AHEAD_S
 from cell.waiting import POLL_S
 from drivers.interfaces import Pose
 from drivers.servo import SETTLING_LAGS
@@ -83,9 +82,7 @@ def test_a_slow_dry_run_is_slower_by_as_much(
     allowed = quick.motion.lowering.velocity_m_per_s
     assert 0.3 * allowed < check(full, "hand: greatest speed") < 1.02 * allowed
     assert check(slow, "hand: greatest speed") < 0.3 * 1.02 * allowed
-    # what does not change: it is told before, and waits for the arm to rest, both times
-    told_s, lag_s = quick.motion.still_s + AHEAD_S, 0.03
-    rests_s = 2 * (told_s + SETTLING_LAGS * lag_s + POLL_S)
+    rests_s = 2 * (SETTLING_LAGS * 0.03 + POLL_S)  # twice it waits for the arm to rest
     moves_s = full.seconds["go_home"] - rests_s
     assert slow.seconds["go_home"] - rests_s == pytest.approx(moves_s / 0.3, rel=0.03)
 
