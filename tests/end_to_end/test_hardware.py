@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import json
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -24,24 +24,11 @@ def conformance(*options: object) -> tuple[int, str]:
 
 
 @pytest.fixture(scope="module")
-def config(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Settings of a cell that answers, at addresses that nobody else uses."""
+def config(light_config: Path) -> Iterator[Path]:
+    """Settings of a cell that answers."""
     pytest.importorskip("rtde_control", reason="ur-rtde has no wheel for this machine")
-    folder = tmp_path_factory.mktemp("there")
-    worker = os.getpid() % 20000
-    host = f"127.{20 + worker // 250}.{1 + worker % 250}.9"
-    text = (ROOT / "config" / "emulated.yaml").read_text(encoding="utf-8")
-    for old, new in (
-        ("host: 127.0.0.2", f"host: {host}"),
-        ("tcp://127.0.0.2:", f"tcp://{host}:"),
-        ("/tmp/cable-cell-gripper", str(folder / "gripper")),
-    ):
-        assert old in text
-        text = text.replace(old, new)
-    path = folder / "there.yaml"
-    path.write_text(text, encoding="utf-8")
-    with EmulatedCell(load_settings(path), seed=1):
-        yield path
+    with EmulatedCell(load_settings(light_config), seed=1):
+        yield light_config
 
 
 def test_arm_camera_and_gripper_of_the_settings_are_tested(config: Path) -> None:
@@ -55,6 +42,17 @@ def test_arm_camera_and_gripper_of_the_settings_are_tested(config: Path) -> None
         "camera.py",
         "gripper.py",
     }
+
+
+def test_a_dry_run_finds_arm_and_camera_in_order(config: Path, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "cell", "run", "--config", str(config), "--json"]
+    command += ["--dry-run", "--speed", "0.5", "--out", str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    result = json.loads(done.stdout) if done.stdout else {}
+    assert result.get("outcome") == "rehearsed", f"{result.get('reason')} {done.stderr}"
+    found = {check["what"]: check["found"] for check in result["checks"]}
+    assert found["camera: jaw found in"] > 0.95
+    assert found["hand: greatest speed"] == pytest.approx(0.24, abs=0.02)
 
 
 def test_a_device_that_is_not_there_is_no_pass(tmp_path: Path) -> None:
