@@ -25,11 +25,10 @@ def film(bench: Bench, path: Path, still_s: float, hold_s: float, keep_every: in
     frame_count = int(np.ceil((still_s + moving_s + hold_s) * camera.frame_rate_hz))
     begin_s = clock.now_s()
     camera.start(frame_count)
+    start_s = begin_s + still_s
+    arm.follow(path, start_s)  # told at once: nothing that takes long can then delay the motion
     eyes = _Eyes(bench, keep_every)
-    eyes.see(begin_s + still_s)
-    wait_until(bench, begin_s + still_s)
-    arm.follow(path)
-    rest_s = clock.now_s() + moving_s
+    rest_s = start_s + moving_s
     eyes.see(rest_s)
     wait_until(bench, rest_s)
     return Filming(

@@ -469,6 +469,8 @@ def main() -> int:
         default=SHIPPED_S,
         help="with the gripper outside its own trials; more on a computer that is busy otherwise",
     )
+    parser.add_argument("--attempts", type=int, default=1, help="of a trial that fails")
+    parser.add_argument("--bar-ms", type=float, default=1e3 * BAR_S, help="p99 from fault to stop")
     parser.add_argument("--keep", type=Path, help="file of results; what passed is not repeated")
     parser.add_argument("-o", "--output", type=Path, help=f"e.g. {TABLE.relative_to(ROOT)}")
     arguments = parser.parse_args()
@@ -491,6 +493,9 @@ def main() -> int:
             bench.cycle()
             for number, trial in enumerate(left, 1):
                 run_trial(bench, trial)
+                while trial.wrong and trial.attempts < arguments.attempts:
+                    print(f"         again: {'; '.join(trial.wrong)}", flush=True)
+                    run_trial(bench, trial)
                 if arguments.keep is not None:
                     done = {t.name: t.kept() for t in chosen if t.attempts}
                     arguments.keep.write_text(json.dumps(done), encoding="utf-8")
@@ -508,7 +513,7 @@ def main() -> int:
     if arguments.output is not None:
         arguments.output.write_text(table(chosen, kills), encoding="utf-8")
     reactions = [t.reaction_s for t in chosen if t.reaction_s is not None]
-    slow = bool(reactions) and percentile_ms(reactions, 99.0) > 1e3 * BAR_S
+    slow = bool(reactions) and percentile_ms(reactions, 99.0) > arguments.bar_ms
     moved = any(k.moved_on_s > STILL_S for k in kills)
     return int(any(t.wrong for t in chosen) or slow or moved)
 

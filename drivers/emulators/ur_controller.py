@@ -139,6 +139,11 @@ class Controller:
         if float(np.max(np.abs(self.joints.qd_rad_per_s))) > 1e-4:
             self.last_moved_s = time.monotonic()
 
+    def miss(self, cycles: int) -> None:
+        """Let time pass without doing anything: a controller's clock does not wait for it."""
+        self.time_s += cycles * self._step_s
+        self.note(f"{cycles} cycles missed: this computer is too busy")
+
     def _run_script(self, script: ControlScript) -> None:
         try:
             if not script.cycle(self._step_s, self.speed_fraction):

@@ -270,8 +270,11 @@ class UrServer:
                 number += 1
                 self._cycle(number)
                 next_s += CYCLE_S
-                if time.perf_counter() - next_s > _RESYNC_S:
-                    next_s = time.perf_counter() + CYCLE_S
+                behind_s = time.perf_counter() - next_s
+                if behind_s > _RESYNC_S:
+                    missed = int(behind_s / CYCLE_S)
+                    self.controller.miss(missed)
+                    next_s += missed * CYCLE_S
         finally:
             self.drop()
             self._stop_listening()

@@ -1,0 +1,33 @@
+"""A few of the fault trials: one of each device while the hand moves or holds, and two kills.
+
+All of them: `make fault-trials`.  Times are judged there, on a computer that does nothing else.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rtde_control", reason="ur-rtde has no wheel for this machine")
+
+TOOL = Path(__file__).parents[2] / "tools" / "fault_trials.py"
+
+
+def test_the_cell_stops_names_the_fault_keeps_the_cable_and_works_again() -> None:
+    worker = os.getpid() % 60000
+    trials = [
+        "arm: child killed in execute",
+        "camera: falls silent in lower",
+        "gripper: unplugged in hold_and_capture",
+    ]
+    command = [sys.executable, str(TOOL), "--only", *trials, "--kills", "2", "--attempts", "3"]
+    command += ["--patience-s", "0.5", "--bar-ms", "1000"]
+    command += ["--host", f"127.{120 + worker // 250 % 100}.{1 + worker % 250}.10"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=500, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "3 of 3 trials passed" in done.stdout
+    assert "2 kills" in done.stdout
