@@ -210,13 +210,13 @@ def real_devices(settings: Settings) -> Devices:
 
 
 def _real_camera(settings: Settings, clock: RealClock) -> Camera:
-    values = settings.camera.model_dump(exclude={"kind", "view", "latency_s"})
+    values = settings.camera.model_dump(exclude={"kind", "view", "latency_s", "lost_after_s"})
     match settings.camera:
         case given.OpenCvCamera() as camera:
-            capture = CaptureOptions(latency_s=camera.latency_s)
+            capture = CaptureOptions(camera.latency_s, lost_after_s=camera.lost_after_s)
             return OpenCvCamera(OpenCvOptions(**values, capture=capture), clock)
         case given.GenicamCamera() as camera:
-            capture = CaptureOptions(latency_s=camera.latency_s)
+            capture = CaptureOptions(camera.latency_s, lost_after_s=camera.lost_after_s)
             return GenicamCamera(GenicamOptions(**values, capture=capture), clock)
         case given.FilesCamera() as camera:
             return FilesCamera(camera.folder, camera.frame_rate_hz, clock)

@@ -1,4 +1,4 @@
-"""Looks at arm and gripper while the steps of a cycle do their work, and stops the arm at a fault.
+"""Looks at all devices while the steps of a cycle do their work, and stops the arm at a fault.
 
 A step looks at a device when it needs it; what happens in between would be noticed too late.
 """
@@ -6,6 +6,7 @@ A step looks at a device when it needs it; what happens in between would be noti
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
 
 from cell.bench import Bench
@@ -14,7 +15,9 @@ from drivers.interfaces import DeviceError, GripError
 
 #: Time between two looks, s.  With the two answers that a gripper's driver waits for, 40 ms each,
 #: a fault must be noticed within 100 ms.
-ARM_EVERY_S, GRIPPER_EVERY_S = 0.01, 0.015
+ARM_EVERY_S, CAMERA_EVERY_S, GRIPPER_EVERY_S = 0.01, 0.015, 0.015
+#: Later than that is a computer that was busy with something else.
+OVERSLEPT_S = 0.02
 
 
 class Watch:
@@ -27,7 +30,11 @@ class Watch:
         self.holding = False
         self._bench = bench
         self._over = threading.Event()
-        looks = ((self._look_at_arm, ARM_EVERY_S), (self._look_at_gripper, GRIPPER_EVERY_S))
+        looks = (
+            (self._look_at_arm, ARM_EVERY_S),
+            (bench.devices.camera.check, CAMERA_EVERY_S),
+            (self._look_at_gripper, GRIPPER_EVERY_S),
+        )
         self._threads = [
             threading.Thread(target=self._run, args=a, name="watch", daemon=True) for a in looks
         ]
@@ -49,7 +56,14 @@ class Watch:
                 thread.join()
 
     def _run(self, look: Callable[[], None], every_s: float) -> None:
+        overslept = False
+        asleep_s = time.monotonic()
         while not self._over.wait(every_s):
+            slept_s, asleep_s = time.monotonic() - asleep_s, time.monotonic()
+            # to a process that was not run the others seem silent: they get the time of one look
+            overslept = not overslept and slept_s > every_s + OVERSLEPT_S
+            if overslept:
+                continue
             try:
                 look()
             except DeviceError as error:

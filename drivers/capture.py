@@ -99,13 +99,15 @@ class StreamingCamera:
         if stream is not None:
             stream.quit(wait_s=1.0)
 
+    def check(self) -> None:
+        """Raises DeviceLostError: no pictures come."""
+        self._connected_stream().check()
+
     def start(self, frame_count: int) -> None:
         """Raises CameraError: fewer than one frame; DeviceLostError: no pictures come."""
         if frame_count < 1:
             raise CameraError(self.name, f"{frame_count} frames asked for, at least 1 is needed")
-        if self._stream is None:
-            raise DeviceLostError(self.name, "not connected", "connect first")
-        self._stream.start(frame_count)
+        self._connected_stream().start(frame_count)
 
     def read(self) -> Frame | None:
         """Next picture.  Raises CameraError: missing, frozen, slow, late, not read in time;
@@ -117,6 +119,11 @@ class StreamingCamera:
         """End a recording early."""
         if self._stream is not None:
             self._stream.stop()
+
+    def _connected_stream(self) -> _Stream:
+        if self._stream is None:
+            raise DeviceLostError(self.name, "not connected", "connect first")
+        return self._stream
 
 
 class _Stream:
@@ -206,6 +213,10 @@ class _Stream:
                 if left_s <= 0.0:
                     raise self._not_settled(measured_hz)
                 self._changed.wait(left_s)
+
+    def check(self) -> None:
+        with self._changed:
+            self._check_alive()
 
     def start(self, frame_count: int) -> None:
         with self._changed:

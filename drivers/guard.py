@@ -299,6 +299,10 @@ class GuardedCamera:
         """Release the camera."""
         self._camera.close()
 
+    def check(self) -> None:
+        """Raises DeviceLostError."""
+        self._camera.check()
+
     def start(self, frame_count: int) -> None:
         """Raises LimitError: fewer than one frame; else as the camera."""
         if frame_count < 1:

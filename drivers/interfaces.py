@@ -263,6 +263,10 @@ class Camera(Protocol):
         """Release the camera; safe to call twice."""
         ...
 
+    def check(self) -> None:
+        """Whether pictures could be had now; from any thread.  Raises DeviceLostError."""
+        ...
+
     def start(self, frame_count: int) -> None:
         """Begin to record `frame_count` frames from now on and return at once."""
         ...

@@ -36,6 +36,7 @@ from cell.records.result import Outcome, Result
 from cell.settings import Settings, load_settings
 from drivers.emulators.camera import StreamFaults
 from drivers.emulators.robotiq import GripperFaults
+from drivers.recording import CaptureOptions
 from drivers.serial_gripper import SerialGripperOptions
 
 ROOT = Path(__file__).parents[1]
@@ -203,12 +204,19 @@ class Bench:
         self.devices.arm.stop = timed_stop  # type: ignore[method-assign]
         self.cell: Cell = cell_with(settings, self.devices, runs, self._on_step)
 
-    def be_patient(self, reply_s: float) -> None:
-        """Change how long the gripper's driver waits for an answer."""
-        gripper = self.devices.gripper
+    def be_patient(self, silent_s: float, device: str = "") -> None:
+        """Change how long the drivers of gripper and camera wait, but not that of `device`."""
+        gripper, camera = self.devices.gripper, self.devices.camera
+        reply_s = SHIPPED_S if device == "gripper" else silent_s
         gripper._options = replace(gripper._options, reply_s=reply_s)
         if gripper._bus is not None:
             gripper._bus.serial.timeout = reply_s
+        lost_s = CaptureOptions().lost_after_s
+        if device != "camera":
+            lost_s = max(lost_s, silent_s)
+        camera._options = replace(camera._options, lost_after_s=lost_s)
+        if camera._stream is not None:
+            camera._stream._options = camera._options
 
     def cycle(self) -> Result:
         self.number += 1
@@ -248,7 +256,7 @@ def run_trial(bench: Bench, trial: Trial) -> None:
         bench.cell.close()
     bench.trial = trial
     bench.stopped_s.clear()
-    bench.be_patient(SHIPPED_S if trial.kind.device == "gripper" else bench.patience_s)
+    bench.be_patient(bench.patience_s, trial.kind.device)
     result = bench.cycle()
     if result.outcome is not Outcome.FAILED:
         result = bench.cycle()
@@ -380,6 +388,7 @@ def light_settings(folder: Path, host: str, reply_s: float) -> Path:
         "origin_column_px": 500,
         "origin_row_px": 75,
     }
+    content["camera"].pop("lost_after_s")
     content["gripper"].update(port=str(folder / "gripper"), reply_s=reply_s)
     content["motion"].update(calm_s=0.1, hold_s=0.5, decide_s=0.5, settle_s=0.1)
     content["motion"]["offsets"]["step_m"] = 0.004
@@ -467,7 +476,7 @@ def main() -> int:
         "--patience-s",
         type=float,
         default=SHIPPED_S,
-        help="with the gripper outside its own trials; more on a computer that is busy otherwise",
+        help="with gripper and camera outside their own trials; more on a busy computer",
     )
     parser.add_argument("--attempts", type=int, default=1, help="of a trial that fails")
     parser.add_argument("--bar-ms", type=float, default=1e3 * BAR_S, help="p99 from fault to stop")

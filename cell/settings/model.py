@@ -202,6 +202,8 @@ class SimulatedCamera(_Camera):
 class _RealCamera(_Camera):
     latency_s: Annotated[float, Field(ge=0.0, le=0.5)] = 0.0
     """From the middle of an exposure to the arrival of its picture, at best; measured."""
+    lost_after_s: Annotated[float, Field(ge=0.01, le=5.0)] = 0.07
+    """Silence that counts as a lost camera, and stops the arm."""
 
 
 class OpenCvCamera(_RealCamera):

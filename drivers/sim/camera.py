@@ -90,6 +90,10 @@ class SimCamera:
         self.stop()
         self._connected = False
 
+    def check(self) -> None:
+        """Raises DeviceLostError."""
+        self._check_alive(self._clock.now_s())
+
     def start(self, frame_count: int) -> None:
         """Raises CameraError: fewer than one frame; DeviceLostError."""
         self._check_alive(self._clock.now_s())

@@ -27,6 +27,17 @@ class Arm:
         self.stopped.append(reason)
 
 
+class Camera:
+    name = "camera"
+
+    def __init__(self) -> None:
+        self.lost = False
+
+    def check(self) -> None:
+        if self.lost:
+            raise DeviceLostError("camera", "dark", "look")
+
+
 class Gripper:
     name = "gripper"
 
@@ -41,9 +52,13 @@ class Gripper:
 
 @pytest.fixture
 def it():
-    arm, gripper, commands = Arm(), Gripper(), Commands()
-    bench = SimpleNamespace(devices=SimpleNamespace(arm=arm, gripper=gripper), commands=commands)
-    it = SimpleNamespace(arm=arm, gripper=gripper, commands=commands, watch=Watch(bench))
+    arm, gripper, camera, commands = Arm(), Gripper(), Camera(), Commands()
+    bench = SimpleNamespace(
+        devices=SimpleNamespace(arm=arm, gripper=gripper, camera=camera), commands=commands
+    )
+    it = SimpleNamespace(
+        arm=arm, gripper=gripper, camera=camera, commands=commands, watch=Watch(bench)
+    )
     it.watch.begin()
     it.watch.holding = True
     yield it
@@ -76,6 +91,11 @@ def test_an_arm_that_is_stopped_or_lost_ends_the_cycle(it) -> None:
 def test_a_lost_gripper_stops_the_arm(it) -> None:
     it.gripper.lost = True
     assert (failure(it).device, it.arm.stopped) == ("gripper", ["unplugged"])
+
+
+def test_a_lost_camera_stops_the_arm(it) -> None:
+    it.camera.lost = True
+    assert (failure(it).device, it.arm.stopped) == ("camera", ["dark"])
 
 
 def test_a_lost_cable_is_missed_only_where_one_has_to_be(it) -> None:

@@ -68,6 +68,22 @@ def test_refuses_to_record_nothing(bench, count) -> None:
         bench.camera.start(count)
 
 
+def test_can_be_checked_while_it_is_connected_recording_or_not(bench) -> None:
+    bench.camera.check()
+    bench.camera.start(5)
+    bench.camera.check()
+    bench.camera.stop()
+
+
+def test_a_camera_that_is_lost_fails_its_check(bench) -> None:
+    if bench.lose is None:
+        pytest.skip("this bench cannot make its camera fall silent")
+    bench.lose()
+    bench.clock.sleep_s(0.6)
+    with pytest.raises(DeviceLostError):
+        bench.camera.check()
+
+
 def test_closing_may_be_repeated_and_undone(bench) -> None:
     bench.camera.start(5)
     bench.camera.close()
