@@ -100,7 +100,7 @@ class StreamingCamera:
             stream.quit(wait_s=1.0)
 
     def check(self) -> None:
-        """Raises DeviceLostError: no pictures come."""
+        """Raises DeviceLostError: no pictures come; CameraError: what is recorded is unusable."""
         self._connected_stream().check()
 
     def start(self, frame_count: int) -> None:
@@ -217,6 +217,8 @@ class _Stream:
     def check(self) -> None:
         with self._changed:
             self._check_alive()
+            if self._recording is not None and self._recording.error is not None:
+                raise self._recording.error
 
     def start(self, frame_count: int) -> None:
         with self._changed:

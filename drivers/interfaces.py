@@ -264,7 +264,10 @@ class Camera(Protocol):
         ...
 
     def check(self) -> None:
-        """Whether pictures could be had now; from any thread.  Raises DeviceLostError."""
+        """Whether pictures could be had now; from any thread.
+
+        Raises DeviceLostError; CameraError (one of the recording under way is missing or unusable).
+        """
         ...
 
     def start(self, frame_count: int) -> None:

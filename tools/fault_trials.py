@@ -202,6 +202,14 @@ class Bench:
             stop(reason)
 
         self.devices.arm.stop = timed_stop  # type: ignore[method-assign]
+        self.filmed_s = 0.0
+        start = self.devices.camera.start
+
+        def timed_start(frame_count: int) -> None:
+            self.filmed_s = time.monotonic()
+            start(frame_count)
+
+        self.devices.camera.start = timed_start  # type: ignore[method-assign]
         self.cell: Cell = cell_with(settings, self.devices, runs, self._on_step)
 
     def be_patient(self, silent_s: float, device: str = "") -> None:
@@ -296,6 +304,8 @@ def judge(bench: Bench, trial: Trial, result: Result) -> None:
         trial.wrong.append("the record does not say so")
     # a device that fails while nobody needs it is noticed when it is needed
     needed_s = max(trial.given_s, bench.began_s.get(fault.step, 0.0))
+    if trial.kind.fault == "freezes" and trial.kind.device == "camera":
+        needed_s = max(needed_s, bench.filmed_s)  # nobody compares pictures that are not recorded
     after = [t for t in bench.stopped_s if t >= trial.given_s]
     if not after:
         trial.wrong.append("the arm was not stopped")

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import queue
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -221,6 +222,19 @@ def test_another_size_of_picture_is_an_error(make) -> None:
     bench.camera.read()
     with pytest.raises(CameraError, match="4 × 4 pixels, the one before 6 × 8"):
         bench.camera.read()
+
+
+def test_a_check_sees_what_the_reader_has_not_come_to_yet(make) -> None:
+    bench = make()
+    bench.connect()
+    bench.camera.start(5)
+    bench.put(first_s(bench))
+    bench.camera.check()
+    bench.put(first_s(bench) + 3.0 * PERIOD_S)
+    until_s = time.monotonic() + 2.0
+    with pytest.raises(CameraError, match="2 pictures missing"):
+        while time.monotonic() < until_s:
+            bench.camera.check()
 
 
 def test_silence_is_a_lost_camera_until_it_is_connected_again(make) -> None:
