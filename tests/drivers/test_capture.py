@@ -225,12 +225,13 @@ def test_another_size_of_picture_is_an_error(make) -> None:
 
 
 def test_a_check_sees_what_the_reader_has_not_come_to_yet(make) -> None:
-    bench = make()
+    bench = make(latency_s=0.010)
     bench.connect()
     bench.camera.start(5)
-    bench.put(first_s(bench))
+    exposed_s = first_s(bench)
+    bench.put(exposed_s)
     bench.camera.check()
-    bench.put(first_s(bench) + 3.0 * PERIOD_S)
+    bench.put(exposed_s + 3.0 * PERIOD_S)
     until_s = time.monotonic() + 2.0
     with pytest.raises(CameraError, match="2 pictures missing"):
         while time.monotonic() < until_s:
