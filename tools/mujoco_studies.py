@@ -1,0 +1,456 @@
+"""Studies made by MuJoCo: the lab against physics that none of the project's own code computes.
+
+The cable is a chain of 50 rigid links with springs and dampers between them.  The hand's
+acceleration enters as gravity and its velocity as wind, which is exact as long as it does not turn.
+Prints which effect the lab finds in a study of each.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from dataclasses import dataclass, field, replace
+from itertools import permutations
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import yaml
+from scipy.interpolate import CubicSpline
+
+LENGTH_M, DENSITY_KG_PER_M, WIDTH_M, THICKNESS_M = 0.1, 0.0074, 0.016, 0.0001
+GRAVITY_M_PER_S2 = 9.81
+AIR_KG_PER_M3 = 1.2
+LINKS = 50
+#: MuJoCo integrates to first order: two steps, extrapolated.
+STEP_S = 2e-4
+STILL_S, HOLD_S, GRIP_S, FRAME_S = 0.2, 0.9, 0.002, 0.005
+#: Times at which the chain is kept, between which it is interpolated.
+KEPT_S = 0.002
+MARKERS = 11
+#: Stiff enough that a joint rests while the moment is below its friction loss.
+FRICTION = 'solreffriction="-1 -20000" solimpfriction="0.9999 0.9999 0.001"'
+IMAGE_CENTRE_M = np.array([-0.05, -0.03])
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """From rest, clamp at `angle_rad`, by `way_m` in `seconds`, then held."""
+
+    name: str
+    role: str
+    angle_rad: float
+    way_m: tuple[float, float]
+    seconds: float
+
+
+STROKES = (
+    Stroke("identify", "fit", 0.0, (0.0, -0.05), 0.30),
+    Stroke("probe_up", "fit", -0.9, (0.0, -0.05), 0.30),
+    Stroke("probe_left", "fit", 0.0, (-0.06, 0.0), 0.28),
+    Stroke("deep", "validate", 0.0, (0.0, -0.08), 0.35),
+    Stroke("aslant", "validate", 0.3, (-0.05, -0.03), 0.30),
+    Stroke("raised", "validate", -0.5, (-0.05, 0.0), 0.25),
+)
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """What is true of a cable and its surroundings; everything off by default.  SI units."""
+
+    air_drag: float = 0.0
+    linear_air_drag: float = 0.0
+    added_mass: float = 0.0
+    draught: tuple[float, float] = (0.0, 0.0)
+    stress_relaxation: tuple[float, float] = (0.0, 0.15)
+    bending_hysteresis: tuple[float, float] = (0.0, 1.2)
+    dry_friction: float = 0.0
+    natural_curvature: tuple[float, float] = (0.0, 0.0)
+    tip_mass: float = 0.0
+    mid_mass: float = 0.0
+    grip_angle: float = 0.0
+    grip_compliance: float = 0.0
+    grip_slip: float = 0.0
+    camera_latency: float = 0.0
+    robot_lag: float = 0.0
+    robot_ringing: tuple[float, float, float] = (0.0, 12.0, 0.05)
+    camera_scale: float = 1.0
+    camera_roll: float = 0.0
+    rolling_shutter: float = 0.0
+
+
+@dataclass(frozen=True)
+class Specimen:
+    """A cable: EI at link joints is `rigidity·(1 + wave)`, viscosity C."""
+
+    rigidity_n_m2: float = 2.5e-5
+    wave: float = 0.15
+    phase: float = 0.3
+    viscosity_n_m2_s: float = 1e-7
+    hidden: Hidden = field(default_factory=Hidden)
+
+    def rigidity(self, share: np.ndarray) -> np.ndarray:
+        """EI at shares of the free length."""
+        along = 1.0 + self.wave * np.sin(2.0 * np.pi * (0.7 * share + self.phase))
+        return self.rigidity_n_m2 * along
+
+
+#: One of each that MuJoCo can make, at the size of a practice study; names as in the library.
+CASES: dict[str, Hidden] = {
+    "none": Hidden(),
+    "air_drag": Hidden(air_drag=2.0),
+    "linear_air_drag": Hidden(linear_air_drag=0.005),
+    "added_mass": Hidden(added_mass=3e-4),
+    "draught": Hidden(air_drag=2.0, draught=(0.15, 0.1)),
+    "stress_relaxation": Hidden(stress_relaxation=(0.15, 0.16)),
+    "bending_hysteresis": Hidden(bending_hysteresis=(4e-6, 1.2)),
+    "dry_friction": Hidden(dry_friction=4e-6),
+    "natural_curvature": Hidden(natural_curvature=(0.6, 5.0)),
+    "tip_mass": Hidden(tip_mass=3e-5),
+    "mid_mass": Hidden(mid_mass=1e-4),
+    "grip_angle": Hidden(grip_angle=0.03),
+    "grip_compliance": Hidden(grip_compliance=120.0),
+    "grip_slip": Hidden(grip_slip=0.001),
+    "camera_latency": Hidden(camera_latency=0.005),
+    "robot_lag": Hidden(robot_lag=0.008),
+    "robot_ringing": Hidden(robot_ringing=(4e-4, 12.0, 0.05)),
+    "camera_scale": Hidden(camera_scale=1.01),
+    "camera_roll": Hidden(camera_roll=0.015),
+    "rolling_shutter": Hidden(rolling_shutter=0.06),
+}
+
+
+class Chain:
+    """MuJoCo's chain of one specimen, clamped at an angle in the frame of the hand."""
+
+    def __init__(self, specimen: Specimen, angle_rad: float, step_s: float, links: int) -> None:
+        hidden = specimen.hidden
+        self.hidden, self.step_s = hidden, step_s
+        self.length_m = LENGTH_M + hidden.grip_slip
+        self.angle_rad = angle_rad + hidden.grip_angle
+        link = self.length_m / links
+        self.soft = hidden.grip_compliance > 0.0
+        # A stub of half a link is clamped; joints are half-way between the nodes, as the last
+        # half link.  A soft grip lets the stub turn.
+        self.size_m = np.array([link / 2] * self.soft + [link] * (links - 1) + [link / 2])
+        self.joint_m = np.array([0.0] * self.soft + [(i + 0.5) * link for i in range(links)])
+        stiffness = specimen.rigidity(self.joint_m / self.length_m) / link
+        damping = np.full(len(stiffness), specimen.viscosity_n_m2_s / link)
+        if self.soft:
+            stiffness[0] = 1.0 / hidden.grip_compliance
+            damping[0] = 0.01 * stiffness[0]
+        curvature, gradient = hidden.natural_curvature
+        rest = (curvature + gradient * (self.joint_m - LENGTH_M / 2)) * link
+        rest[: int(self.soft)] = 0.0
+        self.bends = np.arange(len(self.joint_m)) >= int(self.soft)
+        self.link_m, self.stiffness, self.rest = link, stiffness, rest
+        self.mass_kg = DENSITY_KG_PER_M * self.size_m
+        self.model = mujoco.MjModel.from_xml_string(self._xml(damping))
+        self.data = mujoco.MjData(self.model)
+        self.flow = np.zeros(len(stiffness))
+        self.friction = np.zeros(len(stiffness))
+
+    def _xml(self, damping: np.ndarray) -> str:
+        hidden, opened = self.hidden, ""
+        weight = 1.0 + hidden.added_mass / DENSITY_KG_PER_M
+        places = np.concatenate([[self.joint_m[0]], np.diff(self.joint_m)])
+        middle = int(np.searchsorted(self.joint_m, 0.5 * self.length_m))
+        for i, (place, size) in enumerate(zip(places, self.size_m, strict=True)):
+            loss = hidden.dry_friction if self.bends[i] else 0.0
+            opened += (
+                f'<body pos="{-place} 0 0"><joint type="hinge" axis="0 -1 0" '
+                f'stiffness="{self.stiffness[i]}" damping="{damping[i]}" '
+                f'springref="{self.rest[i]}" frictionloss="{loss}" {FRICTION}/>'
+                f'<geom type="box" size="{size / 2} {WIDTH_M / 2} {THICKNESS_M / 2}" '
+                f'pos="{-size / 2} 0 0" mass="{self.mass_kg[i] * weight}"/>'
+            )
+            if hidden.mid_mass and i == middle:
+                opened += f'<geom type="sphere" size="1e-4" mass="{hidden.mid_mass}"/>'
+        if hidden.tip_mass:
+            end = -self.size_m[-1]
+            opened += (
+                f'<body pos="{end} 0 0"><geom type="sphere" size="1e-4" '
+                f'mass="{hidden.tip_mass}"/></body>'
+            )
+        half = self.angle_rad / 2
+        # The inertia-box fluid of MuJoCo has a drag coefficient of 1.
+        return (
+            f'<mujoco><compiler angle="radian"/>'
+            f'<option integrator="implicitfast" timestep="{self.step_s}" '
+            f'density="{AIR_KG_PER_M3 * hidden.air_drag}" viscosity="0">'
+            f'<flag contact="disable"/></option>'
+            f'<worldbody><body quat="{np.cos(half)} 0 {-np.sin(half)} 0">'
+            f"{opened}{'</body>' * len(places)}</body></worldbody></mujoco>"
+        )
+
+    def surroundings(self, velocity: np.ndarray, acceleration: np.ndarray) -> None:
+        """Gravity and wind as felt in the hand's frame."""
+        option, wind = self.model.opt, self.hidden.draught
+        option.gravity[:] = (-acceleration[0], 0.0, -GRAVITY_M_PER_S2 - acceleration[1])
+        option.wind[:] = (wind[0] - velocity[0], 0.0, wind[1] - velocity[1])
+
+    def apply(self, hand_velocity: np.ndarray) -> None:
+        """Forces of which MuJoCo has none of its own: memory in bending, linear drag, weight."""
+        hidden, data = self.hidden, self.data
+        data.qfrc_applied[:] = 0.0
+        curvature, rate = data.qpos / self.link_m, data.qvel / self.link_m
+        fraction, time_s = hidden.stress_relaxation
+        if fraction:
+            lag = curvature - self.flow
+            data.qfrc_applied[:] -= fraction * self.stiffness * self.link_m * lag
+            self.flow += self.step_s * lag / time_s
+        moment, scale = hidden.bending_hysteresis
+        if moment:
+            data.qfrc_applied[:] -= moment * self.friction
+            self.friction += self.step_s * (rate - self.friction * np.abs(rate)) / scale
+        if hidden.linear_air_drag or hidden.added_mass:
+            force = np.zeros((len(self.size_m), 2))
+            if hidden.linear_air_drag:
+                angle = self.angle_rad + np.cumsum(data.qpos)
+                spin = np.cumsum(data.qvel)
+                normal = np.stack([np.sin(angle), -np.cos(angle)], axis=1)
+                ends = np.cumsum((spin * self._spans())[:, None] * normal, axis=0)
+                start = np.vstack([np.zeros(2), ends[:-1]])
+                speed = start + (0.5 * spin * self.size_m)[:, None] * normal + hand_velocity
+                across = np.sum(speed * normal, axis=1) * hidden.linear_air_drag * self.size_m
+                force -= across[:, None] * normal
+            force[:, 1] += hidden.added_mass * self.size_m * GRAVITY_M_PER_S2
+            first = self.model.nbody - len(self.size_m) - bool(hidden.tip_mass)
+            data.xfrc_applied[first : first + len(self.size_m), 0] = force[:, 0]
+            data.xfrc_applied[first : first + len(self.size_m), 2] = force[:, 1]
+
+    def _spans(self) -> np.ndarray:
+        return np.append(np.diff(self.joint_m), self.size_m[-1])
+
+    def settle(self) -> None:
+        """Equilibrium by Newton's method on MuJoCo's own forces, from the straight cable."""
+        data, model, nv = self.data, self.model, self.model.nv
+        self.surroundings(np.zeros(2), np.zeros(2))
+        still = replace(self.hidden, stress_relaxation=(0.0, 1.0), bending_hysteresis=(0.0, 1.0))
+        full, self.hidden = self.hidden, replace(still, linear_air_drag=0.0)
+
+        def force(q: np.ndarray) -> np.ndarray:
+            data.qpos[:], data.qvel[:] = q, 0.0
+            self.apply(np.zeros(2))
+            mujoco.mj_forward(model, data)
+            weight = np.zeros(nv)
+            for i in np.flatnonzero(data.xfrc_applied.any(axis=1)):
+                mujoco.mj_applyFT(
+                    model, data, data.xfrc_applied[i, :3], np.zeros(3), data.xipos[i], i, weight
+                )
+            return np.asarray(data.qfrc_passive - data.qfrc_bias + weight)
+
+        q = self.rest.copy()
+        for share in (0.25, 0.5, 0.75, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0):
+            here = force(q)
+            nudge = 1e-6
+            slope = np.stack([(force(q + nudge * row) - here) / nudge for row in np.eye(nv)], 1)
+            q = q - share * np.linalg.solve(slope, here)
+        if np.abs(force(q)).max() > 1e-9 * float(np.abs(self.stiffness).max()):
+            raise RuntimeError("the chain does not settle")
+        self.hidden = full
+        data.qpos[:], data.qvel[:] = q, 0.0
+        self.flow[:] = q / self.link_m
+
+    def swing(self, hand: Hand, end_s: float) -> tuple[np.ndarray, np.ndarray]:
+        """Times and joint angles (times, joints) from rest until `end_s`."""
+        self.settle()
+        every = round(KEPT_S / self.step_s)
+        steps = every * round(end_s / KEPT_S)
+        edges = self.step_s * np.arange(steps + 1)
+        velocity = hand.velocity(0.5 * (edges[1:] + edges[:-1]))
+        # mean acceleration over each step, so that the hand ends where it should
+        acceleration = np.diff(hand.velocity(edges), axis=0) / self.step_s
+        kept = [self.data.qpos.copy()]
+        for k in range(steps):
+            self.surroundings(velocity[k], acceleration[k])
+            self.apply(velocity[k])
+            mujoco.mj_step(self.model, self.data)
+            if (k + 1) % every == 0:
+                kept.append(self.data.qpos.copy())
+        return KEPT_S * np.arange(len(kept)), np.array(kept)
+
+    def points(self, angles: np.ndarray, share: np.ndarray) -> np.ndarray:
+        """(times, markers, 2) points at shares of the cable, from the gripping point, m."""
+        tangent = self.angle_rad + np.cumsum(angles, axis=1)
+        turn = tangent[:, 0] if self.soft else np.full(len(angles), self.angle_rad)
+        inner = tangent[:, int(self.soft) :]
+        centre = self.joint_m[int(self.soft) :] + 0.5 * self.size_m[int(self.soft) :]
+        knots = np.concatenate([[0.0], centre, [self.length_m]])
+        values = np.concatenate([turn[:, None], inner, inner[:, -1:]], axis=1)
+        fine = np.linspace(0.0, self.length_m, 20 * (MARKERS - 1) + 1)
+        angle = CubicSpline(knots, values, axis=1)(fine)
+        along = -np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        path = CubicSpline(fine, along, axis=1).antiderivative()
+        return np.asarray(path(share * self.length_m))
+
+
+@dataclass(frozen=True)
+class Hand:
+    """Where the hand truly is."""
+
+    stroke: Stroke
+    hidden: Hidden
+
+    def place(self, t_s: np.ndarray) -> np.ndarray:
+        """(times, 2) from its start, m."""
+        way = np.array(self.stroke.way_m)
+        u = np.clip((t_s - self.hidden.robot_lag - STILL_S) / self.stroke.seconds, 0.0, 1.0)
+        done = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
+        amplitude, frequency_hz, damping = self.hidden.robot_ringing
+        since = np.maximum(t_s - STILL_S - self.stroke.seconds, 0.0)
+        omega = 2.0 * np.pi * frequency_hz
+        ring = amplitude * np.exp(-damping * omega * since) * np.sin(omega * since)
+        return done[:, None] * way + ring[:, None] * way / np.linalg.norm(way)
+
+    def velocity(self, t_s: np.ndarray) -> np.ndarray:
+        """(times, 2), m/s."""
+        return (self.place(t_s + 1e-5) - self.place(t_s - 1e-5)) / 2e-5
+
+
+def seen(
+    specimen: Specimen, stroke: Stroke, t_s: np.ndarray, links: int = LINKS, step_s: float = STEP_S
+) -> np.ndarray:
+    """(times, markers, 2) where a perfect camera, but for hidden faults, sees the markers, m."""
+    hidden = specimen.hidden
+    hand = Hand(stroke, hidden)
+    end_s = float(t_s[-1]) + 0.03
+    chains = [Chain(specimen, stroke.angle_rad, step, links) for step in (step_s, step_s / 2)]
+    (times, coarse), (_, fine) = (c.swing(hand, end_s) for c in chains)
+    share = np.linspace(1.0, 0.0, MARKERS)
+    points = chains[0].points(2.0 * fine - coarse, share) + hand.place(times)[:, None]
+    path = CubicSpline(times, points, axis=0)
+    shown = path(np.maximum(t_s - hidden.camera_latency, 0.0))
+    if hidden.rolling_shutter:
+        for _ in range(5):
+            late = hidden.rolling_shutter * (IMAGE_CENTRE_M[1] - shown[..., 1])
+            shown = np.stack(
+                [path(np.clip(t_s + late[:, m], 0.0, times[-1]))[:, m] for m in range(MARKERS)], 1
+            )
+    c, s = np.cos(hidden.camera_roll), np.sin(hidden.camera_roll)
+    turned = (shown - IMAGE_CENTRE_M) @ np.array([[c, s], [-s, c]])
+    return np.asarray(IMAGE_CENTRE_M + hidden.camera_scale * turned)
+
+
+def write_study(
+    folder: Path,
+    specimen: Specimen,
+    *,
+    seed: int,
+    noise_m: float = 1e-4,
+    colour: float = 0.3,
+    strokes: tuple[Stroke, ...] = STROKES,
+) -> None:
+    """A study of a specimen, filmed with coloured noise, as plain text files."""
+    rng = np.random.default_rng(seed)
+    for stroke in strokes:
+        end_s = STILL_S + stroke.seconds + HOLD_S
+        t_s = np.arange(rng.uniform(0.0, FRAME_S), end_s, FRAME_S)
+        points = seen(specimen, stroke, t_s)
+        noise = rng.normal(size=points.shape)
+        for k in range(1, len(noise)):
+            noise[k] = colour * noise[k - 1] + np.sqrt(1.0 - colour**2) * noise[k]
+        logged = np.arange(0.0, end_s, GRIP_S)
+        place = Hand(stroke, Hidden()).place(logged)
+        grip = np.column_stack([logged, place, np.full(len(logged), stroke.angle_rad)])
+        (folder / stroke.name).mkdir(parents=True, exist_ok=True)
+        marks = ",".join(f"x{i}_m,y{i}_m" for i in range(MARKERS))
+        rows = np.column_stack([t_s, (points + noise_m * noise).reshape(len(t_s), -1)])
+        for name, head, values in (
+            ("grip.csv", "t_s,x_m,y_m,angle_rad", grip),
+            ("markers.csv", f"t_s,{marks}", rows),
+        ):
+            lines = [head, *(",".join(f"{v:.9g}" for v in row) for row in values)]
+            (folder / stroke.name / name).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    header = {
+        "format": "cable-study/1",
+        "name": folder.name,
+        "cable": {
+            "free_length_m": LENGTH_M,
+            "line_density_kg_per_m": DENSITY_KG_PER_M,
+            "width_m": WIDTH_M,
+            "thickness_m": THICKNESS_M,
+        },
+        "gravity_m_per_s2": [0.0, -GRAVITY_M_PER_S2],
+        "markers": {"arc_length_m": [round(float(s), 9) for s in
+                                     np.linspace(LENGTH_M, 0.0, MARKERS)]},
+        "trials": [{"name": s.name, "role": s.role, "start": "equilibrium"} for s in strokes],
+    }  # fmt: skip
+    (folder / "study.yaml").write_text(yaml.safe_dump(header, sort_keys=False), encoding="utf-8")
+
+
+def specimen(seed: int, hidden: Hidden) -> Specimen:
+    """A random cable with something hidden."""
+    rng = np.random.default_rng([seed, 4])
+    return Specimen(
+        rigidity_n_m2=float(rng.uniform(1.8e-5, 4e-5)),
+        wave=float(rng.uniform(0.05, 0.25)),
+        phase=float(rng.uniform()),
+        viscosity_n_m2_s=float(rng.uniform(6e-8, 2e-7)),
+        hidden=hidden,
+    )
+
+
+def main() -> int:
+    """Print what the lab finds in each case; the exit code tells whether all were right."""
+    from cell.lab.diagnose import diagnose
+    from cell.lab.session import choose_effects, explorer_of, open_study
+
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("cases", nargs="*", help=f"of {', '.join(CASES)}; all if none")
+    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--out", type=Path, default=Path("mujoco_studies"))
+    given = parser.parse_args()
+    wrong = 0
+    for case in given.cases or CASES:
+        for seed in range(given.first, given.first + given.seeds):
+            folder = given.out / f"{case}_{seed}"
+            rng = np.random.default_rng([seed, 5])
+            noise_m, colour = float(rng.uniform(5e-5, 2e-4)), float(rng.uniform(0.0, 0.6))
+            cable = specimen(seed, CASES[case])
+            write_study(folder, cable, seed=seed, noise_m=noise_m, colour=colour)
+            begin_s = time.perf_counter()
+            found = diagnose(explorer_of(open_study(folder), choose_effects([]))).diagnosis
+            took_s = time.perf_counter() - begin_s
+            last = found.missing[-1].errors if found.missing else found.baseline
+            named = " + ".join("|".join((f.effect, *f.tied_with)) for f in found.missing)
+            right = found.verdict in EXPECTED.get(case, ("missing",)) and matches(
+                OUTSIDE.get(case, (case,)), [{f.effect, *f.tied_with} for f in found.missing]
+            )
+            wrong += not right
+            values = ", ".join(
+                f"{n} {p.value:.4g} ({p.low:.4g} … {p.high:.4g})"
+                for f in found.missing
+                for n, p in f.parameters.items()
+            )
+            print(
+                f"{'ok   ' if right else 'WRONG'} {case:18s} {seed:2d}  {found.verdict:11s} "
+                f"{named or '–':45s} held out/noise {found.baseline.heldout_rms_m / noise_m:.3f} → "
+                f"{last.heldout_rms_m / noise_m:.3f}  noise {noise_m * 1e3:.3f} mm AR {colour:.2f}"
+                f"  {took_s:.0f} s  {values}",
+                flush=True,
+            )
+    return int(wrong > 0)
+
+
+#: What should be named, and how the verdict may read, where the case is not one effect's name.
+OUTSIDE: dict[str, tuple[str, ...]] = {
+    "none": (),
+    "draught": ("air_drag", "draught"),
+    "dry_friction": ("bending_hysteresis",),
+    "mid_mass": (),
+}
+EXPECTED: dict[str, tuple[str, ...]] = {"none": ("complete",), "mid_mass": ("unexplained",)}
+
+
+def matches(truth: tuple[str, ...], named: list[set[str]]) -> bool:
+    """Whether each true effect is in a class of its own and nothing else is named."""
+    return len(truth) == len(named) and any(
+        all(t in n for t, n in zip(order, named, strict=True)) for order in permutations(truth)
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())
