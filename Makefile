@@ -25,7 +25,7 @@ imports: $(VENV)/.dev
 	$(BIN)/lint-imports
 
 tests: $(VENV)/.dev
-	$(BIN)/pytest -n 2
+	$(BIN)/pytest -n 2 --dist loadgroup
 
 hardware: $(VENV)/.dev   ## the conformance suite on the devices of CONFIG=file; they move
 	@test -n "$(CONFIG)" || { echo "error: say which cell: make hardware CONFIG=config/line3.yaml"; exit 2; }

@@ -16,6 +16,7 @@ import pytest
 from drivers.emulators.ur_server import FAULT_PORT
 
 pytest.importorskip("rtde_control", reason="ur-rtde has no wheel for this machine")
+pytestmark = pytest.mark.xdist_group("real time")
 
 CONFIG = Path(__file__).parents[2] / "config" / "emulated.yaml"
 

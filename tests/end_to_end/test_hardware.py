@@ -23,6 +23,9 @@ def conformance(*options: object) -> tuple[int, str]:
     return done.returncode, done.stdout + done.stderr
 
 
+pytestmark = pytest.mark.xdist_group("real time")
+
+
 @pytest.fixture(scope="module")
 def config(light_config: Path) -> Iterator[Path]:
     """Settings of a cell that answers."""
