@@ -57,20 +57,20 @@ class Watch:
 
     def _run(self, look: Callable[[], None], every_s: float) -> None:
         overslept = False
-        asleep_s = time.monotonic()
+        due_s = time.monotonic() + every_s
         while not self._over.wait(every_s):
-            slept_s, asleep_s = time.monotonic() - asleep_s, time.monotonic()
+            late_s = time.monotonic() - due_s
             # to a process that was not run the others seem silent: they get the time of one look
-            overslept = not overslept and slept_s > every_s + OVERSLEPT_S
-            if overslept:
-                continue
+            overslept = not overslept and late_s > OVERSLEPT_S
             try:
-                look()
+                if not overslept:
+                    look()
             except DeviceError as error:
                 if not self._over.is_set():
                     self._bench.commands.fail(error)
                     self._bench.devices.arm.stop(error.cause)
                 return
+            due_s = time.monotonic() + every_s
 
     def _look_at_arm(self) -> None:
         check_arm(self._bench)

@@ -13,19 +13,17 @@ import argparse
 import json
 import os
 import random
-import signal
-import subprocess
-import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
+from fault_kills import STILL_S, Kill, kill_somebody
+from fault_kinds import KINDS, Kind, Victim
 
 from cell.build import cell_with, real_devices
 from cell.console import STEPS
@@ -34,112 +32,19 @@ from cell.emulated import EmulatedCell
 from cell.records.folder import read_record
 from cell.records.result import Outcome, Result
 from cell.settings import Settings, load_settings
-from drivers.emulators.camera import StreamFaults
-from drivers.emulators.robotiq import GripperFaults
 from drivers.recording import CaptureOptions
 from drivers.serial_gripper import SerialGripperOptions
 
 ROOT = Path(__file__).parents[1]
 CONFIG = ROOT / "config" / "emulated.yaml"
 TABLE = ROOT / "docs" / "fault_trials.md"
-BAR_S, STILL_S = 0.1, 0.2
+BAR_S = 0.1
 #: How long the gripper's driver waits for an answer, as shipped; in the gripper's own trials.
 SHIPPED_S = SerialGripperOptions("").reply_s
-OFF_S = 0.5  # a power cycle
 #: Steps in which a fault waits until the arm moves.
 MOVING = ("lower", "execute", "go_home")
 #: Steps at whose end a cable is held if it was at their beginning.
 HOLDING = STEPS[STEPS.index("lower") : STEPS.index("release")]
-
-Act = Callable[["Bench"], None]
-
-
-@dataclass(frozen=True)
-class Kind:
-    """A fault: how it is caused and how a person ends it."""
-
-    device: str
-    fault: str
-    cause: Act
-    repair: Act
-    at_connect: bool = False
-    drops_cable: bool = False
-
-
-def _camera(**faults: Any) -> Act:
-    return lambda bench: setattr(bench.emulated.camera, "faults", StreamFaults(**faults))
-
-
-def _gripper(**faults: Any) -> Act:
-    return lambda bench: setattr(bench.emulated.gripper, "faults", GripperFaults(**faults))
-
-
-def _arm(op: str, **arguments: Any) -> Act:
-    def act(bench: Bench) -> None:
-        bench.emulated.controller.ask(op, **arguments)
-
-    return act
-
-
-def _kill_child(bench: Bench) -> None:
-    os.kill(bench.devices.arm._child.process.pid, signal.SIGKILL)
-
-
-def _camera_off_and_on(bench: Bench) -> None:
-    _camera(refuses=True)(bench)
-    threading.Timer(OFF_S, _camera(), (bench,)).start()
-
-
-def _gripper_off_and_on(bench: Bench) -> None:
-    bench.emulated.gripper.unplug()
-    threading.Timer(OFF_S, bench.emulated.gripper.plug).start()
-
-
-def _later(bench: Bench) -> None:
-    """It comes back by itself."""
-    time.sleep(OFF_S + 0.2)
-
-
-KINDS = (
-    Kind("arm", "refuses to connect", _arm("refuse", on=True), _arm("refuse", on=False), True),
-    Kind("arm", "connection drops", _arm("drop"), lambda bench: None),
-    Kind("arm", "freezes", _arm("freeze", seconds=1e6), _arm("freeze", seconds=0.0), True),
-    Kind("arm", "answers garbage", _arm("garbage"), lambda bench: None),
-    Kind("arm", "protective stop", _arm("protective_stop"), _arm("clear"), True),
-    Kind("arm", "emergency stop", _arm("emergency_stop"), _arm("clear"), True),
-    Kind("arm", "child killed", _kill_child, lambda bench: None),
-    Kind("arm", "power cycle", _arm("power_cycle", seconds=OFF_S), _later),
-    Kind("camera", "refuses to connect", _camera(refuses=True), _camera(), True),
-    Kind("camera", "connection drops", _camera(refuses=True), _camera()),
-    Kind("camera", "falls silent", _camera(silent=True), _camera(), True),
-    Kind("camera", "freezes", _camera(frozen=True), _camera()),
-    Kind("camera", "answers garbage", _camera(garbage=True), _camera(), True),
-    Kind("camera", "power cycle", _camera_off_and_on, _later),
-    Kind(
-        "gripper",
-        "refuses to connect",
-        lambda bench: bench.emulated.gripper.unplug(),
-        lambda bench: bench.emulated.gripper.plug(),
-        True,
-    ),
-    Kind(
-        "gripper",
-        "unplugged",
-        lambda bench: bench.emulated.gripper.unplug(),
-        lambda bench: bench.emulated.gripper.plug(),
-    ),
-    Kind("gripper", "falls silent", _gripper(silent=True), _gripper(), True),
-    Kind("gripper", "answers garbage", _gripper(garbage=True), _gripper(), True),
-    Kind("gripper", "bad checksums", _gripper(bad_crc=True), _gripper(), True),
-    Kind("gripper", "power cycle", _gripper_off_and_on, _later),
-    Kind(
-        "gripper",
-        "cable lost",
-        lambda bench: bench.emulated.gripper.lay_out(False),
-        lambda bench: bench.emulated.gripper.lay_out(True),
-        drops_cable=True,
-    ),
-)
 
 
 @dataclass
@@ -190,6 +95,7 @@ class Bench:
     def __init__(self, settings: Settings, emulated: EmulatedCell, runs: Path) -> None:
         self.settings, self.emulated = settings, emulated
         self.devices = real_devices(settings)
+        self.victim = Victim(emulated, lambda: int(self.devices.arm._child.process.pid))
         self.stopped_s: list[float] = []
         self.began_s: dict[str, float] = {}
         self.trial: Trial | None = None
@@ -250,7 +156,7 @@ class Bench:
     def _give(self, trial: Trial) -> None:
         trial.held_before = self.emulated.gripper.look().held
         trial.given_s = time.monotonic()
-        trial.kind.cause(self)
+        trial.kind.cause(self.victim)
 
     def speed_m_per_s(self) -> float:
         speed = self.emulated.controller.ask("state")["speed"]
@@ -275,7 +181,7 @@ def run_trial(bench: Bench, trial: Trial) -> None:
     else:
         judge(bench, trial, result)
     bench.emulated.controller.ask("refuse", on=False)
-    trial.kind.repair(bench)
+    trial.kind.repair(bench.victim)
     time.sleep(max(0.0, STILL_S - (time.monotonic() - ended_s)))
     if result.outcome is Outcome.FAILED:
         bench.cell.acknowledge()
@@ -321,68 +227,6 @@ def judge(bench: Bench, trial: Trial, result: Result) -> None:
         trial.wrong.append("the cable was let go")
 
 
-# --- killing --------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Kill:
-    """A process that was killed, when, and how long the arm moved after that, s."""
-
-    victim: str
-    after_s: float
-    speed_m_per_s: float
-    moved_on_s: float
-
-
-def kill_somebody(
-    emulated: EmulatedCell, config: Path, runs: Path, victim: str, rng: random.Random
-) -> Kill:
-    """Run a cell as a process of its own and kill one of its processes while the arm moves."""
-    command = [sys.executable, "-m", "cell", "run", "--config", str(config), "--out", str(runs)]
-    cell = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    began_s, delay_s = time.monotonic(), rng.uniform(0.0, 0.25)
-    moves = rng.choice([1, 2, 3])  # lower, execute, go home
-    try:
-        seen, moving = 0, False
-        while seen < moves and cell.poll() is None:
-            speed = np.linalg.norm(emulated.controller.ask("state")["speed"][:3])
-            if speed > 0.02 and not moving:
-                seen += 1
-            moving = bool(speed > 0.02)
-            time.sleep(0.004)
-        time.sleep(delay_s)
-        children = _children(cell.pid)
-        state = emulated.controller.ask("state")
-        pids = [cell.pid] if victim == "cell" else children
-        pids = [*children, cell.pid] if victim == "both" else pids
-        killed_s = time.monotonic()
-        for pid in pids:
-            os.kill(pid, signal.SIGKILL)
-        time.sleep(STILL_S + 0.1)
-        moved_s = emulated.controller.ask("state")["last_moved_s"] - killed_s
-        speed = float(np.linalg.norm(state["speed"][:3]))
-        return Kill(victim, killed_s - began_s, speed, max(0.0, moved_s))
-    finally:
-        cell.kill() if victim != "child" else cell.terminate()
-        cell.wait()
-        emulated.controller.ask("clear")
-        emulated.controller.ask("home")
-
-
-def _children(pid: int) -> list[int]:
-    found = []
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdigit():
-            try:
-                stat = (entry / "stat").read_text().rsplit(")", 1)[1].split()
-                command = (entry / "cmdline").read_text()
-            except OSError:
-                continue
-            if int(stat[1]) == pid and "ur_child" in command:
-                found.append(int(entry.name))
-    return found
-
-
 # --- all of it ------------------------------------------------------------------------------------
 
 
@@ -400,7 +244,7 @@ def light_settings(folder: Path, host: str, reply_s: float) -> Path:
     }
     content["camera"].pop("lost_after_s")
     content["gripper"].update(port=str(folder / "gripper"), reply_s=reply_s)
-    content["motion"].update(calm_s=0.1, hold_s=0.5, decide_s=0.5, settle_s=0.1)
+    content["motion"].update(calm_s=0.1, still_s=0.3, hold_s=0.5, decide_s=0.5, settle_s=0.1)
     content["motion"]["offsets"]["step_m"] = 0.004
     path = folder / "light.yaml"
     path.write_text(yaml.safe_dump(content), encoding="utf-8")

@@ -1,0 +1,77 @@
+"""Processes of a running cell killed while the emulated arm moves: it has to stand at once."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from cell.emulated import EmulatedCell
+
+STILL_S = 0.2
+
+
+@dataclass(frozen=True)
+class Kill:
+    """A process that was killed, when, and how long the arm moved after that, s."""
+
+    victim: str
+    after_s: float
+    speed_m_per_s: float
+    moved_on_s: float
+
+
+def kill_somebody(
+    emulated: EmulatedCell, config: Path, runs: Path, victim: str, rng: random.Random
+) -> Kill:
+    """Run a cell as a process of its own and kill one of its processes while the arm moves."""
+    command = [sys.executable, "-m", "cell", "run", "--config", str(config), "--out", str(runs)]
+    cell = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    began_s, delay_s = time.monotonic(), rng.uniform(0.0, 0.25)
+    moves = rng.choice([1, 2, 3])  # lower, execute, go home
+    try:
+        seen, moving = 0, False
+        while seen < moves and cell.poll() is None:
+            speed = np.linalg.norm(emulated.controller.ask("state")["speed"][:3])
+            if speed > 0.02 and not moving:
+                seen += 1
+            moving = bool(speed > 0.02)
+            time.sleep(0.004)
+        time.sleep(delay_s)
+        children = _children(cell.pid)
+        state = emulated.controller.ask("state")
+        pids = [cell.pid] if victim == "cell" else children
+        pids = [*children, cell.pid] if victim == "both" else pids
+        killed_s = time.monotonic()
+        for pid in pids:
+            os.kill(pid, signal.SIGKILL)
+        time.sleep(STILL_S + 0.1)
+        moved_s = emulated.controller.ask("state")["last_moved_s"] - killed_s
+        speed = float(np.linalg.norm(state["speed"][:3]))
+        return Kill(victim, killed_s - began_s, speed, max(0.0, moved_s))
+    finally:
+        cell.kill() if victim != "child" else cell.terminate()
+        cell.wait()
+        emulated.controller.ask("clear")
+        emulated.controller.ask("home")
+
+
+def _children(pid: int) -> list[int]:
+    found = []
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit():
+            try:
+                stat = (entry / "stat").read_text().rsplit(")", 1)[1].split()
+                command = (entry / "cmdline").read_text()
+            except OSError:
+                continue
+            if int(stat[1]) == pid and "ur_child" in command:
+                found.append(int(entry.name))
+    return found

@@ -1,0 +1,116 @@
+"""The faults that the trials inject, and how a person ends them."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from cell.emulated import EmulatedCell
+from drivers.emulators.camera import StreamFaults
+from drivers.emulators.robotiq import GripperFaults
+
+OFF_S = 0.5  # a power cycle
+
+
+@dataclass(frozen=True)
+class Victim:
+    """What a fault is done to: the emulators, and the process in which the arm's client lives."""
+
+    emulated: EmulatedCell
+    child: Callable[[], int]
+
+
+Act = Callable[[Victim], None]
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A fault: how it is caused and how a person ends it."""
+
+    device: str
+    fault: str
+    cause: Act
+    repair: Act
+    at_connect: bool = False
+    drops_cable: bool = False
+
+
+def _camera(**faults: Any) -> Act:
+    return lambda victim: setattr(victim.emulated.camera, "faults", StreamFaults(**faults))
+
+
+def _gripper(**faults: Any) -> Act:
+    return lambda victim: setattr(victim.emulated.gripper, "faults", GripperFaults(**faults))
+
+
+def _arm(op: str, **arguments: Any) -> Act:
+    def act(victim: Victim) -> None:
+        victim.emulated.controller.ask(op, **arguments)
+
+    return act
+
+
+def _kill_child(victim: Victim) -> None:
+    os.kill(victim.child(), signal.SIGKILL)
+
+
+def _camera_off_and_on(victim: Victim) -> None:
+    _camera(refuses=True)(victim)
+    threading.Timer(OFF_S, _camera(), (victim,)).start()
+
+
+def _gripper_off_and_on(victim: Victim) -> None:
+    victim.emulated.gripper.unplug()
+    threading.Timer(OFF_S, victim.emulated.gripper.plug).start()
+
+
+def _later(victim: Victim) -> None:
+    """It comes back by itself."""
+    time.sleep(OFF_S + 0.2)
+
+
+KINDS = (
+    Kind("arm", "refuses to connect", _arm("refuse", on=True), _arm("refuse", on=False), True),
+    Kind("arm", "connection drops", _arm("drop"), lambda victim: None),
+    Kind("arm", "freezes", _arm("freeze", seconds=1e6), _arm("freeze", seconds=0.0), True),
+    Kind("arm", "answers garbage", _arm("garbage"), lambda victim: None),
+    Kind("arm", "protective stop", _arm("protective_stop"), _arm("clear"), True),
+    Kind("arm", "emergency stop", _arm("emergency_stop"), _arm("clear"), True),
+    Kind("arm", "child killed", _kill_child, lambda victim: None),
+    Kind("arm", "power cycle", _arm("power_cycle", seconds=OFF_S), _later),
+    Kind("camera", "refuses to connect", _camera(refuses=True), _camera(), True),
+    Kind("camera", "connection drops", _camera(refuses=True), _camera()),
+    Kind("camera", "falls silent", _camera(silent=True), _camera(), True),
+    Kind("camera", "freezes", _camera(frozen=True), _camera()),
+    Kind("camera", "answers garbage", _camera(garbage=True), _camera(), True),
+    Kind("camera", "power cycle", _camera_off_and_on, _later),
+    Kind(
+        "gripper",
+        "refuses to connect",
+        lambda victim: victim.emulated.gripper.unplug(),
+        lambda victim: victim.emulated.gripper.plug(),
+        True,
+    ),
+    Kind(
+        "gripper",
+        "unplugged",
+        lambda victim: victim.emulated.gripper.unplug(),
+        lambda victim: victim.emulated.gripper.plug(),
+    ),
+    Kind("gripper", "falls silent", _gripper(silent=True), _gripper(), True),
+    Kind("gripper", "answers garbage", _gripper(garbage=True), _gripper(), True),
+    Kind("gripper", "bad checksums", _gripper(bad_crc=True), _gripper(), True),
+    Kind("gripper", "power cycle", _gripper_off_and_on, _later),
+    Kind(
+        "gripper",
+        "cable lost",
+        lambda victim: victim.emulated.gripper.lay_out(False),
+        lambda victim: victim.emulated.gripper.lay_out(True),
+        drops_cable=True,
+    ),
+)
