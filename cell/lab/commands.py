@@ -7,6 +7,7 @@ Heavy imports wait until a command needs them, so that help is quick.
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -46,7 +47,7 @@ def fit(
     from cell.lab.results import write_json
     from cell.lab.tables import errors_line, model_table
 
-    with _refusing(), _progress() as progress:
+    with _refusing(out, as_json), _progress() as progress:
         explorer = session.explorer_of(
             session.open_study(study),
             session.choose_effects(effect or []),
@@ -75,7 +76,7 @@ def compare(
     from cell.lab.results import write_json
     from cell.lab.tables import comparison_table, follows_table
 
-    with _refusing():
+    with _refusing(as_json, report):
         chosen = session.choose_effects(effect or [])
         opened = session.open_study(study)
         individual = read_model(model, chosen.library)
@@ -108,7 +109,7 @@ def diagnose(
     from cell.lab.results import to_json, write_json
     from cell.lab.tables import ranking_table, sentence, waterfall_table
 
-    with _refusing(), _progress() as progress:
+    with _refusing(as_json, report), _progress() as progress:
         opened = session.open_study(study)
         explorer = session.explorer_of(
             opened, session.choose_effects(effect or []), session.read_prior(prior), progress
@@ -139,7 +140,7 @@ def effects(
     from cell.lab.results import write_json
     from cell.lab.tables import describe_effects, effects_table
 
-    with _refusing():
+    with _refusing(as_json):
         library = session.choose_effects(effect or []).library
         if as_json:
             write_json({"effects": describe_effects(library)}, as_json)
@@ -159,7 +160,7 @@ def discover(
     from cell.lab.results import write_json
     from cell.lab.tables import discovery_table
 
-    with _refusing(), _progress() as progress:
+    with _refusing(out, as_json), _progress() as progress:
         explorer = session.explorer_of(
             session.open_study(study),
             session.choose_effects([]),
@@ -193,7 +194,7 @@ def suggest(
     from cell.lab.surroundings import Surroundings
     from cell.lab.tables import suggestion_table
 
-    with _refusing(), _progress() as progress:
+    with _refusing(out, as_json), _progress() as progress:
         surroundings = Surroundings.read(config)
         explorer = session.explorer_of(
             session.open_study(study),
@@ -225,17 +226,31 @@ def study(
 
 
 @contextmanager
-def _refusing() -> Iterator[None]:
-    """Ends with 2 and a message, nothing written, if what was given is wrong."""
+def _refusing(*outputs: Path | None) -> Iterator[None]:
+    """Ends with 2 and a message, nothing written, if what was given is wrong.
+
+    outputs  files to be written at the end of a long computation: tried at its beginning
+    """
     from cell.cable.effects import EffectError
     from cell.lab.noise import NoiseUnknownError
     from cell.located import InputError
 
     try:
+        for output in filter(None, outputs):
+            _check_writable(output)
         yield
     except (InputError, EffectError, NoiseUnknownError, FileNotFoundError, ValueError) as error:
         print(error, file=sys.stderr)
         raise typer.Exit(BAD_INPUT) from error
+
+
+def _check_writable(path: Path) -> None:
+    """Whether a file can be written here.  Raises ValueError."""
+    if path.is_dir():
+        raise ValueError(f"{path}: is a folder; give the name of a file in it")
+    there = next(p for p in path.absolute().parents if p.exists())
+    if not (there.is_dir() and os.access(there, os.W_OK)):
+        raise ValueError(f"{path}: cannot be written, {there} is no folder that may be changed")
 
 
 @contextmanager

@@ -72,32 +72,45 @@ def edit_header(path, **cable):
     (path / "study.yaml").write_text(yaml.safe_dump(header))
 
 
-def shorten(path):
-    file = path / "identify" / "markers.csv"
-    file.write_text("\n".join(file.read_text().splitlines()[:50]) + "\n")
+def change_lines(path, change, file="markers.csv"):
+    table = path / "identify" / file
+    table.write_text("\n".join(change(table.read_text().splitlines())) + "\n")
 
 
-def repeat_a_time(path):
-    file = path / "identify" / "markers.csv"
-    lines = file.read_text().splitlines()
-    file.write_text("\n".join([*lines[:6], lines[5], *lines[6:]]) + "\n")
+def in_millimetres(lines):
+    rows = [[float(v) for v in line.split(",")] for line in lines[1:]]
+    return [
+        lines[0],
+        *(",".join(str(v * (1e3 if i else 1)) for i, v in enumerate(r)) for r in rows),
+    ]
 
 
+@pytest.mark.parametrize("command", ["fit", "compare", "diagnose", "discover", "suggest"])
 @pytest.mark.parametrize(
     ("change", "says"),
     [
         (lambda p: edit_header(p, free_length_m=100.0), "study.yaml:"),
-        (repeat_a_time, "markers.csv:7"),
-        (shorten, "markers.csv:50"),
-        (lambda p: (p / "identify" / "grip.csv").unlink(), "grip.csv"),
+        (lambda p: change_lines(p, in_millimetres), "markers.csv:2: x0_m"),
+        (lambda p: change_lines(p, lambda t: [*t[:6], t[5], *t[6:]]), "markers.csv:7: t_s"),
+        (lambda p: change_lines(p, lambda t: [*t[:6], t[7], t[6], *t[8:]]), "markers.csv:8: t_s"),
+        (
+            lambda p: change_lines(p, lambda t: [r.rsplit(",", 1)[0] for r in t]),
+            "markers.csv:1: column y10_m is missing",
+        ),
+        (lambda p: change_lines(p, lambda t: t[:50]), "markers.csv:50: t_s: ends"),
+        (lambda p: (p / "identify" / "grip.csv").unlink(), "grip.csv:1"),
     ],
 )
-def test_bad_studies_are_refused_and_nothing_is_written(folder, tmp_path, change, says):
-    out = tmp_path / "out.json"
-    done = run(app, ["diagnose", str(broken(folder, tmp_path, change)), "--json", str(out)])
+def test_bad_studies_are_refused_and_nothing_is_written(folder, tmp_path, command, change, says):
+    out = tmp_path / "out"
+    out.mkdir()
+    given = {"compare": ["--model", "none.json"], "discover": ["-o", str(out / "x.py")]}
+    given |= {"suggest": ["-o", str(out / "x.yaml")]}
+    study = str(broken(folder, tmp_path, change))
+    done = run(app, [command, study, "--json", str(out / "x.json"), *given.get(command, [])])
     assert done.exit_code == 2
     assert says in done.output
-    assert not out.exists()
+    assert list(out.iterdir()) == []
 
 
 def test_a_prior_of_another_cable_is_refused(folder, tmp_path):
@@ -125,3 +138,20 @@ def test_all_nan_markers_are_refused(folder, tmp_path):
     done = run(app, ["fit", str(broken(folder, tmp_path, blind))])
     assert done.exit_code == 2
     assert "no marker is seen" in done.output
+
+
+@pytest.mark.parametrize("option", ["-o", "--json"])
+def test_a_place_that_cannot_be_written_is_refused_before_the_work(folder, tmp_path, option):
+    (tmp_path / "file").write_text("")
+    for place, says in ((tmp_path, "is a folder"), (tmp_path / "file" / "x.json", "no folder")):
+        done = run(app, ["fit", "/no/such/study", option, str(place)])
+        assert done.exit_code == 2
+        assert says in done.output
+
+
+def test_a_config_or_effect_that_is_missing_is_named(folder, tmp_path):
+    out = tmp_path / "motion.yaml"
+    done = run(app, ["suggest", str(folder), "--config", "nowhere.yaml", "-o", str(out)])
+    assert done.exit_code == 2
+    assert "nowhere.yaml:1" in done.output
+    assert not out.exists()
