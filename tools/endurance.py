@@ -57,8 +57,8 @@ def short_settings(folder: Path, host: str, patience_s: float) -> Path:
         "origin_row_px": 75,
     }
     content["gripper"].update(port=str(folder / "gripper"), reply_s=patience_s)
-    content["motion"].update(calm_s=0.0, still_s=0.3, hold_s=0.4, decide_s=0.4, settle_s=0.05)
-    content["motion"]["offsets"]["step_m"] = 0.004
+    content["motion"].update(calm_s=0.0, still_s=0.3, hold_s=0.4, decide_s=0.3, settle_s=0.05)
+    content["motion"]["offsets"]["step_m"] = 0.002
     path = folder / "short.yaml"
     path.write_text(yaml.safe_dump(content), encoding="utf-8")
     return path

@@ -245,7 +245,7 @@ def light_settings(folder: Path, host: str, reply_s: float) -> Path:
     content["camera"].pop("lost_after_s")
     content["gripper"].update(port=str(folder / "gripper"), reply_s=reply_s)
     content["motion"].update(calm_s=0.1, still_s=0.3, hold_s=0.5, decide_s=0.5, settle_s=0.1)
-    content["motion"]["offsets"]["step_m"] = 0.004
+    content["motion"]["offsets"]["step_m"] = 0.002
     path = folder / "light.yaml"
     path.write_text(yaml.safe_dump(content), encoding="utf-8")
     return path
