@@ -8,8 +8,10 @@ goes, it ends; the controller's watchdog then stops the arm.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import pickle
+import signal
 import sys
 import time
 import traceback
@@ -56,6 +58,7 @@ _NO_LIBRARY = (
     "built from source elsewhere"
 )
 _SETTING_UP_S, _CYCLING_S = 0.5, 0.03  # longest that ur-rtde may spin
+_FAREWELL_S = 2
 
 
 @dataclass(frozen=True)
@@ -236,7 +239,8 @@ class _Child:
         self.rest()
 
     def rest(self) -> None:
-        """Stop the arm and end the program."""
+        """Stop the arm and end the program, or end this process where ur-rtde hangs instead."""
+        signal.alarm(_FAREWELL_S)
         bound_spinning(_SETTING_UP_S)
         self._end_motion()
         self._robot.control.stopScript()
@@ -396,7 +400,8 @@ def main() -> None:
     try:
         child.run()
     except _LostError as lost:
-        connection.send(("lost", str(lost)))
+        with contextlib.suppress(OSError):  # the parent has gone too
+            connection.send(("lost", str(lost)))
     except (EOFError, OSError):  # the parent has gone
         child.rest()
     except Exception:

@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path as FilePath
 
 import numpy as np
 import pytest
@@ -137,6 +138,31 @@ def test_the_death_of_the_cell_leaves_the_arm_stopped(ur_options, ur_emulator, t
     state = ur_emulator.ask("state")
     assert state["last_moved_s"] - killed_s < 0.2
     assert state["runtime"] == "STOPPED"
+
+
+@pytest.mark.parametrize("also", ["drop", "freeze"])
+def test_the_child_outlives_neither_cell_nor_controller(
+    ur_options, ur_emulator, tmp_path, also
+) -> None:
+    program = tmp_path / "cell.py"
+    program.write_text(
+        "import pickle, sys, time\n"
+        "from drivers.ur import UrArm\n"
+        "arm = UrArm(pickle.loads(bytes.fromhex(sys.argv[1])))\n"
+        "arm.connect()\n"
+        "print(arm._child.process.pid, flush=True)\n"
+        "time.sleep(60)\n"
+    )
+    cell = subprocess.Popen(
+        [sys.executable, str(program), pickle.dumps(ur_options).hex()],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    with cell:
+        child = int(cell.stdout.readline())
+        cell.kill()
+    ur_emulator.ask(also, **({"seconds": 8.0} if also == "freeze" else {}))
+    until(lambda: not FilePath(f"/proc/{child}").exists(), 6.0)
 
 
 def test_a_stop_reaches_the_controller_soon(arm, ur_emulator, line) -> None:
