@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import random
 import signal
@@ -51,7 +52,8 @@ def kill_somebody(
         pids = [*children, cell.pid] if victim == "both" else pids
         killed_s = time.monotonic()
         for pid in pids:
-            os.kill(pid, signal.SIGKILL)
+            with contextlib.suppress(ProcessLookupError):  # it had come to its end
+                os.kill(pid, signal.SIGKILL)
         time.sleep(STILL_S + 0.1)
         moved_s = emulated.controller.ask("state")["last_moved_s"] - killed_s
         speed = float(np.linalg.norm(state["speed"][:3]))
@@ -59,8 +61,6 @@ def kill_somebody(
     finally:
         cell.kill() if victim != "child" else cell.terminate()
         cell.wait()
-        emulated.controller.ask("clear")
-        emulated.controller.ask("home")
 
 
 def _children(pid: int) -> list[int]:

@@ -29,6 +29,7 @@ from cell.build import cell_with, real_devices
 from cell.console import STEPS
 from cell.cycle import Cell
 from cell.emulated import EmulatedCell
+from cell.machine import Event
 from cell.records.folder import read_record
 from cell.records.result import Outcome, Result
 from cell.settings import Settings, load_settings
@@ -135,6 +136,8 @@ class Bench:
     def cycle(self) -> Result:
         self.number += 1
         self.began_s = {}
+        if not self.cell.machine.can(Event.RESET):
+            self.cell.acknowledge()
         return self.cell.run_cycle(self.number)
 
     def _on_step(self, number: int, step: str) -> None:
@@ -183,15 +186,11 @@ def run_trial(bench: Bench, trial: Trial) -> None:
     bench.emulated.controller.ask("refuse", on=False)
     trial.kind.repair(bench.victim)
     time.sleep(max(0.0, STILL_S - (time.monotonic() - ended_s)))
-    if result.outcome is Outcome.FAILED:
-        bench.cell.acknowledge()
     bench.be_patient(bench.patience_s)
     after = bench.cycle()
     if after.outcome is not Outcome.INSERTED:
         trial.wrong.append(f"the next cycle: {after.outcome.value} {after.reason} {after.fault}")
-        if after.outcome is Outcome.FAILED:
-            bench.cell.acknowledge()
-            bench.cell.close()
+        bench.cell.close()
 
 
 def judge(bench: Bench, trial: Trial, result: Result) -> None:
