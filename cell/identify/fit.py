@@ -25,7 +25,7 @@ FloatArray = NDArray[np.float64]
 _MATTERS = 1.3
 #: Where everything is foreseen the last step is taken linearly: over so many standard deviations,
 #: many times the usual, a tip is wrong by micrometres.
-_ONE_STEP = gauss_newton.Options(tolerance=30.0, most_passes=1)
+_ONE_STEP = gauss_newton.Options(tolerance=10.0, most_passes=1)
 
 
 @dataclass(frozen=True)
