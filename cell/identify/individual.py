@@ -46,13 +46,15 @@ class Acceptance:
 
     least_seen        share of the frames after the hand began to move in which it is seen
     least_swing_m     range of the tip's motion relative to the hand
-    largest_residual  of the fit, in units of the noise; below `negligible_m` it is accepted anyway
+    largest_residual  of the fit, in units of the noise; below `negligible_m` it is accepted anyway,
+                      above `hopeless_m` never: frames that only seem still count as noise
     """
 
     least_seen: float = 0.7
     least_swing_m: float = 0.002
     largest_residual: float = 4.0
     negligible_m: float = 2e-4
+    hopeless_m: float = 1e-3
 
 
 @dataclass(frozen=True)
@@ -189,7 +191,8 @@ def _accept_frames(trial: Trial, acceptance: Acceptance) -> None:
 
 def _accept_residual(identified: Identified, acceptance: Acceptance) -> None:
     residual_m, noise_m = identified.residual_rms_m, identified.noise.std_m
-    if residual_m > max(acceptance.largest_residual * noise_m, acceptance.negligible_m):
+    bearable_m = max(acceptance.largest_residual * noise_m, acceptance.negligible_m)
+    if residual_m > min(bearable_m, acceptance.hopeless_m):
         raise CableRejectedError(
             Reason.LARGE_RESIDUAL,
             f"the model misses the frames by {residual_m * 1e3:.3f} mm rms, noise is "
