@@ -10,6 +10,8 @@ import pytest
 from cell.cable.geometry import Cable, Motion
 
 HARDWARE = "hardware"
+#: Rooms of tests in real time, which a busy computer can upset: they are tried again.
+REAL_TIME = ("end_to_end", "drivers")
 
 
 @pytest.fixture
@@ -47,6 +49,9 @@ def pytest_configure(config: pytest.Config) -> None:
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     if not config.getoption("--hardware"):
+        for item in items:
+            if item.path.relative_to(Path(__file__).parent).parts[0] in REAL_TIME:
+                item.add_marker(pytest.mark.flaky(reruns=2, reruns_delay=1))
         return
     on_hardware = [
         item
