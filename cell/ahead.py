@@ -3,22 +3,36 @@
 from __future__ import annotations
 
 import time
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, Future
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
-from cell.bench import Bench, Early, Filmed, Filming, Prospect, beside_m_rad, held_trial, moved
-from cell.cable.dynamics import DivergedError
+from cell.bench import (
+    Bench,
+    Early,
+    Filmed,
+    Filming,
+    Prospect,
+    Task,
+    Timing,
+    beside_m_rad,
+    held_trial,
+    moved,
+)
+from cell.cable.dynamics import DivergedError, Solver, threads
 from cell.cable.geometry import Motion
 from cell.cable.statics import UnsettledError
 from cell.identify.hand import HandErrors
 from cell.identify.identified import Identified
-from cell.identify.individual import CableRejectedError, foresee, identify
+from cell.identify.individual import CableRejectedError, IdentifyOptions, foresee, identify
 from cell.plan.choose import forecast
 from cell.plan.paths import executed_motion, insertion_path
 from cell.study.data import Trial
 from cell.vision.sighting import Sighting
+
+Found = TypeVar("Found")
 
 #: Shares of the hold after which the computer takes the frames so far: at first to find out which
 #: cable this is, from scratch; then, starting there, for nearly the last word, and to simulate
@@ -28,16 +42,15 @@ SHARES = (0.2, 0.6)
 
 
 class Ahead:
-    """A second thread that computes from the first frames of a hold while the others come.
+    """Has somebody compute from the first frames of a hold while the others come.
 
-    Which frames it gets depends on their own times alone, and what it finds is waited for: the
+    Which frames that are depends on their own times alone, and what is found is waited for: the
     result is the same however busy the computer is.
     """
 
     def __init__(self, bench: Bench, filming: Filming) -> None:
         self._bench = bench
         self._filming = filming
-        self._worker = ThreadPoolExecutor(1, "ahead")
         self._first: Future[Identified | None] | None = None
         self._second: Future[Early | None] | None = None
 
@@ -45,20 +58,28 @@ class Ahead:
         """Take the frames so far if it is time to."""
         hold_s = self._filming.end_s - self._filming.rest_s
         share = (sightings[-1].t_s - self._filming.rest_s) / hold_s
+        bench = self._bench
         if self._first is None and share >= SHARES[0]:
-            self._first = self._worker.submit(_find, self._bench, self._so_far(sightings))
+            self._first = bench.computer.submit(_find, bench.task, self._so_far(sightings))
         elif self._first is not None and self._second is None and share >= SHARES[1]:
-            self._second = self._worker.submit(
-                _look_ahead, self._bench, self._filming, self._so_far(sightings), self._first
+            self._second = bench.computer.submit(
+                _look_ahead,
+                bench.task,
+                bench.timing,
+                replace(self._filming, sightings=(), pictures=()),
+                self._so_far(sightings),
+                _result(self._first),
             )
 
     def found(self) -> Early | None:
         """What was computed, waiting for it; None if the first frames were not enough."""
-        return None if self._second is None else self._second.result()
+        return None if self._second is None else _result(self._second)
 
     def close(self) -> None:
         """Begin nothing more."""
-        self._worker.shutdown(wait=False, cancel_futures=True)
+        for job in (self._first, self._second):
+            if job is not None:
+                job.cancel()
 
     def _so_far(self, sightings: list[Sighting]) -> Filmed:
         begin_s = self._filming.begin_s
@@ -67,66 +88,91 @@ class Ahead:
 
 
 def prospect(
-    bench: Bench, filmed: Filmed, trial: Trial, identified: Identified, start_s: float
+    task: Task,
+    timing: Timing,
+    filmed: Filmed,
+    trial: Trial,
+    identified: Identified,
+    start_s: float,
+    solver: Solver = Solver(),  # noqa: B008
 ) -> Prospect:
     """Simulate every offset as it would be executed from `start_s` on.
 
     The cable still swings and remembers the hand's motion before; the hand follows with its known
     lag, and is seen by the camera a constant beside where the arm says it is.
     """
-    task, arm = bench.task, bench.devices.arm
     to_start_s = filmed.begin_s - start_s
     history = Motion(
         trial.grip.t_s + to_start_s, trial.grip.x_m, trial.grip.y_m, trial.grip.angle_rad
     )
     beside = beside_m_rad(filmed.hand, trial.grip)
     paths = tuple(
-        insertion_path(task.lowered, offset_m, task.advance_m, task.insertion, arm.rate_hz)
+        insertion_path(task.lowered, offset_m, task.advance_m, task.insertion, timing.arm_rate_hz)
         for offset_m in task.offsets_m
     )
     motions = [
-        executed_motion(moved(path, beside), arm.lag_s, settle_s=task.settle_s, history=history)
+        executed_motion(
+            moved(path, beside), timing.arm_lag_s, settle_s=task.settle_s, history=history
+        )
         for path in paths
     ]
-    expected = forecast(identified, np.array(task.offsets_m), motions, options=task.choice)
+    expected = forecast(
+        identified, np.array(task.offsets_m), motions, solver=solver, options=task.choice
+    )
     return Prospect(start_s, paths, expected)
 
 
-def _find(bench: Bench, so_far: Filmed, previous: Identified | None = None) -> Identified | None:
+def _result(job: Future[Found]) -> Found | None:
+    """What a job found; None if its process was killed, which only costs time."""
+    try:
+        return job.result()
+    except BrokenExecutor:
+        return None
+
+
+def _find(task: Task, so_far: Filmed, previous: Identified | None = None) -> Identified | None:
     """The cable as it seems from the frames so far; None if they are not enough.
 
     How sure that is does not matter yet, so the hand's errors are left out.
     """
-    task = bench.task
-    fit = replace(task.identification.fit, hand=HandErrors(samples=0))
+    options = _leaving_a_core(task.identification)
+    options = replace(options, fit=replace(options.fit, hand=HandErrors(samples=0)))
     try:
         return identify(
-            held_trial(so_far),
-            task.arc_length_m,
-            task.cable,
-            previous=previous,
-            options=replace(task.identification, fit=fit),
+            held_trial(so_far), task.arc_length_m, task.cable, previous=previous, options=options
         )
     except CableRejectedError:
         return None
 
 
 def _look_ahead(
-    bench: Bench, filming: Filming, so_far: Filmed, first: Future[Identified | None]
+    task: Task, timing: Timing, filming: Filming, so_far: Filmed, first: Identified | None
 ) -> Early | None:
-    task = bench.task
-    identified = _find(bench, so_far, first.result())
+    identified = _find(task, so_far, first)
     if identified is None:
         return None
     trial = held_trial(so_far)
+    options = _leaving_a_core(task.identification)
     missing = filming.frame_count - len(so_far.sightings)
-    to_come_s = np.arange(1, missing + 1) / bench.devices.camera.frame_rate_hz
+    to_come_s = np.arange(1, missing + 1) / timing.frame_rate_hz
     t_s = np.concatenate([trial.markers.t_s, trial.markers.t_s[-1] + to_come_s])
+    start_s = filming.end_s + task.decide_s
+    solver = Solver(threads=_spare_threads())
     try:
         return Early(
             identified,
-            foresee(trial, t_s, task.arc_length_m, identified, task.identification),
-            prospect(bench, so_far, trial, identified, filming.end_s + task.decide_s),
+            foresee(trial, t_s, task.arc_length_m, identified, options),
+            prospect(task, timing, so_far, trial, identified, start_s, solver),
         )
     except (DivergedError, UnsettledError):
         return None
+
+
+def _leaving_a_core(options: IdentifyOptions) -> IdentifyOptions:
+    """One core looks at the frames."""
+    solver = replace(options.fit.solver, threads=_spare_threads())
+    return replace(options, fit=replace(options.fit, solver=solver))
+
+
+def _spare_threads() -> int:
+    return max(1, threads() - 1)

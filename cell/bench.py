@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -79,12 +80,28 @@ class Task:
 
 
 @dataclass(frozen=True)
+class Timing:
+    """Rates of arm and camera, and by how much the arm follows late."""
+
+    arm_rate_hz: float
+    arm_lag_s: float
+    frame_rate_hz: float
+
+
+@dataclass(frozen=True)
 class Bench:
-    """Devices, the task, and the commands that may interrupt it."""
+    """Devices, the task, the commands that may interrupt it, and who computes meanwhile."""
 
     devices: Devices
     task: Task
     commands: Commands
+    computer: Executor
+
+    @property
+    def timing(self) -> Timing:
+        """That of the devices."""
+        arm, camera = self.devices.arm, self.devices.camera
+        return Timing(arm.rate_hz, arm.lag_s, camera.frame_rate_hz)
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from cell.cable.dynamics import Solver, simulate
 from cell.cable.effects import library, rare
 from cell.cable.geometry import Cable, Motion
 from cell.cable.model import CableModel
+from cell.computing import SecondProcess
 from cell.cycle import Cell
 from cell.identify.individual import IdentifyOptions
 from cell.plan.choose import ChoiceOptions
@@ -143,13 +144,16 @@ def cell_with(
         gripper=GuardedGripper(devices.gripper, GripperLimits(*settings.gripper.force_limits_n)),
         clock=devices.clock,
     )
+    watched = isinstance(devices.clock, RealClock)
+    hurried = watched or settings.world.real_time_factor is not None
     return Cell(
         guarded,
         _task(settings),
         settings.model_dump(mode="json"),
         runs,
         on_step,
-        watched=isinstance(devices.clock, RealClock),
+        computer=SecondProcess() if hurried else None,
+        watched=watched,
     )
 
 

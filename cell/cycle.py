@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 import traceback
 from collections.abc import Callable, Mapping
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
@@ -25,7 +26,6 @@ from cell.plan.passage import Passage, height_at_mouth_m
 from cell.records.folder import Record
 from cell.records.result import Fault, Outcome, Result
 from cell.study.data import Trial
-from cell.warmup import warm_up
 from cell.watch import Watch
 from drivers.interfaces import (
     CameraError,
@@ -90,6 +90,7 @@ class Cell:
     task      what to do with every cable
     settings  as resolved, for the record
     runs      folder in which every cycle gets its own
+    computer  computes while frames are looked at; None = a thread
     watched   look at the devices all the time; only those that run in real time can be
     on_step   told of every step as it begins: number of the cycle, name of the step
     """
@@ -102,11 +103,13 @@ class Cell:
         runs: Path,
         on_step: Callable[[int, str], None] = lambda number, step: None,
         *,
+        computer: Executor | None = None,
         watched: bool = False,
     ) -> None:
         self.commands = Commands()
         self.machine = Machine(devices.clock.now_s)
-        self._bench = Bench(devices, task, self.commands)
+        computer = ThreadPoolExecutor(1, "ahead") if computer is None else computer
+        self._bench = Bench(devices, task, self.commands, computer)
         self._settings = settings
         self._runs = runs
         self._on_step = on_step
@@ -137,6 +140,7 @@ class Cell:
     def close(self) -> None:
         """Stop the arm and disconnect all devices."""
         steps.close(self._bench.devices)
+        self._bench.computer.shutdown(wait=False, cancel_futures=True)
         self._connected = False
 
     def run_cycle(
@@ -198,7 +202,7 @@ class Cell:
             progress.known["checks"] = self._step(progress, "reset", dry_run.reset)
         else:
             if not self._warm:
-                self._step(progress, "warm_up", lambda bench: warm_up(bench.task.cable))
+                self._step(progress, "warm_up", steps.warm_up)
                 self._warm = True
             self._step(progress, "reset", steps.reset)
         self._send(progress, Event.DONE)
@@ -229,6 +233,7 @@ class Cell:
         # Pictures take their time, and the execution began at a moment that had been planned.
         progress.record.pictures(held_pictures(held, trial, identified, self._bench.task))
         progress.record.pictures(passage_pictures(executed, prospect, choice, self._bench.task))
+        self._record_model(progress, steps.settled(self._bench, trial, identified))
         self._pause(progress)
         self._step(progress, "release", steps.release, aside=not passage.passed)
         progress.known["outcome"] = Outcome.INSERTED if passage.passed else Outcome.MISSED

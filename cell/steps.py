@@ -17,6 +17,7 @@ from cell.ahead import prospect as foretell
 from cell.bench import Bench, Devices, Early, Filmed, Filming, Prospect
 from cell.filming import capture, film
 from cell.identify.identified import Identified
+from cell.identify.individual import CableRejectedError
 from cell.identify.individual import identify as identify_cable
 from cell.plan.choose import Choice
 from cell.plan.choose import choose as choose_offset
@@ -30,6 +31,7 @@ from cell.plan.paths import (
 )
 from cell.study.data import Trial
 from cell.waiting import POLL_S, REST_TIMEOUT_S, await_rest, check_arm, wait_until
+from cell.warmup import warm_up as warm_up_engine
 from drivers.interfaces import ArmMode, DeviceError, GripError, Path, Pose
 
 #: A hand this close to where it is sent is there already, m.
@@ -111,6 +113,12 @@ def check_ready(bench: Bench) -> None:
         raise GripError(bench.devices.gripper.name, "holds something already", "empty the jaws")
 
 
+def warm_up(bench: Bench) -> None:
+    """Have everything compiled and loaded where it will be needed."""
+    warm_up_engine(bench.task.cable)
+    bench.computer.submit(warm_up_engine, bench.task.cable).result()
+
+
 # --- the steps ----------------------------------------------------------------------------------
 
 
@@ -137,7 +145,7 @@ def lower(bench: Bench) -> Filming:
 def hold_and_capture(bench: Bench, filming: Filming) -> Filmed:
     """Hold still while the cable swings, and find it in every frame as it comes.
 
-    A second thread computes ahead, so that little is left to be computed after the last frame.
+    Somebody else computes ahead, so that little is left to be computed after the last frame.
     """
     ahead = Ahead(bench, filming)
     try:
@@ -160,6 +168,20 @@ def identify(bench: Bench, trial: Trial, early: Early | None = None) -> Identifi
     )
 
 
+def settled(bench: Bench, trial: Trial, identified: Identified) -> Identified:
+    """The same cable without haste, for the record: no step is left linear from early frames.
+
+    As it was if the fit finds nothing better; the choice was made with that.
+    """
+    task = bench.task
+    try:
+        return identify_cable(
+            trial, task.arc_length_m, task.cable, previous=identified, options=task.identification
+        )
+    except CableRejectedError:
+        return identified
+
+
 def simulate(
     bench: Bench, filmed: Filmed, trial: Trial, identified: Identified, lead_s: float
 ) -> Prospect:
@@ -171,7 +193,7 @@ def simulate(
         shift_m = expected.moved_to(identified.mean).tip_m - expected.tip_m
         if np.abs(shift_m).max() < SMALL_SHIFT_M:
             return early.prospect
-    return foretell(bench, filmed, trial, identified, now_s + lead_s)
+    return foretell(bench.task, bench.timing, filmed, trial, identified, now_s + lead_s)
 
 
 def choose(bench: Bench, prospect: Prospect, identified: Identified) -> Choice:

@@ -28,6 +28,20 @@ def motion_splines(motion: Motion) -> tuple[splines.Spline, splines.Spline, spli
     return kept
 
 
+def motions_like(motion: Motion, values: FloatArray) -> list[Motion]:
+    """Motions logged at the same times with other values (motions, 3, T): x, y, angle.
+
+    As much is taken for noise in them as in `motion`.
+    """
+    splines_of = [
+        splines.refit(spline, values[:, axis]) for axis, spline in enumerate(motion_splines(motion))
+    ]
+    motions = [Motion(motion.t_s, *logged) for logged in values]
+    for number, like in enumerate(motions):
+        vars(like)["_splines"] = tuple(axis[number] for axis in splines_of)
+    return motions
+
+
 def pose_of(motion: Motion, effects: Sequence[ActiveEffect] = ()) -> Pose:
     """Pose of the gripping point against time, after the effects on the hand in their order."""
     x, y, angle = motion_splines(motion)

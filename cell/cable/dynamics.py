@@ -28,16 +28,18 @@ _MOST_STEPS = 5_000_000
 
 @dataclass(frozen=True)
 class Solver:
-    """Mesh and step of a simulation.
+    """Mesh and step of a simulation, and how much of the computer it may take.
 
     segments  4 … 10000
     step_s    the grid of steps is shared by all lanes of a batch
     damping   ρ∞ of generalised-α, 0 … 1: what is left after a step of an infinitely fast mode
+    threads   at most so many at a time; None = as many as this process may use cores
     """
 
     segments: int = DEFAULT_SEGMENTS
     step_s: float = 0.75e-3
     damping: float = 0.8
+    threads: int | None = None
 
     def __post_init__(self) -> None:
         if not 4 <= self.segments <= 10_000:
@@ -46,6 +48,8 @@ class Solver:
             raise ValueError(f"solver.step_s = {self.step_s} s: must be 1e-6 … 0.05 s")
         if not 0.0 <= self.damping <= 1.0:
             raise ValueError(f"solver.damping = {self.damping}: must be 0 … 1")
+        if self.threads is not None and self.threads < 1:
+            raise ValueError(f"solver.threads = {self.threads}: must be at least 1, or None")
 
 
 DEFAULT_SOLVER = Solver()
@@ -112,16 +116,18 @@ def simulate(
     if steps > _MOST_STEPS:
         raise ValueError(f"{steps} steps of {solver.step_s} s from {begin} s to {times[-1]} s")
     grid = _Grid(begin, steps, times, release_s, solver)
-    blocks = assemble(batch, solver.segments, begin, threads())
+    workers = threads() if solver.threads is None else solver.threads
+    blocks = assemble(batch, solver.segments, begin, workers)
     rows = _rows(paths, batch, grid)
 
     def run(block: Block) -> None:
         result[list(block.lanes)] = _run(block, grid, rows, paths, batch, cell, weights)
 
-    if len(blocks) == 1:
-        run(blocks[0])
+    if len(blocks) == 1 or workers == 1:
+        for block in blocks:
+            run(block)
     else:
-        list(_pool(os.getpid()).map(run, blocks))
+        list(_pool(os.getpid(), workers).map(run, blocks))
     return result
 
 
@@ -130,10 +136,10 @@ def threads() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-@lru_cache(maxsize=1)
-def _pool(process: int) -> ThreadPoolExecutor:
+@lru_cache(maxsize=2)
+def _pool(process: int, workers: int) -> ThreadPoolExecutor:
     """Threads of this process; a forked child makes its own."""
-    return ThreadPoolExecutor(threads(), thread_name_prefix="cable")
+    return ThreadPoolExecutor(workers, thread_name_prefix="cable")
 
 
 @dataclass(frozen=True)

@@ -22,18 +22,23 @@ _ROUNDS = 3
 _LEAST = 1e-6
 _PROBES = 3
 
+#: Multiples of a penalty among which that of a like curve is.
+_NEAR = np.geomspace(10.0**-1.5, 10.0**1.5, 7)
+
 
 @dataclass(frozen=True)
 class Spline:
     """Cubic pieces over `t_s` (T,): values and second derivatives at the knots; held outside.
 
     noise_std  estimated standard deviation of the noise that was smoothed, 0 = interpolated
+    root       (T,) √penalty on curvature with which it was smoothed; None = interpolated
     """
 
     t_s: FloatArray
     value: FloatArray
     bend: FloatArray
     noise_std: float
+    root: FloatArray | None = None
 
     @property
     def constant(self) -> bool:
@@ -71,16 +76,40 @@ def fit(t_s: FloatArray, value: FloatArray) -> Spline:
     half = min(int(_CALM_S / spacing) + 1, (len(t) - 1) // 2)
     window = np.hanning(2 * half + 3)[1:-1]
     local = np.ones_like(t)
-    probes = np.random.default_rng(0).choice([-1.0, 1.0], (_PROBES, len(t)))
-    signals = np.ascontiguousarray(np.vstack([y, probes]).T)
+    signals = _with_probes(y)
     multiples = np.geomspace(1e-3, 1e7, 18) * spacing**3
     for _ in range(_ROUNDS):
-        smooth = _least_error(signals, t, noise, local, multiples)
+        smooth, root = _least_error(signals, t, noise, local, multiples)
         energy = np.convolve(_natural(t, smooth) ** 2, window / window.sum(), "same")
         if energy.max() == 0.0:
             break
         local = 1.0 / np.maximum(energy / energy.max(), _LEAST)
-    return Spline(t, smooth, _natural(t, smooth), noise)
+    return Spline(t, smooth, _natural(t, smooth), noise, root)
+
+
+def refit(spline: Spline, values: FloatArray) -> list[Spline]:
+    """Splines through or near other values (signals, T) of a like curve at the same times.
+
+    Noise and penalty are searched anew, but near those of `spline`, and where the curve bends is
+    known from it: a tenth of the work of `fit`.
+    """
+    t = spline.t_s
+    splines = []
+    for value in values:
+        y = np.ascontiguousarray(value, dtype=np.float64)
+        if spline.root is None:
+            splines.append(fit(t, y))
+            continue
+        noise = _noise(t, y)
+        smooth, root = _least_error(_with_probes(y), t, noise, spline.root**2, _NEAR)
+        splines.append(Spline(t, smooth, _natural(t, smooth), noise, root))
+    return splines
+
+
+def _with_probes(y: FloatArray) -> FloatArray:
+    """(T, 1 + probes) values beside random signs."""
+    probes = np.random.default_rng(0).choice([-1.0, 1.0], (_PROBES, len(y)))
+    return np.ascontiguousarray(np.vstack([y, probes]).T)
 
 
 def _noise(t: FloatArray, y: FloatArray) -> float:
@@ -112,15 +141,17 @@ def _least_error(
     noise: float,
     local: FloatArray,
     multiples: FloatArray,
-) -> FloatArray:
-    """The smoothed values for the best multiple of the local penalties.
+) -> tuple[FloatArray, FloatArray]:
+    """The smoothed values for the best multiple of the local penalties, and these penalties' √.
 
     signals  (T, 1 + probes) values, and random signs for Hutchinson's estimate of the trace
     """
     best = np.inf
     chosen = signals[:, 0].copy()
+    chosen_root = np.zeros_like(local)
     for multiple in multiples:
-        smooth = _smooth(t, signals, np.sqrt(multiple * local))
+        root = np.sqrt(multiple * local)
+        smooth = _smooth(t, signals, root)
         square, trace = 0.0, 0.0
         for j in range(t.size):
             square += (signals[j, 0] - smooth[j, 0]) ** 2
@@ -131,7 +162,8 @@ def _least_error(
         if score < best:
             best = score
             chosen[:] = smooth[:, 0]
-    return chosen
+            chosen_root[:] = root
+    return chosen, chosen_root
 
 
 @compiled

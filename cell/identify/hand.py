@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.cable.clamp import motion_splines
+from cell.cable.clamp import motion_splines, motions_like
 from cell.cable.geometry import Motion
 
 FloatArray = NDArray[np.float64]
@@ -72,17 +72,16 @@ def likely_motions(motion: Motion, errors: HandErrors) -> list[Motion]:
 
     The noise is the same on the same samples of a log that goes on longer.
     source  parametric bootstrap: the noise that the engine's splines find in the log and take out,
-            drawn anew, for them to take out again
+            drawn anew, for them to take out again, as much as in the log
     """
     splines = motion_splines(motion)
-    values = [spline(motion.t_s) for spline in splines]
+    smooth = [spline(motion.t_s) for spline in splines]
     offsets = (errors.offset_m, errors.offset_m, errors.offset_rad)
-    motions = []
+    drawn = np.empty((errors.samples, len(splines), len(motion.t_s)))
     for sample in range(errors.samples):
-        drawn = []
-        for axis, (value, spline, offset) in enumerate(zip(values, splines, offsets, strict=True)):
+        for axis, (value, spline, offset) in enumerate(zip(smooth, splines, offsets, strict=True)):
             rng = np.random.default_rng([20260101, sample, axis])
             constant = offset * rng.normal()
-            drawn.append(value + constant + spline.noise_std * rng.normal(size=len(value)))
-        motions.append(Motion(motion.t_s, *drawn))
-    return motions
+            noise = spline.noise_std * rng.normal(size=len(value))
+            drawn[sample, axis] = value + constant + noise
+    return motions_like(motion, drawn)

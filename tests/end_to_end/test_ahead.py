@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 import threading
 import time
 from collections.abc import Callable
@@ -23,6 +25,7 @@ from cell.identify.individual import CableRejectedError, Reason
 from cell.plan import choose
 from cell.records.folder import read_record
 from cell.records.result import Outcome
+from cell.settings import Settings
 
 Live = Callable[..., SimpleNamespace]
 
@@ -58,12 +61,18 @@ def test_after_the_last_frame_nothing_is_simulated(
 
         return simulated
 
-    it = live({"lower": lambda it: threads.clear()})
+    deciding: list[str] = []
+    it = live(
+        {
+            "lower": lambda it: threads.clear(),
+            "execute": lambda it: deciding.extend(threads),
+        }
+    )
     monkeypatch.setattr(fit, "simulate", told(fit.simulate))
     monkeypatch.setattr(choose, "simulate", told(choose.simulate))
     assert it.cell.run_cycle(1).outcome is Outcome.INSERTED
-    assert threads
-    assert all(name.startswith("ahead") for name in threads)
+    assert deciding
+    assert all(name.startswith("ahead") for name in deciding)
 
 
 def test_a_slow_computer_finds_the_same(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -108,3 +117,26 @@ def test_frames_that_are_not_enough_at_first_only_cost_time(
 
     monkeypatch.setattr(ahead, "identify", refuse)
     assert live().cell.run_cycle(1).outcome is Outcome.INSERTED
+
+
+def test_a_second_process_finds_the_same_and_may_die(quick: Settings, live: Live) -> None:
+    """At the speed of reality, or nearly, somebody else computes; killed, it only costs time."""
+    hurried = quick.model_copy(
+        update={"world": quick.world.model_copy(update={"real_time_factor": 5.0})}
+    )
+
+    def found(it: SimpleNamespace) -> tuple[object, ...]:
+        r = it.cell.run_cycle(1)
+        return r.outcome, r.offset_m, r.parameters
+
+    def kill(it: SimpleNamespace) -> None:
+        os.kill(it.cell._bench.computer.submit(os.getpid).result(), signal.SIGKILL)
+
+    alone = found(live(settings=hurried.model_copy(update={"world": quick.world})))
+    helped, bereft = live(settings=hurried), live({"hold_and_capture": kill}, settings=hurried)
+    try:
+        assert found(helped) == alone
+        assert found(bereft)[:2] == alone[:2]
+    finally:
+        helped.cell.close()
+        bereft.cell.close()

@@ -28,6 +28,13 @@ def test_a_lane_does_not_depend_on_its_neighbours(cable, arc, jerk, lanes):
     assert together[-1] == pytest.approx(last[0], abs=1e-13)
 
 
+@pytest.mark.parametrize("lanes", [9, 40])
+def test_threads_do_not_change_what_comes_out(cable, arc, jerk, lanes):
+    batch = models(cable, lanes)
+    one, three = (simulate(batch, jerk, TIMES, arc, solver=Solver(threads=n)) for n in (1, 3))
+    assert one == pytest.approx(three, abs=1e-13)
+
+
 def test_lanes_with_different_effects_keep_their_order(cable, arc, jerk):
     drag, mass = library()["air_drag"].active(drag_coefficient=2.0), library()["tip_mass"]
     kinds = [(), (drag,), (mass.active(mass_kg=2e-5),), (), (drag,)]
@@ -121,7 +128,15 @@ def test_bad_requests_are_named(cable, arc, jerk, change, named):
 
 
 @pytest.mark.parametrize(
-    "bad", [{"step_s": 0.0}, {"step_s": 1.0}, {"step_s": np.nan}, {"segments": 2}, {"damping": 2.0}]
+    "bad",
+    [
+        {"step_s": 0.0},
+        {"step_s": 1.0},
+        {"step_s": np.nan},
+        {"segments": 2},
+        {"damping": 2.0},
+        {"threads": 0},
+    ],
 )
 def test_absurd_solvers_are_refused(bad):
     with pytest.raises(ValueError, match=f"solver.{next(iter(bad))}"):

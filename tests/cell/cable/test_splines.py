@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from cell.cable.splines import fit
+from cell.cable.splines import fit, refit
 
 T = np.arange(0.0, 0.8, 0.002)
 FINE = np.linspace(0.0, 0.798, 3001)
@@ -53,3 +53,23 @@ def test_irregular_times():
     t = T + rng.uniform(-5e-4, 5e-4, T.size)
     error = fit(t, jerk(t) + rng.normal(0.0, 1e-5, T.size))(FINE) - jerk(FINE)
     assert np.sqrt(np.mean(error**2)) < 5e-6
+
+
+def test_a_like_curve_is_smoothed_as_if_everything_had_been_searched_for_it():
+    logs = jerk(T) + np.random.default_rng(3).normal(0.0, 1e-5, (12, T.size))
+    again, *others = refit(fit(T, logs[0]), logs)
+    assert again(FINE) == pytest.approx(fit(T, logs[0])(FINE), abs=1e-15)
+    errors = np.zeros((2, FINE.size))
+    for spline, log in zip(others, logs[1:], strict=True):
+        searched = fit(T, log)
+        assert spline.noise_std == searched.noise_std
+        errors += [(s(FINE) - jerk(FINE)) ** 2 for s in (spline, searched)]
+    quick, thorough = np.sqrt(np.mean(errors, axis=1))
+    assert quick == pytest.approx(thorough, rel=0.05)
+
+
+def test_values_like_those_of_a_clean_log_are_interpolated():
+    others = np.stack([np.sin(9 * T), np.zeros_like(T)])
+    first, still = refit(fit(T, jerk(T)), others)
+    assert first(FINE) == pytest.approx(fit(T, others[0])(FINE), abs=1e-15)
+    assert still.constant
