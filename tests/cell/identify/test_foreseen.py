@@ -129,6 +129,28 @@ def test_a_cable_that_turns_out_quite_different_is_simulated_anew(
     assert in_deviations(found, identify(world.trial, NODES_M, flat_cable)) < 0.1
 
 
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_long_last_step_is_still_good_to_a_tenth_of_a_pixel(
+    world, before, flat_cable: Cable, sign: float
+) -> None:
+    grip = before[1].grip  # without what the log's last samples say
+    trial = replace(world.trial, grip=grip)
+    cold = identify(trial, NODES_M, flat_cable)
+    of_frames = cold.covariance - cold.hand_covariance
+    away = np.sqrt(np.diag(of_frames))
+    deviations = np.linalg.norm(np.linalg.solve(np.linalg.cholesky(of_frames), away))
+    mistaken = replace(cold, mean=cold.mean + sign * 25.0 / deviations * away)
+    foreseen = foresee(trial, trial.markers.t_s, NODES_M, mistaken)
+    found = identify(trial, NODES_M, flat_cable, previous=mistaken, foreseen=foreseen)
+    tips = [
+        simulate(c.space.model(c.mean), grip, trial.markers.t_s, NODES_M[:1])[0, :, 0]
+        for c in (found, cold, mistaken)
+    ]
+    assert found.passes == 1
+    assert np.abs(tips[2] - tips[1]).max() > 1e-4
+    assert np.abs(tips[0] - tips[1]).max() < 2e-6
+
+
 def test_a_log_is_held_on_at_rest_with_its_noise() -> None:
     t_s = np.arange(0.0, 0.8, 0.002)
     noise = np.random.default_rng(3).normal(0.0, 1e-5, len(t_s))
