@@ -48,13 +48,15 @@ class Column(IntEnum):
 COLUMNS = 13
 _HEADER = 16
 SIZE_BYTES = 8 * (_HEADER + RING * COLUMNS)
+_AT_ONCE: int = getattr(mmap, "MAP_POPULATE", 0)  # Linux
 
 
 class SharedState:
     """Header and ring in a file that both processes have mapped."""
 
     def __init__(self, descriptor: int) -> None:
-        self._map = mmap.mmap(descriptor, SIZE_BYTES)
+        # all of it at once: no page is to be found in the middle of a motion
+        self._map = mmap.mmap(descriptor, SIZE_BYTES, flags=mmap.MAP_SHARED | _AT_ONCE)
         numbers: FloatArray = np.frombuffer(self._map, dtype=np.float64)
         self._header = numbers[:_HEADER]
         self._ring = numbers[_HEADER:].reshape(RING, COLUMNS)
