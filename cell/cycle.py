@@ -141,7 +141,7 @@ class Cell:
         """Stop the arm and disconnect all devices."""
         steps.close(self._bench.devices)
         self._bench.computer.shutdown(wait=False, cancel_futures=True)
-        self._connected = False
+        self._connected = self._warm = False
 
     def run_cycle(
         self, number: int, motion: Measuring | None = None, *, dry_run_speed: float | None = None

@@ -34,8 +34,9 @@ from cell.waiting import POLL_S, REST_TIMEOUT_S, await_rest, check_arm, wait_unt
 from cell.warmup import warm_up as warm_up_engine
 from drivers.interfaces import ArmMode, DeviceError, GripError, Path, Pose
 
-#: A hand this close to where it is sent is there already, m.
-AT_GOAL_M = 2e-4
+#: A hand this close to where it is sent is there already, m: an arm's repeatability, and too little
+#: to set a cable swinging when the arm is brought the rest of the way.
+AT_GOAL_M = 5e-5
 #: One frame in so many is kept as a picture, during the hold and during the execution.
 KEEP_EVERY_HELD, KEEP_EVERY_MOVING = 20, 4
 #: So many times slower than an insertion a cable is brought to where it is measured, at rest.

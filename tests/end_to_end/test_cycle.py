@@ -17,6 +17,7 @@ from cell.machine import CellState, Event
 from cell.records.folder import read_record
 from cell.records.result import Outcome
 from cell.settings import Settings
+from drivers.interfaces import Path as HandPath
 
 Live = Callable[..., SimpleNamespace]
 
@@ -131,6 +132,26 @@ def _noting(it: SimpleNamespace, where: list[float], release: Callable[[], objec
         return release()
 
     return noted
+
+
+def test_a_hand_that_rests_a_little_beside_home_is_brought_there_before_it_is_filmed(
+    live: Live,
+) -> None:
+    """Else the arm does so when it is told to lower, and no frame shows the cable at rest."""
+
+    def push(it: SimpleNamespace) -> None:
+        t_s = np.arange(0.0, 0.1, 0.002)
+        it.twins.arm.follow(HandPath(t_s, 0.0 * t_s, -1.2e-4 * t_s / t_s[-1], 0.0 * t_s))
+        it.twins.world.clock.sleep_s(1.0)
+        assert it.twins.arm.state().pose.y_m < -8e-5
+
+    def look(it: SimpleNamespace) -> None:
+        poses = it.twins.arm.log(0.0, it.twins.world.clock.now_s())
+        assert abs(np.mean(poses.y_m[-100:])) < 2e-5
+
+    it = live({"reset": push, "lower": look})
+    result = it.cell.run_cycle(1)
+    assert result.outcome is Outcome.INSERTED, result.fault or result.reason
 
 
 def test_a_cable_that_hardly_swings_is_rejected_with_the_reason(
