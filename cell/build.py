@@ -184,17 +184,25 @@ def _simulated_camera(settings: Settings, world: World, seed: int) -> SimCamera 
     if isinstance(camera, given.FilesCamera):
         return FilesCamera(camera.folder, camera.frame_rate_hz, world.clock)
     assert isinstance(camera, given.SimulatedCamera)
+    return SimCamera(world, camera_twin(settings, camera, seed), seed=seed)
+
+
+def camera_twin(
+    settings: Settings, look: given.SimulatedCamera | given.Emulated, seed: int
+) -> CameraTwinOptions:
+    """Pictures as the camera of the settings takes them; `look` tells how good they are."""
+    camera = settings.camera
+    assert not isinstance(camera, given.FilesCamera)
     picture = RenderOptions(
         width_px=camera.width_px,
         height_px=camera.height_px,
         thickness_m=settings.cable.thickness_m,
-        lens_blur_px=camera.lens_blur_px,
-        exposure_s=camera.exposure_s,
-        read_noise=camera.read_noise,
+        lens_blur_px=look.lens_blur_px,
+        exposure_s=look.exposure_s,
+        read_noise=look.read_noise,
         scene_seed=seed,
     )
-    options = CameraTwinOptions(_view(camera.view).homography, picture, camera.frame_rate_hz)
-    return SimCamera(world, options, seed=seed)
+    return CameraTwinOptions(_view(camera.view).homography, picture, camera.frame_rate_hz)
 
 
 def real_devices(settings: Settings) -> Devices:

@@ -16,8 +16,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.plane import PlaneView
-from cell.build import hidden_cable
+from cell.build import camera_twin, hidden_cable
 from cell.cable.dynamics import Solver
 from cell.cable.live import SwingingCable
 from cell.settings import Settings
@@ -32,8 +31,6 @@ from drivers.emulators.ur_server import DASHBOARD_PORT, FAULT_PORT, RTDE_PORT, S
 from drivers.interfaces import Path as HandPath
 from drivers.interfaces import Pose
 from drivers.plane_mount import PlaneMount
-from drivers.sim.camera import CameraTwinOptions
-from drivers.sim.render import RenderOptions
 from drivers.ur_kinematics import MODELS, OutOfReachError, matrix_of
 
 FloatArray = NDArray[np.float64]
@@ -176,18 +173,7 @@ def _camera(
     assert isinstance(arm, given.UrArm)
     assert isinstance(camera, given.OpenCvCamera)
     assert emulated is not None
-    picture = RenderOptions(
-        width_px=camera.width_px,
-        height_px=camera.height_px,
-        thickness_m=settings.cable.thickness_m,
-        lens_blur_px=emulated.lens_blur_px,
-        exposure_s=emulated.exposure_s,
-        read_noise=emulated.read_noise,
-        scene_seed=first.seed,
-    )
-    view = camera.view
-    stands = PlaneView.from_scale(view.metres_per_pixel, view.origin_column_px, view.origin_row_px)
-    options = CameraTwinOptions(stands.homography, picture, camera.frame_rate_hz)
+    options = camera_twin(settings, emulated, first.seed)
     scene = ArmScene(arm.host, _mount(arm), arm.model, arm.tcp, camera=options, seed=first.seed)
     address = STREAM.fullmatch(str(camera.device))
     assert address is not None

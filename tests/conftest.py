@@ -10,8 +10,9 @@ import pytest
 from cell.cable.geometry import Cable, Motion
 
 HARDWARE = "hardware"
-#: Rooms of tests in real time, which a busy computer can upset: they are tried again.
-REAL_TIME = ("end_to_end", "drivers")
+#: Rooms of tests in which devices run in real time, as do tests that want to run alone.  A busy
+#: computer can upset these, and only these are tried again.
+REAL_TIME = ("drivers/conformance", "drivers/emulators", "drivers/test_ur")
 
 
 @pytest.fixture
@@ -50,7 +51,8 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     if not config.getoption("--hardware"):
         for item in items:
-            if item.path.relative_to(Path(__file__).parent).parts[0] in REAL_TIME:
+            room = item.path.relative_to(Path(__file__).parent).as_posix()
+            if room.startswith(REAL_TIME) or item.get_closest_marker("xdist_group"):
                 item.add_marker(pytest.mark.flaky(reruns=2, reruns_delay=1))
         return
     on_hardware = [

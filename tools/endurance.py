@@ -16,14 +16,15 @@ from dataclasses import astuple, dataclass
 from pathlib import Path
 
 import numpy as np
-import yaml
+from short_cycles import short_cycles
 
 from cell.build import cell_with, real_devices
 from cell.emulated import EmulatedCell
 from cell.records.result import Outcome
 from cell.settings import load_settings
 
-CONFIG = Path(__file__).parents[1] / "config" / "emulated.yaml"
+#: Waits that just leave enough to identify a cable, s.
+SHORTEST = {"calm_s": 0.0, "still_s": 0.3, "hold_s": 0.4, "decide_s": 0.3, "settle_s": 0.05}
 #: Growth that counts as none over 500 cycles: KiB, threads, handles.
 FLAT = (10_240.0, 1.0, 1.0)
 
@@ -43,25 +44,6 @@ def held_by(pid: int) -> Held:
     )
     handles = len(list(Path(f"/proc/{pid}/fd").iterdir()))
     return Held(int(status["VmRSS"].split()[0]), int(status["Threads"]), handles)
-
-
-def short_settings(folder: Path, host: str, patience_s: float) -> Path:
-    content = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
-    content["arm"]["host"] = host
-    content["camera"].update(
-        device=f"tcp://{host}:5600", width_px=640, height_px=512, frame_rate_hz=50.0
-    )
-    content["camera"]["view"] = {
-        "metres_per_pixel": 0.0004,
-        "origin_column_px": 500,
-        "origin_row_px": 75,
-    }
-    content["gripper"].update(port=str(folder / "gripper"), reply_s=patience_s)
-    content["motion"].update(calm_s=0.0, still_s=0.3, hold_s=0.4, decide_s=0.3, settle_s=0.05)
-    content["motion"]["offsets"]["step_m"] = 0.002
-    path = folder / "short.yaml"
-    path.write_text(yaml.safe_dump(content), encoding="utf-8")
-    return path
 
 
 def slopes(rows: list[Held]) -> tuple[np.ndarray, np.ndarray]:
@@ -102,7 +84,10 @@ def main() -> int:
     child: list[Held] = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        settings = load_settings(short_settings(folder, arguments.host, arguments.patience_s))
+        path = short_cycles(
+            folder, arguments.host, arguments.patience_s, own_patience=True, **SHORTEST
+        )
+        settings = load_settings(path)
         with EmulatedCell(settings, seed=1) as emulated:
             devices = real_devices(settings)
             steps: list[str] = []

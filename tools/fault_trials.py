@@ -21,9 +21,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from fault_kills import STILL_S, Kill, kill_somebody
 from fault_kinds import KINDS, Kind, Victim
+from short_cycles import short_cycles
 
 from cell.build import cell_with, real_devices
 from cell.console import STEPS
@@ -37,9 +37,10 @@ from drivers.recording import CaptureOptions
 from drivers.serial_gripper import SerialGripperOptions
 
 ROOT = Path(__file__).parents[1]
-CONFIG = ROOT / "config" / "emulated.yaml"
 TABLE = ROOT / "docs" / "fault_trials.md"
 BAR_S = 0.1
+#: Waits and hold, s.
+SHORT = {"calm_s": 0.1, "still_s": 0.3, "hold_s": 0.5, "decide_s": 0.5, "settle_s": 0.1}
 #: How long the gripper's driver waits for an answer, as shipped; in the gripper's own trials.
 SHIPPED_S = SerialGripperOptions("").reply_s
 #: Steps in which a fault waits until the arm moves.
@@ -229,27 +230,6 @@ def judge(bench: Bench, trial: Trial, result: Result) -> None:
 # --- all of it ------------------------------------------------------------------------------------
 
 
-def light_settings(folder: Path, host: str, reply_s: float) -> Path:
-    """The shipped settings, at addresses of their own, with a cycle as short as it can be."""
-    content = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
-    content["arm"]["host"] = host
-    content["camera"].update(
-        device=f"tcp://{host}:5600", width_px=640, height_px=512, frame_rate_hz=50.0
-    )
-    content["camera"]["view"] = {
-        "metres_per_pixel": 0.0004,
-        "origin_column_px": 500,
-        "origin_row_px": 75,
-    }
-    content["camera"].pop("lost_after_s")
-    content["gripper"].update(port=str(folder / "gripper"), reply_s=reply_s)
-    content["motion"].update(calm_s=0.1, still_s=0.3, hold_s=0.5, decide_s=0.5, settle_s=0.1)
-    content["motion"]["offsets"]["step_m"] = 0.002
-    path = folder / "light.yaml"
-    path.write_text(yaml.safe_dump(content), encoding="utf-8")
-    return path
-
-
 def percentile_ms(values_s: list[float], q: float) -> float:
     return 1e3 * float(np.percentile(values_s, q)) if values_s else float("nan")
 
@@ -349,7 +329,9 @@ def main() -> int:
     left = [t for t in chosen if t.attempts == 0 or t.wrong]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        config = light_settings(folder, arguments.host, arguments.patience_s)
+        config = short_cycles(
+            folder, arguments.host, arguments.patience_s, own_patience=False, **SHORT
+        )
         with EmulatedCell(settings := load_settings(config), seed=1) as emulated:
             bench = Bench(settings, emulated, folder / "runs")
             bench.cycle()

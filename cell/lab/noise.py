@@ -48,7 +48,7 @@ def noise_floor(study: Study) -> Floor:
 
     raises  NoiseUnknownError: no still frames and no stated level
     """
-    blocks = [b for t in study.trials if (b := _still_block(t)) is not None]
+    blocks = [block for trial in study.trials for block in _still_blocks(trial)]
     if not blocks:
         if study.noise_std_m is None:
             raise NoiseUnknownError(
@@ -70,13 +70,32 @@ class _Block:
     z_m: FloatArray
 
 
-def _still_block(trial: Trial) -> _Block | None:
+def _still_blocks(trial: Trial) -> list[_Block]:
+    """Of every marker the longest run of frames in which it is seen, those of equal runs together.
+
+    So that a lost frame costs what came before or after it, and not the marker.
+    """
     still = still_frames(trial.markers.t_s, trial.grip, trial.release_s)
     xy_m = trial.markers.xy_m[still]
-    always = np.isfinite(xy_m).all(axis=(0, 2)) if len(xy_m) else np.zeros(0, bool)
-    if len(xy_m) < MIN_STILL_FRAMES or not always.any():
-        return None
-    return _Block(xy_m[:, always].reshape(len(xy_m), -1))
+    together: dict[tuple[int, int], list[int]] = {}
+    seen: NDArray[np.bool_] = np.isfinite(xy_m[..., 0] + xy_m[..., 1])
+    for marker in range(xy_m.shape[1]):
+        begin, end = _longest_run(seen[:, marker])
+        if end - begin >= MIN_STILL_FRAMES:
+            together.setdefault((begin, end), []).append(marker)
+    return [
+        _Block(xy_m[begin:end, markers].reshape(end - begin, -1))
+        for (begin, end), markers in together.items()
+    ]
+
+
+def _longest_run(seen: NDArray[np.bool_]) -> tuple[int, int]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], seen, [False]]).astype(np.int8)))
+    runs = edges.reshape(-1, 2)
+    if len(runs) == 0:
+        return 0, 0
+    begin, end = runs[np.argmax(runs[:, 1] - runs[:, 0])]
+    return int(begin), int(end)
 
 
 def _fit_colour(blocks: Sequence[_Block], degree: int) -> tuple[Floor, float]:

@@ -5,21 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from cell.cable.effects.base import Parameter
+
 #: Distance at which a point's pull is stated, m.
 REFERENCE_DISTANCE_M = 0.05
-
-
-@dataclass(frozen=True)
-class Number:
-    """A parameter of a term: as `Parameter` of an effect."""
-
-    name: str
-    unit: str
-    low: float
-    high: float
-    default: float
-    starts: tuple[float, ...]
-    amplitude: bool = True
 
 
 @dataclass(frozen=True)
@@ -35,7 +24,7 @@ class Term:
     name: str
     hook: str
     law: str
-    numbers: tuple[Number, ...]
+    numbers: tuple[Parameter, ...]
     lines: tuple[str, ...]
     dissipative: bool = False
 
@@ -50,9 +39,9 @@ def admissible(box_m: tuple[float, float, float, float]) -> tuple[Term, ...]:
     changes nothing.
     """
 
-    def one(name: str, unit: str, typical: float, positive: bool = False) -> Number:
+    def one(name: str, unit: str, typical: float, positive: bool = False) -> Parameter:
         low = 0.0 if positive else -1e4 * typical
-        return Number(name, unit, low, 1e4 * typical, 0.0, (typical,))
+        return Parameter(name, unit, low, 1e4 * typical, 0.0, (typical,))
 
     return (
         Term(
@@ -114,7 +103,7 @@ def admissible(box_m: tuple[float, float, float, float]) -> tuple[Term, ...]:
             "moment M κ̇/√(κ̇² + r²): friction without memory",
             (
                 one("dry_moment", "N·m", 1e-6, True),
-                Number("dry_rate", "1/(m·s)", 0.1, 100.0, 5.0, (5.0,), amplitude=False),
+                Parameter("dry_rate", "1/(m·s)", 0.1, 100.0, 5.0, (5.0,), amplitude=False),
             ),
             ("moment += p.dry_moment * at.rate / (at.rate**2 + p.dry_rate**2) ** 0.5",),
             True,
@@ -153,12 +142,12 @@ def _attractor(box_m: tuple[float, float, float, float]) -> Term:
         f"pull towards a point, k (d/r) (r₀/r)^n per metre, r² = |d|² + core², "
         f"r₀ = {REFERENCE_DISTANCE_M:g} m, weighted along the cable as (m + 1)(s/L)^m",
         (
-            Number("pull", "N/m", -100.0, 100.0, 0.0, (1e-2,)),
-            Number("point_x_m", "m", *limits[0], middle[0], places[0], amplitude=False),
-            Number("point_y_m", "m", *limits[1], middle[1], places[1], amplitude=False),
-            Number("fall_off", "1", 0.5, 8.0, 2.0, (2.0,), amplitude=False),
-            Number("core_m", "m", 1e-3, 0.1, 0.01, (0.01,), amplitude=False),
-            Number("focus", "1", 0.01, 50.0, 0.05, (0.05, 8.0), amplitude=False),
+            Parameter("pull", "N/m", -100.0, 100.0, 0.0, (1e-2,)),
+            Parameter("point_x_m", "m", *limits[0], middle[0], places[0], amplitude=False),
+            Parameter("point_y_m", "m", *limits[1], middle[1], places[1], amplitude=False),
+            Parameter("fall_off", "1", 0.5, 8.0, 2.0, (2.0,), amplitude=False),
+            Parameter("core_m", "m", 1e-3, 0.1, 0.01, (0.01,), amplitude=False),
+            Parameter("focus", "1", 0.01, 50.0, 0.05, (0.05, 8.0), amplitude=False),
         ),
         (
             "dx = p.point_x_m - at.x",
@@ -212,7 +201,7 @@ def _hook(kind: str, terms: Sequence[Term]) -> str:
     return f"\n    @staticmethod\n    def {head}:\n" + "".join(f"        {b}\n" for b in body)
 
 
-def _at(number: Number, values: Mapping[str, float]) -> Number:
+def _at(number: Parameter, values: Mapping[str, float]) -> Parameter:
     if number.name not in values:
         return number
     value = min(max(values[number.name], number.low), number.high)

@@ -31,6 +31,22 @@ def test_a_settling_cable_does_not_count_as_noise(make_study):
     assert found.colour < 0.2
 
 
+def test_lost_frames_and_markers_cost_no_more_than_themselves(make_study):
+    """Every marker lost once at rest, and all of them in one frame."""
+    study = make_study(colour=0.5, noise_m=2e-4)
+    gappy = []
+    for trial in study.trials:
+        xy_m = trial.markers.xy_m.copy()
+        xy_m[5] = np.nan
+        for marker in range(xy_m.shape[1]):
+            xy_m[8 + marker % 3, marker] = np.nan
+        gappy.append(replace(trial, markers=Markers(trial.markers.t_s, xy_m)))
+    floor, whole = noise_floor(replace(study, trials=tuple(gappy))), noise_floor(study)
+    assert floor.noise.std_m == pytest.approx(2e-4, rel=0.05)
+    assert floor.noise.colour == pytest.approx(0.5, abs=0.1)
+    assert 0.5 * whole.freedom < floor.freedom < whole.freedom
+
+
 def test_a_stated_level_is_kept(make_study):
     assert noise_floor(replace(make_study(), noise_std_m=3e-4)).noise.std_m == 3e-4
 
