@@ -6,14 +6,14 @@ import time
 import traceback
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from cell import dry_run, steps
 from cell.agreement import agreement
-from cell.bench import Bench, Devices, Filmed, Prospect, Task, executed_trial, held_trial, study_of
+from cell.bench import Bench, Devices, Filmed, Prospect, Task, executed_trial, held_trial
 from cell.commands import INTERRUPTING, RESUMING, Commands, InterruptedByCommandError
 from cell.identify.identified import Identified
 from cell.identify.individual import CableRejectedError
@@ -22,11 +22,11 @@ from cell.machine import CellState, Event, EventRefusedError, Machine
 from cell.pictures import dry_run_pictures, held_pictures, measured_pictures, passage_pictures
 from cell.plan.choose import Choice
 from cell.plan.measuring import Measuring
-from cell.plan.passage import Passage, height_at_mouth_m
+from cell.plan.passage import height_at_mouth_m
+from cell.progress import Progress
 from cell.records.folder import Record
 from cell.records.result import Fault, Outcome, Result
 from cell.study.data import Trial
-from cell.watch import Watch
 from drivers.interfaces import (
     CameraError,
     ConnectError,
@@ -56,31 +56,6 @@ LONGEST_LEAD_S = 3.0
 
 #: Share of a measuring motion's frames in which the cable must be seen.
 LEAST_SEEN = 0.8
-
-
-@dataclass
-class Progress:
-    """The cycle under way: where it is, and the entries of its result as they become known.
-
-    empty  the jaws stay empty: a rehearsal
-    """
-
-    number: int
-    record: Record
-    bench: Bench
-    empty: bool
-    step: str = "reset"
-    seconds: dict[str, float] = field(default_factory=dict)
-    known: dict[str, Any] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        self.watch = Watch(self.bench)
-
-    def result(self) -> Result:
-        """The cycle's result so far."""
-        known = {k: v for k, v in self.known.items() if not (isinstance(v, float) and v != v)}
-        folder = str(self.record.folder)
-        return Result(cycle=self.number, folder=folder, seconds=self.seconds, **known)
 
 
 class Cell:
@@ -227,13 +202,13 @@ class Cell:
         progress.known["offset_m"] = choice.best.offset_m
         path = prospect.paths[choice.table.index(choice.best)]
         executed = self._step(progress, "execute", steps.execute, path, prospect.start_s)
-        self._record_study(progress, trial, executed_trial(trial, held, executed))
+        progress.add_study(trial, executed_trial(trial, held, executed))
         passage = self._step(progress, "verify", steps.verify, executed, prospect, choice)
-        self._record_passage(progress, passage)
+        progress.add_passage(passage)
         # Pictures take their time, and the execution began at a moment that had been planned.
         progress.record.pictures(held_pictures(held, trial, identified, self._bench.task))
         progress.record.pictures(passage_pictures(executed, prospect, choice, self._bench.task))
-        self._record_model(progress, steps.settled(self._bench, trial, identified))
+        progress.add_model(steps.settled(self._bench, trial, identified))
         self._pause(progress)
         self._step(progress, "release", steps.release, aside=not passage.passed)
         progress.known["outcome"] = Outcome.INSERTED if passage.passed else Outcome.MISSED
@@ -249,9 +224,9 @@ class Cell:
             nonlocal recorded
             if not recorded:
                 recorded = True
-                self._record_study(progress, trial)
+                progress.add_study(trial)
                 if identified is not None:
-                    self._record_model(progress, identified)
+                    progress.add_model(identified)
 
         try:
             identified = self._step(progress, "identify", steps.identify, trial, held.early)
@@ -310,7 +285,7 @@ class Cell:
         self._pause(progress)
         self._step(progress, "approach", steps.approach, motion)
         filmed = self._step(progress, "measure", steps.measure, motion)
-        self._record_study(progress, replace(held_trial(filmed), name=motion.name))
+        progress.add_study(replace(held_trial(filmed), name=motion.name))
         progress.record.pictures(measured_pictures(filmed, self._bench.task))
         self._pause(progress)
         self._step(progress, "go_back", steps.go_home)
@@ -411,27 +386,6 @@ class Cell:
         self._send(progress, RESUMING[pause])
         self._send(progress, Event.DONE)
         return True
-
-    # --- what is recorded ---------------------------------------------------------------------
-
-    def _record_study(self, progress: Progress, *trials: Trial) -> None:
-        progress.record.study(study_of(progress.record.folder.name, self._bench.task, trials))
-
-    def _record_model(self, progress: Progress, identified: Identified) -> None:
-        progress.record.model(identified.to_dict())
-        progress.known["parameters"] = {
-            name: float(value)
-            for name, value in zip(identified.space.names, identified.values, strict=True)
-        }
-
-    def _record_passage(self, progress: Progress, passage: Passage) -> None:
-        progress.known.update(
-            measured_miss_m=passage.miss_m,
-            margin_m=passage.margin_m,
-            prediction_error_m=passage.error_m,
-        )
-        if passage.reason is not None:
-            progress.known["reason"] = passage.reason
 
 
 def _fault(step: str, error: BaseException) -> tuple[Fault, Event]:
