@@ -1,4 +1,6 @@
-"""The steps of a cycle, one function each; with `waiting` and `filming`, all that calls devices.
+"""The steps of a cycle, one function each.
+
+With `waiting` and `filming`, and beside the `dry_run` and the `watch`, all that calls devices.
 
 grasp → lower → hold and capture → identify → simulate → choose → execute → verify → release.
 A measuring cycle: grasp → approach → measure → go home → release.
@@ -8,6 +10,7 @@ it found itself; nothing is kept here.
 
 from __future__ import annotations
 
+from concurrent.futures import BrokenExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -32,7 +35,7 @@ from cell.plan.paths import (
 from cell.study.data import Trial
 from cell.waiting import POLL_S, REST_TIMEOUT_S, await_rest, check_arm, wait_until
 from cell.warmup import warm_up as warm_up_engine
-from drivers.interfaces import ArmMode, DeviceError, GripError, Path, Pose
+from drivers.interfaces import ArmMode, DeviceError, DeviceLostError, GripError, Path, Pose
 
 #: A hand this close to where it is sent is there already, m: an arm's repeatability, and too little
 #: to set a cable swinging when the arm is brought the rest of the way.
@@ -115,9 +118,16 @@ def check_ready(bench: Bench) -> None:
 
 
 def warm_up(bench: Bench) -> None:
-    """Have everything compiled and loaded where it will be needed."""
+    """Have everything compiled and loaded where it will be needed.  Raises DeviceLostError."""
     warm_up_engine(bench.task.cable)
-    bench.computer.submit(warm_up_engine, bench.task.cable).result()
+    try:
+        bench.computer.submit(warm_up_engine, bench.task.cable).result()
+    except BrokenExecutor as error:
+        raise DeviceLostError(
+            "computer",
+            "the process that computes ahead ended as it began",
+            "free memory; a script of your own must begin under `if __name__ == '__main__':`",
+        ) from error
 
 
 # --- the steps ----------------------------------------------------------------------------------

@@ -99,6 +99,8 @@ def main() -> int:
                 steps.clear()
                 result = cell.run_cycle(number)
                 outcomes[result.outcome.value] += 1
+                if result.outcome is Outcome.REJECTED:
+                    print(f"cycle {number}: {result.reason}", flush=True)
                 if result.outcome is Outcome.FAILED:
                     print(f"cycle {number}: {result.fault}", flush=True)
                     cell.acknowledge()

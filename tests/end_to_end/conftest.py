@@ -72,7 +72,8 @@ _LIGHT = [
     ("frame_rate_hz: 60.0", "frame_rate_hz: 50.0"),
     ("metres_per_pixel: 0.00032", "metres_per_pixel: 0.0004"),
     ("origin_column_px: 625, origin_row_px: 93.75", "origin_column_px: 500, origin_row_px: 75"),
-    ("hold_s: 1.0", "hold_s: 0.5\n  decide_s: 1.5"),
+    ("hold_s: 1.0", "hold_s: 0.5"),
+    ("decide_s: 0.7 ", "decide_s: 1.5 "),
     ("step_m: 0.002", "step_m: 0.01"),
     ("reply_s: 0.15", "reply_s: 0.5"),
 ]

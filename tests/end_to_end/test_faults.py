@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -231,3 +233,20 @@ def test_a_computer_that_is_too_slow_gives_up_and_says_so(
     check_stopped(it, result, "choose")
     assert result.fault is not None and result.fault.device == "computer"
     assert "longer than the" in result.fault.cause and "decide_s" in result.fault.remedy
+
+
+def test_a_second_process_that_cannot_begin_is_named_with_the_remedy(
+    live: Live, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Broken(ThreadPoolExecutor):
+        def submit(self, *args: object, **kwargs: object) -> Future[Any]:
+            job: Future[Any] = Future()
+            job.set_exception(BrokenExecutor("ended abruptly"))
+            return job
+
+    monkeypatch.setattr("cell.cycle.ThreadPoolExecutor", Broken)
+    result = live().cell.run_cycle(1)
+    assert result.outcome is Outcome.FAILED
+    assert result.fault is not None
+    assert (result.fault.device, result.fault.step) == ("computer", "warm_up")
+    assert "free memory" in result.fault.remedy
