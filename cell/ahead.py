@@ -24,6 +24,7 @@ from cell.bench import (
 from cell.cable.dynamics import DivergedError, Solver, threads
 from cell.cable.geometry import Motion
 from cell.cable.statics import UnsettledError
+from cell.commands import Commands
 from cell.identify.hand import HandErrors
 from cell.identify.identified import Identified
 from cell.identify.individual import CableRejectedError, IdentifyOptions, foresee, identify
@@ -31,6 +32,7 @@ from cell.plan.choose import forecast
 from cell.plan.paths import executed_motion, insertion_path
 from cell.study.data import Trial
 from cell.vision.sighting import Sighting
+from cell.waiting import POLL_S
 
 Found = TypeVar("Found")
 
@@ -39,6 +41,9 @@ Found = TypeVar("Found")
 #: the frames to come and all offsets.  Between them, and after them, a computer of two cores that
 #: does nothing else needs a quarter of the time that there is.
 SHARES = (0.2, 0.6)
+
+#: Who has not computed it by then does not compute any more, s.
+LONGEST_S = 5.0
 
 
 class Ahead:
@@ -68,12 +73,12 @@ class Ahead:
                 bench.timing,
                 replace(self._filming, sightings=(), pictures=()),
                 self._so_far(sightings),
-                _result(self._first),
+                _result(self._first, bench.commands),
             )
 
     def found(self) -> Early | None:
         """What was computed, waiting for it; None if the first frames were not enough."""
-        return None if self._second is None else _result(self._second)
+        return None if self._second is None else _result(self._second, self._bench.commands)
 
     def close(self) -> None:
         """Begin nothing more."""
@@ -122,12 +127,21 @@ def prospect(
     return Prospect(start_s, paths, expected)
 
 
-def _result(job: Future[Found]) -> Found | None:
-    """What a job found; None if its process was killed, which only costs time."""
-    try:
-        return job.result()
-    except BrokenExecutor:
-        return None
+def _result(job: Future[Found], commands: Commands) -> Found | None:
+    """What a job found; None if its process was killed or hangs, which only costs time.
+
+    raises  InterruptedByCommandError
+    """
+    for _ in range(round(LONGEST_S / POLL_S)):
+        commands.check()
+        try:
+            return job.result(POLL_S)
+        except TimeoutError:
+            if job.done():  # it is the job's own
+                raise
+        except BrokenExecutor:
+            return None
+    return None
 
 
 def _find(task: Task, so_far: Filmed, previous: Identified | None = None) -> Identified | None:

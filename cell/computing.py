@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import threading
@@ -27,6 +28,7 @@ class SecondProcess(Executor):
 
     def __init__(self) -> None:
         self._pool: ProcessPoolExecutor | None = None
+        self._pid: Future[int] = Future()
 
     def submit(
         self, fn: Callable[Given, Found], /, *args: Given.args, **kwargs: Given.kwargs
@@ -36,15 +38,20 @@ class SecondProcess(Executor):
             try:
                 return self._pool.submit(fn, *args, **kwargs)
             except BrokenExecutor:
-                self._pool.shutdown(wait=False)
+                self.shutdown(wait=False)
         self._pool = ProcessPoolExecutor(1, get_context("spawn"), initializer=_begin)
+        self._pid = self._pool.submit(os.getpid)
         return self._pool.submit(fn, *args, **kwargs)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """End the process."""
-        if self._pool is not None:
-            self._pool.shutdown(wait, cancel_futures=cancel_futures)
-            self._pool = None
+        """End the process: after its job if that is waited for, else at once."""
+        if self._pool is None:
+            return
+        pool, self._pool = self._pool, None
+        if not wait and self._pid.done() and self._pid.exception() is None:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(self._pid.result(), signal.SIGKILL)
+        pool.shutdown(wait, cancel_futures=cancel_futures)
 
 
 def _begin() -> None:

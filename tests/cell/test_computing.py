@@ -45,6 +45,17 @@ def test_after_a_shutdown_it_begins_anew(second: SecondProcess) -> None:
     assert second.submit(abs, -1).result() == 1
 
 
+def test_one_that_hangs_is_ended_at_once(second: SecondProcess) -> None:
+    process = second.submit(os.getpid).result()
+    job = second.submit(time.sleep, 60.0)
+    os.kill(process, signal.SIGSTOP)
+    second.shutdown(wait=False)
+    with pytest.raises(BrokenExecutor):
+        job.result(timeout=30.0)
+    assert not _runs(process)
+    assert second.submit(abs, -2).result() == 2
+
+
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGTERM])
 def test_it_does_not_outlive_the_first_process(end: signal.Signals) -> None:
     """Even busy, and however that ends."""
