@@ -19,6 +19,7 @@ from cell.identify.identified import Identified
 from cell.identify.individual import CableRejectedError
 from cell.legs import cycle_legs, measuring_legs, slowed, slowed_motion
 from cell.machine import CellState, Event, EventRefusedError, Machine
+from cell.memory import give_back
 from cell.pictures import dry_run_pictures, held_pictures, measured_pictures, passage_pictures
 from cell.plan.choose import Choice
 from cell.plan.measuring import Measuring
@@ -163,6 +164,7 @@ class Cell:
         }
         result = progress.result()
         progress.record.close(result)
+        give_back()
         return result
 
     # --- what happens in the states -----------------------------------------------------------
