@@ -191,7 +191,9 @@ def still_noise(
         markers = trial.markers.xy_m[still]
         if across_only and len(markers):
             axes = across(markers)
-            markers = np.sum((markers - markers[:1]) * axes, axis=-1, keepdims=True)
+            first = np.isfinite(markers).all(axis=-1).argmax(axis=0)  # in which each is seen
+            beside = markers - markers[first, np.arange(markers.shape[1])]
+            markers = np.sum(beside * axes, axis=-1, keepdims=True)
         stills.append(markers)
     estimate = estimate_noise(stills)
     if estimate is None or estimate[0] == 0.0:

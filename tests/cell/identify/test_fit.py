@@ -140,3 +140,15 @@ def test_still_noise_across_the_cable_leaves_out_what_is_along_it(
     trial = replace(world.trial, markers=Markers(world.trial.markers.t_s, markers))
     assert still_noise([trial]).std_m > 1e-4
     assert still_noise([trial], across_only=True).std_m == pytest.approx(2e-5, rel=0.3)
+
+
+def test_a_first_frame_in_which_nothing_is_seen_does_not_hide_the_others(
+    measure, flat_cable: Cable
+) -> None:
+    trial = measure(varied(flat_cable), seed=10, noise_m=2e-5).trial
+    markers = trial.markers.xy_m.copy()
+    markers[0] = np.nan
+    markers[1, 3] = np.nan
+    gappy = replace(trial, markers=Markers(trial.markers.t_s, markers))
+    whole = still_noise([trial], across_only=True)
+    assert still_noise([gappy], across_only=True).std_m == pytest.approx(whole.std_m, rel=0.1)
