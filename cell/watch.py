@@ -13,7 +13,7 @@ from cell.bench import Bench
 from cell.waiting import check_arm
 from drivers.interfaces import DeviceError, GripError
 
-#: Time between two looks, s.  With the two answers that a gripper's driver waits for, 40 ms each,
+#: Time between two looks, s.  With the two answers that a gripper's driver waits for, 35 ms each,
 #: a fault must be noticed within 100 ms.
 ARM_EVERY_S, CAMERA_EVERY_S, GRIPPER_EVERY_S = 0.01, 0.015, 0.015
 #: Later than that is a computer that was busy with something else.

@@ -49,7 +49,7 @@ class CaptureOptions:
 
     latency_s: float = 0.0
     connect_s: float = 5.0
-    lost_after_s: float = 0.07
+    lost_after_s: float = 0.055
     rate_tolerance: float = 0.05
     buffer_frames: int = 512
     settle_frames: int = 40

@@ -68,7 +68,7 @@ class SerialGripperOptions:
     port: str
     address: int = 9
     baud: int = 115_200
-    reply_s: float = 0.04
+    reply_s: float = 0.035
     attempts: int = 2
     motion_s: float = 5.0
     poll_s: float = 0.005

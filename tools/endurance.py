@@ -77,7 +77,7 @@ def main() -> int:
     parser.add_argument("--cycles", type=int, default=500)
     parser.add_argument("--minutes", type=float, default=np.inf, help="stop after so long")
     parser.add_argument("--host", default="127.0.0.78", help="address of the emulated arm")
-    parser.add_argument("--patience-s", type=float, default=0.04, help="with the gripper")
+    parser.add_argument("--patience-s", type=float, default=0.15, help="with the gripper")
     arguments = parser.parse_args()
     outcomes: Counter[str] = Counter()
     own: list[Held] = []

@@ -202,7 +202,7 @@ class SimulatedCamera(_Camera):
 class _RealCamera(_Camera):
     latency_s: Annotated[float, Field(ge=0.0, le=0.5)] = 0.0
     """From the middle of an exposure to the arrival of its picture, at best; measured."""
-    lost_after_s: Annotated[float, Field(ge=0.01, le=5.0)] = 0.07
+    lost_after_s: Annotated[float, Field(ge=0.01, le=5.0)] = 0.055
     """Silence that counts as a lost camera, and stops the arm."""
 
 
@@ -260,7 +260,7 @@ class SerialGripper(_Gripper):
     port: Annotated[str, Field(min_length=1)]
     address: Annotated[int, Field(ge=1, le=247)] = 9
     baud: Annotated[int, Field(ge=1200)] = 115_200
-    reply_s: Annotated[float, Field(ge=0.005, le=1.0)] = 0.04
+    reply_s: Annotated[float, Field(ge=0.005, le=1.0)] = 0.035
     """Time that an answer may take; two missing in a row are a lost gripper, and stop the arm."""
 
 
