@@ -51,7 +51,7 @@ confusion: $(VENV)/.dev   ## which effect is named for which, 100 studies (long)
 	$(BIN)/python tools/confusion_study.py --studies 100
 
 fault-trials: $(VENV)/.dev   ## a fault in every device in every step, and processes killed, ~40 min
-	$(BIN)/python tools/fault_trials.py -o docs/fault_trials.md
+	$(BIN)/python tools/fault_trials.py --patience-s 0.15 -o docs/fault_trials.md
 
 endurance: $(VENV)/.dev   ## 500 cycles against the emulators: memory, threads, files (~40 min)
 	$(BIN)/python tools/endurance.py --cycles 500
