@@ -60,7 +60,7 @@ class Ahead:
         self._second: Future[Early | None] | None = None
 
     def look(self, sightings: list[Sighting]) -> None:
-        """Take the frames so far if it is time to."""
+        """Take the frames so far if it is time to; the second time what was found is waited for."""
         hold_s = self._filming.end_s - self._filming.rest_s
         share = (sightings[-1].t_s - self._filming.rest_s) / hold_s
         bench = self._bench
@@ -105,6 +105,9 @@ def prospect(
 
     The cable still swings and remembers the hand's motion before; the hand follows with its known
     lag, and is seen by the camera a constant beside where the arm says it is.
+
+    start_s  on the cell's clock, s
+    raises   DivergedError, UnsettledError
     """
     to_start_s = filmed.begin_s - start_s
     history = Motion(
