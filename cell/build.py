@@ -18,6 +18,7 @@ from cell.cable.model import CableModel
 from cell.computing import SecondProcess
 from cell.cycle import Cell
 from cell.identify.individual import IdentifyOptions
+from cell.memory import one_heap
 from cell.plan.choose import ChoiceOptions
 from cell.plan.destination import Destination
 from cell.plan.paths import MotionLimits
@@ -138,6 +139,7 @@ def cell_with(
     settings: Settings, devices: Devices, runs: Path, on_step: Callable[[int, str], None]
 ) -> Cell:
     """A cell around given devices, which it surrounds with their limits."""
+    one_heap()
     guarded = Devices(
         arm=GuardedArm(devices.arm, _arm_limits(settings)),
         camera=GuardedCamera(devices.camera, devices.clock),
