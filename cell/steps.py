@@ -35,6 +35,7 @@ from cell.plan.paths import (
 from cell.study.data import Trial
 from cell.waiting import POLL_S, REST_TIMEOUT_S, await_rest, check_arm, wait_until
 from cell.warmup import warm_up as warm_up_engine
+from cell.warmup import warm_up_eyes
 from drivers.interfaces import ArmMode, DeviceError, DeviceLostError, GripError, Path, Pose
 
 #: A hand this close to where it is sent is there already, m: an arm's repeatability, and too little
@@ -120,6 +121,7 @@ def check_ready(bench: Bench) -> None:
 def warm_up(bench: Bench) -> None:
     """Have everything compiled and loaded where it will be needed.  Raises DeviceLostError."""
     warm_up_engine(bench.task.cable)
+    warm_up_eyes(bench.task.vision)
     try:
         bench.computer.submit(warm_up_engine, bench.task.cable).result()
     except BrokenExecutor as error:

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import pytest
 
 from cell.cable.geometry import Cable
-from cell.warmup import warm_up
+from cell.vision.detect import VisionOptions, detect_all
+from cell.vision.marks import JawMarks
+from cell.warmup import made_up_picture, warm_up
+
+CONFIG = Path(__file__).parents[2] / "config" / "fake.yaml"
+SMALL = JawMarks(((0.002, 0.003), (0.002, -0.003), (0.012, 0.003)), 0.001)
 
 
 @pytest.mark.parametrize(
@@ -19,3 +27,49 @@ def test_it_works_for_any_cable_and_is_done_once(cable: Cable) -> None:
     for _ in range(100):
         warm_up(cable)
     assert time.perf_counter() - begun_s < 0.1
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        VisionOptions(0.1),
+        VisionOptions(0.3, cable_is="light", line_width_px=2.0),
+        VisionOptions(0.05, length_tolerance_m=0.001, marks=SMALL),
+    ],
+    ids=["paper", "long and light", "short"],
+)
+def test_the_cable_of_the_made_up_picture_is_seen(options: VisionOptions) -> None:
+    """So that everything is compiled that a real one will need."""
+    image, view = made_up_picture(options)
+    for sighting in detect_all([(0.0, image), (0.01, image)], view, options):
+        assert sighting.seen, sighting.unseen
+        assert sighting.length_m == pytest.approx(options.free_length_m, abs=0.0015)
+
+
+COMPILED_LATER = """
+import sys
+from pathlib import Path
+from numba.core.dispatcher import Dispatcher
+from cell.build import build_twins, cell_with, twin_devices
+from cell.settings import load_settings
+
+def compiled():
+    modules = [m for name, m in sys.modules.items() if name.startswith("cell.")]
+    found = [v for m in modules for v in vars(m).values() if isinstance(v, Dispatcher)]
+    return {f"{f.py_func.__module__}.{f.__name__} {s}" for f in found for s in f.signatures}
+
+early = set()
+settings = load_settings(Path(sys.argv[1]))
+twins = build_twins(settings, 1, 1)
+if __name__ == "__main__":
+    on_step = lambda number, step: early.update(compiled()) if step == "reset" else None
+    cell = cell_with(settings, twin_devices(twins), Path(sys.argv[2]), on_step)
+    print(cell.run_cycle(1).outcome.value, *sorted(compiled() - early), sep="\\n")
+"""
+
+
+def test_nothing_is_compiled_while_a_cable_hangs_in_the_jaws(tmp_path: Path) -> None:
+    """A process of its own, in which no other test has compiled anything yet."""
+    command = [sys.executable, "-c", COMPILED_LATER, str(CONFIG), str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, check=True, text=True)
+    assert done.stdout.split("\n") == ["inserted", ""]
