@@ -27,7 +27,7 @@ from drivers.emulators.camera_live import ArmScene, LiveScene
 from drivers.emulators.gripper import GripperProcess
 from drivers.emulators.launch import EmulatedController, EmulatorError
 from drivers.emulators.ur_arm import HOME_RAD
-from drivers.emulators.ur_server import DASHBOARD_PORT, FAULT_PORT, RTDE_PORT, SCRIPT_PORT
+from drivers.emulators.ur_ports import DASHBOARD_PORT, FAULT_PORT, RTDE_PORT, SCRIPT_PORT
 from drivers.interfaces import Path as HandPath
 from drivers.interfaces import Pose
 from drivers.plane_mount import PlaneMount

@@ -39,6 +39,7 @@ from drivers.plane_mount import PlaneMount
 from drivers.ur_child import MODES, ChildOptions
 from drivers.ur_kinematics import MODELS, matrix_of
 from drivers.ur_reach import check_reach
+from drivers.ur_robot import RobotOptions
 from drivers.ur_shared import COLUMNS, SIZE_BYTES, Column, SharedState, Slot
 
 _LOST_REMEDY = ArmMode.LOST.remedy
@@ -235,18 +236,8 @@ class UrArm:
 
     def _start_child(self) -> _Child:
         o = self._options
-        options = ChildOptions(
-            host=o.host,
-            mount=o.mount,
-            tcp=o.tcp,
-            period_s=1.0 / o.rate_hz,
-            lookahead_s=o.lookahead_s,
-            gain=o.gain,
-            watchdog_hz=o.watchdog_hz,
-            stop_m_per_s2=o.stop_m_per_s2,
-            stale_s=o.stale_s,
-            versions=o.versions,
-        )
+        robot = RobotOptions(o.host, o.tcp, 1.0 / o.rate_hz, o.watchdog_hz, o.versions)
+        options = ChildOptions(robot, o.mount, o.lookahead_s, o.gain, o.stop_m_per_s2, o.stale_s)
         ours, theirs = Pipe()
         with tempfile.TemporaryFile() as memory:
             memory.truncate(SIZE_BYTES)

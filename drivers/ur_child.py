@@ -26,37 +26,14 @@ from drivers.interfaces import ArmMode, Path
 from drivers.plane_mount import PlaneMount
 from drivers.priority import bound_spinning, run_in_real_time
 from drivers.ur_kinematics import matrix_of, pose_of
+from drivers.ur_robot import RefusedError, Robot, RobotOptions
 from drivers.ur_shared import SharedState, Slot
 
 MODES = tuple(ArmMode)
 
-_PLAYING = 2  # runtime state
-_RUNNING = 7  # robot mode: powered, brakes released
-# safety status bits: protective; safeguard; system, robot, any emergency; violation, fault, stopped
-_PROTECTIVE, _SAFEGUARD, _EMERGENCY, _OTHER = 1 << 2, 1 << 4, 0b111 << 5, 0b111 << 8
-_FULL_SPEED = 0.995
-_OUTPUTS = [
-    "timestamp",
-    "actual_q",
-    "actual_TCP_pose",
-    "actual_TCP_speed",
-    "runtime_state",
-    "safety_status_bits",
-    "robot_mode",
-    "speed_scaling",
-    "target_speed_fraction",
-]
 _SETTLING = 8.0  # lookaheads after the end of a path until the arm rests
 _DRIFT = 20e-6  # how fast two crystals may part
-_STANDSTILL_M = 2e-4
-_STANDSTILL_S = 0.1
-_PROGRAM_S = 5.0
-_REMOTE_EVERY_S = 0.5
 _CLOCKS_S = 0.1  # time in which the offset between two clocks is first found
-_NO_LIBRARY = (
-    "pip install 'ur-rtde>=1.6'; it is made for Python 3.11 and 3.12 on Linux x86-64, and must be "
-    "built from source elsewhere"
-)
 _SETTING_UP_S, _CYCLING_S = 0.5, 0.03  # longest that ur-rtde may spin
 _FAREWELL_S = 2
 
@@ -65,25 +42,12 @@ _FAREWELL_S = 2
 class ChildOptions:
     """What the child needs to know; see `drivers.ur.UrOptions`."""
 
-    host: str
+    robot: RobotOptions
     mount: PlaneMount
-    tcp: tuple[float, ...]
-    period_s: float
     lookahead_s: float
     gain: float
-    watchdog_hz: float
     stop_m_per_s2: float
     stale_s: float
-    versions: tuple[tuple[int, int], tuple[int, int]]
-
-
-class RefusedError(Exception):
-    """Something cannot be done now: the cause, and what a person can do."""
-
-    def __init__(self, cause: str, remedy: str) -> None:
-        super().__init__(cause)
-        self.cause = cause
-        self.remedy = remedy
 
 
 class _LostError(Exception):
@@ -95,109 +59,6 @@ class _Motion:
     path: Path
     began_s: float
     last_s: float = 0.0  # time of the last command
-
-
-class _Robot:
-    """ur-rtde's three clients, and nothing of the cell."""
-
-    def __init__(self, options: ChildOptions) -> None:
-        try:
-            import dashboard_client
-            import rtde_control
-            import rtde_receive
-        except ImportError as error:
-            raise RefusedError(f"ur-rtde cannot be loaded ({error})", _NO_LIBRARY) from error
-
-        bound_spinning(_SETTING_UP_S)
-        run_in_real_time()  # after the imports, before the clients start their threads
-        self._options = options
-        self._remote, self._remote_asked_s = True, -np.inf
-        self._dashboard = dashboard_client.DashboardClient(options.host)
-        self._dashboard.connect()
-        self._check_version()
-        self.receive = rtde_receive.RTDEReceiveInterface(
-            options.host, 1.0 / options.period_s, _OUTPUTS
-        )
-        self._check_can_start()
-        self.control = rtde_control.RTDEControlInterface(options.host, 1.0 / options.period_s)
-        self._prepare()
-
-    def speed(self, moving: bool) -> float:
-        """Share of the full speed: of the slider, and in motion of the controller's own limiter."""
-        slider = self.receive.getTargetSpeedFraction()
-        return float(slider * self.receive.getSpeedScaling() if moving else slider)
-
-    def mode(self, moving: bool = False) -> ArmMode:
-        """READY, or why the controller does not let the program run; STOPPED = it has ended."""
-        bits = self.receive.getSafetyStatusBits()
-        if bits & _EMERGENCY:
-            return ArmMode.EMERGENCY_STOP
-        if bits & _SAFEGUARD:
-            return ArmMode.SAFEGUARD_STOP
-        if bits & (_PROTECTIVE | _OTHER):
-            return ArmMode.PROTECTIVE_STOP
-        if self.receive.getRobotMode() != _RUNNING:
-            return ArmMode.POWER_OFF
-        if self.receive.getRuntimeState() != _PLAYING:
-            return ArmMode.STOPPED if self._is_remote() else ArmMode.LOCAL_CONTROL
-        if self.speed(moving) < _FULL_SPEED:
-            return ArmMode.REDUCED_SPEED
-        return ArmMode.READY
-
-    def ask_anew(self) -> None:
-        """Forget what the dashboard said last."""
-        self._remote_asked_s = -np.inf
-
-    def _is_remote(self) -> bool:
-        """Whether the pendant leaves control to us; the dashboard is not asked in every cycle."""
-        now_s = time.monotonic()
-        if now_s > self._remote_asked_s + _REMOTE_EVERY_S:
-            self._remote = bool(self._dashboard.isInRemoteControl())
-            self._remote_asked_s = now_s
-        return self._remote
-
-    def restart_program(self) -> None:
-        """Upload the program anew without the old command starting with it.
-
-        Raises RefusedError: it does not run, or the arm moves.
-        """
-        self.control.kickWatchdog()  # leaves "no command" in the register, see hardware trap 4
-        self.control.reuploadScript()
-        if not _within(_PROGRAM_S, lambda: self.receive.getRuntimeState() == _PLAYING):
-            raise RefusedError("the program does not start", "look at the pendant's log")
-        before = np.array(self.receive.getActualTCPPose()[:3])
-        self._prepare()
-        until_s = time.monotonic() + _STANDSTILL_S
-        while time.monotonic() < until_s:
-            self.control.kickWatchdog()
-            moved_m = float(np.linalg.norm(np.array(self.receive.getActualTCPPose()[:3]) - before))
-            if moved_m > _STANDSTILL_M:
-                self.control.stopScript()
-                raise RefusedError(
-                    f"the arm moved {moved_m * 1e3:.1f} mm by itself after the program started",
-                    "look at the pendant's log",
-                )
-            time.sleep(0.005)
-
-    def _prepare(self) -> None:
-        self.control.setTcp(list(self._options.tcp))
-        self.control.setWatchdog(self._options.watchdog_hz)
-
-    def _check_version(self) -> None:
-        text = str(self._dashboard.polyscopeVersion())
-        major, minor = (int(part) for part in text.split(".")[:2])
-        low, high = self._options.versions
-        if not low <= (major, minor) <= high:
-            raise RefusedError(
-                f"the controller runs PolyScope {text}; this driver is proven with "
-                f"{low[0]}.{low[1]} to {high[0]}.{high[1]}",
-                "install such a version, or prove the driver with this one and widen the range",
-            )
-
-    def _check_can_start(self) -> None:
-        mode = self.mode()
-        if mode not in (ArmMode.READY, ArmMode.STOPPED, ArmMode.REDUCED_SPEED):
-            raise RefusedError(f"the controller reports {mode.value}", mode.remedy)
 
 
 class _Child:
@@ -212,7 +73,8 @@ class _Child:
         self._silent_s = 0.0
         self._offset_s = np.inf
         self._last_t_s = -np.inf
-        self._robot = _Robot(options)
+        self._period_s = options.robot.period_s
+        self._robot = Robot(options.robot, _hurry)
         self._began_s = self._looked_s = time.monotonic()
 
     def run(self) -> None:
@@ -230,7 +92,7 @@ class _Child:
                 self._stream(self._motion, time.monotonic())
             elif self._mode in (ArmMode.READY, ArmMode.REDUCED_SPEED):
                 self._robot.control.kickWatchdog()
-            next_s += self._options.period_s
+            next_s += self._period_s
             left_s = next_s - time.monotonic()
             if left_s > 0.0:
                 time.sleep(left_s)
@@ -252,7 +114,7 @@ class _Child:
             raise _LostError("the connection dropped")
         robot_s = robot.getTimestamp()
         # time in which this process was not run is not the controller's silence
-        self._silent_s += min(now_s - self._looked_s, 2.0 * self._options.period_s)
+        self._silent_s += min(now_s - self._looked_s, 2.0 * self._period_s)
         self._looked_s = now_s
         if robot_s == self._robot_s:
             if self._silent_s > self._options.stale_s:
@@ -313,14 +175,14 @@ class _Child:
         along_s = now_s - motion.began_s
         target = pose_of(options.mount.to_base(motion.path.at(along_s)))
         self._robot.control.servoL(
-            target.tolist(), 0.0, 0.0, options.period_s, options.lookahead_s, options.gain
+            target.tolist(), 0.0, 0.0, self._period_s, options.lookahead_s, options.gain
         )
         if along_s > motion.path.t_s[-1] + _SETTLING * options.lookahead_s:
             self._end_motion()
 
     def _count_period(self, period_s: float) -> None:
         self._shared.add(Slot.PERIODS)
-        if period_s > 1.25 * self._options.period_s:
+        if period_s > 1.25 * self._period_s:
             self._shared.add(Slot.LATE_PERIODS)
         if period_s > self._shared.get(Slot.WORST_PERIOD_S):
             self._shared.put(Slot.WORST_PERIOD_S, period_s)
@@ -373,13 +235,9 @@ class _Child:
         self._connection.send(answer)
 
 
-def _within(seconds: float, holds: Callable[[], bool]) -> bool:
-    until_s = time.monotonic() + seconds
-    while not holds():
-        if time.monotonic() > until_s:
-            return False
-        time.sleep(0.005)
-    return True
+def _hurry() -> None:
+    bound_spinning(_SETTING_UP_S)
+    run_in_real_time()
 
 
 def main() -> None:

@@ -31,8 +31,8 @@ class Rules:
     most_tied        more than these tied: these motions cannot tell
     most_effects     added one after another
     best             of the screen that are refitted, besides all that are not smooth
-    doubted          a stated noise of which the baseline leaves less than this share bounds what
-                     the measurement can be trusted for: below it nothing is claimed
+    doubted          a stated noise of which a model leaves less than this share bounds what the
+                     measurement can be trusted for: below it nothing more is claimed
     misfit           rms over noise above which a significant misfit also matters
     misfit_share     of the baseline's excess that a known effect may leave
     """
@@ -77,7 +77,9 @@ def diagnose(explorer: Explorer, rules: Rules = Rules()) -> Examination:
     screened = explorer.screened(base)
     singles = explorer.add(base, _worth_refitting(explorer, base, rules))
     current = base
-    for _ in range(0 if _below_stated(explorer, base, rules) else rules.most_effects):
+    for _ in range(rules.most_effects):
+        if _below_stated(explorer, current, rules):
+            break
         options = explorer.add(current, _worth_refitting(explorer, current, rules))
         better = _accepted(explorer, current, options, len(screened), rules)
         if better is None:
@@ -109,9 +111,9 @@ def _added(explorer: Explorer, candidate: Candidate) -> list[type[Effect]]:
     return [e for e in candidate.effects if e not in explorer.space.effects]
 
 
-def _below_stated(explorer: Explorer, base: Candidate, rules: Rules) -> bool:
-    """Whether the baseline errs by much less than the measurement is said to."""
-    worst_m = max(base.fit.rms_m, base.heldout.rms_m if base.heldout else 0.0)
+def _below_stated(explorer: Explorer, candidate: Candidate, rules: Rules) -> bool:
+    """Whether a candidate errs by much less than the measurement is said to."""
+    worst_m = max(candidate.fit.rms_m, candidate.heldout.rms_m if candidate.heldout else 0.0)
     floor = explorer.bench.floor
     return bool(np.isinf(floor.freedom)) and worst_m < rules.doubted * floor.noise.std_m
 

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from multiprocessing.connection import Connection
 from typing import Any, Self
 
-from drivers.emulators.ur_server import FAULT_PORT
+from drivers.emulators.ur_ports import FAULT_PORT
 from drivers.interfaces import FloatArray
 
 _START_S = 30.0

@@ -105,6 +105,17 @@ def test_nothing_is_claimed_below_the_noise_that_the_study_states(make_study):
     assert found.verdict == "complete"
 
 
+def test_beside_a_true_effect_too_nothing_is_claimed_below_the_stated_noise(make_study):
+    known = library()
+    hidden = [known["tip_mass"].active(mass_kg=3e-5), known["grip_slip"].active(length_m=2e-5)]
+    study = make_study(hidden, seed=4, noise_m=1e-5, colour=0.0)
+    names = ("grip_slip", "tip_mass")
+    found = diagnose(explore(study, names)).diagnosis
+    assert {f.effect for f in found.missing} == set(names)
+    found = diagnose(explore(replace(study, noise_std_m=2.2e-5), names)).diagnosis
+    assert [f.effect for f in found.missing] == ["tip_mass"]
+
+
 def test_an_effect_outside_the_library_is_unexplained(make_study):
     mass = library()["tip_mass"].active(mass_kg=3e-5)
     found = diagnose(explore(make_study([mass], seed=8), ("air_drag", "linear_air_drag")))

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from drivers.interfaces import ArmMode
-from drivers.ur_child import _Robot
+from drivers.ur_robot import Robot
 
 NORMAL, PROTECTIVE, SAFEGUARD, SYSTEM_EMERGENCY, ROBOT_EMERGENCY, EMERGENCY = 0, 2, 4, 5, 6, 7
 VIOLATION, FAULT, STOPPED_FOR_SAFETY = 8, 9, 10
@@ -22,7 +22,7 @@ def mode(
     scaling: float = 1.0,
     moving: bool = False,
 ) -> ArmMode:
-    it = _Robot.__new__(_Robot)
+    it = Robot.__new__(Robot)
     it.receive = SimpleNamespace(
         getSafetyStatusBits=lambda: sum(1 << bit for bit in bits),
         getRobotMode=lambda: robot,
