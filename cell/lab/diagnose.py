@@ -12,7 +12,7 @@ from scipy import stats
 from cell.cable.effects.base import Effect
 from cell.lab.estimate import Estimate, estimate
 from cell.lab.explore import Candidate, Explorer, Gain
-from cell.lab.fitting import fit_trials
+from cell.lab.fitting import Heldout, fit_trials
 from cell.lab.results import Diagnosis, Errors, Found, Ranked, Status, Verdict
 from cell.lab.score import holm
 from cell.lab.screen import Screened
@@ -33,8 +33,10 @@ class Rules:
     best             of the screen that are refitted, besides all that are not smooth
     doubted          a stated noise of which a model leaves less than this share bounds what the
                      measurement can be trusted for: below it nothing more is claimed
-    misfit           rms over noise above which a significant misfit also matters
-    misfit_share     of the baseline's excess that a known effect may leave
+    misfit_significance   of what a model leaves on the held-out trials
+    misfit, gross_misfit  rms over noise from which that matters; and does whatever it was before
+    misfit_share          of the baseline's excess that a known effect may leave below the latter
+    smooth_misfit, gross_smooth_misfit, smooth_share   the same for the smooth part's mean square
     """
 
     significance: float = 0.01
@@ -51,6 +53,9 @@ class Rules:
     gross_misfit: float = 1.10
     misfit_share: float = 0.1
     misfit_significance: float = 1e-3
+    smooth_misfit: float = 0.01
+    gross_smooth_misfit: float = 0.2
+    smooth_share: float = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,24 +238,45 @@ def _verdict(
 
 def _explains(explorer: Explorer, base: Candidate, final: Candidate, rules: Rules) -> bool:
     """Whether a candidate's residual is noise, on held-out trials where there are any."""
-    noise_m = explorer.bench.noise.std_m
-    freedom = explorer.bench.floor.freedom
+    bench, noise_m = explorer.bench, explorer.bench.noise.std_m
+    freedom = bench.floor.freedom
     if final.heldout is not None and base.heldout is not None:
         chi2, count, rms_m = final.heldout.chi2, final.heldout.count, final.heldout.rms_m
         before_m = base.heldout.rms_m
+        if not _smooth_part_explained(explorer, base.heldout, final.heldout, rules):
+            return False
     else:
-        count = explorer.bench.count(fit_trials(explorer.bench)) - len(final.fit.q)
+        count = bench.count(fit_trials(bench)) - len(final.fit.q)
         chi2, rms_m, before_m = final.fit.chi2, final.fit.rms_m, base.fit.rms_m
     ratio = max(rms_m / noise_m, float(np.sqrt(chi2 / count)))
-    p_value = (
-        float(stats.f.sf(chi2 / count, count, freedom))
-        if np.isfinite(freedom)
-        else float(stats.chi2.sf(chi2, count))
-    )
-    if p_value > rules.misfit_significance or ratio < rules.misfit:
+    if _p_value(chi2, count, freedom) > rules.misfit_significance or ratio < rules.misfit:
         return True
     left = (rms_m**2 - noise_m**2) / max(before_m**2 - noise_m**2, 1e-30)
     return ratio < rules.gross_misfit and left < rules.misfit_share
+
+
+def _smooth_part_explained(explorer: Explorer, base: Heldout, final: Heldout, rules: Rules) -> bool:
+    """Whether the smooth part of a candidate's residual is noise.
+
+    There misfits of a model are, and little noise: a wrong effect in place of one that the library
+    lacks shows here, though its whole residual looks like noise.  Where the noise is an earlier
+    model's misfit, or a level that the study states, it may be smooth itself: this says nothing.
+    """
+    floor = explorer.bench.floor
+    if explorer.bench.noise is not floor.noise or np.isinf(floor.freedom):
+        return True
+    before, left = ((h.smooth_chi2 - h.smooth_count) / h.count for h in (base, final))
+    p_value = _p_value(final.smooth_chi2, final.smooth_count, floor.slow_freedom)
+    if p_value > rules.misfit_significance or left < rules.smooth_misfit:
+        return True
+    return left < min(rules.gross_smooth_misfit, rules.smooth_share * before)
+
+
+def _p_value(chi2: float, count: int, freedom: float) -> float:
+    """Of a χ² of `count` values whose unit is known from `freedom` others."""
+    if np.isfinite(freedom):
+        return float(stats.f.sf(chi2 / count, count, freedom))
+    return float(stats.chi2.sf(chi2, count))
 
 
 def _found(

@@ -12,6 +12,7 @@ from cell.cable.effects.base import Effect
 from cell.cable.model import CableModel
 from cell.identify import gauss_newton
 from cell.identify.gauss_newton import Solution
+from cell.identify.noise import Whitener
 from cell.identify.parameters import ParameterSpace, Prior
 from cell.lab.bench import RELEASE_LIMIT_S, RELEASE_STD_S, Bench, is_released
 from cell.lab.where import overall
@@ -20,6 +21,8 @@ from cell.study.data import Trial
 FloatArray = NDArray[np.float64]
 
 _DELAY_STEP_S = 1e-4
+#: A smooth residual changes over no fewer frames than this, and is of so many powers of the place.
+SLOW_FRAMES, ALONG = 8, 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +63,7 @@ class Heldout:
     rms_m            per coordinate, over all of them; by_trial_m likewise each
     chi2             of the residuals, allowing for what the fit leaves uncertain: about `count`
                      if the model is right
+    smooth_chi2      of the smooth part of the residuals, likewise; about `smooth_count`
     log_likelihood   of the trials given the fit (natural logarithm, without a common constant)
     predicted_m      per trial (times, markers, 2)
     """
@@ -68,6 +72,8 @@ class Heldout:
     by_trial_m: dict[str, float]
     chi2: float
     count: int
+    smooth_chi2: float
+    smooth_count: int
     log_likelihood: float
     predicted_m: dict[str, FloatArray]
 
@@ -180,6 +186,8 @@ def heldout(bench: Bench, fit: Fit) -> Heldout | None:
             by_trial_m=dict.fromkeys(errors, np.inf),
             chi2=np.inf,
             count=bench.count(trials),
+            smooth_chi2=np.inf,
+            smooth_count=1,
             log_likelihood=-np.inf,
             predicted_m=predicted,
         )
@@ -190,18 +198,54 @@ def heldout(bench: Bench, fit: Fit) -> Heldout | None:
         first = sum(len(r) for r in rows[:i])
         column[first : first + len(rows[i])] = block * RELEASE_STD_S
         spread = np.hstack([spread, column])
-    inner = np.eye(spread.shape[1]) + spread.T @ spread
-    against = spread.T @ residual
-    chi2 = float(residual @ residual - against @ np.linalg.solve(inner, against))
-    log_det = float(np.linalg.slogdet(inner)[1])
+    chi2, log_det = _marginal(residual, spread)
+    splits = np.cumsum([len(r) for r in rows])[:-1]
+    smooth = [
+        _smooth_part(bench.whiteners[trial.name], part)
+        for trial, part in zip(
+            trials, np.split(np.column_stack([residual, spread]), splits), strict=True
+        )
+    ]
+    coarse = np.concatenate(smooth)
+    smooth_chi2, _ = _marginal(coarse[:, 0], coarse[:, 1:])
     return Heldout(
         rms_m=overall(list(errors.values())),
         by_trial_m={name: overall([e]) for name, e in errors.items()},
         chi2=chi2,
         count=bench.count(trials),
+        smooth_chi2=smooth_chi2,
+        smooth_count=len(coarse),
         log_likelihood=-0.5 * (chi2 + log_det),
         predicted_m=predicted,
     )
+
+
+def _marginal(residual: FloatArray, spread: FloatArray) -> tuple[float, float]:
+    """χ² of residuals (n,) of covariance I + spread·spreadᵀ, and ln of its determinant."""
+    inner = np.eye(spread.shape[1]) + spread.T @ spread
+    against = spread.T @ residual
+    chi2 = float(residual @ residual - against @ np.linalg.solve(inner, against))
+    return chi2, float(np.linalg.slogdet(inner)[1])
+
+
+def _smooth_part(whitener: Whitener, white: FloatArray) -> FloatArray:
+    """(modes, columns) coordinates, white again, of white (rows, columns) in smooth functions.
+
+    These are cosines in time and polynomials along the cable.  A misfit of the model is there, of
+    noise only a few per cent.
+    """
+    frames, markers, channels = whitener.frames, len(whitener.seen.T), whitener.channels
+    slow = max(2, frames // SLOW_FRAMES)
+    in_time = np.cos(np.pi * np.outer(np.arange(frames) + 0.5, np.arange(slow)) / frames)
+    along = np.vander(np.linspace(-1.0, 1.0, markers), min(markers, ALONG))
+    functions = np.einsum("mk,tj->mtkj", along, in_time).reshape(markers * frames, -1)
+    functions = functions * whitener.seen.T.reshape(-1, 1)
+    values, vectors = np.linalg.eigh(functions.T @ functions)
+    good = values > 1e-9 * values[-1]
+    modes = functions @ (vectors[:, good] / np.sqrt(values[good]))
+    grid = white.reshape(markers, channels, frames, -1)
+    parts = (grid[:, c].reshape(markers * frames, -1) for c in range(channels))
+    return np.concatenate([modes.T @ part for part in parts])
 
 
 def extended(

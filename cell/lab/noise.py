@@ -38,6 +38,14 @@ class Floor:
         """Independent values per value, when averaging: (1 − ρ) / (1 + ρ)."""
         return (1.0 - self.noise.colour) / (1.0 + self.noise.colour)
 
+    @property
+    def slow_freedom(self) -> float:
+        """Degrees of freedom behind the level of its slow part, which the colour decides.
+
+        That level is the innovations' variance over (1 − ρ)²; the variance of ρ is (1 − ρ²) / n.
+        """
+        return self.freedom / (1.0 + 2.0 / self.effective_fraction)
+
 
 def noise_floor(study: Study) -> Floor:
     """Noise floor of a study, from the frames before anything moves, all markers together.

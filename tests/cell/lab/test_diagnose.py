@@ -123,6 +123,16 @@ def test_an_effect_outside_the_library_is_unexplained(make_study):
     assert found.diagnosis.missing == ()
 
 
+def test_a_wrong_effect_that_leaves_what_looks_like_noise_is_not_claimed(make_study):
+    """Its whole residual is 2 % above the noise, p = 0.5; only the smooth part tells."""
+    mass = library()["tip_mass"].active(mass_kg=1.2e-5)
+    study = make_study([mass], seed=8, noise_m=2e-4)
+    rivals = ("added_mass", "grip_angle")
+    assert diagnose(explore(study, rivals)).diagnosis.verdict == "unexplained"
+    found = diagnose(explore(study, (*rivals, "tip_mass"))).diagnosis
+    assert found.missing[0].effect == "tip_mass"
+
+
 def test_without_held_out_trials_nothing_is_claimed(make_study):
     study = make_study([library()["tip_mass"].active(mass_kg=3e-5)], seed=9)
     study = replace(study, trials=study.role("fit"))
