@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -229,12 +230,21 @@ def _marginal(residual: FloatArray, spread: FloatArray) -> tuple[float, float]:
 
 
 def _smooth_part(whitener: Whitener, white: FloatArray) -> FloatArray:
-    """(modes, columns) coordinates, white again, of white (rows, columns) in smooth functions.
+    """(modes, columns) coordinates, white again, of white (rows, columns) in smooth functions."""
+    modes = _smooth_modes(whitener)
+    grid = white.reshape(-1, whitener.channels, whitener.frames, white.shape[1])
+    parts = (grid[:, c].reshape(len(modes), -1) for c in range(whitener.channels))
+    return np.concatenate([modes.T @ part for part in parts])
 
-    These are cosines in time and polynomials along the cable.  A misfit of the model is there, of
+
+@lru_cache(maxsize=32)
+def _smooth_modes(whitener: Whitener) -> FloatArray:
+    """(markers × frames, modes) orthonormal smooth functions of what was seen in a channel.
+
+    Cosines in time and polynomials along the cable span them.  A misfit of the model is there, of
     noise only a few per cent.
     """
-    frames, markers, channels = whitener.frames, len(whitener.seen.T), whitener.channels
+    frames, markers = whitener.seen.shape
     slow = max(2, frames // SLOW_FRAMES)
     in_time = np.cos(np.pi * np.outer(np.arange(frames) + 0.5, np.arange(slow)) / frames)
     along = np.vander(np.linspace(-1.0, 1.0, markers), min(markers, ALONG))
@@ -242,10 +252,7 @@ def _smooth_part(whitener: Whitener, white: FloatArray) -> FloatArray:
     functions = functions * whitener.seen.T.reshape(-1, 1)
     values, vectors = np.linalg.eigh(functions.T @ functions)
     good = values > 1e-9 * values[-1]
-    modes = functions @ (vectors[:, good] / np.sqrt(values[good]))
-    grid = white.reshape(markers, channels, frames, -1)
-    parts = (grid[:, c].reshape(markers * frames, -1) for c in range(channels))
-    return np.concatenate([modes.T @ part for part in parts])
+    return np.asarray(functions @ (vectors[:, good] / np.sqrt(values[good])))
 
 
 def extended(
