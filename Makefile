@@ -47,8 +47,10 @@ practice: $(VENV)/.dev   ## every practice study beside its truth
 false-alarms: $(VENV)/.dev   ## false claims of the lab on 200 complete studies (long)
 	$(BIN)/python tools/false_alarm_study.py --studies 200
 
-confusion: $(VENV)/.dev   ## which effect is named for which, 100 studies (long)
+confusion: $(VENV)/.dev   ## which effect is named: for each of the library, outside it, in pairs (long)
 	$(BIN)/python tools/confusion_study.py --studies 100
+	$(BIN)/python tools/confusion_study.py --studies 34 --first 200 --hide unknown
+	$(BIN)/python tools/confusion_study.py --studies 20 --first 300 --hide pair
 
 fault-trials: $(VENV)/.dev   ## a fault in every device in every step, and processes killed, ~40 min
 	$(BIN)/python tools/fault_trials.py --patience-s 0.15 -o docs/fault_trials.md
