@@ -52,7 +52,9 @@ def test_one_that_hangs_is_ended_at_once(second: SecondProcess) -> None:
     second.shutdown(wait=False)
     with pytest.raises(BrokenExecutor):
         job.result(timeout=30.0)
-    assert not _runs(process)
+    until_s = time.monotonic() + 5.0  # the pipe breaks a moment before the process has gone
+    while _runs(process):
+        assert time.monotonic() < until_s
     assert second.submit(abs, -2).result() == 2
 
 
