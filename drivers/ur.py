@@ -236,8 +236,21 @@ class UrArm:
 
     def _start_child(self) -> _Child:
         o = self._options
-        robot = RobotOptions(o.host, o.tcp, 1.0 / o.rate_hz, o.watchdog_hz, o.versions)
-        options = ChildOptions(robot, o.mount, o.lookahead_s, o.gain, o.stop_m_per_s2, o.stale_s)
+        robot = RobotOptions(
+            host=o.host,
+            tcp=o.tcp,
+            period_s=1.0 / o.rate_hz,
+            watchdog_hz=o.watchdog_hz,
+            versions=o.versions,
+        )
+        options = ChildOptions(
+            robot=robot,
+            mount=o.mount,
+            lookahead_s=o.lookahead_s,
+            gain=o.gain,
+            stop_m_per_s2=o.stop_m_per_s2,
+            stale_s=o.stale_s,
+        )
         ours, theirs = Pipe()
         with tempfile.TemporaryFile() as memory:
             memory.truncate(SIZE_BYTES)
