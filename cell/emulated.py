@@ -40,6 +40,8 @@ _LOOK_S = 0.01
 _ANSWER_S = 0.5
 #: Of the hidden cables, s: 10 µm beside the default step, and quick enough beside a real arm.
 _STEP_S = 1e-3
+#: Poses with which the cables' code is loaded: how many, s between them, m.
+_LOADING, _POSE_S, _TREMBLING_M = 32, 2e-3, 2e-5
 
 
 @dataclass(frozen=True)
@@ -78,9 +80,19 @@ class CellScene:
 
     def __call__(self) -> LiveScene:
         """Raises RuntimeError: the emulated arm does not run."""
-        now_s, rest = np.arange(3.0), np.zeros(3)
-        self.first().advance(HandPath(now_s * 1e-2, rest, rest, rest))
+        load_code(self.first())
         return self.arm()
+
+
+def load_code(cable: Swinging) -> None:
+    """Hold a cable at rest, then in a trembling hand, whose poses are smoothed.
+
+    What would be compiled while the camera films holds its pictures up for half a second.
+    """
+    t_s = _POSE_S * np.arange(1.0, _LOADING)
+    x_m, y_m = np.random.default_rng(0).normal(scale=_TREMBLING_M, size=(2, len(t_s)))
+    for part in np.split(np.arange(len(t_s)), [1]):
+        cable.advance(HandPath(t_s[part], x_m[part], y_m[part], np.zeros(len(part))))
 
 
 class EmulatedCell:
