@@ -1,9 +1,9 @@
 """The process in which ur-rtde lives: it may hang or crash there without taking the cell along.
 
 Started by `drivers.ur`; speaks to it through a connection (requests, answers) and shared memory
-(stop, heartbeat, samples).  Every cycle it reads the robot, obeys a stop, and either streams the
-next pose of a path or feeds the controller's watchdog.  When the robot falls silent, or the parent
-goes, it ends; the controller's watchdog then stops the arm.
+(stop, heartbeat, samples).  Every cycle it awaits the robot's state, obeys a stop, and in step with
+the controller either streams the next pose of a path or feeds the controller's watchdog.  When the
+robot falls silent, or the parent goes, it ends; the controller's watchdog then stops the arm.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ import numpy as np
 from drivers.interfaces import ArmMode, Path
 from drivers.plane_mount import PlaneMount
 from drivers.priority import bound_spinning, run_in_real_time
+from drivers.ur_clock import ControllerClock
 from drivers.ur_kinematics import matrix_of, pose_of
 from drivers.ur_robot import RefusedError, Robot, RobotOptions
 from drivers.ur_shared import SharedState, Slot
@@ -32,8 +33,8 @@ from drivers.ur_shared import SharedState, Slot
 MODES = tuple(ArmMode)
 
 _SETTLING = 8.0  # lookaheads after the end of a path until the arm rests
-_DRIFT = 20e-6  # how fast two crystals may part
 _CLOCKS_S = 0.1  # time in which the offset between two clocks is first found
+_EARLY_S, _POLL_S = 1e-4, 5e-5  # before a state is expected, and between two looks for it
 _SETTING_UP_S, _CYCLING_S = 0.5, 0.03  # longest that ur-rtde may spin
 _FAREWELL_S = 2
 
@@ -69,9 +70,8 @@ class _Child:
         self._motion: _Motion | None = None
         self._mode = ArmMode.READY
         self._stops = 0.0
-        self._robot_s = 0.0
+        self._clock = ControllerClock(options.robot.period_s)
         self._silent_s = 0.0
-        self._offset_s = np.inf
         self._last_t_s = -np.inf
         self._period_s = options.robot.period_s
         self._robot = Robot(options.robot, _hurry)
@@ -81,24 +81,30 @@ class _Child:
         """Cycle until told to close.  Raises _LostError; EOFError: the parent has gone."""
         self._look_at_mode()
         bound_spinning(_CYCLING_S)
-        next_s = time.monotonic()
+        due_s = time.monotonic()
         while self._obey():
+            self._await_state(due_s)
             now_s = time.monotonic()
             self._shared.put(Slot.HEARTBEAT_S, now_s)
             self._measure(now_s)
             self._look_at_mode()
+            _sleep_until(due_s)
             self._obey_stop()
             if self._motion is not None:
                 self._stream(self._motion, time.monotonic())
             elif self._mode in (ArmMode.READY, ArmMode.REDUCED_SPEED):
                 self._robot.control.kickWatchdog()
-            next_s += self._period_s
-            left_s = next_s - time.monotonic()
-            if left_s > 0.0:
-                time.sleep(left_s)
-            else:
-                next_s = time.monotonic()
+            late = np.ceil((time.monotonic() - due_s) / self._period_s)
+            due_s = self._clock.in_step(due_s + max(1.0, late) * self._period_s)
         self.rest()
+
+    def _await_state(self, due_s: float) -> None:
+        """Until the controller's next state has come, so that its arrival is known; or the time."""
+        learns = time.monotonic() < self._began_s + _CLOCKS_S
+        _sleep_until(due_s - (self._period_s if learns else self._clock.lead_s + _EARLY_S))
+        awaited_s = self._clock.robot_s if learns else self._clock.state_before(due_s)
+        while time.monotonic() < due_s and self._robot.receive.getTimestamp() <= awaited_s:
+            time.sleep(_POLL_S)
 
     def rest(self) -> None:
         """Stop the arm and end the program, or end this process where ur-rtde hangs instead."""
@@ -116,18 +122,14 @@ class _Child:
         # time in which this process was not run is not the controller's silence
         self._silent_s += min(now_s - self._looked_s, 2.0 * self._period_s)
         self._looked_s = now_s
-        if robot_s == self._robot_s:
+        if robot_s == self._clock.robot_s:
             if self._silent_s > self._options.stale_s:
                 raise _LostError(
                     f"the controller's time has not advanced for {self._silent_s:.3f} s"
                 )
             return
         self._silent_s = 0.0
-        # least transport delay seen, allowing for drift: the robot's clock brought to the cell's
-        drift_s = _DRIFT * (robot_s - self._robot_s)
-        self._offset_s = min(self._offset_s + drift_s, now_s - robot_s)
-        self._robot_s = robot_s
-        t_s = robot_s + self._offset_s
+        t_s = self._clock.saw(robot_s, now_s)
         if now_s < self._began_s + _CLOCKS_S or t_s <= self._last_t_s:
             return
         self._last_t_s = t_s
@@ -233,6 +235,12 @@ class _Child:
         bound_spinning(_CYCLING_S)
         self._shared.put(Slot.HEARTBEAT_S, time.monotonic())
         self._connection.send(answer)
+
+
+def _sleep_until(t_s: float) -> None:
+    left_s = t_s - time.monotonic()
+    if left_s > 0.0:
+        time.sleep(left_s)
 
 
 def _hurry() -> None:
