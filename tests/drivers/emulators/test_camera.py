@@ -1,10 +1,12 @@
 from __future__ import annotations
 
 import os
+import queue
 import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -13,7 +15,13 @@ import cv2
 import numpy as np
 import pytest
 
-from drivers.emulators.camera import CameraEmulatorOptions, EmulatedCamera, StreamFaults
+from drivers.emulators.camera import (
+    CameraEmulatorOptions,
+    EmulatedCamera,
+    StreamFaults,
+    _Parcel,
+    _Server,
+)
 from drivers.emulators.camera_scene import TestCard
 from drivers.emulators.launch import EmulatorError
 
@@ -165,3 +173,21 @@ def _runs(pid: int) -> bool:
     except FileNotFoundError:
         return False
     return state != "Z"
+
+
+def test_whoever_looks_after_the_reader_holds_no_picture_up() -> None:
+    """Every 20 ms without a picture it did, for 20 ms: pictures at 50 Hz came in pairs."""
+    parcels: queue.Queue[_Parcel | None] = queue.Queue()
+    server = _Server(TestCard(160, 120, 200.0), SIZE, ("127.0.0.1", 0))
+    assert server._listener is not None
+    server._listener.close()
+    ours, reader = socket.socketpair()
+    ours.settimeout(30.0)
+    with ours, reader:
+        threading.Timer(0.1, parcels.put, [_Parcel(0.0, (b"picture",))]).start()
+        began_s = time.monotonic()
+        assert server._next(ours, parcels) is not None
+        assert time.monotonic() - began_s < 15.0
+        reader.close()
+        with pytest.raises(ConnectionResetError):
+            server._next(ours, parcels)
