@@ -17,3 +17,10 @@ class RealClock:
         if not 0.0 <= duration_s < float("inf"):
             raise ValueError(f"sleep of {duration_s} s: must be finite and >= 0")
         time.sleep(duration_s)
+
+
+def sleep_until(t_s: float) -> None:
+    """Wait until a moment on the real clock; not at all if it has passed."""
+    left_s = t_s - time.monotonic()
+    if left_s > 0.0:
+        time.sleep(left_s)

@@ -9,6 +9,7 @@ robot falls silent, or the parent goes, it ends; the controller's watchdog then 
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import pickle
 import signal
@@ -22,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+from drivers.clock import sleep_until
 from drivers.interfaces import ArmMode, Path
 from drivers.plane_mount import PlaneMount
 from drivers.priority import bound_spinning, run_in_real_time
@@ -88,20 +90,20 @@ class _Child:
             self._shared.put(Slot.HEARTBEAT_S, now_s)
             self._measure(now_s)
             self._look_at_mode()
-            _sleep_until(due_s)
+            sleep_until(due_s)
             self._obey_stop()
             if self._motion is not None:
                 self._stream(self._motion, time.monotonic())
             elif self._mode in (ArmMode.READY, ArmMode.REDUCED_SPEED):
                 self._robot.control.kickWatchdog()
-            late = np.ceil((time.monotonic() - due_s) / self._period_s)
-            due_s = self._clock.in_step(due_s + max(1.0, late) * self._period_s)
+            periods = max(1, math.ceil((time.monotonic() - due_s) / self._period_s))
+            due_s = self._clock.in_step(due_s + periods * self._period_s)
         self.rest()
 
     def _await_state(self, due_s: float) -> None:
         """Until the controller's next state has come, so that its arrival is known; or the time."""
         learns = time.monotonic() < self._began_s + _CLOCKS_S
-        _sleep_until(due_s - (self._period_s if learns else self._clock.lead_s + _EARLY_S))
+        sleep_until(due_s - (self._period_s if learns else self._clock.lead_s + _EARLY_S))
         awaited_s = self._clock.robot_s if learns else self._clock.state_before(due_s)
         while time.monotonic() < due_s and self._robot.receive.getTimestamp() <= awaited_s:
             time.sleep(_POLL_S)
@@ -235,12 +237,6 @@ class _Child:
         bound_spinning(_CYCLING_S)
         self._shared.put(Slot.HEARTBEAT_S, time.monotonic())
         self._connection.send(answer)
-
-
-def _sleep_until(t_s: float) -> None:
-    left_s = t_s - time.monotonic()
-    if left_s > 0.0:
-        time.sleep(left_s)
 
 
 def _hurry() -> None:

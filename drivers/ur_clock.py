@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
+import math
 
 _DRIFT = 50e-6  # how fast two crystals may part
 #: When commands are sent, in periods after the state could have come: late enough for nearly every
@@ -15,12 +15,14 @@ class ControllerClock:
 
     A command that comes while the controller looks for one is taken now in this cycle, now in the
     next; so commands are sent in between, however the two clocks drift.
+
+    period_s  of the controller's cycle, s
     """
 
     def __init__(self, period_s: float) -> None:
         self._period_s = period_s
         self._robot_s = 0.0
-        self._offset_s = np.inf
+        self._offset_s = math.inf
 
     @property
     def robot_s(self) -> float:
@@ -43,13 +45,14 @@ class ControllerClock:
         drift_s = _DRIFT * (robot_s - self._robot_s)
         self._offset_s = min(self._offset_s + drift_s, now_s - robot_s)
         self._robot_s = robot_s
-        return float(robot_s + self._offset_s)
+        return robot_s + self._offset_s
 
     def in_step(self, deadline_s: float) -> float:
         """A deadline moved by at most a hundredth of a period towards `lead_s` after a state."""
-        if not np.isfinite(self._offset_s):
+        if not math.isfinite(self._offset_s):
             return deadline_s
         period_s = self._period_s
         late_s = deadline_s - (self._robot_s + self._offset_s + self.lead_s)
         off_s = (late_s + 0.5 * period_s) % period_s - 0.5 * period_s
-        return float(deadline_s - np.clip(off_s, -_SLEW * period_s, _SLEW * period_s))
+        most_s = _SLEW * period_s
+        return deadline_s - max(-most_s, min(most_s, off_s))

@@ -102,7 +102,6 @@ class Bench:
         self.began_s: dict[str, float] = {}
         self.trial: Trial | None = None
         self.number = 0
-        self.rejected: list[str] = []
         self.patience_s = settings.gripper.reply_s
         stop = self.devices.arm.stop
 
@@ -191,9 +190,6 @@ def run_trial(bench: Bench, trial: Trial) -> None:
     time.sleep(max(0.0, STILL_S - (time.monotonic() - ended_s)))
     bench.be_patient(bench.patience_s)
     after = bench.cycle()
-    if after.outcome is Outcome.REJECTED:  # a cable that no motion suits: the next one
-        bench.rejected.append(f"{trial.name}: {after.reason}")
-        after = bench.cycle()
     if after.outcome is not Outcome.INSERTED:
         trial.wrong.append(f"the next cycle: {after.outcome.value} {after.reason} {after.fault}")
         bench.cell.close()
@@ -239,7 +235,7 @@ def percentile_ms(values_s: list[float], q: float) -> float:
     return 1e3 * float(np.percentile(values_s, q)) if values_s else float("nan")
 
 
-def summary(trials: list[Trial], kills: list[Kill], rejected: list[str]) -> list[str]:
+def summary(trials: list[Trial], kills: list[Kill]) -> list[str]:
     reactions = [t.reaction_s for t in trials if t.reaction_s is not None]
     done = [t for t in trials if t.attempts]
     good = sum(not t.wrong for t in done)
@@ -258,16 +254,11 @@ def summary(trials: list[Trial], kills: list[Kill], rejected: list[str]) -> list
             f"{len(kills)} kills, {moving} of them of a moving arm: it moved on for at most "
             f"{1e3 * worst:.0f} ms (bar: 200 ms)."
         )
-    if rejected:
-        lines.append(
-            "After these trials a cable was rejected, because no motion suits it, and the next one "
-            f"taken: {'; '.join(rejected)}."
-        )
     lines.append(f"Load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores.")
     return lines
 
 
-def table(trials: list[Trial], kills: list[Kill], rejected: list[str]) -> str:
+def table(trials: list[Trial], kills: list[Kill]) -> str:
     out = [
         "# Fault trials",
         "",
@@ -281,10 +272,9 @@ def table(trials: list[Trial], kills: list[Kill], rejected: list[str]) -> str:
         "step and",
         "remedy are named, the record says the same, the jaws hold what they held, and after "
         "repair and",
-        "acknowledgement the next cycle inserts (or rejects a cable, and the one after it "
-        "inserts).",
+        "acknowledgement the next cycle inserts.",
         "",
-        *summary(trials, kills, rejected),
+        *summary(trials, kills),
         "",
         "| device | fault | in step | noticed in | stop, ms | still, ms | attempts | passed |",
         "|---|---|---|---|---:|---:|---:|---|",
@@ -363,10 +353,10 @@ def main() -> int:
                 victim = ("cell", "child", "both")[number % 3]
                 kills.append(kill_somebody(emulated, config, folder / "runs", victim, rng))
                 print(kills[-1], flush=True)
-    for line in summary(chosen, kills, bench.rejected):
+    for line in summary(chosen, kills):
         print(line)
     if arguments.output is not None:
-        arguments.output.write_text(table(chosen, kills, bench.rejected), encoding="utf-8")
+        arguments.output.write_text(table(chosen, kills), encoding="utf-8")
     reactions = [t.reaction_s for t in chosen if t.reaction_s is not None]
     slow = bool(reactions) and percentile_ms(reactions, 99.0) > arguments.bar_ms
     moved = any(k.moved_on_s > STILL_S for k in kills)

@@ -17,6 +17,7 @@ from multiprocessing.connection import Connection
 
 import cv2
 
+from drivers.clock import sleep_until
 from drivers.emulators.camera_poses import PRIORITY
 from drivers.emulators.camera_scene import Scene, SceneFactory
 from drivers.emulators.camera_stream import picture_header, stream_header
@@ -252,7 +253,7 @@ class _Server:
         while not gone.is_set():
             faults = self.faults
             due_s += faults.slow / options.frame_rate_hz
-            _sleep_until(due_s + options.look_s)
+            sleep_until(due_s + options.look_s)
             self._hear()
             if self._somebody_waits():
                 break  # the reader before has given up, or forgot to close
@@ -288,7 +289,7 @@ class _Server:
     ) -> None:
         try:
             while (parcel := self._next(client, parcels)) is not None:
-                _sleep_until(parcel.leave_s)
+                sleep_until(parcel.leave_s)
                 late_s = time.monotonic() - parcel.leave_s
                 for part in parcel.parts:
                     self._send(client, memoryview(part), gone)
@@ -335,9 +336,3 @@ class _Server:
                 answer.put(None)
             except Exception as error:
                 answer.put(error)
-
-
-def _sleep_until(t_s: float) -> None:
-    left_s = t_s - time.monotonic()
-    if left_s > 0.0:
-        time.sleep(left_s)
