@@ -76,7 +76,11 @@ def run(
     from rich.console import Console
 
     from cell.build import build_cell
-    from cell.console import (
+    from cell.files.located import InputError
+    from cell.plan.motion_file import load_motion
+    from cell.records.result import Outcome, Result
+    from cell.settings import load_settings
+    from cell.terminal.console import (
         DRY_RUN_STEPS,
         KEYS,
         MAY_HOLD,
@@ -88,11 +92,7 @@ def run(
         seconds_table,
         troubles,
     )
-    from cell.keyboard import Keyboard
-    from cell.located import InputError
-    from cell.motion_file import load_motion
-    from cell.records.result import Outcome, Result
-    from cell.settings import load_settings
+    from cell.terminal.keyboard import Keyboard
 
     if speed != 1.0 and not dry_run:
         _refuse(
@@ -175,9 +175,9 @@ def emulate(
     these; so may any other client of the devices' protocols.  It also ends with its parent.  Ends
     with 0, or 2 if the settings are wrong or the addresses are taken.
     """
-    from cell.emulated import EmulatedCell
-    from cell.located import InputError
+    from cell.files.located import InputError
     from cell.settings import load_settings
+    from cell.simulated.emulated import EmulatedCell
     from drivers.emulators.launch import EmulatorError
 
     parent = os.getppid()
@@ -203,7 +203,7 @@ def check(config: Config) -> None:
 
     Ends with 0 if they are right, 2 if not; every mistake is named with line and column.
     """
-    from cell.located import InputError
+    from cell.files.located import InputError
     from cell.settings import load_settings
 
     try:
@@ -229,12 +229,12 @@ def identify(
     """
     from rich.console import Console
 
-    from cell.console import parameters_table
+    from cell.files.located import InputError, Problem
     from cell.identify.individual import CableRejectedError, IdentifyOptions
     from cell.identify.individual import identify as identify_cable
-    from cell.located import InputError, Problem
     from cell.settings import load_settings
     from cell.study.folder import read_study
+    from cell.terminal.console import parameters_table
 
     recorded = (folder / "state.json").exists()
     try:
@@ -280,7 +280,7 @@ def _emulators(settings: Settings, seed: int) -> Iterator[None]:
     """The emulators that settings ask for, unless they run already."""
     with contextlib.ExitStack() as stack:
         if settings.emulated is not None:
-            from cell.emulated import EmulatedCell, runs_already
+            from cell.simulated.emulated import EmulatedCell, runs_already
             from drivers.emulators.launch import EmulatorError
 
             try:

@@ -22,7 +22,7 @@ from drivers.interfaces import (
     Gripper,
     GripperState,
     LimitError,
-    Path,
+    Trajectory,
 )
 
 _NOTHING_MOVED = "nothing was moved"
@@ -85,18 +85,18 @@ class GuardedArm:
         """Raises DeviceLostError."""
         return self._arm.state()
 
-    def check(self, path: Path) -> None:
+    def check(self, path: Trajectory) -> None:
         """Raises LimitError naming point, value and limit; else as the arm."""
         check_path(path, self._limits, self.name)
         self._arm.check(path)
 
-    def follow(self, path: Path, start_s: float | None = None) -> None:
+    def follow(self, path: Trajectory, start_s: float | None = None) -> None:
         """Raises LimitError naming point, value and limit; else as the arm."""
         check_path(path, self._limits, self.name)
         self._check_start(path)
         self._arm.follow(path, start_s)
 
-    def log(self, start_s: float, end_s: float) -> Path:
+    def log(self, start_s: float, end_s: float) -> Trajectory:
         """Measured poses."""
         return self._arm.log(start_s, end_s)
 
@@ -108,7 +108,7 @@ class GuardedArm:
         """Raises StoppedError while the controller itself is stopped."""
         self._arm.reset()
 
-    def _check_start(self, path: Path) -> None:
+    def _check_start(self, path: Trajectory) -> None:
         here = self._arm.state().pose
         start = path.at(float(path.t_s[0]))
         limits = self._limits
@@ -126,7 +126,7 @@ class GuardedArm:
                 )
 
 
-def check_path(path: Path, limits: ArmLimits, device: str = "arm") -> None:
+def check_path(path: Trajectory, limits: ArmLimits, device: str = "arm") -> None:
     """Whether a path may be sent at all.
 
     Speed, acceleration and jerk are divided differences over at least 8 ms, with the arm at rest

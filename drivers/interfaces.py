@@ -30,7 +30,7 @@ class Pose:
 
 
 @dataclass(frozen=True)
-class Path:
+class Trajectory:
     """Poses against time, from `t_s[0] = 0`; every array has shape (T,), T ≥ 2.
 
     Used both for what an arm is told to follow and, with times on the cell's clock, for what it
@@ -211,14 +211,14 @@ class Arm(Protocol):
         """Measured state.  Raises DeviceLostError."""
         ...
 
-    def check(self, path: Path) -> None:
+    def check(self, path: Trajectory) -> None:
         """Whether `path` may be followed, once the arm is where it begins; nothing is sent.
 
         Raises LimitError naming what it would break; DeviceLostError.
         """
         ...
 
-    def follow(self, path: Path, start_s: float | None = None) -> None:
+    def follow(self, path: Trajectory, start_s: float | None = None) -> None:
         """Start to follow `path` (its first pose is the present one) and return at once.
 
         The times of `path` count from `start_s` on the cell's clock, None = now.  What has to be
@@ -228,7 +228,7 @@ class Arm(Protocol):
         """
         ...
 
-    def log(self, start_s: float, end_s: float) -> Path:
+    def log(self, start_s: float, end_s: float) -> Trajectory:
         """Measured poses with start_s ≤ t ≤ end_s on the cell's clock, as far as they are known."""
         ...
 

@@ -7,16 +7,16 @@ from functools import lru_cache
 import numpy as np
 from scipy.signal import cont2discrete, lfilter
 
-from drivers.interfaces import FloatArray, Path, Pose
+from drivers.interfaces import FloatArray, Pose, Trajectory
 
 #: Time after the end of a path, in lags, until the response rests (2e-6 of a step remains).
 SETTLING_LAGS = 8.0
 
 
 def servo_response(
-    path: Path, lag_s: float, rate_hz: float = 1000.0, start: Pose | None = None
-) -> Path:
-    """Path that an arm at rest really takes.
+    path: Trajectory, lag_s: float, rate_hz: float = 1000.0, start: Pose | None = None
+) -> Trajectory:
+    """Trajectory that an arm at rest really takes.
 
     Each coordinate passes a critically damped second-order lag, 1 / (1 + s lag/2)²: a ramp is
     followed `lag_s` late, a step without overshoot.
@@ -43,7 +43,7 @@ def servo_response(
             (path.angle_rad, begin.angle_rad),
         )
     )
-    return Path(t_s, x, y, angle)
+    return Trajectory(t_s, x, y, angle)
 
 
 def _lagged(values: FloatArray, lag_s: float, step_s: float, rest: float) -> FloatArray:

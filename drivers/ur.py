@@ -30,9 +30,9 @@ from drivers.interfaces import (
     DeviceLostError,
     FloatArray,
     LimitError,
-    Path,
     Pose,
     StoppedError,
+    Trajectory,
     too_late,
 )
 from drivers.plane_mount import PlaneMount
@@ -177,13 +177,13 @@ class UrArm:
                 self._mode(child),
             )
 
-    def check(self, path: Path) -> None:
+    def check(self, path: Trajectory) -> None:
         """Raises LimitError: out of reach, or a joint too fast; DeviceLostError."""
         with self._lock:
             (sample,) = self._alive().shared.samples(1)
             self._check_reach(_from_zero(path), sample[Column.Q1_RAD :])
 
-    def follow(self, path: Path, start_s: float | None = None) -> None:
+    def follow(self, path: Trajectory, start_s: float | None = None) -> None:
         """Raises LimitError: still moving, off the plane, out of reach, too late; StoppedError."""
         with self._lock:
             child = self._alive()
@@ -203,13 +203,13 @@ class UrArm:
             self._paths += 1
             self._send(child, ("follow", begun, stops, start_s))
 
-    def log(self, start_s: float, end_s: float) -> Path:
+    def log(self, start_s: float, end_s: float) -> Trajectory:
         """Measured poses; the robot's own time stamps, brought to the cell's clock."""
         with self._lock:
             samples = self._log if self._child is None else self._child.shared.samples()
         t_s = samples[:, Column.T_S]
         chosen = samples[(t_s >= start_s) & (t_s <= end_s)]
-        return Path(*(chosen[:, c].copy() for c in range(Column.ANGLE_RAD + 1)))
+        return Trajectory(*(chosen[:, c].copy() for c in range(Column.ANGLE_RAD + 1)))
 
     def stop(self, reason: str) -> None:
         """Decelerate now and stay stopped until `reset`."""
@@ -385,7 +385,7 @@ class UrArm:
                 "jog it to its start; nothing was moved",
             )
 
-    def _check_reach(self, path: Path, q_rad: FloatArray) -> None:
+    def _check_reach(self, path: Trajectory, q_rad: FloatArray) -> None:
         model, X_FT = MODELS[self._options.model], matrix_of(np.array(self._options.tcp))
         check_reach(path, q_rad, model, X_FT, self._options.mount, self.name)
 
@@ -396,6 +396,6 @@ def _pose(sample: FloatArray) -> Pose:
     )
 
 
-def _from_zero(path: Path) -> Path:
+def _from_zero(path: Trajectory) -> Trajectory:
     """The path with its times counted from its beginning."""
-    return Path(path.t_s - path.t_s[0], path.x_m, path.y_m, path.angle_rad)
+    return Trajectory(path.t_s - path.t_s[0], path.x_m, path.y_m, path.angle_rad)

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from drivers.clock import sleep_until
-from drivers.interfaces import ArmMode, Path
+from drivers.interfaces import ArmMode, Trajectory
 from drivers.plane_mount import PlaneMount
 from drivers.priority import bound_spinning, run_in_real_time
 from drivers.ur_clock import ControllerClock
@@ -59,7 +59,7 @@ class _LostError(Exception):
 
 @dataclass
 class _Motion:
-    path: Path
+    path: Trajectory
     began_s: float
     last_s: float = 0.0  # time of the last command
 
@@ -198,7 +198,7 @@ class _Child:
         while self._connection.poll(0):
             request = self._connection.recv()
             match request:
-                case ("follow", Path() as path, float(stops), start_s):
+                case ("follow", Trajectory() as path, float(stops), start_s):
                     self._follow(path, stops, start_s)
                 case ("reset",):
                     self._answer(self._reset)
@@ -206,7 +206,7 @@ class _Child:
                     return False
         return True
 
-    def _follow(self, path: Path, stops: float, start_s: float | None) -> None:
+    def _follow(self, path: Trajectory, stops: float, start_s: float | None) -> None:
         # a stop that came after the parent had looked for one wins
         free = self._mode is ArmMode.READY and self._shared.get(Slot.SLOWED) == 0.0
         if free and stops == self._shared.get(Slot.STOPS):

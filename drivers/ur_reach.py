@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from drivers.interfaces import FloatArray, LimitError, Path
+from drivers.interfaces import FloatArray, LimitError, Trajectory
 from drivers.plane_mount import PlaneMount
 from drivers.ur_kinematics import OutOfReachError, UrModel
 
@@ -16,7 +16,7 @@ STEP_S, STEP_M = 0.02, 0.002
 
 
 def check_reach(
-    path: Path,
+    path: Trajectory,
     q_rad: FloatArray,
     model: UrModel,
     X_FT: FloatArray,

@@ -17,12 +17,12 @@ import yaml
 
 from calib.plane import PlaneView
 from cell.build import real_devices
-from cell.emulated import EmulatedCell
+from cell.run.warm_up import warm_up_eyes
 from cell.settings import load_settings
+from cell.simulated.emulated import EmulatedCell
 from cell.vision.detect import VisionOptions, detect
 from cell.vision.sighting import Sighting
-from cell.warmup import warm_up_eyes
-from drivers.interfaces import Path as HandPath
+from drivers.interfaces import Trajectory
 
 CONFIG = Path(__file__).parents[1] / "config" / "emulated.yaml"
 HOST = "127.0.0.76"
@@ -43,13 +43,13 @@ class Servo:
         return 1e3 * float(np.percentile(self.gaps_s, q))
 
 
-def up_and_down(seconds: float, rate_hz: float) -> HandPath:
+def up_and_down(seconds: float, rate_hz: float) -> Trajectory:
     """Down and up again and again, from rest to rest."""
     t_s = np.arange(0.0, seconds, 1.0 / rate_hz)
     fade = np.clip(np.minimum(t_s, t_s[-1] - t_s) / SWING_S, 0.0, 1.0)
     fade = fade**3 * (10.0 - 15.0 * fade + 6.0 * fade * fade)
     y_m = -0.5 * STROKE_M * (1.0 - np.cos(2.0 * np.pi * t_s / SWING_S)) * fade
-    return HandPath(t_s, 0.0 * t_s, y_m, 0.0 * t_s)
+    return Trajectory(t_s, 0.0 * t_s, y_m, 0.0 * t_s)
 
 
 def servo(seconds: float) -> Servo:

@@ -22,8 +22,9 @@ from typing import Any
 
 import numpy as np
 
-from cell.build import build_twins, cell_with, twin_devices
+from cell.build import cell_with, twin_devices
 from cell.settings import Settings, load_settings
+from cell.simulated.twins import build_twins
 from drivers.interfaces import Camera, Frame
 from drivers.sim.clock import SimClock
 

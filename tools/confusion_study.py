@@ -25,10 +25,10 @@ from scipy.optimize import linear_sum_assignment
 
 from cell.cable.effects import ActiveEffect, Effect, library
 from cell.identify.parameters import ParameterSpace
-from cell.lab.bench import Bench
 from cell.lab.diagnose import diagnose
 from cell.lab.explore import Explorer
 from cell.lab.fitting import fit_trials
+from cell.lab.prepared import PreparedStudy
 
 SIGNIFICANCE = 0.01
 #: No motion from rest tells these apart: with one out of the library the other is right.
@@ -70,29 +70,33 @@ def one(seed: int, hide: str) -> Outcome:
     active = [hidden(e, float(rng.uniform(0.5, 2.0))) for e in effects]
     study = make_study(seed, active)
     space = ParameterSpace.of(study.cable)
-    bench = Bench.of(study)
+    prepared = PreparedStudy.of(study)
     taken = {e.name for e in effects}
     if taken & ONE_CLASS:
         taken |= ONE_CLASS
     offered = {n: e for n, e in known.items() if hide != "unknown" or n not in taken}
-    found = diagnose(Explorer(bench, space, offered)).diagnosis
+    found = diagnose(Explorer(prepared, space, offered)).diagnosis
     lacking: list[list[type[Effect]]] = [[e] for e in effects] if hide == "pair" else [[]]
     spaces = [ParameterSpace.of(study.cable, effects=rest) for rest in lacking]
-    power = min(_power(seed, active, bench, s, len(known)) for s in spaces)
+    power = min(_power(seed, active, prepared, s, len(known)) for s in spaces)
     named = tuple(frozenset({f.effect, *f.tied_with}) for f in found.missing)
     return Outcome(hide, tuple(e.name for e in effects), power, found.verdict, named)
 
 
 def _power(
-    seed: int, active: Sequence[ActiveEffect], bench: Bench, space: ParameterSpace, tests: int
+    seed: int,
+    active: Sequence[ActiveEffect],
+    prepared: PreparedStudy,
+    space: ParameterSpace,
+    tests: int,
 ) -> float:
     """Of a test that knows the truth, against the model of `space`."""
     clean = make_study(seed, active, noise_m=1e-9, colour=0.0)
-    quiet = replace(clean, noise_std_m=bench.noise.std_m)
-    left = Explorer(Bench.of(quiet), space, {}).baseline().fit
-    count = bench.count(fit_trials(bench))
+    quiet = replace(clean, noise_std_m=prepared.noise.std_m)
+    left = Explorer(PreparedStudy.of(quiet), space, {}).baseline().fit
+    count = prepared.count(fit_trials(prepared))
     limit = stats.chi2.isf(SIGNIFICANCE / tests, 1) + np.log(count)
-    return float(stats.ncx2.sf(limit, 1, left.chi2 * bench.floor.effective_fraction))
+    return float(stats.ncx2.sf(limit, 1, left.chi2 * prepared.floor.effective_fraction))
 
 
 def main() -> int:

@@ -19,9 +19,9 @@ import numpy as np
 from short_cycles import short_cycles
 
 from cell.build import cell_with, real_devices
-from cell.emulated import EmulatedCell
 from cell.records.result import Outcome
 from cell.settings import load_settings
+from cell.simulated.emulated import EmulatedCell
 
 #: Waits that just leave enough to identify a cable, s.
 SHORTEST = {"calm_s": 0.0, "still_s": 0.3, "hold_s": 0.4, "decide_s": 0.3, "settle_s": 0.05}

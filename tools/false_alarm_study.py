@@ -13,9 +13,9 @@ from scipy import stats
 
 from cell.cable.effects import library
 from cell.identify.parameters import ParameterSpace
-from cell.lab.bench import Bench
 from cell.lab.diagnose import diagnose
 from cell.lab.explore import Explorer
+from cell.lab.prepared import PreparedStudy
 
 
 def main() -> int:
@@ -26,11 +26,11 @@ def main() -> int:
     verdicts: dict[str, int] = {}
     for seed in range(given.first, given.first + given.studies):
         study = make_study(seed)
-        bench = Bench.of(study)
-        found = diagnose(Explorer(bench, ParameterSpace.of(study.cable), library())).diagnosis
+        prepared = PreparedStudy.of(study)
+        found = diagnose(Explorer(prepared, ParameterSpace.of(study.cable), library())).diagnosis
         verdicts[found.verdict] = verdicts.get(found.verdict, 0) + 1
         named = ", ".join(f.effect for f in found.missing)
-        noise = bench.floor.noise
+        noise = prepared.floor.noise
         print(f"{seed:4d}  noise {noise.std_m * 1e3:.3f} mm, AR {noise.colour:.2f}  "
               f"{found.verdict} {named}", flush=True)  # fmt: skip
     false = given.studies - verdicts.get("complete", 0)

@@ -26,13 +26,13 @@ from fault_kinds import KINDS, Kind, Victim
 from short_cycles import short_cycles
 
 from cell.build import cell_with, real_devices
-from cell.console import STEPS
-from cell.cycle import Cell
-from cell.emulated import EmulatedCell
-from cell.machine import Event
 from cell.records.folder import read_record
 from cell.records.result import Outcome, Result
+from cell.run.cycle import Cell
+from cell.run.machine import Event
 from cell.settings import Settings, load_settings
+from cell.simulated.emulated import EmulatedCell
+from cell.terminal.console import STEPS
 from drivers.recording import CaptureOptions
 from drivers.serial_gripper import SerialGripperOptions
 

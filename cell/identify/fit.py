@@ -12,20 +12,20 @@ from cell.cable.dynamics import DivergedError, Solver, simulate
 from cell.cable.model import CableModel
 from cell.cable.statics import UnsettledError
 from cell.identify import gauss_newton
-from cell.identify.foreseen import Foreseen
 from cell.identify.hand import HandErrors, likely_motions, moves_from_s
 from cell.identify.identified import Identified
 from cell.identify.noise import Noise, Whitener, across, estimate_noise, still_frames
 from cell.identify.parameters import ParameterSpace
+from cell.identify.predicted_frames import PredictedFrames
 from cell.study.data import Markers, Trial
 
 FloatArray = NDArray[np.float64]
 
 #: Variance inflation from which a fit is repeated with frames that weigh as much less.
 _MATTERS = 1.3
-#: Where everything is foreseen the last step is taken linearly if it is shorter than so many
+#: Where everything is predicted the last step is taken linearly if it is shorter than so many
 #: standard deviations: one of 25 moves a tip by 0.11 mm and is wrong by 0.5 µm.  That the log of
-#: the hand went on otherwise than foreseen does more, up to 10 µm.
+#: the hand went on otherwise than predicted does more, up to 10 µm.
 _ONE_STEP = gauss_newton.Options(tolerance=30.0, most_passes=1)
 
 
@@ -60,7 +60,7 @@ def fit(
     *,
     noise: Noise | None = None,
     previous: Identified | None = None,
-    foreseen: Foreseen | None = None,
+    predicted: PredictedFrames | None = None,
     options: FitOptions = FitOptions(),
 ) -> Identified:
     """Most probable parameters of a cable, given everything seen in `trials`.
@@ -69,15 +69,15 @@ def fit(
     noise         of the markers; None = size and colour estimated from the still frames
     previous      fit of the same parameters to fewer frames of the same trials: where to start;
                   None = start from a row of uniform cables
-    foreseen      what was simulated from there already, if there is but one trial
+    predicted      what was simulated from there already, if there is but one trial
     raises        FitError: nothing seen, no still frames and no noise given, no convergence
     """
     if not any(np.isfinite(t.markers.xy_m).any() for t in trials):
         raise FitError("no marker is seen in any frame")
     if noise is None:
         noise = still_noise(trials)
-    if foreseen is not None:
-        foreseen = foreseen.as_filmed(trials[0])
+    if predicted is not None:
+        predicted = predicted.as_filmed(trials[0])
     if previous is None:
         start = _cold_start(trials, arc_length_m, space, noise, options)
     else:
@@ -88,24 +88,24 @@ def fit(
         # frames with errors beyond the camera's noise weigh less against prior and constant errors
         used = replace(noise, std_m=noise.std_m * float(np.sqrt(widened)))
         whiteners = whiteners_of(trials, used)
-        residuals = _residuals(trials, arc_length_m, space, whiteners, options.solver, foreseen)
+        residuals = _residuals(trials, arc_length_m, space, whiteners, options.solver, predicted)
         try:
-            minimiser = options.minimiser if foreseen is None else _ONE_STEP
+            minimiser = options.minimiser if predicted is None else _ONE_STEP
             solution = gauss_newton.minimise(_problem(space, residuals), start, minimiser)
         except ValueError as error:
             raise FitError(str(error)) from error
         passes += solution.passes
-        if foreseen is not None and not solution.converged:
-            foreseen = None
+        if predicted is not None and not solution.converged:
+            predicted = None
             continue
         if not solution.converged:
             raise FitError(f"the fit does not converge ({passes} passes)")
         further = variance_inflation(solution.residual, whiteners, len(start))
         if further < _MATTERS or widened > 1.0:
             break
-        widened, start = further, start if foreseen is not None else solution.q
+        widened, start = further, start if predicted is not None else solution.q
     hand_covariance = _hand_covariance(
-        trials, arc_length_m, space.model(solution.q), whiteners, solution, options, foreseen
+        trials, arc_length_m, space.model(solution.q), whiteners, solution, options, predicted
     )
     return Identified(
         space=space,
@@ -129,7 +129,7 @@ def _hand_covariance(
     whiteners: Sequence[Whitener],
     solution: gauss_newton.Solution,
     options: FitOptions,
-    foreseen: Foreseen | None,
+    predicted: PredictedFrames | None,
 ) -> FloatArray:
     """(p, p) what the uncertainty of the hand's motion adds to that of the parameters.
 
@@ -142,11 +142,11 @@ def _hand_covariance(
     for trial, whitener in zip(trials, whiteners, strict=True):
         rows = slice(begin, begin + whitener.rows)
         begin += whitener.rows
-        if foreseen is not None:
-            predicted = np.concatenate([foreseen.markers_m[:1], foreseen.others_m])
+        if predicted is not None:
+            nodes_m = np.concatenate([predicted.markers_m[:1], predicted.others_m])
         else:
-            predicted = _with_other_hands(trial, arc_length_m, model, options)
-        white = whitener(predicted)
+            nodes_m = _with_other_hands(trial, arc_length_m, model, options)
+        white = whitener(nodes_m)
         answers -= (white[1:] - white[0]) @ solution.jacobian[rows]
     answers = answers @ solution.covariance
     covariance: FloatArray = answers.T @ answers / options.hand.samples
@@ -265,16 +265,16 @@ def _residuals(
     space: ParameterSpace,
     whiteners: Sequence[Whitener],
     solver: Solver,
-    foreseen: Foreseen | None = None,
+    predicted: PredictedFrames | None = None,
 ) -> gauss_newton.Residuals:
-    def predicted(trial: Trial, lanes: FloatArray) -> FloatArray:
-        if foreseen is not None and np.array_equal(lanes, foreseen.lanes):
-            return foreseen.markers_m
+    def nodes_m(trial: Trial, lanes: FloatArray) -> FloatArray:
+        if predicted is not None and np.array_equal(lanes, predicted.lanes):
+            return predicted.markers_m
         return predict(trial, [space.model(q) for q in lanes], arc_length_m, solver)
 
     def residuals(lanes: FloatArray) -> FloatArray:
         parts = [
-            whitener(predicted(trial, lanes))
+            whitener(nodes_m(trial, lanes))
             for trial, whitener in zip(trials, whiteners, strict=True)
         ]
         return np.concatenate(parts, axis=1)

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from cell.cable.geometry import GRAVITY_M_PER_S2, Cable, Motion
 from cell.identify.fit import FitError, FitOptions, fit, still_noise
-from cell.identify.foreseen import Foreseen
-from cell.identify.foreseen import foresee as foresee_frames
 from cell.identify.hand import HandErrors, align_motion, moves_from_s
 from cell.identify.identified import Identified
 from cell.identify.paper import fit_as_paper
 from cell.identify.parameters import ParameterSpace, Prior
+from cell.identify.predicted_frames import PredictedFrames
+from cell.identify.predicted_frames import predict_frames as foresee_frames
 from cell.study.data import Markers, Trial
 
 FloatArray = NDArray[np.float64]
@@ -96,14 +96,14 @@ def identify(
     *,
     gravity_m_per_s2: tuple[float, float] = GRAVITY_M_PER_S2,
     previous: Identified | None = None,
-    foreseen: Foreseen | None = None,
+    predicted: PredictedFrames | None = None,
     options: IdentifyOptions = IdentifyOptions(),
 ) -> Identified:
     """Parameters of the cable in `trial`.
 
     While a hold is still being filmed, call this with the frames so far; pass the result as
     `previous` to the next call, which then needs one or two passes instead of a search, and
-    simulates nothing if `foresee` has done so.
+    simulates nothing if `predict_frames` has done so.
     raises  CableRejectedError
     """
     _accept_frames(trial, options.acceptance)
@@ -134,7 +134,7 @@ def identify(
                 space,
                 noise=noise,
                 previous=previous,
-                foreseen=foreseen,
+                predicted=predicted,
                 options=options.fit,
             )
     except FitError as error:
@@ -143,13 +143,13 @@ def identify(
     return identified
 
 
-def foresee(
+def predict_frames(
     trial: Trial,
     t_s: FloatArray,
     arc_length_m: FloatArray,
     identified: Identified,
     options: IdentifyOptions = IdentifyOptions(),
-) -> Foreseen:
+) -> PredictedFrames:
     """What `identify` will need when the last frame of a hold is there.
 
     trial       what was filmed so far, from which `identified` is

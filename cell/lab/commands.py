@@ -57,7 +57,7 @@ def fit(
         model, candidate = session.fit_study(explorer)
         for path in filter(None, (out, as_json)):
             write_json(model.to_dict(), path)
-    _print(model_table(model), errors_line(explorer.bench, candidate))
+    _print(model_table(model), errors_line(explorer.prepared, candidate))
 
 
 @app.command()
@@ -120,7 +120,7 @@ def diagnose(
         steps = [explorer.as_believed(), *examination.steps[1:]]
         comparisons = [compare_model(opened, c.fit.model) for c in steps]
         if report:
-            model = identified(explorer.bench, examination.steps[-1].fit)
+            model = identified(explorer.prepared, examination.steps[-1].fit)
             write_page(diagnosis_page(examination, comparisons, model), report)
     diagnosis = examination.diagnosis
     _print(
@@ -232,8 +232,8 @@ def _refusing(*outputs: Path | None) -> Iterator[None]:
     outputs  files to be written at the end of a long computation: tried at its beginning
     """
     from cell.cable.effects import EffectError
+    from cell.files.located import InputError
     from cell.lab.noise import NoiseUnknownError
-    from cell.located import InputError
 
     try:
         for output in filter(None, outputs):

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable.model import CableModel
-from cell.lab.bench import Bench, is_released
 from cell.lab.fitting import best_delay
+from cell.lab.prepared import PreparedStudy, is_released
 from cell.lab.where import Where, overall, where
 from cell.study.data import Markers, Study, Trial
 
@@ -71,26 +71,26 @@ class Comparison:
 
 def compare_model(study: Study, model: CableModel) -> Comparison:
     """Errors of a model on all trials.  Raises NoiseUnknownError, ValueError: cannot simulate."""
-    bench = Bench.of(study)
-    study = bench.study
+    prepared = PreparedStudy.of(study)
+    study = prepared.study
     predicted, cable, found = {}, {}, []
     for trial in study.trials:
-        delay = best_delay(bench, model, trial) if is_released(trial) else 0.0
-        points, shapes = everywhere(bench, trial, [model], delay)
+        delay = best_delay(prepared, model, trial) if is_released(trial) else 0.0
+        points, shapes = everywhere(prepared, trial, [model], delay)
         if not np.isfinite(points).all():
             raise ValueError(f"trial {trial.name}: the model cannot be simulated with this motion")
         predicted[trial.name], cable[trial.name] = points[0], shapes[0]
         # rows are (markers, axes, times); unseen values are exactly zero there
-        white = bench.white(trial, points)[0].reshape(-1, 2, len(trial.markers.t_s))
+        white = prepared.white(trial, points)[0].reshape(-1, 2, len(trial.markers.t_s))
         white = np.where(np.isfinite(trial.markers.xy_m), np.moveaxis(white, 2, 0), np.nan)
-        found.append(where(trial, points[0], white, study.arc_length_m, bench.floor.noise))
+        found.append(where(trial, points[0], white, study.arc_length_m, prepared.floor.noise))
 
     def error(role: str) -> float:
         return overall([t.markers.xy_m - predicted[t.name] for t in study.trials if t.role == role])
 
     return Comparison(
         study,
-        bench.floor.noise.std_m,
+        prepared.floor.noise.std_m,
         error("fit"),
         error("validate"),
         predicted,
@@ -100,18 +100,18 @@ def compare_model(study: Study, model: CableModel) -> Comparison:
 
 
 def everywhere(
-    bench: Bench, trial: Trial, models: Sequence[CableModel], delay_s: float = 0.0
+    prepared: PreparedStudy, trial: Trial, models: Sequence[CableModel], delay_s: float = 0.0
 ) -> tuple[FloatArray, FloatArray]:
     """Where models put the markers, (models, times, markers, 2), and the cable, (…, `DRAWN`, 2).
 
     In metres; nan where they cannot be simulated.
     """
-    study = bench.study
+    study = prepared.study
     drawn = np.linspace(study.cable.free_length_m, 0.0, DRAWN)
     arcs = np.unique(np.concatenate([study.arc_length_m, drawn]))[::-1]
     t_s = trial.markers.t_s
     blank = replace(trial, markers=Markers(t_s, np.zeros((len(t_s), len(arcs), 2))))
-    finer = replace(bench, study=replace(study, arc_length_m=arcs))
+    finer = replace(prepared, study=replace(study, arc_length_m=arcs))
     points = finer.predict(blank, models, np.full(len(models), delay_s))
     at, shape = (np.searchsorted(-arcs, -s) for s in (study.arc_length_m, drawn))
     return points[:, :, at], points[:, :, shape]

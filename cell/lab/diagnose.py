@@ -95,14 +95,14 @@ def diagnose(explorer: Explorer, rules: Rules = Rules()) -> Examination:
     verdict = _verdict(explorer, base, current, tied, rules)
     if verdict == "unexplained":
         steps, tied = (base,), {}
-    final = estimate(explorer.bench, steps[-1].fit) if len(steps) > 1 else None
+    final = estimate(explorer.prepared, steps[-1].fit) if len(steps) > 1 else None
     missing = tuple(
         _found(explorer, small, large, tied, len(screened), final)
         for small, large in itertools.pairwise(steps)
         if final is not None
     )
     diagnosis = Diagnosis(
-        noise_m=explorer.bench.floor.noise.std_m,
+        noise_m=explorer.prepared.floor.noise.std_m,
         baseline=_errors(explorer.as_believed()),
         verdict=verdict,
         missing=missing,
@@ -119,7 +119,7 @@ def _added(explorer: Explorer, candidate: Candidate) -> list[type[Effect]]:
 def _below_stated(explorer: Explorer, candidate: Candidate, rules: Rules) -> bool:
     """Whether a candidate errs by much less than the measurement is said to."""
     worst_m = max(candidate.fit.rms_m, candidate.heldout.rms_m if candidate.heldout else 0.0)
-    floor = explorer.bench.floor
+    floor = explorer.prepared.floor
     return bool(np.isinf(floor.freedom)) and worst_m < rules.doubted * floor.noise.std_m
 
 
@@ -162,7 +162,7 @@ def _confirmed(
     base = explorer.baseline().heldout
     if small.heldout is None or large.heldout is None or base is None:
         return True
-    noise = explorer.bench.noise.std_m**2
+    noise = explorer.prepared.noise.std_m**2
     least = rules.first_share * noise
     if _added(explorer, small):
         excess = max(base.rms_m**2 - noise, 0.0)
@@ -238,15 +238,15 @@ def _verdict(
 
 def _explains(explorer: Explorer, base: Candidate, final: Candidate, rules: Rules) -> bool:
     """Whether a candidate's residual is noise, on held-out trials where there are any."""
-    bench, noise_m = explorer.bench, explorer.bench.noise.std_m
-    freedom = bench.floor.freedom
+    prepared, noise_m = explorer.prepared, explorer.prepared.noise.std_m
+    freedom = prepared.floor.freedom
     if final.heldout is not None and base.heldout is not None:
         chi2, count, rms_m = final.heldout.chi2, final.heldout.count, final.heldout.rms_m
         before_m = base.heldout.rms_m
         if not _smooth_part_explained(explorer, base.heldout, final.heldout, rules):
             return False
     else:
-        count = bench.count(fit_trials(bench)) - len(final.fit.q)
+        count = prepared.count(fit_trials(prepared)) - len(final.fit.q)
         chi2, rms_m, before_m = final.fit.chi2, final.fit.rms_m, base.fit.rms_m
     ratio = max(rms_m / noise_m, float(np.sqrt(chi2 / count)))
     if _p_value(chi2, count, freedom) > rules.misfit_significance or ratio < rules.misfit:
@@ -262,8 +262,8 @@ def _smooth_part_explained(explorer: Explorer, base: Heldout, final: Heldout, ru
     lacks shows here, though its whole residual looks like noise.  Where the noise is an earlier
     model's misfit, or a level that the study states, it may be smooth itself: this says nothing.
     """
-    floor = explorer.bench.floor
-    if explorer.bench.noise is not floor.noise or np.isinf(floor.freedom):
+    floor = explorer.prepared.floor
+    if explorer.prepared.noise is not floor.noise or np.isinf(floor.freedom):
         return True
     before, left = ((h.smooth_chi2 - h.smooth_count) / h.count for h in (base, final))
     p_value = _p_value(final.smooth_chi2, final.smooth_count, floor.slow_freedom)

@@ -84,7 +84,7 @@ def discover(explorer: Explorer, out: Path, rules: Rules = ALL_TERMS) -> Discove
     terms = {t.name: t for t in admissible(_box(explorer))}
     with tempfile.TemporaryDirectory() as folder:
         tried = {n: _load(Path(folder) / f"{n}.py", n, [t]) for n, t in terms.items()}
-        search = Explorer(explorer.bench, explorer.space, tried, explorer.progress)
+        search = Explorer(explorer.prepared, explorer.space, tried, explorer.progress)
         examination = diagnose(search, rules)
         found = examination.steps[-1]
         accepted = len(examination.steps) > 1
@@ -96,14 +96,14 @@ def discover(explorer: Explorer, out: Path, rules: Rules = ALL_TERMS) -> Discove
                     "nothing written"
                 )
     kept = [terms[e.name] for e in found.effects if e.name in terms]
-    settled = estimate(explorer.bench, found.fit)
+    settled = estimate(explorer.prepared, found.fit)
     values = {
         name: interval.value
         for effect in found.effects
         if effect.name in terms
         for name, interval in settled.intervals(effect).items()
     }
-    about = f"Law inferred from the residuals of study {explorer.bench.study.name}."
+    about = f"Law inferred from the residuals of study {explorer.prepared.study.name}."
     source = effect_source("discovered", kept, about, values)
     part = out.with_name(out.name + ".part.py")
     part.write_text(source, encoding="utf-8")
@@ -117,10 +117,10 @@ def discover(explorer: Explorer, out: Path, rules: Rules = ALL_TERMS) -> Discove
     return Discovery(
         terms=tuple(
             TermFound(n, i.value, i.low, i.high, i.unit)
-            for n, i in estimate(explorer.bench, final.fit).intervals(effect).items()
+            for n, i in estimate(explorer.prepared, final.fit).intervals(effect).items()
         ),
         laws=tuple(t.law for t in kept),
-        noise_m=explorer.bench.noise.std_m,
+        noise_m=explorer.prepared.noise.std_m,
         before_m=_error(base),
         after_m=_error(final),
         accepted=accepted,
@@ -129,7 +129,7 @@ def discover(explorer: Explorer, out: Path, rules: Rules = ALL_TERMS) -> Discove
 
 def _refit(explorer: Explorer, effect: type[Effect]) -> Candidate:
     """The baseline with the effect from its file."""
-    own = Explorer(explorer.bench, explorer.space, {effect.name: effect}, explorer.progress)
+    own = Explorer(explorer.prepared, explorer.space, {effect.name: effect}, explorer.progress)
     (candidate,) = own.add(own.baseline(), [effect])
     return candidate
 
@@ -145,6 +145,6 @@ def _load(path: Path, name: str, terms: list[Term]) -> type[Effect]:
 
 def _box(explorer: Explorer) -> tuple[float, float, float, float]:
     """Where the cable was seen in the fit trials: x low, x high, y low, y high, m."""
-    seen = np.concatenate([t.markers.xy_m.reshape(-1, 2) for t in fit_trials(explorer.bench)])
+    seen = np.concatenate([t.markers.xy_m.reshape(-1, 2) for t in fit_trials(explorer.prepared)])
     low, high = np.nanmin(seen, axis=0), np.nanmax(seen, axis=0)
     return float(low[0]), float(high[0]), float(low[1]), float(high[1])

@@ -10,8 +10,8 @@ from scipy import stats
 
 from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import Options
-from cell.lab.bench import Bench
 from cell.lab.fitting import Fit, fit_model
+from cell.lab.prepared import PreparedStudy
 from cell.lab.results import Interval
 
 FloatArray = NDArray[np.float64]
@@ -69,15 +69,15 @@ class Estimate:
         }
 
 
-def estimate(bench: Bench, fit: Fit) -> Estimate:
+def estimate(prepared: PreparedStudy, fit: Fit) -> Estimate:
     """The parameters of a fitted model, from all trials."""
     whole = fit_model(
-        bench, fit.space, fit.q, fit.delay_s, trials=bench.study.trials, options=CONVERGED
+        prepared, fit.space, fit.q, fit.delay_s, trials=prepared.study.trials, options=CONVERGED
     )
-    return Estimate(whole, disagreement(bench, whole))
+    return Estimate(whole, disagreement(prepared, whole))
 
 
-def disagreement(bench: Bench, whole: Fit) -> float:
+def disagreement(prepared: PreparedStudy, whole: Fit) -> float:
     """Cochran's Q of the trials over its degrees of freedom, at least 1.
 
     Each trial, linearised at the common fit, asks for parameters of its own; where the model errs
@@ -90,8 +90,8 @@ def disagreement(bench: Bench, whole: Fit) -> float:
     free = solution.free[:p]
     unit = np.linalg.cholesky(whole.covariance[np.ix_(free, free)])
     square, freedom, begin = 0.0, -float(np.count_nonzero(free)), 0
-    for trial in bench.study.trials:
-        rows = slice(begin, begin + bench.whiteners[trial.name].rows)
+    for trial in prepared.study.trials:
+        rows = slice(begin, begin + prepared.whiteners[trial.name].rows)
         begin = rows.stop
         jacobian = solution.jacobian[rows, :p][:, free] @ unit
         known, directions = np.linalg.eigh(jacobian.T @ jacobian)

@@ -14,7 +14,6 @@ from cell.cable.dynamics import threads
 from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import Options
 from cell.identify.parameters import ParameterSpace
-from cell.lab.bench import Bench
 from cell.lab.fitting import (
     Fit,
     Heldout,
@@ -26,6 +25,7 @@ from cell.lab.fitting import (
     residuals,
     space_with,
 )
+from cell.lab.prepared import PreparedStudy
 from cell.lab.score import boundary_p_value, delta_bic
 from cell.lab.screen import Screened, is_shape, screen
 
@@ -96,7 +96,7 @@ class Explorer:
     believed  an earlier individual's coordinates: an effect may be all that sets this one apart
     """
 
-    bench: Bench
+    prepared: PreparedStudy
     space: ParameterSpace
     library: Mapping[str, type[Effect]]
     progress: Progress = lambda _: None
@@ -110,13 +110,13 @@ class Explorer:
         """The model with no effects beyond those that `space` brings along."""
         key = frozenset(e.name for e in self.space.effects)
         if key not in self._known:
-            start = cold_start(self.bench, self.space)
-            fit = fit_model(self.bench, self.space, start, options=POLISH)
-            count = self.bench.count(fit_trials(self.bench))
+            start = cold_start(self.prepared, self.space)
+            fit = fit_model(self.prepared, self.space, start, options=POLISH)
+            count = self.prepared.count(fit_trials(self.prepared))
             if fit.chi2 > MISFIT * count:
                 # A model that lacks something puts it into EI(s); the prior keeps it plausible.
                 temper = TEMPER * float(np.sqrt(fit.chi2 / count))
-                calm = fit_model(self.bench, self.space, start, temper=temper, options=REFIT)
+                calm = fit_model(self.prepared, self.space, start, temper=temper, options=REFIT)
                 self._calm = calm
             self._known[key] = self._weigh(self.space.effects, fit)
         return self._known[key]
@@ -127,7 +127,7 @@ class Explorer:
             return self.baseline()
         if self._as_believed is None:
             space = pinned(self.space, self.believed)
-            fit = fit_model(self.bench, space, self.believed, options=REFIT)
+            fit = fit_model(self.prepared, space, self.believed, options=REFIT)
             self._as_believed = self._weigh(self.space.effects, fit)
         return self._as_believed
 
@@ -139,7 +139,7 @@ class Explorer:
         """Score tests of the whole library against a candidate, likeliest first."""
         if base.names not in self._screens:
             others = [e for n, e in self.library.items() if n not in base.names]
-            self._screens[base.names] = screen(self.bench, base.fit, others)
+            self._screens[base.names] = screen(self.prepared, base.fit, others)
         return self._screens[base.names]
 
     def _screened_calmly(self, base: Candidate, effects: Sequence[type[Effect]]) -> list[Screened]:
@@ -149,9 +149,9 @@ class Explorer:
         """
         if base is not self.baseline():
             return []
-        found = [] if self._calm is None else screen(self.bench, self._calm, effects)
+        found = [] if self._calm is None else screen(self.prepared, self._calm, effects)
         if self.believed is not None:
-            found += screen(self.bench, self.as_believed().fit, effects)
+            found += screen(self.prepared, self.as_believed().fit, effects)
         return found
 
     def add(self, base: Candidate, effects: Sequence[type[Effect]]) -> list[Candidate]:
@@ -181,7 +181,7 @@ class Explorer:
         if candidate.fit.solution.converged:
             return candidate
         fit = fit_model(
-            self.bench,
+            self.prepared,
             candidate.fit.space,
             candidate.fit.q,
             candidate.fit.delay_s,
@@ -199,7 +199,7 @@ class Explorer:
             q = space.mean.copy()
             for i, name in enumerate(space.names):
                 q[i] = candidate.fit.q[candidate.fit.space.names.index(name)]
-            fit = fit_model(self.bench, space, q, candidate.fit.delay_s, options=REFIT)
+            fit = fit_model(self.prepared, space, q, candidate.fit.delay_s, options=REFIT)
             self._known[key] = self._weigh(rest, fit)
         return self._known[key]
 
@@ -210,7 +210,7 @@ class Explorer:
         shapes = int(np.prod([3 * len(p.starts) for p in effect.parameters if is_shape(p)]))
         bounded = int(len(amplitudes) == 1 and amplitudes[0].low >= amplitudes[0].default)
         fall = small.fit.objective - large.fit.objective
-        count = self.bench.count(fit_trials(self.bench))
+        count = self.prepared.count(fit_trials(self.prepared))
         held = 0.0
         if small.heldout and large.heldout:
             held = large.heldout.log_likelihood - small.heldout.log_likelihood
@@ -221,7 +221,7 @@ class Explorer:
                 fall,
                 sum(p.fitted for p in effect.parameters),
                 count,
-                self.bench.floor.effective_fraction,
+                self.prepared.floor.effective_fraction,
             ),
             heldout=held,
         )
@@ -258,7 +258,7 @@ class Explorer:
                 promising = list(self._promising(space, np.array(starts), tries))
             for q in promising:
                 try:
-                    fit = fit_model(self.bench, space, q, base.fit.delay_s, options=REFIT)
+                    fit = fit_model(self.prepared, space, q, base.fit.delay_s, options=REFIT)
                 except ValueError:
                     continue
                 if best is None or fit.objective < best.objective:
@@ -276,12 +276,12 @@ class Explorer:
         The place of a force is found from far away only while the residuals are not yet asked to
         be noise.
         """
-        count = self.bench.count(fit_trials(self.bench))
+        count = self.prepared.count(fit_trials(self.prepared))
         temper = TEMPER * max(1.0, float(np.sqrt(base.fit.chi2 / count)))
         fits = []
         for q in starts:
             try:
-                fits.append(fit_model(self.bench, space, q, temper=temper, options=SEARCH))
+                fits.append(fit_model(self.prepared, space, q, temper=temper, options=SEARCH))
             except ValueError:
                 continue
         return [f.q for f in sorted(fits, key=lambda f: f.objective)[:PLACES]]
@@ -289,27 +289,27 @@ class Explorer:
     def _promising(self, space: ParameterSpace, starts: FloatArray, count: int) -> FloatArray:
         """The starts (lanes, p) with the least misfit, worth a fit each."""
         square = np.zeros(len(starts))
-        for trial in fit_trials(self.bench):
-            square += np.sum(residuals(self.bench, space, [trial], starts) ** 2, axis=1)
+        for trial in fit_trials(self.prepared):
+            square += np.sum(residuals(self.prepared, space, [trial], starts) ** 2, axis=1)
         order = np.argsort(np.where(np.isfinite(square), square, np.inf), kind="stable")
         return np.asarray(starts[order[:count]])
 
     def _weigh(self, effects: tuple[type[Effect], ...], fit: Fit) -> Candidate:
-        held = heldout(self.bench, fit)
-        count = self.bench.count(fit_trials(self.bench))
+        held = heldout(self.prepared, fit)
+        count = self.prepared.count(fit_trials(self.prepared))
         extra = sum(p.fitted for e in effects for p in e.parameters)
-        penalty = -delta_bic(0.0, extra, count, self.bench.floor.effective_fraction)
+        penalty = -delta_bic(0.0, extra, count, self.prepared.floor.effective_fraction)
         evidence = -0.5 * (fit.objective + penalty) + (held.log_likelihood if held else 0.0)
         return Candidate(effects, fit, held, evidence)
 
 
-def cold_start(bench: Bench, space: ParameterSpace) -> FloatArray:
+def cold_start(prepared: PreparedStudy, space: ParameterSpace) -> FloatArray:
     """Coordinates of the uniform cable that fits best, or the prior's mean if that fits better."""
-    trials = fit_trials(bench)
+    trials = fit_trials(prepared)
     level = float(np.exp(space.mean[: space.knots].mean()))
     levels = level * np.exp(np.linspace(-COLD_RANGE, COLD_RANGE, COLD_STARTS))
     q = np.vstack([space.mean, *(space.start(float(v)) for v in levels)])
-    white = residuals(bench, space, trials, q)
+    white = residuals(prepared, space, trials, q)
     square = np.where(np.isfinite(white).all(axis=1), np.sum(white**2, axis=1), np.inf)
     away = q - space.mean
     square += np.einsum("ij,jk,ik->i", away, space.precision, away)

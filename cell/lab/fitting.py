@@ -15,7 +15,7 @@ from cell.identify import gauss_newton
 from cell.identify.gauss_newton import Solution
 from cell.identify.noise import Whitener
 from cell.identify.parameters import ParameterSpace, Prior
-from cell.lab.bench import RELEASE_LIMIT_S, RELEASE_STD_S, Bench, is_released
+from cell.lab.prepared import RELEASE_LIMIT_S, RELEASE_STD_S, PreparedStudy, is_released
 from cell.lab.where import overall
 from cell.study.data import Trial
 
@@ -79,16 +79,16 @@ class Heldout:
     predicted_m: dict[str, FloatArray]
 
 
-def fit_trials(bench: Bench) -> tuple[Trial, ...]:
+def fit_trials(prepared: PreparedStudy) -> tuple[Trial, ...]:
     """The trials that may be fitted.  Raises ValueError: none."""
-    trials = bench.study.role("fit")
+    trials = prepared.study.role("fit")
     if not trials:
-        raise ValueError(f"study {bench.study.name}: no trial has role `fit`")
+        raise ValueError(f"study {prepared.study.name}: no trial has role `fit`")
     return trials
 
 
 def fit_model(
-    bench: Bench,
+    prepared: PreparedStudy,
     space: ParameterSpace,
     start: FloatArray,
     delay_s: dict[str, float] | None = None,
@@ -104,14 +104,14 @@ def fit_model(
             parameters plausible
     raises  ValueError: the model cannot be simulated at the start
     """
-    trials = fit_trials(bench) if trials is None else trials
+    trials = fit_trials(prepared) if trials is None else trials
     released = [t.name for t in trials if is_released(t)]
     p, more = len(space.names), len(released)
     precision = np.zeros((p + more, p + more))
     precision[:p, :p] = space.precision
     precision[p:, p:] = np.eye(more) / RELEASE_STD_S**2
     problem = gauss_newton.Problem(
-        residuals=lambda q: residuals(bench, space, trials, q, released) / temper,
+        residuals=lambda q: residuals(prepared, space, trials, q, released) / temper,
         mean=np.concatenate([space.mean, np.zeros(more)]),
         precision=precision,
         step=np.concatenate([space.step, np.full(more, _DELAY_STEP_S)]),
@@ -127,7 +127,7 @@ def fit_model(
     q, delays = solution.q[:p], dict(zip(released, map(float, solution.q[p:]), strict=True))
     model = space.model(q)
     errors = [
-        t.markers.xy_m - bench.predict(t, [model], np.array([delays.get(t.name, 0.0)]))[0]
+        t.markers.xy_m - prepared.predict(t, [model], np.array([delays.get(t.name, 0.0)]))[0]
         for t in trials
     ]
     chi2 = float(solution.residual @ solution.residual)
@@ -135,7 +135,7 @@ def fit_model(
 
 
 def residuals(
-    bench: Bench,
+    prepared: PreparedStudy,
     space: ParameterSpace,
     trials: Sequence[Trial],
     q: FloatArray,
@@ -147,18 +147,18 @@ def residuals(
     parts = []
     for trial in trials:
         delay = q[:, p + released.index(trial.name)] if trial.name in released else None
-        parts.append(bench.white(trial, bench.predict(trial, models, delay)))
+        parts.append(prepared.white(trial, prepared.predict(trial, models, delay)))
     return np.concatenate(parts, axis=1)
 
 
-def heldout(bench: Bench, fit: Fit) -> Heldout | None:
+def heldout(prepared: PreparedStudy, fit: Fit) -> Heldout | None:
     """The fit on the `validate` trials; None if there are none.
 
     Their likelihood integrates over what the fit leaves uncertain (linearised), so that a model
     is not punished for numbers that its fit trials could not know.  A model with which a held-out
     trial cannot be simulated has likelihood 0 and infinite errors.
     """
-    trials = bench.study.role("validate")
+    trials = prepared.study.role("validate")
     if not trials:
         return None
     space, p = fit.space, len(fit.q)
@@ -166,14 +166,14 @@ def heldout(bench: Bench, fit: Fit) -> Heldout | None:
     predicted: dict[str, FloatArray] = {}
     rows, slopes, extra = [], [], []
     for trial in trials:
-        delay = best_delay(bench, fit.model, trial) if is_released(trial) else 0.0
+        delay = best_delay(prepared, fit.model, trial) if is_released(trial) else 0.0
         lanes = [fit.model, *(space.model(fit.q + np.eye(p)[i] * bent[i]) for i in range(p))]
         delays = np.full(p + 1, delay)
         if is_released(trial):
             lanes.append(fit.model)
             delays = np.append(delays, delay + _DELAY_STEP_S)
-        points = bench.predict(trial, lanes, delays)
-        white = bench.white(trial, points)
+        points = prepared.predict(trial, lanes, delays)
+        white = prepared.white(trial, points)
         predicted[trial.name] = points[0]
         rows.append(white[0])
         slopes.append((white[1 : p + 1] - white[0]).T / bent)
@@ -186,7 +186,7 @@ def heldout(bench: Bench, fit: Fit) -> Heldout | None:
             rms_m=np.inf,
             by_trial_m=dict.fromkeys(errors, np.inf),
             chi2=np.inf,
-            count=bench.count(trials),
+            count=prepared.count(trials),
             smooth_chi2=np.inf,
             smooth_count=1,
             log_likelihood=-np.inf,
@@ -202,7 +202,7 @@ def heldout(bench: Bench, fit: Fit) -> Heldout | None:
     chi2, log_det = _marginal(residual, spread)
     splits = np.cumsum([len(r) for r in rows])[:-1]
     smooth = [
-        _smooth_part(bench.whiteners[trial.name], part)
+        _smooth_part(prepared.whiteners[trial.name], part)
         for trial, part in zip(
             trials, np.split(np.column_stack([residual, spread]), splits), strict=True
         )
@@ -213,7 +213,7 @@ def heldout(bench: Bench, fit: Fit) -> Heldout | None:
         rms_m=overall(list(errors.values())),
         by_trial_m={name: overall([e]) for name, e in errors.items()},
         chi2=chi2,
-        count=bench.count(trials),
+        count=prepared.count(trials),
         smooth_chi2=smooth_chi2,
         smooth_count=len(coarse),
         log_likelihood=-0.5 * (chi2 + log_det),
@@ -304,10 +304,12 @@ def pinned(space: ParameterSpace, q: FloatArray) -> ParameterSpace:
     return replace(space, mean=q, low=q.copy(), high=q.copy())
 
 
-def best_delay(bench: Bench, model: CableModel, trial: Trial) -> float:
+def best_delay(prepared: PreparedStudy, model: CableModel, trial: Trial) -> float:
     """Release delay of one trial, the model given."""
     problem = gauss_newton.Problem(
-        residuals=lambda q: bench.white(trial, bench.predict(trial, [model] * len(q), q[:, 0])),
+        residuals=lambda q: prepared.white(
+            trial, prepared.predict(trial, [model] * len(q), q[:, 0])
+        ),
         mean=np.zeros(1),
         precision=np.full((1, 1), RELEASE_STD_S**-2),
         step=np.full(1, _DELAY_STEP_S),

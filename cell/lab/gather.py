@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.files.located import Document, InputError, Key, Problem, load
 from cell.identify.noise import still_frames
-from cell.located import Document, InputError, Key, Problem, load
 from cell.study.data import Study, Trial
 from cell.study.folder import read_study
 

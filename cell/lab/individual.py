@@ -12,23 +12,23 @@ import numpy as np
 
 from cell.cable.effects.base import Effect
 from cell.cable.geometry import Cable
+from cell.files.located import InputError, Problem
 from cell.identify.fit import frames_seen, variance_inflation
 from cell.identify.identified import Identified
 from cell.identify.noise import Noise
 from cell.identify.parameters import ParameterSpace
-from cell.lab.bench import RELEASE_STD_S, Bench
 from cell.lab.fitting import Fit, fit_trials, space_with
-from cell.located import InputError, Problem
+from cell.lab.prepared import RELEASE_STD_S, PreparedStudy
 from cell.study.data import Study
 
 #: Datasheets of one kind of cable agree to this.
 SAME_CABLE = 0.01
 
 
-def identified(bench: Bench, fit: Fit) -> Identified:
+def identified(prepared: PreparedStudy, fit: Fit) -> Identified:
     """A fit in the form in which models are kept; intervals widened by what it leaves."""
-    trials = fit_trials(bench)
-    whiteners = [bench.whiteners[t.name] for t in trials]
+    trials = fit_trials(prepared)
+    whiteners = [prepared.whiteners[t.name] for t in trials]
     solution, p = fit.solution, len(fit.q)
     inflation = variance_inflation(solution.residual, whiteners, len(solution.q))
     # What the data say is worth less by the inflation, what the prior says is not.
@@ -39,7 +39,7 @@ def identified(bench: Bench, fit: Fit) -> Identified:
         space=fit.space,
         mean=fit.q,
         covariance=np.asarray(np.linalg.inv(precision)[:p, :p], dtype=np.float64),
-        noise=bench.noise,
+        noise=prepared.noise,
         residual_rms_m=fit.rms_m,
         inflation=inflation,
         frames_used=sum(frames_seen(t) for t in trials),

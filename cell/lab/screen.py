@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from cell.cable.effects.base import ActiveEffect, Effect, Parameter
 from cell.cable.model import CableModel
-from cell.lab.bench import Bench
 from cell.lab.fitting import Fit, fit_trials
+from cell.lab.prepared import PreparedStudy
 from cell.lab.score import Nuisance, Score, score_test
 
 FloatArray = NDArray[np.float64]
@@ -34,7 +34,7 @@ class Screened:
     starts: tuple[FloatArray, ...]
 
 
-def screen(bench: Bench, fit: Fit, effects: Sequence[type[Effect]]) -> list[Screened]:
+def screen(prepared: PreparedStudy, fit: Fit, effects: Sequence[type[Effect]]) -> list[Screened]:
     """Score tests of effects against a fit, the likeliest first.
 
     All effects, at every guess of their shape parameters, go into one batch per trial.
@@ -45,7 +45,7 @@ def screen(bench: Bench, fit: Fit, effects: Sequence[type[Effect]]) -> list[Scre
         undone = [i for i in range(len(guesses)) if not _usable(change[i])]
         if not undone:
             break
-        change[undone] = _changes(bench, fit, [guesses[i] for i in undone])
+        change[undone] = _changes(prepared, fit, [guesses[i] for i in undone])
         for i in undone:
             if not _usable(change[i]):
                 guesses[i] = guesses[i].smaller()
@@ -92,14 +92,14 @@ def _usable(change: FloatArray) -> bool:
     return bool(np.all(np.isfinite(change)) and np.max(np.abs(change)) < LARGEST_CHANGE)
 
 
-def _changes(bench: Bench, fit: Fit, guesses: Sequence[_Guess]) -> FloatArray:
+def _changes(prepared: PreparedStudy, fit: Fit, guesses: Sequence[_Guess]) -> FloatArray:
     """(guesses, rows) whitened change of the fit trials' markers by each nudge."""
     model = fit.model
     models = [model, *(_with(model, ActiveEffect(g.effect, g.values)) for g in guesses)]
     parts = []
-    for trial in fit_trials(bench):
+    for trial in fit_trials(prepared):
         delay = np.full(len(models), fit.delay_s.get(trial.name, 0.0))
-        parts.append(bench.white(trial, bench.predict(trial, models, delay)))
+        parts.append(prepared.white(trial, prepared.predict(trial, models, delay)))
     white = np.concatenate(parts, axis=1)
     return np.asarray(white[0] - white[1:])
 

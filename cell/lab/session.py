@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from cell.cable.effects import Effect, library, load_effect
+from cell.files.located import InputError, Problem
 from cell.identify.identified import Identified
 from cell.identify.noise import Noise, still_frames
 from cell.identify.parameters import ParameterSpace
-from cell.lab.bench import ERRS, Bench
 from cell.lab.explore import Candidate, Explorer, Progress
 from cell.lab.fitting import pinned, space_with
 from cell.lab.individual import (
@@ -23,7 +23,7 @@ from cell.lab.individual import (
     prior_space,
     read_model,
 )
-from cell.located import InputError, Problem
+from cell.lab.prepared import ERRS, PreparedStudy
 from cell.study.data import Study, Trial
 from cell.study.folder import read_study
 
@@ -105,16 +105,18 @@ def explorer_of(
 ) -> Explorer:
     """The study made ready, with an earlier individual's model as prior if there is one."""
     if prior is None:
-        bench, believed = Bench.of(study), None
+        prepared, believed = PreparedStudy.of(study), None
         space = ParameterSpace.of(study.cable, gravity_m_per_s2=study.gravity_m_per_s2)
     else:
         path, model = prior
         check_same_kind(path, model, study.cable)
         space = prior_space(study, model)
         believed = space.mean
-        bench = Bench.of(study, misfit=misfit(model, _least_rms_m(study, space, model, chosen)))
+        prepared = PreparedStudy.of(
+            study, misfit=misfit(model, _least_rms_m(study, space, model, chosen))
+        )
     effects = [*space.effects, *(e for e in chosen.named if e not in space.effects)]
-    return Explorer(bench, space_with(space, effects), chosen.library, progress, believed)
+    return Explorer(prepared, space_with(space, effects), chosen.library, progress, believed)
 
 
 def _least_rms_m(study: Study, space: ParameterSpace, model: Identified, chosen: Chosen) -> float:
@@ -123,8 +125,8 @@ def _least_rms_m(study: Study, space: ParameterSpace, model: Identified, chosen:
     What even that leaves is the model's own error on this study; were it taken for information,
     the cable's parameters would be bent to remove it.
     """
-    bench = Bench.of(study, misfit=misfit(model))
-    pilot = Explorer(bench, pinned(space, space.mean), chosen.library)
+    prepared = PreparedStudy.of(study, misfit=misfit(model))
+    pilot = Explorer(prepared, pinned(space, space.mean), chosen.library)
     base = pilot.baseline()
     smooth = [e for e in chosen.library.values() if e.smooth and e not in space.effects]
     tried = pilot.add(base, smooth)
@@ -144,12 +146,14 @@ def fit_study(explorer: Explorer) -> tuple[Identified, Candidate]:
     widens the intervals and leaves the weight of the frames as it is.
     """
     candidate = explorer.baseline()
-    bench = explorer.bench
-    if candidate.fit.rms_m <= ERRS * bench.noise.std_m:
-        return identified(bench, candidate.fit), candidate
+    prepared = explorer.prepared
+    if candidate.fit.rms_m <= ERRS * prepared.noise.std_m:
+        return identified(prepared, candidate.fit), candidate
     left = Noise(candidate.fit.rms_m)
     coarser = Explorer(
-        Bench.of(bench.study, misfit=left, solver=bench.solver), explorer.space, explorer.library
+        PreparedStudy.of(prepared.study, misfit=left, solver=prepared.solver),
+        explorer.space,
+        explorer.library,
     )
     candidate = coarser.baseline()
-    return identified(coarser.bench, candidate.fit), candidate
+    return identified(coarser.prepared, candidate.fit), candidate

@@ -21,10 +21,10 @@ from scipy import stats
 from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
 from cell.identify.noise import Whitener
-from cell.lab.bench import Bench
 from cell.lab.compare import everywhere
 from cell.lab.diagnose import Examination
 from cell.lab.explore import Candidate, Explorer
+from cell.lab.prepared import PreparedStudy
 from cell.lab.surroundings import Surroundings, Swept
 from cell.study.data import Markers, Trial
 
@@ -136,14 +136,14 @@ def suggest_motion(
     raises  ValueError: nothing is left to tell apart, or no motion keeps the limits
     """
     candidates = rivals(explorer, examination)
-    bench = explorer.bench
+    prepared = explorer.prepared
     models = [c.fit.model for c in candidates]
     options, refused = [], Counter[str]()
     rest: dict[float, float] = {}
     for stroke in strokes(surroundings):
         if stroke.angle_rad not in rest:
-            rest[stroke.angle_rad] = _rest_low_m(bench, models, surroundings, stroke.angle_rad)
-        option = _weighed(bench, candidates, stroke, surroundings, rest[stroke.angle_rad])
+            rest[stroke.angle_rad] = _rest_low_m(prepared, models, surroundings, stroke.angle_rad)
+        option = _weighed(prepared, candidates, stroke, surroundings, rest[stroke.angle_rad])
         if isinstance(option, str):
             refused[option] += 1
         else:
@@ -232,7 +232,7 @@ def write_motion(suggestion: Suggestion, path: Path) -> None:
 
 
 def _weighed(
-    bench: Bench,
+    prepared: PreparedStudy,
     candidates: Sequence[Candidate],
     stroke: Stroke,
     surroundings: Surroundings,
@@ -240,13 +240,13 @@ def _weighed(
 ) -> Option | str:
     """A stroke from where it is safe, and what it tells; or what it is refused for."""
     # The likeliest cable shows quickly where the stroke could begin, if anywhere.
-    cable = _simulated(bench, [candidates[0].fit.model], stroke, surroundings)[1]
+    cable = _simulated(prepared, [candidates[0].fit.model], stroke, surroundings)[1]
     start = _start(stroke, cable, np.zeros_like(cable), surroundings, rest_low_m)
     if isinstance(start, str):
         return start
     views, cables, spreads = [], [], []
     for candidate in candidates:
-        view, cable, spread = _open(bench, candidate, start, surroundings)
+        view, cable, spread = _open(prepared, candidate, start, surroundings)
         views.append(view)
         cables.append(cable)
         spreads.append(SURELY * spread + MODEL_ERROR_M)
@@ -286,7 +286,10 @@ def _start(
 
 
 def _rest_low_m(
-    bench: Bench, models: Sequence[CableModel], surroundings: Surroundings, angle_rad: float
+    prepared: PreparedStudy,
+    models: Sequence[CableModel],
+    surroundings: Surroundings,
+    angle_rad: float,
 ) -> float:
     """Least x of the cable at rest beside the hand, turned from home's angle to another, m."""
     home = surroundings.home[2]
@@ -295,31 +298,33 @@ def _rest_low_m(
     for angle in np.linspace(home, angle_rad, steps):
         t_s = np.array([0.0, 0.05, 0.1])
         motion = Motion(t_s, 0 * t_s, 0 * t_s, np.full(3, angle))
-        trial = Trial("rest", "validate", "equilibrium", motion, _blank(bench, t_s))
+        trial = Trial("rest", "validate", "equilibrium", motion, _blank(prepared, t_s))
         for model in models:
-            low = min(low, float(np.nan_to_num(everywhere(bench, trial, [model])[1][..., 0]).min()))
+            low = min(
+                low, float(np.nan_to_num(everywhere(prepared, trial, [model])[1][..., 0]).min())
+            )
     return low - MODEL_ERROR_M
 
 
 def _simulated(
-    bench: Bench, models: list[CableModel], stroke: Stroke, surroundings: Surroundings
+    prepared: PreparedStudy, models: list[CableModel], stroke: Stroke, surroundings: Surroundings
 ) -> tuple[FloatArray, FloatArray]:
     """Markers and whole cable of models of one kind on a stroke, (models, times, points, 2), m."""
     motion = stroke.motion()
-    frame_s = float(np.median(np.diff(bench.study.trials[0].markers.t_s)))
+    frame_s = float(np.median(np.diff(prepared.study.trials[0].markers.t_s)))
     if surroundings.frame_rate_hz is not None:
         frame_s = 1.0 / surroundings.frame_rate_hz
     t_s = np.arange(frame_s, motion.t_s[-1], frame_s)
-    trial = Trial("stroke", "validate", "equilibrium", motion, _blank(bench, t_s))
-    return everywhere(bench, trial, models)
+    trial = Trial("stroke", "validate", "equilibrium", motion, _blank(prepared, t_s))
+    return everywhere(prepared, trial, models)
 
 
-def _blank(bench: Bench, t_s: FloatArray) -> Markers:
-    return Markers(t_s, np.zeros((len(t_s), len(bench.study.arc_length_m), 2)))
+def _blank(prepared: PreparedStudy, t_s: FloatArray) -> Markers:
+    return Markers(t_s, np.zeros((len(t_s), len(prepared.study.arc_length_m), 2)))
 
 
 def _open(
-    bench: Bench, candidate: Candidate, stroke: Stroke, surroundings: Surroundings
+    prepared: PreparedStudy, candidate: Candidate, stroke: Stroke, surroundings: Surroundings
 ) -> tuple[tuple[FloatArray, FloatArray], FloatArray, FloatArray]:
     """What a candidate predicts, and how far the trials so far leave that open.
 
@@ -329,10 +334,10 @@ def _open(
     space, q = candidate.fit.space, candidate.fit.q
     step = np.where(q + space.step <= space.high, space.step, -space.step)
     lanes = [space.model(q), *(space.model(q + row) for row in np.diag(step))]
-    markers, cable = _simulated(bench, lanes, stroke, surroundings)
+    markers, cable = _simulated(prepared, lanes, stroke, surroundings)
     values, vectors = np.linalg.eigh(candidate.fit.covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
-    rows = Whitener(np.zeros(markers.shape[1:]), bench.noise)(markers)
+    rows = Whitener(np.zeros(markers.shape[1:]), prepared.noise)(markers)
     open_rows = ((rows[1:] - rows[0]).T / step) @ root
     moves = np.tensordot(root.T / step, cable[1:] - cable[0], axes=1)
     return (rows[0], open_rows), cable[0], np.sqrt(np.sum(moves**2, axis=0))

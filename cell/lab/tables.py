@@ -11,9 +11,9 @@ from rich.table import Table
 
 from cell.cable.effects.base import Effect
 from cell.identify.identified import Identified
-from cell.lab.bench import Bench
 from cell.lab.compare import Comparison
 from cell.lab.explore import Candidate
+from cell.lab.prepared import PreparedStudy
 from cell.lab.results import Diagnosis
 
 if TYPE_CHECKING:
@@ -154,12 +154,12 @@ def model_table(model: Identified) -> Table:
     return table
 
 
-def errors_line(bench: Bench, candidate: Candidate) -> str:
+def errors_line(prepared: PreparedStudy, candidate: Candidate) -> str:
     """Fitted and held-out error against the noise."""
     held = candidate.heldout.rms_m if candidate.heldout else float("nan")
     return (
         f"error {_mm(candidate.fit.rms_m)} mm fitted, {_mm(held)} mm held out, "
-        f"noise {_mm(bench.floor.noise.std_m)} mm (rms per coordinate)"
+        f"noise {_mm(prepared.floor.noise.std_m)} mm (rms per coordinate)"
     )
 
 

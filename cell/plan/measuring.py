@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.interfaces import Path, Pose
+from drivers.interfaces import Pose, Trajectory
 
 #: Peak speed, acceleration and jerk of a fifth-order polynomial from rest to rest, over 1 in 1 s.
 QUINTIC_PEAKS = (1.875, 10.0 / 3.0**0.5, 60.0)
@@ -43,7 +43,7 @@ def least_duration_s(way: float, limits: Sequence[float]) -> float:
     )
 
 
-def measuring_path(start: Pose, moves: Sequence[Move], rate_hz: float) -> Path:
+def measuring_path(start: Pose, moves: Sequence[Move], rate_hz: float) -> Trajectory:
     """The moves as one path from `start`, sampled at the arm's rate.
 
     Every move is a polynomial of fifth order in its duration, rounded up to the arm's period.
@@ -60,4 +60,4 @@ def measuring_path(start: Pose, moves: Sequence[Move], rate_hz: float) -> Path:
         s = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
         rows.append(begin + s[:, None] * (end - begin))
     x, y, angle = np.concatenate(rows).T
-    return Path(np.arange(len(x)) / rate_hz, x.copy(), y.copy(), angle.copy())
+    return Trajectory(np.arange(len(x)) / rate_hz, x.copy(), y.copy(), angle.copy())

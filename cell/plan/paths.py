@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cell.cable.clamp import pose_of
 from cell.cable.geometry import Motion
 from cell.identify.hand import moves_from_s
-from drivers.interfaces import Path, Pose
+from drivers.interfaces import Pose, Trajectory
 from drivers.servo import servo_response
 
 FloatArray = NDArray[np.float64]
@@ -57,7 +57,7 @@ def identification_path(
     *,
     duration_s: float = 0.3,
     hold_s: float = 1.0,
-) -> Path:
+) -> Trajectory:
     """Down by `distance_m`, in `duration_s` or as long as the limits ask, then held for `hold_s`.
 
     raises  ValueError: a distance, duration or rate that cannot be
@@ -73,7 +73,7 @@ def identification_path(
 
 def insertion_path(
     start: Pose, offset_m: float, advance_m: float, limits: MotionLimits, rate_hz: float
-) -> Path:
+) -> Trajectory:
     """Down by `offset_m`, then left by `advance_m`; at rest at both ends and at the corner.
 
     raises  ValueError: a negative offset, an advance ≤ 0, an impossible rate
@@ -85,7 +85,7 @@ def insertion_path(
     return _path([down, left[1:]], start.angle_rad, rate_hz)
 
 
-def retreat_path(start: Pose, end: Pose, limits: MotionLimits, rate_hz: float) -> Path:
+def retreat_path(start: Pose, end: Pose, limits: MotionLimits, rate_hz: float) -> Trajectory:
     """First level, then up or down, then turning in place: back out of a hole before anything else.
 
     raises  ValueError: the poses are the same, an impossible rate
@@ -100,11 +100,11 @@ def retreat_path(start: Pose, end: Pose, limits: MotionLimits, rate_hz: float) -
         angle_rad = np.concatenate([angle_rad, turn_rad])
     if len(xy) < 2:
         raise ValueError(f"retreat from {start} to {end}: no distance to go")
-    return Path(np.arange(len(xy)) / rate_hz, xy[:, 0].copy(), xy[:, 1].copy(), angle_rad)
+    return Trajectory(np.arange(len(xy)) / rate_hz, xy[:, 0].copy(), xy[:, 1].copy(), angle_rad)
 
 
 def executed_motion(
-    path: Path,
+    path: Trajectory,
     lag_s: float,
     *,
     start: Pose | None = None,
@@ -197,7 +197,7 @@ def _trajectory(wish: ruckig.InputParameter) -> ruckig.Trajectory:
     raise ValueError(f"no path from {wish.current_position} to {wish.target_position}: {result}")
 
 
-def _path(strokes: Sequence[FloatArray], angle_rad: float, rate_hz: float) -> Path:
+def _path(strokes: Sequence[FloatArray], angle_rad: float, rate_hz: float) -> Trajectory:
     xy = np.concatenate(strokes)
     t = np.arange(len(xy)) / rate_hz
-    return Path(t, xy[:, 0].copy(), xy[:, 1].copy(), np.full(len(xy), angle_rad))
+    return Trajectory(t, xy[:, 0].copy(), xy[:, 1].copy(), np.full(len(xy), angle_rad))

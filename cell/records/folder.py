@@ -23,7 +23,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from cell.located import InputError, Problem
+from cell.files.located import InputError, Problem
 from cell.records.result import Result
 from cell.study.data import Study
 from cell.study.folder import read_study, write_study

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from cell.cable.geometry import Cable
-from cell.located import Document, InputError, Key, Problem, did_you_mean, load, validate
+from cell.files.located import Document, InputError, Key, Problem, did_you_mean, load, validate
 from cell.settings.model import OpenCvCamera, SerialGripper, Settings, UrArm
 
 #: Where an emulated camera may stream from.
@@ -192,11 +192,11 @@ def _emulated(document: Document, settings: Settings) -> list[Problem]:
 def _hidden_effects(document: Document, settings: Settings) -> list[Problem]:
     if not settings.world.effects:
         return []
-    from cell.cable.effects import library, rare  # compiled code, which few settings need
+    from cell.cable.effects import library, unscreened  # compiled code, which few settings need
     from cell.cable.live import shown_live
 
     problems = []
-    known = library() | rare()
+    known = library() | unscreened()
     for name, values in settings.world.effects.items():
         key: Key = ("world", "effects", name)
         if name not in known:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from cell.cable.geometry import Cable, Motion
-from cell.located import Document, InputError, Key, Problem, load, validate
+from cell.files.located import Document, InputError, Key, Problem, load, validate
 from cell.study.data import Markers, Study, Trial
 from cell.study.table import Table, read_table, write_table
 

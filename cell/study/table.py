@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.located import InputError, Problem
+from cell.files.located import InputError, Problem
 
 FloatArray = NDArray[np.float64]
 

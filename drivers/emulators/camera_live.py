@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from drivers.emulators.camera_poses import RtdePoses
-from drivers.interfaces import FloatArray, Image, Path
+from drivers.interfaces import FloatArray, Image, Trajectory
 from drivers.plane_mount import PlaneMount
 from drivers.sim.camera import CameraTwinOptions, photograph
 from drivers.sim.world import View
@@ -25,7 +25,7 @@ _PATIENCE_S = 0.03  # longer than any pose is under way
 class PoseFeed(Protocol):
     """Poses of the gripping point as they are measured: where the emulated arm really is."""
 
-    def __call__(self) -> Path | None:
+    def __call__(self) -> Trajectory | None:
         """Poses since the last call, times on the monotonic clock, at least one; None = none."""
         ...
 
@@ -33,7 +33,7 @@ class PoseFeed(Protocol):
 class LiveCable(Protocol):
     """A cable that is moved along as the poses come; it keeps its own state."""
 
-    def advance(self, grip: Path) -> FloatArray:
+    def advance(self, grip: Trajectory) -> FloatArray:
         """Shapes at the times of `grip`, which continues the one before; (T, K, 2) m, tip first.
 
         The first call begins with the cable in equilibrium at the first pose.  A call has about
@@ -142,7 +142,7 @@ class LiveScene:
         t_s, poses = self._new_s, self._new
         self._new_s, self._new = np.empty(0), np.empty((0, 3))
         if self._cable is not None and len(t_s) > 0:
-            self._shape.add(t_s, self._cable.advance(Path(t_s, *poses.T)))
+            self._shape.add(t_s, self._cable.advance(Trajectory(t_s, *poses.T)))
 
 
 class _Track:

@@ -15,7 +15,7 @@ from collections import deque
 import numpy as np
 
 from drivers.emulators.rtde_wire import Kind, Packet, Recipe, Splitter
-from drivers.interfaces import FloatArray, Path
+from drivers.interfaces import FloatArray, Trajectory
 from drivers.plane_mount import PlaneMount
 from drivers.priority import run_in_real_time
 from drivers.ur_kinematics import UrModel
@@ -47,7 +47,7 @@ class RtdePoses:
         self._last_s = -np.inf
         threading.Thread(target=self._listen, name="poses", daemon=True).start()
 
-    def __call__(self) -> Path | None:
+    def __call__(self) -> Trajectory | None:
         """Poses since the last call, times on the monotonic clock; None = there are none."""
         with self._lock:
             new, self._new = self._new, []
@@ -59,7 +59,7 @@ class RtdePoses:
             self._last_s = t_s + offset_s
             pose = self._mount.to_plane(self._model.forward(np.array(q_rad), self._X_FT))
             rows.append((self._last_s, pose.x_m, pose.y_m, pose.angle_rad))
-        return Path(*np.array(rows).T) if rows else None
+        return Trajectory(*np.array(rows).T) if rows else None
 
     def _listen(self) -> None:
         """Listen for ever; an arm without power stays where it was."""

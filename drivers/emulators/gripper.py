@@ -76,7 +76,7 @@ def serve(door: Connection, link: Path | None, address: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C is for the parent, who then ends it
     run_in_real_time(_PRIORITY)  # a gripper does not slow down when the computer is busy
     try:
-        bench = _Bench(link, address)
+        bench = _Emulation(link, address)
     except OSError as error:
         door.send((False, str(error)))
         return
@@ -85,7 +85,7 @@ def serve(door: Connection, link: Path | None, address: int) -> None:
     threading.Event().wait()
 
 
-class _Bench:
+class _Emulation:
     """The gripper, its cable, and the hand that pulls it."""
 
     def __init__(self, link: Path | None, address: int) -> None:

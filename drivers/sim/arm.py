@@ -13,8 +13,8 @@ from drivers.interfaces import (
     DeviceLostError,
     FloatArray,
     LimitError,
-    Path,
     StoppedError,
+    Trajectory,
     too_late,
 )
 from drivers.servo import servo_response
@@ -141,12 +141,12 @@ class SimArm:
             latest = self.log(now_s - 1.0 / self.rate_hz, now_s)
             return ArmState(float(latest.t_s[-1]), latest.at(now_s), speed, moving, self._mode())
 
-    def check(self, path: Path) -> None:
+    def check(self, path: Trajectory) -> None:
         """Raises DeviceLostError; this arm reaches everything."""
         with self._world.lock:
             self._check_alive()
 
-    def follow(self, path: Path, start_s: float | None = None) -> None:
+    def follow(self, path: Trajectory, start_s: float | None = None) -> None:
         """Raises LimitError: still moving, too late; StoppedError; DeviceLostError."""
         with self._world.lock:
             self._check_alive()
@@ -160,12 +160,14 @@ class SimArm:
             begin_s = now_s if start_s is None else start_s
             if begin_s < now_s:
                 raise too_late(self.name, now_s - begin_s)
-            absolute = Path(path.t_s - path.t_s[0] + begin_s, path.x_m, path.y_m, path.angle_rad)
+            absolute = Trajectory(
+                path.t_s - path.t_s[0] + begin_s, path.x_m, path.y_m, path.angle_rad
+            )
             true_lag_s = self._options.true_lag_s
             lag_s = self._options.lag_s if true_lag_s is None else true_lag_s
             self._world.commit(servo_response(absolute, lag_s, start=self._world.hand_pose()))
 
-    def log(self, start_s: float, end_s: float) -> Path:
+    def log(self, start_s: float, end_s: float) -> Trajectory:
         """Measured poses of the past, on the arm's own even grid of times."""
         with self._world.lock:
             end_s = min(end_s, self._clock.now_s())
@@ -175,7 +177,7 @@ class SimArm:
             )
             t_s = index / self.rate_hz
             x, y, angle = (self._world.hand_at(t_s) + self._measurement_noise(index)).T
-            return Path(t_s, x, y, angle)
+            return Trajectory(t_s, x, y, angle)
 
     def stop(self, reason: str) -> None:
         """Decelerate now and stay stopped until `reset`."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from drivers.interfaces import FloatArray, Path, Pose
+from drivers.interfaces import FloatArray, Pose, Trajectory
 
 
 class Hand:
@@ -33,7 +33,7 @@ class Hand:
         before, now = self.at(np.array([t_s - span_s, t_s]))
         return np.asarray((now - before) / span_s, dtype=np.float64)
 
-    def extend(self, path: Path) -> None:
+    def extend(self, path: Trajectory) -> None:
         """Commit to `path` (absolute times, beginning where the hand rests)."""
         resting = path.t_s[0] > self._t_s[-1]
         hold_t = [path.t_s[0]] if resting else []
@@ -60,9 +60,9 @@ class Hand:
         self._t_s = np.concatenate([self._t_s[keep], t_s + after_s])
         self._poses = np.concatenate([self._poses[keep], start + way_s[:, None] * speed])
 
-    def motion(self, start_s: float, end_s: float) -> Path:
+    def motion(self, start_s: float, end_s: float) -> Trajectory:
         """Poses from `start_s` to `end_s`, at both ends and at every sample between."""
         inside = self._t_s[(self._t_s > start_s) & (self._t_s < end_s)]
         t_s = np.concatenate([[start_s], inside, [end_s]])
         x, y, angle = self.at(t_s).T
-        return Path(t_s, x, y, angle)
+        return Trajectory(t_s, x, y, angle)

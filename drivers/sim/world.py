@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from drivers.interfaces import FloatArray, Path, Pose
+from drivers.interfaces import FloatArray, Pose, Trajectory
 from drivers.sim.clock import SimClock
 from drivers.sim.hand import Hand
 
@@ -20,7 +20,7 @@ MIN_POINTS = 60
 class CableShape(Protocol):
     """Physics of one cable, as the world needs it."""
 
-    def __call__(self, grip: Path, query_s: FloatArray) -> FloatArray:
+    def __call__(self, grip: Trajectory, query_s: FloatArray) -> FloatArray:
         """Shapes of the cable while its gripping point moves along `grip`.
 
         grip     poses since it was gripped, times on the cell's clock; the cable is in
@@ -99,7 +99,7 @@ class World:
         """(n,) times → (n, 3) true x, y, angle."""
         return self._hand.at(t_s)
 
-    def commit(self, path: Path) -> None:
+    def commit(self, path: Trajectory) -> None:
         """Let the hand move along `path`: absolute times from now on, from where it rests."""
         with self.lock:
             self._forget_after(float(path.t_s[0]))

@@ -7,11 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cell.build import FIRST_MODE, build_twins, cable_shape, hidden_cable, real_devices
+from cell.build import real_devices
 from cell.identify.parameters import Prior
 from cell.settings import Settings, load_settings
+from cell.simulated.hidden import FIRST_MODE, cable_shape, hidden_cable
+from cell.simulated.twins import build_twins
 from drivers.genicam_camera import GenicamCamera
-from drivers.interfaces import Path as HandPath
+from drivers.interfaces import Trajectory
 from drivers.opencv_camera import OpenCvCamera
 from drivers.serial_gripper import SerialGripper
 from drivers.ur import UrArm
@@ -57,7 +59,7 @@ def test_damping_of_the_first_mode_is_what_the_settings_say(settings: Settings) 
 
 def test_the_world_knows_more_of_its_cables_than_the_model_can(settings: Settings) -> None:
     assert hidden_cable(settings, 1, 1).rigidity_n_m2.size > Prior().knots
-    rest = HandPath(np.array([0.0, 1.0]), np.zeros(2), np.zeros(2), np.zeros(2))
+    rest = Trajectory(np.array([0.0, 1.0]), np.zeros(2), np.zeros(2), np.zeros(2))
     shape = cable_shape(hidden_cable(settings, 1, 1), settings.world.segments)
     points_m = shape(rest, np.array([0.0, 0.5]))
     assert points_m.shape == (2, settings.world.segments + 1, 2)
@@ -74,7 +76,7 @@ def test_hidden_effects_change_what_the_world_does(
     settings: Settings, effects: dict[str, dict[str, float]]
 ) -> None:
     heavy = settings.world.model_copy(update={"effects": effects})
-    rest = HandPath(np.array([0.0, 1.0]), np.zeros(2), np.zeros(2), np.zeros(2))
+    rest = Trajectory(np.array([0.0, 1.0]), np.zeros(2), np.zeros(2), np.zeros(2))
     tips = [
         cable_shape(hidden_cable(s, 1, 1), 60)(rest, np.array([0.0, 0.5]))[1, 0]
         for s in (settings, settings.model_copy(update={"world": heavy}))

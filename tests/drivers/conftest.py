@@ -13,7 +13,7 @@ import pytest
 from drivers.emulators.camera import CameraEmulatorOptions, EmulatedCamera, StreamFaults
 from drivers.emulators.camera_scene import TestCard
 from drivers.emulators.launch import EmulatedController
-from drivers.interfaces import FloatArray, Path, Pose
+from drivers.interfaces import FloatArray, Pose, Trajectory
 from drivers.plane_mount import PlaneMount
 from drivers.sim.arm import SimArm
 from drivers.sim.camera import CameraTwinOptions, SimCamera
@@ -34,9 +34,9 @@ class StraightCable:
 
     length_m: float = 0.1
     points: int = 61
-    calls: list[tuple[Path, FloatArray]] = field(default_factory=list)
+    calls: list[tuple[Trajectory, FloatArray]] = field(default_factory=list)
 
-    def __call__(self, grip: Path, query_s: FloatArray) -> FloatArray:
+    def __call__(self, grip: Trajectory, query_s: FloatArray) -> FloatArray:
         self.calls.append((grip, query_s))
         x, y, angle = (
             np.interp(query_s, grip.t_s, v) for v in (grip.x_m, grip.y_m, grip.angle_rad)
@@ -122,7 +122,7 @@ def ur_options(ur_emulator: EmulatedController) -> UrOptions:
     return UrOptions(ur_emulator.host, mount, tuple(pose_of(X_FT)))
 
 
-PathMaker = Callable[..., Path]
+PathMaker = Callable[..., Trajectory]
 
 
 @pytest.fixture
@@ -135,11 +135,11 @@ def line() -> PathMaker:
         duration_s: float = 0.4,
         start: Pose = HOME,
         dangle_rad: float = 0.0,
-    ) -> Path:
+    ) -> Trajectory:
         t_s = np.linspace(0.0, duration_s, round(duration_s * 500) + 1)
         u = t_s / duration_s
         s = u**3 * (10.0 - 15.0 * u + 6.0 * u * u)
-        return Path(
+        return Trajectory(
             t_s, start.x_m + dx_m * s, start.y_m + dy_m * s, start.angle_rad + dangle_rad * s
         )
 

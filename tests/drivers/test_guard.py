@@ -20,8 +20,8 @@ from drivers.interfaces import (
     CameraError,
     Gripper,
     LimitError,
-    Path,
     StoppedError,
+    Trajectory,
 )
 from drivers.sim.camera import CameraFaults
 
@@ -38,11 +38,11 @@ LIMITS = ArmLimits(
 )
 
 
-def points(**columns: list[float]) -> Path:
+def points(**columns: list[float]) -> Trajectory:
     count = len(next(iter(columns.values())))
     default = {"x_m": np.full(count, 0.5), "y_m": np.full(count, 0.5), "angle_rad": np.zeros(count)}
     given = {k: np.array(v) for k, v in columns.items()}
-    return Path(**{"t_s": np.arange(count) * 1.0, **default, **given})
+    return Trajectory(**{"t_s": np.arange(count) * 1.0, **default, **given})
 
 
 @pytest.fixture
@@ -120,7 +120,7 @@ def test_rounded_times_are_not_taken_for_jerk(line) -> None:
     """Times to the microsecond, as a recorded path has them, change jerk by < 10 %."""
     exact = line(dx_m=-0.05)
     rng = np.random.default_rng(0)
-    rounded = Path(
+    rounded = Trajectory(
         exact.t_s + rng.uniform(-5e-7, 5e-7, len(exact.t_s)), exact.x_m, exact.y_m, exact.angle_rad
     )
     jerk = peaks(0.4)[2]
@@ -131,7 +131,7 @@ def test_rounded_times_are_not_taken_for_jerk(line) -> None:
 
 def test_a_path_that_starts_with_a_jump_of_speed_is_refused(line) -> None:
     whole = line(dx_m=-0.05)
-    cut = Path(*(v[60:] for v in (whole.t_s, whole.x_m, whole.y_m, whole.angle_rad)))
+    cut = Trajectory(*(v[60:] for v in (whole.t_s, whole.x_m, whole.y_m, whole.angle_rad)))
     limits = replace(LIMITS, max_jerk_m_per_s3=1e9)
     check_path(whole, limits)
     with pytest.raises(LimitError, match=r"point 1 of 141 has acceleration"):

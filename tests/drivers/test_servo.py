@@ -3,13 +3,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivers.interfaces import Path, Pose
+from drivers.interfaces import Pose, Trajectory
 from drivers.servo import servo_response
 
 
-def ramp(duration_s: float = 0.5, length_m: float = 0.1) -> Path:
+def ramp(duration_s: float = 0.5, length_m: float = 0.1) -> Trajectory:
     t = np.array([0.0, duration_s])
-    return Path(t, np.array([0.0, length_m]), np.zeros(2), np.zeros(2))
+    return Trajectory(t, np.array([0.0, length_m]), np.zeros(2), np.zeros(2))
 
 
 def test_ramp_is_followed_one_lag_late() -> None:

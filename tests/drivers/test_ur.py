@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path as FilePath
+from pathlib import Trajectory as FilePath
 
 import numpy as np
 import pytest
@@ -118,13 +118,13 @@ def test_the_death_of_the_cell_leaves_the_arm_stopped(ur_options, ur_emulator, t
     program.write_text(
         "import pickle, sys, time\n"
         "import numpy as np\n"
-        "from drivers.interfaces import Path\n"
+        "from drivers.interfaces import Trajectory\n"
         "from drivers.ur import UrArm\n"
         "arm = UrArm(pickle.loads(bytes.fromhex(sys.argv[1])))\n"
         "arm.connect()\n"
         "pose = arm.state().pose\n"
         "t = np.linspace(0.0, 5.0, 50)\n"
-        "arm.follow(Path(t, pose.x_m + 0 * t, pose.y_m - 0.02 * t, 0 * t))\n"
+        "arm.follow(Trajectory(t, pose.x_m + 0 * t, pose.y_m - 0.02 * t, 0 * t))\n"
         "time.sleep(60)\n"
     )
     cell = subprocess.Popen([sys.executable, str(program), pickle.dumps(ur_options).hex()])

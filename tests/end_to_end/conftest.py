@@ -9,8 +9,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from cell.build import build_twins, cell_with, twin_devices
+from cell.build import cell_with, twin_devices
 from cell.settings import Settings, load_settings
+from cell.simulated.twins import build_twins
 
 CONFIG = Path(__file__).parents[2] / "config" / "fake.yaml"
 EMULATED = CONFIG.parent / "emulated.yaml"

@@ -11,13 +11,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from cell.build import hidden_cable
-from cell.console import STEPS
-from cell.machine import CellState, Event
 from cell.records.folder import read_record
 from cell.records.result import Outcome
+from cell.run.machine import CellState, Event
 from cell.settings import Settings
-from drivers.interfaces import Path as HandPath
+from cell.simulated.hidden import hidden_cable
+from cell.terminal.console import STEPS
+from drivers.interfaces import Trajectory
 
 Live = Callable[..., SimpleNamespace]
 
@@ -142,7 +142,7 @@ def test_a_hand_that_rests_a_little_beside_home_is_brought_there_before_it_is_fi
 
     def push(it: SimpleNamespace) -> None:
         t_s = np.arange(0.0, 0.1, 0.002)
-        it.twins.arm.follow(HandPath(t_s, 0.0 * t_s, -1.2e-4 * t_s / t_s[-1], 0.0 * t_s))
+        it.twins.arm.follow(Trajectory(t_s, 0.0 * t_s, -1.2e-4 * t_s / t_s[-1], 0.0 * t_s))
         it.twins.world.clock.sleep_s(1.0)
         assert it.twins.arm.state().pose.y_m < -8e-5
 

@@ -13,15 +13,16 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from cell.build import build_twins, cell_with, twin_devices
+from cell.build import cell_with, twin_devices
 from cell.cli import app
-from cell.console import DRY_RUN_STEPS
-from cell.machine import CellState, Event
-from cell.motion_file import load_motion
+from cell.plan.motion_file import load_motion
 from cell.records.folder import read_record
 from cell.records.result import Outcome, Result
+from cell.run.machine import CellState, Event
+from cell.run.waiting import POLL_S
 from cell.settings import Settings
-from cell.waiting import POLL_S
+from cell.simulated.twins import build_twins
+from cell.terminal.console import DRY_RUN_STEPS
 from drivers.interfaces import Pose
 from drivers.servo import SETTLING_LAGS
 from drivers.sim.arm import ArmFaults, ArmTwinOptions, SimArm

@@ -11,10 +11,10 @@ from typing import Any
 
 import pytest
 
-from cell.console import STEPS
-from cell.machine import CellState, Event, EventRefusedError
 from cell.records.folder import read_record
 from cell.records.result import Outcome, Result
+from cell.run.machine import CellState, Event, EventRefusedError
+from cell.terminal.console import STEPS
 from drivers.interfaces import ArmMode
 from drivers.sim.arm import ArmFaults
 from drivers.sim.camera import CameraFaults
@@ -227,7 +227,7 @@ def now_s(it: SimpleNamespace) -> float:
 def test_a_computer_that_is_too_slow_gives_up_and_says_so(
     live: Live, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("cell.steps.is_past", lambda bench, t_s: True)
+    monkeypatch.setattr("cell.run.steps.is_past", lambda bench, t_s: True)
     it = live()
     result = it.cell.run_cycle(1)
     check_stopped(it, result, "choose")
@@ -244,7 +244,7 @@ def test_a_second_process_that_cannot_begin_is_named_with_the_remedy(
             job.set_exception(BrokenExecutor("ended abruptly"))
             return job
 
-    monkeypatch.setattr("cell.cycle.ThreadPoolExecutor", Broken)
+    monkeypatch.setattr("cell.run.cycle.ThreadPoolExecutor", Broken)
     result = live().cell.run_cycle(1)
     assert result.outcome is Outcome.FAILED
     assert result.fault is not None

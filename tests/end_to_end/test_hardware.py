@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from cell.emulated import EmulatedCell
 from cell.settings import load_settings
+from cell.simulated.emulated import EmulatedCell
 
 ROOT = Path(__file__).parents[2]
 

@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from cell.build import hidden_cable
 from cell.cable.dynamics import simulate
 from cell.cli import app
-from cell.console import MEASURING_STEPS
-from cell.machine import CellState, Event
-from cell.motion_file import load_motion
 from cell.plan.measuring import Measuring
+from cell.plan.motion_file import load_motion
 from cell.records.folder import read_record
 from cell.records.result import Outcome
+from cell.run.machine import CellState, Event
 from cell.settings import Settings
+from cell.simulated.hidden import hidden_cable
 from cell.study.folder import read_study
+from cell.terminal.console import MEASURING_STEPS
 
 Live = Callable[..., SimpleNamespace]
 

@@ -9,10 +9,10 @@ from typer.testing import CliRunner
 from cell.cable.effects import library
 from cell.cli import app
 from cell.identify.parameters import ParameterSpace
-from cell.lab.bench import Bench
 from cell.lab.diagnose import diagnose
 from cell.lab.explore import Explorer
 from cell.lab.gather import gather
+from cell.lab.prepared import PreparedStudy
 from cell.lab.suggest import suggest_motion, write_motion
 from cell.lab.surroundings import Surroundings
 from cell.study.folder import read_study
@@ -49,7 +49,7 @@ def measure(config: Path, motion: Path, runs: Path) -> Path:
 
 def explorer(study):
     rivals = {n: library()[n] for n in ("added_mass", "natural_curvature", "tip_mass")}
-    return Explorer(Bench.of(study), ParameterSpace.of(study.cable), rivals)
+    return Explorer(PreparedStudy.of(study), ParameterSpace.of(study.cable), rivals)
 
 
 def test_a_suggested_motion_is_run_and_decides(loaded: Path, tmp_path: Path) -> None:

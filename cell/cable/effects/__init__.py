@@ -9,7 +9,7 @@ from cell.cable.effects.base import (
     Place,
     Pose,
 )
-from cell.cable.effects.library import library, load_effect, rare
+from cell.cable.effects.library import library, load_effect, unscreened
 from cell.cable.effects.refused import EffectError
 
 __all__ = [
@@ -23,5 +23,5 @@ __all__ = [
     "Pose",
     "library",
     "load_effect",
-    "rare",
+    "unscreened",
 ]

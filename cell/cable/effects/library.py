@@ -25,7 +25,7 @@ def library() -> dict[str, type[Effect]]:
     return {e.name: e for module in _FAMILIES for e in _effects_in(module)}
 
 
-def rare() -> dict[str, type[Effect]]:
+def unscreened() -> dict[str, type[Effect]]:
     """The project's other effects, which are only looked for where somebody has reason to."""
     return {e.name: e for module in _RARE for e in _effects_in(module)}
 

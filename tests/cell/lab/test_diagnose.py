@@ -9,9 +9,9 @@ import pytest
 
 from cell.cable.effects import library
 from cell.identify.parameters import ParameterSpace
-from cell.lab.bench import Bench
 from cell.lab.diagnose import diagnose
 from cell.lab.explore import Explorer
+from cell.lab.prepared import PreparedStudy
 from cell.lab.results import to_json
 from cell.lab.screen import screen
 from cell.study.folder import read_study
@@ -57,7 +57,7 @@ RIVALS = ("air_drag", "linear_air_drag", "tip_mass", "grip_angle", "natural_curv
 def explore(study, names=RIVALS):
     known = library()
     space = ParameterSpace.of(study.cable, gravity_m_per_s2=study.gravity_m_per_s2)
-    return Explorer(Bench.of(study), space, {n: known[n] for n in names})
+    return Explorer(PreparedStudy.of(study), space, {n: known[n] for n in names})
 
 
 def test_a_complete_model_is_called_complete(make_study):
@@ -144,7 +144,7 @@ def test_without_held_out_trials_nothing_is_claimed(make_study):
 def test_screening_a_cable_that_its_typical_nudges_would_break(make_study):
     explorer = explore(make_study(), ("grip_compliance",))
     stiff = replace(explorer.baseline().fit, q=explorer.baseline().fit.q.copy())
-    (found,) = screen(explorer.bench, stiff, [library()["grip_compliance"]])
+    (found,) = screen(explorer.prepared, stiff, [library()["grip_compliance"]])
     assert np.isfinite(found.score.statistic)
 
 

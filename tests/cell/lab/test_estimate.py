@@ -6,24 +6,24 @@ import numpy as np
 
 from cell.cable.effects import library
 from cell.identify.parameters import ParameterSpace
-from cell.lab.bench import Bench
 from cell.lab.estimate import estimate
 from cell.lab.explore import cold_start
 from cell.lab.fitting import fit_model
+from cell.lab.prepared import PreparedStudy
 
 
 def fitted(study):
-    bench = Bench.of(study)
+    prepared = PreparedStudy.of(study)
     space = ParameterSpace.of(study.cable, effects=[library()["tip_mass"]])
     baseline = ParameterSpace.of(study.cable)
     start = space.mean.copy()
-    start[: len(baseline.names)] = cold_start(bench, baseline)
-    return bench, fit_model(bench, space, start)
+    start[: len(baseline.names)] = cold_start(prepared, baseline)
+    return prepared, fit_model(prepared, space, start)
 
 
 def test_all_trials_know_more_and_agree(make_study):
-    bench, fit = fitted(make_study([library()["tip_mass"].active(mass_kg=2e-5)], seed=3))
-    found = estimate(bench, fit)
+    prepared, fit = fitted(make_study([library()["tip_mass"].active(mass_kg=2e-5)], seed=3))
+    found = estimate(prepared, fit)
     assert found.disagreement < 1.5
     assert np.all(np.diag(found.fit.covariance) <= 1.01 * np.diag(fit.covariance))
     mass = found.intervals(library()["tip_mass"])["mass_kg"]
@@ -35,8 +35,8 @@ def test_trials_of_different_cables_disagree_and_widen_the_interval(make_study):
     mass = library()["tip_mass"]
     one, other = (make_study([mass.active(mass_kg=m)], seed=3) for m in (2e-5, 3e-5))
     mixed = replace(one, trials=(*one.trials[:2], *other.trials[2:]))
-    bench, fit = fitted(mixed)
-    found = estimate(bench, fit)
+    prepared, fit = fitted(mixed)
+    found = estimate(prepared, fit)
     assert found.disagreement > 3.0
     interval = found.intervals(mass)["mass_kg"]
     alone = estimate(*fitted(one)).intervals(mass)["mass_kg"]

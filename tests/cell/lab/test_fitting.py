@@ -8,16 +8,16 @@ import pytest
 from cell.cable.effects import library
 from cell.cable.geometry import Motion
 from cell.identify.parameters import ParameterSpace
-from cell.lab.bench import Bench
 from cell.lab.explore import cold_start
 from cell.lab.fitting import fit_model, heldout
+from cell.lab.prepared import PreparedStudy
 from cell.study.data import Markers
 
 
 def fitted(study):
-    bench = Bench.of(study)
+    prepared = PreparedStudy.of(study)
     space = ParameterSpace.of(study.cable)
-    return heldout(bench, fit_model(bench, space, cold_start(bench, space)))
+    return heldout(prepared, fit_model(prepared, space, cold_start(prepared, space)))
 
 
 @pytest.mark.parametrize("seed", [2, 3, 4])
@@ -47,15 +47,15 @@ def test_a_wrong_models_smooth_residual_is_not_though_all_of_it_may_be(make_stud
 
 def test_a_held_out_trial_that_the_model_cannot_follow_is_impossible_not_nan(make_study):
     study = make_study(seed=2)
-    bench = Bench.of(study)
+    prepared = PreparedStudy.of(study)
     space = ParameterSpace.of(study.cable)
-    fit = fit_model(bench, space, cold_start(bench, space))
+    fit = fit_model(prepared, space, cold_start(prepared, space))
     last = study.trials[-1]
     t_s = last.grip.t_s
     thrown = Motion(t_s, 40.0 * np.sin(60.0 * t_s), last.grip.y_m, 30.0 * np.sin(40.0 * t_s))
     wild = replace(study, trials=(*study.trials[:-1], replace(last, grip=thrown)))
-    weighed = heldout(replace(bench, study=wild), fit)
+    weighed = heldout(replace(prepared, study=wild), fit)
     assert weighed is not None
     assert weighed.log_likelihood == -np.inf
     assert weighed.rms_m == np.inf
-    assert heldout(bench, fit).rms_m < 1.1e-4
+    assert heldout(prepared, fit).rms_m < 1.1e-4

@@ -12,9 +12,9 @@ from cell.cable.effects import library
 from cell.cable.geometry import Cable, Motion
 from cell.cable.model import CableModel
 from cell.identify.parameters import ParameterSpace
-from cell.lab.bench import Bench
 from cell.lab.diagnose import diagnose
 from cell.lab.explore import Explorer
+from cell.lab.prepared import PreparedStudy
 from cell.study.folder import read_study
 
 pytest.importorskip("mujoco")
@@ -44,7 +44,9 @@ def explored(peer, tmp_path):
         peer.write_study(folder, cable, seed=1, colour=0.3, strokes=tuple(strokes))
         study = read_study(folder)
         names = {n: library()[n] for n in RIVALS}
-        return diagnose(Explorer(Bench.of(study), ParameterSpace.of(study.cable), names)).diagnosis
+        return diagnose(
+            Explorer(PreparedStudy.of(study), ParameterSpace.of(study.cable), names)
+        ).diagnosis
 
     return explore
 

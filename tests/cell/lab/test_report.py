@@ -9,11 +9,11 @@ import pytest
 
 from cell.cable.effects import library
 from cell.identify.parameters import ParameterSpace
-from cell.lab.bench import Bench
 from cell.lab.compare import compare_model
 from cell.lab.diagnose import diagnose
 from cell.lab.explore import Explorer
 from cell.lab.individual import identified
+from cell.lab.prepared import PreparedStudy
 from cell.lab.report import comparison_page, diagnosis_page
 from cell.study.data import Markers
 
@@ -52,13 +52,13 @@ class Page(HTMLParser):
 def diagnosed(make_study):
     study = make_study([library()["tip_mass"].active(mass_kg=3e-5)], seed=12)
     explorer = Explorer(
-        Bench.of(study),
+        PreparedStudy.of(study),
         ParameterSpace.of(study.cable),
         {n: library()[n] for n in ("tip_mass", "linear_air_drag")},
     )
     examination = diagnose(explorer)
     comparisons = [compare_model(study, c.fit.model) for c in examination.steps]
-    model = identified(explorer.bench, examination.steps[-1].fit)
+    model = identified(explorer.prepared, examination.steps[-1].fit)
     text = diagnosis_page(examination, comparisons, model)
     return study, examination.diagnosis, comparisons, text
 

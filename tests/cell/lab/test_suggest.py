@@ -8,20 +8,20 @@ import pytest
 import yaml
 from scipy import stats
 
-from cell.build import cable_of
 from cell.cable.dynamics import simulate
 from cell.cable.effects import library
 from cell.cable.model import CableModel
+from cell.files.located import InputError
 from cell.identify.parameters import ParameterSpace
-from cell.lab.bench import Bench
 from cell.lab.diagnose import diagnose
 from cell.lab.explore import Explorer
+from cell.lab.prepared import PreparedStudy
 from cell.lab.suggest import DECIDED, _separation, strokes, suggest_motion, write_motion
 from cell.lab.surroundings import CLEARANCE_M, Surroundings, Swept, jaw_points_m
-from cell.located import InputError
-from cell.motion_file import load_motion
 from cell.plan.measuring import measuring_path
+from cell.plan.motion_file import load_motion
 from cell.settings import load_settings
+from cell.settings.translate import cable_of
 from drivers.guard import ArmLimits, check_path
 
 FAKE = Path(__file__).parents[3] / "config" / "fake.yaml"
@@ -47,7 +47,7 @@ def tied(make_study):
     study = make_study([known["added_mass"].active(kg_per_m=3e-4)], seed=3)
     study = replace(study, trials=tuple(t for t in study.trials if t.name != "up"))
     rivals = {n: known[n] for n in ("added_mass", "natural_curvature")}
-    explorer = Explorer(Bench.of(study), ParameterSpace.of(study.cable), rivals)
+    explorer = Explorer(PreparedStudy.of(study), ParameterSpace.of(study.cable), rivals)
     return explorer, diagnose(explorer)
 
 
@@ -132,7 +132,7 @@ def test_without_a_safe_motion_it_says_what_forbids_it(tied):
 def test_a_complete_model_leaves_nothing_to_tell(make_study):
     study = make_study(seed=5)
     rivals = {n: library()[n] for n in ("tip_mass", "grip_angle")}
-    explorer = Explorer(Bench.of(study), ParameterSpace.of(study.cable), rivals)
+    explorer = Explorer(PreparedStudy.of(study), ParameterSpace.of(study.cable), rivals)
     with pytest.raises(ValueError, match="nothing to tell apart"):
         suggest_motion(explorer, diagnose(explorer), Surroundings())
 

@@ -3,14 +3,14 @@ import pytest
 
 from cell.cable.geometry import Motion
 from cell.plan.paths import MotionLimits, executed_motion, identification_path, insertion_path
-from drivers.interfaces import Path, Pose
+from drivers.interfaces import Pose, Trajectory
 
 LIMITS = MotionLimits(velocity_m_per_s=0.4, acceleration_m_per_s2=3.0, jerk_m_per_s3=60.0)
 START = Pose(0.3, 0.2, 0.05)
 RATE_HZ = 500.0
 
 
-def largest_derivatives(path: Path) -> tuple[float, float, float]:
+def largest_derivatives(path: Trajectory) -> tuple[float, float, float]:
     dt = np.diff(path.t_s)[0]
     values = [np.column_stack([path.x_m, path.y_m])]
     for _ in range(3):

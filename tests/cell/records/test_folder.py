@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cell.cable.geometry import Cable, Motion
-from cell.located import InputError
+from cell.files.located import InputError
 from cell.records.folder import Record, read_record
 from cell.records.result import Fault, Outcome, Result
 from cell.study.data import Markers, Study, Trial

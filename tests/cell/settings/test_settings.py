@@ -9,7 +9,7 @@ import jsonschema
 import pytest
 import yaml
 
-from cell.located import InputError
+from cell.files.located import InputError
 from cell.settings import Settings, load_settings
 
 CONFIG = Path(__file__).parents[3] / "config"

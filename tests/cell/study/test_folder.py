@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from cell.cable.geometry import Cable, Motion
-from cell.located import InputError
+from cell.files.located import InputError
 from cell.study.data import Markers, Study, Trial
 from cell.study.folder import read_study, write_study
 

@@ -1,6 +1,6 @@
 """Benches for the conformance suites: each implementation with the means to break it.
 
-A new implementation joins by adding a bench to the table of its kind; the suites do not change.
+A new implementation joins by adding a station to the table of its kind; the suites do not change.
 With `--hardware --config FILE` the devices of these settings take the place of all others.
 """
 
@@ -10,7 +10,7 @@ import contextlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path as FilePath
+from pathlib import Trajectory as FilePath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,7 +27,7 @@ from drivers.guard import (
     GuardedCamera,
     GuardedGripper,
 )
-from drivers.interfaces import Arm, Camera, Clock, Frame, Gripper, Path
+from drivers.interfaces import Arm, Camera, Clock, Frame, Gripper, Trajectory
 from drivers.opencv_camera import OpenCvCamera, OpenCvOptions
 from drivers.serial_gripper import SerialGripper, SerialGripperOptions
 from drivers.sim.arm import ArmFaults
@@ -37,7 +37,7 @@ from drivers.sim.gripper import GripperFaults
 from drivers.ur import UrArm
 
 if TYPE_CHECKING:  # the rest of the cell takes its time, and only devices that are there need it
-    from cell.bench import Bench
+    from cell.run.station import Station
 
 Act = Callable[[], object]
 
@@ -48,7 +48,7 @@ class ArmBench:
 
     arm: Arm
     clock: Clock
-    make_path: Callable[..., Path]
+    make_path: Callable[..., Trajectory]
     lose: Act | None = None
     controller_stop: Act | None = None
     person_clears: Act | None = None
@@ -104,10 +104,10 @@ def sim_arm(request: pytest.FixtureRequest) -> Iterator[ArmBench]:
 
 @contextlib.contextmanager
 def guarded_sim_arm(request: pytest.FixtureRequest) -> Iterator[ArmBench]:
-    with sim_arm(request) as bench:
+    with sim_arm(request) as station:
         wide = ArmLimits(-2.0, 2.0, -2.0, 2.0, -1.0, 1.0, 2.0, 50.0, 2000.0)
-        bench.arm = GuardedArm(bench.arm, wide)
-        yield bench
+        station.arm = GuardedArm(station.arm, wide)
+        yield station
 
 
 @contextlib.contextmanager
@@ -141,9 +141,9 @@ def sim_camera(request: pytest.FixtureRequest) -> Iterator[CameraBench]:
 
 @contextlib.contextmanager
 def guarded_sim_camera(request: pytest.FixtureRequest) -> Iterator[CameraBench]:
-    with sim_camera(request) as bench:
-        bench.camera = GuardedCamera(bench.camera, bench.clock)
-        yield bench
+    with sim_camera(request) as station:
+        station.camera = GuardedCamera(station.camera, station.clock)
+        yield station
 
 
 @contextlib.contextmanager
@@ -201,9 +201,9 @@ def sim_gripper(request: pytest.FixtureRequest) -> Iterator[GripperBench]:
 
 @contextlib.contextmanager
 def guarded_sim_gripper(request: pytest.FixtureRequest) -> Iterator[GripperBench]:
-    with sim_gripper(request) as bench:
-        bench.gripper = GuardedGripper(bench.gripper, GripperLimits(1.0, 100.0))
-        yield bench
+    with sim_gripper(request) as station:
+        station.gripper = GuardedGripper(station.gripper, GripperLimits(1.0, 100.0))
+        yield station
 
 
 @contextlib.contextmanager
@@ -225,31 +225,31 @@ def serial_gripper(request: pytest.FixtureRequest) -> Iterator[GripperBench]:
 
 
 @pytest.fixture
-def real_bench(request: pytest.FixtureRequest, tmp_path: FilePath) -> Bench:
+def real_bench(request: pytest.FixtureRequest, tmp_path: FilePath) -> Station:
     """The devices of the settings, not connected yet, within the settings' limits."""
     from cell.build import cell_with, real_devices
     from cell.settings import load_settings
 
     settings = load_settings(request.config.getoption("--config"))
-    return cell_with(settings, real_devices(settings), tmp_path, lambda number, step: None)._bench
+    return cell_with(settings, real_devices(settings), tmp_path, lambda number, step: None)._station
 
 
 @contextlib.contextmanager
 def real_arm(request: pytest.FixtureRequest) -> Iterator[ArmBench]:
     """At home when a test begins, where it was brought at a quarter of a cycle's speed."""
     from cell import steps
-    from cell.legs import slowed
+    from cell.run.legs import slowed
 
-    bench = request.getfixturevalue("real_bench")
-    arm = bench.devices.arm
+    station = request.getfixturevalue("real_bench")
+    arm = station.devices.arm
     arm.connect()
     try:
         arm.reset()
-        steps.go_home(replace(bench, task=slowed(bench.task, 0.25)))
+        steps.go_home(replace(station, task=slowed(station.task, 0.25)))
     finally:
         arm.close()
-    home = bench.task.home
-    yield ArmBench(arm, bench.devices.clock, partial(request.getfixturevalue("line"), start=home))
+    home = station.task.home
+    yield ArmBench(arm, station.devices.clock, partial(request.getfixturevalue("line"), start=home))
 
 
 @contextlib.contextmanager
@@ -260,8 +260,8 @@ def real_camera(request: pytest.FixtureRequest) -> Iterator[CameraBench]:
 
 @contextlib.contextmanager
 def real_gripper(request: pytest.FixtureRequest) -> Iterator[GripperBench]:
-    bench = request.getfixturevalue("real_bench")
-    yield GripperBench(bench.devices.gripper, bench.devices.clock, force_n=bench.task.force_n)
+    station = request.getfixturevalue("real_bench")
+    yield GripperBench(station.devices.gripper, station.devices.clock, force_n=station.task.force_n)
 
 
 ARMS = {"sim": sim_arm, "guarded": guarded_sim_arm, "ur": ur_arm}
@@ -291,23 +291,23 @@ def bench_of(request: pytest.FixtureRequest, kinds: dict[str, Any], fixture: str
 
 @pytest.fixture
 def arm_bench(request) -> Iterator[ArmBench]:
-    with bench_of(request, ARMS, "arm_bench") as bench:
-        yield bench
-        bench.arm.close()
+    with bench_of(request, ARMS, "arm_bench") as station:
+        yield station
+        station.arm.close()
 
 
 @pytest.fixture
 def camera_bench(request) -> Iterator[CameraBench]:
-    with bench_of(request, CAMERAS, "camera_bench") as bench:
-        yield bench
-        bench.camera.close()
+    with bench_of(request, CAMERAS, "camera_bench") as station:
+        yield station
+        station.camera.close()
 
 
 @pytest.fixture
 def gripper_bench(request) -> Iterator[GripperBench]:
-    with bench_of(request, GRIPPERS, "gripper_bench") as bench:
-        yield bench
-        bench.gripper.close()
+    with bench_of(request, GRIPPERS, "gripper_bench") as station:
+        yield station
+        station.gripper.close()
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from drivers.emulators.camera import CameraEmulatorOptions, EmulatedCamera
 from drivers.emulators.camera_live import ArmScene, LiveScene
 from drivers.emulators.camera_poses import RtdePoses
 from drivers.emulators.launch import EmulatedController, EmulatorError
-from drivers.interfaces import FloatArray, Path
+from drivers.interfaces import FloatArray, Trajectory
 from drivers.opencv_camera import OpenCvCamera, OpenCvOptions
 from drivers.plane_mount import PlaneMount
 from drivers.sim.camera import CameraTwinOptions
@@ -46,13 +46,13 @@ class Feed:
     def y_m(t_s: FloatArray) -> FloatArray:
         return -0.5 * t_s**2
 
-    def __call__(self) -> Path | None:
+    def __call__(self) -> Trajectory | None:
         count = round((self.until_s - self.known_s) / 0.002)
         if count < 1:
             return None
         t_s = self.known_s + 0.002 * np.arange(1, count + 1)
         self.known_s = float(t_s[-1])
-        return Path(t_s, 0.0 * t_s, self.y_m(t_s), 0.0 * t_s)
+        return Trajectory(t_s, 0.0 * t_s, self.y_m(t_s), 0.0 * t_s)
 
 
 class Rod:
@@ -61,7 +61,7 @@ class Rod:
     def __init__(self) -> None:
         self.told_s = np.empty(0)
 
-    def advance(self, grip: Path) -> FloatArray:
+    def advance(self, grip: Trajectory) -> FloatArray:
         self.told_s = np.concatenate([self.told_s, grip.t_s])
         back = np.stack([-np.linspace(0.1, 0.0, 61), np.zeros(61)], axis=-1)
         return np.stack([grip.x_m, grip.y_m], axis=-1)[:, None] + back
@@ -106,12 +106,14 @@ def test_the_cable_is_seen_from_the_grip_until_it_is_let_go() -> None:
 class LateFeed(Feed):
     """Poses that come 10 ms late, in real time."""
 
-    def __call__(self) -> Path | None:
+    def __call__(self) -> Trajectory | None:
         self.until_s = time.monotonic() - 0.010
         if self.known_s == 0.0:
             self.known_s = self.until_s - 0.02
         path = super().__call__()
-        return None if path is None else Path(path.t_s, 0 * path.t_s, 0 * path.t_s, 0 * path.t_s)
+        return (
+            None if path is None else Trajectory(path.t_s, 0 * path.t_s, 0 * path.t_s, 0 * path.t_s)
+        )
 
 
 def test_a_picture_waits_for_a_pose_that_is_under_way_but_not_for_an_arm_without_power() -> None:

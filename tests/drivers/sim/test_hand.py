@@ -3,14 +3,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivers.interfaces import Path, Pose
+from drivers.interfaces import Pose, Trajectory
 from drivers.sim.hand import Hand
 
 
 def moving_hand() -> Hand:
     hand = Hand(0.0, Pose(0.0, 0.0))
     t = np.linspace(1.0, 2.0, 1001)
-    hand.extend(Path(t, 0.5 * (t - 1.0), 0.0 * t, 0.0 * t))
+    hand.extend(Trajectory(t, 0.5 * (t - 1.0), 0.0 * t, 0.0 * t))
     return hand
 
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivers.interfaces import Path, Pose
+from drivers.interfaces import Pose, Trajectory
 from drivers.sim.clock import SimClock
 from drivers.sim.world import World
 
@@ -53,7 +53,7 @@ def test_a_stop_makes_the_simulation_untrue(cell, line) -> None:
 def test_shapes_between_grid_points_are_smooth() -> None:
     """A swing of 30 Hz and 2 mm is met to a tenth of a micrometre between grid points."""
 
-    def swing(grip: Path, query_s: np.ndarray) -> np.ndarray:
+    def swing(grip: Trajectory, query_s: np.ndarray) -> np.ndarray:
         y = 0.002 * np.sin(2 * np.pi * 30.0 * query_s)
         return np.broadcast_to(y[:, None, None], (len(query_s), 60, 2)).copy()
 
@@ -74,7 +74,7 @@ def test_the_future_cannot_be_seen(cell) -> None:
 
 @pytest.mark.parametrize("shape", [(3, 60, 2), (None, 59, 2), (None, 60, 3), (None, 60)])
 def test_a_callable_of_wrong_shape_is_named(shape) -> None:
-    def wrong(grip: Path, query_s: np.ndarray) -> np.ndarray:
+    def wrong(grip: Trajectory, query_s: np.ndarray) -> np.ndarray:
         return np.zeros([len(query_s) if n is None else n for n in shape])
 
     world = World(SimClock(), Pose(0.0, 0.0))

@@ -7,7 +7,7 @@ import pytest
 
 from cell.cable.clamp import pose_of
 from cell.cable.dynamics import Solver, simulate
-from cell.cable.effects import library, load_effect, rare
+from cell.cable.effects import library, load_effect, unscreened
 from cell.cable.effects.check import check
 from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
@@ -33,7 +33,7 @@ NAMES = [
     "rolling_shutter",
 ]
 RARE = ["plastic_set", "lens_perspective"]
-EFFECTS = library() | rare()
+EFFECTS = library() | unscreened()
 TIMES = np.arange(0.0, 1.5, 0.01)
 
 #: Largest displacement of the tip at the first of each parameter's `starts`, mm: expected sizes.
@@ -74,7 +74,7 @@ def typical(effect):
 
 def test_all_names_are_there():
     assert sorted(library()) == sorted(NAMES)
-    assert sorted(rare()) == sorted(RARE)
+    assert sorted(unscreened()) == sorted(RARE)
 
 
 @pytest.mark.parametrize("name", RARE)

@@ -1,0 +1,1 @@
+"""This computer: a second process, memory."""

@@ -1,0 +1,123 @@
+"""What the frames of a hold will show, simulated before the last of them has come."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable.dynamics import Solver, simulate
+from cell.cable.geometry import Motion
+from cell.identify.hand import STILL_WITHIN_M, STILL_WITHIN_RAD, HandErrors, likely_motions
+from cell.identify.parameters import ParameterSpace
+from cell.study.data import Trial
+
+FloatArray = NDArray[np.float64]
+
+#: A frame that comes further than this from its time is not the one that was predicted, s.
+MOST_OFF_S = 1e-3
+
+_STILL_WITHIN = {"x_m": STILL_WITHIN_M, "y_m": STILL_WITHIN_M, "angle_rad": STILL_WITHIN_RAD}
+
+
+@dataclass(frozen=True, eq=False)
+class PredictedFrames:
+    """Markers of all frames of a hold, at one cable and beside it.
+
+    grip       motion of the hand so far, and then held
+    t_s        (T,) of the frames, those to come included
+    lanes      (1 + p, p) fit coordinates: the cable, and its neighbours for finite differences
+    markers_m  (1 + p, T, markers, 2)
+    others_m   (samples, T, markers, 2) of the cable, had the hand moved as it may have, too
+    """
+
+    grip: Motion
+    t_s: FloatArray
+    lanes: FloatArray
+    markers_m: FloatArray
+    others_m: FloatArray
+
+    def as_filmed(self, trial: Trial) -> PredictedFrames | None:
+        """The same at the frames' own times and with the hand where it was seen.
+
+        To first order in how much later the frames came.
+        returns  None if the hold went another way
+        """
+        late_s = _late_s(trial.markers.t_s, self.t_s)
+        if late_s is None or not _same_motion(trial.grip, self.grip):
+            return None
+        shift_m = [trial.grip.x_m[0] - self.grip.x_m[0], trial.grip.y_m[0] - self.grip.y_m[0]]
+        markers_m, others_m = (
+            markers_m + np.gradient(markers_m, self.t_s, axis=1) * late_s[:, None, None] + shift_m
+            for markers_m in (self.markers_m, self.others_m)
+        )
+        return PredictedFrames(trial.grip, trial.markers.t_s, self.lanes, markers_m, others_m)
+
+
+def _late_s(t_s: FloatArray, foreseen_s: FloatArray) -> FloatArray | None:
+    if t_s.shape != foreseen_s.shape or np.abs(t_s - foreseen_s).max() > MOST_OFF_S:
+        return None
+    return t_s - foreseen_s
+
+
+def _same_motion(motion: Motion, predicted: Motion) -> bool:
+    for name, limit in _STILL_WITHIN.items():
+        expected = np.interp(motion.t_s, predicted.t_s, getattr(predicted, name))
+        if np.abs(getattr(motion, name) - expected).max() > limit:
+            return False
+    return True
+
+
+def held_on(motion: Motion, until_s: float) -> Motion:
+    """A log that goes on at rest: its end, back and forth, so that its noise goes on as well."""
+    interval_s = float(motion.t_s[-1] - motion.t_s[0]) / (len(motion.t_s) - 1)
+    more = int(np.ceil((until_s - float(motion.t_s[-1])) / interval_s))
+    if more <= 0:
+        return motion
+    moved = np.zeros(len(motion.t_s), dtype=bool)
+    for name, limit in _STILL_WITHIN.items():
+        value = getattr(motion, name)
+        moved |= np.abs(value - np.median(value[-10:])) > limit
+    count = int(np.argmax(moved[::-1])) if moved.any() else len(moved)
+    back = len(moved) - 1 - np.arange(max(1, count))
+    again = np.resize(np.concatenate([back, back[::-1]]), more)
+    return Motion(
+        np.concatenate([motion.t_s, motion.t_s[-1] + interval_s * np.arange(1, more + 1)]),
+        *(np.concatenate([v, v[again]]) for v in (motion.x_m, motion.y_m, motion.angle_rad)),
+    )
+
+
+def predict_frames(
+    trial: Trial,
+    t_s: FloatArray,
+    arc_length_m: FloatArray,
+    space: ParameterSpace,
+    mean: FloatArray,
+    *,
+    solver: Solver,
+    hand: HandErrors,
+) -> PredictedFrames:
+    """Simulate a hold to its end, the hand staying where it is.
+
+    trial         what was filmed so far
+    t_s           (T,) of all its frames, those to come included, increasing
+    arc_length_m  (markers,) from the gripping point, m
+    mean          (p,) fit coordinates of the cable as it seems now
+    raises        what the engine raises
+    """
+    grip = held_on(trial.grip, float(t_s[-1]))
+    lanes = space.beside(mean)
+    others = likely_motions(grip, hand)
+    models = [space.model(q) for q in lanes]
+    markers_m = simulate(
+        models + models[:1] * len(others),
+        [grip] * len(models) + others,
+        t_s,
+        arc_length_m,
+        solver=solver,
+        start=trial.start,
+        release_s=trial.release_s,
+    )
+    count = len(models)
+    return PredictedFrames(grip, t_s, lanes, markers_m[:count], markers_m[count:])

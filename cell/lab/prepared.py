@@ -1,0 +1,126 @@
+"""A study made ready for the lab: models in, whitened residuals out, trial by trial."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable.dynamics import DivergedError, Solver, simulate
+from cell.cable.model import CableModel
+from cell.cable.statics import UnsettledError
+from cell.identify.noise import Noise, Whitener, still_frames
+from cell.lab.noise import Floor, noise_floor
+from cell.study.data import Markers, Study, Trial
+
+FloatArray = NDArray[np.float64]
+
+#: Within 4 µm (rms over the markers of a swing) of a converged cable.
+SOLVER = Solver(segments=32, step_s=1e-3)
+#: A model errs if its rms is above the noise by this factor.
+ERRS = 1.1
+#: A cable held straight by a person is let go within this of the time noted.
+RELEASE_STD_S = 0.005
+RELEASE_LIMIT_S = 0.020
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedStudy:
+    """A study, its noise floor, and what whitens its trials.
+
+    noise  used for whitening: the floor's, or larger where an earlier individual's model is known
+           to err by more
+    """
+
+    study: Study
+    floor: Floor
+    noise: Noise
+    whiteners: dict[str, Whitener]
+    solver: Solver
+
+    @staticmethod
+    def of(
+        study: Study, *, misfit: Noise | None = None, solver: Solver | None = None
+    ) -> PreparedStudy:
+        """Make a study ready.
+
+        misfit  error of the model that an earlier individual has shown, if it exceeds the camera's
+        raises  NoiseUnknownError
+        """
+        study = placed(study)
+        floor = noise_floor(study)
+        noise = misfit if misfit and misfit.std_m > ERRS * floor.noise.std_m else floor.noise
+        whiteners = {t.name: Whitener(t.markers.xy_m, noise) for t in study.trials}
+        return PreparedStudy(study, floor, noise, whiteners, solver or SOLVER)
+
+    def predict(
+        self, trial: Trial, models: Sequence[CableModel], delay_s: FloatArray | None = None
+    ) -> FloatArray:
+        """(lanes, times, markers, 2) where models put a trial's markers, m; nan where they cannot.
+
+        delay_s  (lanes,) by which the release of a cable held straight is late; the hand then
+                 stands still, so that everything happens later by as much
+        """
+        delays = np.zeros(len(models)) if delay_s is None else delay_s
+        out = np.empty((len(models), *trial.markers.xy_m.shape))
+        for delay in np.unique(delays):
+            lanes = np.flatnonzero(delays == delay)
+            out[lanes] = self._run(trial, [models[int(i)] for i in lanes], float(delay))
+        return out
+
+    def _run(self, trial: Trial, models: list[CableModel], delay_s: float) -> FloatArray:
+        """As `simulate`; a lane that cannot be simulated is nan and does not spoil the others."""
+        try:
+            return simulate(
+                models,
+                [trial.grip],
+                trial.markers.t_s - delay_s,
+                self.study.arc_length_m,
+                solver=self.solver,
+                start=trial.start,
+                release_s=trial.release_s,
+            )
+        except (DivergedError, UnsettledError):
+            if len(models) == 1:
+                return np.full((1, *trial.markers.xy_m.shape), np.nan)
+            half = len(models) // 2
+            halves = models[:half], models[half:]
+            return np.concatenate([self._run(trial, part, delay_s) for part in halves])
+
+    def white(self, trial: Trial, predicted_m: FloatArray) -> FloatArray:
+        """(lanes, rows) whitened residuals of predictions (lanes, times, markers, 2)."""
+        return self.whiteners[trial.name](predicted_m)
+
+    def count(self, trials: Sequence[Trial]) -> int:
+        """Coordinates seen in trials."""
+        return sum(self.whiteners[t.name].count for t in trials)
+
+
+def placed(study: Study) -> Study:
+    """The study with markers where they are on cables that are held straight before release.
+
+    There every point's place is known without a model: what the still frames show beside it is how
+    the marker was put on, and is taken off all frames of the trial.
+    """
+    return replace(study, trials=tuple(_placed(t, study.arc_length_m) for t in study.trials))
+
+
+def _placed(trial: Trial, arc_length_m: FloatArray) -> Trial:
+    t_s, grip = trial.markers.t_s, trial.grip
+    still = still_frames(t_s, grip, trial.release_s)
+    if not is_released(trial) or still.stop == 0:
+        return trial
+    x, y, angle = (np.interp(t_s[still], grip.t_s, v) for v in (grip.x_m, grip.y_m, grip.angle_rad))
+    along = np.stack([-np.cos(angle), -np.sin(angle)], axis=-1)
+    straight = np.stack([x, y], axis=-1)[:, None] + arc_length_m[:, None] * along[:, None]
+    beside = trial.markers.xy_m[still] - straight
+    seen = np.isfinite(beside).any(axis=0)
+    offset = np.where(seen, np.nanmean(np.where(seen, beside, 0.0), axis=0), 0.0)
+    return replace(trial, markers=Markers(t_s, trial.markers.xy_m - offset))
+
+
+def is_released(trial: Trial) -> bool:
+    """Whether a trial's release time is a person's, known only roughly."""
+    return trial.start == "straight"

@@ -1,0 +1,130 @@
+"""A measuring motion from a file (`cell-motion/1`), checked against the limits of the cell."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from cell.files.located import Document, InputError, Problem, load, validate
+from cell.plan.measuring import Measuring, Move, least_duration_s
+from cell.settings import Settings
+from drivers.guard import ArmLimits
+from drivers.interfaces import Pose
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Duration = Annotated[float, Field(gt=0.0, le=60.0, allow_inf_nan=False)]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+
+
+class MotionPose(_Section):
+    """Where the hand is: x and y from the cell's home; the clamp angle itself, 0 = level."""
+
+    x_m: Finite
+    y_m: Finite
+    angle_rad: Annotated[float, Field(ge=-np.pi, le=np.pi)]
+
+
+class MotionMove(MotionPose):
+    """Straight to a pose, from rest to rest."""
+
+    duration_s: Duration
+
+
+class MotionFile(_Section):
+    """What `cell suggest` writes and `cell run --motion` executes."""
+
+    format: Literal["cell-motion/1"]
+    purpose: str = ""
+    start: MotionPose
+    still_s: Annotated[float, Field(ge=0.05, le=60.0)]
+    """Filmed at rest before the first move; shows the noise."""
+    moves: Annotated[list[MotionMove], Field(min_length=1, max_length=100)]
+    hold_s: Duration
+    """Filmed after the last move."""
+
+
+def load_motion(path: Path, settings: Settings) -> Measuring:
+    """The motion in a YAML file, for a cell of these settings; named after the file.
+
+    raises  InputError: every mistake, each with file, line, column, key, value, limit, remedy
+    """
+    document = load(path)
+    motion = validate(document, MotionFile)
+    problems = [
+        *_name(document),
+        *_within_limits(document, motion, settings),
+        *_slow_enough(document, motion, settings),
+    ]
+    if problems:
+        raise InputError(problems)
+    return Measuring(
+        name=path.stem,
+        start=_pose(motion.start, settings),
+        still_s=motion.still_s,
+        moves=tuple(Move(_pose(m, settings), m.duration_s) for m in motion.moves),
+        hold_s=motion.hold_s,
+    )
+
+
+def _pose(pose: MotionPose, settings: Settings) -> Pose:
+    home = settings.motion.home
+    return Pose(home.x_m + pose.x_m, home.y_m + pose.y_m, pose.angle_rad)
+
+
+def _name(document: Document) -> list[Problem]:
+    stem = document.path.stem
+    if re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]*", stem):
+        return []
+    message = f"the trial is named after the file, and {stem!r} is no name; rename the file"
+    return [document.problem((), message)]
+
+
+def _within_limits(document: Document, motion: MotionFile, settings: Settings) -> list[Problem]:
+    """Every pose inside the box; strokes are straight, so that what lies between is inside too."""
+    problems = []
+    keys = [("start",), *(("moves", i) for i in range(len(motion.moves)))]
+    for key, given in zip(keys, [motion.start, *motion.moves], strict=True):
+        pose = _pose(given, settings)
+        for axis in ("x_m", "y_m", "angle_rad"):
+            value = getattr(pose, axis)
+            low, high = getattr(settings.limits, axis)
+            if not low <= value <= high:
+                message = (
+                    f"takes the hand to {axis} = {value:g}, outside limits.{axis} = "
+                    f"[{low:g}, {high:g}]; move less or widen the limits"
+                )
+                problems.append(document.problem((*key, axis), message))
+    return problems
+
+
+def _slow_enough(document: Document, motion: MotionFile, settings: Settings) -> list[Problem]:
+    """Every move long enough for the cell's limits along the plane, and the guard's of turning."""
+    limits = settings.limits
+    straight = (limits.velocity_m_per_s, limits.acceleration_m_per_s2, limits.jerk_m_per_s3)
+    turning = (
+        ArmLimits.max_angular_speed_rad_per_s,
+        ArmLimits.max_angular_acceleration_rad_per_s2,
+        ArmLimits.max_angular_jerk_rad_per_s3,
+    )
+    problems = []
+    here: MotionPose = motion.start
+    for i, move in enumerate(motion.moves):
+        way_m = float(np.hypot(move.x_m - here.x_m, move.y_m - here.y_m))
+        turn_rad = abs(move.angle_rad - here.angle_rad)
+        least_s = max(least_duration_s(way_m, straight), least_duration_s(turn_rad, turning))
+        if move.duration_s < least_s:
+            message = (
+                f"{move.duration_s:g} s is too short for {way_m * 1e3:g} mm and {turn_rad:g} rad "
+                "within the cell's limits of speed, acceleration and jerk; give at least "
+                f"{np.ceil(least_s * 1e3) / 1e3:g} s"
+            )
+            problems.append(document.problem(("moves", i, "duration_s"), message))
+        here = move
+    return problems

@@ -1,0 +1,87 @@
+"""Commands that reach a running cycle from any thread, and how it is told of them."""
+
+from __future__ import annotations
+
+import threading
+
+from cell.run.machine import Event
+from drivers.interfaces import DeviceError
+
+INTERRUPTING = frozenset({Event.STOP, Event.ABORT})
+PAUSING = frozenset({Event.HOLD, Event.SUSPEND})
+RESUMING = {Event.HOLD: Event.UNHOLD, Event.SUSPEND: Event.UNSUSPEND}
+
+
+class InterruptedByCommandError(Exception):
+    """A stop or an abort was given.  Scenario: somebody opens the guard in the middle of a step."""
+
+    def __init__(self, event: Event, reason: str) -> None:
+        super().__init__(f"{event.value}: {reason}")
+        self.event = event
+        self.reason = reason
+
+
+class Commands:
+    """Latched commands: given in any thread, obeyed by the cycle at its next chance.
+
+    A stop or an abort interrupts a step; hold and suspend wait until the step has ended, because
+    a swinging cable cannot be stopped half way and go on as if nothing had been.
+    """
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._interruption: tuple[Event, str] | None = None
+        self._failure: DeviceError | None = None
+        self._pauses: list[Event] = []
+
+    def fail(self, error: DeviceError) -> None:
+        """Latch that a device has failed; a command or a failure that came before counts."""
+        with self._changed:
+            if self._failure is None and self._interruption is None:
+                self._failure = error
+            self._changed.notify_all()
+
+    def give(self, event: Event, reason: str = "") -> None:
+        """Latch a command.  Raises ValueError: not a command that a running cycle obeys."""
+        with self._changed:
+            if event in INTERRUPTING:
+                # An abort outranks a stop; otherwise the first reason is the one that counts.
+                if self._interruption is None or (
+                    event is Event.ABORT and self._interruption[0] is Event.STOP
+                ):
+                    self._interruption = (event, reason)
+            elif event in PAUSING:
+                if event not in self._pauses:
+                    self._pauses.append(event)
+            elif event in RESUMING.values():
+                self._pauses = [p for p in self._pauses if RESUMING[p] is not event]
+            else:
+                raise ValueError(f"{event.value!r} is no command to a running cycle")
+            self._changed.notify_all()
+
+    def check(self) -> None:
+        """Raises InterruptedByCommandError if a stop or an abort was given; DeviceError."""
+        with self._changed:
+            if self._failure is not None:
+                raise self._failure
+            if self._interruption is not None:
+                raise InterruptedByCommandError(*self._interruption)
+
+    @property
+    def pause(self) -> Event | None:
+        """The pause asked for and not taken back, if any."""
+        with self._changed:
+            return self._pauses[0] if self._pauses else None
+
+    def wait_until_resumed(self, pause: Event) -> None:
+        """Block while `pause` lasts.  Raises InterruptedByCommandError; DeviceError."""
+        with self._changed:
+            while pause in self._pauses and self._interruption is None and self._failure is None:
+                self._changed.wait()
+        self.check()
+
+    def clear(self) -> None:
+        """Forget everything, after a person's acknowledgement."""
+        with self._changed:
+            self._interruption = self._failure = None
+            self._pauses = []

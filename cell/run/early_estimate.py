@@ -1,0 +1,195 @@
+"""What is computed while a hold is filmed, so that little is left after its last frame."""
+
+from __future__ import annotations
+
+import time
+from concurrent.futures import BrokenExecutor, Future
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+
+from cell.cable.dynamics import DivergedError, Solver, threads
+from cell.cable.geometry import Motion
+from cell.cable.statics import UnsettledError
+from cell.identify.hand import HandErrors
+from cell.identify.identified import Identified
+from cell.identify.individual import CableRejectedError, IdentifyOptions, identify, predict_frames
+from cell.plan.choose import forecast
+from cell.plan.paths import executed_motion, insertion_path
+from cell.run.commands import Commands
+from cell.run.station import (
+    Candidates,
+    EarlyEstimate,
+    Filmed,
+    Filming,
+    Station,
+    Task,
+    Timing,
+    hand_offset_m_rad,
+    held_trial,
+    moved,
+)
+from cell.run.waiting import POLL_S
+from cell.study.data import Trial
+from cell.vision.sighting import Sighting
+
+Found = TypeVar("Found")
+
+#: Shares of the hold after which the computer takes the frames so far: at first to find out which
+#: cable this is, from scratch; then, starting there, for nearly the last word, and to simulate
+#: the frames to come and all offsets.  Between them, and after them, a computer of two cores that
+#: does nothing else needs a quarter of the time that there is.
+SHARES = (0.2, 0.6)
+
+#: Who has not computed it by then does not compute any more, s.
+LONGEST_S = 5.0
+
+
+class EarlyEstimator:
+    """Has somebody compute from the first frames of a hold while the others come.
+
+    Which frames that are depends on their own times alone, and what is found is waited for: the
+    result is the same however busy the computer is.
+    """
+
+    def __init__(self, station: Station, filming: Filming) -> None:
+        self._station = station
+        self._filming = filming
+        self._first: Future[Identified | None] | None = None
+        self._second: Future[EarlyEstimate | None] | None = None
+
+    def look(self, sightings: list[Sighting]) -> None:
+        """Take the frames so far if it is time to; the second time what was found is waited for."""
+        hold_s = self._filming.end_s - self._filming.rest_s
+        share = (sightings[-1].t_s - self._filming.rest_s) / hold_s
+        station = self._station
+        if self._first is None and share >= SHARES[0]:
+            self._first = station.computer.submit(_find, station.task, self._so_far(sightings))
+        elif self._first is not None and self._second is None and share >= SHARES[1]:
+            self._second = station.computer.submit(
+                _look_ahead,
+                station.task,
+                station.timing,
+                replace(self._filming, sightings=(), pictures=()),
+                self._so_far(sightings),
+                _result(self._first, station.commands),
+            )
+
+    def found(self) -> EarlyEstimate | None:
+        """What was computed, waiting for it; None if the first frames were not enough."""
+        return None if self._second is None else _result(self._second, self._station.commands)
+
+    def close(self) -> None:
+        """Begin nothing more."""
+        for job in (self._first, self._second):
+            if job is not None:
+                job.cancel()
+
+    def _so_far(self, sightings: list[Sighting]) -> Filmed:
+        begin_s = self._filming.begin_s
+        hand = self._station.devices.arm.log(begin_s, sightings[-1].t_s)
+        return Filmed(begin_s, tuple(sightings), hand, (), time.perf_counter())
+
+
+def prospect(
+    task: Task,
+    timing: Timing,
+    filmed: Filmed,
+    trial: Trial,
+    identified: Identified,
+    start_s: float,
+    solver: Solver = Solver(),  # noqa: B008
+) -> Candidates:
+    """Simulate every offset as it would be executed from `start_s` on.
+
+    The cable still swings and remembers the hand's motion before; the hand follows with its known
+    lag, and is seen by the camera a constant beside where the arm says it is.
+
+    start_s  on the cell's clock, s
+    raises   DivergedError, UnsettledError
+    """
+    to_start_s = filmed.begin_s - start_s
+    history = Motion(
+        trial.grip.t_s + to_start_s, trial.grip.x_m, trial.grip.y_m, trial.grip.angle_rad
+    )
+    beside = hand_offset_m_rad(filmed.hand, trial.grip)
+    paths = tuple(
+        insertion_path(task.lowered, offset_m, task.advance_m, task.insertion, timing.arm_rate_hz)
+        for offset_m in task.offsets_m
+    )
+    motions = [
+        executed_motion(
+            moved(path, beside), timing.arm_lag_s, settle_s=task.settle_s, history=history
+        )
+        for path in paths
+    ]
+    expected = forecast(
+        identified, np.array(task.offsets_m), motions, solver=solver, options=task.choice
+    )
+    return Candidates(start_s, paths, expected)
+
+
+def _result(job: Future[Found], commands: Commands) -> Found | None:
+    """What a job found; None if its process was killed or hangs, which only costs time.
+
+    raises  InterruptedByCommandError
+    """
+    for _ in range(round(LONGEST_S / POLL_S)):
+        commands.check()
+        try:
+            return job.result(POLL_S)
+        except TimeoutError:
+            if job.done():  # it is the job's own
+                raise
+        except BrokenExecutor:
+            return None
+    return None
+
+
+def _find(task: Task, so_far: Filmed, previous: Identified | None = None) -> Identified | None:
+    """The cable as it seems from the frames so far; None if they are not enough.
+
+    How sure that is does not matter yet, so the hand's errors are left out.
+    """
+    options = _leaving_a_core(task.identification)
+    options = replace(options, fit=replace(options.fit, hand=HandErrors(samples=0)))
+    try:
+        return identify(
+            held_trial(so_far), task.arc_length_m, task.cable, previous=previous, options=options
+        )
+    except CableRejectedError:
+        return None
+
+
+def _look_ahead(
+    task: Task, timing: Timing, filming: Filming, so_far: Filmed, first: Identified | None
+) -> EarlyEstimate | None:
+    identified = _find(task, so_far, first)
+    if identified is None:
+        return None
+    trial = held_trial(so_far)
+    options = _leaving_a_core(task.identification)
+    missing = filming.frame_count - len(so_far.sightings)
+    to_come_s = np.arange(1, missing + 1) / timing.frame_rate_hz
+    t_s = np.concatenate([trial.markers.t_s, trial.markers.t_s[-1] + to_come_s])
+    start_s = filming.end_s + task.decide_s
+    solver = Solver(threads=_spare_threads())
+    try:
+        return EarlyEstimate(
+            identified,
+            predict_frames(trial, t_s, task.arc_length_m, identified, options),
+            prospect(task, timing, so_far, trial, identified, start_s, solver),
+        )
+    except (DivergedError, UnsettledError):
+        return None
+
+
+def _leaving_a_core(options: IdentifyOptions) -> IdentifyOptions:
+    """One core looks at the frames."""
+    solver = replace(options.fit.solver, threads=_spare_threads())
+    return replace(options, fit=replace(options.fit, solver=solver))
+
+
+def _spare_threads() -> int:
+    return max(1, threads() - 1)

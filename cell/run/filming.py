@@ -1,0 +1,107 @@
+"""Films a motion of the hand, and finds the cable in every frame as it comes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from cell.run.station import Filmed, Filming, Station
+from cell.run.waiting import check_arm, wait_until
+from cell.vision.detect import detect
+from cell.vision.sighting import Sighting
+from drivers.interfaces import CameraError, Frame, GripError, Trajectory
+
+
+def film(
+    station: Station, path: Trajectory, still_s: float, hold_s: float, keep_every: int
+) -> Filming:
+    """Begin to film the cable at rest, then follow `path`; returns when the hand rests again.
+
+    The cable is looked for in the frames meanwhile, so that the last one finds nobody busy.
+    keep_every  one frame in so many is kept as a picture
+    """
+    arm, camera, clock = station.devices.arm, station.devices.camera, station.devices.clock
+    moving_s = float(path.t_s[-1]) + arm.lag_s
+    frame_count = int(np.ceil((still_s + moving_s + hold_s) * camera.frame_rate_hz))
+    begin_s = clock.now_s()
+    camera.start(frame_count)
+    start_s = begin_s + still_s
+    arm.follow(path, start_s)  # told at once: nothing that takes long can then delay the motion
+    eyes = _Eyes(station, keep_every)
+    rest_s = start_s + moving_s
+    eyes.see(rest_s)
+    wait_until(station, rest_s)
+    return Filming(
+        begin_s, rest_s, rest_s + hold_s, frame_count, tuple(eyes.sightings), tuple(eyes.pictures)
+    )
+
+
+def capture(
+    station: Station,
+    filming: Filming,
+    keep_every: int,
+    after_each: Callable[[list[Sighting]], None] = lambda sightings: None,
+) -> Filmed:
+    """See the filming to its end, and make sure that the arm is ready and the cable still held.
+
+    after_each  is told of every sighting, and those before it, as it comes
+    raises      CameraError, StoppedError, GripError
+    """
+    eyes = _Eyes(station, keep_every, filming)
+    taken_at_s = eyes.see(np.inf, after_each)
+    if len(eyes.sightings) < filming.frame_count:
+        raise CameraError(
+            station.devices.camera.name,
+            f"only {len(eyes.sightings)} of {filming.frame_count} frames came",
+            "check cable, load and frame rate of the camera",
+        )
+    check_arm(station)
+    check_grip(station)
+    hand = station.devices.arm.log(filming.begin_s, station.devices.clock.now_s())
+    return Filmed(filming.begin_s, tuple(eyes.sightings), hand, tuple(eyes.pictures), taken_at_s)
+
+
+def check_grip(station: Station) -> None:
+    """Whether the cable is held.  Raises GripError."""
+    gripper = station.devices.gripper
+    if not gripper.state().holding:
+        raise GripError(gripper.name, "lost the cable", "check force and jaws")
+
+
+class _Eyes:
+    """What was seen of a recording so far."""
+
+    def __init__(self, station: Station, keep_every: int, filming: Filming | None = None) -> None:
+        self._station = station
+        self._keep_every = keep_every
+        self.sightings: list[Sighting] = [] if filming is None else list(filming.sightings)
+        self.pictures: list[Frame] = [] if filming is None else list(filming.pictures)
+
+    def see(
+        self,
+        until_s: float,
+        after_each: Callable[[list[Sighting]], None] = lambda sightings: None,
+    ) -> float:
+        """Find the cable in the frames that can be had until a moment on the cell's clock.
+
+        returns  when the last of them was taken, by the computer's own clock
+        """
+        task, commands = self._station.task, self._station.commands
+        camera, clock = self._station.devices.camera, self._station.devices.clock
+        taken_at_s = float("nan")
+        while clock.now_s() + 1.0 / camera.frame_rate_hz <= until_s:
+            frame = camera.read()
+            if frame is None:
+                break
+            taken_at_s = time.perf_counter() - (clock.now_s() - frame.t_s)
+            commands.check()
+            previous = self.sightings[-1] if self.sightings else None
+            self.sightings.append(
+                detect(frame.image, frame.t_s, task.view, task.vision, None, previous)
+            )
+            if frame.index % self._keep_every == 0:
+                self.pictures.append(frame)
+            after_each(self.sightings)
+        return taken_at_s

@@ -1,0 +1,82 @@
+"""Looks at all devices while the steps of a cycle do their work, and stops the arm at a fault.
+
+A step looks at a device when it needs it; what happens in between would be noticed too late.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+from cell.run.station import Station
+from cell.run.waiting import check_arm
+from drivers.interfaces import DeviceError, GripError
+
+#: Time between two looks, s.  With the two answers that a gripper's driver waits for, 35 ms each,
+#: a fault must be noticed within 100 ms.
+ARM_EVERY_S, CAMERA_EVERY_S, GRIPPER_EVERY_S = 0.01, 0.015, 0.015
+#: Later than that is a computer that was busy with something else.
+OVERSLEPT_S = 0.02
+
+
+class Watch:
+    """Watches from `begin` on; only devices that run in real time can be watched.
+
+    holding  whether a cable has to be between the jaws
+    """
+
+    def __init__(self, station: Station) -> None:
+        self.holding = False
+        self._station = station
+        self._over = threading.Event()
+        looks = (
+            (self._look_at_arm, ARM_EVERY_S),
+            (station.devices.camera.check, CAMERA_EVERY_S),
+            (self._look_at_gripper, GRIPPER_EVERY_S),
+        )
+        self._threads = [
+            threading.Thread(target=self._run, args=a, name="watch", daemon=True) for a in looks
+        ]
+
+    def begin(self) -> None:
+        """Watch from now on."""
+        for thread in self._threads:
+            thread.start()
+
+    def cease(self) -> None:
+        """Look no more: what follows is known, or meant."""
+        self._over.set()
+
+    def end(self) -> None:
+        """Look no more, and wait until nobody looks."""
+        self.cease()
+        for thread in self._threads:
+            if thread.is_alive():
+                thread.join()
+
+    def _run(self, look: Callable[[], None], every_s: float) -> None:
+        overslept = False
+        due_s = time.monotonic() + every_s
+        while not self._over.wait(every_s):
+            late_s = time.monotonic() - due_s
+            # to a process that was not run the others seem silent: they get the time of one look
+            overslept = not overslept and late_s > OVERSLEPT_S
+            try:
+                if not overslept:
+                    look()
+            except DeviceError as error:
+                if not self._over.is_set():
+                    self._station.commands.fail(error)
+                    self._station.devices.arm.stop(error.cause)
+                return
+            due_s = time.monotonic() + every_s
+
+    def _look_at_arm(self) -> None:
+        check_arm(self._station)
+
+    def _look_at_gripper(self) -> None:
+        if self.holding and not self._station.devices.gripper.state().holding and self.holding:
+            raise GripError(
+                self._station.devices.gripper.name, "lost the cable", "check force and jaws"
+            )

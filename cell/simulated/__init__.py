@@ -1,0 +1,1 @@
+"""Simulated and emulated cells: hidden cables, twins and emulators, wired to settings."""

@@ -1,0 +1,198 @@
+"""Emulators of a cell's three devices, at the addresses that its settings name.
+
+The emulated camera shows the hidden cables of the simulated world, swung by where the emulated
+arm really is, and between the jaws as long as the emulated gripper holds them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable.dynamics import Solver
+from cell.cable.live import SwingingCable
+from cell.settings import Settings
+from cell.settings import model as given
+from cell.settings.check import STREAM
+from cell.simulated.hidden import hidden_cable
+from cell.simulated.twins import camera_twin
+from drivers.emulators.camera import CameraEmulatorOptions, EmulatedCamera
+from drivers.emulators.camera_live import ArmScene, LiveScene
+from drivers.emulators.gripper import GripperProcess
+from drivers.emulators.launch import EmulatedController, EmulatorError
+from drivers.emulators.ur_arm import HOME_RAD
+from drivers.emulators.ur_ports import DASHBOARD_PORT, FAULT_PORT, RTDE_PORT, SCRIPT_PORT
+from drivers.interfaces import Pose, Trajectory
+from drivers.plane_mount import PlaneMount
+from drivers.ur_kinematics import MODELS, OutOfReachError, matrix_of
+
+FloatArray = NDArray[np.float64]
+
+#: How often somebody looks whether the jaws hold a cable, s.
+_LOOK_S = 0.01
+_ANSWER_S = 0.5
+#: Of the hidden cables, s: 10 µm beside the default step, and quick enough beside a real arm.
+_STEP_S = 1e-3
+#: Poses with which the cables' code is loaded: how many, s between them, m.
+_LOADING, _POSE_S, _TREMBLING_M = 32, 2e-3, 2e-5
+
+
+@dataclass(frozen=True)
+class HiddenCable:
+    """Makes the `number`-th cable, in whatever process it is needed; picklable."""
+
+    settings: Settings
+    seed: int
+    number: int
+
+    def __call__(self) -> Swinging:
+        """The cable at rest in the jaws."""
+        return Swinging(self.settings, self.seed, self.number)
+
+
+class Swinging:
+    """A hidden cable as an emulated camera wants it."""
+
+    def __init__(self, settings: Settings, seed: int, number: int) -> None:
+        model = hidden_cable(settings, seed, number)
+        segments = settings.world.segments
+        arc_length_m = np.linspace(model.cable.free_length_m, 0.0, segments + 1)
+        self._cable = SwingingCable(model, arc_length_m, Solver(segments, _STEP_S))
+
+    def advance(self, grip: Trajectory) -> FloatArray:
+        """(T, K, 2) shapes, tip first."""
+        return self._cable.advance(grip.t_s, np.column_stack([grip.x_m, grip.y_m, grip.angle_rad]))
+
+
+@dataclass(frozen=True)
+class CellScene:
+    """Makes the scene in the camera's process, with the cables' code loaded; picklable."""
+
+    arm: ArmScene
+    first: HiddenCable
+
+    def __call__(self) -> LiveScene:
+        """Raises RuntimeError: the emulated arm does not run."""
+        load_code(self.first())
+        return self.arm()
+
+
+def load_code(cable: Swinging) -> None:
+    """Hold a cable at rest, then in a trembling hand, whose poses are smoothed.
+
+    What would be compiled while the camera films holds its pictures up for half a second.
+    """
+    t_s = _POSE_S * np.arange(1.0, _LOADING)
+    x_m, y_m = np.random.default_rng(0).normal(scale=_TREMBLING_M, size=(2, len(t_s)))
+    for part in np.split(np.arange(len(t_s)), [1]):
+        cable.advance(Trajectory(t_s[part], x_m[part], y_m[part], np.zeros(len(part))))
+
+
+class EmulatedCell:
+    """The three emulators, each a process of its own, within a `with`.
+
+    settings  with a section `emulated`
+    seed      of the hidden cables; every grip takes the next one
+    """
+
+    def __init__(self, settings: Settings, seed: int) -> None:
+        assert isinstance(settings.arm, given.UrArm)
+        assert isinstance(settings.gripper, given.SerialGripper)
+        self._settings = settings
+        self._seed = seed
+        self._end = threading.Event()
+        self._watcher = threading.Thread(target=self._watch, name="emulated jaws", daemon=True)
+        arm = settings.arm
+        self.controller = EmulatedController(arm.host, model=arm.model, start_rad=_start(settings))
+        self.gripper = GripperProcess(Path(settings.gripper.port), settings.gripper.address)
+        self.camera = EmulatedCamera(*_camera(settings, HiddenCable(settings, seed, 1)))
+        self.cables = 0
+
+    def __enter__(self) -> Self:
+        """Raises EmulatorError: one of them does not start."""
+        with contextlib.ExitStack() as stack:
+            for emulator in (self.controller, self.gripper, self.camera):
+                stack.enter_context(emulator)
+            self._watcher.start()
+            stack.callback(self._watcher.join)
+            stack.callback(self._end.set)
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+    def whereabouts(self) -> str:
+        """Where they listen, and their processes."""
+        arm = self.controller
+        ports = f"RTDE {RTDE_PORT}, script {SCRIPT_PORT}, dashboard {DASHBOARD_PORT}"
+        return (
+            f"arm      {arm.host}: {ports}; faults {FAULT_PORT} (process {arm.pid})\n"
+            f"camera   {self.camera.url} (process {self.camera.pid})\n"
+            f"gripper  {self.gripper.port} (process {self.gripper.pid})"
+        )
+
+    def _watch(self) -> None:
+        """Tell the camera whenever the jaws have taken a cable or let it go."""
+        held = False
+        with contextlib.suppress(EmulatorError):  # one of them was killed
+            while not self._end.wait(_LOOK_S):
+                if self.gripper.look().held is not held:
+                    held = not held
+                    self.cables += held
+                    cable = HiddenCable(self._settings, self._seed, self.cables)
+                    self.camera.tell(cable if held else None)
+
+
+def runs_already(settings: Settings) -> bool:
+    """Whether emulators are there already."""
+    assert isinstance(settings.arm, given.UrArm)
+    with contextlib.suppress(OSError):
+        socket.create_connection((settings.arm.host, FAULT_PORT), _ANSWER_S).close()
+        return True
+    return False
+
+
+def _mount(arm: given.UrArm) -> PlaneMount:
+    return PlaneMount(arm.plane_origin_m, arm.plane_x_axis, arm.plane_y_axis)
+
+
+def _start(settings: Settings) -> FloatArray:
+    """(6,) joints with the gripping point where cables are grasped.  Raises EmulatorError."""
+    arm, home = settings.arm, settings.motion.home
+    assert isinstance(arm, given.UrArm)
+    X_BT = _mount(arm).to_base(Pose(home.x_m, home.y_m, home.angle_rad))
+    try:
+        return MODELS[arm.model].inverse(X_BT, np.array(HOME_RAD), matrix_of(np.array(arm.tcp)))
+    except OutOfReachError as error:
+        raise EmulatorError(
+            f"motion.home: {error}; correct arm.plane_origin_m, its axes or arm.tcp"
+        ) from error
+
+
+def _camera(
+    settings: Settings, first: HiddenCable
+) -> tuple[CellScene, CameraEmulatorOptions, tuple[str, int]]:
+    """What an `EmulatedCamera` is made of."""
+    arm, camera, emulated = settings.arm, settings.camera, settings.emulated
+    assert isinstance(arm, given.UrArm)
+    assert isinstance(camera, given.OpenCvCamera)
+    assert emulated is not None
+    options = camera_twin(settings, emulated, first.seed)
+    scene = ArmScene(arm.host, _mount(arm), arm.model, arm.tcp, camera=options, seed=first.seed)
+    address = STREAM.fullmatch(str(camera.device))
+    assert address is not None
+    return (
+        CellScene(scene, first),
+        CameraEmulatorOptions(
+            camera.width_px, camera.height_px, camera.frame_rate_hz, readout_s=emulated.readout_s
+        ),
+        (address[1], int(address[2])),
+    )

@@ -1,0 +1,70 @@
+"""The simulated world and the twins of the three devices in it, as the settings describe them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from cell.settings import Settings
+from cell.settings import model as given
+from cell.settings.translate import pose_of, view_of
+from cell.simulated.hidden import cable_shape, hidden_cable
+from drivers.files import FilesCamera
+from drivers.sim.arm import ArmTwinOptions, SimArm
+from drivers.sim.camera import CameraTwinOptions, SimCamera
+from drivers.sim.clock import SimClock
+from drivers.sim.gripper import SimGripper
+from drivers.sim.render import RenderOptions
+from drivers.sim.world import World
+
+
+@dataclass(frozen=True)
+class Twins:
+    """The simulated world and the devices in it, without the limits around them."""
+
+    world: World
+    arm: SimArm
+    camera: SimCamera | FilesCamera
+    gripper: SimGripper
+
+
+def build_twins(settings: Settings, seed: int, cycles: int) -> Twins:
+    """The simulated world with `cycles` cables laid out; for settings whose devices are `sim`."""
+    arm = settings.arm
+    assert isinstance(arm, given.SimulatedArm)
+    clock = SimClock(real_time_factor=settings.world.real_time_factor)
+    world = World(clock, pose_of(settings.motion.home))
+    for number in range(1, cycles + 1):
+        world.present(cable_shape(hidden_cable(settings, seed, number), settings.world.segments))
+    options = ArmTwinOptions(lag_s=arm.lag_s, rate_hz=arm.rate_hz, noise_m=arm.noise_m)
+    return Twins(
+        world,
+        SimArm(world, options, seed=seed),
+        _simulated_camera(settings, world, seed),
+        SimGripper(world),
+    )
+
+
+def _simulated_camera(settings: Settings, world: World, seed: int) -> SimCamera | FilesCamera:
+    camera = settings.camera
+    if isinstance(camera, given.FilesCamera):
+        return FilesCamera(camera.folder, camera.frame_rate_hz, world.clock)
+    assert isinstance(camera, given.SimulatedCamera)
+    return SimCamera(world, camera_twin(settings, camera, seed), seed=seed)
+
+
+def camera_twin(
+    settings: Settings, look: given.SimulatedCamera | given.Emulated, seed: int
+) -> CameraTwinOptions:
+    """Pictures as the camera of the settings takes them; `look` tells how good they are."""
+    camera = settings.camera
+    assert not isinstance(camera, given.FilesCamera)
+    picture = RenderOptions(
+        width_px=camera.width_px,
+        height_px=camera.height_px,
+        thickness_m=settings.cable.thickness_m,
+        lens_blur_px=look.lens_blur_px,
+        exposure_s=look.exposure_s,
+        read_noise=look.read_noise,
+        scene_seed=seed,
+    )
+    return CameraTwinOptions(view_of(camera.view).homography, picture, camera.frame_rate_hz)

@@ -1,0 +1,256 @@
+"""What a person sees of a run: progress while it works, tables at its end."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from statistics import median
+from types import TracebackType
+from typing import Literal
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from cell.identify.identified import Identified
+from cell.records.result import Check, Outcome, Result
+from cell.run.machine import Event
+
+#: Steps in their order; those of a cycle that another one lacks are shown as empty.
+STEPS = (
+    "connect",
+    "warm_up",
+    "reset",
+    "start",
+    "grasp",
+    "lower",
+    "hold_and_capture",
+    "identify",
+    "simulate",
+    "choose",
+    "execute",
+    "verify",
+    "release",
+    "go_home",
+)
+
+#: Steps of a cycle that only measures.
+MEASURING_STEPS = (
+    "connect",
+    "warm_up",
+    "reset",
+    "start",
+    "grasp",
+    "approach",
+    "measure",
+    "go_back",
+    "release",
+    "go_home",
+)
+
+#: Steps of a dry run.
+DRY_RUN_STEPS = (
+    "connect",
+    "reset",
+    "start",
+    "check_paths",
+    "go_home",
+    "go_down",
+    "go_in",
+    "go_aside",
+    "go_to_start",
+    "go_through",
+)
+
+#: What the keys do during a run, and what is then said of them.
+MAY_HOLD = "h: hold"
+KEYS = {
+    "h": (Event.HOLD, "holding; u: go on"),
+    "u": (Event.UNHOLD, MAY_HOLD),
+}
+
+#: Cables that have a column of their own in the table of times.
+MOST_COLUMNS = 5
+
+_COLOURS = {
+    Outcome.INSERTED: "green",
+    Outcome.MISSED: "red",
+    Outcome.REJECTED: "yellow",
+    Outcome.FAILED: "red",
+    Outcome.MEASURED: "green",
+    Outcome.REHEARSED: "green",
+    Outcome.UNFIT: "red",
+}
+
+#: What a run may come to without anything to be said of it.
+_GOOD = (Outcome.INSERTED, Outcome.MEASURED, Outcome.REHEARSED)
+
+#: SI unit → unit for people, how many of it, and how it is written.
+_SHOWN = {
+    "m": ("mm", 1e3, ".2f"),
+    "s": ("ms", 1e3, ".2f"),
+    "rad": ("mrad", 1e3, ".2f"),
+    "m/s": ("mm/s", 1e3, ".0f"),
+    "Hz": ("Hz", 1.0, ".1f"),
+    "": ("", 1.0, ".4g"),
+}
+
+
+class RunProgress:
+    """A line that moves on with every step, on the error stream; silent if nobody watches it."""
+
+    def __init__(self, cycles: int, steps: Sequence[str] = STEPS) -> None:
+        self._cycles = cycles
+        self._steps = steps
+        console = Console(stderr=True)
+        self._progress = Progress(
+            SpinnerColumn(),
+            TextColumn("cable {task.fields[number]} of {task.fields[cycles]}"),
+            BarColumn(bar_width=16),
+            TextColumn("{task.description}"),
+            TimeElapsedColumn(),
+            TextColumn("{task.fields[hint]}"),
+            console=console,
+            transient=True,
+            disable=not console.is_terminal,
+        )
+
+    def __enter__(self) -> RunProgress:
+        self._progress.start()
+        self._line = self._progress.add_task(
+            "", total=self._cycles * len(self._steps), number=1, cycles=self._cycles, hint=""
+        )
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._progress.stop()
+
+    def step(self, number: int, step: str) -> None:
+        """A step of a cycle begins."""
+        if step in self._steps:
+            done = (number - 1) * len(self._steps) + self._steps.index(step)
+            self._progress.update(self._line, completed=done)
+        self._progress.update(self._line, description=step.replace("_", " "), number=number)
+
+    def hint(self, words: str) -> None:
+        """Say which key does what."""
+        self._progress.update(self._line, hint=words)
+
+
+def results_table(results: Sequence[Result]) -> Table:
+    """One row per cable; lengths in mm."""
+    table = Table(title="cables (lengths in mm)", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    for heading in (
+        "cable",
+        "outcome",
+        "offset",
+        "predicted\nmiss",
+        "measured\nmiss",
+        "margin",
+        "forecast\nerror",
+        "passes\nwith",
+    ):
+        justify: Literal["left", "right"] = "left" if heading == "outcome" else "right"
+        table.add_column(heading, justify=justify, no_wrap=True)
+    for r in results:
+        table.add_row(
+            str(r.cycle),
+            f"[{_COLOURS[r.outcome]}]{r.outcome.value}[/]",
+            _mm(r.offset_m, ".0f"),
+            _mm(r.predicted_miss_m, "+.2f"),
+            _mm(r.measured_miss_m, "+.2f"),
+            _mm(r.margin_m, "+.2f"),
+            _mm(r.prediction_error_m, ".2f"),
+            "" if r.probability is None else f"{r.probability:.1%}",
+        )
+    return table
+
+
+def checks_table(result: Result) -> Table:
+    """What a dry run found out, and what it must be."""
+    at = "" if result.speed is None else f" at {result.speed:.0%} of the speed"
+    table = Table(title=f"dry run{at}: {result.outcome.value}", box=SIMPLE_HEAD)
+    for heading in ("", "found", "must be", ""):
+        table.add_column(heading, justify="left" if not heading else "right", no_wrap=True)
+    for check in result.checks:
+        wanted = _wanted(check)
+        verdict = "[green]right[/]" if check.right else "[red]wrong[/]"
+        table.add_row(check.what, _shown(check), wanted, verdict if wanted else "")
+    return table
+
+
+def seconds_table(results: Sequence[Result], steps: Sequence[str] = STEPS) -> Table:
+    """Time of each step: one column per cable, or median and longest of many cables."""
+    table = Table(title="seconds per step", box=SIMPLE_HEAD)
+    table.add_column("step")
+    many = len(results) > MOST_COLUMNS
+    for heading in ["median", "longest"] if many else [f"cable {r.cycle}" for r in results]:
+        table.add_column(heading, justify="right")
+
+    def row(name: str, times: Sequence[float | None]) -> None:
+        known = [t for t in times if t is not None]
+        if not known:
+            return
+        shown = [median(known), max(known)] if many else times
+        table.add_row(name, *("" if t is None else f"{t:.3f}" for t in shown))
+
+    for step in steps:
+        row(step.replace("_", " "), [r.seconds.get(step) for r in results])
+    table.add_section()
+    row("all", [sum(r.seconds.values()) for r in results])
+    row("robot waited for the computer", [r.wait_s for r in results])
+    return table
+
+
+def troubles(results: Sequence[Result]) -> list[str]:
+    """One line for every cable that was not inserted: why, and what to do."""
+    lines = []
+    for r in results:
+        if r.fault is not None:
+            device = f"{r.fault.device}: " if r.fault.device else ""
+            remedy = f"; {r.fault.remedy}" if r.fault.remedy else ""
+            lines.append(
+                f"cable {r.cycle} failed in step {r.fault.step}: {device}{r.fault.cause}{remedy}"
+            )
+        elif r.outcome is Outcome.UNFIT:
+            lines += [f"{c.what}: {_shown(c)}; {c.remedy}" for c in r.checks if not c.right]
+        elif r.outcome not in _GOOD:
+            lines.append(f"cable {r.cycle} {r.outcome.value}: {r.reason}")
+    return lines
+
+
+def parameters_table(identified: Identified) -> Table:
+    """This cable's parameters with their 95 % intervals."""
+    table = Table(title="parameters", box=SIMPLE_HEAD)
+    for heading in ("parameter", "value", "95 % from", "to", "unit"):
+        table.add_column(heading, justify="left" if heading in ("parameter", "unit") else "right")
+    low, high = identified.interval()
+    for name, value, a, b, unit in zip(
+        identified.space.names, identified.values, low, high, identified.space.units, strict=True
+    ):
+        table.add_row(name, f"{value:.4g}", f"{a:.4g}", f"{b:.4g}", unit)
+    return table
+
+
+def _mm(value_m: float | None, form: str) -> str:
+    return "" if value_m is None else format(value_m * 1e3, form)
+
+
+def _shown(check: Check) -> str:
+    unit, factor, form = _SHOWN[check.unit]
+    return f"{check.found * factor:{form}} {unit}".rstrip()
+
+
+def _wanted(check: Check) -> str:
+    unit, factor, _ = _SHOWN[check.unit]
+    low, high = (None if v is None else f"{v * factor:g}" for v in (check.low, check.high))
+    if low is None or high is None:
+        words = "" if low is high else f"≥ {low}" if high is None else f"≤ {high}"
+    else:
+        words = f"{low} … {high}"
+    return f"{words} {unit}".strip() if words else ""

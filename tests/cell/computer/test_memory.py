@@ -1,0 +1,62 @@
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cell.computer.memory import give_back
+
+
+def held_mib() -> float:
+    pages = int(Path(f"/proc/{os.getpid()}/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is counted otherwise")
+def test_freed_arrays_are_given_back_although_others_lie_between_them() -> None:
+    """Each too small for pages of its own, so that only the C library can return them."""
+    arrays = [np.ones(10_000) for _ in range(2000)]
+    kept = arrays[::50]
+    before = held_mib()
+    del arrays
+    give_back()
+    assert len(kept) == 40
+    assert held_mib() < before - 100.0
+
+
+COUNT_ARENAS = """
+import threading
+from pathlib import Path
+from cell.computer.memory import one_heap
+
+def arenas():  # the C library lays each at a multiple of 64 MiB
+    starts = (l.split("-")[0] for l in Path("/proc/self/maps").read_text().splitlines())
+    return sum(int(start, 16) % 2**26 == 0 for start in starts)
+
+if {one}:
+    one_heap()
+before, enough = arenas(), threading.Barrier(9)
+def work():
+    kept = bytes(2000), [None] * 1000
+    enough.wait()
+    enough.wait()
+for _ in range(8):
+    threading.Thread(target=work).start()
+enough.wait()
+print(arenas() - before)
+enough.wait()
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="memory is counted otherwise")
+def test_threads_get_no_heap_of_their_own() -> None:
+    def added(one: bool) -> int:
+        script = COUNT_ARENAS.format(one=one)
+        done = subprocess.run([sys.executable, "-c", script], capture_output=True, check=True)
+        return int(done.stdout)
+
+    if not added(one=False):
+        pytest.skip("another C library")
+    assert added(one=True) == 0

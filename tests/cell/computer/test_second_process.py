@@ -1,0 +1,88 @@
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from concurrent.futures import BrokenExecutor
+from pathlib import Path
+
+import pytest
+
+from cell.computer.second_process import SecondProcess
+
+
+@pytest.fixture
+def second() -> Iterator[SecondProcess]:
+    second = SecondProcess()
+    yield second
+    second.shutdown(cancel_futures=True)
+
+
+def test_jobs_run_elsewhere_one_after_another_and_their_errors_come_back(
+    second: SecondProcess,
+) -> None:
+    here = second.submit(os.getpid)
+    assert here.result() not in (os.getpid(), None)
+    assert second.submit(os.getpid).result() == here.result()
+    with pytest.raises(ValueError, match="invalid literal"):
+        second.submit(int, "x").result()
+
+
+def test_a_killed_process_is_told_and_replaced(second: SecondProcess) -> None:
+    process = second.submit(os.getpid).result()
+    job = second.submit(time.sleep, 60.0)
+    os.kill(process, signal.SIGKILL)
+    with pytest.raises(BrokenExecutor):
+        job.result(timeout=30.0)
+    assert second.submit(os.getpid).result() != process
+
+
+def test_after_a_shutdown_it_begins_anew(second: SecondProcess) -> None:
+    process = second.submit(os.getpid).result()
+    second.shutdown()
+    assert not Path(f"/proc/{process}").exists()
+    assert second.submit(abs, -1).result() == 1
+
+
+def test_one_that_hangs_is_ended_at_once(second: SecondProcess) -> None:
+    process = second.submit(os.getpid).result()
+    job = second.submit(time.sleep, 60.0)
+    os.kill(process, signal.SIGSTOP)
+    second.shutdown(wait=False)
+    with pytest.raises(BrokenExecutor):
+        job.result(timeout=30.0)
+    until_s = time.monotonic() + 5.0  # the pipe breaks a moment before the process has gone
+    while _runs(process):
+        assert time.monotonic() < until_s
+    assert second.submit(abs, -2).result() == 2
+
+
+@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGTERM])
+def test_it_does_not_outlive_the_first_process(end: signal.Signals) -> None:
+    """Even busy, and however that ends."""
+    code = (
+        "import os, time\n"
+        "from cell.computer.second_process import SecondProcess\n"
+        "if __name__ == '__main__':\n"
+        "    second = SecondProcess()\n"
+        "    print(second.submit(os.getpid).result(), flush=True)\n"
+        "    second.submit(time.sleep, 60.0).result()\n"
+    )
+    first = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    assert first.stdout is not None
+    process = int(first.stdout.readline())
+    first.send_signal(end)
+    first.wait()
+    first.stdout.close()
+    ended_s = time.monotonic()
+    while _runs(process) and time.monotonic() < ended_s + 20.0:
+        time.sleep(0.02)
+    assert not _runs(process)
+
+
+def _runs(process: int) -> bool:
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except OSError:
+        return False

@@ -1,0 +1,67 @@
+"""Warming up works for any cable that the settings allow, and is done once."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from cell.cable.geometry import Cable
+from cell.run.warm_up import made_up_picture, warm_up
+from cell.vision.detect import VisionOptions, detect_all
+from cell.vision.marks import JawMarks
+
+CONFIG = Path(__file__).parents[2] / "config" / "fake.yaml"
+SMALL = JawMarks(((0.002, 0.003), (0.002, -0.003), (0.012, 0.003)), 0.001)
+
+
+@pytest.mark.parametrize(
+    "cable", [Cable(0.1, 0.0074, 0.016, 1e-4), Cable(0.3, 0.02, 0.01, 5e-4)], ids=["paper", "long"]
+)
+def test_it_works_for_any_cable_and_is_done_once(cable: Cable) -> None:
+    warm_up(cable)
+    begun_s = time.perf_counter()
+    for _ in range(100):
+        warm_up(cable)
+    assert time.perf_counter() - begun_s < 0.1
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        VisionOptions(0.1),
+        VisionOptions(0.3, cable_is="light", line_width_px=2.0),
+        VisionOptions(0.05, length_tolerance_m=0.001, marks=SMALL),
+    ],
+    ids=["paper", "long and light", "short"],
+)
+def test_the_cable_of_the_made_up_picture_is_seen(options: VisionOptions) -> None:
+    """So that everything is compiled that a real one will need."""
+    image, view = made_up_picture(options)
+    for sighting in detect_all([(0.0, image), (0.01, image)], view, options):
+        assert sighting.seen, sighting.unseen
+        assert sighting.length_m == pytest.approx(options.free_length_m, abs=0.0015)
+
+
+ONE_CYCLE = """
+from pathlib import Path
+from cell.build import cell_with, twin_devices
+from cell.simulated.twins import build_twins
+from cell.settings import load_settings
+
+early = set()
+settings = load_settings(Path(sys.argv[1]))
+twins = build_twins(settings, 1, 1)
+if __name__ == "__main__":
+    on_step = lambda number, step: early.update(compiled()) if step == "reset" else None
+    cell = cell_with(settings, twin_devices(twins), Path(sys.argv[2]), on_step)
+    print(cell.run_cycle(1).outcome.value, *sorted(compiled() - early), sep="\\n")
+"""
+
+
+def test_nothing_is_compiled_while_a_cable_hangs_in_the_jaws(
+    knowing_what_is_compiled: Callable[..., list[str]], tmp_path: Path
+) -> None:
+    assert knowing_what_is_compiled(ONE_CYCLE, CONFIG, tmp_path) == ["inserted"]

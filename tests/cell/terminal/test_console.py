@@ -1,0 +1,58 @@
+"""Tables say what happened to every cable, and troubles what to do about it."""
+
+from __future__ import annotations
+
+import io
+
+from rich.console import Console
+from rich.table import Table
+
+from cell.records.result import Fault, Outcome, Result
+from cell.terminal.console import MOST_COLUMNS, results_table, seconds_table, troubles
+
+INSERTED = Result(
+    1,
+    Outcome.INSERTED,
+    "runs/a",
+    offset_m=0.012,
+    predicted_miss_m=-0.00123,
+    measured_miss_m=-0.00119,
+    margin_m=0.0035,
+    probability=0.998,
+    prediction_error_m=0.00008,
+    wait_s=0.04,
+    seconds={"grasp": 0.9, "execute": 1.4},
+)
+REJECTED = Result(2, Outcome.REJECTED, "runs/b", reason="little swing: 0.1 mm")
+FAILED = Result(
+    3, Outcome.FAILED, "runs/c", fault=Fault("lower", "fell silent", "arm", "connect again")
+)
+
+
+def printed(table: Table) -> str:
+    console = Console(file=io.StringIO(), width=80)
+    console.print(table)
+    file = console.file
+    assert isinstance(file, io.StringIO)
+    return file.getvalue()
+
+
+def test_results_are_in_millimetres_with_their_signs() -> None:
+    text = printed(results_table([INSERTED, REJECTED, FAILED]))
+    for shown in ("12", "-1.23", "-1.19", "+3.50", "0.08", "99.8%", "rejected", "failed"):
+        assert shown in text
+
+
+def test_times_have_a_column_per_cable_or_a_summary_of_many() -> None:
+    assert "cable 1" in printed(seconds_table([INSERTED]))
+    slow = Result(2, Outcome.INSERTED, "", seconds={"grasp": 2.5})
+    text = printed(seconds_table([INSERTED] * MOST_COLUMNS + [slow]))
+    (row,) = (line.split() for line in text.splitlines() if line.split()[:1] == ["grasp"])
+    assert row == ["grasp", "0.900", "2.500"]
+
+
+def test_troubles_name_step_device_cause_and_remedy() -> None:
+    assert troubles([INSERTED, REJECTED, FAILED]) == [
+        "cable 2 rejected: little swing: 0.1 mm",
+        "cable 3 failed in step lower: arm: fell silent; connect again",
+    ]

@@ -1,0 +1,148 @@
+"""The robot does not wait for the computer, and what the computer finds does not depend on when."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from cell.cli import app
+from cell.identify import fit
+from cell.identify.identified import Identified
+from cell.identify.individual import CableRejectedError, Reason
+from cell.plan import choose
+from cell.records.folder import read_record
+from cell.records.result import Outcome
+from cell.run import early_estimate, steps
+from cell.run.station import Filming, Station
+from cell.settings import Settings
+
+Live = Callable[..., SimpleNamespace]
+
+
+def test_frames_are_looked_at_while_the_hand_still_moves(
+    live: Live, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun: list[Filming] = []
+    hold = steps.hold_and_capture
+
+    def noting(station: Station, filming: Filming) -> Any:
+        begun.append(filming)
+        return hold(station, filming)
+
+    monkeypatch.setattr(steps, "hold_and_capture", noting)
+    it = live()
+    assert it.cell.run_cycle(1).outcome is Outcome.INSERTED
+    (filming,) = begun
+    rate_hz = it.twins.camera.frame_rate_hz
+    assert filming.rest_s - filming.sightings[-1].t_s < 2.0 / rate_hz
+    assert len(filming.sightings) > 0.9 * (filming.rest_s - filming.begin_s) * rate_hz
+
+
+def test_after_the_last_frame_nothing_is_simulated(
+    live: Live, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    threads: list[str] = []
+
+    def told(simulate: Callable[..., Any]) -> Callable[..., Any]:
+        def simulated(*args: Any, **kwargs: Any) -> Any:
+            threads.append(threading.current_thread().name)
+            return simulate(*args, **kwargs)
+
+        return simulated
+
+    deciding: list[str] = []
+    it = live(
+        {
+            "lower": lambda it: threads.clear(),
+            "execute": lambda it: deciding.extend(threads),
+        }
+    )
+    monkeypatch.setattr(fit, "simulate", told(fit.simulate))
+    monkeypatch.setattr(choose, "simulate", told(choose.simulate))
+    assert it.cell.run_cycle(1).outcome is Outcome.INSERTED
+    assert deciding
+    assert all(name.startswith("ahead") for name in deciding)
+
+
+def test_a_slow_computer_finds_the_same(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    def found() -> tuple[object, ...]:
+        r = live(seed=4).cell.run_cycle(1)
+        return r.outcome, r.offset_m, r.parameters, r.predicted_margin_m, r.probability
+
+    quick = found()
+
+    def slowed(act: Callable[..., Any]) -> Callable[..., Any]:
+        def slow(*args: Any, **kwargs: Any) -> Any:
+            time.sleep(0.5)
+            return act(*args, **kwargs)
+
+        return slow
+
+    monkeypatch.setattr(early_estimate, "identify", slowed(early_estimate.identify))
+    monkeypatch.setattr(early_estimate, "predict_frames", slowed(early_estimate.predict_frames))
+    assert found() == quick
+
+
+def test_the_record_tells_the_same_cable(live: Live) -> None:
+    """Identified from the record, from scratch: the same within the errors that are stated."""
+    it = live(seed=6)
+    result = it.cell.run_cycle(1)
+    read = read_record(Path(result.folder))
+    assert read.model is not None
+    then = Identified.from_dict(read.model)
+    done = CliRunner().invoke(app, ["identify", result.folder, "--json"])
+    assert done.exit_code == 0, done.stderr
+    again = Identified.from_dict(json.loads(done.stdout))
+    std = np.sqrt(np.diag(again.covariance))
+    assert np.abs((then.mean - again.mean) / std).max() < 1.0
+    assert np.abs(then.values - again.values)[0] / again.values[0] < 0.01
+
+
+def test_frames_that_are_not_enough_at_first_only_cost_time(
+    live: Live, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*args: Any, **kwargs: Any) -> Any:
+        raise CableRejectedError(Reason.UNSEEN_FRAMES, "not yet")
+
+    monkeypatch.setattr(early_estimate, "identify", refuse)
+    assert live().cell.run_cycle(1).outcome is Outcome.INSERTED
+
+
+def test_a_second_process_finds_the_same_and_may_die_or_hang(
+    quick: Settings, live: Live, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In real time, or nearly, somebody else computes; without it, it only takes longer."""
+    hurried = quick.model_copy(
+        update={"world": quick.world.model_copy(update={"real_time_factor": 5.0})}
+    )
+
+    def give(what: signal.Signals) -> Callable[[SimpleNamespace], None]:
+        return lambda it: os.kill(it.cell._station.computer.submit(os.getpid).result(), what)
+
+    alone = live().cell.run_cycle(1)
+    kill, freeze = give(signal.SIGKILL), give(signal.SIGSTOP)
+    # a clock that runs counts otherwise in the last place; who finds it all at the end does so
+    # within the tolerance of the fit
+    for at, longest_s, within in (
+        ({}, 30.0, 1e-6),
+        ({"hold_and_capture": kill}, 30.0, 0.005),
+        ({"hold_and_capture": freeze}, 1.0, 0.005),
+    ):
+        monkeypatch.setattr(early_estimate, "LONGEST_S", longest_s)
+        it = live(at, settings=hurried)
+        found = it.cell.run_cycle(1)
+        it.cell.close()
+        assert found.outcome is Outcome.INSERTED
+        assert found.offset_m == alone.offset_m
+        assert found.parameters == pytest.approx(alone.parameters, rel=within)
