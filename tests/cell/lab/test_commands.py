@@ -8,7 +8,7 @@ import yaml
 from typer.testing import CliRunner
 
 from cell.cable.effects import library
-from cell.lab.commands import app
+from cell.cli.lab import app
 from cell.study.folder import read_study, write_study
 
 run = CliRunner().invoke

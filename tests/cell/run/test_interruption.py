@@ -8,11 +8,11 @@ import signal
 
 import pytest
 
-from cell.cli import _interrupted_once
+from cell.cli.shared import interrupted_once
 
 
 def test_a_swallowed_interruption_is_raised_again() -> None:
-    with _interrupted_once() as not_lost:
+    with interrupted_once() as not_lost:
         not_lost()
         # as the interpreter does in a callback or a destructor
         with contextlib.suppress(KeyboardInterrupt):

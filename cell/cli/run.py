@@ -1,40 +1,33 @@
-"""Commands of the cell.  Heavy imports wait until a command needs them, so that help is quick."""
+"""Commands that move a cell, or emulate one: run, emulate."""
 
 from __future__ import annotations
 
 import contextlib
 import json
 import os
-import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import FrameType
-from typing import TYPE_CHECKING, Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cell.lab.commands import app as lab
+from cell.cli.shared import (
+    ALL_DONE,
+    BAD_INPUT,
+    NOT_ALL_DONE,
+    Config,
+    group,
+    interrupted_once,
+    refuse,
+)
 
 if TYPE_CHECKING:
     from cell.settings import Settings
 
-ALL_DONE, NOT_ALL_DONE, BAD_INPUT = 0, 1, 2
-
-app = typer.Typer(
-    name="cell",
-    help="Grips bendable cables, identifies each from pictures of its swing, and inserts it.",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    add_completion=False,
-)
-app.add_typer(lab)
-
-Config = Annotated[
-    Path, typer.Option("--config", "-c", help="Settings of the cell, YAML.", show_default=False)
-]
+app = group()
 
 
 @app.command()
@@ -95,7 +88,7 @@ def run(
     from cell.terminal.keyboard import Keyboard
 
     if speed != 1.0 and not dry_run:
-        _refuse(
+        refuse(
             ValueError(
                 f"--speed {speed:g}: only with --dry-run; a cable that is moved slowly hardly "
                 "swings, and what does not swing cannot be identified"
@@ -114,7 +107,7 @@ def run(
         with (
             _emulators(settings, seed),
             RunProgress(cycles, steps) as progress,
-            _interrupted_once() as not_lost,
+            interrupted_once() as not_lost,
         ):
 
             def on_step(number: int, step: str) -> None:
@@ -143,7 +136,7 @@ def run(
             finally:
                 cell.close()
     except InputError as error:
-        _refuse(error)
+        refuse(error)
     except OSError as error:  # of the record: a device's own is a fault with a result
         print(f"the record cannot be written: {error}", file=sys.stderr)
         raise typer.Exit(NOT_ALL_DONE if results else BAD_INPUT) from error
@@ -186,7 +179,7 @@ def emulate(
         if settings.emulated is None:
             raise EmulatorError(f"{config}: has no section `emulated`; add `emulated: {{}}`")
         with (
-            _interrupted_once(),
+            interrupted_once(),
             EmulatedCell(settings, seed) as cell,
             contextlib.suppress(KeyboardInterrupt),
         ):
@@ -194,85 +187,7 @@ def emulate(
             while os.getppid() == parent:
                 time.sleep(0.2)
     except (InputError, EmulatorError) as error:
-        _refuse(error)
-
-
-@app.command()
-def check(config: Config) -> None:
-    """Validate settings without moving anything.
-
-    Ends with 0 if they are right, 2 if not; every mistake is named with line and column.
-    """
-    from cell.files.located import InputError
-    from cell.settings import load_settings
-
-    try:
-        settings = load_settings(config)
-    except InputError as error:
-        _refuse(error)
-    offsets_m = settings.motion.offsets.values_m
-    print(
-        f"{config}: right; arm {settings.arm.kind}, camera {settings.camera.kind}, gripper "
-        f"{settings.gripper.kind}; {len(offsets_m)} offsets, {offsets_m[0] * 1e3:g} … "
-        f"{offsets_m[-1] * 1e3:g} mm"
-    )
-
-
-@app.command()
-def identify(
-    folder: Annotated[Path, typer.Argument(help="A cycle's folder, or any study.")],
-    as_json: Annotated[bool, typer.Option("--json", help="The model as JSON.")] = False,
-) -> None:
-    """Identify a cable again, from its folder alone.
-
-    Ends with 0, 1 if the cable cannot be identified, 2 if the folder is wrong.
-    """
-    from rich.console import Console
-
-    from cell.files.located import InputError, Problem
-    from cell.identify.individual import CableRejectedError, IdentifyOptions
-    from cell.identify.individual import identify as identify_cable
-    from cell.settings import load_settings
-    from cell.study.folder import read_study
-    from cell.terminal.console import parameters_table
-
-    recorded = (folder / "state.json").exists()
-    try:
-        study = read_study(folder / "study" if recorded else folder)
-        method = "map"
-        if recorded:
-            method = load_settings(folder / "settings.yaml").identification.method
-        if not study.role("fit"):
-            raise InputError([Problem(folder, 1, None, "", "no trial has the role `fit`")])
-        identified = identify_cable(
-            study.role("fit")[0],
-            study.arc_length_m,
-            study.cable,
-            gravity_m_per_s2=study.gravity_m_per_s2,
-            options=IdentifyOptions(method="paper" if method == "paper" else "map"),
-        )
-    except InputError as error:
-        _refuse(error)
-    except CableRejectedError as error:
-        print(f"{folder}: cable rejected: {error}", file=sys.stderr)
-        raise typer.Exit(NOT_ALL_DONE) from error
-    if as_json:
-        print(json.dumps(identified.to_dict(), ensure_ascii=False))
-        return
-    Console().print(parameters_table(identified))
-    print(
-        f"residual {identified.residual_rms_m * 1e3:.3f} mm rms, noise "
-        f"{identified.noise.std_m * 1e3:.3f} mm, {identified.frames_used} of "
-        f"{identified.frames_total} frames"
-    )
-
-
-@app.command()
-def schema() -> None:
-    """Print the JSON schema of the settings, for editors."""
-    from cell.settings import Settings
-
-    print(json.dumps(Settings.model_json_schema(), indent=2, ensure_ascii=False))
+        refuse(error)
 
 
 @contextmanager
@@ -287,40 +202,5 @@ def _emulators(settings: Settings, seed: int) -> Iterator[None]:
                 if not runs_already(settings):
                     stack.enter_context(EmulatedCell(settings, seed))
             except EmulatorError as error:
-                _refuse(error)
+                refuse(error)
         yield
-
-
-def _refuse(error: Exception) -> NoReturn:
-    print(error, file=sys.stderr)
-    raise typer.Exit(BAD_INPUT) from error
-
-
-@contextmanager
-def _interrupted_once() -> Iterator[Callable[[], None]]:
-    """The first Ctrl-C or SIGTERM interrupts, once; those that follow are ignored."""
-    given = False
-
-    def interrupt(number: int, frame: FrameType | None) -> None:
-        nonlocal given
-        if not given:
-            given = True
-            raise KeyboardInterrupt
-        print("stopping already", file=sys.stderr)
-
-    def not_lost() -> None:
-        """Interrupt again: where Python cannot raise, as in a callback, it drops what is raised."""
-        if given:
-            raise KeyboardInterrupt
-
-    former = {s: signal.signal(s, interrupt) for s in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield not_lost
-    finally:
-        for s, handler in former.items():
-            signal.signal(s, handler)
-
-
-def main() -> None:
-    """Entry point of the console script."""
-    app()

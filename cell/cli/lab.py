@@ -1,9 +1,4 @@
-"""Commands of the model lab: fit, compare, diagnose, effects, discover, suggest, study.
-
-A typer app without a name of its own; the cell's command line takes its commands in at the top
-level with `app.add_typer(cell.lab.commands.app)`, so that they are called `cell fit …`.
-Heavy imports wait until a command needs them, so that help is quick.
-"""
+"""Commands of the model lab: fit, compare, diagnose, effects, discover, suggest, study."""
 
 from __future__ import annotations
 
@@ -16,9 +11,9 @@ from typing import Annotated, Any
 
 import typer
 
-DONE, BAD_INPUT = 0, 2
+from cell.cli.shared import BAD_INPUT, group
 
-app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, add_completion=False)
+app = group()
 
 StudyFolder = Annotated[Path, typer.Argument(help="A study: a folder with study.yaml.")]
 Effects = Annotated[

@@ -1,0 +1,63 @@
+"""Commands about what a cycle left behind: identify."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cell.cli.shared import NOT_ALL_DONE, group, refuse
+
+app = group()
+
+
+@app.command()
+def identify(
+    folder: Annotated[Path, typer.Argument(help="A cycle's folder, or any study.")],
+    as_json: Annotated[bool, typer.Option("--json", help="The model as JSON.")] = False,
+) -> None:
+    """Identify a cable again, from its folder alone.
+
+    Ends with 0, 1 if the cable cannot be identified, 2 if the folder is wrong.
+    """
+    from rich.console import Console
+
+    from cell.files.located import InputError, Problem
+    from cell.identify.individual import CableRejectedError, IdentifyOptions
+    from cell.identify.individual import identify as identify_cable
+    from cell.settings import load_settings
+    from cell.study.folder import read_study
+    from cell.terminal.console import parameters_table
+
+    recorded = (folder / "state.json").exists()
+    try:
+        study = read_study(folder / "study" if recorded else folder)
+        method = "map"
+        if recorded:
+            method = load_settings(folder / "settings.yaml").identification.method
+        if not study.role("fit"):
+            raise InputError([Problem(folder, 1, None, "", "no trial has the role `fit`")])
+        identified = identify_cable(
+            study.role("fit")[0],
+            study.arc_length_m,
+            study.cable,
+            gravity_m_per_s2=study.gravity_m_per_s2,
+            options=IdentifyOptions(method="paper" if method == "paper" else "map"),
+        )
+    except InputError as error:
+        refuse(error)
+    except CableRejectedError as error:
+        print(f"{folder}: cable rejected: {error}", file=sys.stderr)
+        raise typer.Exit(NOT_ALL_DONE) from error
+    if as_json:
+        print(json.dumps(identified.to_dict(), ensure_ascii=False))
+        return
+    Console().print(parameters_table(identified))
+    print(
+        f"residual {identified.residual_rms_m * 1e3:.3f} mm rms, noise "
+        f"{identified.noise.std_m * 1e3:.3f} mm, {identified.frames_used} of "
+        f"{identified.frames_total} frames"
+    )

@@ -1,0 +1,55 @@
+"""What the commands share: exit codes, options, refusing bad input, being interrupted once."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import Annotated, NoReturn
+
+import typer
+
+ALL_DONE, NOT_ALL_DONE, BAD_INPUT = 0, 1, 2
+
+Config = Annotated[
+    Path, typer.Option("--config", "-c", help="Settings of the cell, YAML.", show_default=False)
+]
+
+
+def group() -> typer.Typer:
+    """Typer app for the commands of one module, which `cell.cli` takes in at its top level."""
+    return typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, add_completion=False)
+
+
+def refuse(error: Exception) -> NoReturn:
+    """End with 2 and the message of what was wrong."""
+    print(error, file=sys.stderr)
+    raise typer.Exit(BAD_INPUT) from error
+
+
+@contextmanager
+def interrupted_once() -> Iterator[Callable[[], None]]:
+    """The first Ctrl-C or SIGTERM interrupts, once; those that follow are ignored."""
+    given = False
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        nonlocal given
+        if not given:
+            given = True
+            raise KeyboardInterrupt
+        print("stopping already", file=sys.stderr)
+
+    def not_lost() -> None:
+        """Interrupt again: where Python cannot raise, as in a callback, it drops what is raised."""
+        if given:
+            raise KeyboardInterrupt
+
+    former = {s: signal.signal(s, interrupt) for s in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield not_lost
+    finally:
+        for s, handler in former.items():
+            signal.signal(s, handler)
