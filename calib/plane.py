@@ -1,4 +1,4 @@
-"""Where a pixel lies in the cell's plane: a homography and its inverse."""
+"""Where a pixel lies in the cell's plane: the lens' distortion taken off, then a homography."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.lens import Lens
+
 FloatArray = NDArray[np.float64]
 
 
@@ -15,10 +17,14 @@ FloatArray = NDArray[np.float64]
 class PlaneView:
     """Mapping between pixels (column, row; centre of the first pixel = 0, 0) and the plane.
 
-    homography   (3, 3) H_PC: homogeneous pixel → homogeneous plane, m
+    Points are mapped, never pictures: what was found in a picture is put right, not the picture.
+
+    homography   (3, 3) H_PC: homogeneous ideal pixel → homogeneous plane, m
+    lens         its distortion is taken off first; None = no distortion, every pixel is ideal
     """
 
     homography: FloatArray
+    lens: Lens | None = None
 
     @classmethod
     def from_scale(
@@ -32,17 +38,24 @@ class PlaneView:
             )
         )
 
+    @classmethod
+    def from_pose(cls, lens: Lens, X_CP: FloatArray) -> PlaneView:
+        """View of the plane's xy from its (4, 4) pose P in the camera C, which looks along z."""
+        to_ideal = lens.matrix @ X_CP[:3][:, [0, 1, 3]]
+        return cls(np.asarray(np.linalg.inv(to_ideal), dtype=np.float64), lens)
+
     @cached_property
     def _inverse(self) -> FloatArray:
         return np.asarray(np.linalg.inv(self.homography), dtype=np.float64)
 
     def to_plane(self, pixels: FloatArray) -> FloatArray:
         """(…, 2) column, row → (…, 2) x, y in m."""
-        return _apply(self.homography, pixels)
+        return _apply(self.homography, pixels if self.lens is None else self.lens.ideal(pixels))
 
     def to_pixels(self, points: FloatArray) -> FloatArray:
         """(…, 2) x, y in m → (…, 2) column, row."""
-        return _apply(self._inverse, points)
+        ideal = _apply(self._inverse, points)
+        return ideal if self.lens is None else self.lens.distorted(ideal)
 
 
 @dataclass(frozen=True)
@@ -63,9 +76,10 @@ class PlaneFit:
         return float(np.sqrt(np.mean(self.held_out_m**2)))
 
 
-def fit_plane(pixels: FloatArray, points_m: FloatArray) -> PlaneFit:
+def fit_plane(pixels: FloatArray, points_m: FloatArray, lens: Lens | None = None) -> PlaneFit:
     """View of the plane from points seen: (N ≥ 4, 2) pixels and (N, 2) places in the plane, m.
 
+    lens    known already; None = no distortion
     raises  ValueError: shapes disagree, too few points, or points too nearly on one line
     source  Hartley & Zisserman 2004, algorithm 4.2 (normalised direct linear transformation)
     """
@@ -77,12 +91,13 @@ def fit_plane(pixels: FloatArray, points_m: FloatArray) -> PlaneFit:
         raise ValueError(f"{len(pixels)} correspondences; needs at least 4, better 12")
     if not (np.all(np.isfinite(pixels)) and np.all(np.isfinite(points_m))):
         raise ValueError("a correspondence is not finite")
-    view = PlaneView(_homography(pixels, points_m))
+    ideal = pixels if lens is None else lens.ideal(pixels)
+    view = PlaneView(_homography(ideal, points_m), lens)
     held_out = np.full(len(pixels), np.nan)
     if len(pixels) > 4:
         for i in range(len(pixels)):
             others = np.arange(len(pixels)) != i
-            left_out = PlaneView(_homography(pixels[others], points_m[others]))
+            left_out = PlaneView(_homography(ideal[others], points_m[others]), lens)
             held_out[i] = np.linalg.norm(left_out.to_plane(pixels[i]) - points_m[i])
     residuals = np.linalg.norm(view.to_plane(pixels) - points_m, axis=1)
     return PlaneFit(view, np.asarray(residuals, dtype=np.float64), held_out)

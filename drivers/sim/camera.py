@@ -14,6 +14,7 @@ from drivers.interfaces import (
     Frame,
     Image,
 )
+from drivers.sim.pinhole import Sight
 from drivers.sim.render import RenderOptions, render
 from drivers.sim.world import View, World
 
@@ -43,16 +44,18 @@ class CameraFaults:
 class CameraTwinOptions:
     """How the camera stands and works.
 
-    homography     (3, 3) pixel → plane, m: where it really stands
+    sight          where it really stands, and its lens: (3, 3) pixel → plane, m; or a `Pinhole`
     picture        what the picture looks like, exposure time included
     frame_rate_hz  frames per second
     readout_s      time from the end of the exposure until a frame can be had
+    stamps_late_s  a frame says that it was exposed that much later than it was
     """
 
-    homography: FloatArray
+    sight: Sight
     picture: RenderOptions = field(default_factory=RenderOptions)
     frame_rate_hz: float = 200.0
     readout_s: float = 0.004
+    stamps_late_s: float = 0.0
 
 
 class SimCamera:
@@ -117,7 +120,8 @@ class SimCamera:
         self._clock.forward_to_s(ready_s + (self.faults.late_s if late else 0.0))
         self._check_alive(exposed_s)
         self._next += 1
-        return Frame(index, exposed_s + self.faults.stamp_error_s, self._picture(index, exposed_s))
+        stamp_s = exposed_s + self._options.stamps_late_s + self.faults.stamp_error_s
+        return Frame(index, stamp_s, self._picture(index, exposed_s))
 
     def stop(self) -> None:
         """Drop the frames not read yet."""
@@ -166,7 +170,7 @@ def photograph(view: View, options: CameraTwinOptions, rng: np.random.Generator)
     return render(
         None if cables is None else cables[1],
         _triple(view.grip[1]),
-        options.homography,
+        options.sight,
         options.picture,
         rng,
         cable_m_per_s=None if cables is None else (cables[2] - cables[0]) / span_s,

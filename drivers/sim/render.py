@@ -8,6 +8,7 @@ noise, and eight bits.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from math import ceil
@@ -16,6 +17,8 @@ import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+
+from drivers.sim.pinhole import Sight, metres_per_pixel, to_pixels
 
 FloatArray = NDArray[np.float64]
 LightArray = NDArray[np.float32]
@@ -71,14 +74,32 @@ class RenderOptions:
                 raise ValueError(f"render.{name} = {getattr(self, name)}: must be ≥ 0")
 
 
+#: Pose of the jaw: x_m, y_m, angle_rad in the plane; or (4, 4) about it, for a `Pinhole` only.
+GripPose = tuple[float, float, float] | FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Patches:
+    """Polygons of even grey level that stand in the scene, before the jaw and the cable.
+
+    corners_m  (P, V, 2 or 3) convex polygons, 3 only for a `Pinhole`, m
+    levels     (P,) light that each adds
+    hides      (P,) share of what is behind that each hides: 0 = only adds its level
+    """
+
+    corners_m: FloatArray
+    levels: FloatArray
+    hides: FloatArray
+
+
 #: A lit cable in front of a dark background.
 LIGHT_ON_DARK = RenderOptions(cable_level=230.0, background_level=28.0, texture_level=2.0)
 
 
 def render(
     cable_m: FloatArray | None,
-    grip: tuple[float, float, float],
-    homography: FloatArray,
+    grip: GripPose,
+    sight: Sight,
     options: RenderOptions,
     rng: np.random.Generator,
     *,
@@ -86,23 +107,27 @@ def render(
     grip_per_s: tuple[float, float, float] = (0.0, 0.0, 0.0),
     second_cable_m: FloatArray | None = None,
     jaw: bool = True,
+    patches: Sequence[Patches] = (),
 ) -> Image:
     """One frame of the jaw and the cable in the cell's plane, about 1 ms.
 
     cable_m         (K, 2) centreline, tip first, ending at the gripping point, m; None = no cable
-    grip            x_m, y_m, angle_rad of the gripping point (positive angle = pointing down)
-    homography      (3, 3) pixel (column, row; centre of the first pixel 0, 0) → plane, m
+    grip            of the gripping point (positive angle = pointing down)
+    sight           (3, 3) pixel (column, row; centre of the first pixel 0, 0) → plane, m, or a
+                    camera that stands anywhere and has a lens
     rng             noise of this frame
     cable_m_per_s   (K, 2) velocity of the centreline, for motion blur
     grip_per_s      rates of `grip`, for motion blur; the frame's time is the middle of the exposure
     second_cable_m  (K, 2) another cable in the picture
     jaw             False = the gripper is out of the picture
+    patches         what else is in the scene, the nearest last
     returns         (height_px, width_px) uint8
     raises          ValueError: shapes disagree
     """
-    to_pixels = np.asarray(np.linalg.inv(homography), dtype=np.float64)
-    polygons = _Polygons(to_pixels)
-    copies = _copies(cable_m, cable_m_per_s, grip_per_s, homography, options)
+    polygons = _Polygons(sight)
+    for patch in patches:
+        polygons.add(patch.corners_m, patch.levels, patch.hides, 1.0)
+    copies = _copies(cable_m, cable_m_per_s, grip_per_s, sight, options)
     for share in (np.arange(copies) + 0.5) / copies - 0.5:
         later_s = float(share) * options.exposure_s
         if jaw:
@@ -144,23 +169,24 @@ def empty_scene(options: RenderOptions) -> Image:
 class _Polygons:
     """Polygons in pixels, each with its grey level and its weight; drawn together at the end."""
 
-    def __init__(self, to_pixels: FloatArray) -> None:
-        self._to_pixels = to_pixels
+    def __init__(self, sight: Sight) -> None:
+        self._sight = sight
         self._corners: list[FloatArray] = []  # (P, V, 2) each
         self._levels: list[FloatArray] = []  # (P,) light each adds where it covers
         self._hides: list[FloatArray] = []  # (P,) share of the background each hides
 
-    def add(self, corners_m: FloatArray, level: FloatArray, hides: float, weight: float) -> None:
-        """(P, V, 2) convex polygons in the plane, m."""
-        p = cv2.perspectiveTransform(corners_m.reshape(-1, 1, 2), self._to_pixels)
-        self._corners.append(np.asarray(p, dtype=np.float64).reshape(corners_m.shape))
+    def add(
+        self, corners_m: FloatArray, level: FloatArray, hides: float | FloatArray, weight: float
+    ) -> None:
+        """(P, V, 2 or 3) convex polygons, m."""
+        self._corners.append(to_pixels(self._sight, corners_m))
         self._levels.append(np.asarray(weight * level, dtype=np.float64))
-        self._hides.append(np.full(len(level), weight * hides))
+        self._hides.append(weight * np.broadcast_to(np.float64(hides), len(level)))
 
     def add_rectangle(
         self,
         rectangle_m: tuple[float, float, float, float],
-        pose: tuple[float, float, float],
+        pose: GripPose,
         level: float,
         weight: float,
     ) -> None:
@@ -168,9 +194,7 @@ class _Polygons:
         corners = _placed(np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]), pose)
         self.add(corners[None], np.array([level]), 1.0, weight)
 
-    def add_jaw(
-        self, pose: tuple[float, float, float], options: RenderOptions, weight: float
-    ) -> None:
+    def add_jaw(self, pose: GripPose, options: RenderOptions, weight: float) -> None:
         self.add_rectangle(options.plate_m, pose, options.plate_level, weight)
         marks = np.asarray(options.marks_m)
         discs = marks[:, None, :2] + marks[:, 2, None, None] * _CIRCLE
@@ -229,16 +253,19 @@ _ANGLES = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
 _CIRCLE = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)
 
 
-def _placed(points: FloatArray, pose: tuple[float, float, float]) -> FloatArray:
+def _placed(points: FloatArray, pose: GripPose) -> FloatArray:
+    if isinstance(pose, np.ndarray):
+        about: FloatArray = points @ pose[:3, :2].T + pose[:3, 3]
+        return about
     x, y, angle = pose
     c, s = np.cos(angle), np.sin(angle)
     turned: FloatArray = points @ np.array([[c, s], [-s, c]]) + [x, y]
     return turned
 
 
-def _moved(
-    pose: tuple[float, float, float], rate: tuple[float, float, float], later_s: float
-) -> tuple[float, float, float]:
+def _moved(pose: GripPose, rate: tuple[float, float, float], later_s: float) -> GripPose:
+    if isinstance(pose, np.ndarray):
+        return pose  # shown at rest
     return (
         pose[0] + later_s * rate[0],
         pose[1] + later_s * rate[1],
@@ -250,7 +277,7 @@ def _copies(
     cable_m: FloatArray | None,
     cable_m_per_s: FloatArray | None,
     grip_per_s: tuple[float, float, float],
-    homography: FloatArray,
+    sight: Sight,
     options: RenderOptions,
 ) -> int:
     """How many displaced copies make a smooth motion blur: one per half pixel, at most 16."""
@@ -262,8 +289,8 @@ def _copies(
                 f" {np.shape(cable_m_per_s)} must have the same shape"
             )
         speed = max(speed, float(np.linalg.norm(cable_m_per_s, axis=1).max()))
-    pixel_m = float(np.hypot(homography[0, 0], homography[1, 0]) / abs(homography[2, 2]))
-    return int(np.clip(ceil(2.0 * speed * options.exposure_s / pixel_m), 1, 16))
+    blur_px = speed * options.exposure_s / metres_per_pixel(sight)
+    return int(np.clip(ceil(2.0 * blur_px), 1, 16))
 
 
 @njit(cache=True)

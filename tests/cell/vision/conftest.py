@@ -91,7 +91,7 @@ def photograph_of(view):
         return render(
             faults.pop("cable_m", held.line_m),
             held.grip,
-            faults.pop("homography", view.homography),
+            faults.pop("sight", view.homography),
             options,
             np.random.default_rng(seed),
             cable_m_per_s=moving if swing else None,

@@ -76,7 +76,7 @@ def test_a_tilted_camera_sees_the_same_nodes(make_random_cable, photograph_of):
     rng = np.random.default_rng(2)
     for seed in range(6):
         held = make_random_cable(rng)
-        image = photograph_of(held, seed=seed, homography=tilted.homography)
+        image = photograph_of(held, seed=seed, sight=tilted.homography)
         sighting = detect(image, 0.0, tilted, OPTIONS)
         assert sighting.seen
         assert rms(held.errors(sighting.nodes_m)[0]) < 0.05e-3

@@ -1,0 +1,108 @@
+"""How a lens distorts: where a pinhole camera would see a point, and where the picture has it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+#: Order of the numbers of a lens.
+LENS_NUMBERS = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2", "k3")
+
+
+@dataclass(frozen=True)
+class Lens:
+    """Focal lengths, optical axis (centre of the first pixel = 0, 0) and distortion of a camera.
+
+    An *ideal* pixel is where a pinhole camera with these focal lengths and axis, but without
+    distortion, has a point.
+
+    source  Brown 1966; the numbers are those of OpenCV's five-parameter model
+    """
+
+    fx_px: float
+    fy_px: float
+    cx_px: float
+    cy_px: float
+    k1: float = 0.0
+    k2: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+    k3: float = 0.0
+
+    @classmethod
+    def of(cls, numbers: FloatArray) -> Lens:
+        """Lens from its (9,) numbers in the order of `LENS_NUMBERS`."""
+        return cls(*(float(v) for v in numbers))
+
+    @cached_property
+    def numbers(self) -> FloatArray:
+        """(9,) in the order of `LENS_NUMBERS`."""
+        return np.array([getattr(self, name) for name in LENS_NUMBERS])
+
+    @property
+    def matrix(self) -> FloatArray:
+        """(3, 3) camera matrix: direction → ideal pixel."""
+        return np.array(
+            [[self.fx_px, 0.0, self.cx_px], [0.0, self.fy_px, self.cy_px], [0.0, 0.0, 1.0]]
+        )
+
+    def distorted(self, ideal_px: FloatArray) -> FloatArray:
+        """(…, 2) ideal pixels → (…, 2) pixels of the picture."""
+        return distort(self.numbers, np.asarray(ideal_px, dtype=np.float64))
+
+    def ideal(self, pixels: FloatArray) -> FloatArray:
+        """(…, 2) pixels of the picture → (…, 2) ideal pixels; nan where no point is seen there."""
+        pixels = np.asarray(pixels, dtype=np.float64)
+        flat = np.ascontiguousarray(pixels.reshape(-1, 2))
+        return np.asarray(_undistorted(self.numbers, flat)).reshape(pixels.shape)
+
+
+def distort(numbers: FloatArray, ideal_px: FloatArray) -> FloatArray:
+    """(…, 2) ideal pixels → (…, 2) pixels, for the (9,) numbers of a lens."""
+    fx, fy, cx, cy, k1, k2, p1, p2, k3 = numbers
+    x, y = (ideal_px[..., 0] - cx) / fx, (ideal_px[..., 1] - cy) / fy
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    u = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
+    v = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
+    return np.stack([fx * u + cx, fy * v + cy], axis=-1)
+
+
+@njit(cache=True)
+def _undistorted(numbers, pixels):  # type: ignore[no-untyped-def]
+    """(N, 2) ideal pixels by Newton's method: 1e-9 px after five steps, or nan."""
+    fx, fy, cx, cy = numbers[0], numbers[1], numbers[2], numbers[3]
+    k1, k2, p1, p2, k3 = numbers[4], numbers[5], numbers[6], numbers[7], numbers[8]
+    out = np.empty_like(pixels)
+    for i in range(len(pixels)):
+        u, v = (pixels[i, 0] - cx) / fx, (pixels[i, 1] - cy) / fy
+        x, y = u, v
+        left = np.inf
+        for _ in range(20):
+            r2 = x * x + y * y
+            radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+            slope = 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3))
+            e = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x) - u
+            f = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y - v
+            left = abs(e) + abs(f)
+            if left < 1e-13:
+                break
+            a = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
+            b = slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y
+            d = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
+            determinant = a * d - b * b
+            if determinant <= 0.0:
+                left = np.inf
+                break
+            x -= (d * e - b * f) / determinant
+            y -= (a * f - b * e) / determinant
+        found = left < 1e-10
+        out[i, 0] = fx * x + cx if found else np.nan
+        out[i, 1] = fy * y + cy if found else np.nan
+    return out
