@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Trajectory as FilePath
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -162,7 +162,7 @@ def test_the_child_outlives_neither_cell_nor_controller(
         child = int(cell.stdout.readline())
         cell.kill()
     ur_emulator.ask(also, **({"seconds": 8.0} if also == "freeze" else {}))
-    until(lambda: not FilePath(f"/proc/{child}").exists(), 6.0)
+    until(lambda: not Path(f"/proc/{child}").exists(), 6.0)
 
 
 def test_a_stop_reaches_the_controller_soon(arm, ur_emulator, line) -> None:

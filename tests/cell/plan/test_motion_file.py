@@ -12,7 +12,7 @@ from cell.settings import Settings, load_settings
 from cell.settings.model import Pose as HomePose
 from drivers.interfaces import Pose
 
-CONFIG = Path(__file__).parents[2] / "config" / "fake.yaml"
+CONFIG = Path(__file__).parents[3] / "config" / "fake.yaml"
 
 RIGHT = """\
 format: cell-motion/1

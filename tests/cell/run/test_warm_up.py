@@ -13,7 +13,7 @@ from cell.run.warm_up import made_up_picture, warm_up
 from cell.vision.detect import VisionOptions, detect_all
 from cell.vision.marks import JawMarks
 
-CONFIG = Path(__file__).parents[2] / "config" / "fake.yaml"
+CONFIG = Path(__file__).parents[3] / "config" / "fake.yaml"
 SMALL = JawMarks(((0.002, 0.003), (0.002, -0.003), (0.012, 0.003)), 0.001)
 
 

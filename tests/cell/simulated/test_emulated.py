@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-CONFIG = Path(__file__).parents[2] / "config" / "emulated.yaml"
+CONFIG = Path(__file__).parents[3] / "config" / "emulated.yaml"
 
 A_SWING = """
 from pathlib import Path

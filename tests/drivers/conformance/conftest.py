@@ -10,7 +10,7 @@ import contextlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Trajectory as FilePath
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -225,7 +225,7 @@ def serial_gripper(request: pytest.FixtureRequest) -> Iterator[GripperBench]:
 
 
 @pytest.fixture
-def real_bench(request: pytest.FixtureRequest, tmp_path: FilePath) -> Station:
+def real_bench(request: pytest.FixtureRequest, tmp_path: Path) -> Station:
     """The devices of the settings, not connected yet, within the settings' limits."""
     from cell.build import cell_with, real_devices
     from cell.settings import load_settings
