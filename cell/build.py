@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from cell.computer.memory import one_heap
 from cell.computer.second_process import SecondProcess
-from cell.identify.individual import IdentifyOptions
 from cell.plan.choose import ChoiceOptions
 from cell.plan.destination import Destination
 from cell.plan.paths import MotionLimits
@@ -18,7 +17,7 @@ from cell.run.cycle import Cell
 from cell.run.station import Devices, Task
 from cell.settings import Settings
 from cell.settings import model as given
-from cell.settings.translate import cable_of, pose_of, view_of
+from cell.settings.translate import cable_of, identification_of, pose_of, view_of
 from cell.simulated.twins import Twins, build_twins
 from cell.vision.detect import VisionOptions
 from drivers.clock import RealClock
@@ -78,7 +77,7 @@ def cell_with(
     hurried = watched or settings.world.real_time_factor is not None
     return Cell(
         guarded,
-        _task(settings),
+        cell_task(settings),
         settings.model_dump(mode="json"),
         runs,
         on_step,
@@ -122,7 +121,8 @@ def _real_camera(settings: Settings, clock: RealClock) -> Camera:
     raise AssertionError("the settings refuse a simulated camera beside a real arm")
 
 
-def _task(settings: Settings) -> Task:
+def cell_task(settings: Settings) -> Task:
+    """What the settings ask the cell to do with every cable."""
     motion = settings.motion
     return Task(
         cable=cable_of(settings),
@@ -143,7 +143,7 @@ def _task(settings: Settings) -> Task:
         force_n=settings.gripper.force_n,
         view=view_of(settings.camera.view),
         vision=VisionOptions(free_length_m=settings.cable.free_length_m),
-        identification=IdentifyOptions(method=settings.identification.method),
+        identification=identification_of(settings),
         choice=ChoiceOptions(least_probability=settings.choice.min_probability),
     )
 

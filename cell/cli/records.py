@@ -17,9 +17,13 @@ app = group()
 @app.command()
 def identify(
     folder: Annotated[Path, typer.Argument(help="A cycle's folder, or any study.")],
+    config: Annotated[
+        Path | None,
+        typer.Option("--config", "-c", help="Settings whose `model` is used; default: recorded."),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="The model as JSON.")] = False,
 ) -> None:
-    """Identify a cable again, from its folder alone.
+    """Identify a cable again, from its folder alone, with the model of its settings.
 
     Ends with 0, 1 if the cable cannot be identified, 2 if the folder is wrong.
     """
@@ -29,15 +33,17 @@ def identify(
     from cell.identify.individual import CableRejectedError, IdentifyOptions
     from cell.identify.individual import identify as identify_cable
     from cell.settings import load_settings
+    from cell.settings.translate import identification_of
     from cell.study.folder import read_study
     from cell.terminal.console import parameters_table
 
     recorded = (folder / "state.json").exists()
     try:
         study = read_study(folder / "study" if recorded else folder)
-        method = "map"
-        if recorded:
-            method = load_settings(folder / "settings.yaml").identification.method
+        settings = config or (folder / "settings.yaml" if recorded else None)
+        options = IdentifyOptions()
+        if settings is not None:
+            options = identification_of(load_settings(settings))
         if not study.role("fit"):
             raise InputError([Problem(folder, 1, None, "", "no trial has the role `fit`")])
         identified = identify_cable(
@@ -45,7 +51,7 @@ def identify(
             study.arc_length_m,
             study.cable,
             gravity_m_per_s2=study.gravity_m_per_s2,
-            options=IdentifyOptions(method="paper" if method == "paper" else "map"),
+            options=options,
         )
     except InputError as error:
         refuse(error)

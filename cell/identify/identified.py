@@ -97,6 +97,7 @@ class Identified:
             "gravity_m_per_s2": list(self.space.gravity_m_per_s2),
             "knots": self.space.knots,
             "effects": [effect.name for effect in self.space.effects],
+            "exact": dict(self.space.exact),
             "parameters": [
                 {"name": n, "unit": u, "value": float(v), "low": float(lo), "high": float(hi)}
                 for n, u, v, lo, hi in zip(
@@ -135,6 +136,7 @@ class Identified:
                 gravity_m_per_s2=(float(gx), float(gy)),
                 effects=[known[name] for name in data["effects"]],
                 prior=Prior(knots=int(data["knots"])),
+                exact=data.get("exact"),
             )
             names = tuple(p["name"] for p in data["parameters"])
             values = np.array([p["value"] for p in data["parameters"]], dtype=np.float64)

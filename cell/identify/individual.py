@@ -13,8 +13,8 @@ from cell.cable.geometry import GRAVITY_M_PER_S2, Cable, Motion
 from cell.identify.fit import FitError, FitOptions, fit, still_noise
 from cell.identify.hand import HandErrors, align_motion, moves_from_s
 from cell.identify.identified import Identified
+from cell.identify.model_class import ModelClass
 from cell.identify.paper import fit_as_paper
-from cell.identify.parameters import ParameterSpace, Prior
 from cell.identify.predicted_frames import PredictedFrames
 from cell.identify.predicted_frames import predict_frames as foresee_frames
 from cell.study.data import Markers, Trial
@@ -61,11 +61,12 @@ class Acceptance:
 class IdentifyOptions:
     """How cables are identified.
 
+    kind          what all cables have in common
     bias_m        constant error across the cable of every node: vision's and the mesh's
     """
 
     method: Literal["map", "paper"] = "map"
-    prior: Prior = Prior()  # noqa: RUF009
+    kind: ModelClass = ModelClass()  # noqa: RUF009
     fit: FitOptions = FitOptions(hand=HandErrors(offset_m=2e-6, offset_rad=2e-5))  # noqa: RUF009
     acceptance: Acceptance = Acceptance()
     bias_m: float = 6e-6
@@ -123,11 +124,11 @@ def identify(
                 cable,
                 gravity_m_per_s2,
                 noise=noise,
-                prior=options.prior,
+                prior=options.kind.weak,
                 options=options.fit,
             )
         else:
-            space = ParameterSpace.of(cable, gravity_m_per_s2=gravity_m_per_s2, prior=options.prior)
+            space = options.kind.space(cable, gravity_m_per_s2)
             identified = fit(
                 [free],
                 arc_length_m[hangs],

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,6 +52,7 @@ class ParameterSpace:
     mean, precision   (p,), (p, p) of the Gaussian prior of q
     low, high     (p,) bounds of q
     step          (p,) of finite differences
+    exact         effects' parameters that are no coordinates: name → natural value
     """
 
     cable: Cable
@@ -66,6 +67,7 @@ class ParameterSpace:
     low: FloatArray
     high: FloatArray
     step: FloatArray
+    exact: tuple[tuple[str, float], ...] = ()
 
     @classmethod
     def of(
@@ -75,8 +77,13 @@ class ParameterSpace:
         gravity_m_per_s2: tuple[float, float] = GRAVITY_M_PER_S2,
         effects: Sequence[type[Effect]] = (),
         prior: Prior = Prior(),
+        exact: Mapping[str, float] | None = None,
     ) -> ParameterSpace:
-        """Baseline plus `effects`, with a weak prior."""
+        """Baseline plus `effects`, with a weak prior.
+
+        exact  natural values of effects' parameters that no fit may change, by `effect.parameter`
+        """
+        held = dict(exact or {})
         k = prior.knots
         weight_n_per_m = cable.line_density_kg_per_m * float(np.hypot(*gravity_m_per_s2))
         if weight_n_per_m == 0.0:
@@ -99,7 +106,10 @@ class ParameterSpace:
         step = [1e-4] * (k + 2)
         for effect in effects:
             for p in effect.parameters:
-                names.append(f"{effect.name}.{p.name}")
+                name = f"{effect.name}.{p.name}"
+                if name in held:
+                    continue
+                names.append(name)
                 units.append(p.unit)
                 in_logarithm = p.low > 0.0
                 size = max(abs(start - p.default) for start in p.starts) or abs(p.default) or 1.0
@@ -124,6 +134,7 @@ class ParameterSpace:
             np.array(low),
             np.array(high),
             np.array(step),
+            tuple(held.items()),
         )
 
     def natural(self, q: FloatArray) -> FloatArray:
@@ -136,23 +147,22 @@ class ParameterSpace:
 
     def model(self, q: FloatArray) -> CableModel:
         """The cable with fit coordinates q (p,)."""
-        values = self.natural(q)
+        natural = self.natural(q)
         k = self.knots
+        values = dict(zip(self.names[k + 2 :], natural[k + 2 :].tolist(), strict=True))
+        values.update(self.exact)
         active = []
-        begin = k + 2
         for effect in self.effects:
-            end = begin + len(effect.parameters)
-            inside = [
-                min(max(float(v), p.low), p.high)
-                for v, p in zip(values[begin:end], effect.parameters, strict=True)
-            ]
-            active.append(effect.active(**dict(zip(_names(effect), inside, strict=True))))
-            begin = end
+            inside = {
+                p.name: min(max(values[f"{effect.name}.{p.name}"], p.low), p.high)
+                for p in effect.parameters
+            }
+            active.append(effect.active(**inside))
         return CableModel(
             self.cable,
-            values[:k],
-            float(values[k]),
-            float(values[k + 1]),
+            natural[:k],
+            float(natural[k]),
+            float(natural[k + 1]),
             self.gravity_m_per_s2,
             tuple(active),
         )
@@ -164,19 +174,23 @@ class ParameterSpace:
         )
 
     def start(self, rigidity_n_m2: float) -> FloatArray:
-        """(p,) a uniform cable, linear, damped as the prior says, effects at their first start."""
+        """(p,) a cable of the prior's shape, exponent and damping, as stiff as this in the middle.
+
+        A parameter of an effect begins where its prior is if that knows it to within half the size
+        that it is usually started from, else at that size.
+        """
         q = self.mean.copy()
         shift = np.log(rigidity_n_m2) - q[: self.knots].mean()
         q[: self.knots] += shift
         q[self.knots + 1] += shift
-        first = [p.starts[0] for e in self.effects for p in e.parameters]
-        if first:
-            effects = slice(self.knots + 2, None)
-            natural = self.natural(q)
-            natural[effects] = first
-            q[effects] = self.coordinates(natural)[effects]
-        return np.clip(q, self.low, self.high)
-
-
-def _names(effect: type[Effect]) -> list[str]:
-    return [p.name for p in effect.parameters]
+        natural = self.natural(q)
+        for effect in self.effects:
+            for p in effect.parameters:
+                name = f"{effect.name}.{p.name}"
+                if name not in self.names:
+                    continue
+                i = self.names.index(name)
+                size = 1.0 if self.logarithmic[i] else max(abs(v - p.default) for v in p.starts)
+                if self.precision[i, i] * (0.5 * size) ** 2 < 1.0:
+                    natural[i] = p.starts[0]
+        return np.clip(self.coordinates(natural), self.low, self.high)

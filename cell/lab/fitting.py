@@ -274,11 +274,13 @@ def space_with(space: ParameterSpace, effects: Sequence[type[Effect]]) -> Parame
     The prior of everything that both spaces have is kept, an earlier individual's included; the
     amplitudes of effects have none to speak of.
     """
+    of_effects = tuple(f"{e.name}." for e in effects)
     new = ParameterSpace.of(
         space.cable,
         gravity_m_per_s2=space.gravity_m_per_s2,
         effects=tuple(effects),
         prior=Prior(knots=space.knots),
+        exact={n: v for n, v in space.exact if n.startswith(of_effects)},
     )
     kept = [n for n in new.names if n in space.names]
     to = [new.names.index(n) for n in kept]
@@ -290,7 +292,10 @@ def space_with(space: ParameterSpace, effects: Sequence[type[Effect]]) -> Parame
     low[to], high[to] = space.low[source], space.high[source]
     for effect in effects:
         for parameter in effect.parameters:
-            i = new.names.index(f"{effect.name}.{parameter.name}")
+            name = f"{effect.name}.{parameter.name}"
+            if name not in new.names:
+                continue
+            i = new.names.index(name)
             if not parameter.fitted:
                 low[i] = high[i] = mean[i]
             elif parameter.amplitude and i not in to:

@@ -120,10 +120,11 @@ def check_ready(station: Station) -> None:
 
 def warm_up(station: Station) -> None:
     """Have everything compiled and loaded where it will be needed.  Raises DeviceLostError."""
-    warm_up_engine(station.task.cable)
+    cable, kind = station.task.cable, station.task.identification.kind
+    warm_up_engine(cable, kind)
     warm_up_eyes(station.task.vision)
     try:
-        station.computer.submit(warm_up_engine, station.task.cable).result()
+        station.computer.submit(warm_up_engine, cable, kind).result()
     except BrokenExecutor as error:
         raise DeviceLostError(
             "computer",

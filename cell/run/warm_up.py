@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from calib.plane import PlaneView
 from cell.cable.dynamics import simulate
 from cell.cable.geometry import Cable, Motion, node_arc_lengths
-from cell.cable.model import CableModel
-from cell.identify.individual import hold_trial, identify, predict_frames
+from cell.identify.individual import IdentifyOptions, hold_trial, identify, predict_frames
+from cell.identify.model_class import ModelClass
 from cell.plan.choose import choose, forecast
 from cell.plan.destination import Destination
 from cell.plan.paths import MotionLimits, executed_motion, identification_path, insertion_path
@@ -25,7 +25,7 @@ _MARK_PX, _DARK, _BEHIND, _LIGHT = 6.0, 30, 120, 210
 
 
 @cache
-def warm_up(cable: Cable) -> None:
+def warm_up(cable: Cable, kind: ModelClass = ModelClass()) -> None:  # noqa: B008
     """Identify a made-up cable and choose a motion for it; what comes out is forgotten."""
     home, limits, rate_hz = Pose(0.0, 0.0), MotionLimits(), 500.0
     length_m = cable.free_length_m
@@ -35,14 +35,16 @@ def warm_up(cable: Cable) -> None:
     x_m, y_m = (v + rng.normal(scale=_NOISE_M, size=len(v)) for v in (down.x_m, down.y_m))
     hand = Motion(down.t_s, x_m, y_m, down.angle_rad)
     rigidity = 0.4 * cable.line_density_kg_per_m * 9.81 * length_m**3
-    model = CableModel(cable, np.array([rigidity]), 1.0, 0.004 * rigidity)
+    space = kind.space(cable)
+    model = space.model(space.start(rigidity))
     arc_length_m = node_arc_lengths(length_m)
     nodes_m = simulate(model, hand, t_s, arc_length_m)[0]
     nodes_m += rng.normal(scale=_NOISE_M, size=nodes_m.shape)
     seen_m = np.column_stack([np.interp(t_s, hand.t_s, v) for v in (hand.x_m, hand.y_m)])
     trial = hold_trial(hand, t_s, nodes_m, seen_m, np.zeros(len(t_s)))
-    identified = identify(trial, arc_length_m, cable)
-    predict_frames(trial, t_s, arc_length_m, identified)
+    options = IdentifyOptions(kind=kind)
+    identified = identify(trial, arc_length_m, cable, options=options)
+    predict_frames(trial, t_s, arc_length_m, identified, options)
     path = insertion_path(home, 0.0, 0.5 * length_m, limits, rate_hz)
     expected = forecast(identified, np.zeros(1), [executed_motion(path, 0.03)])
     hole = Destination(-1.4 * length_m, -1.3 * length_m, -length_m, length_m)

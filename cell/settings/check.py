@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from pathlib import Path
 
@@ -21,11 +22,29 @@ def load_settings(path: Path) -> Settings:
     raises  InputError: every mistake, each with file, line, column, key, value, limit, remedy
     """
     document = load(path)
-    settings = validate(document, Settings)
+    settings = _with_files(validate(document, Settings), path)
     problems = contradictions(document, settings)
     if problems:
         raise InputError(problems)
     return settings
+
+
+def _with_files(settings: Settings, path: Path) -> Settings:
+    """The settings with files of effects as whole paths: they are named relative to the settings.
+
+    What is recorded says which file it was, and what was in it.
+    """
+    effects = []
+    for entry in settings.model.effects:
+        if entry.effect.endswith(".py"):
+            file = (path.resolve().parent / entry.effect).resolve()
+            sha256 = entry.sha256
+            if sha256 is None and file.is_file():
+                sha256 = hashlib.sha256(file.read_bytes()).hexdigest()
+            entry = entry.model_copy(update={"effect": str(file), "sha256": sha256})
+        effects.append(entry)
+    model = settings.model.model_copy(update={"effects": effects})
+    return settings.model_copy(update={"model": model})
 
 
 def contradictions(document: Document, settings: Settings) -> list[Problem]:
@@ -38,6 +57,7 @@ def contradictions(document: Document, settings: Settings) -> list[Problem]:
         *_devices(document, settings),
         *_emulated(document, settings),
         *_hidden_effects(document, settings),
+        *_model(document, settings),
     ]
     # Where the hand cannot go, what the tip can reach is an idle question.
     return problems or [*_destination_in_reach(document, settings), *_in_view(document, settings)]
@@ -211,6 +231,14 @@ def _hidden_effects(document: Document, settings: Settings) -> list[Problem]:
             message = "cannot be shown live, as an emulated camera must; leave it out"
             problems.append(document.problem(key, message))
     return problems
+
+
+def _model(document: Document, settings: Settings) -> list[Problem]:
+    if not settings.model.effects and settings.model.prior is None:
+        return []
+    from cell.settings.check_model import model_problems  # compiled code, as above
+
+    return list(model_problems(document, settings))
 
 
 def _destination_in_reach(document: Document, settings: Settings) -> list[Problem]:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, Field, Tag
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
@@ -134,6 +134,55 @@ class Choice(_Section):
 
     min_probability: Fraction = 0.9
     """Least probability that the tip passes the destination; below it the cable is rejected."""
+
+
+class Known(_Section):
+    """A parameter of an effect that is known."""
+
+    fixed: Finite
+    """Its value."""
+    std: NotNegative = 0.0
+    """Standard deviation of the value; 0 = exact.  Otherwise a cable's frames may correct it, by no
+    more than it is uncertain."""
+
+
+class ModelEffect(_Section):
+    """Physics that the cables have beside the baseline."""
+
+    effect: Annotated[str, Field(min_length=1)]
+    """Name of an effect of the library, or a file.py with one of your own."""
+    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None
+    """Of the file: a file that was changed is refused.  Null = whatever is in it."""
+    parameters: dict[
+        str,
+        Annotated[
+            Annotated[Known, Tag("known")] | Annotated[Literal["prior", "fitted"], Tag("word")],
+            Discriminator(lambda given: "word" if isinstance(given, str) else "known"),
+        ],
+    ] = {}
+    """Each known, with a batch's `prior`, or `fitted` to every cable; not named = fitted."""
+
+
+class BatchPrior(_Section):
+    """Gaussian prior of an individual's parameters: what a batch of cables has shown."""
+
+    names: list[str]
+    """`rigidity_0` … `rigidity_5` (EI from the jaw to the tip), `exponent`, `viscosity`, and
+    `effect.parameter` for those of effects."""
+    mean: list[Finite]
+    """Natural values, one per name."""
+    covariance: list[list[Finite]]
+    """Of their logarithms, except for the exponent and for effects' parameters that may be 0."""
+
+
+class Model(_Section):
+    """What all cables have in common beside the data sheet; empty = the baseline model.
+
+    `cell learn` finds it out and `cell promote` writes it here."""
+
+    effects: list[ModelEffect] = []
+    prior: BatchPrior | None = None
+    """Null = a weak one."""
 
 
 # --- devices ----------------------------------------------------------------------------------
@@ -314,6 +363,7 @@ class Settings(_Section):
     ]
     gripper: Annotated[SimulatedGripper | SerialGripper, Field(discriminator="kind")]
     identification: Identification = Identification()
+    model: Model = Model()
     choice: Choice = Choice()
     world: World = World()
     emulated: Emulated | None = None

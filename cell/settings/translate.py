@@ -2,8 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
+
+import numpy as np
+
 from calib.plane import PlaneView
+from cell.cable.effects import Effect
 from cell.cable.geometry import Cable
+from cell.identify.individual import IdentifyOptions
+from cell.identify.model_class import ModelClass, effect_from
 from cell.settings import model as given
 from cell.settings.model import Settings
 from drivers.interfaces import Pose
@@ -22,3 +30,60 @@ def pose_of(pose: given.Pose) -> Pose:
 def view_of(view: given.View) -> PlaneView:
     """The map between pixels and the cell's plane."""
     return PlaneView.from_scale(view.metres_per_pixel, view.origin_column_px, view.origin_row_px)
+
+
+def identification_of(settings: Settings) -> IdentifyOptions:
+    """How cables are identified, with the model of the settings.  Raises as `model_class_of`."""
+    method = settings.identification.method
+    return IdentifyOptions(method=method, kind=model_class_of(settings.model))
+
+
+def model_class_of(model: given.Model) -> ModelClass:
+    """What all cables have in common.
+
+    raises  KeyError, FileNotFoundError, EffectError: an effect that is not there, or is wrong;
+            ValueError: a parameter that it has not
+    """
+    effects: list[type[Effect]] = []
+    exact: list[tuple[str, float]] = []
+    names, means, stds = [], [], []
+    for entry in model.effects:
+        effect = effect_from(entry.effect)
+        effects.append(effect)
+        parameters = {p.name: p for p in effect.parameters}
+        for key, stated in entry.parameters.items():
+            if key not in parameters:
+                raise ValueError(f"{effect.name} has no parameter {key!r}; it has {[*parameters]}")
+            if isinstance(stated, str):
+                continue
+            name = f"{effect.name}.{key}"
+            if stated.std == 0.0:
+                effect.active(**{key: stated.fixed})
+                exact.append((name, stated.fixed))
+                continue
+            names.append(name)
+            means.append(stated.fixed)
+            stds.append(stated.std / (stated.fixed if parameters[key].low > 0.0 else 1.0))
+    covariance = np.diag(np.square(stds))
+    if model.prior is not None:
+        batch = np.array(model.prior.covariance).reshape(len(model.prior.names), -1)
+        none = np.zeros((len(names), batch.shape[1]))
+        covariance = np.block([[covariance.reshape(len(names), -1), none], [none.T, batch]])
+        names, means = names + model.prior.names, means + model.prior.mean
+    return ModelClass(
+        tuple(effects),
+        tuple(exact),
+        tuple(names),
+        tuple(means),
+        tuple(tuple(map(float, row)) for row in covariance),
+    )
+
+
+def model_hash(model: given.Model) -> str:
+    """Short hash of what a model says, wherever its files lie."""
+    plain = model.model_dump(mode="json")
+    for entry in plain["effects"]:
+        if entry["sha256"]:
+            entry["effect"] = entry["effect"].replace("\\", "/").rpartition("/")[2]
+    text = json.dumps(plain, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()[:12]

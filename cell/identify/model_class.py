@@ -1,0 +1,147 @@
+"""What all cables of a kind have in common: physics beside the baseline, and a batch's prior."""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable.effects import Effect, library, load_effect, unscreened
+from cell.cable.geometry import GRAVITY_M_PER_S2, Cable
+from cell.identify.parameters import ParameterSpace, Prior
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ModelClass:
+    """Physics that a kind of cable has beside the baseline, and what is known of its individuals.
+
+    effects     beside the baseline, their parameters fitted to each cable unless stated below
+    exact       effects' parameters taken as they are: (`effect.parameter`, natural value)
+    names       parameters with a Gaussian prior, as in `ParameterSpace.names`
+    mean        their natural values
+    covariance  of their fit coordinates: relative for those that are fitted in the logarithm
+    weak        prior of everything else
+    """
+
+    effects: tuple[type[Effect], ...] = ()
+    exact: tuple[tuple[str, float], ...] = ()
+    names: tuple[str, ...] = ()
+    mean: tuple[float, ...] = ()
+    covariance: tuple[tuple[float, ...], ...] = ()
+    weak: Prior = Prior()  # noqa: RUF009
+
+    def space(
+        self, cable: Cable, gravity_m_per_s2: tuple[float, float] = GRAVITY_M_PER_S2
+    ) -> ParameterSpace:
+        """The parameters of one such cable, before it is seen.
+
+        raises  ValueError: a name is unknown or taken as exact, values outside their bounds, a
+                covariance that is none
+        """
+        constants = {
+            f"{e.name}.{p.name}": p.default for e in self.effects for p in e.parameters
+            if not p.fitted
+        }  # fmt: skip
+        space = ParameterSpace.of(
+            cable,
+            gravity_m_per_s2=gravity_m_per_s2,
+            effects=self.effects,
+            prior=self.weak,
+            exact={
+                **{n: v for n, v in constants.items() if n not in self.names},
+                **dict(self.exact),
+            },
+        )
+        return with_prior(space, self.names, self.mean, self.covariance)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled with the files of its effects, so that another process can load them."""
+        rest = (self.exact, self.names, self.mean, self.covariance, self.weak)
+        return _rebuilt, (tuple(source_of(e) for e in self.effects), rest)
+
+
+def with_prior(
+    space: ParameterSpace,
+    names: Sequence[str],
+    mean: Sequence[float],
+    covariance: Sequence[Sequence[float]] | FloatArray,
+) -> ParameterSpace:
+    """The space with a Gaussian prior of some of its parameters; that of the others stays.
+
+    mean        natural values
+    covariance  of fit coordinates
+    raises      ValueError: see `ModelClass.space`
+    """
+    if not names:
+        return space
+    unknown = [n for n in names if n not in space.names]
+    if unknown:
+        raise ValueError(f"no fitted parameters {unknown}; there are {list(space.names)}")
+    spread = np.array(covariance, dtype=np.float64)
+    if len(mean) != len(names) or spread.shape != (len(names), len(names)):
+        raise ValueError(
+            f"{len(names)} names, {len(mean)} means and a covariance of shape {spread.shape}: "
+            "needs one mean per name, and a row and a column of the covariance"
+        )
+    if not np.allclose(spread, spread.T) or np.linalg.eigvalsh(spread).min() <= 0.0:
+        raise ValueError("the covariance is not symmetric and positive definite")
+    index = [space.names.index(n) for n in names]
+    natural = space.natural(space.mean)
+    for i, n, value in zip(index, names, mean, strict=True):
+        low, high = space.natural(space.low)[i], space.natural(space.high)[i]
+        if not low <= value <= high:
+            raise ValueError(f"{n} = {value:g} {space.units[i]}: must be {low:.3g} … {high:.3g}")
+        natural[i] = value
+    precision = space.precision.copy()
+    precision[index, :] = 0.0
+    precision[:, index] = 0.0
+    precision[np.ix_(index, index)] = np.linalg.inv(spread)
+    return replace(space, mean=space.coordinates(natural), precision=precision)
+
+
+def known_effects() -> Mapping[str, type[Effect]]:
+    """Effects that need no file, by name."""
+    return library() | unscreened()
+
+
+def source_of(effect: type[Effect]) -> str:
+    """What an effect is loaded by: its name, or the file of a user's own."""
+    if known_effects().get(effect.name) is effect:
+        return effect.name
+    return str(sys.modules[effect.__module__].__file__)
+
+
+def effect_from(source: str) -> type[Effect]:
+    """The effect of a name or a file; of the same file content always the same class.
+
+    raises  KeyError, EffectError, FileNotFoundError
+    """
+    if not source.endswith(".py"):
+        return known_effects()[source]
+    file = Path(source).resolve()
+    if not file.is_file():
+        raise FileNotFoundError(f"{source}: no such effect file")
+    return _loaded(file, sha256_of(file))
+
+
+def sha256_of(file: Path) -> str:
+    """SHA-256 of a file's content, hexadecimal."""
+    return hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+@lru_cache(maxsize=64)
+def _loaded(file: Path, sha256: str) -> type[Effect]:
+    return load_effect(file)
+
+
+def _rebuilt(sources: tuple[str, ...], rest: tuple[Any, ...]) -> ModelClass:
+    return ModelClass(tuple(effect_from(s) for s in sources), *rest)

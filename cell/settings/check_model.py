@@ -1,0 +1,106 @@
+"""Finds what is wrong with the section `model` of the settings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from cell.cable.effects import Effect, EffectError
+from cell.files.located import Document, Key, Problem, did_you_mean
+from cell.identify.model_class import effect_from, known_effects, sha256_of
+from cell.settings.model import Known, Model, ModelEffect, Settings
+from cell.settings.translate import cable_of, model_class_of
+
+_KEY: Key = ("model", "effects")
+
+
+def model_problems(document: Document, settings: Settings) -> Iterator[Problem]:
+    """Every mistake in the section `model`, each at its place."""
+    model = settings.model
+    found: dict[str, type[Effect]] = {}
+    wrong = False
+    for i, entry in enumerate(model.effects):
+        for problem in _effect_problems(document, model, i, entry, found):
+            wrong = True
+            yield problem
+    if settings.identification.method == "paper" and (model.effects or model.prior):
+        message = "'paper' knows neither effects nor priors; use 'map', or leave out `model`"
+        yield document.problem(("identification", "method"), message)
+    if wrong:
+        return
+    held = {f"{name}.{p}" for name, p in _parameters(model, found) if _is_known(model, name, p)}
+    for i, name in enumerate(model.prior.names if model.prior else ()):
+        if name in held:
+            message = f"{name} is `fixed` above; take it out of the prior, with its row and column"
+            yield document.problem(("model", "prior", "names", i), message)
+            wrong = True
+    if not wrong:
+        try:
+            model_class_of(model).space(cable_of(settings))
+        except ValueError as error:
+            yield document.problem(("model", "prior"), str(error))
+
+
+def _effect_problems(
+    document: Document, model: Model, i: int, entry: ModelEffect, found: dict[str, type[Effect]]
+) -> Iterator[Problem]:
+    """Of one entry; an effect that is right joins `found`."""
+    place: Key = (*_KEY, i, "effect")
+    try:
+        if not entry.effect.endswith(".py") and entry.effect not in known_effects():
+            guess = did_you_mean(entry.effect, list(known_effects()))
+            yield document.problem(place, f"{entry.effect!r}: unknown effect{guess}")
+            return
+        effect = effect_from(entry.effect)
+        now = sha256_of(Path(entry.effect)) if entry.effect.endswith(".py") else None
+    except (EffectError, OSError) as error:
+        yield document.problem(place, str(error))
+        return
+    if entry.sha256 is not None and entry.sha256 != now:
+        message = (
+            f"{entry.effect} is not the file that this model was learned with (its SHA-256 is "
+            f"{now}); restore it, or leave out `sha256` to use it as it is"
+            if now
+            else f"{entry.effect} is no file; leave out `sha256`"
+        )
+        yield document.problem((*_KEY, i, "sha256"), message)
+    if effect.name in found:
+        yield document.problem(place, f"{effect.name} is given twice; remove one")
+    found[effect.name] = effect
+    yield from _parameter_problems(document, model, (*_KEY, i, "parameters"), entry, effect)
+
+
+def _parameter_problems(
+    document: Document, model: Model, place: Key, entry: ModelEffect, effect: type[Effect]
+) -> Iterator[Problem]:
+    parameters = {p.name: p for p in effect.parameters}
+    in_prior = set(model.prior.names) if model.prior else set()
+    for key, stated in entry.parameters.items():
+        name = f"{effect.name}.{key}"
+        if key not in parameters:
+            guess = did_you_mean(key, list(parameters))
+            yield document.problem((*place, key), f"{effect.name} has no such parameter{guess}")
+        elif isinstance(stated, Known):
+            p = parameters[key]
+            if not p.low <= stated.fixed <= p.high:
+                message = f"{stated.fixed:g} {p.unit}: must be {p.low:g} … {p.high:g}"
+                yield document.problem((*place, key, "fixed"), message)
+        elif (stated == "prior") != (name in in_prior):
+            message = (
+                f"'prior', but model.prior.names has no {name!r}; name it there, or write 'fitted'"
+                if stated == "prior"
+                else f"'fitted', but model.prior has {name!r}; write 'prior'"
+            )
+            yield document.problem((*place, key), message)
+
+
+def _parameters(model: Model, found: dict[str, type[Effect]]) -> list[tuple[str, str]]:
+    return [(name, p.name) for name, effect in found.items() for p in effect.parameters]
+
+
+def _is_known(model: Model, effect: str, parameter: str) -> bool:
+    return any(
+        isinstance(entry.parameters.get(parameter), Known)
+        for entry in model.effects
+        if effect_from(entry.effect).name == effect
+    )
