@@ -50,11 +50,13 @@ class PlaneView:
 
     def to_plane(self, pixels: FloatArray) -> FloatArray:
         """(…, 2) column, row → (…, 2) x, y in m."""
-        return _apply(self.homography, pixels if self.lens is None else self.lens.ideal(pixels))
+        return map_homography(
+            self.homography, pixels if self.lens is None else self.lens.ideal(pixels)
+        )
 
     def to_pixels(self, points: FloatArray) -> FloatArray:
         """(…, 2) x, y in m → (…, 2) column, row."""
-        ideal = _apply(self._inverse, points)
+        ideal = map_homography(self._inverse, points)
         return ideal if self.lens is None else self.lens.distorted(ideal)
 
 
@@ -92,21 +94,25 @@ def fit_plane(pixels: FloatArray, points_m: FloatArray, lens: Lens | None = None
     if not (np.all(np.isfinite(pixels)) and np.all(np.isfinite(points_m))):
         raise ValueError("a correspondence is not finite")
     ideal = pixels if lens is None else lens.ideal(pixels)
-    view = PlaneView(_homography(ideal, points_m), lens)
+    view = PlaneView(fit_homography(ideal, points_m), lens)
     held_out = np.full(len(pixels), np.nan)
     if len(pixels) > 4:
         for i in range(len(pixels)):
             others = np.arange(len(pixels)) != i
-            left_out = PlaneView(_homography(ideal[others], points_m[others]), lens)
+            left_out = PlaneView(fit_homography(ideal[others], points_m[others]), lens)
             held_out[i] = np.linalg.norm(left_out.to_plane(pixels[i]) - points_m[i])
     residuals = np.linalg.norm(view.to_plane(pixels) - points_m, axis=1)
     return PlaneFit(view, np.asarray(residuals, dtype=np.float64), held_out)
 
 
-def _homography(pixels: FloatArray, points: FloatArray) -> FloatArray:
-    """(3, 3) by singular values, both sides moved to mean 0 and mean distance √2."""
+def fit_homography(pixels: FloatArray, points: FloatArray) -> FloatArray:
+    """(3, 3) that maps (N, 2) pixels to (N, 2) points, by singular values.
+
+    Both sides are moved to mean 0 and mean distance √2 first.
+    raises  ValueError: too nearly on one line
+    """
     T_P, T_W = _normalising(pixels), _normalising(points)
-    p, w = _apply(T_P, pixels), _apply(T_W, points)
+    p, w = map_homography(T_P, pixels), map_homography(T_W, points)
     zero, one = np.zeros(len(p)), np.ones(len(p))
     u, v, x, y = p[:, 0], p[:, 1], w[:, 0], w[:, 1]
     rows = np.concatenate(
@@ -131,7 +137,8 @@ def _normalising(points: FloatArray) -> FloatArray:
     return np.array([[k, 0.0, -k * mean[0]], [0.0, k, -k * mean[1]], [0.0, 0.0, 1.0]])
 
 
-def _apply(h: FloatArray, points: FloatArray) -> FloatArray:
+def map_homography(h: FloatArray, points: FloatArray) -> FloatArray:
+    """(…, 2) points mapped by a (3, 3) homography."""
     p = np.asarray(points, dtype=np.float64)
     w = p[..., 0] * h[2, 0] + p[..., 1] * h[2, 1] + h[2, 2]
     x = p[..., 0] * h[0, 0] + p[..., 1] * h[0, 1] + h[0, 2]

@@ -1,0 +1,271 @@
+"""The camera's lens from pictures of a board: a joint fit of lens, board shape and all poses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.board import Board, BoardView
+from calib.errors import BlurredError, MisfitError, OneSidedError, TooFewError
+from calib.lens import Lens
+from calib.plane import fit_homography, map_homography
+from calib.projection import pose, project, rotation
+from calib.robust import RobustFit, robust_fit
+
+FloatArray = NDArray[np.float64]
+
+#: Fewest pictures from which a lens is found, and a board must be tilted against the others by
+#: so much at least, rad.
+LEAST_VIEWS, LEAST_TILT_RAD = 8, 0.25
+#: Focal length may be uncertain by this share.
+MOST_FOCAL_SPREAD = 0.01
+#: Corners that scatter more than this are blurred, or not those of a flat board, px.
+MOST_NOISE_PX = 0.5
+#: Edges more blurred than this put corners in the wrong place: standard deviation, px.
+MOST_BLUR_PX = 2.5
+#: What is known of any lens and board beforehand: standard deviations about 0.
+_LENS_SPREAD = np.array([np.inf] * 4 + [1.0, 1.0, 0.01, 0.01, 1.0])
+_WARP_SPREAD_M = 1e-3
+_GRID = (13, 10)
+
+
+@dataclass(frozen=True, eq=False)
+class ViewError:
+    """How well one picture agrees with all: corners seen, set aside, and their rms misfit."""
+
+    name: str
+    corners: int
+    outliers: int
+    rms_px: float
+
+
+@dataclass(frozen=True, eq=False)
+class CameraFit:
+    """Lens of a camera, and how sure that is.
+
+    covariance   (9, 9) of the lens' numbers
+    warp_m       height of the board's middle above its left and right, upper and lower edges, m
+    warp_std_m   their standard deviations
+    halves_px    (R, C) distance of the two halves' lenses over the picture, what a plane's pose
+                 can take up left off: shows errors of the model, which a covariance cannot
+    spread_px    (R, C) standard deviation, over the picture, of where the lens puts a point
+    """
+
+    lens: Lens
+    covariance: FloatArray
+    noise_px: float
+    size_px: tuple[int, int]
+    warp_m: tuple[float, float]
+    warp_std_m: tuple[float, float]
+    views: tuple[ViewError, ...]
+    outliers: int
+    halves_px: FloatArray
+    spread_px: FloatArray
+
+
+def fit_camera(views: Sequence[BoardView], board: Board) -> CameraFit:
+    """Lens from pictures of a board.
+
+    raises  TooFewError, OneSidedError, BlurredError, MisfitError
+    """
+    if len(views) < LEAST_VIEWS:
+        raise TooFewError(
+            f"the board was found in {len(views)} pictures, at least {LEAST_VIEWS} are needed",
+            "take more, 20 are good: the board in all corners, near and far, tilted to all sides",
+        )
+    sizes = {view.size_px for view in views}
+    if len(sizes) > 1:
+        raise MisfitError(f"pictures of different sizes: {sorted(sizes)}", "take them anew")
+    size = views[0].size_px
+    _check_blur(views)
+    start, poses = _first_guess(views, board, size)
+    _check_tilts(poses)
+    fit = _fit(views, board, start, poses)
+    mean, cov = fit.mean, fit.covariance
+    lens = Lens.of(mean[:9])
+    _check_fit(fit, lens)
+    halves = [
+        _fit(views[k::2], board, mean[:9], mean[11:].reshape(-1, 6)[k::2]).mean[:9] for k in (0, 1)
+    ]
+    return CameraFit(
+        lens,
+        cov[:9, :9],
+        fit.noise_px,
+        size,
+        (float(mean[9]), float(mean[10])),
+        (float(np.sqrt(cov[9, 9])), float(np.sqrt(cov[10, 10]))),
+        _per_view(views, fit),
+        int(np.count_nonzero(~fit.used)),
+        lens_difference(Lens.of(halves[0]), Lens.of(halves[1]), size),
+        lens_spread(lens, cov[:9, :9], size),
+    )
+
+
+# --- the fit ----------------------------------------------------------------------------------
+
+
+def _first_guess(
+    views: Sequence[BoardView], board: Board, size: tuple[int, int]
+) -> tuple[FloatArray, FloatArray]:
+    """(9,) lens and (V, 6) poses by OpenCV."""
+    flags = cv2.CALIB_FIX_ASPECT_RATIO | cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K3
+    guess = np.array([[1.5 * size[0], 0, size[0] / 2], [0, 1.5 * size[0], size[1] / 2], [0, 0, 1]])
+    try:
+        _, K, distortion, turns, shifts = cv2.calibrateCamera(
+            [board.corners_m[v.ids].astype(np.float32) for v in views],
+            [v.pixels.astype(np.float32) for v in views],
+            size,
+            guess,
+            np.zeros(5),
+            flags=flags | cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_K2,
+        )
+    except cv2.error as error:
+        raise OneSidedError(
+            "no lens explains these pictures", "show the board tilted to all sides"
+        ) from error
+    numbers = np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *distortion.ravel()[:5]])
+    poses = np.array(
+        [np.concatenate([t.ravel(), s.ravel()]) for t, s in zip(turns, shifts, strict=True)]
+    )
+    return numbers, poses
+
+
+def _fit(
+    views: Sequence[BoardView], board: Board, lens: FloatArray, poses: FloatArray
+) -> RobustFit:
+    """Joint fit: parameters are lens (9), warp (2), poses (6 each)."""
+    width, height = board.size_m
+    points = [board.corners_m[v.ids] for v in views]
+    bows = [1.0 - (2.0 * p[:, :2] / (width, height) - 1.0) ** 2 for p in points]
+    seen = np.concatenate([v.pixels for v in views])
+    ends = np.cumsum([len(p) for p in points])
+
+    def model(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        residuals = np.empty_like(seen)
+        slopes = np.zeros((len(seen), 2, len(x)))
+        for k, (flat, bow, end) in enumerate(zip(points, bows, ends, strict=True)):
+            rows = slice(end - len(flat), end)
+            at = 11 + 6 * k
+            R, by_turn = rotation(x[at : at + 3])
+            bent = flat.copy()
+            bent[:, 2] += bow @ x[9:11]
+            pixels, by_point, by_lens = project(x[:9], bent @ R.T + x[at + 3 : at + 6])
+            residuals[rows] = pixels - seen[rows]
+            slopes[rows, :, :9] = by_lens
+            slopes[rows, :, 9:11] = (by_point @ R[:, 2])[:, :, None] * bow[:, None, :]
+            slopes[rows, :, at : at + 3] = by_point @ np.einsum("ijk,nj->nik", by_turn, bent)
+            slopes[rows, :, at + 3 : at + 6] = by_point
+        return residuals, slopes
+
+    start = np.concatenate([lens, [0.0, 0.0], poses.ravel()])
+    spread = np.concatenate([_LENS_SPREAD, [_WARP_SPREAD_M] * 2, np.full(poses.size, np.inf)])
+    expected = np.zeros(len(start))
+    return robust_fit(model, start, expected, spread)
+
+
+def _per_view(views: Sequence[BoardView], fit: RobustFit) -> tuple[ViewError, ...]:
+    ends = np.cumsum([len(v.ids) for v in views])
+    errors = []
+    for view, end in zip(views, ends, strict=True):
+        rows = slice(end - len(view.ids), end)
+        left, used = fit.residuals[rows], fit.used[rows]
+        rms = float(np.sqrt(np.mean(left[used] ** 2))) if used.any() else float("nan")
+        errors.append(ViewError(view.name, len(view.ids), int(np.sum(~used)), rms))
+    return tuple(errors)
+
+
+# --- how sure that is -------------------------------------------------------------------------
+
+
+def picture_grid(size_px: tuple[int, int]) -> FloatArray:
+    """(R, C, 2) pixels spread evenly over a picture, edges included."""
+    columns, rows = _GRID
+    u, v = np.meshgrid(
+        np.linspace(0, size_px[0] - 1, columns), np.linspace(0, size_px[1] - 1, rows)
+    )
+    return np.stack([u, v], axis=-1)
+
+
+def lens_difference(a: Lens, b: Lens, size_px: tuple[int, int]) -> FloatArray:
+    """(R, C) px by which two lenses differ on a plane, once its pose has taken up what it can."""
+    grid = picture_grid(size_px)
+    first, second = a.ideal(grid).reshape(-1, 2), b.ideal(grid).reshape(-1, 2)
+    off = map_homography(fit_homography(first, second), first) - second
+    return np.asarray(np.linalg.norm(off, axis=1).reshape(grid.shape[:2]), dtype=np.float64)
+
+
+def lens_spread(lens: Lens, covariance: FloatArray, size_px: tuple[int, int]) -> FloatArray:
+    """(R, C) standard deviation, px, of points on a plane by that of the lens, as above."""
+    grid = picture_grid(size_px)
+    ideal = lens.ideal(grid).reshape(-1, 2)
+    scale = np.array([lens.fx_px, lens.fy_px])
+    x = (ideal - [lens.cx_px, lens.cy_px]) / scale
+    by_lens = np.empty((len(ideal), 2, 9))
+    for k in range(9):
+        step = np.zeros(9)
+        step[k] = 1e-4 * max(1e-1, abs(lens.numbers[k]))
+        either = [Lens.of(lens.numbers + s).ideal(grid).reshape(-1, 2) for s in (step, -step)]
+        by_lens[:, :, k] = (either[0] - either[1]) / (2.0 * step[k])
+    free = homography_tangents(x) * scale[None, :, None]
+    flat, tangents = by_lens.reshape(-1, 9), free.reshape(-1, 8)
+    basis, _ = np.linalg.qr(tangents)
+    left = flat - basis @ (basis.T @ flat)
+    variance = np.einsum("np,pq,nq->n", left, covariance, left).reshape(-1, 2).sum(axis=1)
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)).reshape(grid.shape[:2]), dtype=np.float64)
+
+
+def homography_tangents(points: FloatArray) -> FloatArray:
+    """(N, 2, 8) how (N, 2) points move with the eight numbers of a homography about the unit."""
+    x, y = points[:, 0], points[:, 1]
+    zero, one = np.zeros(len(points)), np.ones(len(points))
+    return np.stack(
+        [
+            np.stack([x, y, one, zero, zero, zero, -x * x, -x * y], axis=1),
+            np.stack([zero, zero, zero, x, y, one, -x * y, -y * y], axis=1),
+        ],
+        axis=1,
+    )
+
+
+# --- refusals ---------------------------------------------------------------------------------
+
+
+def _check_blur(views: Sequence[BoardView]) -> None:
+    blurred = [v.name for v in views if v.blur_px > MOST_BLUR_PX]
+    if len(blurred) > len(views) // 3:
+        raise BlurredError(
+            f"{len(blurred)} of {len(views)} pictures are blurred: {', '.join(blurred[:3])} …",
+            "focus, stop the lens down, hold the board still, or shorten the exposure",
+        )
+
+
+def _check_tilts(poses: FloatArray) -> None:
+    normals = np.array([pose(p)[:3, 2] for p in poses])
+    angles = np.arccos(np.clip(normals @ normals.T, -1.0, 1.0))
+    if angles.max() < LEAST_TILT_RAD:
+        raise OneSidedError(
+            f"the board was tilted by {np.degrees(angles.max()):.0f}° at most between pictures, "
+            f"{np.degrees(LEAST_TILT_RAD):.0f}° are needed",
+            "tilt it 30° to each of its four sides as well",
+        )
+
+
+def _check_fit(fit: RobustFit, lens: Lens) -> None:
+    focal = np.array([lens.fx_px, lens.fy_px])
+    spread = np.sqrt(np.diag(fit.covariance)[:2]) / np.abs(focal)
+    if spread.max() > MOST_FOCAL_SPREAD:
+        raise OneSidedError(
+            f"the focal length stays uncertain by {spread.max():.1%}, allowed "
+            f"{MOST_FOCAL_SPREAD:.0%}",
+            "add pictures with the board tilted 30° to each of its four sides, near and far",
+        )
+    if fit.noise_px > MOST_NOISE_PX:
+        raise MisfitError(
+            f"corners are {fit.noise_px:.2f} px rms beside where they must be, allowed "
+            f"{MOST_NOISE_PX} px",
+            "check that the board is flat and stiff, its description, focus and shutter",
+        )

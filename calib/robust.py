@@ -1,0 +1,153 @@
+"""Least squares that a few wrong points cannot bend, with the covariance of what is found."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import CalibrationError, OneSidedError
+
+FloatArray = NDArray[np.float64]
+
+#: (P,) parameters → (N, 2) residuals, px, and their (N, 2, P) derivatives.
+Model = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
+
+#: A point further off than so many standard deviations is no noise.
+OUTLIER_SIGMAS = 5.0
+_LEAST_PX = 1e-4  # a fit of exact points still has a scale
+_TURNS = 4
+_MOST_STEPS = 60
+_SMALLEST_GAIN = 1e-9  # of the cost: less is far below any standard deviation
+
+
+@dataclass(frozen=True, eq=False)
+class RobustFit:
+    """What a robust least-squares fit found.
+
+    mean        (P,) parameters
+    covariance  (P, P) from the points' own scatter and the priors
+    noise_px    standard deviation of one coordinate of a point
+    residuals   (N, 2) of all points, outliers too, px
+    used        (N,) False = an outlier, which had no part in the last fit
+    """
+
+    mean: FloatArray
+    covariance: FloatArray
+    noise_px: float
+    residuals: FloatArray
+    used: NDArray[np.bool_]
+
+
+def robust_fit(
+    model: Model, start: FloatArray, expected: FloatArray, spread: FloatArray
+) -> RobustFit:
+    """Parameters that explain points best, outliers set aside.
+
+    A fit with a loss that grows linearly finds the scale of the noise; points beyond
+    `OUTLIER_SIGMAS` of it are left out, and the rest is fitted by plain least squares.
+
+    start     (P,) first guess
+    expected  (P,) what is known beforehand, with (P,) standard deviations `spread` (inf = nothing)
+    raises    OneSidedError: the points leave a direction of the parameters open
+    """
+    information = np.where(np.isfinite(spread), 1.0 / spread**2, 0.0)
+    prior = (expected, information)
+    x, count = start, len(model(start)[0])
+    used = np.ones(count, dtype=np.bool_)
+    noise = max(_scale(model(x)[0]), _LEAST_PX)
+    for turn in range(_TURNS):
+        x = _least_squares(model, x, used / noise, prior, robust=turn == 0)
+        left = model(x)[0]
+        noise_before, used_before = noise, used
+        freedom = max(1.0, 2.0 * np.count_nonzero(used) - len(x) + np.count_nonzero(information))
+        if turn == 0:
+            noise = max(_scale(left), _LEAST_PX)
+        else:
+            noise = max(float(np.sqrt(np.sum(left[used] ** 2) / freedom)), _LEAST_PX)
+        used = np.linalg.norm(left, axis=1) < OUTLIER_SIGMAS * noise
+        settled = abs(noise / noise_before - 1.0) < 1e-3 and np.array_equal(used, used_before)
+        if turn > 1 and settled:
+            break
+    slopes = model(x)[1][used].reshape(-1, len(x)) / noise
+    return RobustFit(x, _covariance(slopes.T @ slopes + np.diag(information)), noise, left, used)
+
+
+def _least_squares(
+    model: Model,
+    start: FloatArray,
+    scale: FloatArray,
+    prior: tuple[FloatArray, FloatArray],
+    *,
+    robust: bool,
+) -> FloatArray:
+    """Parameters of the least cost, by Levenberg's damped steps on scaled normal equations.
+
+    scale   (N,) by which a point's residual is multiplied: 0 = left out
+    robust  cost 2(√(1 + d²) − 1) of a point at distance d instead of d²
+    """
+    expected, information = prior
+
+    def cost_of(x: FloatArray, residuals: FloatArray) -> tuple[float, FloatArray]:
+        squares = scale**2 * np.sum(residuals**2, axis=1)
+        known = float(np.sum(information * (x - expected) ** 2))
+        if not robust:
+            return float(np.sum(squares)) + known, scale**2
+        roots = np.sqrt(1.0 + squares)
+        return float(np.sum(2.0 * (roots - 1.0))) + known, scale**2 / roots
+
+    x, damping = start, 1e-4
+    residuals, slopes = model(x)
+    cost, weights = cost_of(x, residuals)
+    for _ in range(_MOST_STEPS):
+        flat = slopes.reshape(-1, len(x))
+        weighted = flat * np.repeat(weights, 2)[:, None]
+        matrix = weighted.T @ flat + np.diag(information)
+        slope = weighted.T @ residuals.ravel() + information * (x - expected)
+        size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+        scaled = matrix / np.outer(size, size)
+        while damping < 1e8:
+            step = np.linalg.solve(scaled + damping * np.eye(len(x)), -slope / size) / size
+            if -float(slope @ step) < _SMALLEST_GAIN * max(cost, 1.0):
+                return x
+            there = model(x + step)
+            cost_there, weights_there = cost_of(x + step, there[0])
+            if np.isfinite(cost_there) and cost_there <= cost:
+                break
+            damping *= 10.0
+        else:
+            return x
+        gain = cost - cost_there
+        x, (residuals, slopes), cost, weights = x + step, there, cost_there, weights_there
+        damping = max(damping / 10.0, 1e-12)
+        if gain < _SMALLEST_GAIN * max(cost, 1.0):
+            return x
+    return x
+
+
+def _scale(residuals: FloatArray) -> float:
+    """Standard deviation of a coordinate, from the median of what is left."""
+    return float(1.4826 * np.median(np.abs(residuals)))
+
+
+def _covariance(information: FloatArray) -> FloatArray:
+    """Inverse, scaled first.  Raises OneSidedError: singular."""
+    size = np.sqrt(np.diag(information))
+    if np.any(size == 0.0):
+        raise OneSidedError("a parameter has no influence on any point", "add other views")
+    values, vectors = np.linalg.eigh(information / np.outer(size, size))
+    if values[0] < 1e-13 * values[-1]:
+        raise OneSidedError(
+            "the views leave the result open", "add views from other sides, tilted and turned"
+        )
+    root = vectors / np.sqrt(values) / size[:, None]
+    return np.asarray(root @ root.T, dtype=np.float64)
+
+
+def check_outliers(fit: RobustFit, most: float, what: str, remedy: str) -> None:
+    """Raises CalibrationError: more than a share `most` of the points were set aside."""
+    share = 1.0 - float(np.mean(fit.used))
+    if share > most:
+        raise CalibrationError(f"{share:.0%} of {what} contradict the others", remedy)
