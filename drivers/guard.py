@@ -22,6 +22,7 @@ from drivers.interfaces import (
     Gripper,
     GripperState,
     LimitError,
+    Pose,
     Trajectory,
 )
 
@@ -31,13 +32,18 @@ _NOTHING_MOVED = "nothing was moved"
 #: rounding of its times would be taken for jerk.
 _SPAN_S = 0.008
 
-#: What finite differences may exceed a limit by that the sampled motion itself keeps.
-_TOLERANCE = 1.01
+#: Share of a limit that finite differences may exceed it by, if the sampled motion itself keeps it.
+_DERIVATIVE_TOLERANCE = 0.01
 
 
 @dataclass(frozen=True)
 class ArmLimits:
-    """Where the gripping point may be and how it may move there."""
+    """Where the gripping point may be and how it may move there.
+
+    tolerance_m, tolerance_rad  what a pose may exceed its range by: a path that begins where a hand
+                                was measured, at rest on its limit, carries the arm's noise and
+                                rounding; several times an arm's repeatability of 0.03 mm
+    """
 
     x_min_m: float
     x_max_m: float
@@ -53,6 +59,8 @@ class ArmLimits:
     max_angular_jerk_rad_per_s3: float = 1000.0
     start_tolerance_m: float = 0.001
     start_tolerance_rad: float = 0.01
+    tolerance_m: float = 1e-4
+    tolerance_rad: float = 1e-3
 
 
 class GuardedArm:
@@ -92,8 +100,10 @@ class GuardedArm:
 
     def follow(self, path: Trajectory, start_s: float | None = None) -> None:
         """Raises LimitError naming point, value and limit; else as the arm."""
-        check_path(path, self._limits, self.name)
-        self._check_start(path)
+        here = self._arm.state().pose
+        not_begun = f"this path was not begun; the hand is at {_described(here)}"
+        check_path(path, self._limits, self.name, not_begun)
+        self._check_start(path, here, not_begun)
         self._arm.follow(path, start_s)
 
     def log(self, start_s: float, end_s: float) -> Trajectory:
@@ -108,8 +118,7 @@ class GuardedArm:
         """Raises StoppedError while the controller itself is stopped."""
         self._arm.reset()
 
-    def _check_start(self, path: Trajectory) -> None:
-        here = self._arm.state().pose
+    def _check_start(self, path: Trajectory, here: Pose, not_begun: str) -> None:
         start = path.at(float(path.t_s[0]))
         limits = self._limits
         for name, unit, value, present, tolerance in (
@@ -122,44 +131,55 @@ class GuardedArm:
                     self.name,
                     f"the path starts at {name} = {value:.4f} {unit}, but the arm is at "
                     f"{present:.4f} {unit} (tolerance {tolerance:.4f} {unit})",
-                    _NOTHING_MOVED,
+                    not_begun,
                 )
 
 
-def check_path(path: Trajectory, limits: ArmLimits, device: str = "arm") -> None:
+def _described(pose: Pose) -> str:
+    return f"x = {pose.x_m:.4f} m, y = {pose.y_m:.4f} m, angle = {pose.angle_rad:.4f} rad"
+
+
+def check_path(
+    path: Trajectory, limits: ArmLimits, device: str = "arm", remedy: str = _NOTHING_MOVED
+) -> None:
     """Whether a path may be sent at all.
 
-    Speed, acceleration and jerk are divided differences over at least 8 ms, with the arm at rest
-    before the first and after the last point.
+    A pose may exceed its range by the stated tolerance; speed, acceleration and jerk their limit by
+    1 %.  These are divided differences over at least 8 ms, with the arm at rest before the first
+    and after the last point.
 
+    remedy  what the error says of what was done and is to be done
     raises  LimitError: naming the first point at fault, its value and the limit
     """
     columns = {"x": path.x_m, "y": path.y_m, "angle": path.angle_rad}
+
+    def refuse(cause: str) -> NoReturn:
+        raise LimitError(device, cause, remedy)
+
     for name, values in {"t": path.t_s, **columns}.items():
         if np.ndim(values) != 1 or np.shape(values) != np.shape(path.t_s):
-            _refuse(device, f"{name} has shape {np.shape(values)}, t {np.shape(path.t_s)}")
+            refuse(f"{name} has shape {np.shape(values)}, t {np.shape(path.t_s)}")
         if not np.all(np.isfinite(values)):
             at = int(np.argmin(np.isfinite(values)))
-            _refuse(device, f"point {at + 1} of {len(values)} has {name} = {values[at]}")
+            refuse(f"point {at + 1} of {len(values)} has {name} = {values[at]}")
     count = len(path.t_s)
     if count < 2:
-        _refuse(device, f"the path has {count} points, at least 2 are needed")
+        refuse(f"the path has {count} points, at least 2 are needed")
     steps_s = np.diff(path.t_s)
     if np.any(steps_s <= 0.0):
         at = int(np.argmax(steps_s <= 0.0)) + 1
-        _refuse(
-            device,
+        refuse(
             f"point {at + 1} of {count} has t = {path.t_s[at]:.6f} s, "
-            f"not later than {path.t_s[at - 1]:.6f} s",
+            f"not later than {path.t_s[at - 1]:.6f} s"
         )
-    for name, unit, values, low, high in (
-        ("x", "m", path.x_m, limits.x_min_m, limits.x_max_m),
-        ("y", "m", path.y_m, limits.y_min_m, limits.y_max_m),
-        ("angle", "rad", path.angle_rad, limits.angle_min_rad, limits.angle_max_rad),
-    ):
-        _check_range(device, name, unit, values, low, high)
     travel = np.stack([path.x_m, path.y_m], axis=-1)
     turn = path.angle_rad[:, None]
+    ranges = [
+        ("x", "m", path.x_m, limits.x_min_m, limits.x_max_m, limits.tolerance_m),
+        ("y", "m", path.y_m, limits.y_min_m, limits.y_max_m, limits.tolerance_m),
+        ("angle", "rad", path.angle_rad, limits.angle_min_rad, limits.angle_max_rad,
+         limits.tolerance_rad),
+    ]  # fmt: skip
     for name, unit, values, order, high in (
         ("speed", "m/s", travel, 1, limits.max_speed_m_per_s),
         ("acceleration", "m/s²", travel, 2, limits.max_acceleration_m_per_s2),
@@ -169,30 +189,15 @@ def check_path(path: Trajectory, limits: ArmLimits, device: str = "arm") -> None
         ("angular jerk", "rad/s³", turn, 3, limits.max_angular_jerk_rad_per_s3),
     ):
         size = _derivative_at_points(path.t_s, values, order)
-        _check_range(device, name, unit, size, 0.0, high, _TOLERANCE)
-
-
-def _refuse(device: str, cause: str) -> NoReturn:
-    raise LimitError(device, cause, _NOTHING_MOVED)
-
-
-def _check_range(
-    device: str,
-    name: str,
-    unit: str,
-    values: FloatArray,
-    low: float,
-    high: float,
-    tolerance: float = 1.0,
-) -> None:
-    outside = (values < low) | (values > high * tolerance if tolerance > 1.0 else values > high)
-    if np.any(outside):
-        at = int(np.argmax(outside))
-        _refuse(
-            device,
-            f"point {at + 1} of {len(values)} has {name} = {values[at]:.4f} {unit}, "
-            f"allowed {low:.4f}..{high:.4f} {unit}",
-        )
+        ranges.append((name, unit, size, 0.0, high, _DERIVATIVE_TOLERANCE * high))
+    for name, unit, values, low, high, tolerance in ranges:
+        outside = (values < low - tolerance) | (values > high + tolerance)
+        if np.any(outside):
+            at = int(np.argmax(outside))
+            refuse(
+                f"point {at + 1} of {count} has {name} = {values[at]:.4f} {unit}, "
+                f"allowed {low:.4f}..{high:.4f} {unit}"
+            )
 
 
 def _derivative_at_points(t_s: FloatArray, values: FloatArray, order: int) -> FloatArray:

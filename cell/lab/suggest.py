@@ -188,10 +188,9 @@ def rivals(explorer: Explorer, examination: Examination) -> list[Candidate]:
 
 def strokes(surroundings: Surroundings) -> list[Stroke]:
     """Strokes from home, as fast as the limits allow and slower, the clamp within its limits."""
-    low, high = surroundings.angle_rad
     found = []
     for angle, (dx, dy), slow in itertools.product(ATTITUDES_RAD, STROKES_M, SLOWNESS):
-        if not low <= angle <= high:
+        if not surroundings.allows(float(angle)):
             continue
         way = float(np.hypot(dx, dy))
         least_s = max(

@@ -16,6 +16,9 @@ Range = tuple[float, float]
 
 #: Nothing that is to be seen comes nearer to the picture's edge, px.
 EDGE_PX = 10.0
+#: The hand stays inside its limits by so much, m and rad, because an arm is never quite where it is
+#: sent; ten times what its guard tolerates.
+LIMIT_MARGIN_M, LIMIT_MARGIN_RAD = 0.001, 0.01
 #: Nothing comes nearer to the workpiece, m.
 CLEARANCE_M = 0.005
 
@@ -70,11 +73,18 @@ class Surroundings:
         """Of the cell with these settings; a cautious box without.  Raises InputError."""
         return Surroundings() if config is None else Surroundings.of(load_settings(config))
 
+    def allows(self, angle_rad: float) -> bool:
+        """Whether a clamp angle is inside its limits by the margin, or is that of home."""
+        low, high = self.angle_rad
+        inside = low + LIMIT_MARGIN_RAD <= angle_rad <= high - LIMIT_MARGIN_RAD
+        return inside or angle_rad == self.home[2]
+
     def start_range(self, swept: Swept, way_m: tuple[float, float]) -> tuple[Range, Range] | str:
         """x and y from which a stroke by `way_m` keeps all limits; or what it cannot keep."""
         ranges = []
         for axis, (limits, way) in enumerate(zip((self.x_m, self.y_m), way_m, strict=True)):
-            low, high = limits[0] - min(0.0, way), limits[1] - max(0.0, way)
+            low = limits[0] + LIMIT_MARGIN_M - min(0.0, way)
+            high = limits[1] - LIMIT_MARGIN_M - max(0.0, way)
             if low > high:
                 return "limits"
             if self.picture_m is not None:

@@ -15,6 +15,9 @@ from cell.settings import Settings
 from drivers.guard import ArmLimits
 from drivers.interfaces import Pose
 
+#: A pose may exceed its limit by so much, m or rad: a file has its numbers in micrometres.
+ROUNDING = 1e-6
+
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Duration = Annotated[float, Field(gt=0.0, le=60.0, allow_inf_nan=False)]
 
@@ -95,7 +98,7 @@ def _within_limits(document: Document, motion: MotionFile, settings: Settings) -
         for axis in ("x_m", "y_m", "angle_rad"):
             value = getattr(pose, axis)
             low, high = getattr(settings.limits, axis)
-            if not low <= value <= high:
+            if not low - ROUNDING <= value <= high + ROUNDING:
                 message = (
                     f"takes the hand to {axis} = {value:g}, outside limits.{axis} = "
                     f"[{low:g}, {high:g}]; move less or widen the limits"

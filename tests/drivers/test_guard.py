@@ -60,8 +60,20 @@ def test_names_the_point_the_value_and_the_limit(guarded) -> None:
     with pytest.raises(LimitError) as error:
         guarded.follow(points(y_m=[0.5, 0.5, -0.2, 0.5, 0.5]))
     assert str(error.value) == (
-        "arm: point 3 of 5 has y = -0.2000 m, allowed 0.0000..1.0000 m; nothing was moved"
+        "arm: point 3 of 5 has y = -0.2000 m, allowed 0.0000..1.0000 m; this path was not begun; "
+        "the hand is at x = 0.5000 m, y = 0.5000 m, angle = 0.0000 rad"
     )
+
+
+def test_what_rounding_and_an_arms_noise_add_at_a_limit_is_tolerated() -> None:
+    """A pose may exceed its range by 0.1 mm or 1 mrad, and by no more."""
+    check_path(points(x_m=[0.5, 1.0 + 0.99e-4]), LIMITS)
+    check_path(points(y_m=[0.5, -0.99e-4]), LIMITS)
+    check_path(points(angle_rad=[0.0, 0.2 + 0.99e-3]), LIMITS)
+    with pytest.raises(LimitError, match=r"x = 1.0001 m, allowed 0.0000..1.0000 m"):
+        check_path(points(x_m=[0.5, 1.0 + 1.01e-4]), LIMITS)
+    with pytest.raises(LimitError, match=r"angle = -0.2010 rad"):
+        check_path(points(angle_rad=[0.0, -0.2 - 1.01e-3]), LIMITS)
 
 
 @pytest.mark.parametrize(

@@ -100,8 +100,11 @@ def test_the_true_cable_stays_in_the_picture_and_off_the_workpiece(suggested):
         assert row.min() > 5.0, option
         assert row.max() < settings.camera.height_px - 6.0, option
         assert points[..., 0].min() > settings.destination.x_m[1] + 0.8 * CLEARANCE_M
-        assert limits.x_m[0] <= hand[:, 0].min() <= hand[:, 0].max() <= limits.x_m[1]
-        assert limits.y_m[0] <= hand[:, 1].min() <= hand[:, 1].max() <= limits.y_m[1]
+        # A millimetre inside: an arm is never quite where it is sent.
+        assert limits.x_m[0] + 0.00099 <= hand[:, 0].min()
+        assert hand[:, 0].max() <= limits.x_m[1] - 0.00099
+        assert limits.y_m[0] + 0.00099 <= hand[:, 1].min()
+        assert hand[:, 1].max() <= limits.y_m[1] - 0.00099
 
 
 def test_what_is_written_is_what_the_cell_runs(suggested, tmp_path):
@@ -149,7 +152,7 @@ def test_where_a_stroke_may_begin_by_hand():
     )  # fmt: skip
     # from the workpiece −0.13 + 0.005 + 0.1, from the picture's right edge 0.05 − 0.04
     assert cell.start_range(swept(), (0.0, -0.05)) == (
-        pytest.approx((-0.025, 0.01)), pytest.approx((-0.05, 0.02))
+        pytest.approx((-0.025, 0.01)), pytest.approx((-0.049, 0.019))
     )  # fmt: skip
     assert cell.start_range(swept(), (-0.08, 0.0)) == "limits"
     assert cell.start_range(swept(low_m=np.array([-0.3, 0.0])), (0.0, 0.0)) == "picture"
@@ -159,6 +162,15 @@ def test_where_a_stroke_may_begin_by_hand():
     assert cell.nearest_start(swept(high_m=np.array([0.06, 0.01])), (0.0, 0.0)) == (
         pytest.approx((-0.01, 0.0))
     )
+
+
+def test_a_clamp_angle_at_its_limit_is_not_suggested_unless_it_is_homes():
+    cell = Surroundings(angle_rad=(-np.pi / 6, np.pi / 3))
+    offered = {stroke.angle_rad for stroke in strokes(cell)}
+    assert min(offered) == pytest.approx(-np.pi / 12)
+    assert max(offered) == pytest.approx(np.pi / 6)
+    level = replace(cell, angle_rad=(0.0, 1.0))
+    assert min(stroke.angle_rad for stroke in strokes(level)) == 0.0
 
 
 def test_settings_are_checked_as_for_a_run(tmp_path):
