@@ -50,6 +50,16 @@ def test_places_count_from_home_and_angles_from_level(settings: Settings, tmp_pa
     assert (it.still_s, it.hold_s) == (0.2, 1.0)
 
 
+def test_a_pose_on_its_limit_is_not_refused_for_its_rounding(
+    settings: Settings, tmp_path: Path
+) -> None:
+    """Sums of floating-point numbers exceed a limit that their decimals keep; 2 µm are refused."""
+    up = RIGHT.replace("y_m: -0.05, angle_rad: 0.05", "y_m: 0.0200000001, angle_rad: 0.05")
+    assert load_motion(written(tmp_path, up), settings).moves[0].goal.y_m > 0.02
+    with pytest.raises(InputError, match=r"outside limits.y_m"):
+        load_motion(written(tmp_path, up.replace("0.0200000001", "0.020002")), settings)
+
+
 MISTAKES = [
     ("cell-motion/1", "cell-motion/2", ":1:1: format:"),
     ("still_s: 0.2", "still: 0.2", ":4:1: still: unknown key; did you mean 'still_s'?"),
