@@ -30,9 +30,9 @@ from cell.records.folder import read_record
 from cell.records.result import Outcome, Result
 from cell.run.cycle import Cell
 from cell.run.machine import Event
+from cell.run.plans import INSERTING
 from cell.settings import Settings, load_settings
 from cell.simulated.emulated import EmulatedCell
-from cell.terminal.console import STEPS
 from drivers.recording import CaptureOptions
 from drivers.serial_gripper import SerialGripperOptions
 
@@ -46,7 +46,7 @@ SHIPPED_S = SerialGripperOptions("").reply_s
 #: Steps in which a fault waits until the arm moves.
 MOVING = ("lower", "execute", "go_home")
 #: Steps at whose end a cable is held if it was at their beginning.
-HOLDING = STEPS[STEPS.index("lower") : STEPS.index("release")]
+HOLDING = tuple(step.name for step in INSERTING.steps if step.holding)
 
 
 @dataclass
@@ -82,7 +82,7 @@ def all_trials() -> list[Trial]:
         if kind.fault == "refuses to connect":
             found.append(Trial(kind, "connect"))
             continue
-        steps = ("connect", *STEPS) if kind.at_connect else STEPS
+        steps = INSERTING.names
         if kind.drops_cable:
             steps = ("grasp", *HOLDING)
         found += [Trial(kind, s) for s in dict.fromkeys(steps) if s not in ("warm_up", "start")]

@@ -8,7 +8,7 @@ import os
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -72,13 +72,11 @@ def run(
     from cell.files.located import InputError
     from cell.plan.motion_file import load_motion
     from cell.records.result import Outcome, Result
+    from cell.run.plans import INSERTING, measuring
     from cell.settings import load_settings
     from cell.terminal.console import (
-        DRY_RUN_STEPS,
         KEYS,
         MAY_HOLD,
-        MEASURING_STEPS,
-        STEPS,
         RunProgress,
         checks_table,
         results_table,
@@ -95,39 +93,33 @@ def run(
             )
         )
     results: list[Result] = []
-    steps, aim = (
-        (STEPS, Outcome.INSERTED) if motion is None else (MEASURING_STEPS, Outcome.MEASURED)
-    )
-    if dry_run:
-        steps, aim = DRY_RUN_STEPS, Outcome.REHEARSED
-    dry_run_speed, cables = (speed, 0) if dry_run else (None, cycles)
     try:
         settings = load_settings(config)
-        measuring = None if motion is None else load_motion(motion, settings)
-        with (
-            _emulators(settings, seed),
-            RunProgress(cycles, steps) as progress,
-            interrupted_once() as not_lost,
-        ):
+        plan = INSERTING if motion is None else measuring(load_motion(motion, settings))
+        with _emulators(settings, seed), interrupted_once() as not_lost, ExitStack() as shown:
 
             def on_step(number: int, step: str) -> None:
                 not_lost()
                 progress.step(number, step)
 
+            cables = 0 if dry_run else cycles
             cell = build_cell(settings, out, seed=seed, cycles=cables, on_step=on_step)
-
-            def on_key(key: str) -> None:
-                if key in KEYS:
-                    event, hint = KEYS[key]
-                    cell.command(event, f"key {key}")
-                    progress.hint(hint)
-
             try:
+                if dry_run:
+                    plan = cell.rehearsal(plan, speed)
+                progress = shown.enter_context(RunProgress(cycles, plan.names))
+
+                def on_key(key: str) -> None:
+                    if key in KEYS:
+                        event, hint = KEYS[key]
+                        cell.command(event, f"key {key}")
+                        progress.hint(hint)
+
                 with Keyboard(on_key) as keyboard:
                     if keyboard.listens:
                         progress.hint(MAY_HOLD)
                     for number in range(1, cycles + 1):
-                        result = cell.run_cycle(number, measuring, dry_run_speed=dry_run_speed)
+                        result = cell.run_cycle(number, plan)
                         results.append(result)
                         if as_json:
                             print(json.dumps(result.to_json(), ensure_ascii=False), flush=True)
@@ -147,13 +139,13 @@ def run(
                 console.print(checks_table(result))
         else:
             console.print(results_table(results))
-        console.print(seconds_table(results, steps))
+        console.print(seconds_table(results, plan.names))
         for result in results:
             what = "dry run" if dry_run else "cable"
             console.print(f"{what} {result.cycle}: {result.folder}", highlight=False)
     for line in troubles(results):
         print(line, file=sys.stderr)
-    reached = [r for r in results if r.outcome is aim]
+    reached = [r for r in results if r.outcome is plan.aim]
     raise typer.Exit(ALL_DONE if len(reached) == cycles else NOT_ALL_DONE)
 
 
@@ -193,7 +185,7 @@ def emulate(
 @contextmanager
 def _emulators(settings: Settings, seed: int) -> Iterator[None]:
     """The emulators that settings ask for, unless they run already."""
-    with contextlib.ExitStack() as stack:
+    with ExitStack() as stack:
         if settings.emulated is not None:
             from cell.simulated.emulated import EmulatedCell, runs_already
             from drivers.emulators.launch import EmulatorError

@@ -17,6 +17,9 @@ from drivers.servo import servo_response
 
 FloatArray = NDArray[np.float64]
 
+#: A hand this close to where it is sent is there already, m: an arm's repeatability, and too little
+#: to set a cable swinging when the arm is brought the rest of the way.
+AT_GOAL_M = 5e-5
 #: A clamp angle this close to where it is sent is there already.
 SAME_ANGLE_RAD = 1e-3
 
@@ -101,6 +104,14 @@ def retreat_path(start: Pose, end: Pose, limits: MotionLimits, rate_hz: float) -
     if len(xy) < 2:
         raise ValueError(f"retreat from {start} to {end}: no distance to go")
     return Trajectory(np.arange(len(xy)) / rate_hz, xy[:, 0].copy(), xy[:, 1].copy(), angle_rad)
+
+
+def path_to(goal: Pose, here: Pose, limits: MotionLimits, rate_hz: float) -> Trajectory | None:
+    """`retreat_path` from here to a goal; None = the hand is there already."""
+    away_m = max(abs(here.x_m - goal.x_m), abs(here.y_m - goal.y_m))
+    if away_m < AT_GOAL_M and abs(here.angle_rad - goal.angle_rad) < SAME_ANGLE_RAD:
+        return None
+    return retreat_path(here, goal, limits, rate_hz)
 
 
 def executed_motion(

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from cell.records.result import Check
-from cell.run.dry_run import Followed
+from cell.run.findings import Followed
 from drivers.interfaces import Trajectory
 from drivers.servo import servo_response
 

@@ -1,33 +1,26 @@
-"""One cycle of the cell: the steps in their order, inside the machine's states, with a record."""
+"""One cycle of the cell: a plan's steps in the machine's states, with a record."""
 
 from __future__ import annotations
 
 import time
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any, Concatenate, ParamSpec, TypeVar
+from typing import Any
 
 from cell.computer.memory import give_back
-from cell.identify.identified import Identified
-from cell.identify.individual import CableRejectedError
-from cell.plan.choose import Choice
-from cell.plan.measuring import Measuring
-from cell.plan.passage import height_at_mouth_m
 from cell.records.folder import Record
-from cell.records.result import Fault, Outcome, Result
-from cell.run import dry_run, steps
-from cell.run.agreement import agreement
+from cell.records.result import Fault, Result
+from cell.run import steps
 from cell.run.commands import INTERRUPTING, RESUMING, Commands, InterruptedByCommandError
-from cell.run.legs import cycle_legs, measuring_legs, slowed, slowed_motion
 from cell.run.machine import CellState, Event, EventRefusedError, Machine
-from cell.run.pictures import dry_run_pictures, held_pictures, measured_pictures, passage_pictures
+from cell.run.movements import slowed
+from cell.run.plans import CONNECT, INSERTING, Plan, Repeat, Step, rehearsing
 from cell.run.progress import Progress
-from cell.run.station import Candidates, Devices, Filmed, Station, Task, executed_trial, held_trial
-from cell.study.data import Trial
+from cell.run.station import Devices, Station, Task
 from drivers.interfaces import (
     CameraError,
     ConnectError,
@@ -36,27 +29,8 @@ from drivers.interfaces import (
     DeviceTimeoutError,
 )
 
-Given = ParamSpec("Given")
-Found = TypeVar("Found")
-
-#: Steps that only compute: their time is the computer's, not that of the cell's clock.
-COMPUTING = frozenset({"warm_up", "identify", "simulate", "choose", "verify"})
-
-#: Steps that begin with a cable between the jaws and end with it there.
-HOLDING = frozenset(
-    {"lower", "hold_and_capture", "approach", "measure", "go_back"}
-    | {"identify", "simulate", "choose", "execute", "verify"}
-)
-
 #: After these the devices are connected anew; after the others they are still there.
 UNREACHED = (ConnectError, DeviceLostError, DeviceTimeoutError, CameraError)
-
-#: A computer that needs longer for a choice is not going to manage, s: the longer the hand waits,
-#: the more there is to simulate.
-LONGEST_LEAD_S = 3.0
-
-#: Share of a measuring motion's frames in which the cable must be seen.
-LEAST_SEEN = 0.8
 
 
 class Cell:
@@ -90,7 +64,7 @@ class Cell:
         self._runs = runs
         self._on_step = on_step
         self._watched = watched
-        self._connected = self._warm = False
+        self._done_once: set[str] = set()
 
     def command(self, event: Event, reason: str = "") -> None:
         """Stop, abort, hold, unhold, suspend or unsuspend, from any thread, at any time.
@@ -117,225 +91,69 @@ class Cell:
         """Stop the arm and disconnect all devices."""
         steps.close(self._station.devices)
         self._station.computer.shutdown(wait=False, cancel_futures=True)
-        self._connected = self._warm = False
+        self._done_once.clear()
 
-    def run_cycle(
-        self, number: int, motion: Measuring | None = None, *, dry_run_speed: float | None = None
-    ) -> Result:
+    def rehearsal(self, plan: Plan, speed: float) -> Plan:
+        """All movements of a plan with empty jaws, at a share of their speed.
+
+        raises  ValueError: a speed that is not > 0 and ≤ 1
+        """
+        return rehearsing(plan, self._station.task, self._station.devices.arm.rate_hz, speed)
+
+    def run_cycle(self, number: int, plan: Plan = INSERTING) -> Result:
         """One cable from grasp to release; whatever happens, a result, a record and a still arm.
 
-        motion         only measure the cable with this motion; None = insert it
-        dry_run_speed  make these motions with empty jaws, at this share of their speed
-        raises  EventRefusedError: the cell was stopped by a fault that nobody acknowledged;
-                ValueError: a speed that is not > 0 and ≤ 1
+        raises  EventRefusedError: the cell was stopped by a fault that nobody acknowledged
         """
         if not self.machine.can(Event.RESET):
             raise EventRefusedError(f"no cycle can begin while {self.machine.state.value}")
         before = self.machine.seconds()
-        station, empty = self._station, dry_run_speed is not None
-        if dry_run_speed is not None:
-            station = replace(station, task=slowed(station.task, dry_run_speed))
-        progress = Progress(number, Record(self._runs, number, datetime.now()), station, empty)
+        station = replace(self._station, task=slowed(self._station.task, plan.speed))
+        record = Record(self._runs, number, datetime.now())
+        progress = Progress(number, record, station, plan.given, plan.resetting[0].name)
         try:
-            progress.record.settings(self._settings)
-            self._reset(progress, dry_run_speed)
-            if self._watched:
-                progress.watch.begin()
-            self._send(progress, Event.START)
-            self._step(progress, "start", steps.check_ready)
-            self._send(progress, Event.DONE)
-            if dry_run_speed is not None:
-                self._rehearse(progress, motion, dry_run_speed)
-            elif motion is None:
-                self._insert(progress)
-            else:
-                self._measure(progress, motion)
-            self._send(progress, Event.DONE)
-            self._step(progress, "go_home", steps.go_home)
-            self._send(progress, Event.DONE)
+            try:
+                record.settings(self._settings)
+                self._send(progress, Event.RESET)
+                self._carry_out(progress, plan.resetting)
+                self._send(progress, Event.DONE)
+                if self._watched:
+                    progress.watch.begin()
+                self._send(progress, Event.START)
+                self._carry_out(progress, plan.starting)
+                self._send(progress, Event.DONE)
+                self._carry_out(progress, plan.execute)
+                self._send(progress, Event.DONE)
+                self._carry_out(progress, plan.completing)
+                self._send(progress, Event.DONE)
+            finally:
+                progress.write()  # what was found before a step that failed
         except BaseException as error:
             self._end(progress, error)
         progress.watch.end()
         after = self.machine.seconds()
-        progress.known["state_seconds"] = {
+        spent_s = {
             state.value: after[state] - before[state]
             for state in CellState
             if after[state] > before[state]
         }
-        result = progress.result()
-        progress.record.close(result)
+        result = progress.result(spent_s)
+        record.close(result)
+        del progress  # and its pictures
         give_back()
         return result
-
-    # --- what happens in the states -----------------------------------------------------------
-
-    def _reset(self, progress: Progress, dry_run_speed: float | None) -> None:
-        self._send(progress, Event.RESET)
-        if not self._connected:
-            self._step(progress, "connect", steps.connect)
-            self._connected = True
-        if dry_run_speed is not None:
-            progress.known["speed"] = dry_run_speed
-            progress.known["checks"] = self._step(progress, "reset", dry_run.reset)
-        else:
-            if not self._warm:
-                self._step(progress, "warm_up", steps.warm_up)
-                self._warm = True
-            self._step(progress, "reset", steps.reset)
-        self._send(progress, Event.DONE)
-
-    def _insert(self, progress: Progress) -> None:
-        """The nine steps; what each of them finds is recorded at once."""
-        self._pause(progress)
-        self._step(progress, "grasp", steps.grasp)
-        self._pause(progress)
-        filming = self._step(progress, "lower", steps.lower)
-        held = self._step(progress, "hold_and_capture", steps.hold_and_capture, filming)
-        trial = held_trial(held)
-        try:
-            identified, prospect, choice = self._conclude(progress, held, trial)
-        except CableRejectedError as error:
-            self._reject(progress, str(error))
-            return
-        if choice.reason is not None:
-            self._reject(progress, choice.reason)
-            progress.record.pictures(held_pictures(held, trial, identified, self._station.task))
-            return
-        progress.known["offset_m"] = choice.best.offset_m
-        path = prospect.paths[choice.table.index(choice.best)]
-        executed = self._step(progress, "execute", steps.execute, path, prospect.start_s)
-        progress.add_study(trial, executed_trial(trial, held, executed))
-        passage = self._step(progress, "verify", steps.verify, executed, prospect, choice)
-        progress.add_passage(passage)
-        # Pictures take their time, and the execution began at a moment that had been planned.
-        progress.record.pictures(held_pictures(held, trial, identified, self._station.task))
-        progress.record.pictures(passage_pictures(executed, prospect, choice, self._station.task))
-        progress.add_model(steps.settled(self._station, trial, identified))
-        self._pause(progress)
-        self._step(progress, "release", steps.release, aside=not passage.passed)
-        progress.known["outcome"] = Outcome.INSERTED if passage.passed else Outcome.MISSED
-
-    def _conclude(
-        self, progress: Progress, held: Filmed, trial: Trial
-    ) -> tuple[Identified, Candidates, Choice]:
-        """What cable this is and what to do with it; recorded then, for the hand waits for it."""
-        identified: Identified | None = None
-        recorded = False
-
-        def record() -> None:
-            nonlocal recorded
-            if not recorded:
-                recorded = True
-                progress.add_study(trial)
-                if identified is not None:
-                    progress.add_model(identified)
-
-        try:
-            identified = self._step(progress, "identify", steps.identify, trial, held.early)
-            return identified, *self._decide(progress, held, trial, identified, record)
-        finally:
-            record()
-
-    def _decide(
-        self,
-        progress: Progress,
-        held: Filmed,
-        trial: Trial,
-        identified: Identified,
-        record: Callable[[], None],
-    ) -> tuple[Candidates, Choice]:
-        """Simulate, choose and record, again if a pause or a slow computer let the moment go by."""
-        lead_s = self._station.task.decide_s
-        waits_from_s = held.seen_at_s
-        while True:
-            prospect = self._step(
-                progress, "simulate", steps.simulate, held, trial, identified, lead_s
-            )
-            choice = self._step(progress, "choose", steps.choose, prospect, identified)
-            progress.known.update(
-                wait_s=time.perf_counter() - waits_from_s,
-                probability=choice.best.probability,
-                predicted_margin_m=choice.best.margin_m,
-                predicted_miss_m=height_at_mouth_m(self._station.task.destination, choice.tip_m),
-            )
-            record()
-            paused = self._pause(progress)
-            if paused:
-                waits_from_s = time.perf_counter()
-            if choice.reason is not None or not (
-                paused or steps.is_past(self._station, prospect.start_s)
-            ):
-                return prospect, choice
-            if not paused and lead_s > LONGEST_LEAD_S:
-                raise DeviceTimeoutError(
-                    "computer",
-                    f"a choice took longer than the {lead_s:.1f} s allowed for it",
-                    "end other programs, or allow a longer motion.decide_s",
-                )
-            lead_s *= 1.0 if paused else 2.0
-
-    def _reject(self, progress: Progress, reason: str) -> None:
-        progress.known["reason"] = reason
-        self._pause(progress)
-        self._step(progress, "release", steps.release, aside=True)
-        progress.known["outcome"] = Outcome.REJECTED
-
-    def _measure(self, progress: Progress, motion: Measuring) -> None:
-        """A trial for the model lab, after which the cable is back where it was grasped."""
-        self._pause(progress)
-        self._step(progress, "grasp", steps.grasp)
-        self._pause(progress)
-        self._step(progress, "approach", steps.approach, motion)
-        filmed = self._step(progress, "measure", steps.measure, motion)
-        progress.add_study(replace(held_trial(filmed), name=motion.name))
-        progress.record.pictures(measured_pictures(filmed, self._station.task))
-        self._pause(progress)
-        self._step(progress, "go_back", steps.go_home)
-        self._step(progress, "release", steps.release, aside=False)
-        seen = sum(s.seen for s in filmed.sightings)
-        if seen < LEAST_SEEN * len(filmed.sightings):
-            progress.known["outcome"] = Outcome.REJECTED
-            progress.known["reason"] = (
-                f"the cable is seen in {seen} of {len(filmed.sightings)} frames, needs "
-                f"{LEAST_SEEN:.0%}; keep the motion inside the picture"
-            )
-        else:
-            progress.known["outcome"] = Outcome.MEASURED
-
-    def _rehearse(self, progress: Progress, motion: Measuring | None, speed: float) -> None:
-        """All motions of a cycle, or of a measuring one, with empty jaws; and what they show."""
-        task, arm = progress.station.task, progress.station.devices.arm
-        legs = (
-            cycle_legs(task, arm.rate_hz)
-            if motion is None
-            else measuring_legs(task, slowed_motion(motion, speed), arm.rate_hz)
-        )
-        progress.known["checks"] += self._step(progress, "check_paths", dry_run.check_paths, legs)
-        followed = []
-        for leg in legs:
-            self._pause(progress)
-            followed.append(self._step(progress, leg.name, dry_run.follow, leg))
-        made = [f for f in followed if f is not None]
-        camera = progress.station.devices.camera
-        progress.known["checks"] += agreement(
-            made, lag_s=arm.lag_s, frame_rate_hz=camera.frame_rate_hz
-        )
-        progress.record.pictures(dry_run_pictures(made, task))
-        wrong = [check.what for check in progress.known["checks"] if not check.right]
-        progress.known["outcome"] = Outcome.UNFIT if wrong else Outcome.REHEARSED
-        if wrong:
-            progress.known["reason"] = f"not as it must be: {', '.join(wrong)}"
 
     def _end(self, progress: Progress, error: BaseException) -> None:
         """Stop, say why, and come to rest in Stopped (by command) or Aborted (by fault)."""
         fault, event = _fault(progress.step, error)
         progress.watch.cease()
         mode = steps.halt(self._station.devices, fault.cause)
-        self._connected &= not isinstance(error, UNREACHED)
+        if isinstance(error, UNREACHED):
+            self._done_once.discard(CONNECT.name)
         for sent in (event, Event.DONE):
             if self.machine.can(sent):
                 self.machine.send(sent)
-        progress.known.update(outcome=Outcome.FAILED, fault=fault)
+        progress.fault = fault
         progress.record.state(
             state=self.machine.state.value,
             arm=mode.value,
@@ -346,32 +164,53 @@ class Cell:
 
     # --- what surrounds every step ------------------------------------------------------------
 
-    def _step(
-        self,
-        progress: Progress,
-        name: str,
-        act: Callable[Concatenate[Station, Given], Found],
-        *args: Given.args,
-        **kwargs: Given.kwargs,
-    ) -> Found:
-        progress.step = name
-        progress.record.state(step=name, state=self.machine.state.value)
-        self._on_step(progress.number, name)
-        now_s = time.perf_counter if name in COMPUTING else self._station.devices.clock.now_s
+    def _carry_out(self, progress: Progress, sequence: Iterable[Step | Repeat]) -> None:
+        """Do steps one after another; with a rejected cable only those that are meant for it."""
+        for element in sequence:
+            match element:
+                case Step():
+                    if element.name in self._done_once or (
+                        progress.findings.rejected and not element.with_rejected
+                    ):
+                        continue
+                    if element.may_pause:
+                        self._pause(progress)
+                    self._do(progress, element)
+                case Repeat():
+                    while not element.until(progress.findings):
+                        self._carry_out(progress, element.steps)
+                        paused = self._pause(progress)
+                        progress.findings = element.review(
+                            progress.station, progress.findings, paused
+                        )
+
+    def _do(self, progress: Progress, step: Step) -> None:
+        """One step, what is made of it, and the record of it."""
+        progress.step = step.name
+        progress.record.state(step=step.name, state=self.machine.state.value)
+        self._on_step(progress.number, step.name)
+        now_s = time.perf_counter if step.computes else self._station.devices.clock.now_s
         begun_s = now_s()
-        progress.watch.holding = name in HOLDING and not progress.empty
+        progress.watch.holding = step.holding
         try:
             self.commands.check()
-            found = act(progress.station, *args, **kwargs)
+            findings = step.act(progress.station, progress.findings)
             self.commands.check()
-            return found
         except DeviceError:
             self.commands.check()  # a device that refuses because of a stop is not the cause
             raise
         finally:
             passed_s = now_s() - begun_s
-            progress.seconds[name] = progress.seconds.get(name, 0.0) + passed_s
+            progress.seconds[step.name] = progress.seconds.get(step.name, 0.0) + passed_s
             progress.record.state(seconds=progress.seconds)
+        progress.findings = findings
+        if step.once:
+            self._done_once.add(step.name)
+        if findings.rejected or not step.hand_waits:
+            progress.write()
+        progress.findings = step.after(progress.station, findings)
+        if progress.findings is not findings:
+            progress.write()
 
     def _send(self, progress: Progress, event: Event) -> None:
         progress.record.state(state=self.machine.send(event).value)

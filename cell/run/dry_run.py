@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cell.records.result import Check
-from cell.run.legs import Leg, paths_from
+from cell.run.findings import Film, Findings, Followed
+from cell.run.movements import Movement, paths_from
 from cell.run.station import Station
-from cell.run.steps import AHEAD_S
-from cell.run.waiting import await_rest, wait_until
+from cell.run.waiting import AHEAD_S, await_rest, wait_until
 from cell.vision.marks import find_jaw
-from drivers.interfaces import Frame, GripError, LimitError, Trajectory
+from drivers.interfaces import Frame, GripError, LimitError
 
 FloatArray = NDArray[np.float64]
 
@@ -25,39 +25,7 @@ AHEAD_SHARE = 0.03
 LOOKS = 300
 
 
-@dataclass(frozen=True, eq=False)
-class Film:
-    """What the camera saw of a motion.
-
-    frame_s     (n,) times of all frames
-    looked_s    (m,) times of those in which the jaw was looked for
-    jaw_m       (m, 2) where its marks were seen, nan = not found
-    pictures    the first and the last frame
-    """
-
-    frame_s: FloatArray
-    looked_s: FloatArray
-    jaw_m: FloatArray
-    pictures: tuple[Frame, Frame]
-
-
-@dataclass(frozen=True, eq=False)
-class Followed:
-    """A motion that was made, on the cell's clock.
-
-    began_s  when the arm was told to start
-    hand     measured poses, from before the motion to after it
-    film     None = not filmed
-    """
-
-    name: str
-    path: Trajectory
-    began_s: float
-    hand: Trajectory
-    film: Film | None
-
-
-def reset(station: Station) -> tuple[Check, ...]:
+def reset(station: Station, findings: Findings) -> Findings:
     """Clear our own stop; the jaws stay as they are, and must be empty.  Raises GripError."""
     station.devices.arm.reset()
     station.commands.check()  # after the reset, so that a stop given meanwhile is not lost
@@ -65,13 +33,13 @@ def reset(station: Station) -> tuple[Check, ...]:
     state = gripper.state()
     if state.holding:
         raise GripError(gripper.name, "holds something", "a dry run needs empty jaws; empty them")
-    return (Check("gripper: opening", state.opening_m, "m"),)
+    return _with_checks(findings, Check("gripper: opening", state.opening_m, "m"))
 
 
-def check_paths(station: Station, legs: Sequence[Leg]) -> tuple[Check, ...]:
+def check_paths(movements: Sequence[Movement], station: Station, findings: Findings) -> Findings:
     """Every path against limits and reach, before anything moves.  Raises LimitError."""
     arm = station.devices.arm
-    paths = paths_from(arm.state().pose, station.task, legs, arm.rate_hz)
+    paths = paths_from(arm.state().pose, station.task, movements, arm.rate_hz)
     for name, path in paths:
         try:
             arm.check(path)
@@ -81,7 +49,8 @@ def check_paths(station: Station, legs: Sequence[Leg]) -> tuple[Check, ...]:
     x_m, y_m = (
         np.concatenate([getattr(path, axis) for _, path in paths]) for axis in ("x_m", "y_m")
     )
-    return (
+    return _with_checks(
+        findings,
         Check("arm: paths within reach", float(len(paths))),
         Check("hand: least x", float(x_m.min()), "m"),
         Check("hand: greatest x", float(x_m.max()), "m"),
@@ -90,16 +59,16 @@ def check_paths(station: Station, legs: Sequence[Leg]) -> tuple[Check, ...]:
     )
 
 
-def follow(station: Station, leg: Leg) -> Followed | None:
-    """Make a motion, filmed if a cycle films it; None = the hand is there already."""
+def follow(movement: Movement, station: Station, findings: Findings) -> Findings:
+    """Make a movement, filmed if a cycle films it, unless the hand is there already."""
     arm, camera, clock = station.devices.arm, station.devices.camera, station.devices.clock
-    path = leg.path_from(arm.state().pose, arm.rate_hz)
+    path = movement.path_from(arm.state().pose, arm.rate_hz)
     if path is None:
-        return None
+        return findings
     lasts_s = float(path.t_s[-1]) + arm.lag_s
     before_s = clock.now_s()
     film = None
-    if leg.path is None:
+    if movement.path is None:
         arm.follow(path)
         began_s = clock.now_s()
     else:
@@ -111,7 +80,13 @@ def follow(station: Station, leg: Leg) -> Followed | None:
         film = _watch(station, max(1, frame_count // LOOKS))
     wait_until(station, began_s + lasts_s)
     await_rest(station)
-    return Followed(leg.name, path, began_s, arm.log(before_s, clock.now_s()), film)
+    hand = arm.log(before_s, clock.now_s())
+    made = Followed(movement.name, path, began_s, hand, film)
+    return replace(findings, followed=(*findings.followed, made))
+
+
+def _with_checks(findings: Findings, *checks: Check) -> Findings:
+    return replace(findings, checks=(*findings.checks, *checks))
 
 
 def _watch(station: Station, look_every: int) -> Film:

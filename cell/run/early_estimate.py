@@ -18,18 +18,9 @@ from cell.identify.individual import CableRejectedError, IdentifyOptions, identi
 from cell.plan.choose import forecast
 from cell.plan.paths import executed_motion, insertion_path
 from cell.run.commands import Commands
-from cell.run.station import (
-    Candidates,
-    EarlyEstimate,
-    Filmed,
-    Filming,
-    Station,
-    Task,
-    Timing,
-    hand_offset_m_rad,
-    held_trial,
-    moved,
-)
+from cell.run.findings import Candidates, EarlyEstimate, Filmed, Filming
+from cell.run.station import Station, Task, Timing
+from cell.run.trials import hand_offset_m_rad, held_trial, moved
 from cell.run.waiting import POLL_S
 from cell.study.data import Trial
 from cell.vision.sighting import Sighting
@@ -92,7 +83,7 @@ class EarlyEstimator:
         return Filmed(begin_s, tuple(sightings), hand, (), time.perf_counter())
 
 
-def prospect(
+def simulate_offsets(
     task: Task,
     timing: Timing,
     filmed: Filmed,
@@ -179,7 +170,7 @@ def _look_ahead(
         return EarlyEstimate(
             identified,
             predict_frames(trial, t_s, task.arc_length_m, identified, options),
-            prospect(task, timing, so_far, trial, identified, start_s, solver),
+            simulate_offsets(task, timing, so_far, trial, identified, start_s, solver),
         )
     except (DivergedError, UnsettledError):
         return None

@@ -7,11 +7,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from cell.run.station import Filmed, Filming, Station
-from cell.run.waiting import check_arm, wait_until
+from cell.run.findings import Filmed, Filming
+from cell.run.station import Station
+from cell.run.waiting import check_arm, check_grip, wait_until
 from cell.vision.detect import detect
 from cell.vision.sighting import Sighting
-from drivers.interfaces import CameraError, Frame, GripError, Trajectory
+from drivers.interfaces import CameraError, Frame, Trajectory
 
 
 def film(
@@ -61,13 +62,6 @@ def capture(
     check_grip(station)
     hand = station.devices.arm.log(filming.begin_s, station.devices.clock.now_s())
     return Filmed(filming.begin_s, tuple(eyes.sightings), hand, tuple(eyes.pictures), taken_at_s)
-
-
-def check_grip(station: Station) -> None:
-    """Whether the cable is held.  Raises GripError."""
-    gripper = station.devices.gripper
-    if not gripper.state().holding:
-        raise GripError(gripper.name, "lost the cable", "check force and jaws")
 
 
 class _Eyes:

@@ -12,8 +12,8 @@ from cell.cable.dynamics import simulate
 from cell.identify.identified import Identified
 from cell.plan.choose import Choice
 from cell.plan.destination import Destination
-from cell.run.dry_run import Followed
-from cell.run.station import Candidates, Filmed, Task
+from cell.run.findings import Candidates, Filmed, Followed
+from cell.run.station import Task
 from cell.study.data import Trial
 from cell.vision.overlay import overlay
 from drivers.interfaces import Frame
@@ -50,12 +50,12 @@ def measured_pictures(filmed: Filmed, task: Task) -> dict[str, Image]:
 
 
 def passage_pictures(
-    filmed: Filmed, prospect: Candidates, choice: Choice, task: Task
+    filmed: Filmed, candidates: Candidates, choice: Choice, task: Task
 ) -> dict[str, Image]:
     """The execution near the passage: destination, predicted and measured path of the tip."""
     destination = task.destination
     passes_s = (
-        prospect.start_s + choice.t_s[int(np.argmax(choice.tip_m[:, 0] <= destination.x_max_m))]
+        candidates.start_s + choice.t_s[int(np.argmax(choice.tip_m[:, 0] <= destination.x_max_m))]
     )
     frame = min(filmed.pictures, key=lambda p: abs(p.t_s - passes_s))
     image = overlay(frame.image, filmed.sightings[frame.index], task.view)

@@ -1,61 +1,94 @@
-"""The cycle under way: its step, its record, and what is known of its result so far."""
+"""The cycle under way: its step, what it has found, and what of that is on record."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 from cell.identify.identified import Identified
-from cell.plan.passage import Passage
+from cell.plan.passage import height_at_mouth_m
 from cell.records.folder import Record
-from cell.records.result import Result
-from cell.run.station import Station, study_of
+from cell.records.result import Fault, Outcome, Result
+from cell.run.findings import Findings, known
+from cell.run.station import Station
+from cell.run.trials import study_of
 from cell.run.watch import Watch
-from cell.study.data import Trial
 
 
 @dataclass
 class Progress:
-    """The cycle under way: where it is, and the entries of its result as they become known.
+    """The cycle under way.
 
-    empty  the jaws stay empty: a rehearsal
+    step     the step that is done, or was done last
+    seconds  time of each step so far, s
+    written  what of the findings is on record
+    fault    that has ended the cycle
     """
 
     number: int
     record: Record
     station: Station
-    empty: bool
-    step: str = "reset"
+    findings: Findings
+    step: str
     seconds: dict[str, float] = field(default_factory=dict)
-    known: dict[str, Any] = field(default_factory=dict)
+    written: Findings = field(default_factory=Findings)
+    fault: Fault | None = None
 
     def __post_init__(self) -> None:
         self.watch = Watch(self.station)
 
-    def result(self) -> Result:
-        """The cycle's result so far."""
-        known = {k: v for k, v in self.known.items() if not (isinstance(v, float) and v != v)}
-        folder = str(self.record.folder)
-        return Result(cycle=self.number, folder=folder, seconds=self.seconds, **known)
+    def write(self) -> None:
+        """Record what was found and is not on record yet."""
+        now, before = self.findings, self.written
+        self.written = now  # what cannot be written is not tried again
+        if now.trials and now.trials is not before.trials:
+            name = self.record.folder.name
+            self.record.study(study_of(name, self.station.task, now.trials))
+        new = {name: p for name, p in now.pictures.items() if name not in before.pictures}
+        self.record.pictures(new)
+        if now.identified is not None and now.identified is not before.identified:
+            self.record.model(now.identified.to_dict())
 
-    def add_study(self, *trials: Trial) -> None:
-        """Record what was filmed."""
-        self.record.study(study_of(self.record.folder.name, self.station.task, trials))
-
-    def add_model(self, identified: Identified) -> None:
-        """Record which cable it is."""
-        self.record.model(identified.to_dict())
-        self.known["parameters"] = {
-            name: float(value)
-            for name, value in zip(identified.space.names, identified.values, strict=True)
-        }
-
-    def add_passage(self, passage: Passage) -> None:
-        """Note how the tip passed."""
-        self.known.update(
-            measured_miss_m=passage.miss_m,
-            margin_m=passage.margin_m,
-            prediction_error_m=passage.error_m,
+    def result(self, state_seconds: Mapping[str, float]) -> Result:
+        """The cycle's result: that of its findings, or a failure."""
+        f = self.findings
+        best = None if f.choice is None else f.choice.best
+        predicted_miss_m = (
+            None
+            if f.choice is None
+            else height_at_mouth_m(self.station.task.destination, f.choice.tip_m)
         )
-        if passage.reason is not None:
-            self.known["reason"] = passage.reason
+        passage = f.passage
+        return Result(
+            cycle=self.number,
+            outcome=Outcome.FAILED if self.fault is not None else known(f.outcome),
+            folder=str(self.record.folder),
+            offset_m=f.offset_m,
+            predicted_miss_m=_finite(predicted_miss_m),
+            measured_miss_m=None if passage is None else _finite(passage.miss_m),
+            margin_m=None if passage is None else _finite(passage.margin_m),
+            predicted_margin_m=None if best is None else _finite(best.margin_m),
+            probability=None if best is None else _finite(best.probability),
+            prediction_error_m=None if passage is None else _finite(passage.error_m),
+            wait_s=_finite(f.wait_s),
+            seconds=self.seconds,
+            state_seconds=state_seconds,
+            parameters={} if f.identified is None else _parameters(f.identified),
+            reason=f.reason,
+            fault=self.fault,
+            speed=f.speed,
+            checks=f.checks,
+        )
+
+
+def _parameters(identified: Identified) -> dict[str, float]:
+    return {
+        name: float(value)
+        for name, value in zip(identified.space.names, identified.values, strict=True)
+    }
+
+
+def _finite(value: float | None) -> float | None:
+    """None for nan: not known."""
+    return None if value is None or math.isnan(value) else value

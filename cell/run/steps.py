@@ -1,64 +1,55 @@
-"""The steps of a cycle, one function each.
+"""What each step does: inserting and measuring.
 
 With `waiting` and `filming`, and beside the `dry_run` and the `watch`, all that calls devices.
-
-grasp → lower → hold and capture → identify → simulate → choose → execute → verify → release.
-A measuring cycle: grasp → approach → measure → go home → release.
-Every step takes the station (devices and task) and what the steps before it found, and returns what
-it found itself; nothing is kept here.
+Every step takes the station and what was found before it, and returns what is known after it;
+nothing is kept here.  Which steps there are, and in which order, is said in `plans`.
 """
 
 from __future__ import annotations
 
+import time
 from concurrent.futures import BrokenExecutor
 from dataclasses import replace
 
 import numpy as np
 
-from cell.identify.identified import Identified
 from cell.identify.individual import CableRejectedError
 from cell.identify.individual import identify as identify_cable
-from cell.plan.choose import Choice
 from cell.plan.choose import choose as choose_offset
 from cell.plan.measuring import Measuring, measuring_path
-from cell.plan.passage import Passage, measured_passage
-from cell.plan.paths import (
-    SAME_ANGLE_RAD,
-    MotionLimits,
-    identification_path,
-    retreat_path,
-)
-from cell.run.early_estimate import EarlyEstimator
-from cell.run.early_estimate import prospect as foretell
+from cell.plan.passage import measured_passage
+from cell.plan.paths import MotionLimits, identification_path, path_to
+from cell.records.result import Outcome
+from cell.run.early_estimate import EarlyEstimator, simulate_offsets
 from cell.run.filming import capture, film
-from cell.run.station import Candidates, Devices, EarlyEstimate, Filmed, Filming, Station
-from cell.run.waiting import POLL_S, REST_TIMEOUT_S, await_rest, check_arm, wait_until
+from cell.run.findings import Filming, Findings, known
+from cell.run.movements import APPROACH_SLOWER
+from cell.run.station import Devices, Station
+from cell.run.trials import executed_trial, held_trial
+from cell.run.waiting import AHEAD_S, POLL_S, REST_TIMEOUT_S, await_rest, check_arm, wait_until
 from cell.run.warm_up import warm_up as warm_up_engine
 from cell.run.warm_up import warm_up_eyes
-from cell.study.data import Trial
-from drivers.interfaces import ArmMode, DeviceError, DeviceLostError, GripError, Pose, Trajectory
+from drivers.interfaces import (
+    ArmMode,
+    DeviceError,
+    DeviceLostError,
+    DeviceTimeoutError,
+    GripError,
+    Pose,
+)
 
-#: A hand this close to where it is sent is there already, m: an arm's repeatability, and too little
-#: to set a cable swinging when the arm is brought the rest of the way.
-AT_GOAL_M = 5e-5
 #: One frame in so many is kept as a picture, during the hold and during the execution.
 KEEP_EVERY_HELD, KEEP_EVERY_MOVING = 20, 4
-#: So many times slower than an insertion a cable is brought to where it is measured, at rest.
-APPROACH_SLOWER = 4.0
-#: The arm is told so long before it is to start, because it first checks where a path leads, s.
-AHEAD_S = 0.1
 #: A forecast is corrected to first order, without simulating again, if its tips move less, m.
 SMALL_SHIFT_M = 5e-4
+#: A computer that needs longer for a choice is not going to manage, s: the longer the hand waits,
+#: the more there is to simulate.
+LONGEST_LEAD_S = 3.0
+#: Share of a measuring motion's frames in which the cable must be seen.
+LEAST_SEEN = 0.8
 
 
-# --- around the steps ---------------------------------------------------------------------------
-
-
-def connect(station: Station) -> None:
-    """Connect all devices, the one that moves last.  Raises ConnectError."""
-    station.devices.gripper.connect()
-    station.devices.camera.connect()
-    station.devices.arm.connect()
+# --- before and after the cycle -----------------------------------------------------------------
 
 
 def close(devices: Devices) -> None:
@@ -93,32 +84,18 @@ def halt(devices: Devices, reason: str) -> ArmMode:
     return state.mode
 
 
-def is_past(station: Station, t_s: float) -> bool:
-    """Whether it is too late to tell the arm to start at a moment."""
-    return station.devices.clock.now_s() > t_s - AHEAD_S
+# --- in every cycle -----------------------------------------------------------------------------
 
 
-def reset(station: Station) -> None:
-    """Clear our own stop, empty the jaws and bring the hand home, level strokes first."""
-    station.devices.arm.reset()
-    station.commands.check()  # after the reset, so that a stop given meanwhile is not lost
-    station.devices.gripper.release()
-    go_home(station)
+def connect(station: Station, findings: Findings) -> Findings:
+    """Connect all devices, the one that moves last.  Raises ConnectError."""
+    station.devices.gripper.connect()
+    station.devices.camera.connect()
+    station.devices.arm.connect()
+    return findings
 
 
-def go_home(station: Station) -> None:
-    """Bring the hand from wherever it is to where cables are grasped."""
-    _move(station, station.task.home, station.task.lowering)
-
-
-def check_ready(station: Station) -> None:
-    """Whether a cycle may begin: arm ready, jaws empty.  Raises a DeviceError that says why not."""
-    check_arm(station)
-    if station.devices.gripper.state().holding:
-        raise GripError(station.devices.gripper.name, "holds something already", "empty the jaws")
-
-
-def warm_up(station: Station) -> None:
+def warm_up(station: Station, findings: Findings) -> Findings:
     """Have everything compiled and loaded where it will be needed.  Raises DeviceLostError."""
     cable, kind = station.task.cable, station.task.identification.kind
     warm_up_engine(cable, kind)
@@ -131,18 +108,42 @@ def warm_up(station: Station) -> None:
             "the process that computes ahead ended as it began",
             "free memory; a script of your own must begin under `if __name__ == '__main__':`",
         ) from error
+    return findings
 
 
-# --- the steps ----------------------------------------------------------------------------------
+def reset(station: Station, findings: Findings) -> Findings:
+    """Clear our own stop, empty the jaws and bring the hand home, level strokes first."""
+    station.devices.arm.reset()
+    station.commands.check()  # after the reset, so that a stop given meanwhile is not lost
+    station.devices.gripper.release()
+    return go_home(station, findings)
 
 
-def grasp(station: Station) -> None:
+def check_ready(station: Station, findings: Findings) -> Findings:
+    """Whether a cycle may begin: arm ready, jaws empty.  Raises a DeviceError that says why not."""
+    check_arm(station)
+    if station.devices.gripper.state().holding:
+        raise GripError(station.devices.gripper.name, "holds something already", "empty the jaws")
+    return findings
+
+
+def go_home(station: Station, findings: Findings) -> Findings:
+    """Bring the hand from wherever it is to where cables are grasped."""
+    move_to(station, station.task.home, station.task.lowering)
+    return findings
+
+
+# --- inserting ----------------------------------------------------------------------------------
+
+
+def grasp(station: Station, findings: Findings) -> Findings:
     """Close the jaws on the cable and let it calm down.  Raises GripError."""
     station.devices.gripper.grip(station.task.force_n)
     wait_until(station, station.devices.clock.now_s() + station.task.calm_s)
+    return findings
 
 
-def lower(station: Station) -> Filming:
+def lower(station: Station, findings: Findings) -> Findings:
     """Begin to film the cable at rest, then move it down so that it swings."""
     task = station.task
     path = identification_path(
@@ -153,83 +154,113 @@ def lower(station: Station) -> Filming:
         duration_s=task.lower_s,
         hold_s=0.0,
     )
-    return film(station, path, task.still_s, task.hold_s, KEEP_EVERY_HELD)
+    return replace(
+        findings, filming=film(station, path, task.still_s, task.hold_s, KEEP_EVERY_HELD)
+    )
 
 
-def hold_and_capture(station: Station, filming: Filming) -> Filmed:
+def hold_and_capture(station: Station, findings: Findings) -> Findings:
     """Hold still while the cable swings, and find it in every frame as it comes.
 
-    Somebody else computes ahead, so that little is left to be computed after the last frame.
+    The second process computes from the first frames, so that little is left after the last one.
     """
+    filming = known(findings.filming)
     ahead = EarlyEstimator(station, filming)
     try:
         filmed = capture(station, filming, KEEP_EVERY_HELD, ahead.look)
-        return replace(filmed, early=ahead.found())
+        held = replace(filmed, early=ahead.found())
     finally:
         ahead.close()
-
-
-def identify(station: Station, trial: Trial, early: EarlyEstimate | None = None) -> Identified:
-    """This cable's parameters.  Raises CableRejectedError."""
-    task = station.task
-    return identify_cable(
-        trial,
-        task.arc_length_m,
-        task.cable,
-        previous=None if early is None else early.identified,
-        predicted=None if early is None else early.predicted,
-        options=task.identification,
+    return replace(
+        findings,
+        held=held,
+        trials=(held_trial(held),),
+        lead_s=station.task.decide_s,
+        waiting_since_s=held.seen_at_s,
     )
 
 
-def settled(station: Station, trial: Trial, identified: Identified) -> Identified:
-    """The same cable without haste, for the record: no step is left linear from early frames.
-
-    As it was if the fit finds nothing better; the choice was made with that.
-    """
-    task = station.task
+def identify(station: Station, findings: Findings) -> Findings:
+    """This cable's parameters, or why it is rejected."""
+    task, early = station.task, known(findings.held).early
     try:
-        return identify_cable(
-            trial, task.arc_length_m, task.cable, previous=identified, options=task.identification
+        identified = identify_cable(
+            findings.trials[0],
+            task.arc_length_m,
+            task.cable,
+            previous=None if early is None else early.identified,
+            predicted=None if early is None else early.predicted,
+            options=task.identification,
         )
-    except CableRejectedError:
-        return identified
+    except CableRejectedError as error:
+        return findings.reject(str(error))
+    return replace(findings, identified=identified)
 
 
-def simulate(
-    station: Station, filmed: Filmed, trial: Trial, identified: Identified, lead_s: float
-) -> Candidates:
+def simulate(station: Station, findings: Findings) -> Findings:
     """What every offset would do, `lead_s` from now, or as simulated early if that still holds."""
+    held, identified = known(findings.held), known(findings.identified)
     now_s = station.devices.clock.now_s()
-    early = filmed.early
-    if early is not None and not is_past(station, early.prospect.start_s):
-        expected = early.prospect.forecast
+    early = held.early
+    if early is not None and not is_past(station, early.candidates.start_s):
+        expected = early.candidates.forecast
         shift_m = expected.moved_to(identified.mean).tip_m - expected.tip_m
         if np.abs(shift_m).max() < SMALL_SHIFT_M:
-            return early.prospect
-    return foretell(station.task, station.timing, filmed, trial, identified, now_s + lead_s)
+            return replace(findings, candidates=early.candidates)
+    candidates = simulate_offsets(
+        station.task,
+        station.timing,
+        held,
+        findings.trials[0],
+        identified,
+        now_s + known(findings.lead_s),
+    )
+    return replace(findings, candidates=candidates)
 
 
-def choose(station: Station, prospect: Candidates, identified: Identified) -> Choice:
+def choose(station: Station, findings: Findings) -> Findings:
     """The offset that passes most probably, or why none does."""
     task = station.task
-    return choose_offset(prospect.forecast, identified, task.destination, task.choice)
-
-
-def verify(station: Station, filmed: Filmed, prospect: Candidates, choice: Choice) -> Passage:
-    """Whether the tip was seen to pass the destination, and how far the forecast was off."""
-    return measured_passage(
-        station.task.destination,
-        np.array([s.t_s for s in filmed.sightings]),
-        np.array([s.nodes_m[0] for s in filmed.sightings]),
-        prospect.start_s + choice.t_s,
-        choice.tip_m,
+    choice = choose_offset(
+        known(findings.candidates).forecast,
+        known(findings.identified),
+        task.destination,
+        task.choice,
     )
+    wait_s = time.perf_counter() - known(findings.waiting_since_s)
+    findings = replace(findings, choice=choice, wait_s=wait_s)
+    return findings if choice.reason is None else findings.reject(choice.reason)
 
 
-def execute(station: Station, path: Trajectory, start_s: float) -> Filmed:
-    """Follow the chosen path from `start_s` on and film it until the hand has settled."""
+def review_choice(station: Station, findings: Findings, paused: bool) -> Findings:
+    """The choice settled if there is still time to execute it, or more time for the next one.
+
+    paused  the cell was held or suspended after the choice: the hand did not wait for the computer
+    raises  DeviceTimeoutError: the computer is too slow for any choice
+    """
+    if paused:
+        findings = replace(findings, waiting_since_s=time.perf_counter())
+    if findings.rejected:
+        return findings
+    if not paused and not is_past(station, known(findings.candidates).start_s):
+        return replace(findings, offset_m=known(findings.choice).best.offset_m)
+    lead_s = known(findings.lead_s)
+    if paused:
+        return findings
+    if lead_s > LONGEST_LEAD_S:
+        raise DeviceTimeoutError(
+            "computer",
+            f"a choice took longer than the {lead_s:.1f} s allowed for it",
+            "end other programs, or allow a longer motion.decide_s",
+        )
+    return replace(findings, lead_s=2.0 * lead_s)
+
+
+def execute(station: Station, findings: Findings) -> Findings:
+    """Follow the chosen path from its planned moment on; film it until the hand has settled."""
     task, arm, camera = station.task, station.devices.arm, station.devices.camera
+    candidates, choice = known(findings.candidates), known(findings.choice)
+    path, start_s = candidates.paths[choice.table.index(choice.best)], candidates.start_s
     duration_s = float(path.t_s[-1]) + arm.lag_s + task.settle_s
     frame_count = int(np.ceil(duration_s * camera.frame_rate_hz))
     end_s = start_s + duration_s
@@ -237,40 +268,79 @@ def execute(station: Station, path: Trajectory, start_s: float) -> Filmed:
     wait_until(station, start_s)
     camera.start(frame_count)
     filming = Filming(start_s, end_s - task.settle_s, end_s, frame_count)
-    return capture(station, filming, KEEP_EVERY_MOVING)
+    executed = capture(station, filming, KEEP_EVERY_MOVING)
+    (trial,) = findings.trials
+    trials = (trial, executed_trial(trial, known(findings.held), executed))
+    return replace(findings, executed=executed, trials=trials)
 
 
-def approach(station: Station, motion: Measuring) -> None:
+def verify(station: Station, findings: Findings) -> Findings:
+    """Whether the tip was seen to pass the destination, and how far the forecast was off."""
+    executed, choice = known(findings.executed), known(findings.choice)
+    passage = measured_passage(
+        station.task.destination,
+        np.array([s.t_s for s in executed.sightings]),
+        np.array([s.nodes_m[0] for s in executed.sightings]),
+        known(findings.candidates).start_s + choice.t_s,
+        choice.tip_m,
+    )
+    outcome = Outcome.INSERTED if passage.passed else Outcome.MISSED
+    return replace(findings, passage=passage, outcome=outcome, reason=passage.reason)
+
+
+def release(station: Station, findings: Findings) -> Findings:
+    """Let go of the cable: where it is if it was inserted, else aside."""
+    if findings.outcome is not Outcome.INSERTED:
+        move_to(station, station.task.aside, station.task.lowering)
+    return let_go(station, findings)
+
+
+# --- measuring ----------------------------------------------------------------------------------
+
+
+def approach(motion: Measuring, station: Station, findings: Findings) -> Findings:
     """Bring the cable slowly to where a measuring motion begins, and let it calm down."""
-    _move(station, motion.start, station.task.insertion.slowed(APPROACH_SLOWER))
+    move_to(station, motion.start, station.task.insertion.slowed(APPROACH_SLOWER))
     wait_until(station, station.devices.clock.now_s() + station.task.calm_s)
+    return findings
 
 
-def measure(station: Station, motion: Measuring) -> Filmed:
+def measure(motion: Measuring, station: Station, findings: Findings) -> Findings:
     """Film the cable at rest, during the moves and while the hand is held after them."""
     path = measuring_path(motion.start, motion.moves, station.devices.arm.rate_hz)
     filming = film(station, path, motion.still_s, motion.hold_s, KEEP_EVERY_HELD)
-    return capture(station, filming, KEEP_EVERY_HELD)
+    held = capture(station, filming, KEEP_EVERY_HELD)
+    trial = replace(held_trial(held), name=motion.name)
+    findings = replace(findings, held=held, trials=(trial,), outcome=Outcome.MEASURED)
+    seen = sum(s.seen for s in held.sightings)
+    if seen >= LEAST_SEEN * len(held.sightings):
+        return findings
+    return findings.reject(
+        f"the cable is seen in {seen} of {len(held.sightings)} frames, needs "
+        f"{LEAST_SEEN:.0%}; keep the motion inside the picture"
+    )
 
 
-def release(station: Station, *, aside: bool) -> None:
-    """Let go of the cable: aside, or where it is."""
-    if aside:
-        _move(station, station.task.aside, station.task.lowering)
+def let_go(station: Station, findings: Findings) -> Findings:
+    """Open the jaws where the hand is."""
     station.devices.gripper.release()
+    return findings
 
 
 # --- what the steps share -----------------------------------------------------------------------
 
 
-def _move(station: Station, goal: Pose, limits: MotionLimits) -> None:
+def is_past(station: Station, t_s: float) -> bool:
+    """Whether it is too late to tell the arm to start at a moment."""
+    return station.devices.clock.now_s() > t_s - AHEAD_S
+
+
+def move_to(station: Station, goal: Pose, limits: MotionLimits) -> None:
     """Move to `goal`: level first, then up or down, then turning, and rest there."""
     arm = station.devices.arm
-    here = arm.state().pose
-    away_m = max(abs(here.x_m - goal.x_m), abs(here.y_m - goal.y_m))
-    if away_m < AT_GOAL_M and abs(here.angle_rad - goal.angle_rad) < SAME_ANGLE_RAD:
+    path = path_to(goal, arm.state().pose, limits, arm.rate_hz)
+    if path is None:
         return
-    path = retreat_path(here, goal, limits, arm.rate_hz)
     arm.follow(path)
     wait_until(station, station.devices.clock.now_s() + float(path.t_s[-1]) + arm.lag_s)
     await_rest(station)

@@ -1,14 +1,16 @@
-"""Letting time pass between devices: until a moment, or until the arm rests."""
+"""Waiting until a moment or until the arm rests, and looking whether devices are as needed."""
 
 from __future__ import annotations
 
 from cell.run.station import Station
-from drivers.interfaces import ArmMode, DeviceTimeoutError, StoppedError
+from drivers.interfaces import ArmMode, DeviceTimeoutError, GripError, StoppedError
 
 #: How long a wait is between two looks at the commands, s.
 POLL_S = 0.01
 #: Longest time that an arm needs to rest after the end of its path, beyond its lag, s.
 REST_TIMEOUT_S = 1.0
+#: The arm is told so long before it is to start, because it first checks where a path leads, s.
+AHEAD_S = 0.1
 
 
 def wait_until(station: Station, t_s: float) -> None:
@@ -41,3 +43,10 @@ def check_arm(station: Station) -> None:
     mode = arm.state().mode
     if mode is not ArmMode.READY:
         raise StoppedError(arm.name, f"is in {mode.value.replace('_', ' ')}", mode.remedy)
+
+
+def check_grip(station: Station) -> None:
+    """Whether the cable is held.  Raises GripError."""
+    gripper = station.devices.gripper
+    if not gripper.state().holding:
+        raise GripError(gripper.name, "lost the cable", "check force and jaws")

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 
 from cell.run.station import Station
-from cell.run.waiting import check_arm
+from cell.run.waiting import check_arm, check_grip
 from drivers.interfaces import DeviceError, GripError
 
 #: Time between two looks, s.  With the two answers that a gripper's driver waits for, 35 ms each,
@@ -76,7 +76,9 @@ class Watch:
         check_arm(self._station)
 
     def _look_at_gripper(self) -> None:
-        if self.holding and not self._station.devices.gripper.state().holding and self.holding:
-            raise GripError(
-                self._station.devices.gripper.name, "lost the cable", "check force and jaws"
-            )
+        if self.holding:
+            try:
+                check_grip(self._station)
+            except GripError:
+                if self.holding:  # it was not let go on purpose meanwhile
+                    raise

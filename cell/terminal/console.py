@@ -16,52 +16,6 @@ from cell.identify.identified import Identified
 from cell.records.result import Check, Outcome, Result
 from cell.run.machine import Event
 
-#: Steps in their order; those of a cycle that another one lacks are shown as empty.
-STEPS = (
-    "connect",
-    "warm_up",
-    "reset",
-    "start",
-    "grasp",
-    "lower",
-    "hold_and_capture",
-    "identify",
-    "simulate",
-    "choose",
-    "execute",
-    "verify",
-    "release",
-    "go_home",
-)
-
-#: Steps of a cycle that only measures.
-MEASURING_STEPS = (
-    "connect",
-    "warm_up",
-    "reset",
-    "start",
-    "grasp",
-    "approach",
-    "measure",
-    "go_back",
-    "release",
-    "go_home",
-)
-
-#: Steps of a dry run.
-DRY_RUN_STEPS = (
-    "connect",
-    "reset",
-    "start",
-    "check_paths",
-    "go_home",
-    "go_down",
-    "go_in",
-    "go_aside",
-    "go_to_start",
-    "go_through",
-)
-
 #: What the keys do during a run, and what is then said of them.
 MAY_HOLD = "h: hold"
 KEYS = {
@@ -97,9 +51,12 @@ _SHOWN = {
 
 
 class RunProgress:
-    """A line that moves on with every step, on the error stream; silent if nobody watches it."""
+    """A line that moves on with every step, on the error stream; silent if nobody watches it.
 
-    def __init__(self, cycles: int, steps: Sequence[str] = STEPS) -> None:
+    steps  names of those of one cycle, in their order
+    """
+
+    def __init__(self, cycles: int, steps: Sequence[str]) -> None:
         self._cycles = cycles
         self._steps = steps
         console = Console(stderr=True)
@@ -184,8 +141,11 @@ def checks_table(result: Result) -> Table:
     return table
 
 
-def seconds_table(results: Sequence[Result], steps: Sequence[str] = STEPS) -> Table:
-    """Time of each step: one column per cable, or median and longest of many cables."""
+def seconds_table(results: Sequence[Result], steps: Sequence[str]) -> Table:
+    """Time of each step: one column per cable, or median and longest of many cables.
+
+    steps  names in the order of the rows
+    """
     table = Table(title="seconds per step", box=SIMPLE_HEAD)
     table.add_column("step")
     many = len(results) > MOST_COLUMNS

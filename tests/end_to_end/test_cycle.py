@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -13,11 +14,13 @@ import pytest
 
 from cell.records.folder import read_record
 from cell.records.result import Outcome
+from cell.run.findings import Findings
 from cell.run.machine import CellState, Event
+from cell.run.plans import INSERTING, Step
+from cell.run.station import Station
 from cell.settings import Settings
 from cell.simulated.hidden import hidden_cable
-from cell.terminal.console import STEPS
-from drivers.interfaces import Trajectory
+from drivers.interfaces import DeviceTimeoutError, Trajectory
 
 Live = Callable[..., SimpleNamespace]
 
@@ -35,7 +38,9 @@ def test_three_cables_are_inserted_and_leave_complete_records(live: Live, quick:
         assert r.prediction_error_m is not None and r.prediction_error_m < 1e-3
         assert r.measured_miss_m == pytest.approx(r.predicted_miss_m, abs=1e-3)
         assert r.wait_s is not None and r.wait_s > 0.0
-        assert set(r.seconds) == set(STEPS) - ({"connect", "warm_up"} if r.cycle > 1 else set())
+        assert set(r.seconds) == set(INSERTING.names) - (
+            {"connect", "warm_up"} if r.cycle > 1 else set()
+        )
         read = read_record(Path(r.folder))
         assert read.closed
         assert read.result == r
@@ -171,3 +176,28 @@ def test_a_cycle_leaves_the_arm_at_home_and_the_jaws_open(live: Live) -> None:
     home = it.twins.world.hand_pose()
     assert (home.x_m, home.y_m) == pytest.approx((0.0, 0.0), abs=1e-4)
     assert not it.twins.world.holds
+
+
+def test_a_step_more_is_one_function_and_one_line_of_a_plan(live: Live) -> None:
+    """It is done, timed, recorded and named in a fault like every other."""
+    wiped_at_s: list[float] = []
+
+    def wipe_window(station: Station, findings: Findings) -> Findings:
+        wiped_at_s.append(station.devices.clock.now_s())
+        station.devices.clock.sleep_s(2.0)
+        return findings
+
+    wiping = replace(INSERTING, starting=(*INSERTING.starting, Step("wipe_window", wipe_window)))
+    it = live(cycles=2)
+    result = it.cell.run_cycle(1, wiping)
+    assert result.outcome is Outcome.INSERTED
+    assert result.seconds["wipe_window"] == pytest.approx(2.0) and len(wiped_at_s) == 1
+    assert it.steps == [*wiping.names] and it.steps.index("wipe_window") == 4
+
+    def jam(station: Station, findings: Findings) -> Findings:
+        raise DeviceTimeoutError("wiper", "jammed", "free it")
+
+    jamming = replace(INSERTING, starting=(*INSERTING.starting, Step("wipe_window", jam)))
+    fault = it.cell.run_cycle(2, jamming).fault
+    assert fault is not None
+    assert (fault.step, fault.device, fault.cause) == ("wipe_window", "wiper", "jammed")

@@ -19,10 +19,10 @@ from cell.plan.motion_file import load_motion
 from cell.records.folder import read_record
 from cell.records.result import Outcome, Result
 from cell.run.machine import CellState, Event
+from cell.run.plans import INSERTING, measuring
 from cell.run.waiting import POLL_S
 from cell.settings import Settings
 from cell.simulated.twins import build_twins
-from cell.terminal.console import DRY_RUN_STEPS
 from drivers.interfaces import Pose
 from drivers.servo import SETTLING_LAGS
 from drivers.sim.arm import ArmFaults, ArmTwinOptions, SimArm
@@ -49,7 +49,7 @@ def dry_runs(quick: Settings, tmp_path_factory: pytest.TempPathFactory) -> dict[
     def one(speed: float) -> Result:
         twins = build_twins(quick, 1, 0)
         cell = cell_with(quick, twin_devices(twins), runs, lambda number, step: None)
-        return cell.run_cycle(1, dry_run_speed=speed)
+        return cell.run_cycle(1, cell.rehearsal(INSERTING, speed))
 
     return {speed: one(speed) for speed in (1.0, 0.3)}
 
@@ -106,10 +106,12 @@ def test_the_jaws_stay_as_they_are_and_no_cable_is_taken(live: Live) -> None:
         raise AssertionError("the jaws were moved")
 
     it.twins.gripper.grip = it.twins.gripper.release = refuse
-    result = it.cell.run_cycle(1, dry_run_speed=1.0)
+    result = it.cell.run_cycle(1, it.cell.rehearsal(INSERTING, 1.0))
     assert result.outcome is Outcome.REHEARSED
     assert it.twins.world.waiting == 1
-    assert set(it.steps) <= set(DRY_RUN_STEPS)
+    once = ("go_down", "go_in", "go_aside", "go_home")
+    before = ("connect", "reset", "start", "check_paths", "go_home")
+    assert it.steps == [*before, *once, *once, "go_home"]
     home = it.twins.world.hand_pose()
     assert (home.x_m, home.y_m) == pytest.approx((0.0, 0.0), abs=2e-4)
     assert it.cell.machine.state is CellState.COMPLETE
@@ -117,7 +119,7 @@ def test_the_jaws_stay_as_they_are_and_no_cable_is_taken(live: Live) -> None:
 
 def test_jaws_that_hold_something_are_not_moved_about(live: Live) -> None:
     it = live({"reset": lambda it: it.twins.world.take()})
-    result = it.cell.run_cycle(1, dry_run_speed=1.0)
+    result = it.cell.run_cycle(1, it.cell.rehearsal(INSERTING, 1.0))
     assert result.outcome is Outcome.FAILED and result.fault is not None
     assert (result.fault.step, result.fault.device) == ("reset", "gripper")
     assert "empty" in result.fault.remedy
@@ -130,7 +132,7 @@ def test_a_path_beyond_the_limits_is_named_before_anything_moves(
     """Only the last offset leaves the box, which no check of single settings would let through."""
     low = quick.limits.model_copy(update={"y_m": (-0.088, 0.02)})
     it = live(settings=quick.model_copy(update={"limits": low}))
-    result = it.cell.run_cycle(1, dry_run_speed=0.5)
+    result = it.cell.run_cycle(1, it.cell.rehearsal(INSERTING, 0.5))
     assert result.fault is not None and result.fault.step == "check_paths"
     assert "on the way 'go in'" in result.fault.cause and "y = -0.088" in result.fault.cause
     assert it.twins.world.hand_pose() == Pose(0.0, 0.0, 0.0)
@@ -148,7 +150,7 @@ def test_the_way_home_is_slow_too(live: Live, quick: Settings, tmp_path: Path) -
             fastest.append(float(np.abs(np.diff(log.y_m[::10])).max() / 0.02))
 
     cell = cell_with(quick, twin_devices(twins), tmp_path / "runs", on_step)
-    cell.run_cycle(1, dry_run_speed=0.2)
+    cell.run_cycle(1, cell.rehearsal(INSERTING, 0.2))
     assert 0.01 < fastest[0] < 0.2 * quick.motion.lowering.velocity_m_per_s * 1.05
 
 
@@ -162,7 +164,7 @@ def test_what_is_not_right_makes_the_cell_unfit_and_names_the_remedy(
     cell = cell_with(
         quick, type(devices)(late, *list(vars(devices).values())[1:]), tmp_path, lambda n, s: None
     )
-    result = cell.run_cycle(1, dry_run_speed=1.0)
+    result = cell.run_cycle(1, cell.rehearsal(INSERTING, 1.0))
     assert result.outcome is Outcome.UNFIT
     remedies = {c.what: c.remedy for c in result.checks if not c.right}
     assert set(remedies) == {"arm: lag", "camera: stamps late by"}
@@ -173,13 +175,13 @@ def test_what_is_not_right_makes_the_cell_unfit_and_names_the_remedy(
 @pytest.mark.parametrize("step", ["check_paths", "go_down", "go_in", "go_aside"])
 def test_a_stop_in_any_step_stops_and_a_lost_arm_aborts(live: Live, step: str) -> None:
     it = live({step: lambda it: it.cell.command(Event.STOP, "guard opened")})
-    result = it.cell.run_cycle(1, dry_run_speed=1.0)
+    result = it.cell.run_cycle(1, it.cell.rehearsal(INSERTING, 1.0))
     assert result.fault is not None and result.fault.step == step
     assert it.cell.machine.state is CellState.STOPPED
     assert it.twins.world.hand_rests_from_s() <= it.twins.world.clock.now_s()
 
     lost = live({step: lambda it: setattr(it.twins.arm, "faults", ArmFaults(lost_at_s=0.0))})
-    result = lost.cell.run_cycle(1, dry_run_speed=1.0)
+    result = lost.cell.run_cycle(1, lost.cell.rehearsal(INSERTING, 1.0))
     assert result.fault is not None and (result.fault.step, result.fault.device) == (step, "arm")
     assert lost.cell.machine.state is CellState.ABORTED
 
@@ -189,13 +191,13 @@ def test_it_can_be_held_between_motions(live: Live) -> None:
         threading.Timer(0.05, it.cell.command, (Event.UNHOLD,)).start()
 
     it = live({"go_down": lambda it: it.cell.command(Event.HOLD), "held": later})
-    assert it.cell.run_cycle(1, dry_run_speed=1.0).outcome is Outcome.REHEARSED
+    assert it.cell.run_cycle(1, it.cell.rehearsal(INSERTING, 1.0)).outcome is Outcome.REHEARSED
     assert it.steps[it.steps.index("held") - 1] == "go_down"
 
 
 def test_a_cycle_with_a_cable_follows_a_dry_run(live: Live) -> None:
     it = live()
-    assert it.cell.run_cycle(1, dry_run_speed=1.0).outcome is Outcome.REHEARSED
+    assert it.cell.run_cycle(1, it.cell.rehearsal(INSERTING, 1.0)).outcome is Outcome.REHEARSED
     result = it.cell.run_cycle(2)
     assert result.outcome is Outcome.INSERTED
     assert "warm_up" in result.seconds and result.speed is None
@@ -209,7 +211,8 @@ def test_a_measuring_motion_is_rehearsed(live: Live, quick: Settings, tmp_path: 
         encoding="utf-8",
     )
     it = live()
-    result = it.cell.run_cycle(1, load_motion(path, quick), dry_run_speed=0.5)
+    plan = measuring(load_motion(path, quick))
+    result = it.cell.run_cycle(1, it.cell.rehearsal(plan, 0.5))
     assert result.outcome is Outcome.REHEARSED
     assert {"go_to_start", "go_through"} <= set(result.seconds) and "go_in" not in result.seconds
 

@@ -24,7 +24,7 @@ from cell.plan import choose
 from cell.records.folder import read_record
 from cell.records.result import Outcome
 from cell.run import early_estimate, steps
-from cell.run.station import Filming, Station
+from cell.run.findings import Filming
 from cell.settings import Settings
 
 Live = Callable[..., SimpleNamespace]
@@ -34,16 +34,16 @@ def test_frames_are_looked_at_while_the_hand_still_moves(
     live: Live, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     begun: list[Filming] = []
-    hold = steps.hold_and_capture
+    capture = steps.capture
 
-    def noting(station: Station, filming: Filming) -> Any:
+    def noting(station: Any, filming: Filming, *rest: Any) -> Any:
         begun.append(filming)
-        return hold(station, filming)
+        return capture(station, filming, *rest)
 
-    monkeypatch.setattr(steps, "hold_and_capture", noting)
+    monkeypatch.setattr(steps, "capture", noting)
     it = live()
     assert it.cell.run_cycle(1).outcome is Outcome.INSERTED
-    (filming,) = begun
+    filming = begun[0]  # the hold; the execution comes after it
     rate_hz = it.twins.camera.frame_rate_hz
     assert filming.rest_s - filming.sightings[-1].t_s < 2.0 / rate_hz
     assert len(filming.sightings) > 0.9 * (filming.rest_s - filming.begin_s) * rate_hz

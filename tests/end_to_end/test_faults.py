@@ -14,7 +14,7 @@ import pytest
 from cell.records.folder import read_record
 from cell.records.result import Outcome, Result
 from cell.run.machine import CellState, Event, EventRefusedError
-from cell.terminal.console import STEPS
+from cell.run.plans import INSERTING
 from drivers.interfaces import ArmMode
 from drivers.sim.arm import ArmFaults
 from drivers.sim.camera import CameraFaults
@@ -23,8 +23,8 @@ from drivers.sim.gripper import GripperFaults
 Live = Callable[..., SimpleNamespace]
 
 #: Steps during which the hand moves, and those after which there is something measured.
-KNOWS_STUDY = STEPS[STEPS.index("identify") :]
-KNOWS_MODEL = STEPS[STEPS.index("simulate") :]
+KNOWS_STUDY = INSERTING.names[INSERTING.names.index("identify") :]
+KNOWS_MODEL = INSERTING.names[INSERTING.names.index("simulate") :]
 
 
 def check_stopped(it: SimpleNamespace, result: Result, step: str) -> None:
@@ -40,7 +40,7 @@ def check_stopped(it: SimpleNamespace, result: Result, step: str) -> None:
     assert read.closed and read.result == result and read.step == step
     assert (read.study is not None) is (step in KNOWS_STUDY)
     assert (read.model is not None) is (step in KNOWS_MODEL)
-    assert set(result.seconds) <= set(STEPS[: STEPS.index(step) + 1])
+    assert set(result.seconds) <= set(INSERTING.names[: INSERTING.names.index(step) + 1])
 
 
 def interrupt(it: SimpleNamespace) -> None:
@@ -57,7 +57,7 @@ def lose_the_arm(it: SimpleNamespace) -> None:
     it.twins.arm.faults = ArmFaults(lost_at_s=it.twins.world.clock.now_s())
 
 
-@pytest.mark.parametrize("step", STEPS)
+@pytest.mark.parametrize("step", INSERTING.names)
 def test_a_stop_in_any_step_ends_stopped(live: Live, step: str) -> None:
     it = live({step: stop_from_another_thread})
     result = it.cell.run_cycle(1)

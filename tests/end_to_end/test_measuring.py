@@ -18,10 +18,10 @@ from cell.plan.motion_file import load_motion
 from cell.records.folder import read_record
 from cell.records.result import Outcome
 from cell.run.machine import CellState, Event
+from cell.run.plans import measuring
 from cell.settings import Settings
 from cell.simulated.hidden import hidden_cable
 from cell.study.folder import read_study
-from cell.terminal.console import MEASURING_STEPS
 
 Live = Callable[..., SimpleNamespace]
 
@@ -57,9 +57,12 @@ def test_the_motion_is_filmed_and_the_cable_is_let_go_at_home(
     live: Live, quick: Settings, tilted: Measuring
 ) -> None:
     it = live(seed=3)
-    result = it.cell.run_cycle(1, tilted)
+    result = it.cell.run_cycle(1, measuring(tilted))
     assert result.outcome is Outcome.MEASURED
-    assert it.steps == list(MEASURING_STEPS)
+    assert it.steps == [
+        *("connect", "warm_up", "reset", "start"),
+        *("grasp", "approach", "measure", "go_back", "release", "go_home"),
+    ]
     assert it.cell.machine.state is CellState.COMPLETE
     assert not it.twins.world.holds
     home = it.twins.world.hand_pose()
@@ -87,7 +90,7 @@ def test_the_motion_is_filmed_and_the_cable_is_let_go_at_home(
 
 def test_a_cable_can_be_inserted_after_another_was_measured(live: Live, tilted: Measuring) -> None:
     it = live(cycles=2, seed=7)
-    assert it.cell.run_cycle(1, tilted).outcome is Outcome.MEASURED
+    assert it.cell.run_cycle(1, measuring(tilted)).outcome is Outcome.MEASURED
     assert it.cell.run_cycle(2).outcome is Outcome.INSERTED
 
 
@@ -100,12 +103,12 @@ def test_after_a_stop_with_the_clamp_tilted_the_hand_finds_home(
         clock.call_at(clock.now_s() + 0.4, lambda: it.cell.command(Event.STOP, "guard opened"))
 
     it = live({step: soon}, cycles=2)
-    result = it.cell.run_cycle(1, tilted)
+    result = it.cell.run_cycle(1, measuring(tilted))
     assert result.outcome is Outcome.FAILED
     assert result.fault is not None and result.fault.step == step
     assert it.twins.world.hand_rests_from_s() <= it.twins.world.clock.now_s()
     it.cell.acknowledge()
-    assert it.cell.run_cycle(2, tilted).outcome is Outcome.MEASURED
+    assert it.cell.run_cycle(2, measuring(tilted)).outcome is Outcome.MEASURED
 
 
 def test_a_cable_that_leaves_the_picture_is_not_measured(
@@ -114,7 +117,7 @@ def test_a_cable_that_leaves_the_picture_is_not_measured(
     view = quick.camera.view.model_copy(update={"origin_column_px": 300.0})
     camera = quick.camera.model_copy(update={"view": view})
     it = live(settings=quick.model_copy(update={"camera": camera}))
-    result = it.cell.run_cycle(1, tilted)
+    result = it.cell.run_cycle(1, measuring(tilted))
     assert result.outcome is Outcome.REJECTED
     assert result.reason is not None and "keep the motion inside the picture" in result.reason
 

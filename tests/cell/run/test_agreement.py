@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from cell.plan.paths import MotionLimits, identification_path, insertion_path
 from cell.records.result import Check
 from cell.run.agreement import agreement
-from cell.run.dry_run import Film, Followed
+from cell.run.findings import Film, Followed
 from drivers.interfaces import Frame, Pose, Trajectory
 from drivers.servo import servo_response
 

@@ -29,6 +29,9 @@ FAILED = Result(
 )
 
 
+STEPS = ("grasp", "execute")
+
+
 def printed(table: Table) -> str:
     console = Console(file=io.StringIO(), width=80)
     console.print(table)
@@ -44,9 +47,9 @@ def test_results_are_in_millimetres_with_their_signs() -> None:
 
 
 def test_times_have_a_column_per_cable_or_a_summary_of_many() -> None:
-    assert "cable 1" in printed(seconds_table([INSERTED]))
+    assert "cable 1" in printed(seconds_table([INSERTED], STEPS))
     slow = Result(2, Outcome.INSERTED, "", seconds={"grasp": 2.5})
-    text = printed(seconds_table([INSERTED] * MOST_COLUMNS + [slow]))
+    text = printed(seconds_table([INSERTED] * MOST_COLUMNS + [slow], STEPS))
     (row,) = (line.split() for line in text.splitlines() if line.split()[:1] == ["grasp"])
     assert row == ["grasp", "0.900", "2.500"]
 

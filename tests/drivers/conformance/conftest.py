@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -237,15 +237,16 @@ def real_bench(request: pytest.FixtureRequest, tmp_path: Path) -> Station:
 @contextlib.contextmanager
 def real_arm(request: pytest.FixtureRequest) -> Iterator[ArmBench]:
     """At home when a test begins, where it was brought at a quarter of a cycle's speed."""
-    from cell import steps
-    from cell.run.legs import slowed
+    from cell.run.movements import slowed
+    from cell.run.steps import move_to
 
     station = request.getfixturevalue("real_bench")
     arm = station.devices.arm
     arm.connect()
     try:
         arm.reset()
-        steps.go_home(replace(station, task=slowed(station.task, 0.25)))
+        slow = slowed(station.task, 0.25)
+        move_to(station, slow.home, slow.lowering)
     finally:
         arm.close()
     home = station.task.home

@@ -1,4 +1,4 @@
-"""The motions of a dry run: all those of a cycle, at any share of their speed."""
+"""The hand's movements in a plan, at any share of their speed: what a dry run makes and checks."""
 
 from __future__ import annotations
 
@@ -6,21 +6,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from cell.plan.measuring import Measuring, Move, measuring_path
-from cell.plan.paths import (
-    SAME_ANGLE_RAD,
-    MotionLimits,
-    identification_path,
-    insertion_path,
-    retreat_path,
-)
+from cell.plan.paths import MotionLimits, identification_path, insertion_path, path_to
 from cell.run.station import Task
-from cell.run.steps import APPROACH_SLOWER, AT_GOAL_M
 from drivers.interfaces import Pose, Trajectory
+
+#: So many times slower than an insertion a cable is brought to where it is measured, at rest.
+APPROACH_SLOWER = 4.0
+
+#: Names of the movements, which are steps of a dry run.
+HOME, DOWN, IN, ASIDE = "go_home", "go_down", "go_in", "go_aside"
+TO_START, THROUGH = "go_to_start", "go_through"
 
 
 @dataclass(frozen=True)
-class Leg:
-    """One motion to `goal`: level, then upright within `limits`; or along `path`, and filmed."""
+class Movement:
+    """One movement to `goal`: level, then upright within `limits`; or along `path`, and filmed."""
 
     name: str
     goal: Pose
@@ -32,10 +32,7 @@ class Leg:
         if self.path is not None:
             return self.path
         assert self.limits is not None
-        away_m = max(abs(here.x_m - self.goal.x_m), abs(here.y_m - self.goal.y_m))
-        if away_m < AT_GOAL_M and abs(here.angle_rad - self.goal.angle_rad) < SAME_ANGLE_RAD:
-            return None
-        return retreat_path(here, self.goal, self.limits, rate_hz)
+        return path_to(self.goal, here, self.limits, rate_hz)
 
 
 def slowed(task: Task, speed: float) -> Task:
@@ -59,51 +56,58 @@ def slowed_motion(motion: Measuring, speed: float) -> Measuring:
     return replace(motion, moves=moves)
 
 
-def cycle_legs(task: Task, rate_hz: float) -> tuple[Leg, ...]:
-    """All motions of a cycle with the least and with the greatest offset, to home first and last.
+def inserting_movements(task: Task, rate_hz: float, speed: float = 1.0) -> tuple[Movement, ...]:
+    """All movements of an insertion with the least and with the greatest offset, home at both ends.
 
     Both end as a cable that is put aside does: that way is the longer one.
+    raises  ValueError as `slowed`
     """
+    task = slowed(task, speed)
     down = identification_path(
         task.home, task.lower_m, task.lowering, rate_hz, duration_s=task.lower_s, hold_s=0.0
     )
-    legs = [Leg("go_home", task.home, task.lowering)]
+    home = Movement(HOME, task.home, task.lowering)
+    movements = [home]
     for offset_m in sorted({task.offsets_m[0], task.offsets_m[-1]}):
         left = insertion_path(task.lowered, offset_m, task.advance_m, task.insertion, rate_hz)
-        legs += [
-            Leg("go_down", _end(down), path=down),
-            Leg("go_in", _end(left), path=left),
-            Leg("go_aside", task.aside, task.lowering),
-            Leg("go_home", task.home, task.lowering),
+        movements += [
+            Movement(DOWN, _end(down), path=down),
+            Movement(IN, _end(left), path=left),
+            Movement(ASIDE, task.aside, task.lowering),
+            home,
         ]
-    return tuple(legs)
+    return tuple(movements)
 
 
-def measuring_legs(task: Task, motion: Measuring, rate_hz: float) -> tuple[Leg, ...]:
-    """The motions of a measuring cycle, to home first and last."""
+def measuring_movements(
+    motion: Measuring, task: Task, rate_hz: float, speed: float = 1.0
+) -> tuple[Movement, ...]:
+    """The movements of a measuring cycle, home at both ends.  Raises ValueError as `slowed`."""
+    task, motion = slowed(task, speed), slowed_motion(motion, speed)
     path = measuring_path(motion.start, motion.moves, rate_hz)
+    home = Movement(HOME, task.home, task.lowering)
     return (
-        Leg("go_home", task.home, task.lowering),
-        Leg("go_to_start", motion.start, task.insertion.slowed(APPROACH_SLOWER)),
-        Leg("go_through", _end(path), path=path),
-        Leg("go_home", task.home, task.lowering),
+        home,
+        Movement(TO_START, motion.start, task.insertion.slowed(APPROACH_SLOWER)),
+        Movement(THROUGH, _end(path), path=path),
+        home,
     )
 
 
 def paths_from(
-    here: Pose, task: Task, legs: Sequence[Leg], rate_hz: float
+    here: Pose, task: Task, movements: Sequence[Movement], rate_hz: float
 ) -> tuple[tuple[str, Trajectory], ...]:
-    """What the hand will do from `here` on, and could do in a cycle: the legs, and every offset."""
+    """What the hand will do from `here` on, and could do in a cycle: movements, every offset."""
     paths = []
-    for leg in legs:
-        path = leg.path_from(here, rate_hz)
+    for movement in movements:
+        path = movement.path_from(here, rate_hz)
         if path is not None:
-            paths.append((leg.name, path))
-        here = leg.goal
-    if any(leg.name == "go_in" for leg in legs):
+            paths.append((movement.name, path))
+        here = movement.goal
+    if any(movement.name == IN for movement in movements):
         for offset_m in task.offsets_m[1:-1]:
             left = insertion_path(task.lowered, offset_m, task.advance_m, task.insertion, rate_hz)
-            paths.append((f"go_in with offset {offset_m:g} m", left))
+            paths.append((f"{IN} with offset {offset_m:g} m", left))
     return tuple(paths)
 
 

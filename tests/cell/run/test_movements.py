@@ -13,7 +13,13 @@ from hypothesis import strategies as st
 from cell.build import _task
 from cell.plan.measuring import Measuring, Move
 from cell.plan.paths import MotionLimits
-from cell.run.legs import cycle_legs, measuring_legs, paths_from, slowed, slowed_motion
+from cell.run.movements import (
+    inserting_movements,
+    measuring_movements,
+    paths_from,
+    slowed,
+    slowed_motion,
+)
 from cell.run.station import Task
 from cell.settings import load_settings
 from drivers.guard import ArmLimits, check_path
@@ -45,28 +51,30 @@ def tasks(draw: st.DrawFn) -> Task:
 
 @settings(max_examples=15, deadline=None)
 @given(tasks(), speeds, coordinates, coordinates)
-def test_legs_join_and_begin_where_the_hand_is_and_end_at_home(
+def test_movements_join_and_begin_where_the_hand_is_and_end_at_home(
     task: Task, speed: float, x_m: float, y_m: float
 ) -> None:
     here = Pose(x_m, y_m, 0.1)
-    legs = cycle_legs(slowed(task, speed), RATE_HZ)
-    for leg in legs:
-        path = leg.path_from(here, RATE_HZ)
+    movements = inserting_movements(slowed(task, speed), RATE_HZ)
+    for movement in movements:
+        path = movement.path_from(here, RATE_HZ)
         if path is None:
             continue
         begin = path.at(0.0)
         assert (begin.x_m, begin.y_m) == pytest.approx((here.x_m, here.y_m), abs=3e-4)
         assert begin.angle_rad == pytest.approx(here.angle_rad, abs=2e-3)
         here = path.at(float(path.t_s[-1]))
-        assert (here.x_m, here.y_m) == pytest.approx((leg.goal.x_m, leg.goal.y_m), abs=1e-6)
-    assert (legs[-1].goal, legs[0].goal) == (task.home, task.home)
+        assert (here.x_m, here.y_m) == pytest.approx(
+            (movement.goal.x_m, movement.goal.y_m), abs=1e-6
+        )
+    assert (movements[-1].goal, movements[0].goal) == (task.home, task.home)
 
 
 @settings(max_examples=15, deadline=None)
 @given(tasks(), speeds)
 def test_a_slow_run_makes_the_same_way_in_inversely_more_time(task: Task, speed: float) -> None:
     full, slow = (
-        [path for _, path in paths_from(task.home, t, cycle_legs(t, RATE_HZ), RATE_HZ)]
+        [path for _, path in paths_from(task.home, t, inserting_movements(t, RATE_HZ), RATE_HZ)]
         for t in (task, slowed(task, speed))
     )
     assert len(full) == len(slow)
@@ -84,7 +92,11 @@ def test_a_slow_run_makes_the_same_way_in_inversely_more_time(task: Task, speed:
 @given(tasks(), speeds)
 def test_one_stroke_is_the_other_with_its_time_stretched(task: Task, speed: float) -> None:
     quick, slow = (
-        next(leg.path for leg in cycle_legs(t, RATE_HZ) if leg.name == "go_down")
+        next(
+            movement.path
+            for movement in inserting_movements(t, RATE_HZ)
+            if movement.name == "go_down"
+        )
         for t in (task, slowed(task, speed))
     )
     assert quick is not None and slow is not None
@@ -99,18 +111,18 @@ def test_one_stroke_is_the_other_with_its_time_stretched(task: Task, speed: floa
 @settings(max_examples=10, deadline=None)
 @given(tasks(), speeds)
 def test_what_keeps_the_limits_keeps_them_at_any_lower_speed(task: Task, speed: float) -> None:
-    for _, path in paths_from(task.home, task, cycle_legs(task, RATE_HZ), RATE_HZ):
+    for _, path in paths_from(task.home, task, inserting_movements(task, RATE_HZ), RATE_HZ):
         check_path(path, WIDE)
     slow = slowed(task, speed)
-    for _, path in paths_from(task.home, slow, cycle_legs(slow, RATE_HZ), RATE_HZ):
+    for _, path in paths_from(task.home, slow, inserting_movements(slow, RATE_HZ), RATE_HZ):
         check_path(path, WIDE)
 
 
 def test_the_least_and_the_greatest_offset_are_made_and_all_are_checked() -> None:
-    legs = cycle_legs(FAKE, RATE_HZ)
-    deepest = [leg.goal.y_m for leg in legs if leg.name == "go_in"]
+    movements = inserting_movements(FAKE, RATE_HZ)
+    deepest = [movement.goal.y_m for movement in movements if movement.name == "go_in"]
     assert deepest == pytest.approx([-0.05, -0.09])
-    paths = paths_from(FAKE.home, FAKE, legs, RATE_HZ)
+    paths = paths_from(FAKE.home, FAKE, movements, RATE_HZ)
     ends = {round(float(p.y_m[-1]), 6) for name, p in paths if name.startswith("go_in")}
     assert ends == {round(-0.05 - offset_m, 6) for offset_m in FAKE.offsets_m}
 
@@ -118,10 +130,15 @@ def test_the_least_and_the_greatest_offset_are_made_and_all_are_checked() -> Non
 def test_a_measuring_motion_is_made_as_it_is_measured() -> None:
     start, end = Pose(-0.01, 0.0, 0.5), Pose(-0.01, -0.05, 0.5)
     motion = Measuring("tilted", start, 0.2, (Move(end, 0.4),), 0.5)
-    legs = measuring_legs(FAKE, slowed_motion(motion, 0.25), RATE_HZ)
-    assert [leg.name for leg in legs] == ["go_home", "go_to_start", "go_through", "go_home"]
-    assert legs[1].goal == start
-    (path,) = (leg.path for leg in legs if leg.path is not None)
+    movements = measuring_movements(motion, FAKE, RATE_HZ, 0.25)
+    assert [movement.name for movement in movements] == [
+        "go_home",
+        "go_to_start",
+        "go_through",
+        "go_home",
+    ]
+    assert movements[1].goal == start
+    (path,) = (movement.path for movement in movements if movement.path is not None)
     assert path.t_s[-1] == pytest.approx(1.6, abs=1.0 / RATE_HZ)
     assert path.at(2.0) == end
 

@@ -1,0 +1,182 @@
+"""What a cycle has found so far, handed from step to step."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.identify.identified import Identified
+from cell.identify.predicted_frames import PredictedFrames
+from cell.plan.choose import Choice, Forecast
+from cell.plan.passage import Passage
+from cell.records.result import Check, Outcome
+from cell.study.data import Trial
+from cell.vision.sighting import Sighting
+from drivers.interfaces import Frame, Trajectory
+
+FloatArray = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+Value = TypeVar("Value")
+
+
+@dataclass(frozen=True)
+class Filming:
+    """A motion that is being filmed.
+
+    It began at `begin_s`, the hand rests from `rest_s`, and it is filmed until `end_s`; sightings
+    and pictures are those of the frames so far.
+    """
+
+    begin_s: float
+    rest_s: float
+    end_s: float
+    frame_count: int
+    sightings: tuple[Sighting, ...] = ()
+    pictures: tuple[Frame, ...] = field(default=(), repr=False)
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """What each offset would do if its path began at `start_s`: paths in the arm's own frame."""
+
+    start_s: float
+    paths: tuple[Trajectory, ...]
+    forecast: Forecast
+
+
+@dataclass(frozen=True, eq=False)
+class EarlyEstimate:
+    """What the first frames of a hold say: nearly the last word, and ready when it is needed.
+
+    predicted   what the frames to come will show, if this is the cable
+    """
+
+    identified: Identified
+    predicted: PredictedFrames
+    candidates: Candidates
+
+
+@dataclass(frozen=True)
+class Filmed:
+    """A motion that was filmed, on the cell's clock.
+
+    begin_s     when filming began
+    sightings   one per frame
+    hand        measured poses, from before the first frame to after the last
+    pictures    a few of the frames, to look at later
+    seen_at_s   when the last frame was taken, by the computer's own clock
+    early       what was computed while the filming went on, if anything
+    """
+
+    begin_s: float
+    sightings: tuple[Sighting, ...]
+    hand: Trajectory
+    pictures: tuple[Frame, ...] = field(repr=False)
+    seen_at_s: float
+    early: EarlyEstimate | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Film:
+    """What the camera saw of a motion.
+
+    frame_s     (n,) times of all frames
+    looked_s    (m,) times of those in which the jaw was looked for
+    jaw_m       (m, 2) where its marks were seen, nan = not found
+    pictures    the first and the last frame
+    """
+
+    frame_s: FloatArray
+    looked_s: FloatArray
+    jaw_m: FloatArray
+    pictures: tuple[Frame, Frame]
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """A motion that was made, on the cell's clock.
+
+    began_s  when the arm was told to start
+    hand     measured poses, from before the motion to after it
+    film     None = not filmed
+    """
+
+    name: str
+    path: Trajectory
+    began_s: float
+    hand: Trajectory
+    film: Film | None
+
+
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """Everything that a cycle has found so far; None = it has not come so far.
+
+    filming     the motion that is being filmed
+    held        the hold after the cable was lowered, or the whole of a measuring motion
+    trials      what was filmed, as it is recorded
+    identified  the cable
+    lead_s      from now to when a motion that is chosen now would begin
+    waiting_since_s   since when the hand waits for the computer, by the computer's own clock
+    wait_s      how long it has waited when the choice was made
+    offset_m    of the choice that is executed
+    executed    the execution
+    followed    movements of a dry run
+    speed       of a dry run, as a share of the full one
+    checks      what a dry run found out about the devices
+    outcome     how the cycle ends if nothing fails from here on
+    reason      why it does not end well, in words
+    pictures    for the record: name → (H, W, 3), blue first
+    """
+
+    filming: Filming | None = None
+    held: Filmed | None = None
+    trials: tuple[Trial, ...] = ()
+    identified: Identified | None = None
+    lead_s: float | None = None
+    waiting_since_s: float | None = None
+    candidates: Candidates | None = None
+    choice: Choice | None = None
+    wait_s: float | None = None
+    offset_m: float | None = None
+    executed: Filmed | None = None
+    passage: Passage | None = None
+    followed: tuple[Followed, ...] = ()
+    speed: float | None = None
+    checks: tuple[Check, ...] = ()
+    outcome: Outcome | None = None
+    reason: str | None = None
+    pictures: Mapping[str, Image] = field(default_factory=dict)
+
+    @property
+    def rejected(self) -> bool:
+        """Whether this cable is not inserted, or its measurement not used."""
+        return self.outcome is Outcome.REJECTED
+
+    @property
+    def decided(self) -> bool:
+        """Whether it is settled what will be done with the cable."""
+        return self.rejected or self.offset_m is not None
+
+    def reject(self, reason: str) -> Findings:
+        """The same with the cable rejected."""
+        return replace(self, outcome=Outcome.REJECTED, reason=reason)
+
+    def with_pictures(self, pictures: Mapping[str, Image]) -> Findings:
+        """The same with more pictures."""
+        return replace(self, pictures={**self.pictures, **pictures})
+
+
+def known(value: Value | None) -> Value:
+    """A finding of an earlier step.
+
+    raises  LookupError: no step before this one has found it; the plan's order is wrong
+    """
+    if value is None:
+        raise LookupError("a step needs what no step before it in the plan has found")
+    return value

@@ -1,0 +1,169 @@
+"""The table of steps, and the plans that are made of them: inserting, measuring, rehearsing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+from cell.plan.measuring import Measuring
+from cell.records.result import Outcome
+from cell.run import dry_run, movements, steps
+from cell.run.afterwards import after_dry_run, after_insertion, after_measurement, after_release
+from cell.run.findings import Findings
+from cell.run.movements import Movement, inserting_movements, measuring_movements
+from cell.run.station import Station, Task
+
+Act = Callable[[Station, Findings], Findings]
+
+
+def nothing(station: Station, findings: Findings) -> Findings:
+    """The findings as they are."""
+    return findings
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of a cycle.
+
+    name           in the record, in faults and in tables
+    act            what it does: returns what is known after it
+    after          what is made of that outside the step's time, when nobody waits for it
+    computes       its time is the computer's, not that of the cell's clock
+    holding        it begins with a cable between the jaws and ends with it there
+    may_pause      the cell can be held or suspended before it
+    hand_waits     the hand waits for what comes next: the record is written later
+    with_rejected  it is done with a rejected cable too
+    once           only in the first cycle
+    """
+
+    name: str
+    act: Act
+    after: Act = nothing
+    computes: bool = False
+    holding: bool = False
+    may_pause: bool = False
+    hand_waits: bool = False
+    with_rejected: bool = False
+    once: bool = False
+
+
+@dataclass(frozen=True)
+class Repeat:
+    """Steps that are done again until what they found is settled.
+
+    A pause is possible after them.
+    review  what is known after them: station, findings, whether there was a pause
+    until   whether they are done
+    """
+
+    steps: tuple[Step, ...]
+    review: Callable[[Station, Findings, bool], Findings]
+    until: Callable[[Findings], bool]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The steps for one cable, by the state of the cell in which they are done.
+
+    aim        outcome of a cycle in which all goes well
+    movements  those of the hand, for a rehearsal: task, the arm's rate in Hz, share of the speed
+    speed      share of the task's speed at which the plan is carried out
+    given      what is known before the first step
+    """
+
+    aim: Outcome
+    movements: Callable[[Task, float, float], tuple[Movement, ...]]
+    resetting: tuple[Step, ...]
+    starting: tuple[Step, ...]
+    execute: tuple[Step | Repeat, ...]
+    completing: tuple[Step, ...]
+    speed: float = 1.0
+    given: Findings = field(default_factory=Findings)
+
+    @property
+    def steps(self) -> tuple[Step, ...]:
+        """All steps in their order."""
+        stages = (*self.resetting, *self.starting, *self.execute, *self.completing)
+        nested = (e.steps if isinstance(e, Repeat) else (e,) for e in stages)
+        return tuple(step for group in nested for step in group)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the steps in their order, each once."""
+        return tuple(dict.fromkeys(step.name for step in self.steps))
+
+
+# --- the table ----------------------------------------------------------------------------------
+
+CONNECT = Step("connect", steps.connect, once=True)
+WARM_UP = Step("warm_up", steps.warm_up, computes=True, once=True)
+RESET = Step("reset", steps.reset)
+START = Step("start", steps.check_ready)
+GRASP = Step("grasp", steps.grasp, may_pause=True)
+GO_HOME = Step(movements.HOME, steps.go_home, with_rejected=True)
+
+LOWER = Step("lower", steps.lower, holding=True, may_pause=True)
+HOLD = Step("hold_and_capture", steps.hold_and_capture, holding=True, hand_waits=True)
+IDENTIFY = Step("identify", steps.identify, computes=True, holding=True, hand_waits=True)
+SIMULATE = Step("simulate", steps.simulate, computes=True, holding=True, hand_waits=True)
+CHOOSE = Step("choose", steps.choose, computes=True, holding=True)
+EXECUTE = Step("execute", steps.execute, holding=True)
+VERIFY = Step("verify", steps.verify, after=after_insertion, computes=True, holding=True)
+RELEASE = Step("release", steps.release, after=after_release, may_pause=True, with_rejected=True)
+
+# --- the plans ----------------------------------------------------------------------------------
+
+INSERTING = Plan(
+    aim=Outcome.INSERTED,
+    movements=inserting_movements,
+    resetting=(CONNECT, WARM_UP, RESET),
+    starting=(START,),
+    execute=(
+        GRASP,
+        LOWER,
+        HOLD,
+        IDENTIFY,
+        Repeat((SIMULATE, CHOOSE), steps.review_choice, until=lambda f: f.decided),
+        EXECUTE,
+        VERIFY,
+        RELEASE,
+    ),
+    completing=(GO_HOME,),
+)
+
+
+def measuring(motion: Measuring) -> Plan:
+    """Film a cable in a motion, for the model lab, and bring it back to where it was grasped."""
+    approach, measure = partial(steps.approach, motion), partial(steps.measure, motion)
+    return replace(
+        INSERTING,
+        aim=Outcome.MEASURED,
+        movements=partial(measuring_movements, motion),
+        execute=(
+            GRASP,
+            Step("approach", approach, holding=True, may_pause=True),
+            Step("measure", measure, after=after_measurement, holding=True),
+            Step("go_back", steps.go_home, holding=True, may_pause=True, with_rejected=True),
+            replace(RELEASE, act=steps.let_go, after=nothing, may_pause=False),
+        ),
+    )
+
+
+def rehearsing(plan: Plan, task: Task, rate_hz: float, speed: float) -> Plan:
+    """All movements of a plan with empty jaws, at a share of their speed, and what they show.
+
+    rate_hz  of the arm
+    raises   ValueError: a speed that is not > 0 and ≤ 1
+    """
+    moves = plan.movements(task, rate_hz, speed)
+    follow = [Step(m.name, partial(dry_run.follow, m), may_pause=True) for m in moves]
+    follow[-1] = replace(follow[-1], after=after_dry_run)
+    return replace(
+        plan,
+        aim=Outcome.REHEARSED,
+        resetting=(CONNECT, replace(RESET, act=dry_run.reset)),
+        execute=(Step("check_paths", partial(dry_run.check_paths, moves)), *follow),
+        speed=speed,
+        given=Findings(speed=speed),
+    )

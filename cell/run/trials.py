@@ -1,0 +1,87 @@
+"""Filmed motions as the trials of a study: time from the first frame, the hand as it was seen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable.geometry import Motion
+from cell.identify.individual import hold_trial
+from cell.identify.noise import estimate_noise, still_frames
+from cell.run.findings import Filmed
+from cell.run.station import Task
+from cell.study.data import Markers, Study, Trial
+from cell.vision.marks import pixels_per_metre
+from cell.vision.recording import steady_nodes
+from drivers.interfaces import Trajectory
+
+FloatArray = NDArray[np.float64]
+
+#: Error of one coordinate of a node in motion.  At rest less is seen of it, because how the tip
+#: falls between the pixels is then the same in every frame.
+NODE_ERROR_PX = 0.1
+
+
+def held_trial(filmed: Filmed) -> Trial:
+    """The hold as a trial, time counted from the first frame; the hand where the camera saw it."""
+    sightings, hand, zero_s = filmed.sightings, filmed.hand, filmed.begin_s
+    return hold_trial(
+        Motion(hand.t_s - zero_s, hand.x_m, hand.y_m, hand.angle_rad),
+        np.array([s.t_s - zero_s for s in sightings]),
+        steady_nodes(sightings),
+        np.array([s.grip_m for s in sightings]),
+        np.array([s.clamp_angle_rad for s in sightings]),
+    )
+
+
+def executed_trial(held: Trial, before: Filmed, after: Filmed) -> Trial:
+    """The execution as a trial: it begins in equilibrium, hence with the hand's motion before."""
+    beside = hand_offset_m_rad(before.hand, held.grip)
+    zero_s = before.begin_s
+    later = after.hand.t_s > before.hand.t_s[-1]
+    hands = [moved(before.hand, beside), moved(after.hand, beside)]
+    grip = [
+        np.concatenate([getattr(hands[0], name), getattr(hands[1], name)[later]])
+        for name in ("t_s", "x_m", "y_m", "angle_rad")
+    ]
+    return Trial(
+        "execute",
+        "validate",
+        "equilibrium",
+        Motion(grip[0] - zero_s, *grip[1:]),
+        Markers(
+            np.array([s.t_s - zero_s for s in after.sightings]),
+            steady_nodes(after.sightings),
+        ),
+    )
+
+
+def study_of(name: str, task: Task, trials: Sequence[Trial]) -> Study:
+    """Trials of one cable as a study; its noise is the camera's in motion, or more if seen at rest.
+
+    The first trial begins at rest.
+    """
+    markers, grip = trials[0].markers, trials[0].grip
+    at_rest = estimate_noise([markers.xy_m[still_frames(markers.t_s, grip)]])
+    grip_px = task.view.to_pixels(np.array([grip.x_m[0], grip.y_m[0]]))
+    in_motion_m = NODE_ERROR_PX / pixels_per_metre(task.view, grip_px)
+    noise_m = max(in_motion_m, 0.0 if at_rest is None else at_rest[0])
+    return Study(name, task.cable, task.arc_length_m, tuple(trials), noise_std_m=noise_m)
+
+
+def hand_offset_m_rad(logged: Trajectory, seen: Motion) -> FloatArray:
+    """(3,) x, y, angle by which the camera sees the hand beside where the arm says it is."""
+    return np.array(
+        [
+            seen.x_m[0] - logged.x_m[0],
+            seen.y_m[0] - logged.y_m[0],
+            seen.angle_rad[0] - logged.angle_rad[0],
+        ]
+    )
+
+
+def moved(path: Trajectory, by: FloatArray) -> Trajectory:
+    """Trajectory with `by` (3,) added to x, y and angle."""
+    return Trajectory(path.t_s, path.x_m + by[0], path.y_m + by[1], path.angle_rad + by[2])

@@ -1,0 +1,48 @@
+"""Steps are data: what a plan says is what is done, timed, recorded and shown."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from cell.plan.measuring import Measuring, Move
+from cell.run.findings import Findings, known
+from cell.run.plans import INSERTING, Plan, Repeat, measuring
+from drivers.interfaces import Pose
+
+MOTION = Measuring("m", Pose(0.0, 0.0), 0.2, (Move(Pose(0.0, -0.05), 0.4),), 0.5)
+
+
+@pytest.mark.parametrize("plan", [INSERTING, measuring(MOTION)])
+def test_a_cable_is_held_from_the_grasp_to_the_release_and_nowhere_else(plan: Plan) -> None:
+    holding = [step.name for step in plan.steps if step.holding]
+    begin, end = plan.names.index("grasp"), plan.names.index("release")
+    assert holding == list(plan.names[begin + 1 : end])
+
+
+@pytest.mark.parametrize("plan", [INSERTING, measuring(MOTION)])
+def test_what_is_held_is_let_go_and_the_hand_goes_home_with_a_rejected_cable_too(
+    plan: Plan,
+) -> None:
+    anyway = [step.name for step in plan.steps if step.with_rejected]
+    assert anyway[-2:] == ["release", "go_home"]
+
+
+def test_steps_with_the_same_name_are_one_row() -> None:
+    plan = replace(INSERTING, starting=(*INSERTING.starting, *INSERTING.completing))
+    assert plan.names.count("go_home") == 1
+    assert len(plan.steps) == len(INSERTING.steps) + 1
+
+
+def test_steps_that_are_repeated_are_in_the_table_where_they_are_done_first() -> None:
+    (repeat,) = (e for e in INSERTING.execute if isinstance(e, Repeat))
+    names = [step.name for step in repeat.steps]
+    at = INSERTING.names.index(names[0])
+    assert list(INSERTING.names[at : at + len(names)]) == names
+    assert INSERTING.names[at - 1 : at + 3 : 3] == ("identify", "execute")
+
+
+def test_a_step_that_comes_too_early_is_a_mistake_of_the_plan() -> None:
+    with pytest.raises(LookupError, match="no step before it"):
+        known(Findings().held)
