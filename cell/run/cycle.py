@@ -165,17 +165,14 @@ class Cell:
     # --- what surrounds every step ------------------------------------------------------------
 
     def _carry_out(self, progress: Progress, sequence: Iterable[Step | Repeat]) -> None:
-        """Do steps one after another; with a rejected cable only those that are meant for it."""
+        """Do steps one after another; those that are due."""
         for element in sequence:
             match element:
                 case Step():
-                    if element.name in self._done_once or (
-                        progress.findings.rejected and not element.with_rejected
-                    ):
-                        continue
-                    if element.may_pause:
-                        self._pause(progress)
-                    self._do(progress, element)
+                    if self._is_due(progress, element):
+                        if element.may_pause:
+                            self._pause(progress)
+                        self._do(progress, element)
                 case Repeat():
                     while not element.until(progress.findings):
                         self._carry_out(progress, element.steps)
@@ -183,6 +180,13 @@ class Cell:
                         progress.findings = element.review(
                             progress.station, progress.findings, paused
                         )
+
+    def _is_due(self, progress: Progress, step: Step) -> bool:
+        return (
+            step.name not in self._done_once
+            and progress.number % step.every == 0
+            and (step.with_rejected or not progress.findings.rejected)
+        )
 
     def _do(self, progress: Progress, step: Step) -> None:
         """One step, what is made of it, and the record of it."""

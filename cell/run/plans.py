@@ -34,7 +34,8 @@ class Step:
     may_pause      the cell can be held or suspended before it
     hand_waits     the hand waits for what comes next: the record is written later
     with_rejected  it is done with a rejected cable too
-    once           only in the first cycle
+    once           it is done in the first cycle only; `connect` again when devices were lost
+    every          it is done in cycles whose number is a multiple of this
     """
 
     name: str
@@ -46,6 +47,7 @@ class Step:
     hand_waits: bool = False
     with_rejected: bool = False
     once: bool = False
+    every: int = 1
 
 
 @dataclass(frozen=True)

@@ -187,17 +187,20 @@ def test_a_step_more_is_one_function_and_one_line_of_a_plan(live: Live) -> None:
         station.devices.clock.sleep_s(2.0)
         return findings
 
-    wiping = replace(INSERTING, starting=(*INSERTING.starting, Step("wipe_window", wipe_window)))
+    wipe = Step("wipe_window", wipe_window, every=100)
+    wiping = replace(INSERTING, starting=(*INSERTING.starting, wipe))
     it = live(cycles=2)
-    result = it.cell.run_cycle(1, wiping)
+    result = it.cell.run_cycle(100, wiping)
     assert result.outcome is Outcome.INSERTED
-    assert result.seconds["wipe_window"] == pytest.approx(2.0) and len(wiped_at_s) == 1
+    assert result.seconds["wipe_window"] == pytest.approx(2.0)
     assert it.steps == [*wiping.names] and it.steps.index("wipe_window") == 4
 
     def jam(station: Station, findings: Findings) -> Findings:
         raise DeviceTimeoutError("wiper", "jammed", "free it")
 
-    jamming = replace(INSERTING, starting=(*INSERTING.starting, Step("wipe_window", jam)))
-    fault = it.cell.run_cycle(2, jamming).fault
+    jamming = replace(INSERTING, starting=(*INSERTING.starting, replace(wipe, act=jam)))
+    assert it.cell.run_cycle(101, jamming).outcome is Outcome.INSERTED, "it is not due"
+    assert len(wiped_at_s) == 1
+    fault = it.cell.run_cycle(200, jamming).fault
     assert fault is not None
     assert (fault.step, fault.device, fault.cause) == ("wipe_window", "wiper", "jammed")
