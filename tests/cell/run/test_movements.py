@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cell.build import _task
+from cell.build import cell_task
 from cell.plan.measuring import Measuring, Move
 from cell.plan.paths import MotionLimits
 from cell.run.movements import (
@@ -26,7 +26,7 @@ from drivers.guard import ArmLimits, check_path
 from drivers.interfaces import Pose, Trajectory
 
 RATE_HZ = 500.0
-FAKE = _task(load_settings(Path(__file__).parents[3] / "config" / "fake.yaml"))
+FAKE = cell_task(load_settings(Path(__file__).parents[3] / "config" / "fake.yaml"))
 WIDE = ArmLimits(-1.0, 1.0, -1.0, 1.0, -3.0, 3.0, 0.6, 6.0, 250.0, 1.0, 20.0, 1000.0)
 
 metres = st.floats(0.005, 0.08)
