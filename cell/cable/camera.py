@@ -73,10 +73,14 @@ def _shown(
 
 
 def _at(scene_s: FloatArray, xy: FloatArray, t: FloatArray) -> FloatArray:
-    """Cubic interpolation of each marker at its own times (times, markers); held outside."""
+    """Cubic interpolation of each marker at its own times (times, markers); held outside.
+
+    nan at a time that is not finite, as a point has that could not be simulated.
+    """
     spacing = scene_s[1] - scene_s[0]
     place = np.clip((t - scene_s[0]) / spacing, 0.0, scene_s.size - 1.0)
-    k: NDArray[np.int64] = np.minimum(place.astype(np.int64), scene_s.size - 2)
+    whole = np.where(np.isfinite(place), place, 0.0).astype(np.int64)
+    k: NDArray[np.int64] = np.minimum(whole, scene_s.size - 2)
     u = (place - k)[..., None]
     marker = np.arange(xy.shape[1])
 

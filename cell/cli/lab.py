@@ -102,7 +102,7 @@ def diagnose(
     from cell.lab.individual import identified
     from cell.lab.report import diagnosis_page, write_page
     from cell.lab.results import to_json, write_json
-    from cell.lab.tables import ranking_table, sentence, waterfall_table
+    from cell.lab.tables import nearest_table, ranking_table, sentence, waterfall_table
 
     with _refusing(as_json, report), _progress() as progress:
         opened = session.open_study(study)
@@ -118,8 +118,12 @@ def diagnose(
             model = identified(explorer.prepared, examination.steps[-1].fit)
             write_page(diagnosis_page(examination, comparisons, model), report)
     diagnosis = examination.diagnosis
+    more = [nearest_table(diagnosis)] if diagnosis.nearest else []
     _print(
-        sentence(diagnosis, comparisons[0]), waterfall_table(diagnosis), ranking_table(diagnosis)
+        sentence(diagnosis, comparisons[0]),
+        waterfall_table(diagnosis),
+        *more,
+        ranking_table(diagnosis),
     )
 
 

@@ -178,7 +178,7 @@ def whiteners_of(trials: Sequence[Trial], noise: Noise) -> list[Whitener]:
 
 def frames_seen(trial: Trial) -> int:
     """Number of frames in which at least one marker is seen."""
-    return int(np.count_nonzero(np.isfinite(trial.markers.xy_m).all(axis=-1).any(axis=-1)))
+    return int(np.count_nonzero(np.isfinite(trial.markers.xy_m).any(axis=(1, 2))))
 
 
 def still_noise(

@@ -17,6 +17,8 @@ Residuals = Callable[[FloatArray], FloatArray]
 
 _FIRST_DAMPING = 1e-2
 _HOPELESS_DAMPING = 1e8
+#: Mean square of white residuals from which a model errs by more than the noise.
+_ERRS = 2.0
 
 
 @dataclass(frozen=True)
@@ -39,12 +41,16 @@ class Problem:
 class Options:
     """When to stop.
 
-    tolerance  largest last step, in posterior standard deviations; what is left after it is of
-               second order
+    tolerance   largest last step, in posterior standard deviations; what is left after it is of
+                second order
+    least_gain  share of the objective by which passes must lower it where the model errs by more
+                than the noise; after two that do not, what more of them would find is far below
+                what the answer could be wrong by
     """
 
     tolerance: float = 0.1
     most_passes: int = 25
+    least_gain: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -86,7 +92,7 @@ def minimise(problem: Problem, start: FloatArray, options: Options = Options()) 
     if not (np.all(np.isfinite(residual)) and np.all(np.isfinite(jacobian))):
         raise ValueError("the model cannot be simulated at the start of the fit")
     objective = _objective(problem, q, residual)
-    damping, growth, passes, converged = 0.0, 2.0, 1, False
+    damping, growth, passes, converged, idle = 0.0, 2.0, 1, False, 0
     while True:
         normal = jacobian.T @ jacobian + problem.precision
         slope = jacobian.T @ residual + problem.precision @ (q - problem.mean)
@@ -97,7 +103,7 @@ def minimise(problem: Problem, start: FloatArray, options: Options = Options()) 
         if float(step @ normal @ step) <= options.tolerance**2 * scale:
             q, residual, converged = q + step, residual + jacobian @ step, True
             break
-        if passes >= options.most_passes:
+        if passes >= options.most_passes or (idle == 2 and scale > _ERRS):
             break
         passes += 1
         if damping > 0.0:
@@ -108,6 +114,8 @@ def minimise(problem: Problem, start: FloatArray, options: Options = Options()) 
         if trial_objective < objective and np.all(np.isfinite(trial_jacobian)):
             promised = -float(step @ (2.0 * slope + normal @ step))
             gain = (objective - trial_objective) / promised
+            small = objective - trial_objective < options.least_gain * objective
+            idle = idle + 1 if small else 0
             q, residual, jacobian, objective = (
                 trial,
                 trial_residual,

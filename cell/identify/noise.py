@@ -114,28 +114,36 @@ def across(markers_m: FloatArray) -> FloatArray:
 class Whitener:
     """Turns predicted markers of one trial into white residuals of unit size.
 
-    A channel (x and y of a marker, or its place across the cable) has an AR(1) error over the
-    frames in which the marker was seen, plus a constant of known variance, which is integrated out.
+    A channel (x or y of a marker, or its place across the cable) has an AR(1) error over the
+    frames in which it was seen, plus a constant of known variance, which is integrated out.
+
+    seen  (T, markers, channels) whether a channel was seen: a marker may show one coordinate only
     """
 
     def __init__(self, markers_m: FloatArray, noise: Noise) -> None:
         """`markers_m` (T, markers, 2) as measured, nan where not seen."""
         self.noise = noise
-        self.seen = np.asarray(np.isfinite(markers_m).all(axis=-1), dtype=np.bool_)
-        self.measured = np.where(self.seen[..., None], markers_m, 0.0)
-        self.frames, markers = self.seen.shape
+        finite = np.isfinite(markers_m)
+        self.frames, markers = finite.shape[:2]
         if noise.across_only:
             self._axes = np.ascontiguousarray(across(markers_m)[:, :, None])
+            self.seen = np.asarray(finite.all(axis=-1, keepdims=True), dtype=np.bool_)
+            measured = self.seen
         else:
             self._axes = np.broadcast_to(np.eye(2), (self.frames, markers, 2, 2)).copy()
+            self.seen = measured = finite
+        self.measured = np.where(measured, markers_m, 0.0)
         self.channels = self._axes.shape[2]
         self.rows = markers * self.channels * self.frames
-        self.count = int(self.seen.sum()) * self.channels
-        self._memory, self._weight = _innovations(self.seen, noise)
+        self.count = int(self.seen.sum())
+        series = self.seen.reshape(self.frames, -1)
+        self._memory, self._weight = (
+            v.reshape(markers, self.channels, self.frames) for v in _innovations(series, noise)
+        )
         # what a constant looks like when white, and which part of a residual along it is taken out
         self._ones = self._weight.copy()
-        self._ones[:, 1:] *= 1.0 - self._memory[:, 1:]
-        size = np.sum(self._ones**2, axis=1)
+        self._ones[..., 1:] *= 1.0 - self._memory[..., 1:]
+        size = np.sum(self._ones**2, axis=-1)
         self._kept = 1.0 / np.sqrt(1.0 + noise.bias_m**2 * size)
         self._size = np.where(size > 0.0, size, 1.0)
 
@@ -145,8 +153,7 @@ class Whitener:
         predicted_m  (lanes, T, markers, 2), m
         returns      (lanes, rows) ordered marker, channel, frame; 0 where not seen
         """
-        markers = len(self._kept)
-        out = np.empty((len(predicted_m), markers, self.channels, self.frames))
+        out = np.empty((len(predicted_m), *self._memory.shape))
         pull = (1.0 - self._kept) / self._size
         _whiten(
             predicted_m,
@@ -162,17 +169,20 @@ class Whitener:
 
     def error_m(self, white: FloatArray) -> FloatArray:
         """(T, markers, channels) errors behind white residuals (rows,), m; nan if unseen."""
-        fresh = white.reshape(len(self._kept), self.channels, self.frames)
-        along = np.einsum("mct,mt->mc", fresh, self._ones)
+        fresh = white.reshape(self._memory.shape)
+        along = np.sum(fresh * self._ones, axis=-1)
         back = (1.0 / self._kept - 1.0) / self._size
-        fresh = fresh + (back[:, None] * along)[..., None] * self._ones[:, None]
-        error = np.full((self.frames, len(self._kept), self.channels), np.nan)
+        fresh = fresh + (back * along)[..., None] * self._ones
+        error = np.full(self.seen.shape, np.nan)
         _colour(np.ascontiguousarray(fresh), self._memory, self._weight, error)
         return error
 
 
 def _innovations(seen: NDArray[np.bool_], noise: Noise) -> tuple[FloatArray, FloatArray]:
-    """(markers, T) memory of the last frame's error, and 1/std of what is new, 1/m; 0 if unseen."""
+    """(series, T) memory of the last frame's error, and 1/std of what is new, 1/m; 0 if unseen.
+
+    seen  (T, series)
+    """
     frame = np.arange(len(seen))[:, None]
     last_seen = np.maximum.accumulate(np.where(seen, frame, -1), axis=0)
     gap = frame[1:] - last_seen[:-1]
@@ -198,22 +208,23 @@ def _whiten(
         for marker in range(markers):
             for channel in range(channels):
                 row = out[lane, marker, channel]
+                fresh = weight[marker, channel]
                 last = 0.0
                 along = 0.0
                 for t in range(frames):
-                    if weight[marker, t] == 0.0:
+                    if fresh[t] == 0.0:
                         row[t] = 0.0
                         continue
                     dx = measured[t, marker, 0] - predicted[lane, t, marker, 0]
                     dy = measured[t, marker, 1] - predicted[lane, t, marker, 1]
                     error = axes[t, marker, channel, 0] * dx + axes[t, marker, channel, 1] * dy
-                    row[t] = (error - memory[marker, t] * last) * weight[marker, t]
-                    along += row[t] * ones[marker, t]
+                    row[t] = (error - memory[marker, channel, t] * last) * fresh[t]
+                    along += row[t] * ones[marker, channel, t]
                     last = error
-                along *= pull[marker]
+                along *= pull[marker, channel]
                 if along != 0.0:
                     for t in range(frames):
-                        row[t] -= along * ones[marker, t]
+                        row[t] -= along * ones[marker, channel, t]
 
 
 @njit(cache=True)
@@ -223,6 +234,7 @@ def _colour(fresh: FloatArray, memory: FloatArray, weight: FloatArray, error: Fl
         for channel in range(channels):
             last = 0.0
             for t in range(frames):
-                if weight[marker, t] > 0.0:
-                    last = memory[marker, t] * last + fresh[marker, channel, t] / weight[marker, t]
+                new = weight[marker, channel, t]
+                if new > 0.0:
+                    last = memory[marker, channel, t] * last + fresh[marker, channel, t] / new
                     error[t, marker, channel] = last

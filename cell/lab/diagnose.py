@@ -4,74 +4,49 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import stats
 
 from cell.cable.effects.base import Effect
 from cell.lab.estimate import Estimate, estimate
 from cell.lab.explore import Candidate, Explorer, Gain
-from cell.lab.fitting import Heldout, fit_trials
-from cell.lab.results import Diagnosis, Errors, Found, Ranked, Status, Verdict
+from cell.lab.leftover import leftover, removed_share
+from cell.lab.results import Diagnosis, Found, Ranked, Status
+from cell.lab.rules import DEFAULT_RULES, Rules
 from cell.lab.score import holm
 from cell.lab.screen import Screened
-
-
-@dataclass(frozen=True)
-class Rules:
-    """When an effect is believed.
-
-    significance     family-wise, over the library (Holm), on the fit trials
-    heldout_gain     ln of how much likelier the held-out trials must become
-    first_share, more_share, excess_share   least fall of the held-out mean square: of the noise's
-                     for the first effect and for more, and of the baseline's excess for more.
-                     Below lie the errors of models, ours included, whatever their significance
-    tie              sets of effects are tied if their χ² over all trials differs by less
-    most_tied        more than these tied: these motions cannot tell
-    most_effects     added one after another
-    best             of the screen that are refitted, besides all that are not smooth
-    doubted          a stated noise of which a model leaves less than this share bounds what the
-                     measurement can be trusted for: below it nothing more is claimed
-    misfit_significance   of what a model leaves on the held-out trials
-    misfit, gross_misfit  rms over noise from which that matters; and does whatever it was before
-    misfit_share          of the baseline's excess that a known effect may leave below the latter
-    smooth_misfit, gross_smooth_misfit, smooth_share   the same for the smooth part's mean square
-    """
-
-    significance: float = 0.01
-    heldout_gain: float = 3.0
-    first_share: float = 0.003
-    more_share: float = 0.01
-    excess_share: float = 0.001
-    tie: float = 9.0
-    most_tied: int = 3
-    most_effects: int = 3
-    best: int = 6
-    doubted: float = 0.8
-    misfit: float = 1.04
-    gross_misfit: float = 1.10
-    misfit_share: float = 0.1
-    misfit_significance: float = 1e-3
-    smooth_misfit: float = 0.01
-    gross_smooth_misfit: float = 0.2
-    smooth_share: float = 0.01
+from cell.lab.verdict import (
+    above_noise,
+    added_effect,
+    chance_of,
+    close_rivals,
+    errors_of,
+    explains,
+    hopeless_search,
+    nearest,
+    partly,
+    verdict_of,
+    what_is_left,
+)
 
 
 @dataclass(frozen=True, eq=False)
 class Examination:
     """A diagnosis and the fits behind it, for the report.
 
-    steps  the baseline, then with each effect added in the order of `diagnosis.missing`
+    steps    the baseline, then with each effect added in the order of `diagnosis.missing`
+    partial  the same for `diagnosis.partial`
     """
 
     diagnosis: Diagnosis
     steps: tuple[Candidate, ...]
     screened: tuple[Screened, ...]
     singles: tuple[Candidate, ...]
+    partial: tuple[Candidate, ...] = ()
 
 
-def diagnose(explorer: Explorer, rules: Rules = Rules()) -> Examination:
+def diagnose(explorer: Explorer, rules: Rules = DEFAULT_RULES) -> Examination:
     """Which effects the model lacks.
 
     Forward: the effect with the most evidence is added while it is significant and confirmed on
@@ -83,32 +58,30 @@ def diagnose(explorer: Explorer, rules: Rules = Rules()) -> Examination:
     singles = explorer.add(base, _worth_refitting(explorer, base, rules))
     current = base
     for _ in range(rules.most_effects):
-        if _below_stated(explorer, current, rules):
+        if _below_stated(explorer, current, rules) or hopeless_search(explorer, current, rules):
             break
         options = explorer.add(current, _worth_refitting(explorer, current, rules))
         better = _accepted(explorer, current, options, len(screened), rules)
         if better is None:
             break
         current = _pruned(explorer, _exchanged(explorer, better, rules), rules)
-    steps = _in_order(explorer, current)
-    tied = {e.name: _tied(explorer, current, e, rules) for e in _added(explorer, current)}
-    verdict = _verdict(explorer, base, current, tied, rules)
-    if verdict == "unexplained":
-        steps, tied = (base,), {}
-    final = estimate(explorer.prepared, steps[-1].fit) if len(steps) > 1 else None
-    missing = tuple(
-        _found(explorer, small, large, tied, len(screened), final)
-        for small, large in itertools.pairwise(steps)
-        if final is not None
-    )
+    found = explains(explorer, base, current, rules)
+    steps = _in_order(explorer, current) if found else (base,)
+    partial = (base,) if found else partly(explorer, base, len(screened), rules)
+    final = current if found else partial[-1]
+    tied = {e.name: _tied(explorer, final, e, rules) for e in _added(explorer, final)}
+    verdict = verdict_of(base, current, tied, rules) if found else "unexplained"
     diagnosis = Diagnosis(
         noise_m=explorer.prepared.floor.noise.std_m,
-        baseline=_errors(explorer.as_believed()),
+        baseline=errors_of(base if verdict == "complete" else explorer.as_believed()),
         verdict=verdict,
-        missing=missing,
+        missing=_all_found(explorer, steps, tied, len(screened)),
         ranking=_ranking(explorer, base, steps[-1], singles, tied, rules),
+        left=what_is_left(explorer, base, final),
+        partial=_all_found(explorer, partial, tied, len(screened)),
+        nearest=nearest(explorer, base, singles, rules) if verdict == "unexplained" else (),
     )
-    return Examination(diagnosis, steps, tuple(screened), tuple(singles))
+    return Examination(diagnosis, steps, tuple(screened), tuple(singles), partial)
 
 
 def _added(explorer: Explorer, candidate: Candidate) -> list[type[Effect]]:
@@ -214,69 +187,30 @@ def _tied(
     """Effects that explain as much in place of `effect`, all trials together."""
     rest = explorer.without(final, effect)
     rivals = explorer.add(rest, _worth_refitting(explorer, rest, rules))
-    limit = final.chi2 + rules.tie
-    close = sorted((c for c in rivals if c.chi2 < limit), key=lambda c: c.chi2)
+    close = close_rivals(explorer, final, rivals, rules)
     names = [next(iter(c.names - rest.names)) for c in close]
     return tuple(name for name in names if name not in final.names)
 
 
-def _verdict(
+def _all_found(
     explorer: Explorer,
-    base: Candidate,
-    final: Candidate,
+    steps: Sequence[Candidate],
     tied: dict[str, tuple[str, ...]],
-    rules: Rules,
-) -> Verdict:
-    if not _explains(explorer, base, final, rules):
-        return "unexplained"
-    if final is base:
-        return "complete"
-    if final.heldout is None or any(len(t) + 1 > rules.most_tied for t in tied.values()):
-        return "cannot_tell"
-    return "missing"
-
-
-def _explains(explorer: Explorer, base: Candidate, final: Candidate, rules: Rules) -> bool:
-    """Whether a candidate's residual is noise, on held-out trials where there are any."""
-    prepared, noise_m = explorer.prepared, explorer.prepared.noise.std_m
-    freedom = prepared.floor.freedom
-    if final.heldout is not None and base.heldout is not None:
-        chi2, count, rms_m = final.heldout.chi2, final.heldout.count, final.heldout.rms_m
-        before_m = base.heldout.rms_m
-        if not _smooth_part_explained(explorer, base.heldout, final.heldout, rules):
-            return False
-    else:
-        count = prepared.count(fit_trials(prepared)) - len(final.fit.q)
-        chi2, rms_m, before_m = final.fit.chi2, final.fit.rms_m, base.fit.rms_m
-    ratio = max(rms_m / noise_m, float(np.sqrt(chi2 / count)))
-    if _p_value(chi2, count, freedom) > rules.misfit_significance or ratio < rules.misfit:
-        return True
-    left = (rms_m**2 - noise_m**2) / max(before_m**2 - noise_m**2, 1e-30)
-    return ratio < rules.gross_misfit and left < rules.misfit_share
-
-
-def _smooth_part_explained(explorer: Explorer, base: Heldout, final: Heldout, rules: Rules) -> bool:
-    """Whether the smooth part of a candidate's residual is noise.
-
-    There misfits of a model are, and little noise: a wrong effect in place of one that the library
-    lacks shows here, though its whole residual looks like noise.  Where the noise is an earlier
-    model's misfit, or a level that the study states, it may be smooth itself: this says nothing.
-    """
-    floor = explorer.prepared.floor
-    if explorer.prepared.noise is not floor.noise or np.isinf(floor.freedom):
-        return True
-    before, left = ((h.smooth_chi2 - h.smooth_count) / h.count for h in (base, final))
-    p_value = _p_value(final.smooth_chi2, final.smooth_count, floor.slow_freedom)
-    if p_value > rules.misfit_significance or left < rules.smooth_misfit:
-        return True
-    return left < min(rules.gross_smooth_misfit, rules.smooth_share * before)
-
-
-def _p_value(chi2: float, count: int, freedom: float) -> float:
-    """Of a χ² of `count` values whose unit is known from `freedom` others."""
-    if np.isfinite(freedom):
-        return float(stats.f.sf(chi2 / count, count, freedom))
-    return float(stats.chi2.sf(chi2, count))
+    library: int,
+) -> tuple[Found, ...]:
+    """What each step after the first has added."""
+    if len(steps) == 1:
+        return ()
+    final = estimate(explorer.prepared, steps[-1].fit)
+    noise_m = explorer.prepared.floor.noise.std_m
+    left = [leftover(explorer.prepared, c) for c in steps]
+    return tuple(
+        replace(
+            _found(explorer, small, large, tied, library, final),
+            explained_share=removed_share(noise_m, left[0], after),
+        )
+        for (small, large), after in zip(itertools.pairwise(steps), left[1:], strict=True)
+    )
 
 
 def _found(
@@ -287,21 +221,19 @@ def _found(
     library: int,
     final: Estimate,
 ) -> Found:
-    effect = next(e for e in large.effects if e.name not in small.names)
+    effect = added_effect(small, large)
     gain = explorer.gain(small, large)
+    p_value = gain.p_value
+    if above_noise(explorer, large) > DEFAULT_RULES.misfit:
+        p_value = max(p_value, chance_of(explorer, small, large))
     return Found(
         effect=effect.name,
         tied_with=tied.get(effect.name, ()),
-        p_value=min(1.0, gain.p_value * (library - len(small.effects))),
+        p_value=min(1.0, p_value * (library - len(small.effects))),
         delta_bic=gain.delta_bic,
         parameters=final.intervals(effect),
-        errors=_errors(large),
+        errors=errors_of(large),
     )
-
-
-def _errors(candidate: Candidate) -> Errors:
-    held = candidate.heldout
-    return Errors(candidate.fit.rms_m, held.rms_m if held else float("nan"))
 
 
 def _ranking(

@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 
 from cell.cable.effects import Effect, load_effect
-from cell.lab.diagnose import Rules, diagnose
+from cell.lab.diagnose import diagnose
 from cell.lab.estimate import estimate
 from cell.lab.explore import Candidate, Explorer
 from cell.lab.fitting import fit_trials
+from cell.lab.rules import Rules
 from cell.lab.terms import Term, admissible, effect_source
 
 

@@ -47,11 +47,11 @@ MOST_SHAPES = 50
 #: Amplitudes tried, as shares of those that the screen expects.
 SHARES = (2.0, 0.5, 0.25, 0.1)
 #: Passes of a first refit; the best few are then taken to convergence.
-REFIT = Options(tolerance=0.1, most_passes=12)
-POLISH = Options(tolerance=0.1, most_passes=40)
+REFIT = Options(tolerance=0.1, most_passes=12, least_gain=1e-3)
+POLISH = Options(tolerance=0.1, most_passes=40, least_gain=1e-3)
 POLISHED = 3
 #: A place is sought with residuals tempered by this much more.
-SEARCH = Options(tolerance=0.3, most_passes=10)
+SEARCH = Options(tolerance=0.3, most_passes=10, least_gain=1e-3)
 
 Progress = Callable[[str], None]
 

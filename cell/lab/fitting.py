@@ -231,27 +231,30 @@ def _marginal(residual: FloatArray, spread: FloatArray) -> tuple[float, float]:
 
 def _smooth_part(whitener: Whitener, white: FloatArray) -> FloatArray:
     """(modes, columns) coordinates, white again, of white (rows, columns) in smooth functions."""
-    modes = _smooth_modes(whitener)
     grid = white.reshape(-1, whitener.channels, whitener.frames, white.shape[1])
-    parts = (grid[:, c].reshape(len(modes), -1) for c in range(whitener.channels))
-    return np.concatenate([modes.T @ part for part in parts])
+    parts = []
+    for channel in range(whitener.channels):
+        modes = _smooth_modes(whitener, channel)
+        parts.append(modes.T @ grid[:, channel].reshape(len(modes), -1))
+    return np.concatenate(parts)
 
 
-@lru_cache(maxsize=32)
-def _smooth_modes(whitener: Whitener) -> FloatArray:
+@lru_cache(maxsize=64)
+def _smooth_modes(whitener: Whitener, channel: int) -> FloatArray:
     """(markers × frames, modes) orthonormal smooth functions of what was seen in a channel.
 
     Cosines in time and polynomials along the cable span them.  A misfit of the model is there, of
     noise only a few per cent.
     """
-    frames, markers = whitener.seen.shape
+    seen = whitener.seen[..., channel]
+    frames, markers = seen.shape
     slow = max(2, frames // SLOW_FRAMES)
     in_time = np.cos(np.pi * np.outer(np.arange(frames) + 0.5, np.arange(slow)) / frames)
     along = np.vander(np.linspace(-1.0, 1.0, markers), min(markers, ALONG))
     functions = np.einsum("mk,tj->mtkj", along, in_time).reshape(markers * frames, -1)
-    functions = functions * whitener.seen.T.reshape(-1, 1)
+    functions = functions * seen.T.reshape(-1, 1)
     values, vectors = np.linalg.eigh(functions.T @ functions)
-    good = values > 1e-9 * values[-1]
+    good = values > 1e-9 * max(values[-1], 1e-300)
     return np.asarray(functions @ (vectors[:, good] / np.sqrt(values[good])))
 
 

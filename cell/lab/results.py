@@ -37,9 +37,12 @@ class Found:
     """An effect the model lacks, in the order of adding.
 
     tied_with      effects that these motions cannot tell from it
-    p_value        of the fall of χ² on the fit trials, adjusted for the size of the library
+    p_value        of the fall of χ² on the fit trials, adjusted for the size of the library; where
+                   the model's own error remains, of the fall of that over all trials if larger
     delta_bic      BIC gained on the fit trials (positive = better)
     errors         with all effects up to this one
+    explained_share  of the baseline's mean square beyond noise, over all trials, that is gone with
+                   all effects up to this one
     """
 
     effect: str
@@ -48,6 +51,52 @@ class Found:
     delta_bic: float
     parameters: dict[str, Interval]
     errors: Errors
+    explained_share: float = float("nan")
+
+
+@dataclass(frozen=True)
+class Peak:
+    """Where a residual is largest: trial, time in it, place on the cable, and its frequency.
+
+    frequency_hz  at which its power is farthest above the noise's; nan if too short to tell
+    """
+
+    trial: str
+    time_s: float
+    arc_length_m: float
+    frequency_hz: float
+
+
+@dataclass(frozen=True)
+class Left:
+    """What the final model leaves, all trials together.
+
+    over_noise       rms over that of the measurement
+    explained_share  of the baseline's mean square beyond noise that is gone
+    """
+
+    rms_m: float
+    over_noise: float
+    explained_share: float
+    peak: Peak
+
+
+@dataclass(frozen=True)
+class Nearest:
+    """An effect that explains nothing to the noise, yet more than others; and what it leaves."""
+
+    effect: str
+    explained_share: float
+    errors: Errors
+    peak: Peak
+
+
+@dataclass(frozen=True)
+class Warned:
+    """Something that makes a result doubtful: a `code` for programs, a `message` for people."""
+
+    code: str
+    message: str
 
 
 @dataclass(frozen=True)
@@ -62,13 +111,22 @@ class Ranked:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Which effect is missing, or that none is, none known fits, or these motions cannot tell."""
+    """Which effect is missing, or that none is, none known fits, or these motions cannot tell.
+
+    left      what the model with everything in `missing`, or else in `partial`, leaves
+    partial   of an unexplained study: what explains most of the error, not all
+    nearest   of an unexplained study: the single effects that leave least
+    """
 
     noise_m: float
     baseline: Errors
     verdict: Verdict
     missing: tuple[Found, ...] = ()
     ranking: tuple[Ranked, ...] = field(default=())
+    left: Left | None = None
+    partial: tuple[Found, ...] = ()
+    nearest: tuple[Nearest, ...] = ()
+    warnings: tuple[Warned, ...] = ()
 
 
 def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
@@ -78,25 +136,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "noise_m": _number(diagnosis.noise_m),
         "baseline": _errors(diagnosis.baseline),
         "verdict": diagnosis.verdict,
-        "missing": [
-            {
-                "effect": f.effect,
-                "tied_with": list(f.tied_with),
-                "p_value": _number(f.p_value),
-                "delta_bic": _number(f.delta_bic),
-                "parameters": {
-                    name: {
-                        "value": _number(p.value),
-                        "low": _number(p.low),
-                        "high": _number(p.high),
-                        "unit": p.unit,
-                    }
-                    for name, p in f.parameters.items()
-                },
-                **_errors(f.errors),
-            }
-            for f in diagnosis.missing
-        ],
+        "missing": [_found(f) for f in diagnosis.missing],
         "ranking": [
             {
                 "effect": r.effect,
@@ -106,6 +146,56 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
             }
             for r in diagnosis.ranking
         ],
+        "left": None if diagnosis.left is None else _left(diagnosis.left),
+        "partial": [_found(f) for f in diagnosis.partial],
+        "nearest": [
+            {
+                "effect": n.effect,
+                "explained_share": _number(n.explained_share),
+                **_errors(n.errors),
+                "peak": _peak(n.peak),
+            }
+            for n in diagnosis.nearest
+        ],
+        "warnings": [vars(w) for w in diagnosis.warnings],
+    }
+
+
+def _found(found: Found) -> dict[str, Any]:
+    return {
+        "effect": found.effect,
+        "tied_with": list(found.tied_with),
+        "p_value": _number(found.p_value),
+        "delta_bic": _number(found.delta_bic),
+        "parameters": {
+            name: {
+                "value": _number(p.value),
+                "low": _number(p.low),
+                "high": _number(p.high),
+                "unit": p.unit,
+            }
+            for name, p in found.parameters.items()
+        },
+        **_errors(found.errors),
+        "explained_share": _number(found.explained_share),
+    }
+
+
+def _left(left: Left) -> dict[str, Any]:
+    return {
+        "rms_m": _number(left.rms_m),
+        "over_noise": _number(left.over_noise),
+        "explained_share": _number(left.explained_share),
+        "peak": _peak(left.peak),
+    }
+
+
+def _peak(peak: Peak) -> dict[str, Any]:
+    return {
+        "trial": peak.trial,
+        "time_s": _number(peak.time_s),
+        "arc_length_m": _number(peak.arc_length_m),
+        "frequency_hz": _number(peak.frequency_hz),
     }
 
 

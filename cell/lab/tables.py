@@ -15,6 +15,7 @@ from cell.lab.compare import Comparison
 from cell.lab.explore import Candidate
 from cell.lab.prepared import PreparedStudy
 from cell.lab.results import Diagnosis
+from cell.lab.wording import peak_in_words, place_in_words, plain, short, unexplained
 
 if TYPE_CHECKING:
     from cell.lab.discover import Discovery
@@ -32,19 +33,16 @@ def sentence(diagnosis: Diagnosis, baseline: Comparison | None = None) -> str:
     before_mm = _shown_mm(diagnosis.baseline.heldout_rms_m, diagnosis.baseline.fit_rms_m)
     if diagnosis.verdict == "complete":
         return (
-            f"The model is complete: what it misses ({_short(before_mm)} mm) is camera noise "
-            f"({_short(noise_mm)} mm)."
+            f"The model is complete: what it misses ({short(before_mm)} mm) is camera noise "
+            f"({short(noise_mm)} mm)."
         )
     place = "" if baseline is None else _worst_place(baseline)
-    misses = f"The model misses {_short(before_mm)} mm{place}"
+    misses = f"The model misses {short(before_mm)} mm{place}"
     if diagnosis.verdict == "unexplained":
-        return (
-            f"{misses}, camera noise is {_short(noise_mm)} mm, and no known effect explains it: "
-            "try `cell discover`."
-        )
+        return unexplained(diagnosis, misses)
     if not diagnosis.missing:
         return (
-            f"{misses} at {_short(noise_mm)} mm of noise; these motions cannot tell why: "
+            f"{misses} at {short(noise_mm)} mm of noise; these motions cannot tell why: "
             "try `cell suggest`."
         )
     last = diagnosis.missing[-1].errors
@@ -52,10 +50,10 @@ def sentence(diagnosis: Diagnosis, baseline: Comparison | None = None) -> str:
     excess = max(before_mm**2 - noise_mm**2, 1e-12)
     share = 100.0 * float(np.clip((before_mm**2 - after_mm**2) / excess, 0.0, 1.0))
     names = " and ".join(
-        " or ".join(_plain(n) for n in (f.effect, *f.tied_with)) for f in diagnosis.missing
+        " or ".join(plain(n) for n in (f.effect, *f.tied_with)) for f in diagnosis.missing
     )
     explains = "explains" if len(diagnosis.missing) == 1 else "explain"
-    rest = f"{_short(after_mm)} mm, not yet explained"
+    rest = f"{short(after_mm)} mm, {after_mm / noise_mm:.1f} times the noise, not yet explained"
     if after_mm < 1.1 * noise_mm:
         rest = "camera noise"
     hedge = " These motions cannot tell them apart." if diagnosis.verdict == "cannot_tell" else ""
@@ -76,7 +74,11 @@ def advice(diagnosis: Diagnosis) -> str:
         case "missing" if not tied:
             return f"To add it to the model: `cell fit STUDY {options} -o model.json`."
         case "unexplained":
-            return "To look for an unknown law: `cell discover STUDY -o discovered.py`."
+            look = "To look for an unknown law: `cell discover STUDY -o discovered.py`."
+            known = " ".join(f"--effect {f.effect}" for f in diagnosis.partial)
+            if not known:
+                return look
+            return f"With what is known of it: `cell fit STUDY {known} -o model.json`. {look}"
         case "missing":
             return f"To add it: `cell fit STUDY {options} -o model.json`; {motion}."
         case _:
@@ -87,8 +89,7 @@ def _worst_place(comparison: Comparison) -> str:
     """Which part of the cable, and which phase of the motion, have the largest error."""
     by_marker = np.sqrt(np.mean([w.by_arc_length.rms_m**2 for w in comparison.where], axis=0))
     share = comparison.study.arc_length_m[int(np.nanargmax(by_marker))]
-    share /= comparison.study.cable.free_length_m
-    part = "at the tip" if share > 0.8 else "at the grip" if share < 0.2 else "in mid-cable"
+    part = place_in_words(share / comparison.study.cable.free_length_m)
     phases = list(comparison.where[0].by_phase)
     by_phase = [
         np.mean([w.by_phase[p] ** 2 for w in comparison.where if np.isfinite(w.by_phase[p])] or [0])
@@ -103,6 +104,22 @@ def _worst_place(comparison: Comparison) -> str:
     return f", most of it {part} {when[phases[int(np.argmax(by_phase))]]}"
 
 
+def nearest_table(diagnosis: Diagnosis) -> Table:
+    """Of an unexplained study: the effects that leave least, how much and where."""
+    table = Table(title="Nearest effects, each alone", box=SIMPLE_HEAD)
+    for column in ("effect", "explains", "left, mm", "held out", "most of it"):
+        table.add_column(column, justify="left" if column in ("effect", "most of it") else "right")
+    for n in diagnosis.nearest:
+        table.add_row(
+            n.effect,
+            f"{100 * n.explained_share:.0f} %",
+            _mm(n.errors.fit_rms_m),
+            _mm(n.errors.heldout_rms_m),
+            peak_in_words(n.peak),
+        )
+    return table
+
+
 def waterfall_table(diagnosis: Diagnosis) -> Table:
     """Error of the baseline, after each effect added, and the noise floor."""
     table = Table(title="Error, mm rms per coordinate", box=SIMPLE_HEAD)
@@ -112,7 +129,7 @@ def waterfall_table(diagnosis: Diagnosis) -> Table:
         )
     base = diagnosis.baseline
     table.add_row("baseline", _mm(base.fit_rms_m), _mm(base.heldout_rms_m), "", "", "")
-    for found in diagnosis.missing:
+    for found in diagnosis.missing or diagnosis.partial:
         parameters = ", ".join(
             f"{name} {p.value:.4g} ({p.low:.4g} … {p.high:.4g}) {p.unit}"
             for name, p in found.parameters.items()
@@ -283,17 +300,8 @@ def _kept(suggestion: Suggestion) -> str:
     )
 
 
-def _plain(name: str) -> str:
-    return name.replace("_", " ")
-
-
 def _shown_mm(heldout_m: float, fit_m: float) -> float:
     return 1e3 * (heldout_m if np.isfinite(heldout_m) else fit_m)
-
-
-def _short(value_mm: float) -> str:
-    """Two decimals, or two digits of what is smaller."""
-    return f"{value_mm:.2f}" if value_mm >= 0.1 else f"{value_mm:.2g}"
 
 
 def _mm(value_m: float) -> str:

@@ -19,24 +19,31 @@ from cell.study.folder import read_study
 SCHEMA = {
     "type": "object",
     "additionalProperties": False,
-    "required": ["format", "noise_m", "baseline", "verdict", "missing", "ranking"],
+    "required": [
+        "format", "noise_m", "baseline", "verdict", "missing", "ranking", "left", "partial",
+        "nearest", "warnings",
+    ],
     "properties": {
         "format": {"const": "cable-diagnosis/1"},
         "noise_m": {"type": "number"},
         "baseline": {"required": ["fit_rms_m", "heldout_rms_m"]},
+        "left": {"required": ["rms_m", "over_noise", "explained_share", "peak"]},
+        "partial": {"items": {"required": ["effect", "tied_with", "explained_share"]}},
+        "nearest": {"items": {"required": ["effect", "explained_share", "fit_rms_m", "peak"]}},
+        "warnings": {"items": {"required": ["code", "message"]}},
         "verdict": {"enum": ["complete", "missing", "unexplained", "cannot_tell"]},
         "missing": {
             "items": {
                 "additionalProperties": False,
                 "required": [
                     "effect", "tied_with", "p_value", "delta_bic", "parameters", "fit_rms_m",
-                    "heldout_rms_m",
+                    "heldout_rms_m", "explained_share",
                 ],
                 "properties": {
                     k: {}
                     for k in (
                         "effect", "tied_with", "p_value", "delta_bic", "parameters", "fit_rms_m",
-                        "heldout_rms_m",
+                        "heldout_rms_m", "explained_share",
                     )
                 },
             }

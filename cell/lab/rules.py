@@ -1,0 +1,56 @@
+"""When the lab believes an effect, and when it calls a model complete."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Rules:
+    """When an effect is believed.
+
+    significance     family-wise, over the library (Holm), on the fit trials
+    heldout_gain     ln of how much likelier the held-out trials must become
+    first_share, more_share, excess_share   least fall of the held-out mean square: of the noise's
+                     for the first effect and for more, and of the baseline's excess for more.
+                     Below lie the errors of models, ours included, whatever their significance
+    tie              sets of effects are tied if their χ² over all trials differs by less
+    most_tied        more than these tied: these motions cannot tell
+    most_effects     added one after another
+    best             of the screen that are refitted, besides all that are not smooth
+    doubted          a stated noise of which a model leaves less than this share bounds what the
+                     measurement can be trusted for: below it nothing more is claimed
+    misfit_significance   of what a model leaves on the held-out trials
+    misfit, gross_misfit  rms over noise from which that matters; and does whatever it was before
+    misfit_share          of the baseline's excess that a known effect may leave below the latter
+    smooth_misfit, gross_smooth_misfit, smooth_share   the same for the smooth part's mean square
+    most_share       of the error beyond noise that an effect removes if it explains most, not all
+    nearest          effects that an unexplained study is told of
+    first_effects, hopeless_left   after so many effects no more are sought if a larger share than
+                     this of the error beyond noise is left
+    """
+
+    significance: float = 0.01
+    heldout_gain: float = 3.0
+    first_share: float = 0.003
+    more_share: float = 0.01
+    excess_share: float = 0.001
+    tie: float = 9.0
+    most_tied: int = 3
+    most_effects: int = 3
+    best: int = 6
+    doubted: float = 0.8
+    misfit: float = 1.04
+    gross_misfit: float = 1.10
+    misfit_share: float = 0.1
+    misfit_significance: float = 1e-3
+    smooth_misfit: float = 0.01
+    gross_smooth_misfit: float = 0.2
+    smooth_share: float = 0.01
+    most_share: float = 0.5
+    nearest: int = 3
+    first_effects: int = 2
+    hopeless_left: float = 0.1
+
+
+DEFAULT_RULES = Rules()

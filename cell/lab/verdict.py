@@ -1,0 +1,231 @@
+"""Verdict of a diagnosis: whether what a model leaves is noise, and if not, what is nearest."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import stats
+
+from cell.cable.effects.base import Effect
+from cell.lab.explore import Candidate, Explorer
+from cell.lab.fitting import Heldout, fit_trials
+from cell.lab.leftover import Leftover, deviance, leftover, peak, removed_share
+from cell.lab.results import Errors, Left, Nearest, Verdict
+from cell.lab.rules import Rules
+from cell.lab.score import holm
+
+
+def verdict_of(
+    base: Candidate, final: Candidate, tied: dict[str, tuple[str, ...]], rules: Rules
+) -> Verdict:
+    """What it means that `final` explains the study."""
+    if final is base:
+        return "complete"
+    if final.heldout is None or any(len(t) + 1 > rules.most_tied for t in tied.values()):
+        return "cannot_tell"
+    return "missing"
+
+
+def explains(explorer: Explorer, base: Candidate, final: Candidate, rules: Rules) -> bool:
+    """Whether what a candidate leaves is noise, or of an earlier individual's error.
+
+    With an earlier individual's model what is left may be that model's own error.  Then nothing is
+    complete, and an effect must explain most of what the earlier model misses here.
+    """
+    if not _leaves_noise(explorer, base, final, rules):
+        return False
+    if _at_measurement_noise(explorer, final, rules):
+        return True
+    prepared = explorer.prepared
+    before = leftover(prepared, explorer.as_believed())
+    share = removed_share(prepared.floor.noise.std_m, before, leftover(prepared, final))
+    return final is not base and share > rules.most_share
+
+
+def hopeless_search(explorer: Explorer, current: Candidate, rules: Rules) -> bool:
+    """Whether one more effect cannot be hoped to make the residual noise.
+
+    So it is if two have been found, and still most of the error is left.
+    """
+    if len(current.names) - len(explorer.space.effects) < rules.first_effects:
+        return False
+    prepared = explorer.prepared
+    before, after = leftover(prepared, explorer.baseline()), leftover(prepared, current)
+    left = 1.0 - removed_share(prepared.floor.noise.std_m, before, after)
+    return left > rules.hopeless_left
+
+
+def _at_measurement_noise(explorer: Explorer, candidate: Candidate, rules: Rules) -> bool:
+    """Whether a candidate errs by no more than the measurement, fitted or held out.
+
+    Where the noise is the measurement's own, the tests of the residual have said so already.
+    """
+    prepared = explorer.prepared
+    if prepared.noise is prepared.floor.noise:
+        return True
+    return above_noise(explorer, candidate) < rules.gross_misfit
+
+
+def above_noise(explorer: Explorer, candidate: Candidate) -> float:
+    """Larger of a candidate's fitted and held-out error over the measurement's noise."""
+    held_m = candidate.heldout.rms_m if candidate.heldout else 0.0
+    return max(candidate.fit.rms_m, held_m) / explorer.prepared.floor.noise.std_m
+
+
+def _leaves_noise(explorer: Explorer, base: Candidate, final: Candidate, rules: Rules) -> bool:
+    """Whether a candidate's residual is noise, on held-out trials where there are any."""
+    prepared, noise_m = explorer.prepared, explorer.prepared.noise.std_m
+    freedom = prepared.floor.freedom
+    if final.heldout is not None and base.heldout is not None:
+        chi2, count, rms_m = final.heldout.chi2, final.heldout.count, final.heldout.rms_m
+        before_m = base.heldout.rms_m
+        if not _smooth_part_explained(explorer, base.heldout, final.heldout, rules):
+            return False
+    else:
+        count = prepared.count(fit_trials(prepared)) - len(final.fit.q)
+        chi2, rms_m, before_m = final.fit.chi2, final.fit.rms_m, base.fit.rms_m
+    ratio = max(rms_m / noise_m, float(np.sqrt(chi2 / count)))
+    if _p_value(chi2, count, freedom) > rules.misfit_significance or ratio < rules.misfit:
+        return True
+    left = (rms_m**2 - noise_m**2) / max(before_m**2 - noise_m**2, 1e-30)
+    return ratio < rules.gross_misfit and left < rules.misfit_share
+
+
+def _smooth_part_explained(explorer: Explorer, base: Heldout, final: Heldout, rules: Rules) -> bool:
+    """Whether the smooth part of a candidate's residual is noise.
+
+    There misfits of a model are, and little noise: a wrong effect in place of one that the library
+    lacks shows here, though its whole residual looks like noise.  Where the noise is an earlier
+    model's misfit, or a level that the study states, it may be smooth itself: this says nothing.
+    """
+    floor = explorer.prepared.floor
+    if explorer.prepared.noise is not floor.noise or np.isinf(floor.freedom):
+        return True
+    before, left = ((h.smooth_chi2 - h.smooth_count) / h.count for h in (base, final))
+    p_value = _p_value(final.smooth_chi2, final.smooth_count, floor.slow_freedom)
+    if p_value > rules.misfit_significance or left < rules.smooth_misfit:
+        return True
+    return left < min(rules.gross_smooth_misfit, rules.smooth_share * before)
+
+
+def _p_value(chi2: float, count: int, freedom: float) -> float:
+    """Of a χ² of `count` values whose unit is known from `freedom` others."""
+    if np.isfinite(freedom):
+        return float(stats.f.sf(chi2 / count, count, freedom))
+    return float(stats.chi2.sf(chi2, count))
+
+
+def close_rivals(
+    explorer: Explorer, final: Candidate, rivals: Sequence[Candidate], rules: Rules
+) -> list[Candidate]:
+    """Rivals that explain as much as `final`, all trials together, the best first.
+
+    By χ² where what remains is noise; where the model's own error remains, by that, with its
+    colour: it is what the answer could be wrong by.
+    """
+    close = {c.names for c in rivals if c.chi2 < final.chi2 + rules.tie}
+    if above_noise(explorer, final) > rules.misfit:
+        mine = leftover(explorer.prepared, final)
+        close |= {
+            c.names for c in rivals if deviance(mine, leftover(explorer.prepared, c)) < rules.tie
+        }
+    return sorted((c for c in rivals if c.names in close), key=lambda c: c.chi2)
+
+
+def partly(
+    explorer: Explorer, base: Candidate, library: int, rules: Rules
+) -> tuple[Candidate, ...]:
+    """The baseline, then what explains most of its error, not all: one effect, or more.
+
+    Of all sets of effects fitted so far the one that leaves least, while every step removes most
+    of the error beyond noise and is significant against what it leaves itself.
+    """
+    prepared = explorer.prepared
+    noise_m = prepared.floor.noise.std_m
+    steps = [base]
+    while len(steps) <= rules.most_effects:
+        current = steps[-1]
+        before = leftover(prepared, current)
+        larger = [
+            c
+            for c in explorer.known()
+            if current.names < c.names and len(c.names) == len(current.names) + 1
+        ]
+        left = [leftover(prepared, c) for c in larger]
+        chances = [_chance(current, c, before, a) for c, a in zip(larger, left, strict=True)]
+        chances = holm(chances + [1.0] * max(0, library - len(steps) + 1 - len(larger)))
+        sound = [
+            (after, c)
+            for c, after, p in zip(larger, left, chances, strict=False)
+            if p < rules.significance
+            and removed_share(noise_m, before, after) > rules.most_share
+            and _heldout_falls(current, c)
+        ]
+        if not sound:
+            break
+        steps.append(min(sound, key=lambda pair: pair[0].mean_square_m2)[1])
+    return tuple(steps)
+
+
+def chance_of(explorer: Explorer, small: Candidate, large: Candidate) -> float:
+    """p-value of what one more effect removes, against what it leaves, over all trials."""
+    prepared = explorer.prepared
+    return _chance(small, large, leftover(prepared, small), leftover(prepared, large))
+
+
+def _chance(small: Candidate, large: Candidate, before: Leftover, after: Leftover) -> float:
+    effect = added_effect(small, large)
+    fall = max(deviance(after, before), 0.0)
+    return float(stats.chi2.sf(fall, sum(p.amplitude for p in effect.parameters)))
+
+
+def _heldout_falls(small: Candidate, large: Candidate) -> bool:
+    if small.heldout is None or large.heldout is None:
+        return True
+    return large.heldout.rms_m < small.heldout.rms_m
+
+
+def nearest(
+    explorer: Explorer, base: Candidate, singles: Sequence[Candidate], rules: Rules
+) -> tuple[Nearest, ...]:
+    """The single effects that leave least, how much, and where."""
+    prepared = explorer.prepared
+    before = leftover(prepared, base)
+    best = sorted(
+        ((leftover(prepared, c), c) for c in singles), key=lambda pair: pair[0].mean_square_m2
+    )
+    return tuple(
+        Nearest(
+            effect=added_effect(base, candidate).name,
+            explained_share=removed_share(prepared.floor.noise.std_m, before, after),
+            errors=errors_of(candidate),
+            peak=peak(prepared, candidate),
+        )
+        for after, candidate in best[: rules.nearest]
+        if np.isfinite(after.mean_square_m2)
+    )
+
+
+def what_is_left(explorer: Explorer, base: Candidate, final: Candidate) -> Left:
+    """How much a candidate leaves, of what the baseline missed, and where."""
+    prepared = explorer.prepared
+    noise_m = prepared.floor.noise.std_m
+    before, after = leftover(prepared, base), leftover(prepared, final)
+    return Left(
+        rms_m=after.rms_m,
+        over_noise=after.rms_m / noise_m,
+        explained_share=removed_share(noise_m, before, after),
+        peak=peak(prepared, final),
+    )
+
+
+def added_effect(small: Candidate, large: Candidate) -> type[Effect]:
+    """The effect of `large` that `small` lacks."""
+    return next(e for e in large.effects if e.name not in small.names)
+
+
+def errors_of(candidate: Candidate) -> Errors:
+    """Fitted and held-out error."""
+    held = candidate.heldout
+    return Errors(candidate.fit.rms_m, held.rms_m if held else float("nan"))
