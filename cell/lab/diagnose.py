@@ -12,7 +12,8 @@ from cell.cable.effects.base import Effect
 from cell.lab.estimate import Estimate, estimate
 from cell.lab.explore import Candidate, Explorer, Gain
 from cell.lab.leftover import leftover, removed_share
-from cell.lab.results import Diagnosis, Found, Ranked, Status
+from cell.lab.partial import Partial, explain_partly, nearest, what_is_left
+from cell.lab.results import Diagnosis, Found, Ranked, Status, Verdict
 from cell.lab.rules import DEFAULT_RULES, Rules
 from cell.lab.score import holm
 from cell.lab.screen import Screened
@@ -24,10 +25,7 @@ from cell.lab.verdict import (
     errors_of,
     explains,
     hopeless_search,
-    nearest,
-    partly,
     verdict_of,
-    what_is_left,
 )
 
 
@@ -55,33 +53,39 @@ def diagnose(explorer: Explorer, rules: Rules = DEFAULT_RULES) -> Examination:
     """
     base = explorer.baseline()
     screened = explorer.screened(base)
-    singles = explorer.add(base, _worth_refitting(explorer, base, rules))
+    singles = explorer.add(base, explorer.worth_refitting(base, rules.best))
     current = base
     for _ in range(rules.most_effects):
         if _below_stated(explorer, current, rules) or hopeless_search(explorer, current, rules):
             break
-        options = explorer.add(current, _worth_refitting(explorer, current, rules))
+        options = explorer.add(current, explorer.worth_refitting(current, rules.best))
         better = _accepted(explorer, current, options, len(screened), rules)
         if better is None:
             break
         current = _pruned(explorer, _exchanged(explorer, better, rules), rules)
     found = explains(explorer, base, current, rules)
-    steps = _in_order(explorer, current) if found else (base,)
-    partial = (base,) if found else partly(explorer, base, len(screened), rules)
-    final = current if found else partial[-1]
-    tied = {e.name: _tied(explorer, final, e, rules) for e in _added(explorer, final)}
-    verdict = verdict_of(base, current, tied, rules) if found else "unexplained"
+    if found:
+        steps = _in_order(explorer, current)
+        tied = {e.name: _tied(explorer, current, e, rules) for e in _added(explorer, current)}
+        partial = Partial(explorer, tuple(singles), (base,))
+    else:
+        steps, tied = (base,), {}
+        partial = explain_partly(explorer, explorer.known(), len(screened), rules)
+    verdict: Verdict = verdict_of(base, current, tied, rules) if found else "unexplained"
+    whole, most = partial.explorer, partial.steps
+    also = {e.name: _tied(whole, most[-1], e, rules) for e in _added(whole, most[-1])}
+    rivals = {n for names in (*tied.values(), *also.values()) for n in names}
     diagnosis = Diagnosis(
         noise_m=explorer.prepared.floor.noise.std_m,
         baseline=errors_of(base if verdict == "complete" else explorer.as_believed()),
         verdict=verdict,
         missing=_all_found(explorer, steps, tied, len(screened)),
-        ranking=_ranking(explorer, base, steps[-1], singles, tied, rules),
-        left=what_is_left(explorer, base, final),
-        partial=_all_found(explorer, partial, tied, len(screened)),
-        nearest=nearest(explorer, base, singles, rules) if verdict == "unexplained" else (),
+        ranking=_ranking(explorer, base, steps[-1], singles, rivals, rules),
+        left=what_is_left(whole, most[0], current if found else most[-1]),
+        partial=_all_found(whole, most, also, len(screened)),
+        nearest=() if found else nearest(partial, singles, rules),
     )
-    return Examination(diagnosis, steps, tuple(screened), tuple(singles), partial)
+    return Examination(diagnosis, steps, tuple(screened), tuple(singles), most)
 
 
 def _added(explorer: Explorer, candidate: Candidate) -> list[type[Effect]]:
@@ -94,14 +98,6 @@ def _below_stated(explorer: Explorer, candidate: Candidate, rules: Rules) -> boo
     worst_m = max(candidate.fit.rms_m, candidate.heldout.rms_m if candidate.heldout else 0.0)
     floor = explorer.prepared.floor
     return bool(np.isinf(floor.freedom)) and worst_m < rules.doubted * floor.noise.std_m
-
-
-def _worth_refitting(explorer: Explorer, base: Candidate, rules: Rules) -> list[type[Effect]]:
-    """The best of the screen, and whatever the screen may misjudge: all that are not smooth."""
-    screened = explorer.screened(base)
-    ranked = sorted(screened, key=lambda s: (s.score.p_value, -s.score.statistic))
-    best = [s.effect for s in ranked[: rules.best]]
-    return best + [s.effect for s in ranked[rules.best :] if not s.effect.smooth]
 
 
 def _accepted(
@@ -151,7 +147,7 @@ def _exchanged(explorer: Explorer, candidate: Candidate, rules: Rules) -> Candid
         improved = False
         for effect in _added(explorer, candidate):
             rest = explorer.without(candidate, effect)
-            options = explorer.add(rest, _worth_refitting(explorer, rest, rules))
+            options = explorer.add(rest, explorer.worth_refitting(rest, rules.best))
             best = max(options, key=lambda c: c.evidence, default=candidate)
             if best.evidence > candidate.evidence + 1.0:
                 candidate, improved = best, True
@@ -186,7 +182,7 @@ def _tied(
 ) -> tuple[str, ...]:
     """Effects that explain as much in place of `effect`, all trials together."""
     rest = explorer.without(final, effect)
-    rivals = explorer.add(rest, _worth_refitting(explorer, rest, rules))
+    rivals = explorer.add(rest, explorer.worth_refitting(rest, rules.best))
     close = close_rivals(explorer, final, rivals, rules)
     names = [next(iter(c.names - rest.names)) for c in close]
     return tuple(name for name in names if name not in final.names)
@@ -241,7 +237,7 @@ def _ranking(
     base: Candidate,
     final: Candidate,
     singles: Sequence[Candidate],
-    tied: dict[str, tuple[str, ...]],
+    rivals: set[str],
     rules: Rules,
 ) -> tuple[Ranked, ...]:
     """All effects, by the evidence of adding each alone to the baseline."""
@@ -257,7 +253,6 @@ def _ranking(
     adjusted = holm([row[2] for row in rows])
     at_end = {s.effect.name: s for s in explorer.screened(final)}
     left = dict(zip(at_end, holm([s.score.p_value for s in at_end.values()]), strict=True))
-    rivals = {name for names in tied.values() for name in names}
     ranked = []
     order = sorted(zip(rows, adjusted, strict=True), key=lambda r: (-r[0][3], -r[0][1]))
     for (name, score, _, _), p_value in order:

@@ -28,6 +28,7 @@ from cell.lab.fitting import (
 from cell.lab.prepared import PreparedStudy
 from cell.lab.score import boundary_p_value, delta_bic
 from cell.lab.screen import Screened, is_shape, screen
+from cell.study.data import Trial
 
 FloatArray = NDArray[np.float64]
 
@@ -141,6 +142,16 @@ class Explorer:
             others = [e for n, e in self.library.items() if n not in base.names]
             self._screens[base.names] = screen(self.prepared, base.fit, others)
         return self._screens[base.names]
+
+    def worth_refitting(self, base: Candidate, best: int) -> list[type[Effect]]:
+        """The `best` of the screen, and what it may misjudge: all effects that are not smooth."""
+        ranked = sorted(self.screened(base), key=lambda s: (s.score.p_value, -s.score.statistic))
+        rough = [s.effect for s in ranked[best:] if not s.effect.smooth]
+        return [s.effect for s in ranked[:best]] + rough
+
+    def fitted_trials(self) -> tuple[Trial, ...]:
+        """Trials that the models are fitted to."""
+        return fit_trials(self.prepared)
 
     def _screened_calmly(self, base: Candidate, effects: Sequence[type[Effect]]) -> list[Screened]:
         """The same from the tempered baseline and from what was believed of the cable.

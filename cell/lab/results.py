@@ -83,10 +83,15 @@ class Left:
 
 @dataclass(frozen=True)
 class Nearest:
-    """An effect that explains nothing to the noise, yet more than others; and what it leaves."""
+    """An effect that does not leave noise alone, yet less than others; and what it leaves.
+
+    explained_share, left_rms_m  of all trials, fitted to them all
+    errors                       fitted to the fit trials alone
+    """
 
     effect: str
     explained_share: float
+    left_rms_m: float
     errors: Errors
     peak: Peak
 
@@ -113,7 +118,8 @@ class Ranked:
 class Diagnosis:
     """Which effect is missing, or that none is, none known fits, or these motions cannot tell.
 
-    left      what the model with everything in `missing`, or else in `partial`, leaves
+    left      what the model with everything in `missing`, or else in `partial`, leaves; the latter
+              fitted to all trials
     partial   of an unexplained study: what explains most of the error, not all
     nearest   of an unexplained study: the single effects that leave least
     """
@@ -152,6 +158,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
             {
                 "effect": n.effect,
                 "explained_share": _number(n.explained_share),
+                "left_rms_m": _number(n.left_rms_m),
                 **_errors(n.errors),
                 "peak": _peak(n.peak),
             }

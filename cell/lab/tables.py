@@ -107,12 +107,13 @@ def _worst_place(comparison: Comparison) -> str:
 def nearest_table(diagnosis: Diagnosis) -> Table:
     """Of an unexplained study: the effects that leave least, how much and where."""
     table = Table(title="Nearest effects, each alone", box=SIMPLE_HEAD)
-    for column in ("effect", "explains", "left, mm", "held out", "most of it"):
+    for column in ("effect", "explains", "left, mm", "fitted", "held out", "most of it"):
         table.add_column(column, justify="left" if column in ("effect", "most of it") else "right")
     for n in diagnosis.nearest:
         table.add_row(
             n.effect,
             f"{100 * n.explained_share:.0f} %",
+            _mm(n.left_rms_m),
             _mm(n.errors.fit_rms_m),
             _mm(n.errors.heldout_rms_m),
             peak_in_words(n.peak),

@@ -1,4 +1,4 @@
-"""Verdict of a diagnosis: whether what a model leaves is noise, and if not, what is nearest."""
+"""Verdict of a diagnosis: whether what a model leaves is noise, and what explains as much."""
 
 from __future__ import annotations
 
@@ -10,10 +10,9 @@ from scipy import stats
 from cell.cable.effects.base import Effect
 from cell.lab.explore import Candidate, Explorer
 from cell.lab.fitting import Heldout, fit_trials
-from cell.lab.leftover import Leftover, deviance, leftover, peak, removed_share
-from cell.lab.results import Errors, Left, Nearest, Verdict
+from cell.lab.leftover import Leftover, deviance, leftover, removed_share
+from cell.lab.results import Errors, Verdict
 from cell.lab.rules import Rules
-from cell.lab.score import holm
 
 
 def verdict_of(
@@ -133,91 +132,17 @@ def close_rivals(
     return sorted((c for c in rivals if c.names in close), key=lambda c: c.chi2)
 
 
-def partly(
-    explorer: Explorer, base: Candidate, library: int, rules: Rules
-) -> tuple[Candidate, ...]:
-    """The baseline, then what explains most of its error, not all: one effect, or more.
-
-    Of all sets of effects fitted so far the one that leaves least, while every step removes most
-    of the error beyond noise and is significant against what it leaves itself.
-    """
-    prepared = explorer.prepared
-    noise_m = prepared.floor.noise.std_m
-    steps = [base]
-    while len(steps) <= rules.most_effects:
-        current = steps[-1]
-        before = leftover(prepared, current)
-        larger = [
-            c
-            for c in explorer.known()
-            if current.names < c.names and len(c.names) == len(current.names) + 1
-        ]
-        left = [leftover(prepared, c) for c in larger]
-        chances = [_chance(current, c, before, a) for c, a in zip(larger, left, strict=True)]
-        chances = holm(chances + [1.0] * max(0, library - len(steps) + 1 - len(larger)))
-        sound = [
-            (after, c)
-            for c, after, p in zip(larger, left, chances, strict=False)
-            if p < rules.significance
-            and removed_share(noise_m, before, after) > rules.most_share
-            and _heldout_falls(current, c)
-        ]
-        if not sound:
-            break
-        steps.append(min(sound, key=lambda pair: pair[0].mean_square_m2)[1])
-    return tuple(steps)
-
-
 def chance_of(explorer: Explorer, small: Candidate, large: Candidate) -> float:
     """p-value of what one more effect removes, against what it leaves, over all trials."""
     prepared = explorer.prepared
-    return _chance(small, large, leftover(prepared, small), leftover(prepared, large))
+    return chance(small, large, leftover(prepared, small), leftover(prepared, large))
 
 
-def _chance(small: Candidate, large: Candidate, before: Leftover, after: Leftover) -> float:
+def chance(small: Candidate, large: Candidate, before: Leftover, after: Leftover) -> float:
+    """p-value of the fall from what `small` leaves to what `large`, with one effect more, does."""
     effect = added_effect(small, large)
     fall = max(deviance(after, before), 0.0)
     return float(stats.chi2.sf(fall, sum(p.amplitude for p in effect.parameters)))
-
-
-def _heldout_falls(small: Candidate, large: Candidate) -> bool:
-    if small.heldout is None or large.heldout is None:
-        return True
-    return large.heldout.rms_m < small.heldout.rms_m
-
-
-def nearest(
-    explorer: Explorer, base: Candidate, singles: Sequence[Candidate], rules: Rules
-) -> tuple[Nearest, ...]:
-    """The single effects that leave least, how much, and where."""
-    prepared = explorer.prepared
-    before = leftover(prepared, base)
-    best = sorted(
-        ((leftover(prepared, c), c) for c in singles), key=lambda pair: pair[0].mean_square_m2
-    )
-    return tuple(
-        Nearest(
-            effect=added_effect(base, candidate).name,
-            explained_share=removed_share(prepared.floor.noise.std_m, before, after),
-            errors=errors_of(candidate),
-            peak=peak(prepared, candidate),
-        )
-        for after, candidate in best[: rules.nearest]
-        if np.isfinite(after.mean_square_m2)
-    )
-
-
-def what_is_left(explorer: Explorer, base: Candidate, final: Candidate) -> Left:
-    """How much a candidate leaves, of what the baseline missed, and where."""
-    prepared = explorer.prepared
-    noise_m = prepared.floor.noise.std_m
-    before, after = leftover(prepared, base), leftover(prepared, final)
-    return Left(
-        rms_m=after.rms_m,
-        over_noise=after.rms_m / noise_m,
-        explained_share=removed_share(noise_m, before, after),
-        peak=peak(prepared, final),
-    )
 
 
 def added_effect(small: Candidate, large: Candidate) -> type[Effect]:

@@ -16,7 +16,7 @@ def unexplained(diagnosis: Diagnosis, misses: str) -> str:
     if not diagnosis.partial:
         said = f"{misses}, {noise}, and no known effect explains it: try `cell discover`."
         if diagnosis.nearest:
-            said += f" Nearest: {', '.join(_near(diagnosis))}."
+            said += f" Nearest, fitted to all trials: {', '.join(_near(diagnosis))}."
         return said
     names = " and ".join(_class(f) for f in diagnosis.partial)
     share = 100.0 * diagnosis.partial[-1].explained_share
@@ -32,15 +32,11 @@ def unexplained(diagnosis: Diagnosis, misses: str) -> str:
 
 def _near(diagnosis: Diagnosis) -> list[str]:
     """Each of the nearest effects and what it leaves, mm."""
-    lines = []
-    for n in diagnosis.nearest:
-        held_m = n.errors.heldout_rms_m
-        left_m = held_m if np.isfinite(held_m) else n.errors.fit_rms_m
-        lines.append(
-            f"{plain(n.effect)} explains {100 * n.explained_share:.0f} % and leaves "
-            f"{short(left_m * 1e3)} mm"
-        )
-    return lines
+    return [
+        f"{plain(n.effect)} explains {100 * n.explained_share:.0f} % and leaves "
+        f"{short(n.left_rms_m * 1e3)} mm"
+        for n in diagnosis.nearest
+    ]
 
 
 def _class(found: Found) -> str:

@@ -1,0 +1,133 @@
+"""What explains most of an error, not all; and the nearest effects, with what they leave.
+
+Where no set of effects leaves noise, the model's own error is what an answer could be wrong by.  So
+it is taken for the noise here, with its colour, and the model is fitted to all trials together:
+which effect makes the largest difference to what is seen is asked, not what it would forecast.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cell.identify.noise import Noise
+from cell.lab.explore import Candidate, Explorer
+from cell.lab.leftover import leftover, peak, removed_share
+from cell.lab.prepared import PreparedStudy
+from cell.lab.results import Left, Nearest
+from cell.lab.rules import Rules
+from cell.lab.score import holm
+from cell.lab.verdict import added_effect, chance, errors_of
+
+
+@dataclass(frozen=True, eq=False)
+class Partial:
+    """Fits to all trials, weighed by the model's own error.
+
+    explorer  with all trials to be fitted
+    singles   each effect worth it alone beside the baseline
+    steps     the baseline, then with each effect that removes most of what is left
+    """
+
+    explorer: Explorer
+    singles: tuple[Candidate, ...]
+    steps: tuple[Candidate, ...]
+
+
+def explain_partly(
+    explorer: Explorer, tried: Sequence[Candidate], library: int, rules: Rules
+) -> Partial:
+    """Explain most of a study that nothing explains to its noise.
+
+    tried    candidates so far: what the best of them leaves is the model's own error
+    library  number of effects to choose from
+    """
+    study = explorer.prepared.study
+    together = replace(study, trials=tuple(replace(t, role="fit") for t in study.trials))
+    weighed = PreparedStudy.of(
+        together, misfit=_own_error(explorer, tried), solver=explorer.prepared.solver
+    )
+    whole = Explorer(
+        weighed, explorer.space, explorer.library, explorer.progress, explorer.believed
+    )
+    base = whole.baseline()
+    singles = whole.add(base, whole.worth_refitting(base, rules.best))
+    steps, options = [base], singles
+    while True:
+        better = _largest_step(whole, steps[-1], options, library - len(steps) + 1, rules)
+        if better is None:
+            break
+        steps.append(better)
+        if len(steps) > rules.first_effects:
+            break
+        options = whole.add(better, whole.worth_refitting(better, rules.best))
+    return Partial(whole, tuple(singles), tuple(steps))
+
+
+def _own_error(explorer: Explorer, tried: Sequence[Candidate]) -> Noise:
+    """The least error so far on the fit trials, as noise of independent frames."""
+    fitted = [replace(c, heldout=None) for c in tried]
+    left = min((leftover(explorer.prepared, c) for c in fitted), key=lambda e: e.mean_square_m2)
+    count = sum(explorer.prepared.whiteners[t.name].count for t in explorer.fitted_trials())
+    return Noise(left.rms_m * float(np.sqrt(max(1.0, count / left.independent))))
+
+
+def _largest_step(
+    explorer: Explorer,
+    current: Candidate,
+    options: Sequence[Candidate],
+    library: int,
+    rules: Rules,
+) -> Candidate | None:
+    """The option that leaves least, if it removes most of the error, significantly."""
+    if not options:
+        return None
+    prepared = explorer.prepared
+    before = leftover(prepared, current)
+    left = [leftover(prepared, c) for c in options]
+    chances = [chance(current, c, before, a) for c, a in zip(options, left, strict=True)]
+    adjusted = holm(chances + [1.0] * max(0, library - len(chances)))
+    best = int(np.argmin([a.mean_square_m2 for a in left]))
+    share = removed_share(prepared.floor.noise.std_m, before, left[best])
+    sound = adjusted[best] < rules.significance and share > rules.most_share
+    return options[best] if sound else None
+
+
+def nearest(partial: Partial, tried: Sequence[Candidate], rules: Rules) -> tuple[Nearest, ...]:
+    """The single effects that leave least of all trials together, how much, and where.
+
+    tried  the same fitted to the fit trials alone: their errors are what a forecast would have
+    """
+    prepared = partial.explorer.prepared
+    base = partial.steps[0]
+    before = leftover(prepared, base)
+    best = sorted(
+        ((leftover(prepared, c), c) for c in partial.singles),
+        key=lambda pair: pair[0].mean_square_m2,
+    )
+    strict = {c.names: c for c in tried}
+    return tuple(
+        Nearest(
+            effect=added_effect(base, candidate).name,
+            explained_share=removed_share(prepared.floor.noise.std_m, before, after),
+            left_rms_m=after.rms_m,
+            errors=errors_of(strict.get(candidate.names, candidate)),
+            peak=peak(prepared, candidate),
+        )
+        for after, candidate in best[: rules.nearest]
+    )
+
+
+def what_is_left(explorer: Explorer, base: Candidate, final: Candidate) -> Left:
+    """How much a candidate leaves, of what the baseline missed, and where."""
+    prepared = explorer.prepared
+    noise_m = prepared.floor.noise.std_m
+    before, after = leftover(prepared, base), leftover(prepared, final)
+    return Left(
+        rms_m=after.rms_m,
+        over_noise=after.rms_m / noise_m,
+        explained_share=removed_share(noise_m, before, after),
+        peak=peak(prepared, final),
+    )
