@@ -8,12 +8,45 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import CalibrationError, OneSidedError
+from calib.errors import OneSidedError
 
 FloatArray = NDArray[np.float64]
 
 #: (P,) parameters → (N, 2) residuals, px, and their (N, 2, P) derivatives.
 Model = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """What is known beside the points.
+
+    expected     (P,) parameters, with (P, P) information (inverse covariance) about them
+    further      (P,) → (K,) residuals in standard deviations, and their (K, P) derivatives
+    """
+
+    expected: FloatArray
+    information: FloatArray
+    further: Callable[[FloatArray], tuple[FloatArray, FloatArray]] | None = None
+
+    @classmethod
+    def with_spread(cls, expected: FloatArray, spread: FloatArray) -> Known:
+        """Parameters known to (P,) standard deviations, inf = not at all."""
+        return cls(expected, np.diag(np.where(np.isfinite(spread), 1.0 / spread**2, 0.0)))
+
+    def cost(self, x: FloatArray) -> float:
+        """Twice the negative logarithm of its probability, up to a constant."""
+        off = x - self.expected
+        cost = float(off @ self.information @ off)
+        return cost if self.further is None else cost + float(np.sum(self.further(x)[0] ** 2))
+
+    def normal_equations(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(P, P) matrix and (P,) slope of half that cost."""
+        matrix, slope = self.information, self.information @ (x - self.expected)
+        if self.further is not None:
+            rest, slopes = self.further(x)
+            matrix, slope = matrix + slopes.T @ slopes, slope + slopes.T @ rest
+        return matrix, slope
+
 
 #: A point further off than so many standard deviations is no noise.
 OUTLIER_SIGMAS = 5.0
@@ -41,28 +74,26 @@ class RobustFit:
     used: NDArray[np.bool_]
 
 
-def robust_fit(
-    model: Model, start: FloatArray, expected: FloatArray, spread: FloatArray
-) -> RobustFit:
+def robust_fit(model: Model, start: FloatArray, known: Known) -> RobustFit:
     """Parameters that explain points best, outliers set aside.
 
     A fit with a loss that grows linearly finds the scale of the noise; points beyond
     `OUTLIER_SIGMAS` of it are left out, and the rest is fitted by plain least squares.
 
-    start     (P,) first guess
-    expected  (P,) what is known beforehand, with (P,) standard deviations `spread` (inf = nothing)
-    raises    OneSidedError: the points leave a direction of the parameters open
+    start   (P,) first guess
+    raises  OneSidedError: the points leave a direction of the parameters open
     """
-    information = np.where(np.isfinite(spread), 1.0 / spread**2, 0.0)
-    prior = (expected, information)
     x, count = start, len(model(start)[0])
     used = np.ones(count, dtype=np.bool_)
     noise = max(_scale(model(x)[0]), _LEAST_PX)
     for turn in range(_TURNS):
-        x = _least_squares(model, x, used / noise, prior, robust=turn == 0)
+        x = _least_squares(model, x, used / noise, known, robust=turn == 0)
         left = model(x)[0]
         noise_before, used_before = noise, used
-        freedom = max(1.0, 2.0 * np.count_nonzero(used) - len(x) + np.count_nonzero(information))
+        freedom = max(
+            1.0,
+            2.0 * np.count_nonzero(used) - len(x) + np.count_nonzero(np.diag(known.information)),
+        )
         if turn == 0:
             noise = max(_scale(left), _LEAST_PX)
         else:
@@ -72,14 +103,15 @@ def robust_fit(
         if turn > 1 and settled:
             break
     slopes = model(x)[1][used].reshape(-1, len(x)) / noise
-    return RobustFit(x, _covariance(slopes.T @ slopes + np.diag(information)), noise, left, used)
+    information = slopes.T @ slopes + known.normal_equations(x)[0]
+    return RobustFit(x, _covariance(information), noise, left, used)
 
 
 def _least_squares(
     model: Model,
     start: FloatArray,
     scale: FloatArray,
-    prior: tuple[FloatArray, FloatArray],
+    known: Known,
     *,
     robust: bool,
 ) -> FloatArray:
@@ -88,15 +120,13 @@ def _least_squares(
     scale   (N,) by which a point's residual is multiplied: 0 = left out
     robust  cost 2(√(1 + d²) − 1) of a point at distance d instead of d²
     """
-    expected, information = prior
 
     def cost_of(x: FloatArray, residuals: FloatArray) -> tuple[float, FloatArray]:
         squares = scale**2 * np.sum(residuals**2, axis=1)
-        known = float(np.sum(information * (x - expected) ** 2))
         if not robust:
-            return float(np.sum(squares)) + known, scale**2
+            return float(np.sum(squares)) + known.cost(x), scale**2
         roots = np.sqrt(1.0 + squares)
-        return float(np.sum(2.0 * (roots - 1.0))) + known, scale**2 / roots
+        return float(np.sum(2.0 * (roots - 1.0))) + known.cost(x), scale**2 / roots
 
     x, damping = start, 1e-4
     residuals, slopes = model(x)
@@ -104,8 +134,9 @@ def _least_squares(
     for _ in range(_MOST_STEPS):
         flat = slopes.reshape(-1, len(x))
         weighted = flat * np.repeat(weights, 2)[:, None]
-        matrix = weighted.T @ flat + np.diag(information)
-        slope = weighted.T @ residuals.ravel() + information * (x - expected)
+        matrix, slope = known.normal_equations(x)
+        matrix = weighted.T @ flat + matrix
+        slope = weighted.T @ residuals.ravel() + slope
         size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
         scaled = matrix / np.outer(size, size)
         while damping < 1e8:
@@ -144,10 +175,3 @@ def _covariance(information: FloatArray) -> FloatArray:
         )
     root = vectors / np.sqrt(values) / size[:, None]
     return np.asarray(root @ root.T, dtype=np.float64)
-
-
-def check_outliers(fit: RobustFit, most: float, what: str, remedy: str) -> None:
-    """Raises CalibrationError: more than a share `most` of the points were set aside."""
-    share = 1.0 - float(np.mean(fit.used))
-    if share > most:
-        raise CalibrationError(f"{share:.0%} of {what} contradict the others", remedy)

@@ -1,142 +1,156 @@
-"""A calibration on disk: YAML that a person can read and write, checked when it is read.
+"""Calibrations on disk: one YAML file each, that a person can read and a program can trust.
 
-format: cell-calibration/1
-date: 2025-03-14
-camera:
-  homography: [[2.0e-4, 0, -0.2], [0, -2.0e-4, 0.1], [0, 0, 1]]   # pixel → plane, m
-  # or, square to the plane:  metres_per_pixel, origin_column_px, origin_row_px
-  latency_s: 0.004            # from the middle of the exposure to the frame's time stamp
-  rms_error_m: 3.0e-5         # on points that were not used for the calibration
+format: cell-calibration/2
+kind: cell                       # camera, cell, time or grip
+made: 2026-03-14T09:26:53+00:00
+how: {poses: 30, held_out: 6}
+devices: {camera: '40312345', width_px: 1280, height_px: 1024}
+error: {map_95_m: 3.1e-05}       # what it is known to be wrong by
+result: {…}                      # the numbers themselves
+covariance: [[…]]                # of the result, where it has one
+hash: sha256 of all above
 """
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Mapping
-from dataclasses import dataclass
-from datetime import date
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
+from numpy.typing import NDArray
 
-from calib.plane import PlaneView
+FORMAT = "cell-calibration/2"
+KINDS = ("camera", "cell", "time", "grip")
+FloatArray = NDArray[np.float64]
 
-FORMAT = "cell-calibration/1"
-_SCALE_KEYS = ("metres_per_pixel", "origin_column_px", "origin_row_px")
+_KEYS = ("format", "kind", "made", "how", "devices", "error", "result", "covariance", "hash")
 
 
-class CalibrationError(ValueError):
+class StoreError(ValueError):
     """A calibration file cannot be used: which file, which key, why, and the remedy.
 
-    Scenario: a homography typed with a row missing; a file of another format.
+    Scenario: a file of another format; a number changed by hand, so that the error stated beside
+    it is no longer its own.
     """
 
 
-@dataclass(frozen=True)
-class Calibration:
-    """Where pixels lie in the plane, how late frames are, and how good that is known to be.
+@dataclass(frozen=True, eq=False)
+class Stored:
+    """A calibration: what, when, how, on which devices, how wrong, and the numbers."""
 
-    latency_s    from the middle of the exposure to the frame's time stamp
-    rms_error_m  on points not used for the calibration; nan = never measured
-    """
+    kind: str
+    made: datetime
+    how: Mapping[str, Any]
+    devices: Mapping[str, Any]
+    error: Mapping[str, float]
+    result: Mapping[str, Any]
+    covariance: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
 
-    view: PlaneView
-    latency_s: float
-    date: date
-    rms_error_m: float
+    def age_h(self, now: datetime) -> float:
+        """Hours since it was made."""
+        return (now - self.made).total_seconds() / 3600.0
+
+    def number(self, name: str) -> float:
+        """A number of the result.  Raises StoreError: it is none."""
+        value = self.result.get(name)
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise StoreError(f"{self.kind}: result.{name} = {value!r} is no number; calibrate anew")
+        return float(value)
+
+    def array(self, name: str, shape: tuple[int, ...]) -> FloatArray:
+        """An array of the result.  Raises StoreError: it has another shape, or is not finite."""
+        try:
+            value = np.asarray(self.result.get(name), dtype=np.float64)
+        except (TypeError, ValueError):
+            value = np.empty(0)
+        if value.shape != shape or not np.all(np.isfinite(value)):
+            raise StoreError(
+                f"{self.kind}: result.{name} must be {shape} finite numbers; calibrate anew"
+            )
+        return value
 
 
-def load_calibration(path: Path) -> Calibration:
-    """Calibration from a YAML file.  Raises CalibrationError, naming file, key and value."""
+def save(path: Path, stored: Stored) -> None:
+    """Write a calibration, whole or not at all; `load` gives the same numbers back."""
+    tree = _tree(stored)
+    tree["hash"] = _hash(tree)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(path.name + ".part")
+    part.write_text(
+        yaml.safe_dump(tree, sort_keys=False, allow_unicode=True, default_flow_style=None),
+        encoding="utf-8",
+    )
+    part.replace(path)
+
+
+def load(path: Path, kind: str) -> Stored:
+    """A calibration of a given kind.  Raises StoreError, naming file, key and remedy."""
+    remedy = f"run `cell calibrate {kind}`"
     try:
-        text = path.read_text(encoding="utf-8")
+        tree = yaml.safe_load(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise CalibrationError(f"{path}: {error.strerror}; calibrate the camera first") from error
-    try:
-        tree = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise CalibrationError(f"{path}: not YAML: {error}") from error
-    top = _mapping(path, "", tree, {"format", "date", "camera"})
-    if top.get("format") != FORMAT:
-        raise CalibrationError(f"{path}: format: {top.get('format')!r}; must be {FORMAT!r}")
-    if type(top.get("date")) is not date:
-        raise CalibrationError(f"{path}: date: {top.get('date')!r}; must be like 2025-03-14")
-    known = {"homography", "latency_s", "rms_error_m", *_SCALE_KEYS}
-    camera = _mapping(path, "camera", top.get("camera"), known)
-    rms = _number(path, "camera.rms_error_m", camera.get("rms_error_m", float("nan")), nan=True)
-    if rms < 0.0:
-        raise CalibrationError(f"{path}: camera.rms_error_m: {rms}; must be ≥ 0")
-    latency = _number(path, "camera.latency_s", camera.get("latency_s", 0.0))
-    return Calibration(_view(path, camera), latency, top["date"], rms)
-
-
-def save_calibration(path: Path, calibration: Calibration) -> None:
-    """Write a calibration; `load_calibration` gives the same numbers back."""
-    tree = {
-        "format": FORMAT,
-        "date": calibration.date,
-        "camera": {
-            "homography": np.asarray(calibration.view.homography).tolist(),
-            "latency_s": float(calibration.latency_s),
-            "rms_error_m": float(calibration.rms_error_m),
-        },
-    }
-    path.write_text(yaml.safe_dump(tree, sort_keys=False), encoding="utf-8")
-
-
-def _view(path: Path, camera: Mapping[str, Any]) -> PlaneView:
-    scale_keys = [key for key in _SCALE_KEYS if key in camera]
-    if "homography" in camera:
-        if scale_keys:
-            raise CalibrationError(
-                f"{path}: camera: both homography and {scale_keys[0]}; keep one of them"
-            )
-        rows = camera["homography"]
-        if not (
-            isinstance(rows, list)
-            and len(rows) == 3
-            and all(isinstance(row, list) and len(row) == 3 for row in rows)
-        ):
-            raise CalibrationError(f"{path}: camera.homography: {rows!r}; must be 3 rows of 3")
-        h = np.array(
-            [
-                [
-                    _number(path, f"camera.homography[{i}][{j}]", value)
-                    for j, value in enumerate(row)
-                ]
-                for i, row in enumerate(rows)
-            ]
-        )
-        size = np.prod(np.linalg.norm(h, axis=1))
-        if not abs(np.linalg.det(h)) > 1e-9 * size:
-            raise CalibrationError(f"{path}: camera.homography: cannot be inverted; calibrate anew")
-        return PlaneView(h)
-    missing = [key for key in _SCALE_KEYS if key not in camera]
+        raise StoreError(f"{path}: {error.strerror}; {remedy}") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise StoreError(f"{path}: not YAML: {error}; {remedy}") from error
+    if not isinstance(tree, dict) or tree.get("format") != FORMAT:
+        found = tree.get("format") if isinstance(tree, dict) else None
+        raise StoreError(f"{path}: format: {found!r}; must be {FORMAT!r}; {remedy}")
+    missing = [key for key in _KEYS if key not in tree]
     if missing:
-        raise CalibrationError(f"{path}: camera: needs homography, or {', '.join(missing)} as well")
-    scale, column, row = (_number(path, f"camera.{key}", camera[key]) for key in _SCALE_KEYS)
-    if not scale > 0.0:
-        raise CalibrationError(f"{path}: camera.metres_per_pixel: {scale}; must be > 0")
-    return PlaneView.from_scale(scale, column, row)
+        raise StoreError(f"{path}: {missing[0]}: missing; {remedy}")
+    if tree["kind"] != kind:
+        raise StoreError(f"{path}: kind: {tree['kind']!r}; must be {kind!r}; {remedy}")
+    said = tree.pop("hash")
+    if said != _hash(tree):
+        raise StoreError(
+            f"{path}: hash: was changed since it was made, so that nothing says how good it is; "
+            f"{remedy}, or type the numbers into the settings"
+        )
+    for key in ("how", "devices", "error", "result"):
+        if not isinstance(tree[key], dict):
+            raise StoreError(f"{path}: {key}: must be a mapping; {remedy}")
+    try:
+        made = datetime.fromisoformat(str(tree["made"]))
+    except ValueError as error:
+        raise StoreError(f"{path}: made: {tree['made']!r} is no time; {remedy}") from error
+    covariance = np.asarray(tree["covariance"] or np.empty((0, 0)), dtype=np.float64)
+    return Stored(
+        kind, made.replace(tzinfo=made.tzinfo or UTC), tree["how"], tree["devices"],
+        tree["error"], tree["result"], covariance,
+    )  # fmt: skip
 
 
-def _mapping(path: Path, name: str, value: object, known: set[str]) -> Mapping[str, Any]:
-    where = f"{path}: {name}" if name else f"{path}"
-    if not isinstance(value, dict):
-        raise CalibrationError(f"{where}: must be a mapping with {', '.join(sorted(known))}")
-    for key in value:
-        if key not in known:
-            raise CalibrationError(
-                f"{where}: unknown key {key!r}; known are {', '.join(sorted(known))}"
-            )
+def _tree(stored: Stored) -> dict[str, Any]:
+    return {
+        "format": FORMAT,
+        "kind": stored.kind,
+        "made": stored.made.isoformat(timespec="seconds"),
+        "how": _plain(stored.how),
+        "devices": _plain(stored.devices),
+        "error": _plain(stored.error),
+        "result": _plain(stored.result),
+        "covariance": _plain(stored.covariance),
+    }
+
+
+def _plain(value: Any) -> Any:
+    """The same of Python's own types."""
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    if isinstance(value, np.floating | np.integer):
+        return value.item()
     return value
 
 
-def _number(path: Path, name: str, value: object, *, nan: bool = False) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        hint = "; write 1.0e-4, with a point" if isinstance(value, str) else ""
-        raise CalibrationError(f"{path}: {name}: {value!r} is not a number{hint}")
-    if not (np.isfinite(value) or (nan and np.isnan(value))):
-        raise CalibrationError(f"{path}: {name}: {value} is not finite")
-    return float(value)
+def _hash(tree: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(tree, sort_keys=True, default=str).encode()).hexdigest()

@@ -1,0 +1,411 @@
+"""Where pixels lie in the cell's plane: one joint fit of lens, camera, robot, jaw and gravity.
+
+Frames: B the robot's base, T its tool as the arm reports it, M the marks on the jaw (origin at the
+gripping point, x away from the cable, y up), C the camera, P the cell's plane.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import MisfitError, OneSidedError, TooFewError, WrongScaleError
+from calib.lens import Lens
+from calib.plane import PlaneView
+from calib.projection import pose, pose_numbers, project, rotation
+from calib.robust import Known, RobustFit, robust_fit
+
+FloatArray = NDArray[np.float64]
+
+#: Fewest poses in which the marks must be found.
+LEAST_POSES = 8
+#: What is known of the marks on the jaw before: standard deviations of turn, rad, and place, m.
+_MARK_SPREAD = np.array([0.02, 0.02, 0.02, 0.003, 0.003, 0.003])
+_SCALE_SPREAD, MOST_SCALE_ERROR = 0.05, 0.005
+#: Marks further than this beside where they must be, rms, contradict the model, px.
+MOST_NOISE_PX = 0.6
+#: The same of all marks of a pose together: what an arm may be wrong by, as the camera sees it.
+MOST_ARM_NOISE_PX = 1.5
+_STEP = 1e-6
+# places of the parameters
+_LENS, _CAMERA, _MARK, _SCALE, _GRAVITY = (
+    slice(0, 9),
+    slice(9, 15),
+    slice(15, 21),
+    21,
+    slice(22, 24),
+)
+_COUNT = 24
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """The jaw's marks at rest: where the arm says the tool is, X_BT (4, 4), and (M, 2) pixels."""
+
+    name: str
+    X_BT: FloatArray
+    pixels: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Gravity:
+    """What is known of gravity.
+
+    up       (3,) unit vector against gravity in the base frame, as mounted
+    spread_rad how far the base may be from that: standard deviation
+    threads    (N, 2) pixels along plumb lines, one array each
+    """
+
+    up: FloatArray
+    spread_rad: float
+    threads: tuple[FloatArray, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class CellFit:
+    """Where camera, robot, marks and plane are, and how sure that is.
+
+    mean, covariance  of the 24 parameters, see `view_of`
+    view              pixel → plane
+    X_BP, X_TM, X_CB  plane in base, marks in tool, base in camera
+    noise_px          of a mark's centre; `arm_noise_px` of the arm, as the camera sees it
+    held_out_m        (H, 2) of marks at poses that had no part in the fit
+    residuals_px      (S, M, 2)
+    scale             of the marks as seen / as stated, and its standard deviation
+    in_plane          whether the arm can only move in the plane, which then is the one it moves in
+    """
+
+    mean: FloatArray
+    covariance: FloatArray
+    view: PlaneView
+    X_BP: FloatArray
+    X_TM: FloatArray
+    X_CB: FloatArray
+    noise_px: float
+    arm_noise_px: float
+    held_out_m: FloatArray
+    residuals_px: FloatArray
+    scale: tuple[float, float]
+    home: FloatArray
+    up: FloatArray
+    in_plane: bool
+
+    def spread_m(self, pixels: FloatArray) -> FloatArray:
+        """(…,) standard deviation of where pixels (…, 2) lie in the plane, over both axes, m."""
+        flat = pixels.reshape(-1, 2)
+        slopes = self._slopes(lambda x: self._view(x).to_plane(flat).ravel())
+        variance = np.einsum("np,pq,nq->n", slopes, self.covariance, slopes)
+        return np.asarray(np.sqrt(variance.reshape(-1, 2).sum(axis=1))).reshape(pixels.shape[:-1])
+
+    def plane_spread(self) -> tuple[float, float]:
+        """Standard deviation of the plane in the base frame: of its origin, m, and turn, rad."""
+        inverse = np.linalg.inv(self.X_BP)
+
+        def off(x: FloatArray) -> FloatArray:
+            return pose_numbers(inverse @ plane_in_base(x, self.home, self.up, self.in_plane))
+
+        slopes = self._slopes(off)
+        variance = np.diag(slopes @ self.covariance @ slopes.T)
+        return float(np.sqrt(variance[3:].sum())), float(np.sqrt(variance[:3].sum()))
+
+    def roll(self) -> tuple[float, float]:
+        """Roll of the camera against gravity, rad, clockwise in the picture; and its deviation."""
+
+        def angle(x: FloatArray) -> FloatArray:
+            X_CP = pose(x[_CAMERA]) @ plane_in_base(x, self.home, self.up, self.in_plane)
+            return np.array([camera_roll(X_CP)])
+
+        slopes = self._slopes(angle)
+        return float(angle(self.mean)[0]), float(np.sqrt(slopes @ self.covariance @ slopes.T)[0, 0])
+
+    def _view(self, x: FloatArray) -> PlaneView:
+        return view_of(x, self.home, self.up, self.in_plane)
+
+    def _slopes(self, function) -> FloatArray:  # type: ignore[no-untyped-def]
+        columns = []
+        sizes = np.sqrt(np.diag(self.covariance))
+        for k in range(_COUNT):
+            step = np.zeros(_COUNT)
+            step[k] = 0.1 * sizes[k]
+            columns.append(
+                (function(self.mean + step) - function(self.mean - step)) / (2 * step[k])
+            )
+        return np.stack(columns, axis=1)
+
+
+def camera_roll(X_CP: FloatArray) -> float:
+    """Turn of a camera about its line of sight against the plane's x axis, rad, clockwise."""
+    return float(np.arctan2(X_CP[1, 0], X_CP[0, 0]))
+
+
+def plane_in_base(x: FloatArray, home: FloatArray, up: FloatArray, in_plane: bool) -> FloatArray:
+    """(4, 4) X_BP: origin at the gripping point of the hand at `home` (4, 4), y against gravity.
+
+    A cable bends in the plane of the jaw's plate, to which gravity is nearly parallel.
+    in_plane  its normal is the base's z axis, about which the arm turns; else that of the marks
+    """
+    X_BM = home @ pose(x[_MARK])
+    a, b = x[_GRAVITY]
+    side = _sideways(up)
+    upright = up + a * side[0] + b * side[1]
+    z = np.array([0.0, 0.0, 1.0]) if in_plane else X_BM[:3, 2]
+    y = upright - (upright @ z) * z
+    y = y / np.linalg.norm(y)
+    X = np.eye(4)
+    X[:3, :3] = np.stack([np.cross(y, z), y, z], axis=1)
+    X[:3, 3] = X_BM[:3, 3]
+    return X
+
+
+def view_of(x: FloatArray, home: FloatArray, up: FloatArray, in_plane: bool) -> PlaneView:
+    """Pixel → plane for (24,) lens 9, base in camera 6, marks in tool 6, scale 1, gravity 2."""
+    X_CP = pose(x[_CAMERA]) @ plane_in_base(x, home, up, in_plane)
+    return PlaneView.from_pose(Lens.of(x[_LENS]), X_CP)
+
+
+def fit_cell(
+    shown: Sequence[Shown],
+    held_out: Sequence[Shown],
+    marks_m: FloatArray,
+    lens: Lens,
+    lens_covariance: FloatArray,
+    gravity: Gravity,
+    home: FloatArray,
+    *,
+    in_plane: bool,
+) -> CellFit:
+    """Camera, robot, marks and gravity together, from the jaw shown at rest in many poses.
+
+    marks_m  (M, 2) discs in the frame M
+    home     (4, 4) X_BT in which cables are gripped: the plane's origin
+    raises   TooFewError, OneSidedError, WrongScaleError, MisfitError
+    """
+    if len(shown) < LEAST_POSES:
+        raise TooFewError(
+            f"the jaw's marks were found in {len(shown)} poses, at least {LEAST_POSES} are needed",
+            "see that they are lit, sharp and not hidden, and widen `limits` if they are narrow",
+        )
+    _check_poses(shown)
+    start = _first_guess(shown, marks_m, lens)
+    expected, information = _known(lens, lens_covariance, gravity)
+    together = 1.0  # weight of what all marks of a pose have in common
+    for _ in range(2):
+        model = _Model(shown, marks_m, gravity, together)
+        fit = robust_fit(model, start, Known(expected, information, model.threads))
+        plain = _Model(shown, marks_m, gravity, 1.0)(fit.mean)[0].reshape(len(shown), -1, 2)
+        within, common = _scatter(plain, fit.used)
+        start = fit.mean
+        together = float(min(1.0, within / np.sqrt(len(marks_m)) / max(common, 1e-9)))
+    x = fit.mean
+    _check_fit(fit, common, shown)
+    spread = float(np.sqrt(fit.covariance[_SCALE, _SCALE]))
+    return CellFit(
+        x,
+        fit.covariance,
+        view_of(x, home, gravity.up, in_plane),
+        plane_in_base(x, home, gravity.up, in_plane),
+        pose(x[_MARK]),
+        pose(x[_CAMERA]),
+        within,
+        float(np.sqrt(max(0.0, common**2 - within**2 / len(marks_m)))),
+        _held_out(x, held_out, marks_m, home, gravity.up, in_plane),
+        plain,
+        (1.0 + float(x[_SCALE]), spread),
+        home,
+        gravity.up,
+        in_plane,
+    )
+
+
+# --- the fit ----------------------------------------------------------------------------------
+
+
+class _Model:
+    """Residuals of all marks, what a pose's marks have in common weighted by `together`."""
+
+    def __init__(
+        self, shown: Sequence[Shown], marks_m: FloatArray, gravity: Gravity, together: float
+    ) -> None:
+        self._hands = np.array([s.X_BT for s in shown])
+        self._seen = np.concatenate([s.pixels for s in shown])
+        self._marks = np.column_stack([marks_m, np.zeros(len(marks_m))])
+        self._gravity = gravity
+        self._together = together
+
+    def __call__(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        R_CB, by_camera = rotation(x[9:12])
+        R_TM, by_mark = rotation(x[15:18])
+        R_BT, t_BT = self._hands[:, :3, :3], self._hands[:, :3, 3]
+        sized = (1.0 + x[_SCALE]) * self._marks
+        in_tool = sized @ R_TM.T + x[18:21]
+        in_base = np.einsum("sij,mj->smi", R_BT, in_tool) + t_BT[:, None]
+        flat = in_base.reshape(-1, 3)
+        pixels, by_point, by_lens = project(x[_LENS], flat @ R_CB.T + x[12:15])
+        slopes = np.zeros((len(flat), 2, _COUNT))
+        slopes[:, :, _LENS] = by_lens
+        slopes[:, :, 9:12] = by_point @ np.einsum("ijk,nj->nik", by_camera, flat)
+        slopes[:, :, 12:15] = by_point
+        to_camera = np.einsum("ij,sjk->sik", R_CB, R_BT)
+        from_tool = by_point.reshape(len(self._hands), -1, 2, 3) @ to_camera[:, None]
+        turned = np.einsum("ijk,mj->mik", by_mark, sized)
+        slopes[:, :, 15:18] = (from_tool @ turned).reshape(-1, 2, 3)
+        slopes[:, :, 18:21] = from_tool.reshape(-1, 2, 3)
+        grown = self._marks @ R_TM.T
+        slopes[:, :, _SCALE] = np.einsum("smij,mj->smi", from_tool, grown).reshape(-1, 2)
+        return self._weighted(pixels - self._seen), self._weighted(slopes)
+
+    def _weighted(self, values: FloatArray) -> FloatArray:
+        by_pose = values.reshape(len(self._hands), -1, *values.shape[1:])
+        common = by_pose.mean(axis=1, keepdims=True)
+        return np.asarray((by_pose - (1.0 - self._together) * common).reshape(values.shape))
+
+    def threads(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(K,) by how many deviations plumb lines miss being vertical, and (K, 24) slopes."""
+
+        def off(x: FloatArray) -> FloatArray:
+            lens = Lens.of(x[_LENS])
+            side = _sideways(self._gravity.up)
+            upright = self._gravity.up + x[_GRAVITY] @ side
+            up_camera = pose(x[_CAMERA])[:3, :3] @ (upright / np.linalg.norm(upright))
+            return np.array([_thread_off(t, lens, up_camera) for t in self._gravity.threads])
+
+        base = off(x)
+        slopes = np.empty((len(base), _COUNT))
+        for k in range(_COUNT):
+            step = np.zeros(_COUNT)
+            step[k] = _STEP * max(1.0, abs(x[k]))
+            slopes[:, k] = (off(x + step) - off(x - step)) / (2.0 * step[k])
+        return base, slopes
+
+
+def _thread_off(pixels: FloatArray, lens: Lens, up_camera: FloatArray) -> float:
+    """By how many standard deviations the plane of a thread and the camera misses up_camera."""
+    ideal = lens.ideal(pixels)
+    rays = (ideal - [lens.cx_px, lens.cy_px]) / [lens.fx_px, lens.fy_px]
+    middle = rays.mean(axis=0)
+    _, sizes, axes = np.linalg.svd(rays - middle, full_matrices=False)
+    along = axes[0] * np.sign(axes[0] @ np.array([0.0, 1.0]))
+    normal = np.cross([*middle, 1.0], [*along, 0.0])
+    normal /= np.linalg.norm(normal)
+    scatter = sizes[1] / np.sqrt(max(1, len(pixels) - 2))
+    scatter = max(scatter, 0.02 / lens.fx_px)
+    angle_spread = scatter / sizes[0]
+    return float(normal @ up_camera / angle_spread)
+
+
+def _sideways(up: FloatArray) -> FloatArray:
+    """(2, 3) unit vectors at right angles to `up` and to each other."""
+    other = np.eye(3)[int(np.argmin(np.abs(up)))]
+    a = np.cross(up, other)
+    a /= np.linalg.norm(a)
+    return np.stack([a, np.cross(up, a)])
+
+
+def _known(
+    lens: Lens, lens_covariance: FloatArray, gravity: Gravity
+) -> tuple[FloatArray, FloatArray]:
+    """(24,) expected parameters and (24, 24) information about them beforehand."""
+    expected = np.zeros(_COUNT)
+    expected[_LENS] = lens.numbers
+    information = np.zeros((_COUNT, _COUNT))
+    information[_LENS, _LENS] = np.linalg.inv(lens_covariance)
+    information[_MARK, _MARK] = np.diag(1.0 / _MARK_SPREAD**2)
+    information[_SCALE, _SCALE] = 1.0 / _SCALE_SPREAD**2
+    information[_GRAVITY, _GRAVITY] = np.eye(2) / gravity.spread_rad**2
+    return expected, information
+
+
+def _first_guess(shown: Sequence[Shown], marks_m: FloatArray, lens: Lens) -> FloatArray:
+    flat = np.column_stack([marks_m, np.zeros(len(marks_m))])
+    points = np.concatenate([flat @ s.X_BT[:3, :3].T + s.X_BT[:3, 3] for s in shown])
+    pixels = np.concatenate([s.pixels for s in shown])
+    found, turn, shift = cv2.solvePnP(
+        points, lens.ideal(pixels), lens.matrix, None, flags=cv2.SOLVEPNP_SQPNP
+    )
+    if not found:
+        raise MisfitError(
+            "no place of the camera explains what it sees",
+            "check the marks on the jaw, and that camera and robot stood still",
+        )
+    start = np.zeros(_COUNT)
+    start[_LENS] = lens.numbers
+    start[_CAMERA] = np.concatenate([turn.ravel(), shift.ravel()])
+    return start
+
+
+def _scatter(by_pose: FloatArray, used: NDArray[np.bool_]) -> tuple[float, float]:
+    """Standard deviations, px: of a mark about its pose's mean, and of those means.
+
+    by_pose  (S, M, 2) residuals, px
+    used     (S M,) False = an outlier
+    """
+    good = np.all(used.reshape(len(by_pose), -1), axis=1)
+    whole = by_pose[good] if np.count_nonzero(good) >= 4 else by_pose
+    means = whole.mean(axis=1)
+    count = whole.shape[1]
+    within = np.sqrt(np.sum((whole - means[:, None]) ** 2) / (2 * len(whole) * (count - 1)))
+    common = np.sqrt(np.sum(means**2) / max(1, 2 * len(whole) - 9))
+    return float(max(within, 1e-4)), float(common)
+
+
+def _held_out(
+    x: FloatArray,
+    shown: Sequence[Shown],
+    marks_m: FloatArray,
+    home: FloatArray,
+    up: FloatArray,
+    in_plane: bool,
+) -> FloatArray:
+    """(H, 2) m by which marks at other poses are beside where the map has them."""
+    if not shown:
+        return np.empty((0, 2))
+    X_CP = pose(x[_CAMERA]) @ plane_in_base(x, home, up, in_plane)
+    X_PB = np.linalg.inv(plane_in_base(x, home, up, in_plane))
+    lens = Lens.of(x[_LENS])
+    flat = (1.0 + x[_SCALE]) * np.column_stack([marks_m, np.zeros(len(marks_m))])
+    in_mark = np.column_stack([flat, np.ones(len(flat))])
+    offs = []
+    for one in shown:
+        in_plane_m = (in_mark @ (X_PB @ one.X_BT @ pose(x[_MARK])).T)[:, :3]
+        # the line of sight of each pixel, at the depth at which the mark is
+        lifted = X_CP.copy()
+        rays = (lens.ideal(one.pixels) - [lens.cx_px, lens.cy_px]) / [lens.fx_px, lens.fy_px]
+        ways = np.column_stack([rays, np.ones(len(rays))]) @ lifted[:3, :3]
+        eye = -lifted[:3, :3].T @ lifted[:3, 3]
+        reach = (in_plane_m[:, 2] - eye[2]) / ways[:, 2]
+        offs.append((eye + reach[:, None] * ways - in_plane_m)[:, :2])
+    return np.concatenate(offs)
+
+
+# --- refusals ---------------------------------------------------------------------------------
+
+
+def _check_poses(shown: Sequence[Shown]) -> None:
+    places = np.array([s.X_BT[:3, 3] for s in shown])
+    sizes = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
+    if sizes[1] < 0.1 * sizes[0] or sizes[0] < 1e-3:
+        raise OneSidedError(
+            "the robot's poses lie on a line", "let it move up and down as well as left and right"
+        )
+
+
+def _check_fit(fit: RobustFit, common: float, shown: Sequence[Shown]) -> None:
+    x, outliers = fit.mean, 1.0 - float(np.mean(fit.used))
+    if fit.noise_px > MOST_NOISE_PX or common > MOST_ARM_NOISE_PX or outliers > 0.2:
+        worst = np.linalg.norm(fit.residuals.reshape(len(shown), -1, 2), axis=2).mean(axis=1)
+        raise MisfitError(
+            f"the marks are {max(common, fit.noise_px):.2f} px rms beside where they must be, "
+            f"{outliers:.0%} of them far off, most at {shown[int(np.argmax(worst))].name}",
+            "check that camera and plate are tight, the plate flat, its marks as described, and "
+            "that the hand rested in every picture",
+        )
+    if abs(x[_SCALE]) > MOST_SCALE_ERROR:
+        raise WrongScaleError(
+            f"the marks on the jaw are {1e2 * x[_SCALE]:+.2f} % larger than stated, measured by "
+            "the robot's own way",
+            "measure their distances and correct them, or check the arm's model",
+        )

@@ -1,0 +1,107 @@
+"""Light discs on the jaw's plate, found in a picture of which nothing is known yet."""
+
+from __future__ import annotations
+
+from itertools import permutations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+_RADII_PX = (3.0, 60.0)
+_MOST_CANDIDATES = 14
+_LEAST_CONTRAST = 25.0
+#: A plate looks no narrower than this share of its width, and its marks beyond the third lie no
+#: further, in radii, from where an affine map has them: what perspective does at 40°.
+_NARROWEST, _MOST_OFF = 0.7, 0.4
+
+
+def find_plate(image: Image, marks_m: FloatArray, radius_m: float) -> FloatArray | None:
+    """(M, 2) pixels of the marks' centres, or None.
+
+    image     (H, W) grey levels
+    marks_m   (M ≥ 4, 2) centres of light discs on a dark plate, x right, y up; so placed that no
+              affine map but the unit exchanges them
+    radius_m  of the discs
+    """
+    centres, areas = _discs(image)
+    found: FloatArray | None = None
+    least_off = _MOST_OFF
+    known = np.column_stack([marks_m, np.ones(len(marks_m))])
+    solve = np.linalg.inv(known[:3])
+    for first in permutations(range(len(centres)), 3):
+        triple = list(first)
+        affine = (solve @ centres[triple]).T  # (2, 3): mark → pixel
+        grown = -float(np.linalg.det(affine[:, :2]))  # rows go down: a plate not mirrored turns
+        if grown <= 0.0:
+            continue
+        lengths = np.linalg.svd(affine[:, :2], compute_uv=False)
+        area = np.pi * radius_m**2 * grown
+        if lengths[1] < _NARROWEST * lengths[0] or np.any(abs(areas[triple] / area - 1.0) > 0.25):
+            continue
+        off = np.linalg.norm((known[3:] @ affine.T)[:, None] - centres[None], axis=2)
+        chosen = [*triple, *off.argmin(axis=1).tolist()]
+        worst = float(off.min(axis=1).max() / np.sqrt(area / np.pi))
+        if worst < least_off and len(set(chosen)) == len(chosen):
+            found, least_off = centres[chosen], worst
+    return found
+
+
+def _discs(image: Image) -> tuple[FloatArray, FloatArray]:
+    """(N, 2) centres and (N,) areas of round light patches within something darker."""
+    smooth = cv2.GaussianBlur(image, (3, 3), 0.8)
+    light = cv2.adaptiveThreshold(
+        smooth, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY, 101, -12
+    )
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(light, connectivity=4)
+    found: list[tuple[float, float, float, float]] = []
+    for k in range(1, count):
+        left, top, width, height, area = (int(v) for v in stats[k])
+        radius = np.sqrt(area / np.pi)
+        if not _RADII_PX[0] <= radius <= _RADII_PX[1] or max(width, height) > 3.2 * min(
+            width, height
+        ):
+            continue
+        margin = 4 + round(0.5 * radius)
+        if left < margin or top < margin:
+            continue
+        rows = slice(top - margin, top + height + margin)
+        columns = slice(left - margin, left + width + margin)
+        part, own = image[rows, columns], labels[rows, columns] == k
+        if part.shape != (height + 2 * margin, width + 2 * margin):
+            continue
+        disc = _centroid(part.astype(np.float64), own, (labels[rows, columns] > 0) & ~own)
+        if disc is not None:
+            found.append((disc[0] + columns.start, disc[1] + rows.start, disc[2], disc[3]))
+    found.sort(key=lambda f: f[3])
+    table = np.array(found[:_MOST_CANDIDATES]).reshape(-1, 4)
+    return table[:, :2], table[:, 2]
+
+
+def _centroid(
+    part: FloatArray, own: NDArray[np.bool_], others: NDArray[np.bool_]
+) -> tuple[float, float, float, float] | None:
+    """Column, row, area of a disc and how far it is from an ellipse; None if it is none."""
+    cross = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7))
+    near = cv2.dilate(own.astype(np.uint8), cross) > 0
+    ring = (cv2.dilate(near.astype(np.uint8), cross) > 0) & ~near & ~others
+    core = cv2.erode(own.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    if ring.sum() < 12 or core.sum() < 6:
+        return None
+    around, inside = float(np.median(part[ring])), float(np.median(part[core]))
+    if inside - around < _LEAST_CONTRAST:
+        return None
+    share = np.where(near, (part - around) / (inside - around), 0.0)
+    total = float(share.sum())
+    rows, columns = np.mgrid[: part.shape[0], : part.shape[1]]
+    u, v = float((share * columns).sum()) / total, float((share * rows).sum()) / total
+    du, dv = columns - u, rows - v
+    spread = np.array([[(share * du * du).sum(), (share * du * dv).sum()],
+                       [(share * du * dv).sum(), (share * dv * dv).sum()]]) / total  # fmt: skip
+    # of an even ellipse: area = 4π √det of its second moments
+    even = 4.0 * np.pi * float(np.sqrt(max(np.linalg.det(spread), 0.0)))
+    off = abs(even / total - 1.0)
+    return (u, v, total, off) if off < 0.2 and total > 0.0 else None

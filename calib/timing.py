@@ -1,0 +1,145 @@
+"""Latency of the camera and lag of the arm, apart, from one filmed motion."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+from scipy.signal import savgol_filter
+from scipy.stats import t as student
+
+from calib.errors import MisfitError, OneSidedError, TooFewError
+from drivers.interfaces import Trajectory
+from drivers.servo import servo_response
+
+FloatArray = NDArray[np.float64]
+
+#: Fewest frames, and least speed reached in the motion.
+LEAST_FRAMES, LEAST_SPEED_M_PER_S = 30, 0.05
+#: Seen and reported hand may differ by this much, rms, once shift and delay are allowed for, m.
+MOST_MISFIT_M = 0.0003
+_LONGEST_S = 0.5
+_SMOOTHED_S = 0.04
+
+
+@dataclass(frozen=True)
+class Delay:
+    """A delay, s, with half the width of its 95 % interval; what is left, rms, m."""
+
+    value_s: float
+    half_width_s: float
+    rms_m: float
+
+
+def camera_latency(stamps_s: FloatArray, seen_m: FloatArray, hand: Trajectory) -> Delay:
+    """By how much the camera's stamps are late on the cell's clock.
+
+    stamps_s  (N,) of frames
+    seen_m    (N, 2) gripping point as the camera sees it
+    hand      measured poses, times on the cell's clock, from before the first to after the last
+    raises    TooFewError, OneSidedError, MisfitError
+    """
+    keep = np.all(np.isfinite(seen_m), axis=1)
+    stamps_s, seen_m = stamps_s[keep], seen_m[keep]
+    if len(stamps_s) < LEAST_FRAMES:
+        raise TooFewError(
+            f"the jaw was found in {len(stamps_s)} frames, at least {LEAST_FRAMES} are needed",
+            "see that its marks are lit and in the picture during the whole motion",
+        )
+    _check_speed(hand)
+    told = _smooth(np.stack([hand.x_m, hand.y_m], axis=1), hand.t_s)
+
+    def left(delay_s: float) -> FloatArray:
+        said = _at(hand.t_s, told, stamps_s - delay_s)
+        off = seen_m - said
+        return np.asarray(off - off.mean(axis=0), dtype=np.float64)
+
+    return _delay(left, -_LONGEST_S, _LONGEST_S, "camera")
+
+
+def arm_lag(told: Trajectory, hand: Trajectory) -> Delay:
+    """By how much the arm follows late: the lag of `servo_response`.
+
+    told    path as commanded, times on the cell's clock
+    hand    measured poses of the same time
+    raises  OneSidedError, MisfitError
+    """
+    _check_speed(hand)
+    start = hand.at(float(told.t_s[0]))
+    measured = np.stack([hand.x_m, hand.y_m], axis=1)
+    keep = hand.t_s >= told.t_s[0]
+
+    def left(lag_s: float) -> FloatArray:
+        meant = servo_response(told, lag_s, start=start)
+        path = np.stack([meant.x_m, meant.y_m], axis=1)
+        return np.asarray(measured[keep] - _at(meant.t_s, path, hand.t_s[keep]))
+
+    return _delay(left, 0.0, _LONGEST_S, "arm")
+
+
+def _delay(left: Callable[[float], FloatArray], low_s: float, high_s: float, of: str) -> Delay:
+    """Delay of least squares, its interval allowing for residuals that go together in time."""
+    grid = np.linspace(low_s, high_s, 101)
+    costs = [float(np.sum(left(s) ** 2)) for s in grid]
+    at = int(np.argmin(costs))
+    if at in (0, len(grid) - 1):
+        raise MisfitError(
+            f"{of}: no delay within {low_s:g} … {high_s:g} s explains the motion",
+            "check the clocks of camera and robot",
+        )
+    found = minimize_scalar(
+        lambda s: float(np.sum(left(s) ** 2)),
+        bounds=(grid[at - 1], grid[at + 1]),
+        method="bounded",
+        options={"xatol": 1e-7},
+    )
+    value_s = float(found.x)
+    rest = left(value_s)
+    rms = float(np.sqrt(np.mean(np.sum(rest**2, axis=1))))
+    if rms > MOST_MISFIT_M:
+        raise MisfitError(
+            f"{of}: hand as seen and as told still differ by {rms * 1e3:.2f} mm rms, allowed "
+            f"{MOST_MISFIT_M * 1e3:g} mm",
+            "calibrate the cell first; check payload and mounting, and that the camera is tight",
+        )
+    step_s = 2e-4
+    slope = (left(value_s + step_s) - left(value_s - step_s)) / (2.0 * step_s)
+    # variance of the estimate with serial correlation: Newey & West 1987
+    score = np.sum(slope * rest, axis=1)
+    lags = max(1, round(len(score) ** (1 / 3)) * 2)
+    total = float(score @ score)
+    for k in range(1, lags + 1):
+        total += 2.0 * (1.0 - k / (lags + 1)) * float(score[k:] @ score[:-k])
+    information = float(np.sum(slope**2))
+    white = float(np.sum(rest**2)) / (rest.size - 3) * information
+    spread_s = np.sqrt(max(total, white)) / information
+    return Delay(value_s, float(student.ppf(0.975, max(5, len(score) // 4)) * spread_s), rms)
+
+
+def _smooth(values: FloatArray, t_s: FloatArray) -> FloatArray:
+    """Measured poses without their noise, which would favour delays at which frames fall between.
+
+    source  Savitzky & Golay 1964: cubics over `_SMOOTHED_S`
+    """
+    count = 2 * round(0.5 * _SMOOTHED_S / float(np.median(np.diff(t_s)))) + 1
+    if count < 5 or len(values) < count:
+        return values
+    return np.asarray(savgol_filter(values, count, 3, axis=0), dtype=np.float64)
+
+
+def _at(t_s: FloatArray, values: FloatArray, when_s: FloatArray) -> FloatArray:
+    return np.stack([np.interp(when_s, t_s, v) for v in values.T], axis=1)
+
+
+def _check_speed(hand: Trajectory) -> None:
+    t_s = np.arange(hand.t_s[0], hand.t_s[-1], 0.02)
+    places = _at(hand.t_s, np.stack([hand.x_m, hand.y_m], axis=1), t_s)
+    speed = float(np.linalg.norm(np.diff(places, axis=0), axis=1).max(initial=0.0) / 0.02)
+    if speed < LEAST_SPEED_M_PER_S:
+        raise OneSidedError(
+            f"the hand moved at {speed:.3f} m/s at most, {LEAST_SPEED_M_PER_S} m/s are needed",
+            "raise limits.velocity_m_per_s, or take the slider to 100 %",
+        )
