@@ -9,7 +9,7 @@ from calib.plate import find_plate
 from drivers.sim.render import JAW_MARKS_M, RenderOptions, render
 from tests.calib.conftest import standing
 
-MARKS_M = np.array(JAW_MARKS_M, 0.0025)[:, :2]
+MARKS_M = np.array(JAW_MARKS_M)[:, :2]
 
 
 @pytest.mark.parametrize("tilt", [-0.5, 0.0, 0.4])
@@ -32,8 +32,6 @@ def test_a_hidden_mark_a_mirrored_plate_and_no_plate_are_none():
     image = render(None, (0.0, 0.0, 0.0), eye, RenderOptions(), rng)
     assert find_plate(image[:, ::-1].copy(), MARKS_M, 0.0025) is None
     assert (
-        find_plate(
-            render(None, (0, 0, 0), eye, RenderOptions(), rng, jaw=False), MARKS_M, 0.0025, 0.0025
-        )
+        find_plate(render(None, (0, 0, 0), eye, RenderOptions(), rng, jaw=False), MARKS_M, 0.0025)
         is None
     )
