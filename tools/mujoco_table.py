@@ -15,7 +15,7 @@ import numpy as np
 from mujoco_studies import CASES, specimen, write_study
 
 from cell.lab.diagnose import diagnose
-from cell.lab.session import choose_effects, explorer_of, open_study
+from cell.lab.session import explorer_of, open_study, select_effects
 
 #: What should be named, and how the verdict may read, where the case is not one effect's name.
 OUTSIDE: dict[str, tuple[str, ...]] = {
@@ -51,7 +51,7 @@ def main() -> int:
             cable = specimen(seed, CASES[case])
             write_study(folder, cable, seed=seed, noise_m=noise_m, colour=colour)
             begin_s = time.perf_counter()
-            found = diagnose(explorer_of(open_study(folder), choose_effects([]))).diagnosis
+            found = diagnose(explorer_of(open_study(folder), select_effects([]))).diagnosis
             took_s = time.perf_counter() - begin_s
             last = found.missing[-1].errors if found.missing else found.baseline
             named = " + ".join("|".join((f.effect, *f.tied_with)) for f in found.missing)

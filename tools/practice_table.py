@@ -23,7 +23,7 @@ from rich.table import Table
 from cell.lab.diagnose import diagnose
 from cell.lab.discover import discover
 from cell.lab.results import Diagnosis
-from cell.lab.session import choose_effects, explorer_of, open_study
+from cell.lab.session import explorer_of, open_study, select_effects
 
 DEFAULT = Path(__file__).resolve().parents[2] / "shared" / "data" / "practice"
 #: What truth calls a parameter otherwise than our effects: name and conversion.
@@ -68,7 +68,7 @@ class Row:
 
 def examine(folder: Path, truth: dict[str, Any], with_discovery: bool) -> Row:
     began = time.monotonic()
-    explorer = explorer_of(open_study(folder), choose_effects([]))
+    explorer = explorer_of(open_study(folder), select_effects([]))
     found = diagnose(explorer).diagnosis
     seconds = time.monotonic() - began
     removed = None

@@ -15,10 +15,26 @@ from cell.cli.shared import BAD_INPUT, group
 
 app = group()
 
-StudyFolder = Annotated[Path, typer.Argument(help="A study: a folder with study.yaml.")]
-Effects = Annotated[
+StudyFolder = Annotated[
+    Path, typer.Argument(help="A study: a folder with study.yaml, or a recorded cycle's folder.")
+]
+InModel = Annotated[
     list[str] | None,
-    typer.Option("--effect", help="Name of an effect, or a file.py with one of your own."),
+    typer.Option(
+        "--effect", help="Part of the model: an effect's name, or a file.py with one of your own."
+    ),
+]
+Tried = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--effect",
+        help="A file.py with an effect of your own: joins those that are tried. A name that is "
+        "tried anyway: taken as part of the model.",
+    ),
+]
+Known = Annotated[
+    list[str] | None,
+    typer.Option("--known", help="Name or file.py of an effect that is part of the model."),
 ]
 PriorFile = Annotated[
     Path | None, typer.Option("--prior", help="Model of an earlier individual, by `cell fit -o`.")
@@ -33,7 +49,7 @@ ReportFile = Annotated[
 def fit(
     study: StudyFolder,
     out: Annotated[Path | None, typer.Option("-o", "--out", help="Write the model here.")] = None,
-    effect: Effects = None,
+    effect: InModel = None,
     prior: PriorFile = None,
     as_json: JsonFile = None,
 ) -> None:
@@ -43,10 +59,11 @@ def fit(
     from cell.lab.tables import errors_line, model_table
 
     with _refusing(out, as_json), _progress() as progress:
+        selection = session.select_effects(effect or [])
         explorer = session.explorer_of(
             session.open_study(study),
-            session.choose_effects(effect or []),
-            session.read_prior(prior),
+            selection,
+            session.read_prior(prior, selection.own),
             progress,
         )
         model, candidate = session.fit_study(explorer)
@@ -59,23 +76,23 @@ def fit(
 def compare(
     study: StudyFolder,
     model: Annotated[Path, typer.Option("--model", help="Model by `cell fit -o`.")],
-    effect: Effects = None,
+    effect: Annotated[
+        list[str] | None,
+        typer.Option("--effect", help="The file.py of an effect of the model, if it has moved."),
+    ] = None,
     as_json: JsonFile = None,
     report: ReportFile = None,
 ) -> None:
     """Compare a model with every trial of a study: overlay, error, noise floor, where it fails."""
     from cell.lab import session
     from cell.lab.compare import compare_model
-    from cell.lab.individual import check_same_kind, read_model
     from cell.lab.report import comparison_page, write_page
     from cell.lab.results import write_json
     from cell.lab.tables import comparison_table, follows_table
 
     with _refusing(as_json, report):
-        chosen = session.choose_effects(effect or [])
         opened = session.open_study(study)
-        individual = read_model(model, chosen.library)
-        check_same_kind(model, individual, opened.cable)
+        (individual,) = session.read_models([model], opened.cable, effect or [])
         comparison = compare_model(opened, individual.model)
         if as_json:
             write_json(comparison.to_json(), as_json)
@@ -87,15 +104,13 @@ def compare(
 @app.command()
 def diagnose(
     study: StudyFolder,
-    effect: Effects = None,
+    effect: Tried = None,
+    known: Known = None,
     prior: PriorFile = None,
     as_json: JsonFile = None,
     report: ReportFile = None,
 ) -> None:
-    """Tell which physical effect the model lacks, none, an unknown one, or that one cannot tell.
-
-    An effect named is taken as known to be there; one from a file joins the library.
-    """
+    """Tell which physical effect the model lacks, none, an unknown one, or that one cannot tell."""
     from cell.lab import session
     from cell.lab.compare import compare_model
     from cell.lab.diagnose import diagnose as diagnose_study
@@ -105,9 +120,10 @@ def diagnose(
     from cell.lab.tables import nearest_table, ranking_table, sentence, waterfall_table
 
     with _refusing(as_json, report), _progress() as progress:
+        selection = session.select_for_diagnosis(effect or [], known or [])
         opened = session.open_study(study)
         explorer = session.explorer_of(
-            opened, session.choose_effects(effect or []), session.read_prior(prior), progress
+            opened, selection, session.read_prior(prior, selection.own), progress
         )
         examination = diagnose_study(explorer)
         if as_json:
@@ -140,7 +156,7 @@ def effects(
     from cell.lab.tables import describe_effects, effects_table
 
     with _refusing(as_json):
-        library = session.choose_effects(effect or []).library
+        library = session.select_effects([], effect or []).candidates
         if as_json:
             write_json({"effects": describe_effects(library)}, as_json)
     _print(effects_table(library))
@@ -150,6 +166,7 @@ def effects(
 def discover(
     study: StudyFolder,
     out: Annotated[Path, typer.Option("-o", "--out", help="Write the effect's file here.")],
+    effect: InModel = None,
     prior: PriorFile = None,
     as_json: JsonFile = None,
 ) -> None:
@@ -160,10 +177,11 @@ def discover(
     from cell.lab.tables import discovery_table
 
     with _refusing(out, as_json), _progress() as progress:
+        selection = session.select_effects(effect or [])
         explorer = session.explorer_of(
             session.open_study(study),
-            session.choose_effects([]),
-            session.read_prior(prior),
+            selection,
+            session.read_prior(prior, selection.own),
             progress,
         )
         discovery = discover_effect(explorer, out)
@@ -182,6 +200,8 @@ def suggest(
         Path | None,
         typer.Option("--config", "-c", help="Settings of the cell that the motion is for."),
     ] = None,
+    effect: Tried = None,
+    known: Known = None,
     prior: PriorFile = None,
     as_json: JsonFile = None,
 ) -> None:
@@ -195,10 +215,11 @@ def suggest(
 
     with _refusing(out, as_json), _progress() as progress:
         surroundings = Surroundings.read(config)
+        selection = session.select_for_diagnosis(effect or [], known or [])
         explorer = session.explorer_of(
             session.open_study(study),
-            session.choose_effects([]),
-            session.read_prior(prior),
+            selection,
+            session.read_prior(prior, selection.own),
             progress,
         )
         suggestion = suggest_motion(explorer, diagnose_study(explorer), surroundings)

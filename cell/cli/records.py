@@ -22,6 +22,13 @@ def identify(
         typer.Option("--config", "-c", help="Settings whose `model` is used; default: recorded."),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="The model as JSON.")] = False,
+    effect: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--effect",
+            help="Part of the model: an effect's name, or a file.py with one of your own.",
+        ),
+    ] = None,
 ) -> None:
     """Identify a cable again, from its folder alone, with the model of its settings.
 
@@ -30,20 +37,23 @@ def identify(
     from rich.console import Console
 
     from cell.files.located import InputError, Problem
-    from cell.identify.individual import CableRejectedError, IdentifyOptions
+    from cell.identify.individual import CableRejectedError, IdentifyOptions, with_effects
     from cell.identify.individual import identify as identify_cable
+    from cell.lab.session import select_effects
     from cell.settings import load_settings
     from cell.settings.translate import identification_of
-    from cell.study.folder import read_study
+    from cell.study.folder import read_study, study_folder
     from cell.terminal.console import parameters_table
 
     recorded = (folder / "state.json").exists()
     try:
-        study = read_study(folder / "study" if recorded else folder)
+        effects = select_effects(effect or []).in_model
+        study = read_study(study_folder(folder))
         settings = config or (folder / "settings.yaml" if recorded else None)
         options = IdentifyOptions()
         if settings is not None:
             options = identification_of(load_settings(settings))
+        options = with_effects(options, effects)
         if not study.role("fit"):
             raise InputError([Problem(folder, 1, None, "", "no trial has the role `fit`")])
         identified = identify_cable(
@@ -53,7 +63,7 @@ def identify(
             gravity_m_per_s2=study.gravity_m_per_s2,
             options=options,
         )
-    except InputError as error:
+    except (ValueError, FileNotFoundError) as error:
         refuse(error)
     except CableRejectedError as error:
         print(f"{folder}: cable rejected: {error}", file=sys.stderr)

@@ -98,6 +98,7 @@ class Identified:
             "knots": self.space.knots,
             "effects": [effect.name for effect in self.space.effects],
             "exact": dict(self.space.exact),
+            **self._effect_files(),
             "parameters": [
                 {"name": n, "unit": u, "value": float(v), "low": float(lo), "high": float(hi)}
                 for n, u, v, lo, hi in zip(
@@ -114,13 +115,19 @@ class Identified:
             "passes": self.passes,
         }
 
+    def _effect_files(self) -> dict[str, dict[str, dict[str, str]]]:
+        """Where a user's own effects are from; nothing if there are none."""
+        own = {e.name: e.file for e in self.space.effects if e.file is not None}
+        files = {n: {"path": str(f.path), "sha256": f.sha256} for n, f in own.items()}
+        return {"effect_files": files} if files else {}
+
     @classmethod
     def from_dict(
         cls, data: Mapping[str, Any], effects: Mapping[str, type[Effect]] | None = None
     ) -> Identified:
         """Read what `to_dict` wrote.
 
-        effects  known effects by name, needed if the model has any
+        effects  those of the model by name, needed if it has any
         raises   ValueError: another format, a missing entry, an unknown effect, wrong shapes
         """
         if data.get("format") != FORMAT:

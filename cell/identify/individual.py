@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Literal
@@ -9,6 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.cable.effects.base import Effect
 from cell.cable.geometry import GRAVITY_M_PER_S2, Cable, Motion
 from cell.identify.fit import FitError, FitOptions, fit, still_noise
 from cell.identify.hand import HandErrors, align_motion, moves_from_s
@@ -70,6 +72,23 @@ class IdentifyOptions:
     fit: FitOptions = FitOptions(hand=HandErrors(offset_m=2e-6, offset_rad=2e-5))  # noqa: RUF009
     acceptance: Acceptance = Acceptance()
     bias_m: float = 6e-6
+
+
+def with_effects(options: IdentifyOptions, effects: Sequence[type[Effect]]) -> IdentifyOptions:
+    """The options with effects more in the model.
+
+    raises  ValueError: an effect is in it already, or the method knows none
+    """
+    if not effects:
+        return options
+    if options.method == "paper":
+        raise ValueError("--effect: the paper's method knows no effects; leave it out")
+    there = {e.name for e in options.kind.effects}
+    for effect in effects:
+        if effect.name in there:
+            raise ValueError(f"--effect: {effect.name} is in the settings' model already")
+    kind = replace(options.kind, effects=(*options.kind.effects, *effects))
+    return replace(options, kind=kind)
 
 
 def hold_trial(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -13,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.cable.effects import Effect, library, load_effect, unscreened
+from cell.cable.effects import Effect, file_sha256, library, load_effect, unscreened
 from cell.cable.geometry import GRAVITY_M_PER_S2, Cable
 from cell.identify.parameters import ParameterSpace, Prior
 
@@ -117,7 +115,9 @@ def source_of(effect: type[Effect]) -> str:
     """What an effect is loaded by: its name, or the file of a user's own."""
     if known_effects().get(effect.name) is effect:
         return effect.name
-    return str(sys.modules[effect.__module__].__file__)
+    if effect.file is None:
+        raise ValueError(f"effect {effect.name} has neither a name of the library nor a file")
+    return str(effect.file.path)
 
 
 def effect_from(source: str) -> type[Effect]:
@@ -130,12 +130,7 @@ def effect_from(source: str) -> type[Effect]:
     file = Path(source).resolve()
     if not file.is_file():
         raise FileNotFoundError(f"{source}: no such effect file")
-    return _loaded(file, sha256_of(file))
-
-
-def sha256_of(file: Path) -> str:
-    """SHA-256 of a file's content, hexadecimal."""
-    return hashlib.sha256(file.read_bytes()).hexdigest()
+    return _loaded(file, file_sha256(file))
 
 
 @lru_cache(maxsize=64)

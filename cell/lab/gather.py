@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cell.files.located import Document, InputError, Key, Problem, load
 from cell.identify.noise import still_frames
 from cell.study.data import Study, Trial
-from cell.study.folder import read_study
+from cell.study.folder import read_study, study_folder
 
 FloatArray = NDArray[np.float64]
 
@@ -76,7 +76,7 @@ def gather(runs: Sequence[Path], name: str) -> Study:
 
 
 def _read(run: Path) -> _Cycle:
-    folder = run / "study" if (run / "study" / "study.yaml").exists() else run
+    folder = study_folder(run)
     study = read_study(folder)
     settings = run / "settings.yaml"
     return _Cycle(run.resolve().name, folder, study, load(settings) if settings.exists() else None)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -10,11 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from cell.cable.effects.base import Effect
+from cell.cable.effects import Effect, EffectFile, file_sha256
 from cell.cable.geometry import Cable
 from cell.files.located import InputError, Problem
 from cell.identify.fit import frames_seen, variance_inflation
 from cell.identify.identified import Identified
+from cell.identify.model_class import effect_from, known_effects
 from cell.identify.noise import Noise
 from cell.identify.parameters import ParameterSpace
 from cell.lab.fitting import Fit, fit_trials, space_with
@@ -50,8 +52,14 @@ def identified(prepared: PreparedStudy, fit: Fit) -> Identified:
     )
 
 
-def read_model(path: Path, effects: Mapping[str, type[Effect]]) -> Identified:
-    """The model in a file.  Raises InputError: it cannot be read, or is something else."""
+def read_model(path: Path, own: Mapping[str, type[Effect]] | None = None) -> Identified:
+    """The model in a file, with its effects.
+
+    A user's own effects are loaded from the files that the model names, or from beside the model.
+    own     effects given instead, by name; their files must be those that the model was fitted with
+    raises  InputError: the model cannot be read, or is something else, or an effect's file is
+            missing or has changed; EffectError: that file
+    """
     try:
         data: Any = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -61,9 +69,66 @@ def read_model(path: Path, effects: Mapping[str, type[Effect]]) -> Identified:
     if not isinstance(data, dict):
         raise _wrong(path, 1, "must hold one JSON object, as `cell fit -o` writes it")
     try:
-        return Identified.from_dict(data, effects)
+        return Identified.from_dict(data, _effects(path, data, own or {}))
+    except InputError:
+        raise
     except ValueError as error:
         raise _wrong(path, 1, str(error)) from error
+
+
+def _effects(
+    model: Path, data: Mapping[str, Any], own: Mapping[str, type[Effect]]
+) -> dict[str, type[Effect]]:
+    """The effects that a model's data name."""
+    known = dict(known_effects())
+    files = data.get("effect_files", {})
+    if not isinstance(files, dict):
+        raise _wrong(model, 1, f"effect_files is {files!r}; fit the model again")
+    for name, entry in files.items():
+        if name not in data["effects"]:
+            continue
+        if not (isinstance(entry, dict) and {"path", "sha256"} <= entry.keys()):
+            raise _wrong(model, 1, f"effect_files.{name} lacks path or sha256; fit the model again")
+        given = own.get(name)
+        if given is None:
+            known[name] = effect_from(str(_effect_file(model, name, entry)))
+        elif given.file is None or given.file.sha256 != entry["sha256"]:
+            raise _changed(model, name, entry, given.file)
+        else:
+            known[name] = given
+    return known
+
+
+def _effect_file(model: Path, name: str, entry: Mapping[str, str]) -> Path:
+    """The unchanged file of a model's own effect: where it was, or beside the model."""
+    stated = Path(entry["path"])
+    there = [p for p in (stated, model.parent / stated.name) if p.is_file()]
+    if not there:
+        raise _wrong(
+            model,
+            1,
+            f"was fitted with the effect {name} of {stated}, SHA-256 {entry['sha256']}; this file "
+            "is missing, also beside the model: put it back, or say with --effect where it is, or "
+            "fit the model again",
+        )
+    files = [EffectFile(p, file_sha256(p)) for p in there]
+    for file in files:
+        if file.sha256 == entry["sha256"]:
+            return file.path
+    raise _changed(model, name, entry, files[0])
+
+
+def _changed(
+    model: Path, name: str, entry: Mapping[str, str], file: EffectFile | None
+) -> InputError:
+    now = "the library's own" if file is None else f"{file.path}, SHA-256 {file.sha256}"
+    again = name if file is None else shlex.quote(str(file.path))
+    return _wrong(
+        model,
+        1,
+        f"was fitted with the effect {name} of {entry['path']}, SHA-256 {entry['sha256']}, but it "
+        f"is now {now}: restore the file, or fit the model again: cell fit STUDY --effect {again}",
+    )
 
 
 def check_same_kind(path: Path, model: Identified, cable: Cable) -> None:

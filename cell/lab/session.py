@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from cell.cable.effects import Effect, library, load_effect
+from cell.cable.effects import Effect, library
+from cell.cable.geometry import Cable
 from cell.files.located import InputError, Problem
 from cell.identify.identified import Identified
+from cell.identify.model_class import effect_from, known_effects
 from cell.identify.noise import Noise, still_frames
 from cell.identify.parameters import ParameterSpace
 from cell.lab.explore import Candidate, Explorer, Progress
@@ -25,46 +27,84 @@ from cell.lab.individual import (
 )
 from cell.lab.prepared import ERRS, PreparedStudy
 from cell.study.data import Study, Trial
-from cell.study.folder import read_study
+from cell.study.folder import read_study, study_folder
 
 #: A uniform clamped strip that droops by δ swings at ω² = 1.545 g/δ (β₁L = 1.8751).
 SWING = 1.545
 
 
 @dataclass(frozen=True)
-class Chosen:
-    """Effects named on the command line: the library's by name, a user's own from files."""
+class EffectSelection:
+    """Effects of a command line.
 
-    named: tuple[type[Effect], ...]
-    own: tuple[type[Effect], ...]
+    in_model    part of the model from the start
+    candidates  by name: those that may be found missing, the library's included
+    """
+
+    in_model: tuple[type[Effect], ...]
+    candidates: dict[str, type[Effect]]
 
     @property
-    def library(self) -> dict[str, type[Effect]]:
-        """All effects to choose from."""
-        return library() | {e.name: e for e in self.own}
+    def own(self) -> dict[str, type[Effect]]:
+        """A user's own effects by name, from files."""
+        given = (*self.in_model, *self.candidates.values())
+        return {e.name: e for e in given if e.file is not None}
 
 
-def choose_effects(names: Sequence[str]) -> Chosen:
-    """Effects of a command line.  Raises InputError, EffectError, FileNotFoundError."""
-    known = library()
-    named, own = [], []
-    for name in names:
-        if name.endswith(".py"):
-            own.append(load_effect(name))
-        elif name in known:
-            named.append(known[name])
-        else:
-            close = difflib.get_close_matches(name, known, 1, 0.5)
-            hint = f"did you mean {close[0]!r}?" if close else f"known: {', '.join(known)}"
-            raise ValueError(f"--effect {name}: no such effect; {hint}")
-    return Chosen(tuple(named), tuple(own))
+def select_effects(in_model: Sequence[str], candidates: Sequence[str] = ()) -> EffectSelection:
+    """Effects by name, or from a user's own files (`….py`); candidates join the library.
+
+    raises  ValueError: unknown, given twice, or of a library effect's name; EffectError;
+            FileNotFoundError
+    """
+    effects: dict[str, type[Effect]] = {}
+    for given in (*in_model, *candidates):
+        effect = _effect(given)
+        if effect.name in effects:
+            raise ValueError(
+                f"--effect {given}: another effect {effect.name!r} is given too; leave one out, "
+                "or rename one (`name = …` in its file)"
+            )
+        effects[effect.name] = effect
+    chosen = list(effects.values())
+    more = {e.name: e for e in chosen[len(in_model) :]}
+    return EffectSelection(tuple(chosen[: len(in_model)]), library() | more)
+
+
+def select_for_diagnosis(effects: Sequence[str], known: Sequence[str]) -> EffectSelection:
+    """The same for a command that looks for what is missing.
+
+    effects  one that is tried anyway is part of the model; any other joins those tried
+    known    part of the model
+    """
+    tried_anyway = library()
+    in_model = [*known, *(e for e in effects if e in tried_anyway)]
+    return select_effects(in_model, [e for e in effects if e not in tried_anyway])
+
+
+def _effect(given: str) -> type[Effect]:
+    known = known_effects()
+    if given.endswith(".py"):
+        effect = effect_from(given)
+        if effect.name in library():
+            raise ValueError(
+                f"--effect {given}: its name {effect.name!r} is that of an effect of the library; "
+                "rename it (`name = …` in the file)"
+            )
+        return effect
+    if given not in known:
+        close = difflib.get_close_matches(given, known, 1, 0.5)
+        hint = f"did you mean {close[0]!r}?" if close else f"known: {', '.join(known)}"
+        raise ValueError(f"--effect {given}: no such effect; {hint}; your own as its file.py")
+    return known[given]
 
 
 def open_study(folder: Path) -> Study:
-    """A study fit for the lab.
+    """A study fit for the lab, by its folder or by that of the cycle that recorded it.
 
     raises  InputError: it cannot be read, has nothing to fit, or a trial is too short to tell
     """
+    folder = study_folder(folder)
     study = read_study(folder)
     problems = [
         Problem(folder / t.name / "markers.csv", len(t.markers.t_s) + 1, None, "t_s", message)
@@ -99,11 +139,14 @@ def _too_short(study: Study, trial: Trial) -> str | None:
 
 def explorer_of(
     study: Study,
-    chosen: Chosen,
+    selection: EffectSelection,
     prior: tuple[Path, Identified] | None = None,
     progress: Progress = lambda _: None,
 ) -> Explorer:
-    """The study made ready, with an earlier individual's model as prior if there is one."""
+    """The study made ready, with an earlier individual's model as prior if there is one.
+
+    The prior's effects are part of the model, and those of the selection that are.
+    """
     if prior is None:
         prepared, believed = PreparedStudy.of(study), None
         space = ParameterSpace.of(study.cable, gravity_m_per_s2=study.gravity_m_per_s2)
@@ -113,29 +156,59 @@ def explorer_of(
         space = prior_space(study, model)
         believed = space.mean
         prepared = PreparedStudy.of(
-            study, misfit=misfit(model, _least_rms_m(study, space, model, chosen))
+            study, misfit=misfit(model, _least_rms_m(study, space, model, selection.candidates))
         )
-    effects = [*space.effects, *(e for e in chosen.named if e not in space.effects)]
-    return Explorer(prepared, space_with(space, effects), chosen.library, progress, believed)
+    effects = [*space.effects, *(e for e in selection.in_model if e not in space.effects)]
+    candidates = selection.candidates
+    return Explorer(prepared, space_with(space, effects), candidates, progress, believed)
 
 
-def _least_rms_m(study: Study, space: ParameterSpace, model: Identified, chosen: Chosen) -> float:
+def _least_rms_m(
+    study: Study,
+    space: ParameterSpace,
+    model: Identified,
+    candidates: Mapping[str, type[Effect]],
+) -> float:
     """Error of the earlier individual's model with whichever single effect helps it most, m.
 
     What even that leaves is the model's own error on this study; were it taken for information,
     the cable's parameters would be bent to remove it.
     """
     prepared = PreparedStudy.of(study, misfit=misfit(model))
-    pilot = Explorer(prepared, pinned(space, space.mean), chosen.library)
+    pilot = Explorer(prepared, pinned(space, space.mean), candidates)
     base = pilot.baseline()
-    smooth = [e for e in chosen.library.values() if e.smooth and e not in space.effects]
+    smooth = [e for e in candidates.values() if e.smooth and e not in space.effects]
     tried = pilot.add(base, smooth)
     return min([base.fit.rms_m, *(c.fit.rms_m for c in tried)])
 
 
-def read_prior(path: Path | None) -> tuple[Path, Identified] | None:
-    """The model that `--prior` names."""
-    return None if path is None else (path, read_model(path, library()))
+def read_prior(
+    path: Path | None, own: Mapping[str, type[Effect]]
+) -> tuple[Path, Identified] | None:
+    """The model that `--prior` names; `own` effects are given instead of its files'."""
+    return None if path is None else (path, read_model(path, own))
+
+
+def read_models(paths: Sequence[Path], cable: Cable, own: Sequence[str]) -> list[Identified]:
+    """Models of a kind of cable.
+
+    own     files of their own effects, if not where the models say
+    raises  InputError: a model cannot be read or is of another kind of cable; ValueError: no model
+            has one of the effects; EffectError; FileNotFoundError
+    """
+    given = {name: select_effects([name]) for name in own}
+    effects = {n: e for selection in given.values() for n, e in selection.own.items()}
+    models = [read_model(path, effects) for path in paths]
+    for path, model in zip(paths, models, strict=True):
+        check_same_kind(path, model, cable)
+    used = {e.name for m in models for e in m.space.effects}
+    for name, selection in given.items():
+        if selection.in_model[0].name not in used:
+            raise ValueError(
+                f"--effect {name}: is not in {' or '.join(map(str, paths))}; "
+                f"fit a model with it: cell fit STUDY --effect {name} -o model.json"
+            )
+    return models
 
 
 def fit_study(explorer: Explorer) -> tuple[Identified, Candidate]:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from cell.cable.effects import Effect, EffectError
+from cell.cable.effects import Effect, EffectError, file_sha256
 from cell.files.located import Document, Key, Problem, did_you_mean
-from cell.identify.model_class import effect_from, known_effects, sha256_of
+from cell.identify.model_class import effect_from, known_effects
 from cell.settings.model import Known, Model, ModelEffect, Settings
 from cell.settings.translate import cable_of, model_class_of
 
@@ -52,7 +52,7 @@ def _effect_problems(
             yield document.problem(place, f"{entry.effect!r}: unknown effect{guess}")
             return
         effect = effect_from(entry.effect)
-        now = sha256_of(Path(entry.effect)) if entry.effect.endswith(".py") else None
+        now = file_sha256(Path(entry.effect)) if entry.effect.endswith(".py") else None
     except (EffectError, OSError) as error:
         yield document.problem(place, str(error))
         return

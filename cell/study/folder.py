@@ -93,6 +93,13 @@ def read_study(folder: Path) -> Study:
     )
 
 
+def study_folder(folder: Path) -> Path:
+    """The folder of a study, given it or that of the recorded cycle that holds it in `study/`."""
+    inside = folder / "study"
+    is_cycle = (inside / "study.yaml").exists() and not (folder / "study.yaml").exists()
+    return inside if is_cycle else folder
+
+
 def write_study(study: Study, folder: Path) -> None:
     """Write a study so that `read_study` gives it back to the last bit.
 

@@ -5,11 +5,12 @@ from cell.cable.effects.base import (
     Bend,
     CableData,
     Effect,
+    EffectFile,
     Parameter,
     Place,
     Pose,
 )
-from cell.cable.effects.library import library, load_effect, unscreened
+from cell.cable.effects.library import file_sha256, library, load_effect, unscreened
 from cell.cable.effects.refused import EffectError
 
 __all__ = [
@@ -18,9 +19,11 @@ __all__ = [
     "CableData",
     "Effect",
     "EffectError",
+    "EffectFile",
     "Parameter",
     "Place",
     "Pose",
+    "file_sha256",
     "library",
     "load_effect",
     "unscreened",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -44,6 +45,14 @@ class Parameter:
                 )
         if not self.starts:
             raise ValueError(f"parameter {self.name}: needs at least one value in `starts`")
+
+
+@dataclass(frozen=True)
+class EffectFile:
+    """File of a user's own effect: resolved path and SHA-256 of its content, hexadecimal."""
+
+    path: Path
+    sha256: str
 
 
 class CableData(NamedTuple):
@@ -116,6 +125,8 @@ class Effect:
     camera_time(cable, t, xy, p) -> t                  when the points (…, 2) of a picture were
                                                        there; t (…) is the picture's time
     camera_points(cable, xy, p) -> xy                  where the camera sees points (…, 2)
+
+    `file` is set by `load_effect` on a user's own effect; the project's have none.
     """
 
     name: ClassVar[str]
@@ -123,6 +134,7 @@ class Effect:
     memory: ClassVar[tuple[str, ...]] = ()
     dissipative: ClassVar[bool] = False
     smooth: ClassVar[bool] = True
+    file: ClassVar[EffectFile | None] = None
 
     force: ClassVar[Callable[..., Any] | None] = None
     moment: ClassVar[Callable[..., Any] | None] = None

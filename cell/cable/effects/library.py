@@ -11,7 +11,7 @@ from types import ModuleType
 from numba.core.errors import NumbaError
 
 from cell.cable.effects import air, bending, camera, grip, hand, lens, plastic
-from cell.cable.effects.base import Effect
+from cell.cable.effects.base import Effect, EffectFile
 from cell.cable.effects.check import check
 from cell.cable.effects.compiled import loops_of
 from cell.cable.effects.refused import EffectError
@@ -38,6 +38,7 @@ def load_effect(path: str | Path) -> type[Effect]:
     file = Path(path).resolve()
     if not file.is_file():
         raise FileNotFoundError(f"{path}: no such effect file")
+    sha256 = file_sha256(file)
     name = f"cable_effect_{file.stem}_{hashlib.sha256(str(file).encode()).hexdigest()[:8]}"
     spec = importlib.util.spec_from_file_location(name, file)
     if spec is None or spec.loader is None:
@@ -61,11 +62,17 @@ def load_effect(path: str | Path) -> type[Effect]:
         raise EffectError(file, 1, f"must define exactly one subclass of Effect, has {names}")
     (effect,) = found
     check(effect)
+    effect.file = EffectFile(file, sha256)
     try:
         loops_of(effect)
     except NumbaError as error:
         raise EffectError(file, _first_line(effect), _short(error)) from error
     return effect
+
+
+def file_sha256(path: Path) -> str:
+    """SHA-256 of a file's content, hexadecimal.  Raises OSError."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def _effects_in(module: ModuleType) -> list[type[Effect]]:
