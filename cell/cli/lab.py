@@ -252,7 +252,7 @@ def _refusing(*outputs: Path | None) -> Iterator[None]:
     outputs  files to be written at the end of a long computation: tried at its beginning
     """
     from cell.cable.effects import EffectError
-    from cell.files.located import InputError
+    from cell.files.input_error import InputError
     from cell.lab.noise import NoiseUnknownError
 
     try:

@@ -36,7 +36,7 @@ def identify(
     """
     from rich.console import Console
 
-    from cell.files.located import InputError, Problem
+    from cell.files.input_error import InputError, Problem
     from cell.identify.individual import CableRejectedError, IdentifyOptions, with_effects
     from cell.identify.individual import identify as identify_cable
     from cell.lab.session import select_effects

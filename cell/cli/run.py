@@ -69,7 +69,7 @@ def run(
     from rich.console import Console
 
     from cell.build import build_cell
-    from cell.files.located import InputError
+    from cell.files.input_error import InputError
     from cell.plan.motion_file import load_motion
     from cell.records.result import Outcome, Result
     from cell.run.plans import INSERTING, measuring
@@ -160,7 +160,7 @@ def emulate(
     these; so may any other client of the devices' protocols.  It also ends with its parent.  Ends
     with 0, or 2 if the settings are wrong or the addresses are taken.
     """
-    from cell.files.located import InputError
+    from cell.files.input_error import InputError
     from cell.settings import load_settings
     from cell.simulated.emulated import EmulatedCell
     from drivers.emulators.launch import EmulatorError

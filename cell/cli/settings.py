@@ -15,7 +15,7 @@ def check(config: Config) -> None:
 
     Ends with 0 if they are right, 2 if not; every mistake is named with line and column.
     """
-    from cell.files.located import InputError
+    from cell.files.input_error import InputError
     from cell.settings import load_settings
 
     try:

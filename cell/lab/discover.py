@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 
 from cell.cable.effects import Effect, load_effect
+from cell.files.atomic import write_whole
 from cell.lab.diagnose import diagnose
 from cell.lab.estimate import estimate
 from cell.lab.explore import Candidate, Explorer
 from cell.lab.fitting import fit_trials
 from cell.lab.rules import Rules
-from cell.lab.terms import Term, admissible, effect_source
+from cell.lab.terms import admissible, effect_source
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,10 @@ def discover(explorer: Explorer, out: Path, rules: Rules = ALL_TERMS) -> Discove
     """
     terms = {t.name: t for t in admissible(_box(explorer))}
     with tempfile.TemporaryDirectory() as folder:
-        tried = {n: _load(Path(folder) / f"{n}.py", n, [t]) for n, t in terms.items()}
+        tried = {
+            n: _loaded(Path(folder) / f"{n}.py", effect_source(n, [t], f"Candidate {n}."))
+            for n, t in terms.items()
+        }
         search = Explorer(explorer.prepared, explorer.space, tried, explorer.progress)
         examination = diagnose(search, rules)
         found = examination.steps[-1]
@@ -106,14 +110,10 @@ def discover(explorer: Explorer, out: Path, rules: Rules = ALL_TERMS) -> Discove
     }
     about = f"Law inferred from the residuals of study {explorer.prepared.study.name}."
     source = effect_source("discovered", kept, about, values)
-    part = out.with_name(out.name + ".part.py")
-    part.write_text(source, encoding="utf-8")
-    try:
-        effect = load_effect(part)
+    with tempfile.TemporaryDirectory() as folder:
+        effect = _loaded(Path(folder) / out.with_suffix(".py").name, source)
         final = _refit(explorer, effect)
-        part.replace(out)
-    finally:
-        part.unlink(missing_ok=True)
+    write_whole(out, source)
     base = explorer.baseline()
     return Discovery(
         terms=tuple(
@@ -139,8 +139,8 @@ def _error(candidate: Candidate) -> float:
     return candidate.heldout.rms_m if candidate.heldout else candidate.fit.rms_m
 
 
-def _load(path: Path, name: str, terms: list[Term]) -> type[Effect]:
-    path.write_text(effect_source(name, terms, f"Candidate {name}."), encoding="utf-8")
+def _loaded(path: Path, source: str) -> type[Effect]:
+    path.write_text(source, encoding="utf-8")
     return load_effect(path)
 
 

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.files.located import Document, InputError, Key, Problem, load
+from cell.files.input_error import InputError, Problem
+from cell.files.yaml_document import Document, Key, read_yaml
 from cell.identify.noise import still_frames
 from cell.study.data import Study, Trial
 from cell.study.folder import read_study, study_folder
@@ -79,7 +80,9 @@ def _read(run: Path) -> _Cycle:
     folder = study_folder(run)
     study = read_study(folder)
     settings = run / "settings.yaml"
-    return _Cycle(run.resolve().name, folder, study, load(settings) if settings.exists() else None)
+    return _Cycle(
+        run.resolve().name, folder, study, read_yaml(settings) if settings.exists() else None
+    )
 
 
 def _twice(cycles: Sequence[_Cycle]) -> Iterator[Problem]:

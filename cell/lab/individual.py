@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 from collections.abc import Mapping
 from dataclasses import replace
@@ -13,7 +12,8 @@ import numpy as np
 
 from cell.cable.effects import Effect, EffectFile, file_sha256
 from cell.cable.geometry import Cable
-from cell.files.located import InputError, Problem
+from cell.files.input_error import InputError
+from cell.files.text_file import read_json_object
 from cell.identify.fit import frames_seen, variance_inflation
 from cell.identify.identified import Identified
 from cell.identify.model_class import effect_from, known_effects
@@ -60,20 +60,13 @@ def read_model(path: Path, own: Mapping[str, type[Effect]] | None = None) -> Ide
     raises  InputError: the model cannot be read, or is something else, or an effect's file is
             missing or has changed; EffectError: that file
     """
-    try:
-        data: Any = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise _wrong(path, 1, f"cannot be read: {error.strerror}") from error
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise _wrong(path, getattr(error, "lineno", 1), f"is not JSON: {error}") from error
-    if not isinstance(data, dict):
-        raise _wrong(path, 1, "must hold one JSON object, as `cell fit -o` writes it")
+    data = read_json_object(path)
     try:
         return Identified.from_dict(data, _effects(path, data, own or {}))
     except InputError:
         raise
     except ValueError as error:
-        raise _wrong(path, 1, str(error)) from error
+        raise InputError.at(path, str(error)) from error
 
 
 def _effects(
@@ -83,12 +76,14 @@ def _effects(
     known = dict(known_effects())
     files = data.get("effect_files", {})
     if not isinstance(files, dict):
-        raise _wrong(model, 1, f"effect_files is {files!r}; fit the model again")
+        raise InputError.at(model, f"effect_files is {files!r}; fit the model again")
     for name, entry in files.items():
         if name not in data["effects"]:
             continue
         if not (isinstance(entry, dict) and {"path", "sha256"} <= entry.keys()):
-            raise _wrong(model, 1, f"effect_files.{name} lacks path or sha256; fit the model again")
+            raise InputError.at(
+                model, f"effect_files.{name} lacks path or sha256; fit the model again"
+            )
         given = own.get(name)
         if given is None:
             known[name] = effect_from(str(_effect_file(model, name, entry)))
@@ -104,9 +99,8 @@ def _effect_file(model: Path, name: str, entry: Mapping[str, str]) -> Path:
     stated = Path(entry["path"])
     there = [p for p in (stated, model.parent / stated.name) if p.is_file()]
     if not there:
-        raise _wrong(
+        raise InputError.at(
             model,
-            1,
             f"was fitted with the effect {name} of {stated}, SHA-256 {entry['sha256']}; this file "
             "is missing, also beside the model: put it back, or say with --effect where it is, or "
             "fit the model again",
@@ -123,9 +117,8 @@ def _changed(
 ) -> InputError:
     now = "the library's own" if file is None else f"{file.path}, SHA-256 {file.sha256}"
     again = name if file is None else shlex.quote(str(file.path))
-    return _wrong(
+    return InputError.at(
         model,
-        1,
         f"was fitted with the effect {name} of {entry['path']}, SHA-256 {entry['sha256']}, but it "
         f"is now {now}: restore the file, or fit the model again: cell fit STUDY --effect {again}",
     )
@@ -136,9 +129,8 @@ def check_same_kind(path: Path, model: Identified, cable: Cable) -> None:
     for name, value in vars(cable).items():
         theirs = getattr(model.space.cable, name)
         if abs(theirs - value) > SAME_CABLE * value:
-            raise _wrong(
+            raise InputError.at(
                 path,
-                1,
                 f"is of another cable: its {name} is {theirs:g}, the study's {value:g}; "
                 "give a model of the same kind of cable",
             )
@@ -162,7 +154,3 @@ def misfit(model: Identified, rms_m: float = 0.0) -> Noise:
     square = (model.residual_rms_m / model.noise.std_m) ** 2
     time = max(model.inflation / max(square, 1.0), 1.0)
     return Noise(max(model.residual_rms_m, rms_m) * float(np.sqrt(time)))
-
-
-def _wrong(path: Path, line: int, message: str) -> InputError:
-    return InputError([Problem(path, line, None, "", message)])

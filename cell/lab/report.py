@@ -11,6 +11,7 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.offline import get_plotlyjs
 
+from cell.files.atomic import write_whole
 from cell.identify.identified import Identified
 from cell.lab.compare import Comparison
 from cell.lab.diagnose import Examination
@@ -73,10 +74,7 @@ choose(chooser.value);
 
 def write_page(page: str, path: Path) -> None:
     """Write a page, whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(path.name + ".part")
-    part.write_text(page, encoding="utf-8")
-    part.replace(path)
+    write_whole(path, page)
 
 
 def diagnosis_page(

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from cell.files.atomic import write_whole
+
 Verdict = Literal["complete", "missing", "unexplained", "cannot_tell"]
 Status = Literal["present", "absent", "inspect", "cannot_tell"]
 
@@ -208,10 +210,7 @@ def _peak(peak: Peak) -> dict[str, Any]:
 
 def write_json(content: dict[str, Any], path: Path) -> None:
     """Write plain data as JSON, whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(path.name + ".part")
-    part.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    part.replace(path)
+    write_whole(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
 
 
 def _errors(errors: Errors) -> dict[str, float | None]:

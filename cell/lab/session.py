@@ -11,7 +11,7 @@ import numpy as np
 
 from cell.cable.effects import Effect, library
 from cell.cable.geometry import Cable
-from cell.files.located import InputError, Problem
+from cell.files.input_error import InputError, Problem
 from cell.identify.identified import Identified
 from cell.identify.model_class import effect_from, known_effects
 from cell.identify.noise import Noise, still_frames

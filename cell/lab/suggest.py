@@ -14,12 +14,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 from scipy import stats
 
 from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
+from cell.files.atomic import write_whole
+from cell.files.yaml_document import yaml_text
 from cell.identify.noise import Whitener
 from cell.lab.compare import everywhere
 from cell.lab.diagnose import Examination
@@ -224,10 +225,7 @@ def write_motion(suggestion: Suggestion, path: Path) -> None:
         ],
         "hold_s": HOLD_S,
     }
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(path.name + ".part")
-    part.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
-    part.replace(path)
+    write_whole(path, yaml_text(content))
 
 
 def _weighed(

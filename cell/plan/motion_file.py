@@ -9,7 +9,8 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from cell.files.located import Document, InputError, Problem, load, validate
+from cell.files.input_error import InputError, Problem
+from cell.files.yaml_document import Document, read_yaml, validate
 from cell.plan.measuring import Measuring, Move, least_duration_s
 from cell.settings import Settings
 from drivers.guard import ArmLimits
@@ -58,7 +59,7 @@ def load_motion(path: Path, settings: Settings) -> Measuring:
 
     raises  InputError: every mistake, each with file, line, column, key, value, limit, remedy
     """
-    document = load(path)
+    document = read_yaml(path)
     motion = validate(document, MotionFile)
     problems = [
         *_name(document),

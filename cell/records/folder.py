@@ -20,10 +20,12 @@ from typing import Any
 
 import cv2
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
-from cell.files.located import InputError, Problem
+from cell.files.atomic import write_whole
+from cell.files.input_error import InputError
+from cell.files.text_file import read_json_object
+from cell.files.yaml_document import yaml_text
 from cell.records.result import Result
 from cell.study.data import Study
 from cell.study.folder import read_study, write_study
@@ -43,12 +45,11 @@ class Record:
     def state(self, **entries: Any) -> None:
         """Replace entries of `state.json`."""
         self._state.update(entries)
-        self._write("state.json", _json(self._state))
+        write_whole(self.folder / "state.json", _json(self._state))
 
     def settings(self, settings: Mapping[str, Any]) -> None:
         """Settings as resolved."""
-        text = yaml.safe_dump(dict(settings), sort_keys=False, allow_unicode=True)
-        self._write("settings.yaml", text.encode())
+        write_whole(self.folder / "settings.yaml", yaml_text(settings))
 
     def study(self, study: Study) -> None:
         """What was measured so far; replaces what was there."""
@@ -56,7 +57,7 @@ class Record:
 
     def model(self, model: Mapping[str, Any]) -> None:
         """This cable's parameters."""
-        self._write("model.json", _json(model))
+        write_whole(self.folder / "model.json", _json(model))
 
     def pictures(self, images: Mapping[str, NDArray[np.uint8]]) -> None:
         """Pictures (H, W, 3), blue first, each as its name with .png."""
@@ -64,17 +65,12 @@ class Record:
             done, data = cv2.imencode(".png", image)
             if not done:
                 raise ValueError(f"picture {name} of shape {image.shape} cannot be encoded")
-            self._write(f"{name}.png", data.tobytes())
+            write_whole(self.folder / f"{name}.png", data.tobytes())
 
     def close(self, result: Result) -> None:
         """Write the result and the mark that nothing more comes."""
-        self._write("result.json", _json(result.to_json()))
+        write_whole(self.folder / "result.json", _json(result.to_json()))
         self.state(closed=True, outcome=result.outcome.value)
-
-    def _write(self, name: str, data: bytes) -> None:
-        part = self.folder / f"{name}.part"
-        part.write_bytes(data)
-        part.replace(self.folder / name)
 
 
 @dataclass(frozen=True)
@@ -102,12 +98,10 @@ def read_record(folder: Path) -> Recorded:
     """
     state = _read_json(folder / "state.json")
     if state is None:
-        raise InputError(
-            [Problem(folder / "state.json", 1, None, "", "is missing: not a cycle's folder")]
-        )
+        raise InputError.at(folder / "state.json", "is missing: not a cycle's folder")
     if state.get("format") != FORMAT:
         message = f"format is {state.get('format')!r}, not {FORMAT!r}"
-        raise InputError([Problem(folder / "state.json", 1, None, "", message)])
+        raise InputError.at(folder / "state.json", message)
     result = _read_json(folder / "result.json")
     return Recorded(
         folder=folder,
@@ -122,18 +116,8 @@ def read_record(folder: Path) -> Recorded:
 
 
 def _read_json(path: Path) -> dict[str, Any] | None:
-    if not path.exists():
-        return None
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except json.JSONDecodeError as error:
-        raise InputError(
-            [Problem(path, error.lineno, error.colno, "", f"is not JSON: {error.msg}")]
-        ) from error
-    if not isinstance(data, dict):
-        raise InputError([Problem(path, 1, 1, "", "must hold a JSON object")])
-    return data
+    return read_json_object(path) if path.exists() else None
 
 
-def _json(data: Mapping[str, Any]) -> bytes:
-    return (json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode()
+def _json(data: Mapping[str, Any]) -> str:
+    return json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False) + "\n"

@@ -9,8 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from cell.cable.geometry import Cable
-from cell.files.located import Document, InputError, Key, Problem, did_you_mean, load, validate
+from cell.files.input_error import InputError, Problem, did_you_mean
+from cell.files.yaml_document import Document, Key, read_yaml, validate
 from cell.settings.model import OpenCvCamera, SerialGripper, Settings, UrArm
+
+#: Frames of a swing; one is identified from some hundred.
+MAX_FRAMES = 5_000
 
 #: Where an emulated camera may stream from.
 STREAM = re.compile(r"tcp://(127(?:\.\d{1,3}){3}):(\d{1,5})")
@@ -21,7 +25,7 @@ def load_settings(path: Path) -> Settings:
 
     raises  InputError: every mistake, each with file, line, column, key, value, limit, remedy
     """
-    document = load(path)
+    document = read_yaml(path)
     settings = _with_files(validate(document, Settings), path)
     problems = contradictions(document, settings)
     if problems:
@@ -60,7 +64,11 @@ def contradictions(document: Document, settings: Settings) -> list[Problem]:
         *_model(document, settings),
     ]
     # Where the hand cannot go, what the tip can reach is an idle question.
-    return problems or [*_destination_in_reach(document, settings), *_in_view(document, settings)]
+    return problems or [
+        *_destination_in_reach(document, settings),
+        *_in_view(document, settings),
+        *_wide_enough(document, settings),
+    ]
 
 
 def _cable(document: Document, settings: Settings) -> list[Problem]:
@@ -145,6 +153,17 @@ def _devices(document: Document, settings: Settings) -> list[Problem]:
                 (real, "kind"),
                 "a real device cannot act in the simulated world; "
                 "make all three `sim`, or none of them",
+            )
+        )
+    motion = settings.motion
+    filmed_s = motion.still_s + motion.lower_s + motion.hold_s
+    if filmed_s * settings.camera.frame_rate_hz > MAX_FRAMES:
+        problems.append(
+            document.problem(
+                ("motion", "hold_s"),
+                f"{motion.hold_s:g} s at {settings.camera.frame_rate_hz:g} Hz makes "
+                f"{filmed_s * settings.camera.frame_rate_hz:.0f} frames of a swing, limit "
+                f"{MAX_FRAMES}; hold for a shorter time or film at a lower rate",
             )
         )
     exposure_s = getattr(settings.camera, "exposure_s", None) or 0.0
@@ -300,4 +319,22 @@ def _in_view(document: Document, settings: Settings) -> list[Problem]:
                     f"{low:.4g} … {high:.4g} m; move it or correct camera.view",
                 )
             )
+    return problems
+
+
+def _wide_enough(document: Document, settings: Settings) -> list[Problem]:
+    """The cable must fit into the destination, and the camera must see that it did."""
+    pixel_m = settings.camera.view.metres_per_pixel
+    problems = []
+    for name, least_m, what in (
+        ("x_m", pixel_m, "a pixel of the camera"),
+        ("y_m", max(pixel_m, settings.cable.thickness_m), "the cable's thickness and a pixel"),
+    ):
+        low, high = getattr(settings.destination, name)
+        if high - low < least_m:
+            message = (
+                f"[{low:g}, {high:g}] is {high - low:.2g} m wide, less than {what} "
+                f"({least_m:g} m); widen it"
+            )
+            problems.append(document.problem(("destination", name), message))
     return problems

@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from cell.cable.effects import Effect, EffectError, file_sha256
-from cell.files.located import Document, Key, Problem, did_you_mean
+from cell.files.input_error import Problem, did_you_mean
+from cell.files.yaml_document import Document, Key
 from cell.identify.model_class import effect_from, known_effects
 from cell.settings.model import Known, Model, ModelEffect, Settings
 from cell.settings.translate import cable_of, model_class_of

@@ -22,6 +22,15 @@ def _increasing(pair: tuple[float, float]) -> tuple[float, float]:
 
 Range = Annotated[tuple[Finite, Finite], AfterValidator(_increasing)]
 
+#: Coordinates in the cell's plane, m; distances and durations of a motion, m and s.
+Place = Annotated[float, Field(ge=-10.0, le=10.0)]
+Distance = Annotated[float, Field(gt=0.0, le=1.0)]
+Duration = Annotated[float, Field(gt=0.0, le=30.0)]
+Wait = Annotated[float, Field(ge=0.0, le=30.0)]
+Angle = Annotated[float, Field(ge=-np.pi, le=np.pi)]
+PlaceRange = Annotated[tuple[Place, Place], AfterValidator(_increasing)]
+PositiveRange = Annotated[tuple[Positive, Positive], AfterValidator(_increasing)]
+
 
 class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
@@ -43,18 +52,18 @@ class Cable(_Section):
 class Destination(_Section):
     """Rectangle that the tip must pass, moving left: the hole's mouth."""
 
-    x_m: Range
+    x_m: PlaceRange
     """From the far edge to the edge where the tip enters."""
-    y_m: Range
+    y_m: PlaceRange
     """From the lower to the upper edge."""
 
 
 class Pose(_Section):
     """Pose of the gripping point in the cell's plane."""
 
-    x_m: Finite = 0.0
-    y_m: Finite = 0.0
-    angle_rad: Annotated[float, Field(ge=-np.pi, le=np.pi)] = 0.0
+    x_m: Place = 0.0
+    y_m: Place = 0.0
+    angle_rad: Angle = 0.0
     """Clamp angle: 0 = level, positive = pointing down."""
 
 
@@ -87,22 +96,22 @@ class Motion(_Section):
     """Where a cable is grasped."""
     aside: Pose = Pose(x_m=0.015, y_m=-0.05)
     """Where a rejected cable is let go."""
-    calm_s: NotNegative = 0.5
+    calm_s: Wait = 0.5
     """After grasping, until the cable rests."""
-    still_s: Positive = 0.2
+    still_s: Duration = 0.2
     """Filmed at rest before the cable is moved; shows the noise and the still shape."""
-    lower_m: Positive = 0.050
+    lower_m: Distance = 0.050
     """Down, to make the cable swing."""
-    lower_s: Positive = 0.3
+    lower_s: Duration = 0.3
     """In this time, or as long as the limits ask."""
-    hold_s: Positive = 1.0
+    hold_s: Duration = 1.0
     """Held still while the swing is filmed."""
-    decide_s: NotNegative = 0.2
+    decide_s: Wait = 0.2
     """From the last frame of the swing until the execution begins: time for the computer."""
     offsets: Offsets = Offsets()
-    advance_m: Positive = 0.050
+    advance_m: Distance = 0.050
     """Left, towards the destination."""
-    settle_s: NotNegative = 0.2
+    settle_s: Wait = 0.2
     """Filmed after the hand has come to rest."""
     lowering: Briskness = Briskness(
         velocity_m_per_s=0.5, acceleration_m_per_s2=5.0, jerk_m_per_s3=200.0
@@ -117,9 +126,9 @@ class Motion(_Section):
 class Limits(Briskness):
     """Beyond these no command is sent, whatever the motion asks for."""
 
-    x_m: Range
-    y_m: Range
-    angle_rad: Range
+    x_m: PlaceRange
+    y_m: PlaceRange
+    angle_rad: Annotated[tuple[Angle, Angle], AfterValidator(_increasing)]
 
 
 class Identification(_Section):
@@ -316,13 +325,13 @@ class SerialGripper(_Gripper):
 class World(_Section):
     """The simulated cables: what the cell must find out and never reads."""
 
-    rigidity_n_m2: Range = (1.5e-5, 5e-5)
+    rigidity_n_m2: PositiveRange = (1.5e-5, 5e-5)
     """Flexural rigidity of an individual is drawn from this range, evenly in its logarithm."""
     rigidity_variation: Annotated[float, Field(ge=0.0, le=0.5)] = 0.15
     """Relative amplitude of its variation along the cable."""
-    exponent: Range = (0.95, 1.05)
+    exponent: PositiveRange = (0.95, 1.05)
     """Bending exponent N."""
-    damping_ratio: Range = (0.02, 0.06)
+    damping_ratio: PositiveRange = (0.02, 0.06)
     """Of the first swing mode, from which the viscosity follows."""
     effects: dict[str, dict[str, Finite]] = {}
     """Physics that the model lacks: names of effects with their parameters, e.g.

@@ -35,7 +35,11 @@ class Trial:
 
 @dataclass(frozen=True)
 class Study:
-    """Everything measured on one cable.  `arc_length_m` (markers,) from the gripping point."""
+    """Everything measured on one cable.
+
+    arc_length_m  (markers,) from the gripping point
+    notes         what whoever reads results should know of the measurements, one sentence each
+    """
 
     name: str
     cable: Cable
@@ -43,6 +47,7 @@ class Study:
     trials: tuple[Trial, ...]
     gravity_m_per_s2: tuple[float, float] = (0.0, -9.81)
     noise_std_m: float | None = None
+    notes: tuple[str, ...] = ()
 
     def role(self, role: Literal["fit", "validate"]) -> tuple[Trial, ...]:
         """Trials of a role, in order."""

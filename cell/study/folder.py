@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from cell.cable.geometry import Cable, Motion
-from cell.files.located import Document, InputError, Key, Problem, load, validate
+from cell.files.atomic import write_whole
+from cell.files.input_error import InputError, Problem
+from cell.files.yaml_document import Document, Key, read_yaml, validate, yaml_text
 from cell.study.data import Markers, Study, Trial
+from cell.study.plausible import doubt, impossible
 from cell.study.table import Table, read_table, write_table
 
 FloatArray = NDArray[np.float64]
@@ -24,6 +27,13 @@ GRIP_COLUMNS = ("t_s", "x_m", "y_m", "angle_rad")
 MAX_LENGTH_M = 10.0
 MAX_GRAVITY_M_PER_S2 = 100.0
 MAX_NOISE_FRACTION = 0.2
+MAX_TRIAL_S = 30.0
+MAX_DISTANCE_M = 100.0
+
+#: Frames of a trial that are taken; a fit's time and memory grow with them.
+MAX_FRAMES = 5_000
+MAX_MARKERS = 200
+MAX_TRIALS = 500
 
 _Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -41,7 +51,7 @@ class _Cable(_Strict):
 
 
 class _Markers(_Strict):
-    arc_length_m: Annotated[list[_Finite], Field(min_length=1)]
+    arc_length_m: Annotated[list[_Finite], Field(min_length=1, max_length=MAX_MARKERS)]
 
 
 class _Trial(_Strict):
@@ -58,38 +68,60 @@ class _Study(_Strict):
     gravity_m_per_s2: tuple[_Finite, _Finite] = (0.0, -9.81)
     markers: _Markers
     noise_std_m: _Positive | None = None
-    trials: Annotated[list[_Trial], Field(min_length=1)]
+    trials: Annotated[list[_Trial], Field(min_length=1, max_length=MAX_TRIALS)]
 
 
 def read_study(folder: Path) -> Study:
     """The study in a folder, markers ordered tip first whatever their order in the file.
 
+    Of a trial of more than `MAX_FRAMES` frames every second, third, … is taken.  This, and what is
+    odd and yet possible, is said in the study's notes.
+
     raises  InputError: a file is missing or wrong; every problem names file, line, value,
             limit and remedy
     """
-    document = load(folder / "study.yaml")
+    document = read_yaml(folder / "study.yaml")
     header = validate(document, _Study)
     problems = _implausible(document, header)
     if problems:
         raise InputError(problems)
 
+    cable = Cable(**header.cable.model_dump())
     arc_length_m = np.array(header.markers.arc_length_m)
     order = np.argsort(-arc_length_m)
     trials: list[Trial] = []
+    notes: list[str] = []
     for trial in header.trials:
         try:
-            trials.append(_read_trial(folder / trial.name, trial, header, order))
+            read = _read_trial(folder / trial.name, trial, header, order)
         except InputError as error:
             problems.extend(error.problems)
+            continue
+        looked_at = (read, cable, arc_length_m[order], header.gravity_m_per_s2)
+        markers = folder / trial.name / "markers.csv"
+        if cause := impossible(*looked_at):
+            problems.append(Problem(markers, 2, None, "", cause))
+        elif odd := doubt(*looked_at):
+            notes.append(f"{markers}: {odd}")
+        step = -(-len(read.markers.t_s) // MAX_FRAMES)
+        if step > 1:
+            notes.append(
+                f"{markers}: one of every {step} of the {len(read.markers.t_s)} frames is taken; "
+                f"a swing needs no more than {MAX_FRAMES}"
+            )
+            thinner = Markers(read.markers.t_s[::step], read.markers.xy_m[::step])
+            read = replace(read, markers=thinner)
+        trials.append(read)
     if problems:
         raise InputError(problems)
     return Study(
         name=header.name,
-        cable=Cable(**header.cable.model_dump()),
+        cable=cable,
         arc_length_m=arc_length_m[order],
         trials=tuple(trials),
         gravity_m_per_s2=header.gravity_m_per_s2,
         noise_std_m=header.noise_std_m,
+        notes=tuple(notes),
     )
 
 
@@ -107,7 +139,6 @@ def write_study(study: Study, folder: Path) -> None:
     study or this one.
     """
     for trial in study.trials:
-        (folder / trial.name).mkdir(parents=True, exist_ok=True)
         grip, markers = trial.grip, trial.markers
         write_table(
             folder / trial.name / "grip.csv",
@@ -133,10 +164,7 @@ def write_study(study: Study, folder: Path) -> None:
         | ({} if t.release_s is None else {"release_s": float(t.release_s)})
         for t in study.trials
     ]
-    folder.mkdir(parents=True, exist_ok=True)
-    part = folder / "study.yaml.part"
-    part.write_text(yaml.safe_dump(header, sort_keys=False, allow_unicode=True), encoding="utf-8")
-    part.replace(folder / "study.yaml")
+    write_whole(folder / "study.yaml", yaml_text(header))
 
 
 def _marker_columns(count: int) -> tuple[str, ...]:
@@ -166,6 +194,12 @@ def _implausible(document: Document, header: _Study) -> list[Problem]:
             ("gravity_m_per_s2",),
             f"{list(header.gravity_m_per_s2)} is beyond {MAX_GRAVITY_M_PER_S2:g} m/s²; "
             "give m/s², not mm/s²",
+        )
+    elif header.gravity_m_per_s2[1] > 0.0:
+        add(
+            ("gravity_m_per_s2",),
+            f"{list(header.gravity_m_per_s2)} points up, for y is up; give [0.0, -9.81], and all y "
+            "upwards",
         )
 
     arcs = header.markers.arc_length_m
@@ -208,8 +242,12 @@ def _read_trial(folder: Path, trial: _Trial, header: _Study, order: NDArray[np.i
     _check_times(grip)
     _check_finite(grip)
     grip.check(
-        np.abs(grip.values) <= [np.inf, np.inf, np.inf, 2 * np.pi],
-        lambda _: "is beyond ±2π; give radians, not degrees",
+        np.abs(grip.values) <= [np.inf, MAX_DISTANCE_M, MAX_DISTANCE_M, 2 * np.pi],
+        lambda name: (
+            "is beyond ±2π; give radians, not degrees"
+            if name == "angle_rad"
+            else f"is beyond ±{MAX_DISTANCE_M:g} m; give metres"
+        ),
     )
     motion = Motion(*grip.values.T)
 
@@ -234,6 +272,10 @@ def _read_trial(folder: Path, trial: _Trial, header: _Study, order: NDArray[np.i
             f"markers span {t_s[0]:g} … {t_s[-1]:g} s, grip.csv {motion.t_s[0]:g} … "
             f"{motion.t_s[-1]:g} s, without overlap; put both on one clock, in seconds",
         )
+    table.check(
+        ~(np.abs(table.values) > [np.inf, *[MAX_DISTANCE_M] * (2 * count)]),
+        lambda _: f"is beyond ±{MAX_DISTANCE_M:g} m; give metres",
+    )
     grip_xy_m = np.column_stack([np.interp(t_s, motion.t_s, v) for v in (motion.x_m, motion.y_m)])
     # A marker cannot be farther from the hand than the cable is long; half as far again leaves
     # room for noise, a slipping grip and a clock that is off, and none for millimetres.
@@ -273,6 +315,14 @@ def _check_times(table: Table) -> None:
             "t_s",
             f"{t_s[row]:g} s {word} {t_s[row - 1]:g} s of the row before; "
             "sort the rows by time and keep one row per time",
+        )
+    if t_s[-1] - t_s[0] > MAX_TRIAL_S:
+        raise table.error(
+            table.lines[-1],
+            "t_s",
+            f"{t_s[-1]:g} s is {t_s[-1] - t_s[0]:g} s after the first row, limit "
+            f"{MAX_TRIAL_S:g} s; give seconds, not milliseconds, and cut the record to the motion "
+            "and the swing after it",
         )
 
 

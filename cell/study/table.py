@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import csv
 import difflib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.files.located import InputError, Problem
+from cell.files.atomic import write_whole
+from cell.files.input_error import InputError, Problem
+from cell.files.text_file import read_text
 
 FloatArray = NDArray[np.float64]
+
+#: A minute at 1000 rows a second, and what 100 markers need for it.
+MAX_ROWS = 60_000
+MAX_BYTES = 100_000_000
 
 
 @dataclass(frozen=True)
@@ -48,13 +54,15 @@ def read_table(path: Path, columns: Sequence[str]) -> Table:
     def error(line: int, column: str, message: str) -> InputError:
         return InputError([Problem(path, line, None, column, message)])
 
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as cause:
-        reason = cause.strerror if isinstance(cause, OSError) else "is not UTF-8 text"
-        raise error(1, "", f"cannot be read: {reason}") from cause
-    reader = csv.reader(text.splitlines())
-    header = [name.strip() for name in next(reader, [])]
+    text = read_text(path, MAX_BYTES)
+    rows_given = text.count("\n")
+    if rows_given > MAX_ROWS:
+        raise error(
+            MAX_ROWS, "", f"has {rows_given} rows, limit {MAX_ROWS}; cut it to the motion and the "
+            "swing after it, a few seconds, or leave out rows: 200 a second are plenty"
+        )  # fmt: skip
+    reader = _cells(path, text)
+    header = [name.strip() for name in next(reader, (1, []))[1]]
     if len(header) == 1 and (";" in header[0] or "\t" in header[0]):
         raise error(1, "", "columns must be separated by commas, with decimal points")
     missing = [name for name in columns if name not in header]
@@ -74,10 +82,9 @@ def read_table(path: Path, columns: Sequence[str]) -> Table:
 
     rows: list[list[float]] = []
     lines: list[int] = []
-    for cells in reader:
+    for line, cells in reader:
         if not any(cell.strip() for cell in cells):
             continue
-        line = reader.line_num
         if len(cells) != len(header):
             raise error(line, "", f"has {len(cells)} cells, the header has {len(header)}")
         try:
@@ -97,12 +104,19 @@ def read_table(path: Path, columns: Sequence[str]) -> Table:
 
 def write_table(path: Path, columns: Sequence[str], values: FloatArray) -> None:
     """Write `values` (rows, columns) so that they read back to the last bit; nan = empty."""
-    part = path.with_name(path.name + ".part")
-    with part.open("w", encoding="utf-8", newline="") as file:
-        file.write(",".join(columns) + "\n")
-        for row in values.tolist():
-            file.write(",".join("" if v != v else repr(v) for v in row) + "\n")
-    part.replace(path)
+    rows = (",".join("" if v != v else repr(v) for v in row) for row in values.tolist())
+    write_whole(path, "\n".join([",".join(columns), *rows]) + "\n")
+
+
+def _cells(path: Path, text: str) -> Iterator[tuple[int, list[str]]]:
+    """Number of each line and its cells.  Raises InputError: a line is no CSV."""
+    reader = csv.reader(text.splitlines())
+    try:
+        for cells in reader:
+            yield reader.line_num, cells
+    except csv.Error as error:
+        message = f"is not CSV: {error}; write plain numbers between commas"
+        raise InputError.at(path, message, line=reader.line_num) from error
 
 
 def _listed(columns: Sequence[str]) -> str:

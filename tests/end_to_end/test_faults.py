@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
@@ -179,7 +180,7 @@ def test_a_stop_given_between_cycles_is_not_lost(live: Live) -> None:
 def test_a_record_that_can_no_longer_be_written_stops_the_arm_too(live: Live) -> None:
     def disk_full(it: SimpleNamespace) -> None:
         (folder,) = it.runs.iterdir()
-        (folder / "state.json.part").mkdir()  # the next write of the state fails
+        (folder / f"state.json.{os.getpid()}.part").mkdir()  # the next write of the state fails
 
     it = live({"lower": disk_full})
     with pytest.raises(OSError, match="state"):

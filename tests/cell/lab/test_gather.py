@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cell.files.located import InputError
+from cell.files.input_error import InputError
 from cell.lab.gather import gather
 from cell.study.data import Markers
 from cell.study.folder import write_study

@@ -11,7 +11,7 @@ from scipy import stats
 from cell.cable.dynamics import simulate
 from cell.cable.effects import library
 from cell.cable.model import CableModel
-from cell.files.located import InputError
+from cell.files.input_error import InputError
 from cell.identify.parameters import ParameterSpace
 from cell.lab.diagnose import diagnose
 from cell.lab.explore import Explorer

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from cell.files.located import InputError
+from cell.files.input_error import InputError
 from cell.plan.motion_file import load_motion
 from cell.settings import Settings, load_settings
 from cell.settings.model import Pose as HomePose

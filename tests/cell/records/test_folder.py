@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cell.cable.geometry import Cable, Motion
-from cell.files.located import InputError
+from cell.files.input_error import InputError
 from cell.records.folder import Record, read_record
 from cell.records.result import Fault, Outcome, Result
 from cell.study.data import Markers, Study, Trial
@@ -27,7 +27,7 @@ STUDY = Study(
             "fit",
             "equilibrium",
             Motion(T_S, 0 * T_S, 0 * T_S, 0 * T_S),
-            Markers(T_S, np.full((3, 2, 2), 0.01)),
+            Markers(T_S, np.full((3, 2, 2), [[-0.09, -0.03], [0.0, 0.0]])),
         ),
     ),
 )

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cell.files.located import InputError
+from cell.files.input_error import InputError
 from cell.settings import load_settings
 from cell.settings.translate import cable_of, identification_of, model_class_of, model_hash
 

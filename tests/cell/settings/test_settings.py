@@ -9,7 +9,7 @@ import jsonschema
 import pytest
 import yaml
 
-from cell.files.located import InputError
+from cell.files.input_error import InputError
 from cell.settings import Settings, load_settings
 
 CONFIG = Path(__file__).parents[3] / "config"
@@ -104,6 +104,13 @@ MISTAKES = [
     ("effects: {}", "effects: {tip_mass: {kg: 1}}", "tip_mass has no parameter 'kg'; it has"),
     ("effects: {}", "effects: {tip_mass: {mass_kg: -1}}", "tip_mass.mass_kg = -1.0 kg"),
     ("cable:\n", "cable:\n\tx: 1\n", ":6:1: is not YAML"),
+    ("free_length_m: 0.100", "free_length_m: true", "should be a valid number (got True)"),
+    ("hold_s: 1.0", "hold_s: 1e6", "motion.hold_s: input should be less than or equal to 30"),
+    ("hold_s: 1.0", "hold_s: 29", "motion.hold_s: 29 s at 200 Hz makes 5900 frames"),
+    ("y_m: [-0.111, -0.101]", "y_m: [-0.1110001, -0.111]", "less than the cable's thickness"),
+    ("x_m: [-0.135, -0.130]", "x_m: [-0.1300001, -0.130]", "less than a pixel of the camera"),
+    ("x_m: [-0.06, 0.02]", "x_m: [-60, 20]", "limits.x_m[0]: input should be greater than or"),
+    ("[1.5e-5, 5.0e-5]", "[-1, 5]", "world.rigidity_n_m2[0]: input should be greater than 0"),
 ]
 
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from cell.cable.geometry import Cable, Motion
-from cell.files.located import InputError
+from cell.files.input_error import InputError
 from cell.study.data import Markers, Study, Trial
 from cell.study.folder import read_study, write_study
 
@@ -22,12 +22,13 @@ SHARED = Path(__file__).parents[4] / "shared" / "data"
 def trial(name: str = "identify", *, seed: int = 0, markers: int = 3, rows: int = 5) -> Trial:
     rng = np.random.default_rng(seed)
     t_s = np.cumsum(rng.uniform(1e-4, 0.01, rows))
-    xy_m = rng.uniform(-0.05, 0.05, (rows, markers, 2))
+    arc_m = np.linspace(0.1, 0.0, markers)
+    xy_m = rng.uniform(-1e-3, 1e-3, (rows, markers, 2)) + arc_m[:, None] * [-0.8, -0.5]
     return Trial(
         name,
         "fit",
         "equilibrium",
-        Motion(t_s, *rng.uniform(-0.01, 0.01, (2, rows)), rng.uniform(-0.5, 0.5, rows)),
+        Motion(t_s, *rng.uniform(-1e-3, 1e-3, (2, rows)), rng.uniform(-0.5, 0.5, rows)),
         Markers(t_s + 1e-4, xy_m),
     )
 
@@ -77,7 +78,9 @@ def studies(draw: st.DrawFn) -> Study:
         rows = draw(st.integers(2, 6))
         steps = draw(hnp.arrays(float, rows, elements=st.floats(1e-4, 0.1)))
         grip = draw(hnp.arrays(float, (2, rows), elements=near))
-        xy_m = draw(hnp.arrays(float, (rows, count, 2), elements=near))
+        # Within reach of the hand, on the side to which the clamp points.
+        towards = draw(hnp.arrays(float, (rows, count, 2), elements=st.floats(-0.7, 0.0)))
+        xy_m = grip.T[:, None] + towards * (fractions * free_length_m)[:, None]
         unseen = draw(hnp.arrays(bool, (rows, count)))
         unseen[0, 0] = False
         xy_m[unseen] = np.nan
@@ -90,7 +93,7 @@ def studies(draw: st.DrawFn) -> Study:
                     np.cumsum(steps),
                     grip[0],
                     grip[1],
-                    draw(hnp.arrays(float, rows, elements=st.floats(-6.0, 6.0))),
+                    draw(hnp.arrays(float, rows, elements=st.floats(-1.5, 1.5))),
                 ),
                 Markers(np.cumsum(steps), xy_m),
                 draw(st.floats(-1.0, 1.0)) if start == "straight" else None,
@@ -183,7 +186,7 @@ MISTAKES: list[tuple[str, Edit, str]] = [
     ("study.yaml", swap("equilibrium", "equilibrium\n  release_s: 0.1"), "only for `start: str"),
     ("study.yaml", swap("name: identify", "name: ../identify"), "trials[0].name: "),
     ("study.yaml", swap("cable:", "\tcable:"), "is not YAML"),
-    ("study.yaml", swap("name: identify", "name: other"), "other/grip.csv:1: cannot be read"),
+    ("study.yaml", swap("name: identify", "name: other"), "other/grip.csv:1:1: cannot be read"),
     ("identify/grip.csv", swap("angle_rad", "angle_deg"), "grip.csv:1: column angle_rad is miss"),
     ("identify/grip.csv", lines(lambda r: [f"{x},1" for x in r]), "grip.csv:1: 1: unknown column"),
     ("identify/grip.csv", cell(2, 3, "45"), "grip.csv:3: angle_rad: 45 is beyond ±2π"),

@@ -2,22 +2,38 @@
 
 from __future__ import annotations
 
-import difflib
+import io
+import json
 import re
-from collections.abc import Sequence
+import reprlib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeGuard, TypeVar
 
-import yaml
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
+from ruamel.yaml import YAML
+from ruamel.yaml.error import MarkedYAMLError, YAMLError
+from ruamel.yaml.nodes import MappingNode, Node, SequenceNode
+
+from cell.files.input_error import InputError, Problem, did_you_mean
+from cell.files.text_file import read_text
 
 Key = tuple[str | int, ...]
 Model = TypeVar("Model", bound=BaseModel)
 
-_UNITS = re.compile(r"_(?:m|mm|s|ms|hz|n|kg|rad|deg|px|[a-z]+_per_[a-z0-9_]+|fraction)$")
+#: Settings and studies have some kilobytes; what is far beyond was not meant for this program.
+MAX_BYTES = 200_000
+#: Keys and items of a file, those of an alias as often as it is used.
+MAX_ENTRIES = 100_000
+MAX_DEPTH = 20
+#: Complaints about one file that anybody wants to read at once.
+MAX_PROBLEMS = 20
+#: Characters of a key that are shown.
+MAX_KEY = 120
 
+MISSING = "is missing; add it"
 
 #: Ending of a key, how many of the smaller unit make one, what to say.
 _SMALLER_UNITS = (
@@ -26,29 +42,6 @@ _SMALLER_UNITS = (
     ("_m", 1e3, "give metres, not millimetres"),
     ("_s", 1e3, "give seconds, not milliseconds"),
 )
-
-
-@dataclass(frozen=True)
-class Problem:
-    """One thing wrong with a file.  `line` and `column` count from 1; `key` is dotted or empty."""
-
-    path: Path
-    line: int
-    column: int | None
-    key: str
-    message: str
-
-    def __str__(self) -> str:
-        place = f"{self.path}:{self.line}" + ("" if self.column is None else f":{self.column}")
-        return f"{place}: " + (f"{self.key}: " if self.key else "") + self.message
-
-
-class InputError(ValueError):
-    """A file that a person wrote is wrong; `problems` says where, why and what to do."""
-
-    def __init__(self, problems: Sequence[Problem]) -> None:
-        super().__init__("\n".join(str(p) for p in problems))
-        self.problems = tuple(problems)
 
 
 @dataclass(frozen=True)
@@ -71,89 +64,101 @@ def dotted(key: Key) -> str:
     """('trials', 0, 'role') → 'trials[0].role'."""
     text = ""
     for part in key:
-        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
-    return text
+        shown = part if isinstance(part, int) or part.isprintable() else repr(part)
+        text += f"[{part}]" if isinstance(part, int) else f".{shown}" if text else f"{shown}"
+    return text if len(text) <= MAX_KEY else f"{text[:MAX_KEY]}…"
 
 
-class _Loader(yaml.SafeLoader):
-    """SafeLoader that reads 1e-5 as a number, as YAML 1.2 and everybody else does."""
+def _marked(error: YAMLError) -> TypeGuard[MarkedYAMLError]:
+    return isinstance(error, MarkedYAMLError)
 
 
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"^[-+]?(?:[0-9][0-9_]*)(?:\.[0-9_]*)?[eE][-+]?[0-9]+$"),
-    list("-+0123456789"),
-)
-
-
-def load(path: Path) -> Document:
+def read_yaml(path: Path) -> Document:
     """Read a YAML file.
 
-    raises  InputError: the file is missing, is not YAML, or gives a key twice
+    raises  InputError: the file is missing, is not YAML, gives a key twice, or is larger or more
+            deeply nested than anything it may say
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "is not UTF-8 text"
-        raise InputError([Problem(path, 1, 1, "", f"cannot be read: {reason}")]) from error
-    loader = _Loader(text)
+    text = read_text(path, MAX_BYTES)
+    reader = YAML(typ="safe", pure=True)  # in C it would crash on deep nesting
     places: dict[Key, tuple[int, int]] = {(): (1, 1)}
     problems: list[Problem] = []
 
-    def data_of(node: yaml.Node, key: Key) -> Any:
-        if isinstance(node, yaml.MappingNode):
-            mapping: dict[Any, Any] = {}
+    def data_of(node: Node, key: Key) -> Any:
+        line, column = node.start_mark.line + 1, node.start_mark.column + 1
+        if len(key) > MAX_DEPTH:
+            message = f"is nested deeper than {MAX_DEPTH} levels, more than any file here needs"
+            raise InputError.at(path, message, line=line, column=column)
+        if len(places) > MAX_ENTRIES:
+            message = f"makes more than {MAX_ENTRIES} entries, aliases counted; write fewer"
+            raise InputError.at(path, message, line=line, column=column)
+        if isinstance(node, MappingNode):
+            mapping: dict[str, Any] = {}
             for key_node, value_node in node.value:
                 name = str(key_node.value)
                 place = (key_node.start_mark.line + 1, key_node.start_mark.column + 1)
                 if name in mapping:
-                    problems.append(
-                        Problem(
-                            path,
-                            *place,
-                            dotted((*key, name)),
-                            f"given twice, first in line {places[(*key, name)][0]}; remove one",
-                        )
-                    )
+                    message = f"given twice, first in line {places[(*key, name)][0]}; remove one"
+                    problems.append(Problem(path, *place, dotted((*key, name)), message))
                 places[(*key, name)] = place
                 mapping[name] = data_of(value_node, (*key, name))
             return mapping
-        if isinstance(node, yaml.SequenceNode):
+        if isinstance(node, SequenceNode):
             for index, item in enumerate(node.value):
                 mark = item.start_mark
                 places[(*key, index)] = (mark.line + 1, mark.column + 1)
             return [data_of(item, (*key, i)) for i, item in enumerate(node.value)]
-        return loader.construct_object(node, deep=True)
+        try:
+            return reader.constructor.construct_object(node, deep=True)
+        except (ValueError, ArithmeticError) as error:
+            message = f"cannot be read as a value: {error}; write it otherwise"
+            raise InputError.at(path, message, line=line, column=column, key=dotted(key)) from error
 
     try:
-        root = loader.get_single_node()
+        root = reader.compose(text)
         data = {} if root is None else data_of(root, ())
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
+    except RecursionError as error:
+        message = f"is not YAML for this program: nested deeper than {MAX_DEPTH} levels"
+        raise InputError.at(path, message, column=1) from error
+    except YAMLError as error:
+        mark = error.problem_mark or error.context_mark if _marked(error) else None
         line, column = (mark.line + 1, mark.column + 1) if mark else (1, 1)
-        hint = "; indent with spaces, not tabs" if "\\t" in str(error.problem) else ""
-        raise InputError(
-            [Problem(path, line, column, "", f"is not YAML: {error.problem}{hint}")]
-        ) from error
-    finally:
-        loader.dispose()
+        cause = str(error.problem if _marked(error) else error).splitlines()[0]
+        tabs = "\\t" in cause
+        hint = "indent with spaces, not tabs" if tabs else "check indentation, quotes, brackets"
+        message = f"is not YAML: {cause}; {hint}"
+        raise InputError.at(path, message, line=line, column=column) from error
     if problems:
-        raise InputError(problems)
+        raise InputError(problems[:MAX_PROBLEMS])
     return Document(path, data, places)
+
+
+def yaml_text(data: Mapping[str, Any]) -> str:
+    """Plain data as YAML, in their order."""
+    writer: Any = YAML(typ="safe", pure=True)
+    writer.default_flow_style = False
+    writer.sort_base_mapping_type_on_output = False
+    writer.allow_unicode = True
+    stream = io.StringIO()
+    writer.dump(dict(data), stream)
+    return stream.getvalue()
 
 
 def validate(document: Document, model: type[Model]) -> Model:
     """The document as `model`.
 
     raises  InputError: every complaint of the model, each at its place, unknown keys with the
-            nearest known one
+            nearest known one; numbers must be numbers, not `true` or a quoted text
     """
     if not isinstance(document.data, dict):
         raise InputError([document.problem((), "must hold `key: value` lines")])
     try:
-        return model.model_validate(document.data)
+        # The strict mode of Python types would refuse lists for tuples; that of JSON is meant.
+        return model.model_validate_json(json.dumps(document.data, default=str), strict=True)
     except ValidationError as error:
-        problems = [_problem(document, details, model) for details in error.errors()]
+        told = error.errors()[: 5 * MAX_PROBLEMS]
+        schema = model.model_json_schema()
+        problems = [_problem(document, details, schema) for details in told]
         # A mistyped key is one mistake, not an unknown key and a missing one.
         meant = {
             (p.key.rpartition(".")[0], p.message.rpartition("did you mean ")[2]) for p in problems
@@ -161,13 +166,17 @@ def validate(document: Document, model: type[Model]) -> Model:
         problems = [
             p
             for p in problems
-            if p.message != "is missing"
+            if p.message != MISSING
             or (p.key.rpartition(".")[0], f"{p.key.rpartition('.')[2]!r}?") not in meant
         ]
-        raise InputError(sorted(problems, key=lambda p: (p.line, p.column or 0))) from error
+        problems.sort(key=lambda p: (p.line, p.column or 0))
+        if len(problems) > MAX_PROBLEMS:
+            left = error.error_count() - MAX_PROBLEMS
+            problems[MAX_PROBLEMS:] = [document.problem((), f"and {left} more; mend these first")]
+        raise InputError(problems) from error
 
 
-def _problem(document: Document, details: ErrorDetails, model: type[BaseModel]) -> Problem:
+def _problem(document: Document, details: ErrorDetails, schema: dict[str, Any]) -> Problem:
     # A tagged union puts its tag into the location; the file does not have it there.
     key: Key = ()
     for part in details["loc"]:
@@ -176,22 +185,22 @@ def _problem(document: Document, details: ErrorDetails, model: type[BaseModel]) 
     kind, context = details["type"], details.get("ctx", {})
     match kind:
         case "extra_forbidden":
-            known = _known_keys(document.data, details["loc"], model)
+            known = _known_keys(schema, details["loc"])
             name = str(details["loc"][-1])
             return document.problem(key, f"unknown key{did_you_mean(name, known)}")
         case "missing":
-            return document.problem(key, "is missing")
+            return document.problem(key, MISSING)
         case "value_error" | "assertion_error":
             message = str(context.get("error", details["msg"]))
             return document.problem(key if key in document.places else key[:-1], message)
         case "union_tag_not_found":
-            return document.problem((*key, "kind"), "is missing")
+            return document.problem((*key, "kind"), MISSING)
         case "union_tag_invalid":
             tag, tags = str(context["tag"]), str(context["expected_tags"])
             guess = did_you_mean(tag, [t.strip(" '") for t in tags.split(",")])
             return document.problem((*key, "kind"), f"{tag!r} is not one of {tags}{guess}")
     value = details["input"]
-    shown = "" if isinstance(value, dict | list) else f" = {value!r}"
+    shown = "" if isinstance(value, dict | list) else f" = {reprlib.repr(value)}"
     hint = ""
     if isinstance(value, str) and re.match(r"^[-+0-9.]+\s*[a-zA-Z°]", value):
         hint = "; write the number alone, its unit is in the key's name"
@@ -205,14 +214,13 @@ def _problem(document: Document, details: ErrorDetails, model: type[BaseModel]) 
 def _mistaken_unit(name: str, value: float, limit: float) -> str:
     """What to say of a value that would be possible in the smaller unit; '' if it would not."""
     for ending, factor, advice in _SMALLER_UNITS:
-        if name.endswith(ending) and value / factor <= limit:
+        if name.endswith(ending) and value <= limit * factor:
             return f"; {advice}"
     return ""
 
 
-def _known_keys(data: Any, loc: tuple[int | str, ...], model: type[BaseModel]) -> list[str]:
+def _known_keys(schema: dict[str, Any], loc: tuple[int | str, ...]) -> list[str]:
     """Names allowed where `loc` is, read from the model's JSON schema."""
-    schema = model.model_json_schema()
     node: dict[str, Any] = schema
     for part in loc[:-1]:
         node = _resolved(schema, node)
@@ -229,12 +237,3 @@ def _resolved(schema: dict[str, Any], node: dict[str, Any]) -> dict[str, Any]:
     while "$ref" in node:
         node = schema["$defs"][node["$ref"].rsplit("/", 1)[-1]]
     return node
-
-
-def did_you_mean(name: str, known: Sequence[str]) -> str:
-    """'; did you mean …?', comparing names with and without their unit."""
-    bare = {_UNITS.sub("", k): k for k in known}
-    close = difflib.get_close_matches(name, known, 1, 0.6)
-    if not close:
-        close = [bare[b] for b in difflib.get_close_matches(_UNITS.sub("", name), bare, 1, 0.6)]
-    return f"; did you mean {close[0]!r}?" if close else f"; known here: {', '.join(known)}"

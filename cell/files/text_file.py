@@ -1,0 +1,59 @@
+"""Text files that a person gave, read within bounds of size."""
+
+from __future__ import annotations
+
+import json
+import stat
+from pathlib import Path
+from typing import Any
+
+from cell.files.input_error import InputError
+
+#: No JSON that the program writes comes near to it: a model has some kilobytes.
+MAX_JSON_BYTES = 10_000_000
+
+
+def read_text(path: Path, max_bytes: int) -> str:
+    """Text of a regular file in UTF-8, a byte order mark left out.
+
+    raises  InputError: it is missing, no regular file (a pipe would be waited for), no text, or
+            larger than `max_bytes`
+    """
+    try:
+        state = path.stat()
+        if not stat.S_ISREG(state.st_mode):
+            kind = "a folder" if stat.S_ISDIR(state.st_mode) else "a pipe or a device"
+            raise InputError.at(path, f"is {kind}; give the name of a text file", column=1)
+        if state.st_size > max_bytes:
+            raise InputError.at(
+                path,
+                f"has {state.st_size / 1e6:.3g} MB, limit {max_bytes / 1e6:g} MB; "
+                "is this the file that is meant? Leave out what is not needed",
+                column=1,
+            )
+        return path.read_bytes().decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError.at(
+            path, "cannot be read: is not UTF-8 text; save it as UTF-8", column=1
+        ) from error
+    except OSError as error:
+        raise InputError.at(path, f"cannot be read: {error.strerror}", column=1) from error
+    except ValueError as error:  # a name that no file can have
+        if isinstance(error, InputError):
+            raise
+        raise InputError.at(path, f"cannot be read: {error}", column=1) from error
+
+
+def read_json_object(path: Path) -> dict[str, Any]:
+    """The JSON object in a file.  Raises InputError: it cannot be read, or is something else."""
+    text = read_text(path, MAX_JSON_BYTES)
+    try:
+        data = json.loads(text)
+    except json.JSONDecodeError as error:
+        message = f"is not JSON: {error.msg}"
+        raise InputError.at(path, message, line=error.lineno, column=error.colno) from error
+    except RecursionError as error:
+        raise InputError.at(path, "is nested too deeply for what it may hold", column=1) from error
+    if not isinstance(data, dict):
+        raise InputError.at(path, "must hold one JSON object", column=1)
+    return data

@@ -1,0 +1,137 @@
+"""Whether a trial can be of the cable that its study describes: frame, order of markers, clock.
+
+A model can be fitted to mirrored or reversed markers too, with intervals and all.  What no cable
+does is refused here; what only a rare cable does is a doubt that is told and left to the reader.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable.geometry import Cable, Motion
+from cell.study.data import Trial
+
+FloatArray = NDArray[np.float64]
+Gravity = tuple[float, float]
+
+#: Room for noise, a slipping grip and a camera whose scale is off, as a share of the free length.
+SLACK = 0.1
+#: The hand has moved when it is farther than this from where it began, m and rad.
+STILL_M, STILL_RAD = 1e-3, 0.01
+#: Of a clamp steeper than this nobody can say to which side the cable leaves it, rad.
+SIDEWAYS_RAD = np.pi / 3
+#: A cable that hangs swings about like a rod of its length, in 5.1 √(L/g), or as a bead at the end
+#: of a thread in 6.3 √(L/g); bending makes it faster.
+SLOWEST = 2.0 * np.pi
+
+
+def impossible(
+    trial: Trial, cable: Cable, arc_length_m: FloatArray, gravity_m_per_s2: Gravity
+) -> str | None:
+    """Why no cable looks like this, and what is likely meant; None if one may.
+
+    arc_length_m  (markers,) from the gripping point, as in `trial.markers`
+    """
+    grip, t_s = trial.grip, trial.markers.t_s
+    seen = np.isfinite(trial.markers.xy_m).all(axis=2).any(axis=0)
+    if not seen.any():
+        return None
+    arcs, from_grip = arc_length_m[seen], _from_grip(trial)[:, seen]
+    length_m = cable.free_length_m
+    return (
+        _too_far(arcs, length_m, from_grip)
+        or _on_the_wrong_side(arcs, length_m, grip.angle_rad[0], from_grip[_still(grip, t_s)])
+        or _clock(length_m, float(np.hypot(*gravity_m_per_s2)), t_s)
+    )
+
+
+def doubt(
+    trial: Trial, cable: Cable, arc_length_m: FloatArray, gravity_m_per_s2: Gravity
+) -> str | None:
+    """What a cable hardly does, and what may be meant; None if all is as usual."""
+    grip, size = trial.grip, float(np.hypot(*gravity_m_per_s2))
+    still = _still(grip, trial.markers.t_s)
+    angle = grip.angle_rad[0]
+    if not still.any() or size == 0.0 or abs(np.cos(angle)) < np.cos(SIDEWAYS_RAD):
+        return None
+    along = -arc_length_m[:, None] * np.array([np.cos(angle), np.sin(angle)])
+    sag_m = (_from_grip(trial)[still] - along) @ (np.array(gravity_m_per_s2) / size)
+    seen = np.isfinite(sag_m).any(axis=0)
+    if not seen.any():
+        return None
+    tip = int(np.argmax(np.where(seen, arc_length_m, -1.0)))
+    lift_m = -float(np.nanmedian(sag_m[:, tip]))
+    if lift_m <= SLACK * cable.free_length_m:
+        return None
+    return (
+        f"at rest the cable rises {lift_m * 1e3:.3g} mm above the clamp's direction, against "
+        "gravity; unless it is naturally curved, check the signs of y_m (up), angle_rad "
+        "(positive = pointing down) and gravity_m_per_s2"
+    )
+
+
+def _from_grip(trial: Trial) -> FloatArray:
+    """(T, markers, 2) from the gripping point, m."""
+    grip, markers = trial.grip, trial.markers
+    at_m = np.column_stack([np.interp(markers.t_s, grip.t_s, v) for v in (grip.x_m, grip.y_m)])
+    return np.asarray(markers.xy_m - at_m[:, None], dtype=np.float64)
+
+
+def _still(grip: Motion, t_s: FloatArray) -> NDArray[np.bool_]:
+    """(T,) frames before the hand moves."""
+    moved = np.hypot(grip.x_m - grip.x_m[0], grip.y_m - grip.y_m[0]) > STILL_M
+    moved |= np.abs(grip.angle_rad - grip.angle_rad[0]) > STILL_RAD
+    return t_s < (grip.t_s[np.argmax(moved)] if moved.any() else np.inf)
+
+
+def _too_far(arcs: FloatArray, free_length_m: float, from_grip: FloatArray) -> str | None:
+    distance_m = np.nanmedian(np.linalg.norm(from_grip, axis=2), axis=0)
+    slack_m = SLACK * free_length_m
+    excess_m = distance_m - arcs
+    worst = int(np.nanargmax(excess_m))
+    if excess_m[worst] <= slack_m:
+        return None
+    turned = np.all(distance_m <= free_length_m - arcs + slack_m)
+    remedy = (
+        "the markers fit when counted from the other end: turn markers.arc_length_m round"
+        if turned and len(arcs) > 1
+        else "check arc_length_m, the metres of both files, and that both have the same frame"
+    )
+    return (
+        f"the marker at arc length {arcs[worst]:g} m is {distance_m[worst]:.3g} m from the "
+        f"gripping point, farther than any cable lets it; {remedy}"
+    )
+
+
+def _on_the_wrong_side(
+    arcs: FloatArray, free_length_m: float, angle_rad: float, at_rest: FloatArray
+) -> str | None:
+    cosine = float(np.cos(angle_rad))
+    seen = np.isfinite(at_rest[:, :, 0]).any(axis=0)
+    if not seen.any() or abs(cosine) < np.cos(SIDEWAYS_RAD):
+        return None
+    # Gravity is upright: it bends a cable down, never back over its clamp.
+    arcs, beyond_m = arcs[seen], np.nanmedian(at_rest[:, seen, 0], axis=0) * np.sign(cosine)
+    worst = int(np.argmax(beyond_m))
+    if beyond_m[worst] <= SLACK * free_length_m:
+        return None
+    side = "right" if cosine > 0.0 else "left"
+    return (
+        f"at rest the marker at arc length {arcs[worst]:g} m is {beyond_m[worst]:.3g} m {side} of "
+        f"the gripping point; with angle_rad = {angle_rad:g} the cable leaves it to the "
+        "other side: change the sign of x_m in both files, or give the clamp angle as π − angle"
+    )
+
+
+def _clock(free_length_m: float, gravity_m_per_s2: float, t_s: FloatArray) -> str | None:
+    if gravity_m_per_s2 == 0.0:
+        return None
+    slowest_s = SLOWEST * np.sqrt(free_length_m / gravity_m_per_s2)
+    step_s = float(np.median(np.diff(t_s)))
+    if step_s <= 0.5 * slowest_s:
+        return None
+    return (
+        f"frames are {step_s:.3g} s apart, yet a cable of {free_length_m:g} m swings to and fro "
+        f"within {slowest_s:.2g} s; give t_s in seconds, with several frames per swing"
+    )

@@ -1,0 +1,104 @@
+"""A YAML file is read within bounds, and whatever is wrong with it is named at its place."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import pytest
+from pydantic import BaseModel, ConfigDict, Field
+
+from cell.files.input_error import InputError
+from cell.files.yaml_document import MAX_BYTES, MAX_PROBLEMS, read_yaml, validate, yaml_text
+
+
+class Small(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+    size_m: Annotated[float, Field(gt=0.0, le=10.0)] = 1.0
+    count: int = 1
+    pair: tuple[float, float] = (0.0, 1.0)
+
+
+def complaint(folder: Path, text: str | bytes) -> str:
+    path = folder / "given.yaml"
+    path.write_bytes(text.encode() if isinstance(text, str) else text)
+    with pytest.raises(InputError) as caught:
+        validate(read_yaml(path), Small)
+    assert all(str(p).startswith(f"{path}:{p.line}:{p.column}: ") for p in caught.value.problems)
+    return str(caught.value)
+
+
+BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
+    f"{b}: &{b} [{', '.join([f'*{a}'] * 9)}]\n" for a, b in zip("abcdefgh", "bcdefghi", strict=True)
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("[" * 20_000, "nested deeper than 20 levels"),
+        ("a: " + "{a: " * 3_000, "nested deeper than 20 levels"),
+        ("a: " + "[" * 30 + "]" * 30, "nested deeper than 20 levels"),
+        ("a: &a [*a]", "nested deeper than 20 levels"),
+        (BOMB, "makes more than 100000 entries, aliases counted"),
+        ("x" * (MAX_BYTES + 1), "limit 0.2 MB"),
+        ("size_m: true", "size_m: input should be a valid number (got True)"),
+        ("size_m: '1'", "size_m: input should be a valid number (got '1')"),
+        ("count: 1.5", "count: input should be a valid integer"),
+        ("size_m: " + "9" * 5000, "size_m: cannot be read as a value"),
+        ("size_m: " + "9" * 4000, "size_m: input should be"),
+        ("size_m: " + "x" * 9000, "input should be a valid number (got 'xxx"),
+        ("size_m: 2020-13-45", "size_m: cannot be read as a value"),
+        ("size_m: 2020-01-01", "size_m: input should be a valid number"),
+        ("size_m: !!python/object/apply:os.getcwd []", "input should be a valid number"),
+        ("size_m: !mine 1", "is not YAML: could not determine a constructor"),
+        ("size_m: \x00", "is not YAML"),
+        (b"size_m: \xff", "is not UTF-8 text; save it as UTF-8"),
+        ("a: 1\n---\nb: 2\n", "is not YAML: but found another document"),
+        ("size_m: [1", "check indentation, quotes, brackets"),
+        ("? [a, b]\n: 1\n", "unknown key"),
+        ('"size_m\\e[2J": 1', r"'size_m\x1b[2J': unknown key; did you mean 'size_m'?"),
+        ("size_m: 1\nsize_m: 2", "size_m: given twice, first in line 1; remove one"),
+    ],
+)
+def test_what_cannot_be_meant_is_named(tmp_path: Path, text: str | bytes, says: str) -> None:
+    told = complaint(tmp_path, text)
+    assert says in told
+    assert len(told) < 1000
+
+
+def test_of_very_many_mistakes_the_first_are_told(tmp_path: Path) -> None:
+    told = complaint(tmp_path, "".join(f"k{i}: 1\n" for i in range(10_000))).splitlines()
+    assert len(told) == MAX_PROBLEMS + 1
+    assert "given.yaml:1:1: k0: unknown key" in told[0]
+    assert "and 9980 more; mend these first" in told[-1]
+
+
+def test_what_is_no_regular_file_is_refused_and_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for path, kind in (
+        (tmp_path / "pipe", "a pipe or a device"),
+        (Path("/dev/zero"), "a pipe or a device"),
+        (tmp_path, "a folder"),
+    ):
+        with pytest.raises(InputError, match=f"{path}:1:1: is {kind}; give the name of a text"):
+            read_yaml(path)
+    with pytest.raises(InputError, match="cannot be read: File name too long"):
+        read_yaml(tmp_path / ("x" * 5000))
+
+
+def test_an_alias_may_save_writing(tmp_path: Path) -> None:
+    path = tmp_path / "alias.yaml"
+    path.write_text("a: &a {x: 1e-5, y: no}\nb: *a\n")
+    assert read_yaml(path).data == {"a": {"x": 1e-5, "y": "no"}, "b": {"x": 1e-5, "y": "no"}}
+
+
+def test_what_is_written_is_read_back_in_its_order(tmp_path: Path) -> None:
+    data = {"z": 1e-5, "a": [0.1, {"é": "\x1b:"}], "n": None, "t": True, "s": "1e-5", "o": "no"}
+    path = tmp_path / "written.yaml"
+    path.write_text(yaml_text(data), encoding="utf-8")
+    read = read_yaml(path).data
+    assert read == data
+    assert list(read) == list(data)

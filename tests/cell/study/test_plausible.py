@@ -1,0 +1,166 @@
+"""Measurements that no cable makes are refused where they are read; what is merely odd is told."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cell.cable.dynamics import simulate
+from cell.cable.geometry import Cable, Motion
+from cell.cable.model import CableModel
+from cell.files.input_error import InputError
+from cell.study.data import Markers, Study, Trial
+from cell.study.folder import MAX_FRAMES, read_study, write_study
+
+Change = Callable[[Study], Study]
+
+
+@pytest.fixture(scope="module")
+def swung() -> Study:
+    """A simulated cable that is jerked down and swings."""
+    t = np.arange(0.0, 1.2, 0.005)
+    x = np.clip((t - 0.2) / 0.3, 0.0, 1.0)
+    grip = Motion(t, 0.3 + 0 * t, 0.2 - 0.05 * x**3 * (10 - 15 * x + 6 * x**2), 0.1 + 0 * t)
+    arcs = np.linspace(0.1, 0.0, 6)
+    cable = Cable(0.1, 0.0074, 0.016, 1e-4)
+    model = CableModel(cable, 3e-5, viscosity_n_m2_s=1e-7)
+    xy_m = simulate(model, grip, t, arcs)[0]
+    xy_m = xy_m + np.random.default_rng(1).normal(0.0, 1e-4, xy_m.shape)
+    return Study("s", cable, arcs, (Trial("a", "fit", "equilibrium", grip, Markers(t, xy_m)),))
+
+
+def with_trial(study: Study, *, grip: Motion | None = None, **markers: np.ndarray) -> Study:
+    trial = study.trials[0]
+    trial = replace(trial, grip=grip or trial.grip, markers=replace(trial.markers, **markers))
+    return replace(study, trials=(trial,))
+
+
+def mirrored(study: Study) -> Study:
+    trial = study.trials[0]
+    grip = replace(trial.grip, x_m=-trial.grip.x_m)
+    return with_trial(study, grip=grip, xy_m=trial.markers.xy_m * [-1.0, 1.0])
+
+
+def y_down(study: Study) -> Study:
+    trial = study.trials[0]
+    grip = replace(trial.grip, y_m=-trial.grip.y_m, angle_rad=-trial.grip.angle_rad)
+    return with_trial(study, grip=grip, xy_m=trial.markers.xy_m * [1.0, -1.0])
+
+
+def slower(factor: float) -> Change:
+    def change(study: Study) -> Study:
+        trial = study.trials[0]
+        grip = replace(trial.grip, t_s=trial.grip.t_s * factor)
+        return with_trial(study, grip=grip, t_s=trial.markers.t_s * factor)
+
+    return change
+
+
+def reversed_markers(study: Study) -> Study:
+    return with_trial(study, xy_m=study.trials[0].markers.xy_m[:, ::-1])
+
+
+def only(marker: int, change: Change) -> Change:
+    """The same of a study in which a single marker was seen."""
+
+    def changed(study: Study) -> Study:
+        xy_m = change(study).trials[0].markers.xy_m.copy()
+        xy_m[:, np.arange(6) != marker] = np.nan
+        return with_trial(change(study), xy_m=xy_m)
+
+    return changed
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (reversed_markers, "turn markers.arc_length_m round"),
+        (only(0, lambda s: with_trial(s, xy_m=s.trials[0].markers.xy_m - 0.03)), "farther than"),
+        (mirrored, "change the sign of x_m in both files"),
+        (only(0, mirrored), "change the sign of x_m in both files"),
+        (slower(1000.0), "give seconds, not milliseconds"),
+        (slower(200.0), "limit 30 s; give seconds"),
+        (
+            lambda s: replace(s, gravity_m_per_s2=(0.0, 9.81)),
+            "study.yaml:8:1: gravity_m_per_s2: [0.0, 9.81] points up",
+        ),
+        (
+            lambda s: with_trial(
+                slower(24.0)(s), **{
+                    "t_s": s.trials[0].markers.t_s[::60] * 24.0,
+                    "xy_m": s.trials[0].markers.xy_m[::60],
+                }
+            ),
+            "frames are 7.2 s apart, yet a cable of 0.1 m swings to and fro within 0.63 s",
+        ),
+    ],
+)  # fmt: skip
+def test_what_no_cable_does_is_refused(
+    swung: Study, tmp_path: Path, change: Change, says: str
+) -> None:
+    write_study(change(swung), tmp_path)
+    with pytest.raises(InputError) as caught:
+        read_study(tmp_path)
+    assert says in str(caught.value)
+    assert len(caught.value.problems) == 1
+
+
+def test_y_downwards_is_doubted(swung: Study, tmp_path: Path) -> None:
+    """A naturally curved cable may rise, so this alone is no reason to refuse a study."""
+    write_study(y_down(swung), tmp_path)
+    (note,) = read_study(tmp_path).notes
+    assert "a/markers.csv: at rest the cable rises" in note
+    assert "check the signs of y_m" in note
+
+
+@pytest.mark.parametrize("turn", [0.0, np.pi])
+def test_a_cable_may_leave_the_clamp_to_either_side(
+    swung: Study, tmp_path: Path, turn: float
+) -> None:
+    study = swung
+    if turn:
+        trial = mirrored(swung).trials[0]
+        grip = replace(trial.grip, angle_rad=np.pi - trial.grip.angle_rad)
+        study = replace(swung, trials=(replace(trial, grip=grip),))
+    write_study(study, tmp_path)
+    assert read_study(tmp_path).notes == ()
+
+
+def test_more_frames_than_a_swing_needs_are_thinned_and_that_is_said(
+    swung: Study, tmp_path: Path
+) -> None:
+    trial = swung.trials[0]
+    t_s = np.linspace(0.0, 1.19, 2 * MAX_FRAMES + 1)
+    frames = np.searchsorted(trial.markers.t_s, t_s, side="right") - 1
+    write_study(with_trial(swung, t_s=t_s, xy_m=trial.markers.xy_m[frames]), tmp_path)
+    read = read_study(tmp_path)
+    assert np.array_equal(read.trials[0].markers.t_s, t_s[::3])
+    assert "one of every 3 of the 10001 frames is taken" in read.notes[0]
+
+
+def test_half_a_million_rows_are_refused_at_once(swung: Study, tmp_path: Path) -> None:
+    write_study(swung, tmp_path)
+    path = tmp_path / "a" / "grip.csv"
+    path.write_text("t_s,x_m,y_m,angle_rad\n" + "0,0,0,0\n" * 500_000)
+    with pytest.raises(InputError, match=r"grip.csv:60000: has 500001 rows, limit 60000; cut"):
+        read_study(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("t_s,x_m,y_m,angle_rad\n0,0,0,0\n" + '"' + "x" * 200_000, ":3: is not CSV: field larger"),
+        ("t_s,x_m,y_m,angle_rad\n0,0,0,0\n1,\0,0,0\n", ":3: x_m: '\\x00' is not a number"),
+        ("t_s,x_m,y_m,angle_rad\n0,0,0,0\n1,1e300,0,0\n", ":3: x_m: 1e+300 is beyond ±100 m"),
+    ],
+)
+def test_what_is_no_table_is_refused(swung: Study, tmp_path: Path, text: str, says: str) -> None:
+    write_study(swung, tmp_path)
+    (tmp_path / "a" / "grip.csv").write_text(text)
+    with pytest.raises(InputError) as caught:
+        read_study(tmp_path)
+    assert f"grip.csv{says}" in str(caught.value)
