@@ -27,6 +27,8 @@ _MATTERS = 1.3
 #: standard deviations: one of 25 moves a tip by 0.11 mm and is wrong by 0.5 µm.  That the log of
 #: the hand went on otherwise than predicted does more, up to 10 µm.
 _ONE_STEP = gauss_newton.Options(tolerance=30.0, most_passes=1)
+#: What is tried when a fit does not converge, one after the other; then the nearest is taken.
+_CONTINUED, _RESTARTED = "continued", "restarted"
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,10 @@ def fit(
     previous      fit of the same parameters to fewer frames of the same trials: where to start;
                   None = start from a row of uniform cables
     predicted      what was simulated from there already, if there is but one trial
-    raises        FitError: nothing seen, no still frames and no noise given, no convergence
+    A fit that does not converge is continued, then begun anew, with frames that weigh less; then
+    the nearest model found is taken, with its error.
+    raises        FitError: nothing seen, no still frames and no noise given, nothing that can be
+                  simulated
     """
     if not any(np.isfinite(t.markers.xy_m).any() for t in trials):
         raise FitError("no marker is seen in any frame")
@@ -83,7 +88,7 @@ def fit(
     else:
         start = previous.mean
     widened = 1.0 if previous is None else previous.inflation
-    passes = 0
+    passes, attempts = 0, [_CONTINUED, _RESTARTED]
     while True:
         # frames with errors beyond the camera's noise weigh less against prior and constant errors
         used = replace(noise, std_m=noise.std_m * float(np.sqrt(widened)))
@@ -98,9 +103,15 @@ def fit(
         if predicted is not None and not solution.converged:
             predicted = None
             continue
-        if not solution.converged:
-            raise FitError(f"the fit does not converge ({passes} passes)")
         further = variance_inflation(solution.residual, whiteners, len(start))
+        if not solution.converged and attempts:
+            # what the model lacks makes the way rough; frames that weigh less make it smooth
+            widened *= max(further, _MATTERS)
+            if attempts.pop(0) == _CONTINUED:
+                start = solution.q
+            else:
+                start = _cold_start(trials, arc_length_m, space, noise, options)
+            continue
         if further < _MATTERS or widened > 1.0:
             break
         widened, start = further, start if predicted is not None else solution.q
@@ -113,6 +124,8 @@ def fit(
         covariance=solution.covariance * further + hand_covariance,
         noise=noise,
         residual_rms_m=rms_m(solution.residual, whiteners),
+        model_error_m=tip_error_m(solution.residual, whiteners, arc_length_m, noise),
+        converged=solution.converged,
         inflation=widened * further,
         frames_used=sum(frames_seen(t) for t in trials),
         frames_total=sum(len(t.markers.t_s) for t in trials),
@@ -120,6 +133,22 @@ def fit(
         method="map",
         hand_covariance=hand_covariance,
     )
+
+
+def tip_error_m(
+    white_residual: FloatArray,
+    whiteners: Sequence[Whitener],
+    arc_length_m: FloatArray,
+    noise: Noise,
+) -> float:
+    """Root mean square of what the model misses at the tip, beyond the noise, m."""
+    tip, square, count, begin = int(np.argmax(arc_length_m)), 0.0, 0, 0
+    for whitener in whiteners:
+        error = whitener.error_m(white_residual[begin : begin + whitener.rows])[:, tip]
+        begin += whitener.rows
+        square += float(np.nansum(error**2))
+        count += int(np.isfinite(error).sum())
+    return float(np.sqrt(max(0.0, square / max(1, count) - noise.std_m**2)))
 
 
 def _hand_covariance(

@@ -36,6 +36,8 @@ class Identified:
     passes          batches of simulations it took
     method          "map" or "paper"
     hand_covariance (p, p) share of the hand's errors in `covariance`
+    model_error_m   what the model misses at the tip beyond the noise, root mean square, m
+    converged       False: the nearest model that was found, not a minimum
     """
 
     space: ParameterSpace
@@ -49,6 +51,8 @@ class Identified:
     passes: int
     method: Literal["map", "paper"]
     hand_covariance: FloatArray
+    model_error_m: float = 0.0
+    converged: bool = True
 
     @property
     def model(self) -> CableModel:
@@ -109,6 +113,8 @@ class Identified:
             "hand_covariance": self.hand_covariance.tolist(),
             "noise": dict(vars(self.noise)),
             "residual_rms_m": self.residual_rms_m,
+            "model_error_m": self.model_error_m,
+            "converged": self.converged,
             "inflation": self.inflation,
             "frames_used": self.frames_used,
             "frames_total": self.frames_total,
@@ -162,6 +168,8 @@ class Identified:
                 int(data["passes"]),
                 data["method"],
                 np.array(data["hand_covariance"], dtype=np.float64),
+                float(data.get("model_error_m", 0.0)),
+                bool(data.get("converged", True)),
             )
         except (KeyError, TypeError) as error:
             raise ValueError(f"model: missing or mistyped entry {error}") from error

@@ -17,6 +17,7 @@ from cell.identify.fit import (
     predict,
     rms_m,
     still_noise,
+    tip_error_m,
     variance_inflation,
     whiteners_of,
 )
@@ -124,7 +125,7 @@ def fit_as_paper(
     trial         begins with still frames; markers at equal distances, tip first, the last at the
                   gripping point
     returns       EI at as many knots as there are markers
-    raises        FitError: no still frames, too little bending, no convergence
+    raises        FitError: no still frames, too little bending
     source        the paper, sec. 4.  Departs: "select appropriate values" is least squares over
                   all frames, in which every trial value of N brings its own K_i
     """
@@ -166,8 +167,6 @@ def fit_as_paper(
     solution = gauss_newton.minimise(
         problem, _best_start(residuals, space.mean[swing]), options.minimiser
     )
-    if not solution.converged:
-        raise FitError(f"the fit of N and C does not converge ({solution.passes} passes)")
     inflation = variance_inflation(solution.residual, whiteners, len(space.mean))
     return Identified(
         space=space,
@@ -181,6 +180,8 @@ def fit_as_paper(
         passes=solution.passes,
         method="paper",
         hand_covariance=np.zeros((n + 3, n + 3)),
+        model_error_m=tip_error_m(solution.residual, whiteners, arc_length_m, noise),
+        converged=solution.converged,
     )
 
 

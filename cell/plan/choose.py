@@ -28,12 +28,16 @@ class ChoiceOptions:
     samples           of the uncertain parameters, a power of 2
     repeatability_m   standard deviation of the tip's height for reasons that are not the cable's:
                       arm, camera, draught
+    model_error_growth   standard deviation of the tip's height for what the model lacks, per
+                      `Identified.model_error_m`: a fit hides in the motion that it was made from
+                      what shows in another
     least_probability below which no offset is taken
     interval_s        between the instants at which a tip is compared with the destination
     """
 
     samples: int = 64
     repeatability_m: float = 1e-4
+    model_error_growth: float = 2.0
     least_probability: float = 0.9
     interval_s: float = 0.005
 
@@ -149,7 +153,8 @@ def choose(
     deviates = _deviates(len(identified.mean) + 1, options.samples)
     shift = deviates[:, :-1] @ identified.root.T
     tips = expected.tip_m[:, None] + np.einsum("otcp,sp->ostc", expected.sensitivity, shift)
-    tips[..., 1] += options.repeatability_m * deviates[:, -1:]
+    missed_m = options.model_error_growth * identified.model_error_m
+    tips[..., 1] += float(np.hypot(missed_m, options.repeatability_m)) * deviates[:, -1:]
     margins = destination.margin_m(tips)
     probable = destination.margin_m(expected.tip_m)
     table = tuple(
@@ -165,6 +170,11 @@ def choose(
             f"{best.offset_m * 1e3:.0f} mm, with {best.probability:.2f} "
             f"(margin {best.margin_m * 1e3:+.2f} mm)"
         )
+        if missed_m > options.repeatability_m:
+            reason += (
+                f"; the model misses this cable's tip by {identified.model_error_m * 1e3:.2f} mm "
+                "while it swings"
+            )
     return Choice(best, table, reason, expected.t_s, expected.tip_m[index])
 
 

@@ -116,3 +116,15 @@ def test_longer_steps_are_good_enough_for_slopes(expected: Forecast, motions: li
 def test_one_motion_per_offset(motions: list[Motion]) -> None:
     with pytest.raises(ValueError, match="3 offsets but 2 motions"):
         forecast(identified(0.01), OFFSETS_M, motions[:2])
+
+
+def test_what_the_model_misses_lowers_the_probability_and_is_the_reason(expected: Forecast) -> None:
+    """5 mm at the tip are 10 mm in the forecast: ± 4 mm lets pass at most 2 Φ(0.4) − 1."""
+    hole = hole_around(expected, 1, 0.004)
+    exact = replace(identified(1e-4), model_error_m=0.0)
+    right = choose(expected, exact, hole)
+    wrong = choose(expected, replace(exact, model_error_m=5e-3), hole)
+    assert right.chosen and right.best.probability == 1.0
+    assert not wrong.chosen
+    assert wrong.best.probability < 0.32
+    assert "misses this cable's tip by 5.00 mm while it swings" in str(wrong.reason)
