@@ -1,17 +1,27 @@
-"""What is installed where: dependencies without a wheel for a machine are left out there."""
+"""What is installed where, how long functions are, and which modules call devices."""
 
 from __future__ import annotations
 
+import ast
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
 
-PROJECT = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text(encoding="utf-8"))[
-    "project"
-]
+from drivers.interfaces import Arm, Camera, Gripper
+
+ROOT = Path(__file__).parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+
+MOST_LINES, MOST_PARAMETERS = 80, 8
+#: Loops that numba compiles: what they call costs time, and they take arrays, not objects.
+KERNEL = ("njit", "compiled", "inline")
+
+#: The modules that call devices; everything else works with what these hand on.
+CALLERS = {"steps", "dry_run", "filming", "waiting", "watch"}
 
 
 def installed(python: str, machine: str, system: str = "linux") -> set[str]:
@@ -43,3 +53,49 @@ def test_ur_rtde_is_installed_where_there_is_a_wheel_and_the_rest_everywhere(
     names = installed(python, machine, system)
     assert ("ur-rtde" in names) is has_wheel
     assert names | {"ur-rtde"} == {Requirement(r).name for r in PROJECT["dependencies"]}
+
+
+def sources(*folders: str) -> Iterator[tuple[Path, ast.Module]]:
+    for folder in folders:
+        for path in sorted((ROOT / folder).rglob("*.py")):
+            yield path.relative_to(ROOT), ast.parse(path.read_text(encoding="utf-8"))
+
+
+def test_functions_are_short_and_have_few_parameters() -> None:
+    wrong = []
+    for path, tree in sources("cell", "drivers", "calib", "tools"):
+        for node in ast.walk(tree):
+            if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                continue
+            if any(ast.unparse(d).startswith(KERNEL) for d in node.decorator_list):
+                continue
+            given = node.args.posonlyargs + node.args.args + node.args.kwonlyargs
+            parameters = [a for a in given if a.arg not in ("self", "cls")]
+            lines = (node.end_lineno or node.lineno) - node.lineno + 1
+            if lines > MOST_LINES or len(parameters) > MOST_PARAMETERS:
+                where = f"{path}:{node.lineno} {node.name}"
+                wrong.append(f"{where}: {lines} lines, {len(parameters)} parameters")
+    assert not wrong, "\n".join(wrong)
+
+
+def test_only_a_few_modules_call_devices() -> None:
+    """A call of a method of arm, camera or gripper, on something that is called like one."""
+    methods = {
+        name
+        for kind in (Arm, Camera, Gripper)
+        for name, value in vars(kind).items()
+        if callable(value) and not name.startswith("_")
+    }
+    assert {"follow", "read", "grip"} <= methods
+    calls = [
+        (path, node.lineno)
+        for path, tree in sources("cell")
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call)
+        and isinstance(node.func, ast.Attribute)
+        and node.func.attr in methods
+        and ast.unparse(node.func.value).rpartition(".")[2].lstrip("_")
+        in ("arm", "camera", "gripper")
+    ]
+    found = {path for path, _ in calls if path.parts[1] != "simulated"}
+    assert found == {Path("cell", "run", f"{name}.py") for name in CALLERS}, calls

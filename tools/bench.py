@@ -14,6 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from cell.cable.sensitivity import sensitivities
 
 from cell.cable import layout as at
 from cell.cable.assembly import assemble
@@ -22,7 +23,6 @@ from cell.cable.effects import air as air_family
 from cell.cable.effects import library, load_effect
 from cell.cable.geometry import Cable, Motion
 from cell.cable.model import CableModel
-from cell.cable.sensitivity import sensitivities
 from cell.cable.statics import settle
 from cell.cable.stepping import integrate
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from calib.plane import PlaneView
 from cell.vision.detect import VisionOptions, detect, detect_all
-from drivers.sim.render import RenderOptions, empty_scene, render
+from drivers.sim.render import Rates, RenderOptions, empty_scene, render
 
 
 def swing(frames: int):
@@ -51,9 +51,7 @@ def main() -> None:
     for line, height, speed in zip(lines, heights, speeds, strict=True):
         grip = (0.05, float(height), 0.0)
         still = (float(speed[-1, 0]), float(speed[-1, 1]), 0.0)
-        images.append(
-            render(line, grip, view.homography, scene, rng, cable_m_per_s=speed, grip_per_s=still)
-        )
+        images.append(render(line, grip, view.homography, scene, rng, rates=Rates(speed, still)))
     print(f"rendered     {count / (time.perf_counter() - start):7.0f} frames/s (first compiles)")
     times = 0.005 * np.arange(count)
     background = empty_scene(scene)

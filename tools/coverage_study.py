@@ -29,7 +29,7 @@ from cell.plan.paths import MotionLimits, executed_motion, identification_path
 from cell.study.data import Trial
 from cell.vision.detect import VisionOptions, detect_all
 from drivers.interfaces import Image, Pose
-from drivers.sim.render import RenderOptions, render
+from drivers.sim.render import Rates, RenderOptions, render
 
 FloatArray = NDArray[np.float64]
 
@@ -138,8 +138,7 @@ def photographed(
                 VIEW.homography,
                 scene,
                 rng,
-                cable_m_per_s=(after - before) / 4e-4,
-                grip_per_s=tuple((later - earlier) / 2e-4),
+                rates=Rates((after - before) / 4e-4, tuple((later - earlier) / 2e-4)),
             )
             yield t, image
 

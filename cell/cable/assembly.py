@@ -73,9 +73,6 @@ def _block(
     if np.any(total < 0.1 * nominal):
         raise ValueError("extra_length of the effects leaves less than a tenth of the cable")
     length = total / n
-    density = each(lambda m: m.cable.line_density_kg_per_m)
-    inertia = np.array([_inertia(m) for m in models]).reshape(w, 2)
-    tip = each(lambda m: _sum(m, "tip_mass"))
     compliance, lag = np.array([_grip(m) for m in models]).T
 
     part = np.ones((n + 1, 1))
@@ -91,14 +88,8 @@ def _block(
     def put(field: int, value: Any) -> None:
         state[:, field, :w] = value
 
-    knots = {m.rigidity_n_m2.size for m in models}
-    log_rigidity = np.empty((n + 1, w))
-    for k in knots:
-        basis = knot_basis(k, tuple(hinge_fraction))
-        chosen = [i for i, m in enumerate(models) if m.rigidity_n_m2.size == k]
-        log_rigidity[:, chosen] = basis @ np.log([models[i].rigidity_n_m2 for i in chosen]).T
     power = 0.5 * (each(lambda m: m.exponent) - 1.0)
-    put(at.RIGIDITY, np.exp(log_rigidity))
+    put(at.RIGIDITY, np.exp(_log_rigidity(models, hinge_fraction)))
     put(at.PER_LENGTH, 1.0 / (end * length))
     put(at.VISCOSITY, each(lambda m: m.viscosity_n_m2_s))
     put(at.POWER, power)
@@ -112,21 +103,7 @@ def _block(
     state[0, at.FREE, :w] = compliance > 0.0
     state[0, at.SPRING, :w] = 1.0 / np.where(compliance > 0.0, compliance, 1.0)
     state[0, at.VISCOSITY, :w] = state[0, at.SPRING, :w] * lag
-    along = density + inertia[:, 0]
-    extra = inertia[:, 1] - inertia[:, 0]
-    put(at.LENGTH, body)
-    put(at.MASS, along * body)
-    put(at.MASS_1, along * body**2 / 2.0)
-    put(at.MASS_2, along * body**3 / 3.0)
-    put(at.EXTRA, extra * body)
-    put(at.EXTRA_1, extra * body**2 / 2.0)
-    put(at.EXTRA_2, extra * body**3 / 3.0)
-    put(at.WEIGHT, density * body)
-    put(at.WEIGHT_1, density * body**2 / 2.0)
-    for order, field in enumerate((at.MASS, at.MASS_1, at.MASS_2)):
-        state[-1, field, :w] += tip * body[-1] ** order
-    state[-1, at.WEIGHT, :w] += tip
-    state[-1, at.WEIGHT_1, :w] += tip * body[-1]
+    _put_masses(state, models, body)
     gravity = np.array([m.gravity_m_per_s2 for m in models]).reshape(w, 2)
     put(at.GX, gravity[:, 0])
     put(at.GY, gravity[:, 1])
@@ -143,6 +120,43 @@ def _block(
         hooks.passes,
         hooks.arguments(models, n, start_s),
     )
+
+
+def _log_rigidity(models: list[CableModel], fraction: FloatArray) -> FloatArray:
+    """(fractions, models) log EI at fractions of the length, EI in N·m²."""
+    log_rigidity = np.empty((len(fraction), len(models)))
+    for k in {m.rigidity_n_m2.size for m in models}:
+        basis = knot_basis(k, tuple(fraction))
+        chosen = [i for i, m in enumerate(models) if m.rigidity_n_m2.size == k]
+        log_rigidity[:, chosen] = basis @ np.log([models[i].rigidity_n_m2 for i in chosen]).T
+    return log_rigidity
+
+
+def _put_masses(state: FloatArray, models: list[CableModel], body: FloatArray) -> None:
+    """Write masses, their moments and weights of the bodies (n + 1, models) of these lengths, m."""
+    w = len(models)
+    density = np.array([m.cable.line_density_kg_per_m for m in models], dtype=np.float64)
+    inertia = np.array([_inertia(m) for m in models]).reshape(w, 2)
+    tip = np.array([_sum(m, "tip_mass") for m in models], dtype=np.float64)
+
+    def put(field: int, value: Any) -> None:
+        state[:, field, :w] = value
+
+    along = density + inertia[:, 0]
+    extra = inertia[:, 1] - inertia[:, 0]
+    put(at.LENGTH, body)
+    put(at.MASS, along * body)
+    put(at.MASS_1, along * body**2 / 2.0)
+    put(at.MASS_2, along * body**3 / 3.0)
+    put(at.EXTRA, extra * body)
+    put(at.EXTRA_1, extra * body**2 / 2.0)
+    put(at.EXTRA_2, extra * body**3 / 3.0)
+    put(at.WEIGHT, density * body)
+    put(at.WEIGHT_1, density * body**2 / 2.0)
+    for order, field in enumerate((at.MASS, at.MASS_1, at.MASS_2)):
+        state[-1, field, :w] += tip * body[-1] ** order
+    state[-1, at.WEIGHT, :w] += tip
+    state[-1, at.WEIGHT_1, :w] += tip * body[-1]
 
 
 def _sum(model: CableModel, hook: str) -> float:

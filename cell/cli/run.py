@@ -7,7 +7,7 @@ import json
 import os
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -25,9 +25,18 @@ from cell.cli.shared import (
 )
 
 if TYPE_CHECKING:
+    from cell.records.result import Result
+    from cell.run.cycle import Cell
+    from cell.run.plans import Plan
     from cell.settings import Settings
+    from cell.terminal.console import RunProgress
 
 app = group()
+
+_NEVER_SLOW = (
+    "only with --dry-run; a cable that is moved slowly hardly swings, and what does not swing "
+    "cannot be identified"
+)
 
 
 @app.command()
@@ -66,32 +75,15 @@ def run(
     At a terminal, h holds: the motion under way is finished, then the hand keeps still with what it
     holds until u.  No stop is ever cleared by that.  Ctrl-C stops the arm and closes the record.
     """
-    from rich.console import Console
-
     from cell.build import build_cell
     from cell.files.input_error import InputError
     from cell.plan.motion_file import load_motion
-    from cell.records.result import Outcome, Result
     from cell.run.plans import INSERTING, measuring
     from cell.settings import load_settings
-    from cell.terminal.console import (
-        KEYS,
-        MAY_HOLD,
-        RunProgress,
-        checks_table,
-        results_table,
-        seconds_table,
-        troubles,
-    )
-    from cell.terminal.keyboard import Keyboard
+    from cell.terminal.console import RunProgress, troubles
 
     if speed != 1.0 and not dry_run:
-        refuse(
-            ValueError(
-                f"--speed {speed:g}: only with --dry-run; a cable that is moved slowly hardly "
-                "swings, and what does not swing cannot be identified"
-            )
-        )
+        refuse(ValueError(f"--speed {speed:g}: {_NEVER_SLOW}"))
     results: list[Result] = []
     try:
         settings = load_settings(config)
@@ -108,23 +100,10 @@ def run(
                 if dry_run:
                     plan = cell.rehearsal(plan, speed)
                 progress = shown.enter_context(RunProgress(cycles, plan.names))
-
-                def on_key(key: str) -> None:
-                    if key in KEYS:
-                        event, hint = KEYS[key]
-                        cell.command(event, f"key {key}")
-                        progress.hint(hint)
-
-                with Keyboard(on_key) as keyboard:
-                    if keyboard.listens:
-                        progress.hint(MAY_HOLD)
-                    for number in range(1, cycles + 1):
-                        result = cell.run_cycle(number, plan)
-                        results.append(result)
-                        if as_json:
-                            print(json.dumps(result.to_json(), ensure_ascii=False), flush=True)
-                        if result.outcome is Outcome.FAILED:
-                            break
+                for result in _results(cell, plan, cycles, progress):
+                    results.append(result)
+                    if as_json:
+                        print(json.dumps(result.to_json(), ensure_ascii=False), flush=True)
             finally:
                 cell.close()
     except InputError as error:
@@ -133,20 +112,51 @@ def run(
         print(f"the record cannot be written: {error}", file=sys.stderr)
         raise typer.Exit(NOT_ALL_DONE if results else BAD_INPUT) from error
     if not as_json:
-        console = Console()
-        if dry_run:
-            for result in results:
-                console.print(checks_table(result))
-        else:
-            console.print(results_table(results))
-        console.print(seconds_table(results, plan.names))
-        for result in results:
-            what = "dry run" if dry_run else "cable"
-            console.print(f"{what} {result.cycle}: {result.folder}", highlight=False)
+        _show(results, plan.names, dry_run)
     for line in troubles(results):
         print(line, file=sys.stderr)
     reached = [r for r in results if r.outcome is plan.aim]
     raise typer.Exit(ALL_DONE if len(reached) == cycles else NOT_ALL_DONE)
+
+
+def _results(cell: Cell, plan: Plan, cycles: int, progress: RunProgress) -> Iterator[Result]:
+    """Results of one cycle after another, up to the first that fails; keys hold and go on."""
+    from cell.records.result import Outcome
+    from cell.terminal.console import KEYS, MAY_HOLD
+    from cell.terminal.keyboard import Keyboard
+
+    def on_key(key: str) -> None:
+        if key in KEYS:
+            event, hint = KEYS[key]
+            cell.command(event, f"key {key}")
+            progress.hint(hint)
+
+    with Keyboard(on_key) as keyboard:
+        if keyboard.listens:
+            progress.hint(MAY_HOLD)
+        for number in range(1, cycles + 1):
+            result = cell.run_cycle(number, plan)
+            yield result
+            if result.outcome is Outcome.FAILED:
+                return
+
+
+def _show(results: Sequence[Result], steps: Sequence[str], dry_run: bool) -> None:
+    """Print the tables of a run, and where its records are."""
+    from rich.console import Console
+
+    from cell.terminal.console import checks_table, results_table, seconds_table
+
+    console = Console()
+    if dry_run:
+        for result in results:
+            console.print(checks_table(result))
+    else:
+        console.print(results_table(results))
+    console.print(seconds_table(results, steps))
+    for result in results:
+        what = "dry run" if dry_run else "cable"
+        console.print(f"{what} {result.cycle}: {result.folder}", highlight=False)
 
 
 @app.command()

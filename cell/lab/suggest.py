@@ -27,6 +27,7 @@ from cell.lab.diagnose import Examination
 from cell.lab.explore import Candidate, Explorer
 from cell.lab.prepared import PreparedStudy
 from cell.lab.surroundings import Surroundings, Swept
+from cell.plan.measuring import least_duration_s, quintic
 from cell.study.data import Markers, Trial
 
 FloatArray = NDArray[np.float64]
@@ -49,8 +50,6 @@ SURELY = 3.0
 MODEL_ERROR_M = 0.001
 #: Between home and the clamp angle of a stroke, the resting cable is looked at this often, rad.
 TURN_RAD = np.radians(15.0)
-#: Peaks of a fifth-order polynomial from rest to rest over 1 m in 1 s.
-PEAK_V, PEAK_A, PEAK_J = 1.875, 5.7735, 60.0
 
 
 @dataclass(frozen=True)
@@ -76,7 +75,7 @@ class Stroke:
         """The hand's pose against time: still, a fifth-order polynomial, held."""
         t_s = np.arange(0.0, STILL_S + self.duration_s + HOLD_S, 1.0 / RATE_HZ)
         u = np.clip((t_s - STILL_S) / self.duration_s, 0.0, 1.0)
-        s = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
+        s = quintic(u)
         x, y = self.x_m + self.dx_m * s, self.y_m + self.dy_m * s
         return Motion(t_s, x, y, np.full_like(t_s, self.angle_rad))
 
@@ -193,11 +192,13 @@ def strokes(surroundings: Surroundings) -> list[Stroke]:
     for angle, (dx, dy), slow in itertools.product(ATTITUDES_RAD, STROKES_M, SLOWNESS):
         if not surroundings.allows(float(angle)):
             continue
-        way = float(np.hypot(dx, dy))
-        least_s = max(
-            PEAK_V * way / surroundings.velocity_m_per_s,
-            (PEAK_A * way / surroundings.acceleration_m_per_s2) ** 0.5,
-            (PEAK_J * way / surroundings.jerk_m_per_s3) ** (1.0 / 3.0),
+        least_s = least_duration_s(
+            float(np.hypot(dx, dy)),
+            (
+                surroundings.velocity_m_per_s,
+                surroundings.acceleration_m_per_s2,
+                surroundings.jerk_m_per_s3,
+            ),
         )
         duration_s = round(slow * least_s + 0.005, 3)
         found.append(Stroke(float(angle), dx, dy, duration_s, *surroundings.home[:2]))

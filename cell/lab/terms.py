@@ -39,16 +39,22 @@ def admissible(box_m: tuple[float, float, float, float]) -> tuple[Term, ...]:
     changes nothing.
     """
 
-    def one(name: str, unit: str, typical: float, positive: bool = False) -> Parameter:
-        low = 0.0 if positive else -1e4 * typical
-        return Parameter(name, unit, low, 1e4 * typical, 0.0, (typical,))
+    return (*_forces(box_m), *_moments())
 
+
+def _one(name: str, unit: str, typical: float, positive: bool = False) -> Parameter:
+    low = 0.0 if positive else -1e4 * typical
+    return Parameter(name, unit, low, 1e4 * typical, 0.0, (typical,))
+
+
+def _forces(box_m: tuple[float, float, float, float]) -> tuple[Term, ...]:
+    """Terms of force per metre."""
     return (
         Term(
             "constant_field",
             "force",
             "constant force (a, b) per metre",
-            (one("field_x", "N/m", 1e-3), one("field_y", "N/m", 1e-3)),
+            (_one("field_x", "N/m", 1e-3), _one("field_y", "N/m", 1e-3)),
             ("fx += p.field_x", "fy += p.field_y"),
         ),
         Term(
@@ -56,9 +62,9 @@ def admissible(box_m: tuple[float, float, float, float]) -> tuple[Term, ...]:
             "force",
             "linear force field from the potential −(a x²/2 + b x y + c y²/2) per metre",
             (
-                one("slope_xx", "N/m²", 1e-2),
-                one("slope_xy", "N/m²", 1e-2),
-                one("slope_yy", "N/m²", 1e-2),
+                _one("slope_xx", "N/m²", 1e-2),
+                _one("slope_xy", "N/m²", 1e-2),
+                _one("slope_yy", "N/m²", 1e-2),
             ),
             (
                 "fx += p.slope_xx * at.x + p.slope_xy * at.y",
@@ -70,7 +76,7 @@ def admissible(box_m: tuple[float, float, float, float]) -> tuple[Term, ...]:
             "drag_along",
             "force",
             "drag c v_t per metre along the cable",
-            (one("drag_along", "N·s/m²", 5e-3, True),),
+            (_one("drag_along", "N·s/m²", 5e-3, True),),
             (
                 "along = at.vx * at.tx + at.vy * at.ty",
                 "fx -= p.drag_along * along * at.tx",
@@ -82,7 +88,7 @@ def admissible(box_m: tuple[float, float, float, float]) -> tuple[Term, ...]:
             "drag_cubic",
             "force",
             "drag c v_n³ per metre across the cable",
-            (one("drag_cubic", "N·s³/m⁴", 5e-3, True),),
+            (_one("drag_cubic", "N·s³/m⁴", 5e-3, True),),
             (
                 "across = at.vy * at.tx - at.vx * at.ty",
                 "fx += p.drag_cubic * across**3 * at.ty",
@@ -90,11 +96,17 @@ def admissible(box_m: tuple[float, float, float, float]) -> tuple[Term, ...]:
             ),
             True,
         ),
+    )
+
+
+def _moments() -> tuple[Term, ...]:
+    """Terms of bending moment."""
+    return (
         Term(
             "cubic_bending",
             "moment",
             "moment EI b κ³",
-            (one("cubic", "m²", 1e-4),),
+            (_one("cubic", "m²", 1e-4),),
             ("moment += p.cubic * at.rigidity * at.curvature**3",),
         ),
         Term(
@@ -102,7 +114,7 @@ def admissible(box_m: tuple[float, float, float, float]) -> tuple[Term, ...]:
             "moment",
             "moment M κ̇/√(κ̇² + r²): friction without memory",
             (
-                one("dry_moment", "N·m", 1e-6, True),
+                _one("dry_moment", "N·m", 1e-6, True),
                 Parameter("dry_rate", "1/(m·s)", 0.1, 100.0, 5.0, (5.0,), amplitude=False),
             ),
             ("moment += p.dry_moment * at.rate / (at.rate**2 + p.dry_rate**2) ** 0.5",),
@@ -112,7 +124,7 @@ def admissible(box_m: tuple[float, float, float, float]) -> tuple[Term, ...]:
             "curved_viscosity",
             "moment",
             "moment C κ² κ̇: viscosity that grows with curvature",
-            (one("curved_viscosity", "N·m⁴·s", 1e-9, True),),
+            (_one("curved_viscosity", "N·m⁴·s", 1e-9, True),),
             ("moment += p.curved_viscosity * at.curvature**2 * at.rate",),
             True,
         ),
@@ -120,7 +132,7 @@ def admissible(box_m: tuple[float, float, float, float]) -> tuple[Term, ...]:
             "quadratic_viscosity",
             "moment",
             "moment C |κ̇| κ̇",
-            (one("quadratic_viscosity", "N·m³·s²", 1e-9, True),),
+            (_one("quadratic_viscosity", "N·m³·s²", 1e-9, True),),
             ("moment += p.quadratic_viscosity * abs(at.rate) * at.rate",),
             True,
         ),

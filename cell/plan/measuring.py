@@ -6,8 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.interfaces import Pose, Trajectory
+
+FloatArray = NDArray[np.float64]
 
 #: Peak speed, acceleration and jerk of a fifth-order polynomial from rest to rest, over 1 in 1 s.
 QUINTIC_PEAKS = (1.875, 10.0 / 3.0**0.5, 60.0)
@@ -35,6 +38,11 @@ class Measuring:
     hold_s: float
 
 
+def quintic(share: FloatArray) -> FloatArray:
+    """Share of the way at a share of the time, 0 … 1: a polynomial of fifth order, rest to rest."""
+    return share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
+
+
 def least_duration_s(way: float, limits: Sequence[float]) -> float:
     """Shortest time of a move over `way` [m or rad] within limits of speed, acceleration, jerk."""
     return max(
@@ -57,7 +65,7 @@ def measuring_path(start: Pose, moves: Sequence[Move], rate_hz: float) -> Trajec
         end = np.array([move.goal.x_m, move.goal.y_m, move.goal.angle_rad])
         count = int(np.ceil(move.duration_s * rate_hz - 1e-9))
         u = np.minimum(np.arange(1, count + 1) / (rate_hz * move.duration_s), 1.0)
-        s = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
+        s = quintic(u)
         rows.append(begin + s[:, None] * (end - begin))
     x, y, angle = np.concatenate(rows).T
     return Trajectory(np.arange(len(x)) / rate_hz, x.copy(), y.copy(), angle.copy())

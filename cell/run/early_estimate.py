@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from concurrent.futures import BrokenExecutor, Future
 from dataclasses import replace
 from typing import TypeVar
@@ -18,6 +17,7 @@ from cell.identify.individual import CableRejectedError, IdentifyOptions, identi
 from cell.plan.choose import forecast
 from cell.plan.paths import executed_motion, insertion_path
 from cell.run.commands import Commands
+from cell.run.filming import filmed_so_far
 from cell.run.findings import Candidates, EarlyEstimate, Filmed, Filming
 from cell.run.station import Station, Task, Timing
 from cell.run.trials import hand_offset_m_rad, held_trial, moved
@@ -56,14 +56,16 @@ class EarlyEstimator:
         share = (sightings[-1].t_s - self._filming.rest_s) / hold_s
         station = self._station
         if self._first is None and share >= SHARES[0]:
-            self._first = station.computer.submit(_find, station.task, self._so_far(sightings))
+            self._first = station.computer.submit(
+                _find, station.task, filmed_so_far(station, self._filming, sightings)
+            )
         elif self._first is not None and self._second is None and share >= SHARES[1]:
             self._second = station.computer.submit(
                 _look_ahead,
                 station.task,
                 station.timing,
                 replace(self._filming, sightings=(), pictures=()),
-                self._so_far(sightings),
+                filmed_so_far(station, self._filming, sightings),
                 _result(self._first, station.commands),
             )
 
@@ -76,11 +78,6 @@ class EarlyEstimator:
         for job in (self._first, self._second):
             if job is not None:
                 job.cancel()
-
-    def _so_far(self, sightings: list[Sighting]) -> Filmed:
-        begin_s = self._filming.begin_s
-        hand = self._station.devices.arm.log(begin_s, sightings[-1].t_s)
-        return Filmed(begin_s, tuple(sightings), hand, (), time.perf_counter())
 
 
 def simulate_offsets(

@@ -64,6 +64,12 @@ def capture(
     return Filmed(filming.begin_s, tuple(eyes.sightings), hand, tuple(eyes.pictures), taken_at_s)
 
 
+def filmed_so_far(station: Station, filming: Filming, sightings: list[Sighting]) -> Filmed:
+    """The first frames of a filming, without pictures, while the others come."""
+    hand = station.devices.arm.log(filming.begin_s, sightings[-1].t_s)
+    return Filmed(filming.begin_s, tuple(sightings), hand, (), time.perf_counter())
+
+
 class _Eyes:
     """What was seen of a recording so far."""
 

@@ -137,8 +137,6 @@ class Machine:
         self._lock = threading.RLock()
         self._since_s = now_s()
         self._seconds = dict.fromkeys(CellState, 0.0)
-        self._visits = dict.fromkeys(CellState, 0)
-        self._visits[CellState.STOPPED] = 1
         self._chart = _PackMl()
 
     @property
@@ -165,7 +163,6 @@ class Machine:
             self._seconds[before] += now_s - self._since_s
             self._since_s = now_s
             after = self.state
-            self._visits[after] += 1
         if self._on_change is not None:
             self._on_change(after)
         return after
@@ -181,8 +178,3 @@ class Machine:
             seconds = dict(self._seconds)
             seconds[self.state] += self._now_s() - self._since_s
             return seconds
-
-    def visits(self) -> dict[CellState, int]:
-        """How often every state was entered."""
-        with self._lock:
-            return dict(self._visits)

@@ -82,4 +82,4 @@ def photograph_board(
     rng: np.random.Generator,
 ) -> Image:
     """Picture of what is shown, without the gripper."""
-    return render(None, (0.0, 0.0, 0.0), eye, options, rng, jaw=False, patches=patches)
+    return render(None, None, eye, options, rng, patches=patches)

@@ -9,13 +9,10 @@ import socket
 import struct
 import time
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from drivers.emulators.rtde_wire import INPUTS, OUTPUTS, Kind, Packet, Recipe, Splitter, names_in
 from drivers.emulators.ur_controller import CYCLE_S, Controller
-
-if TYPE_CHECKING:
-    from drivers.emulators.ur_server import UrServer
 
 RTDE_PORT, SCRIPT_PORT, DASHBOARD_PORT, FAULT_PORT = 30004, 30003, 29999, 39999
 
@@ -23,10 +20,40 @@ _RTDE_HZ = 1.0 / CYCLE_S
 _MAX_BACKLOG = 65536  # a slow reader loses packets rather than time
 
 
+class Server(Protocol):
+    """What a connection asks of the server that it belongs to."""
+
+    controller: Controller
+
+    def claimed_by_others(self, me: Connection) -> set[str]:
+        """Input variables claimed by other clients."""
+        ...
+
+    def drop(self, ports: tuple[int, ...] = ...) -> None:
+        """Close the connections of these ports."""
+        ...
+
+    def freeze(self, seconds: float) -> None:
+        """Neither read nor send for a while."""
+        ...
+
+    def refuse(self, on: bool) -> None:
+        """Refuse new connections, or accept them again."""
+        ...
+
+    def send_garbage(self, size: int = ...) -> None:
+        """Send random bytes to every RTDE client."""
+        ...
+
+    def power_cycle(self, seconds: float) -> None:
+        """Switch off, and on again after a while."""
+        ...
+
+
 class Connection:
     """One client of one port."""
 
-    def __init__(self, sock: socket.socket, server: UrServer) -> None:
+    def __init__(self, sock: socket.socket, server: Server) -> None:
         self.sock = sock
         self.server = server
         self.unsent = b""
@@ -48,7 +75,7 @@ class Connection:
 class _Lines(Connection):
     """A client that talks in lines."""
 
-    def __init__(self, sock: socket.socket, server: UrServer) -> None:
+    def __init__(self, sock: socket.socket, server: Server) -> None:
         super().__init__(sock, server)
         self._rest = b""
 
@@ -63,7 +90,7 @@ class _Lines(Connection):
 
 
 class _Dashboard(_Lines):
-    def __init__(self, sock: socket.socket, server: UrServer) -> None:
+    def __init__(self, sock: socket.socket, server: Server) -> None:
         super().__init__(sock, server)
         self.send(b"Connected: Universal Robots Dashboard Server\n")
 
@@ -74,7 +101,7 @@ class _Dashboard(_Lines):
 class _Script(_Lines):
     """Collects a program from its `def` to the `end` in the first column."""
 
-    def __init__(self, sock: socket.socket, server: UrServer) -> None:
+    def __init__(self, sock: socket.socket, server: Server) -> None:
         super().__init__(sock, server)
         self._program: list[str] = []
 
@@ -91,7 +118,7 @@ class _Script(_Lines):
 class Rtde(Connection):
     """An RTDE client: negotiates recipes, then gets one packet per cycle and sends inputs."""
 
-    def __init__(self, sock: socket.socket, server: UrServer) -> None:
+    def __init__(self, sock: socket.socket, server: Server) -> None:
         super().__init__(sock, server)
         self._splitter = Splitter()
         self._output: Recipe | None = None

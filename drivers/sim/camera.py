@@ -15,7 +15,7 @@ from drivers.interfaces import (
     Image,
 )
 from drivers.sim.pinhole import Sight
-from drivers.sim.render import RenderOptions, render
+from drivers.sim.render import Rates, RenderOptions, render
 from drivers.sim.world import View, World
 
 _LOST_REMEDY = "check the camera's cable and power, then connect again"
@@ -173,8 +173,10 @@ def photograph(view: View, options: CameraTwinOptions, rng: np.random.Generator)
         options.sight,
         options.picture,
         rng,
-        cable_m_per_s=None if cables is None else (cables[2] - cables[0]) / span_s,
-        grip_per_s=_triple((view.grip[2] - view.grip[0]) / span_s),
+        rates=Rates(
+            None if cables is None else (cables[2] - cables[0]) / span_s,
+            _triple((view.grip[2] - view.grip[0]) / span_s),
+        ),
     )
 
 

@@ -96,30 +96,37 @@ class Patches:
 LIGHT_ON_DARK = RenderOptions(cable_level=230.0, background_level=28.0, texture_level=2.0)
 
 
+@dataclass(frozen=True, eq=False)
+class Rates:
+    """Velocity (K, 2) of a cable's centreline, m/s, and rates of a grip's x, y and angle."""
+
+    cable_m_per_s: FloatArray | None = None
+    grip_per_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+STILL = Rates()
+
+
 def render(
     cable_m: FloatArray | None,
-    grip: GripPose,
+    grip: GripPose | None,
     sight: Sight,
     options: RenderOptions,
     rng: np.random.Generator,
     *,
-    cable_m_per_s: FloatArray | None = None,
-    grip_per_s: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    rates: Rates = STILL,
     second_cable_m: FloatArray | None = None,
-    jaw: bool = True,
     patches: Sequence[Patches] = (),
 ) -> Image:
     """One frame of the jaw and the cable in the cell's plane, about 1 ms.
 
     cable_m         (K, 2) centreline, tip first, ending at the gripping point, m; None = no cable
-    grip            of the gripping point (positive angle = pointing down)
+    grip            of the gripping point (positive angle = pointing down); None = no jaw
     sight           (3, 3) pixel (column, row; centre of the first pixel 0, 0) → plane, m, or a
                     camera that stands anywhere and has a lens
     rng             noise of this frame
-    cable_m_per_s   (K, 2) velocity of the centreline, for motion blur
-    grip_per_s      rates of `grip`, for motion blur; the frame's time is the middle of the exposure
+    rates           for motion blur; the frame's time is the middle of the exposure
     second_cable_m  (K, 2) another cable in the picture
-    jaw             False = the gripper is out of the picture
     patches         what else is in the scene, the nearest last
     returns         (height_px, width_px) uint8
     raises          ValueError: shapes disagree
@@ -127,13 +134,14 @@ def render(
     polygons = _Polygons(sight)
     for patch in patches:
         polygons.add(patch.corners_m, patch.levels, patch.hides, 1.0)
-    copies = _copies(cable_m, cable_m_per_s, grip_per_s, sight, options)
+    copies = _copies(cable_m, rates, sight, options)
     for share in (np.arange(copies) + 0.5) / copies - 0.5:
         later_s = float(share) * options.exposure_s
-        if jaw:
-            polygons.add_jaw(_moved(grip, grip_per_s, later_s), options, 1.0 / copies)
+        if grip is not None:
+            polygons.add_jaw(_moved(grip, rates.grip_per_s, later_s), options, 1.0 / copies)
         if cable_m is not None:
-            line = cable_m if cable_m_per_s is None else cable_m + later_s * cable_m_per_s
+            moves = rates.cable_m_per_s
+            line = cable_m if moves is None else cable_m + later_s * moves
             polygons.add_strip(line, options, 1.0 / copies)
     if second_cable_m is not None:
         polygons.add_strip(second_cable_m, options, 1.0)
@@ -273,14 +281,9 @@ def _moved(pose: GripPose, rate: tuple[float, float, float], later_s: float) -> 
     )
 
 
-def _copies(
-    cable_m: FloatArray | None,
-    cable_m_per_s: FloatArray | None,
-    grip_per_s: tuple[float, float, float],
-    sight: Sight,
-    options: RenderOptions,
-) -> int:
+def _copies(cable_m: FloatArray | None, rates: Rates, sight: Sight, options: RenderOptions) -> int:
     """How many displaced copies make a smooth motion blur: one per half pixel, at most 16."""
+    cable_m_per_s, grip_per_s = rates.cable_m_per_s, rates.grip_per_s
     speed = float(np.hypot(grip_per_s[0], grip_per_s[1])) + 0.04 * abs(grip_per_s[2])
     if cable_m is not None and cable_m_per_s is not None:
         if np.shape(cable_m_per_s) != np.shape(cable_m):

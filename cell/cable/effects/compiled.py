@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numba
 import numpy as np
@@ -22,9 +22,7 @@ from cell.cable import layout as at
 from cell.cable.compiling import fingerprint
 from cell.cable.effects import pointer, templates
 from cell.cable.effects.base import ActiveEffect, CableData, Effect
-
-if TYPE_CHECKING:
-    from cell.cable.model import CableModel
+from cell.cable.geometry import Cable
 
 #: Newton passes of a step: one is enough for smooth laws, a change of sign of the curvature rate
 #: needs its tangent corrected once.
@@ -72,7 +70,21 @@ def parameters(active: ActiveEffect) -> Any:
     return SimpleNamespace(**active.named)
 
 
-def cable_data(model: CableModel) -> CableData:
+class Model(Protocol):
+    """What the hooks of a model's effects are told of it."""
+
+    @property
+    def cable(self) -> Cable:
+        """The cable."""
+        ...
+
+    @property
+    def effects(self) -> tuple[ActiveEffect, ...]:
+        """Its effects with their values."""
+        ...
+
+
+def cable_data(model: Model) -> CableData:
     """The `cable` of a hook."""
     cable = model.cable
     return CableData(
@@ -95,7 +107,7 @@ class Hooks:
         """Newton passes per step."""
         return _PASSES_WITH_MEMORY if self.memory_count else _PASSES
 
-    def arguments(self, models: Sequence[CableModel], segments: int, start_s: float) -> Any:
+    def arguments(self, models: Sequence[Model], segments: int, start_s: float) -> Any:
         """`effects` of the compiled functions for up to LANES models with these effects."""
         table = np.zeros((4 + sum(len(a.values) for a in models[0].effects), at.LANES))
         for w, model in enumerate(models):

@@ -13,7 +13,8 @@ from numba import njit
 from cell.cable.compiling import FASTMATH, inline
 from cell.cable.effects.base import CableData, Place
 from cell.cable.effects.pointer import FORCE_TYPES
-from cell.cable.layout import *
+from cell.cable.layout import ANGLE, ARC_MIDDLE, BODY, DAMP, FX, FY, LANES, LENGTH
+from cell.cable.layout import PX, PY, SPIN, TX, TY, UX, UY
 
 Values = namedtuple("Values", {fields!r})
 NUDGE = 1e-5  # m/s
@@ -65,8 +66,9 @@ from numba import njit
 
 from cell.cable.compiling import FASTMATH, inline
 from cell.cable.effects.base import Bend, CableData
-from cell.cable.layout import *
-from cell.cable.effects.pointer import ADVANCE, MOMENT_TYPES, REST  # over the layout's REST
+from cell.cable.effects.pointer import ADVANCE, MOMENT_TYPES, REST
+from cell.cable.layout import ARC_HINGE, BEND, BEND_0, BEND_C, BODY, LANES, MOMENT
+from cell.cable.layout import PER_LENGTH, RATE_C, RIGIDITY, STIFF
 from cell.cable.numerics import relaxed
 
 Values = namedtuple("Values", {fields!r})

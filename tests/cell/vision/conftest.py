@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calib.plane import PlaneView
-from drivers.sim.render import RenderOptions, empty_scene, render
+from drivers.sim.render import STILL, Rates, RenderOptions, empty_scene, render
 
 
 @dataclass(frozen=True)
@@ -90,12 +90,11 @@ def photograph_of(view):
         moving = np.stack([0.1 + 0.0 * share, 0.1 + swing * share**2], axis=1) * (swing != 0.0)
         return render(
             faults.pop("cable_m", held.line_m),
-            held.grip,
+            faults.pop("grip", held.grip),
             faults.pop("sight", view.homography),
             options,
             np.random.default_rng(seed),
-            cable_m_per_s=moving if swing else None,
-            grip_per_s=(*moving[-1], 0.0) if swing else (0.0, 0.0, 0.0),
+            rates=Rates(moving, (*moving[-1], 0.0)) if swing else STILL,
             **faults,
         )
 

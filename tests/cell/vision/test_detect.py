@@ -85,7 +85,7 @@ def test_a_tilted_camera_sees_the_same_nodes(make_random_cable, photograph_of):
 
 FAULTS = {
     Unseen.NO_CABLE: ({"cable_m": None}, {}),
-    Unseen.NO_JAW: ({"jaw": False}, {}),
+    Unseen.NO_JAW: ({"grip": None}, {}),
     Unseen.SATURATED: ({}, {"exposure": 4.0}),
     Unseen.EMPTY: ({}, {"exposure": 0.0}),
 }

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.sim.render import LIGHT_ON_DARK, RenderOptions, empty_scene, render
+from drivers.sim.render import LIGHT_ON_DARK, Rates, RenderOptions, empty_scene, render
 
 MM_PER_PX = 0.2
 HOMOGRAPHY = np.array([[2e-4, 0.0, -0.2], [0.0, -2e-4, 0.1], [0.0, 0.0, 1.0]])
@@ -49,7 +49,7 @@ def test_a_strip_darkens_exactly_its_area_about_its_centre(angle, x, y, thicknes
     direction = np.array([np.cos(angle), np.sin(angle)])
     line = np.array([x, y]) + np.linspace(-0.01, 0.01, 9)[:, None] * direction
     options = replace(PLAIN, thickness_m=thickness)
-    image = render(line, (0, 0, 0), SMALL_VIEW, options, np.random.default_rng(0), jaw=False)
+    image = render(line, None, SMALL_VIEW, options, np.random.default_rng(0))
     dark = darkness(image)
     area_px = (0.02 / 2e-4) * (thickness / 2e-4)
     assert dark.sum() == pytest.approx(area_px, rel=0.005)
@@ -61,11 +61,11 @@ def test_a_strip_darkens_exactly_its_area_about_its_centre(angle, x, y, thicknes
 
 
 def test_coverage_equals_a_finely_sampled_strip():
-    angle, half = 0.3, 2.5e-4
+    half = 2.5e-4
     direction, normal = np.array([np.cos(0.3), np.sin(0.3)]), np.array([-np.sin(0.3), np.cos(0.3)])
     line = np.linspace(-0.01, 0.01, 21)[:, None] * direction
     options = replace(PLAIN, thickness_m=2 * half)
-    image = render(line, (0, 0, angle), SMALL_VIEW, options, np.random.default_rng(0), jaw=False)
+    image = render(line, None, SMALL_VIEW, options, np.random.default_rng(0))
     fine = 20
     sub = (np.arange(fine) + 0.5) / fine - 0.5
     v, u = np.mgrid[:256, :320].astype(float)
@@ -81,10 +81,8 @@ def test_motion_blur_spreads_the_light_and_keeps_its_amount_and_centre():
     line = np.stack([np.linspace(-0.01, 0.01, 9), np.zeros(9)], axis=1)
     speed = np.broadcast_to([0.0, 4.0], line.shape)  # 2 mm in 0.5 ms
     rng = np.random.default_rng(0)
-    still = darkness(render(line, (0, 0, 0), SMALL_VIEW, PLAIN, rng, jaw=False))
-    swept = darkness(
-        render(line, (0, 0, 0), SMALL_VIEW, PLAIN, rng, jaw=False, cable_m_per_s=speed)
-    )
+    still = darkness(render(line, None, SMALL_VIEW, PLAIN, rng))
+    swept = darkness(render(line, None, SMALL_VIEW, PLAIN, rng, rates=Rates(speed)))
     assert swept.sum() == pytest.approx(still.sum(), rel=0.03)
     rows = np.arange(256)
     profile = swept.sum(1) / swept.sum()
@@ -96,9 +94,7 @@ def test_motion_blur_spreads_the_light_and_keeps_its_amount_and_centre():
 def test_the_noise_has_the_stated_variance():
     options = replace(PLAIN, read_noise=1.5, shot_noise=0.02, background_level=150.0)
     rng = np.random.default_rng(3)
-    one, two = (
-        render(None, (0, 0, 0), SMALL_VIEW, options, rng, jaw=False).astype(float) for _ in "ab"
-    )
+    one, two = (render(None, None, SMALL_VIEW, options, rng).astype(float) for _ in "ab")
     variance = np.var(one - two) / 2.0
     assert variance == pytest.approx(1.5**2 + 0.02 * 150.0 + 1.0 / 12.0, rel=0.03)
 
@@ -110,21 +106,21 @@ def test_faults_change_the_picture_as_they_say(options):
     grip = (0.0, 0.0, 0.0)
     quiet = replace(options, read_noise=0.0, shot_noise=0.0)
 
-    def changed(other, **more):
+    def changed(other, grip_now=grip, **more):
         clean = render(line, grip, HOMOGRAPHY, quiet, rng)
-        return np.abs(render(line, grip, HOMOGRAPHY, other, rng, **more).astype(float) - clean)
+        return np.abs(render(line, grip_now, HOMOGRAPHY, other, rng, **more).astype(float) - clean)
 
     row, column = 500, 1000  # the gripping point
     assert changed(quiet).max() == 0.0
     assert (
         changed(quiet, second_cable_m=line + np.array([0.0, 0.01]))[row - 50, column - 250] > 20.0
     )
-    assert changed(quiet, jaw=False)[row, column + 30] > 5.0
+    assert changed(quiet, None)[row, column + 30] > 5.0
     assert changed(replace(quiet, occluder_m=(-0.05, -0.01, -0.03, 0.01))).sum() > 1e4
     assert render(line, grip, HOMOGRAPHY, replace(options, exposure=0.0), rng).max() <= 8
     overexposed = render(line, grip, HOMOGRAPHY, replace(options, exposure=20.0), rng)
     assert (overexposed == 255).mean() > 0.5
-    empty = render(None, grip, HOMOGRAPHY, quiet, rng, jaw=False)
+    empty = render(None, None, HOMOGRAPHY, quiet, rng)
     assert np.abs(empty.astype(int) - empty_scene(quiet)).max() <= 1
 
 
@@ -134,6 +130,6 @@ def test_bad_shapes_and_values_are_named():
         render(np.zeros(3), (0, 0, 0), HOMOGRAPHY, RenderOptions(), rng)
     with pytest.raises(ValueError, match="same shape"):
         line = np.zeros((4, 2))
-        render(line, (0, 0, 0), HOMOGRAPHY, RenderOptions(), rng, cable_m_per_s=np.zeros((3, 2)))
+        render(line, (0, 0, 0), HOMOGRAPHY, RenderOptions(), rng, rates=Rates(np.zeros((3, 2))))
     with pytest.raises(ValueError, match=r"render.exposure = -1.0"):
         RenderOptions(exposure=-1.0)
