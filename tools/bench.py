@@ -14,7 +14,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from cell.cable.sensitivity import sensitivities
 
 from cell.cable import layout as at
 from cell.cable.assembly import assemble
@@ -25,6 +24,7 @@ from cell.cable.geometry import Cable, Motion
 from cell.cable.model import CableModel
 from cell.cable.statics import settle
 from cell.cable.stepping import integrate
+from cell.identify.parameters import ParameterSpace, Prior
 
 CABLE = Cable(0.1, 0.0074, 0.016, 1e-4)
 MODEL = CableModel(CABLE, 3e-5, 1.0, 1e-7)
@@ -285,15 +285,30 @@ def gauss_newton_pass() -> None:
     ):
         measured = simulate(model, MOTIONS[-1], times, ARC)[0]
 
-        def one_pass(model: CableModel = model, measured: np.ndarray = measured) -> np.ndarray:
-            found = sensitivities(model, MOTIONS[-1], times, ARC, differences="forward")
-            jacobian = found.jacobian.reshape(len(found.names), -1)
-            residual = (measured - found.positions).ravel()
+        kinds, values = (
+            [a.effect for a in model.effects],
+            [v for a in model.effects for v in a.values],
+        )
+        prior = Prior(knots=len(model.rigidity_n_m2))
+        space = ParameterSpace.of(CABLE, effects=kinds, prior=prior)
+        q = space.coordinates(np.array([*model.rigidity_n_m2, 1.1, 1e-7, *values]))
+        lanes = space.beside(q)
+
+        def one_pass(
+            space: ParameterSpace = space,
+            lanes: np.ndarray = lanes,
+            measured: np.ndarray = measured,
+        ) -> np.ndarray:
+            models = [space.model(lane) for lane in lanes]
+            found = simulate(models, MOTIONS[-1], times, ARC)
+            steps = np.diag(lanes[1:] - lanes[0])
+            jacobian = (found[1:] - found[0]).reshape(len(steps), -1) / steps[:, None]
+            residual = (measured - found[0]).ravel()
             return np.linalg.lstsq(jacobian @ jacobian.T, jacobian @ residual, rcond=None)[0]
 
         one_pass()
         (seconds,) = best_of(one_pass, rounds=200)
-        count = len(model.rigidity_n_m2) + 2 + len(model.effects) + 1
+        count = len(lanes)
         print(f"\na Gauss–Newton pass, {count} lanes, 1.5 s, {label}, default mesh and step")
         report("milliseconds", seconds * 1e3, "<=", 10.0)
 
