@@ -65,44 +65,60 @@ class Lens:
 
 def distort(numbers: FloatArray, ideal_px: FloatArray) -> FloatArray:
     """(…, 2) ideal pixels → (…, 2) pixels, for the (9,) numbers of a lens."""
-    fx, fy, cx, cy, k1, k2, p1, p2, k3 = numbers
-    x, y = (ideal_px[..., 0] - cx) / fx, (ideal_px[..., 1] - cy) / fy
+    return np.stack(_distorted(numbers, ideal_px[..., 0], ideal_px[..., 1]), axis=-1)
+
+
+def _distorted(numbers, column, row):  # type: ignore[no-untyped-def]
+    """Column and row in the picture of an ideal pixel, or of arrays of them."""
+    fx, fy, cx, cy = numbers[0], numbers[1], numbers[2], numbers[3]
+    k1, k2, p1, p2, k3 = numbers[4], numbers[5], numbers[6], numbers[7], numbers[8]
+    x, y = (column - cx) / fx, (row - cy) / fy
     r2 = x * x + y * y
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
     u = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
     v = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
-    return np.stack([fx * u + cx, fy * v + cy], axis=-1)
+    return fx * u + cx, fy * v + cy
+
+
+#: The same for one pixel, to be called by compiled functions.
+distort_pixel = njit(_distorted)
+
+
+@njit(cache=True)
+def undistort_pixel(numbers, column, row):  # type: ignore[no-untyped-def]
+    """Ideal column and row by Newton's method: 1e-9 px after five steps, or nan; compiled."""
+    fx, fy, cx, cy = numbers[0], numbers[1], numbers[2], numbers[3]
+    k1, k2, p1, p2, k3 = numbers[4], numbers[5], numbers[6], numbers[7], numbers[8]
+    u, v = (column - cx) / fx, (row - cy) / fy
+    x, y = u, v
+    left = np.inf
+    for _ in range(20):
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        slope = 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3))
+        e = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x) - u
+        f = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y - v
+        left = abs(e) + abs(f)
+        if left < 1e-13:
+            break
+        a = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
+        b = slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y
+        d = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
+        determinant = a * d - b * b
+        if determinant <= 0.0:
+            left = np.inf
+            break
+        x -= (d * e - b * f) / determinant
+        y -= (a * f - b * e) / determinant
+    if left < 1e-10:
+        return fx * x + cx, fy * y + cy
+    return np.nan, np.nan
 
 
 @njit(cache=True)
 def _undistorted(numbers, pixels):  # type: ignore[no-untyped-def]
-    """(N, 2) ideal pixels by Newton's method: 1e-9 px after five steps, or nan."""
-    fx, fy, cx, cy = numbers[0], numbers[1], numbers[2], numbers[3]
-    k1, k2, p1, p2, k3 = numbers[4], numbers[5], numbers[6], numbers[7], numbers[8]
+    """(N, 2) ideal pixels, or nan."""
     out = np.empty_like(pixels)
     for i in range(len(pixels)):
-        u, v = (pixels[i, 0] - cx) / fx, (pixels[i, 1] - cy) / fy
-        x, y = u, v
-        left = np.inf
-        for _ in range(20):
-            r2 = x * x + y * y
-            radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-            slope = 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3))
-            e = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x) - u
-            f = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y - v
-            left = abs(e) + abs(f)
-            if left < 1e-13:
-                break
-            a = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
-            b = slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y
-            d = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
-            determinant = a * d - b * b
-            if determinant <= 0.0:
-                left = np.inf
-                break
-            x -= (d * e - b * f) / determinant
-            y -= (a * f - b * e) / determinant
-        found = left < 1e-10
-        out[i, 0] = fx * x + cx if found else np.nan
-        out[i, 1] = fy * y + cy if found else np.nan
+        out[i, 0], out[i, 1] = undistort_pixel(numbers, pixels[i, 0], pixels[i, 1])
     return out

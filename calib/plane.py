@@ -45,7 +45,8 @@ class PlaneView:
         return cls(np.asarray(np.linalg.inv(to_ideal), dtype=np.float64), lens)
 
     @cached_property
-    def _inverse(self) -> FloatArray:
+    def inverse(self) -> FloatArray:
+        """(3, 3) H_CP: homogeneous plane, m → homogeneous pixel."""
         return np.asarray(np.linalg.inv(self.homography), dtype=np.float64)
 
     def to_plane(self, pixels: FloatArray) -> FloatArray:
@@ -56,7 +57,7 @@ class PlaneView:
 
     def to_pixels(self, points: FloatArray) -> FloatArray:
         """(…, 2) x, y in m → (…, 2) column, row."""
-        ideal = map_homography(self._inverse, points)
+        ideal = map_homography(self.inverse, points)
         return ideal if self.lens is None else self.lens.distorted(ideal)
 
 

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
+
+from cell.vision.compiling import compiled
 
 FloatArray = NDArray[np.float64]
 
@@ -37,7 +38,7 @@ class Curve:
     def at(self, u: FloatArray, derivative: int = 0) -> FloatArray:
         """(M, 2) points, or derivatives by u, at (M,) parameters; u outside 0 … 1 goes on."""
         value = np.empty((len(u), 2))
-        pieces = _pieces(self.intervals, derivative) @ self.coefficients
+        pieces = pieces_of_splines(self.intervals, derivative) @ self.coefficients
         _polynomials(pieces, np.asarray(u, dtype=np.float64), value)
         return value
 
@@ -103,7 +104,7 @@ def _basis(intervals: int, derivative: int) -> BSpline:
 
 
 @lru_cache(maxsize=32)
-def _pieces(intervals: int, derivative: int) -> FloatArray:
+def pieces_of_splines(intervals: int, derivative: int) -> FloatArray:
     """(intervals, 6, C) from coefficients of splines to those of powers of the place in a piece.
 
     The place goes from 0 to 1 in every piece; lowest power first.
@@ -121,7 +122,7 @@ def _pieces(intervals: int, derivative: int) -> FloatArray:
     return np.stack(powers, axis=1)
 
 
-@njit(cache=True)
+@compiled
 def _polynomials(pieces, u, out):  # type: ignore[no-untyped-def]
     """Values (M, 2) of polynomials `pieces` (intervals, 6, 2) at (M,) u; the end ones go on."""
     intervals, count, _ = pieces.shape

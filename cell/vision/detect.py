@@ -4,22 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from functools import lru_cache
+from threading import local
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.plane import PlaneView
-from cell.vision.curve import arc_lengths
-from cell.vision.marks import JawMarks, JawPose, find_jaw, pixels_per_metre
+from cell.vision.look import Look, Memory, look_at, look_memory
+from cell.vision.marks import JawMarks, both_ways, disc_marks
 from cell.vision.ridge import Picture
-from cell.vision.sighting import Sighting, Unseen
-from cell.vision.trace import another_line, trace_cable
+from cell.vision.sighting import UNSEEN, Sighting
+from cell.vision.trace import cable_look
 
 FloatArray = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-_DENSE = 401  # points along the cable, 0.25 mm apart
+_OF_THREAD = local()
 
 
 @dataclass(frozen=True)
@@ -65,52 +67,28 @@ def detect(
     returns      a sighting; `unseen` names the reason if there are no nodes.  Does not guess.
     raises       ValueError: the image is not (H, W) uint8, or the background has another shape
     """
-    if image.ndim != 2 or image.dtype != np.uint8:
+    if image.ndim != 2 or image.dtype != np.uint8 or not image.size:
         raise ValueError(f"image is {image.shape} {image.dtype}; needs (H, W) uint8")
     if background is not None and background.shape != image.shape:
         raise ValueError(f"background is {background.shape}, image {image.shape}")
-    unusable = _unusable(image)
-    if unusable is not None:
-        return _unseen(t_s, unusable, None, options)
-    near, near_rad = (
-        (None, None) if previous is None else (previous.grip_m, previous.clamp_angle_rad)
+    near = (np.nan, np.nan, np.nan)
+    if previous is not None:
+        x_m, y_m = previous.grip_m.tolist()
+        near = (x_m, y_m, previous.clamp_angle_rad)
+    picture = Picture.of(image, background, 1 if options.cable_is == "light" else -1)
+    nodes_m = np.empty((options.nodes, 2))
+    found = look_at(
+        picture, both_ways(view), _look(options), _memory(image.shape, options), near, nodes_m
     )
-    jaw = find_jaw(image, view, options.marks, near, near_rad)
-    if jaw is None:
-        return _unseen(t_s, Unseen.NO_JAW, None, options)
-
-    picture = Picture(image, background, 1 if options.cable_is == "light" else -1)
-    grip_px = view.to_pixels(jaw.grip_m)
-    scale = pixels_per_metre(view, grip_px)
-    direction = np.array([np.cos(jaw.angle_rad), np.sin(jaw.angle_rad)])
-    outward = view.to_pixels(jaw.grip_m - 1e-3 * direction) - grip_px
-    outward /= np.linalg.norm(outward)
-    length_px = options.free_length_m * scale
-    trace = trace_cable(
-        picture,
-        grip_px,
-        outward,
-        length_px=length_px,
-        min_contrast=options.min_contrast,
-        width_px=options.line_width_px,
+    return Sighting(
+        t_s,
+        nodes_m,
+        np.array([found.x_m, found.y_m]),
+        found.angle_rad,
+        found.quality,
+        None if found.code < 0 else UNSEEN[found.code],
+        found.length_m,
     )
-    if isinstance(trace, Unseen):
-        return _unseen(t_s, trace, jaw, options)
-
-    dense_px = trace.curve.at(np.linspace(0.0, 1.0, _DENSE))
-    dense_m = view.to_plane(dense_px)
-    s = arc_lengths(dense_m)
-    length_m = float(s[-1])
-    off = abs(length_m - options.free_length_m) / options.length_tolerance_m
-    if off > 1.0:
-        return _unseen(t_s, Unseen.WRONG_LENGTH, jaw, options, length_m)
-    if another_line(picture, grip_px, outward, dense_px, trace.contrast, length_px):
-        return _unseen(t_s, Unseen.TWO_CABLES, jaw, options, length_m)
-    at = np.linspace(length_m, 0.0, options.nodes)
-    nodes = np.stack([np.interp(at, s, dense_m[:, 0]), np.interp(at, s, dense_m[:, 1])], axis=1)
-    quality = trace.seen_share * min(1.0, trace.signal_to_noise / 5.0)
-    quality *= float(np.exp(-((trace.misfit_px / 0.5) ** 2) - 0.5 * off**2))
-    return Sighting(t_s, nodes, jaw.grip_m, jaw.angle_rad, quality, length_m=length_m)
 
 
 def detect_all(
@@ -126,25 +104,20 @@ def detect_all(
         yield previous
 
 
-def _unusable(image: Image) -> Unseen | None:
-    """Whether so much is black, blank or saturated that nothing can be measured."""
-    coarse = image[::16, ::16]
-    if np.mean(coarse >= 254) > 0.5:
-        return Unseen.SATURATED
-    dark, light = np.percentile(coarse, [1.0, 99.0])
-    if light < 15.0 or light - dark < 10.0:
-        return Unseen.EMPTY
-    return None
+@lru_cache(maxsize=8)
+def _look(options: VisionOptions) -> Look:
+    return Look(
+        disc_marks(options.marks),
+        cable_look(options.min_contrast, options.line_width_px),
+        float(options.free_length_m),
+        float(options.length_tolerance_m),
+    )
 
 
-def _unseen(
-    t_s: float,
-    reason: Unseen,
-    jaw: JawPose | None,
-    options: VisionOptions,
-    length_m: float = float("nan"),
-) -> Sighting:
-    grip = np.full(2, np.nan) if jaw is None else jaw.grip_m
-    angle = float("nan") if jaw is None else jaw.angle_rad
-    nodes = np.full((options.nodes, 2), np.nan)
-    return Sighting(t_s, nodes, grip, angle, 0.0, reason, length_m)
+def _memory(shape: tuple[int, int], options: VisionOptions) -> Memory:
+    """Memory for pictures of one size, a thread's own."""
+    if getattr(_OF_THREAD, "key", None) != (shape, options):
+        _OF_THREAD.memory = look_memory(shape, _look(options))
+        _OF_THREAD.key = (shape, options)
+    memory: Memory = _OF_THREAD.memory
+    return memory

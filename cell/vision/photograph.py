@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.vision.curve import Centreline, choose_penalty, chord_parameters, fit_curve
-from cell.vision.ridge import Picture, find_start, follow
+from cell.vision.ridge import Picture, Start, find_start, follow, new_scratch
 
 FloatArray = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -98,30 +98,21 @@ def _coarse(image: Image, coarsening: int) -> Image:
 
 def _follow_strip(coarse: Image, gap_px: float) -> FloatArray:
     """(N, 2) points along the strip that leaves the left edge of a coarse picture."""
-    picture = Picture(coarse, None, 1)
+    picture, scratch = Picture.of(coarse, None, 1), new_scratch()
     at_edge = coarse[:, 1:6].mean(axis=1)
     row = float(np.argmax(np.convolve(at_edge, np.ones(3), mode="same")))
-    start, heading, contrast = find_start(
-        picture, np.array([0.0, row]), np.array([1.0, 0.0]), reach_px=3.0, slope=0.8
-    )
+    u, v, du, dv, contrast = find_start(picture, (0.0, row), (1.0, 0.0), 3.0, 0.8, scratch)
     if not contrast > 5.0:
         raise StripNotFoundError(
             f"no strip leaves the edge near row {row:.0f} of {len(coarse)} (contrast"
             f" {contrast:.1f} grey levels, needs 5): check edge, strip_is and thickness_m"
         )
-    points, _, _ = follow(
-        picture,
-        start + 3.0 * heading,
-        heading,
-        contrast=contrast,
-        seen_share=0.15,
-        step_px=2.0,
-        gap_px=gap_px,
-        longest_px=4.0 * max(coarse.shape),
-    )
-    if len(points) < 40:
+    line = np.empty((2 * max(coarse.shape) + 2, 3))  # points are 2 pixels apart
+    start = Start(u + 3.0 * du, v + 3.0 * dv, du, dv, contrast)
+    count, _ = follow(picture, start, 0.15, 2.0, float(gap_px), line, scratch)
+    if count < 40:
         raise StripNotFoundError(
-            f"the strip ends {2 * len(points)} coarse pixels from the edge; needs 80:"
+            f"the strip ends {2 * count} coarse pixels from the edge; needs 80:"
             " check thickness_m and gap_m"
         )
-    return points
+    return line[:count, :2]

@@ -23,6 +23,10 @@ class Unseen(StrEnum):
     EMPTY = "empty"  # black, or without any contrast
 
 
+#: Compiled functions say the place of a reason in here.
+UNSEEN = tuple(Unseen)
+
+
 @dataclass(frozen=True)
 class Sighting:
     """Nodes of the cable in one frame, in metres in the cell's plane; or why there are none.

@@ -1,221 +1,365 @@
 """The held cable in one picture: followed from the gripping point, its tip found, its curve fitted.
 
-Everything here is in pixels (column, row); `detect` puts it into the cell's plane.
+Compiled.  Everything here is in pixels (column, row); `detect` puts it into the cell's plane.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import lru_cache
+from math import erfc, sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
 
-from cell.vision.curve import Curve, arc_lengths, basis_matrix, chord_parameters, fit_curve
-from cell.vision.ridge import End, Picture, crossings, find_start, follow, offsets_along
-from cell.vision.sighting import Unseen
+from cell.vision.compiling import compiled, hypot, inline
+from cell.vision.ridge import (
+    ProfileFit,
+    Start,
+    find_start,
+    follow,
+    new_scratch,
+    offset_at,
+    profile_fit,
+)
+from cell.vision.sighting import UNSEEN, Unseen
+from cell.vision.spline import (
+    COLUMN,
+    PARAMETER,
+    ROW,
+    STRENGTH,
+    WEIGHT,
+    at,
+    fit_cable,
+    new_equations,
+    new_pieces,
+)
 
 FloatArray = NDArray[np.float64]
 
-_INTERVALS = 7  # of the cable's curve: room for the fourth bending mode
-_PENALTY = 1e-10  # keeps the ends of the curve from waving
-_SAMPLES = 400  # along the cable, at which offsets are measured
+SAMPLES = 400  # along the cable, at which offsets are measured
+DENSE = 401  # points along the cable, 0.25 mm apart
+_FINE = 2 * SAMPLES  # points between which equal arc length is interpolated
 _START_PX = 4.0  # beside the jaw a profile sees the jaw too
 _END_PX = 2.0  # beside the tip it sees the tip's blur
 _LEAST_SEEN = 0.7  # of the cable's length; less would be guessing
+STEP_PX = 2.0  # from point to point of a line that is followed
+_TIP_FROM_PX, _TIP_TO_PX = -50, 14  # about its end as followed the tip is looked for
+ARC_RAD = 1.75  # half of the arcs on which a second cable is looked for
+_CROSSINGS = 64  # lines across one arc
+_LONGEST = 1.3  # a cable is followed for so many times its expected length
+
+_AT_U, _AT_V, _NORMAL_U, _NORMAL_V, _NOISE = range(5, 10)  # columns of the samples
+_ALONG, _SHARE = 1, 2  # rows of memory while the tip is looked for
+
+SEEN = -1
+_NO_CABLE = UNSEEN.index(Unseen.NO_CABLE)
+_LEAVES_PICTURE = UNSEEN.index(Unseen.LEAVES_PICTURE)
 
 
-@dataclass(frozen=True)
-class Trace:
-    """The cable in pixels: its curve from the gripping point to the tip, and how sure it is.
+class CableLook(NamedTuple):
+    """What a cable looks like: least contrast at its start, grey levels, and its profile.
 
+    at_tip  profile where it is looked for how far along the cable goes
+    """
+
+    min_contrast: float
+    along: ProfileFit
+    at_tip: ProfileFit
+
+
+class TraceMemory(NamedTuple):
+    """Memory that following and measuring a cable needs; its curve is left in it.
+
+    line       (capacity, 5) points of a line that was followed; columns as in `spline`
+    samples    (SAMPLES, 10) the same of the measured points, then of each the place and the
+               normal of the curve at which it was measured, and the noise of its profile
+    pieces     of the curve
+    dense      (DENSE, 2) points of the curve, at equal parameters
+    crossing   (64, 3) where lines cross an arc
+    equations  of the curve's fit
+    scratch    (10, …) for one step at a time
+    """
+
+    line: FloatArray
+    samples: FloatArray
+    pieces: FloatArray
+    dense: FloatArray
+    crossing: FloatArray
+    equations: FloatArray
+    scratch: FloatArray
+
+
+class Traced(NamedTuple):
+    """How sure a cable is.
+
+    code             −1, or the number of its `Unseen`
     contrast         typical contrast, grey levels
     seen_share       share of its length along which it was seen
     misfit_px        rms distance of what was seen from the curve
     signal_to_noise  amplitude of the line's profile over what the profile's fit leaves
     """
 
-    curve: Curve
+    code: int
     contrast: float
     seen_share: float
     misfit_px: float
     signal_to_noise: float
 
 
-def trace_cable(
-    picture: Picture,
-    grip_px: FloatArray,
-    outward: FloatArray,
-    *,
-    length_px: float,
-    min_contrast: float,
-    width_px: float,
-) -> Trace | Unseen:
-    """Trace of the cable that leaves the gripping point (2,) about along `outward` (2,).
+def cable_look(min_contrast: float, width_px: float) -> CableLook:
+    """See `CableLook`; width_px is the standard deviation of the cable's profile."""
+    return CableLook(float(min_contrast), profile_fit(width_px), profile_fit(1.2 * width_px))
 
-    length_px     expected length; the cable is followed for 1.3 times that
-    min_contrast  at the start, grey levels
-    width_px      standard deviation of the cable's profile
-    returns       the trace, or why there is none: NO_CABLE (also when too little of it is seen),
-                  LEAVES_PICTURE
+
+def trace_memory(diagonal_px: float) -> TraceMemory:
+    """Memory for cables in pictures of a diagonal: no longer than twice that, if they are bent."""
+    longest_px = 2.0 * diagonal_px
+    capacity = max(int(_LONGEST * longest_px / STEP_PX) + 3, SAMPLES)
+    return TraceMemory(
+        line=np.empty((capacity, 5)),
+        samples=np.empty((SAMPLES, 10)),
+        pieces=new_pieces(),
+        dense=np.empty((DENSE, 2)),
+        crossing=np.empty((_CROSSINGS, 3)),
+        equations=new_equations(),
+        scratch=new_scratch(max(int(2.0 * ARC_RAD * longest_px) + 2, _FINE, capacity)),
+    )
+
+
+@compiled
+def trace_cable(picture, look, memory, grip, outward, length):  # type: ignore[no-untyped-def]
+    """Trace of the cable that leaves the gripping point about along `outward` (column, row each).
+
+    look     of the cable, see `CableLook`
+    memory   see `TraceMemory`; the cable's curve is left in it
+    length   expected, px
+    returns  a `Traced`, its code among: NO_CABLE (also when too little of it is seen),
+             LEAVES_PICTURE
     """
     height, width = picture.image.shape
-    if not (2.0 < grip_px[0] < width - 3.0 and 2.0 < grip_px[1] < height - 3.0):
-        return Unseen.LEAVES_PICTURE
-    start, heading, contrast = find_start(picture, grip_px, outward, reach_px=3.0)
-    if not contrast >= min_contrast:
-        return Unseen.NO_CABLE
-    points, contrasts, end = follow(
-        picture,
-        start + 3.0 * heading,
-        heading,
-        contrast=contrast,
-        seen_share=0.4,
-        step_px=2.0,
-        gap_px=0.03 * length_px,
-        longest_px=1.3 * length_px,
-    )
-    if end is End.LEFT_PICTURE:
-        return Unseen.LEAVES_PICTURE
-    if len(points) < 20:
-        return Unseen.NO_CABLE
-    line = np.vstack([start, points])
-    u = chord_parameters(line)
-    weights = np.ones(len(line))
-    weights[0] = 0.1
-    curve = fit_curve(u, line, weights, _INTERVALS, _PENALTY)
-    tip = _tip(picture, curve, width_px)
-    if tip is None:
-        return Unseen.LEAVES_PICTURE
-    trace = _refined(picture, curve, tip, grip_px, width_px, float(np.median(contrasts)))
-    return Unseen.NO_CABLE if trace is None else trace
+    if not (2.0 < grip[0] < width - 3.0 and 2.0 < grip[1] < height - 3.0):
+        return Traced(_LEAVES_PICTURE, 0.0, 0.0, 0.0, 0.0)
+    start = find_start(picture, grip, outward, 3.0, 0.5, memory.scratch)
+    if not start.contrast >= look.min_contrast:
+        return Traced(_NO_CABLE, 0.0, 0.0, 0.0, 0.0)
+    u, v = start.u + 3.0 * start.du, start.v + 3.0 * start.dv
+    begin = Start(u, v, start.du, start.dv, start.contrast)
+    capacity = min(int(_LONGEST * length / STEP_PX) + 2, len(memory.line) - 1)
+    line = memory.line[: capacity + 1]
+    line[0, COLUMN], line[0, ROW] = start.u, start.v
+    count, end = follow(picture, begin, 0.4, STEP_PX, 0.03 * length, line[1:], memory.scratch)
+    if end == 1:
+        return Traced(_LEAVES_PICTURE, 0.0, 0.0, 0.0, 0.0)
+    if count < 20:
+        return Traced(_NO_CABLE, 0.0, 0.0, 0.0, 0.0)
+    line = line[: count + 1]
+    _chord_parameters(line)
+    for n in range(count + 1):
+        line[n, WEIGHT] = 1.0 if n else 0.1
+    fit_cable(line, memory.pieces, memory.equations)
+    tip = _tip(picture, look.at_tip, memory)
+    if np.isnan(tip):
+        return Traced(_LEAVES_PICTURE, 0.0, 0.0, 0.0, 0.0)
+    for n in range(count):
+        memory.scratch[0, n] = line[n + 1, STRENGTH]
+    contrast = median(memory.scratch, count)
+    return _refined(picture, look.along, memory, grip, tip, contrast)
 
 
-def another_line(
-    picture: Picture,
-    grip_px: FloatArray,
-    outward: FloatArray,
-    cable_px: FloatArray,
-    contrast: float,
-    length_px: float,
-) -> bool:
-    """Whether a second line like the cable runs near it: long, as strong, and somewhere else.
-
-    Arcs about the gripping point are searched for lines; what crosses them away from the cable
-    (M, 2) is followed both ways, and counts if that goes on for a fifth of the cable's length.
-    """
-    middle = float(np.arctan2(outward[1], outward[0]))
-    for share in (0.3, 0.5, 0.7, 0.9):
-        points, contrasts = crossings(picture, grip_px, share * length_px, middle, 1.75)
-        strong = contrasts > 0.5 * contrast
-        for point in points[strong]:
-            if _distance(point[None], cable_px)[0] < 8.0:
-                continue
-            radial = (point - grip_px) / np.linalg.norm(point - grip_px)
-            total = 0.0
-            for heading in (radial, -radial):
-                begin, along, strength = find_start(picture, point, heading, 2.0, 1.0)
-                if strength < 0.5 * contrast:
-                    continue
-                line, _, _ = follow(
-                    picture,
-                    begin,
-                    along,
-                    contrast=contrast,
-                    seen_share=0.4,
-                    step_px=2.0,
-                    gap_px=10.0,
-                    longest_px=0.3 * length_px,
-                )
-                if len(line) > 1:
-                    apart = line[_distance(line, cable_px) > 6.0]
-                    total += 2.0 * len(apart)
-            if total > 0.2 * length_px:
-                return True
-    return False
+@compiled
+def _chord_parameters(line):  # type: ignore[no-untyped-def]
+    """Give the points of a line parameters 0 … 1, by distance."""
+    total = 0.0
+    line[0, PARAMETER] = 0.0
+    for n in range(1, len(line)):
+        across, down = line[n, COLUMN] - line[n - 1, COLUMN], line[n, ROW] - line[n - 1, ROW]
+        total += hypot(across, down)
+        line[n, PARAMETER] = total
+    for n in range(len(line)):
+        line[n, PARAMETER] /= total
 
 
-def _distance(points: FloatArray, line: FloatArray) -> FloatArray:
-    """(N,) distance of (N, 2) points to the nearest of (M, 2) dense samples."""
-    d = points[:, None, :] - line[None, ::4, :]
-    nearest: FloatArray = np.sqrt(np.min(np.sum(d * d, axis=2), axis=1))
-    return nearest
-
-
-def _tip(picture: Picture, curve: Curve, width_px: float) -> float | None:
+@compiled
+def _tip(picture, fit, memory):  # type: ignore[no-untyped-def]
     """Parameter at which the line ends: where its amplitude falls to half, to a part of a pixel.
 
     Least squares of amplitude ≈ full · Φ((end − along) / blur), which blur does not move.
+    fit      profile's fit; its blur is taken to be 1.2 times that of the tip
+    returns  the parameter, or nan where the line does not end in the picture
     """
-    speed = float(np.linalg.norm(curve.at(np.array([0.97]), 1)[0]))
-    along = np.arange(-50.0, 14.0)
-    # beyond the last few points, which may have strayed, the line goes on straight
-    bent = np.minimum(along, -6.0)
-    points, normals = curve.at(1.0 + bent / speed), curve.normals(1.0 + bent / speed)
-    tangents = np.stack([normals[:, 1], -normals[:, 0]], axis=1)
-    points = points + (along - bent)[:, None] * tangents
-    _, amplitude, _ = offsets_along(picture, points, normals, 1.2 * width_px)
-    inside = np.isfinite(amplitude)
-    along, amplitude = along[inside], amplitude[inside]
-    if len(along) < 40:
-        return None
-    full = max(float(np.median(amplitude[along < -16.0])), 1e-6)
-    share = amplitude / full
-    smooth = np.convolve(np.pad(share, 1, mode="edge"), np.full(3, 1.0 / 3.0), mode="valid")
-    gone = np.flatnonzero((smooth[:-2] < 0.5) & (smooth[1:-1] < 0.5) & (smooth[2:] < 0.5))
-    gone = gone[along[gone] > -40.0]
-    if not len(gone):
-        return 1.0 + float(along[-1]) / speed if np.all(inside) else None
-    end = float(along[gone[0]])
+    scratch = memory.scratch
+    _, _, du, dv = at(memory.pieces, 0.97)
+    speed = hypot(du, dv)
+    count, inner = 0, 0
+    for place in range(_TIP_FROM_PX, _TIP_TO_PX):
+        # beyond the last few points, which may have strayed, the line goes on straight
+        bent = min(float(place), -6.0)
+        u, v, du, dv = at(memory.pieces, 1.0 + bent / speed)
+        norm = hypot(du, dv)
+        du, dv = du / norm, dv / norm
+        ahead = place - bent
+        _, amplitude, _ = offset_at(picture, u + ahead * du, v + ahead * dv, -dv, du, fit, scratch)
+        if np.isfinite(amplitude):
+            scratch[_ALONG, count], scratch[_SHARE, count] = place, amplitude
+            scratch[0, count] = amplitude
+            count += 1
+            if place < -16.0:
+                inner = count
+    if count < 40:
+        return np.nan
+    full = max(median(scratch, inner), 1e-6)
+    for n in range(count):
+        scratch[_SHARE, n] /= full
+    gone, faded = -1, 0
+    for n in range(count):
+        before, after = scratch[_SHARE, max(n - 1, 0)], scratch[_SHARE, min(n + 1, count - 1)]
+        faded = faded + 1 if (before + scratch[_SHARE, n] + after) / 3.0 < 0.5 else 0
+        if faded >= 3 and scratch[_ALONG, n - 2] > -40.0:
+            gone = n - 2
+            break
+    if gone < 0:
+        complete = count == _TIP_TO_PX - _TIP_FROM_PX
+        return 1.0 + scratch[_ALONG, count - 1] / speed if complete else np.nan
+    return 1.0 + _half(scratch, count, scratch[_ALONG, gone], fit.width_px / 1.2) / speed
+
+
+@inline
+def _half(scratch, count, end, blur):  # type: ignore[no-untyped-def]
+    """Where the share falls to half, by Gauss–Newton from `end`."""
     for _ in range(5):
-        z = (end - along) / width_px
-        density = np.exp(-0.5 * z * z) / (np.sqrt(2.0 * np.pi) * width_px)
-        end += float(np.sum((share - ndtr(z)) * density) / np.sum(density**2))
-        end = float(np.clip(end, along[0], along[-1]))
-    return 1.0 + end / speed
+        numerator, denominator = 0.0, 0.0
+        for n in range(count):
+            z = (end - scratch[_ALONG, n]) / blur
+            density = np.exp(-0.5 * z * z) / (sqrt(2.0 * np.pi) * blur)
+            numerator += (scratch[_SHARE, n] - 0.5 * erfc(-z / sqrt(2.0))) * density
+            denominator += density * density
+        end = max(end + numerator / denominator, scratch[_ALONG, 0])
+        end = min(end, scratch[_ALONG, count - 1])
+    return end
 
 
-def _refined(
-    picture: Picture,
-    curve: Curve,
-    tip: float,
-    grip_px: FloatArray,
-    width_px: float,
-    contrast: float,
-) -> Trace | None:
+@compiled
+def _refined(picture, fit, memory, grip, tip, contrast):  # type: ignore[no-untyped-def]
     """The curve again, from offsets across it, sampled at equal arc length from grip to tip."""
-    samples, basis = _samples()
     last = tip
+    usable, clear = 0, 0
     for _ in range(2):
-        velocity = curve.at(np.zeros(1), 1)[0]
-        first = float((grip_px - curve.at(np.zeros(1))[0]) @ velocity / (velocity @ velocity))
-        fine = np.linspace(first, last, 2 * _SAMPLES)
-        s = arc_lengths(curve.at(fine))
-        u = np.interp(samples * s[-1], s, fine)
-        points, normals = curve.at(u), curve.normals(u)
-        offsets, amplitudes, noise = offsets_along(picture, points, normals, width_px)
-        away = samples * s[-1]
-        clear = (away > _START_PX) & (s[-1] - away > _END_PX)
-        usable = np.isfinite(offsets) & clear
-        if not usable.sum() > _LEAST_SEEN * clear.sum():
-            return None
-        weights = np.where(usable, 1.0, 0.0)
-        moved = points + np.where(usable, offsets, 0.0)[:, None] * normals
-        curve = fit_curve(samples, moved, weights, _INTERVALS, _PENALTY, basis=basis)
+        u, v, du, dv = at(memory.pieces, 0.0)
+        first = ((grip[0] - u) * du + (grip[1] - v) * dv) / (du * du + dv * dv)
+        length = _equal_steps(memory, first, last)
+        usable, clear = _measure(picture, fit, memory.samples, length, memory.scratch)
+        if not usable > _LEAST_SEEN * clear:
+            return Traced(_NO_CABLE, 0.0, 0.0, 0.0, 0.0)
+        fit_cable(memory.samples, memory.pieces, memory.equations)
         last = 1.0
-    left = np.sum((moved - basis @ curve.coefficients) * normals, axis=1)[usable]
-    return Trace(
-        curve,
-        contrast,
-        float(usable[clear].mean()),
-        float(np.sqrt(np.mean(left**2))),
-        float(np.median(amplitudes[usable]) / max(np.median(noise[usable]), 0.1)),
-    )
+    misfit = _misfit(memory.samples, memory.pieces)
+    signal = _median_used(memory, STRENGTH)
+    noise = _median_used(memory, _NOISE)
+    return Traced(SEEN, contrast, usable / clear, misfit, signal / max(noise, 0.1))
 
 
-@lru_cache(maxsize=1)
-def _samples() -> tuple[FloatArray, FloatArray]:
-    """Where along the cable offsets are measured, 0 … 1, and the splines there."""
-    samples = np.linspace(0.0, 1.0, _SAMPLES)
-    return samples, basis_matrix(_INTERVALS, samples)
+@inline
+def _misfit(samples, pieces):  # type: ignore[no-untyped-def]
+    """Root mean square distance of the measured points from the curve, px."""
+    squares, count = 0.0, 0
+    for n in range(SAMPLES):
+        if samples[n, WEIGHT] > 0.0:
+            u, v, _, _ = at(pieces, samples[n, PARAMETER])
+            off = (samples[n, COLUMN] - u) * samples[n, _NORMAL_U]
+            off += (samples[n, ROW] - v) * samples[n, _NORMAL_V]
+            squares += off * off
+            count += 1
+    return sqrt(squares / count)
+
+
+@inline
+def _median_used(memory, column):  # type: ignore[no-untyped-def]
+    """Median of a column of the samples that were used."""
+    count = 0
+    for n in range(SAMPLES):
+        if memory.samples[n, WEIGHT] > 0.0:
+            memory.scratch[0, count] = memory.samples[n, column]
+            count += 1
+    return median(memory.scratch, count)
+
+
+@compiled
+def _equal_steps(memory, first, last):  # type: ignore[no-untyped-def]
+    """Points and normals at equal arc length, into `samples`; returns the length from grip to tip.
+
+    first, last  parameters of the curve at the gripping point and at the tip
+    """
+    s, samples = memory.scratch[0], memory.samples
+    before_u, before_v, _, _ = at(memory.pieces, first)
+    s[0] = 0.0
+    step = (last - first) / (_FINE - 1)
+    for k in range(1, _FINE):
+        u, v, _, _ = at(memory.pieces, first + k * step)
+        s[k] = s[k - 1] + hypot(u - before_u, v - before_v)
+        before_u, before_v = u, v
+    length = s[_FINE - 1]
+    k = 0
+    for n in range(SAMPLES):
+        place = n / (SAMPLES - 1) * length
+        while k < _FINE - 2 and s[k + 1] < place:
+            k += 1
+        share = (place - s[k]) / (s[k + 1] - s[k])
+        u, v, du, dv = at(memory.pieces, first + (k + share) * step)
+        norm = hypot(du, dv)
+        samples[n, _AT_U], samples[n, _AT_V] = u, v
+        samples[n, _NORMAL_U], samples[n, _NORMAL_V] = -dv / norm, du / norm
+    return length
+
+
+@compiled
+def _measure(picture, fit, samples, length, scratch):  # type: ignore[no-untyped-def]
+    """Offsets across the curve at the samples, and what the next curve is fitted to.
+
+    returns  how many samples are usable, and how many are clear of jaw and tip
+    """
+    usable, clear = 0, 0
+    for n in range(SAMPLES):
+        u, v = samples[n, _AT_U], samples[n, _AT_V]
+        nu, nv = samples[n, _NORMAL_U], samples[n, _NORMAL_V]
+        offset, amplitude, noise = offset_at(picture, u, v, nu, nv, fit, scratch)
+        place = n / (SAMPLES - 1)
+        away = place * length
+        inside = away > _START_PX and length - away > _END_PX
+        clear += inside
+        good = inside and np.isfinite(offset)
+        usable += good
+        if not good:
+            offset = 0.0
+        samples[n, COLUMN], samples[n, ROW] = u + offset * nu, v + offset * nv
+        samples[n, STRENGTH], samples[n, _NOISE] = amplitude, noise
+        samples[n, PARAMETER], samples[n, WEIGHT] = place, 1.0 if good else 0.0
+    return usable, clear
+
+
+@compiled
+def median(scratch, count):  # type: ignore[no-untyped-def]
+    """Median of the first values of row 0, by Hoare's selection; the row is left partly sorted."""
+    rank, low, high = count // 2, 0, count - 1
+    while low < high:
+        pivot = scratch[0, rank]
+        i, j = low, high
+        while i <= j:
+            while scratch[0, i] < pivot:
+                i += 1
+            while pivot < scratch[0, j]:
+                j -= 1
+            if i <= j:
+                scratch[0, i], scratch[0, j] = scratch[0, j], scratch[0, i]
+                i += 1
+                j -= 1
+        if j < rank:
+            low = i
+        if rank < i:
+            high = j
+    upper = scratch[0, rank]
+    if count % 2:
+        return upper
+    lower = scratch[0, 0]
+    for n in range(rank):
+        lower = max(lower, scratch[0, n])
+    return 0.5 * (lower + upper)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -153,9 +154,31 @@ def test_an_earlier_sighting_changes_nothing_but_the_time_it_takes(
         assert sighting.nodes_m == pytest.approx(alone.nodes_m, abs=2e-6)
 
 
+def test_a_picture_may_be_read_only_or_a_part_of_another(view, make_random_cable, photograph_of):
+    image = photograph_of(make_random_cable(np.random.default_rng(9)))
+    expected = detect(image, 0.0, view, OPTIONS)
+    part = np.pad(image, 8)[8:-8, 8:-8]
+    frozen = image.copy()
+    frozen.setflags(write=False)
+    for same in (part, frozen, np.asfortranarray(image)):
+        assert detect(same, 0.0, view, OPTIONS).nodes_m.tolist() == expected.nodes_m.tolist()
+
+
+def test_threads_do_not_disturb_each_other(view, make_random_cable, photograph_of):
+    rng = np.random.default_rng(10)
+    images = [photograph_of(make_random_cable(rng), seed=k) for k in range(6)]
+    alone = [detect(image, 0.0, view, OPTIONS).nodes_m.tolist() for image in images]
+    with ThreadPoolExecutor(3) as threads:
+        for _ in range(5):
+            found = threads.map(lambda image: detect(image, 0.0, view, OPTIONS), images)
+            assert [sighting.nodes_m.tolist() for sighting in found] == alone
+
+
 def test_bad_input_is_named(view, background):
     with pytest.raises(ValueError, match=r"image is \(4, 4, 3\) uint8"):
         detect(np.zeros((4, 4, 3), np.uint8), 0.0, view, OPTIONS)
+    with pytest.raises(ValueError, match=r"image is \(0, 4\) uint8"):
+        detect(np.zeros((0, 4), np.uint8), 0.0, view, OPTIONS)
     with pytest.raises(ValueError, match="background is"):
         detect(np.zeros((8, 8), np.uint8), 0.0, view, OPTIONS, background)
     with pytest.raises(ValueError, match=r"free_length_m = 0.0"):

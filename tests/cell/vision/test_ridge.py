@@ -6,8 +6,19 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numba import njit
 
-from cell.vision.ridge import End, Picture, crossings, find_start, follow, offsets_along
+from cell.vision.ridge import (
+    End,
+    Picture,
+    Start,
+    crossings,
+    find_start,
+    follow,
+    new_scratch,
+    offset_at,
+    profile_fit,
+)
 
 
 def painted(angle, offset, *, ends=(-1e9, 1e9), sign=1, slope=0.0, width=1.0, edge=0.0):
@@ -21,6 +32,27 @@ def painted(angle, offset, *, ends=(-1e9, 1e9), sign=1, slope=0.0, width=1.0, ed
     return np.clip(np.rint(level), 0, 255).astype(np.uint8), d
 
 
+@njit
+def offsets_beside(picture, points, normal, fit, scratch):
+    found = np.empty((len(points), 3))
+    for n in range(len(points)):
+        found[n] = offset_at(
+            picture, points[n, 0], points[n, 1], normal[0], normal[1], fit, scratch
+        )
+    return found
+
+
+def followed(picture, start, *, gap=10.0, longest=400.0):
+    line = np.empty((int(longest / 2.0), 3))
+    count, why = follow(picture, start, 0.4, 2.0, gap, line, new_scratch())
+    return line[:count], End(why)
+
+
+def crossed(picture):
+    found = np.empty((64, 3))
+    return found[: crossings(picture, (160.0, 120.0, 60.0, 0.5, 1.5), new_scratch(200), found)]
+
+
 @settings(max_examples=60, deadline=None)
 @given(
     angle=st.floats(-3.1, 3.1),
@@ -31,8 +63,10 @@ def painted(angle, offset, *, ends=(-1e9, 1e9), sign=1, slope=0.0, width=1.0, ed
 def test_the_offset_across_is_right_whatever_the_direction_and_the_base(angle, offset, sign, slope):
     image, d = painted(angle, offset, sign=sign, slope=slope)
     points = np.array([160.0, 120.0]) + np.linspace(-60, 60, 121)[:, None] * d
-    normals = np.broadcast_to([-d[1], d[0]], points.shape)
-    offsets, amplitudes, left = offsets_along(Picture(image, None, sign), points, normals, 1.0)
+    picture, normal = Picture.of(image, None, sign), np.array([-d[1], d[0]])
+    offsets, amplitudes, left = offsets_beside(
+        picture, points, normal, profile_fit(1.0), new_scratch()
+    ).T
     assert np.mean(offsets) == pytest.approx(offset, abs=0.06)  # one step of Gauss–Newton
     assert np.mean(amplitudes) == pytest.approx(60.0, rel=0.25)
     assert np.mean(left) < 8.0
@@ -41,8 +75,8 @@ def test_the_offset_across_is_right_whatever_the_direction_and_the_base(angle, o
 def test_where_there_is_no_line_there_is_no_offset():
     image, d = painted(0.3, 0.0, sign=-1)
     points = np.array([160.0, 120.0]) + np.linspace(-30, 30, 61)[:, None] * d
-    normals = np.broadcast_to([-d[1], d[0]], points.shape)
-    offsets, _, _ = offsets_along(Picture(image, None, +1), points, normals, 1.0)
+    picture, normal = Picture.of(image, None, +1), np.array([-d[1], d[0]])
+    offsets = offsets_beside(picture, points, normal, profile_fit(1.0), new_scratch())[:, 0]
     assert np.all(np.isnan(offsets))
 
 
@@ -50,49 +84,46 @@ def test_where_there_is_no_line_there_is_no_offset():
 @given(angle=st.floats(-3.1, 3.1), end=st.floats(40.0, 90.0))
 def test_a_line_is_started_and_followed_to_its_end(angle, end):
     image, d = painted(angle, 0.0, ends=(-20.0, end))
-    picture = Picture(image, None, 1)
+    picture = Picture.of(image, None, 1)
     at = np.array([160.0, 120.0]) + 2.0 * np.array([-d[1], d[0]])
-    start, heading, contrast = find_start(picture, at, d, reach_px=4.0)
-    assert contrast > 20.0
-    assert heading @ d > 0.99
-    points, contrasts, why = follow(
-        picture,
-        start,
-        heading,
-        contrast=contrast,
-        seen_share=0.4,
-        step_px=2.0,
-        gap_px=10.0,
-        longest_px=400.0,
-    )
+    start = find_start(picture, tuple(at), tuple(d), 4.0, 0.5, new_scratch())
+    assert start.contrast > 20.0
+    assert np.array([start.du, start.dv]) @ d > 0.99
+    line, why = followed(picture, start)
+    points = line[:, :2]
     across = (points - np.array([160.0, 120.0])) @ np.array([-d[1], d[0]])
     assert why is End.FADED
-    assert len(points) == len(contrasts)
+    assert np.all(line[:-1, 2] > 20.0)
     assert (points[-1] - np.array([160.0, 120.0])) @ d == pytest.approx(end, abs=3.0)
     assert np.abs(across[2:-1]).max() < 0.35
 
 
 def test_a_line_that_goes_on_leaves_the_picture_or_is_too_long():
     image, d = painted(0.2, 0.0)
-    how = {"contrast": 40.0, "seen_share": 0.4, "step_px": 2.0, "gap_px": 10.0}
-    picture = Picture(image, None, 1)
-    middle = np.array([160.0, 120.0])
-    assert follow(picture, middle, d, **how, longest_px=900.0)[2] is End.LEFT_PICTURE
-    assert follow(picture, middle, d, **how, longest_px=50.0)[2] is End.TOO_LONG
+    picture, start = Picture.of(image, None, 1), Start(160.0, 120.0, *d.tolist(), 40.0)
+    assert followed(picture, start, longest=900.0)[1] is End.LEFT_PICTURE
+    assert followed(picture, start, longest=50.0)[1] is End.TOO_LONG
 
 
 def test_an_edge_is_not_a_line():
     image, d = painted(0.5, 0.0, sign=0, edge=80.0)
     at = np.array([160.0, 120.0]) + 10.0 * np.array([-d[1], d[0]])
     for sign in (1, -1):
-        _, _, contrast = find_start(Picture(image, None, sign), at, d, reach_px=6.0)
-        assert contrast < 3.0
+        picture = Picture.of(image, None, sign)
+        assert find_start(picture, tuple(at), tuple(d), 6.0, 0.5, new_scratch()).contrast < 3.0
 
 
 def test_what_the_background_shows_too_is_not_there():
     image, d = painted(0.5, 0.0)
-    points, _ = crossings(Picture(image, None, 1), np.array([160.0, 120.0]), 60.0, 0.5, 1.5)
+    points = crossed(Picture.of(image, None, 1))[:, :2]
     assert len(points) == 1
     assert points[0] == pytest.approx(np.array([160.0, 120.0]) + 60.0 * d, abs=1.0)
-    points, _ = crossings(Picture(image, image, 1), np.array([160.0, 120.0]), 60.0, 0.5, 1.5)
-    assert len(points) == 0
+    assert len(crossed(Picture.of(image, image, 1))) == 0
+
+
+def test_what_lies_beyond_the_edge_is_no_line():
+    image, d = painted(0.0, 0.0)
+    start = find_start(
+        Picture.of(image, None, 1), (319.0, 120.0), tuple(d), 3.0, 0.5, new_scratch()
+    )
+    assert not start.contrast > 5.0

@@ -1,0 +1,45 @@
+"""How numerical functions are compiled, and when compiled code on disk is out of date."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any, TypeVar
+
+from numba import njit
+
+#: Fused multiply-add is allowed, reordering is not: results do not depend on the vector width.
+FASTMATH = {"contract", "nsz"}
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+inline = njit(fastmath=FASTMATH, error_model="numpy", forceinline=True)
+
+
+def hash_of(sources: Iterable[Path]) -> str:
+    """Hash of what stands in some files, in the order of their names, and of how it is compiled."""
+    digest = hashlib.sha256()
+    for path in sorted([*sources, Path(__file__)]):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def compiler(fingerprint: Callable[[], str]) -> Callable[[F], F]:
+    """Decorator that compiles on first use, without the interpreter lock, and keeps it on disk.
+
+    fingerprint  of all the sources that a compiled function may come from.  numba compares the
+                 time stamp of the function's own file only, and so would run old code after a
+                 change in a file that the function calls into; here the stamp is this fingerprint
+    """
+
+    def compiled(function: F) -> F:
+        options: dict[str, Any] = {"fastmath": FASTMATH, "error_model": "numpy", "nogil": True}
+        try:
+            dispatcher: Any = njit(cache=True, **options)(function)
+        except RuntimeError:  # numba found no folder that it may write to
+            return njit(**options)(function)  # type: ignore[no-any-return]
+        dispatcher._cache._cache_file._source_stamp = fingerprint()
+        return dispatcher  # type: ignore[no-any-return]
+
+    return compiled

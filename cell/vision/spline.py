@@ -1,0 +1,133 @@
+"""The cable's curve, compiled: quintic B-splines on a fixed number of intervals.
+
+The same curve as in `curve`, for which see there.  A curve is kept as one polynomial per interval:
+pieces (intervals, 6, 2), lowest power first, of a place that goes from 0 to 1 in every piece.
+"""
+
+from __future__ import annotations
+
+from math import floor, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.vision.compiling import compiled, inline
+from cell.vision.curve import DEGREE, pieces_of_splines, roughness
+
+FloatArray = NDArray[np.float64]
+
+INTERVALS = 7  # of the cable's curve: room for the fourth bending mode
+_PENALTY = 1e-10  # keeps the ends of the curve from waving
+_WIDTH = DEGREE + 1  # splines that are not zero in an interval
+_COUNT = INTERVALS + DEGREE
+
+
+#: Columns of a table of points that a curve is fitted to.
+COLUMN, ROW, STRENGTH, PARAMETER, WEIGHT = range(5)
+
+
+def _splines() -> tuple[FloatArray, FloatArray]:
+    """Powers (INTERVALS, 6, 6) of the splines that are not zero in an interval; the penalty.
+
+    penalty  (C, C), what is added to the normal equations
+    """
+    full = pieces_of_splines(INTERVALS, 0)
+    pieces = np.stack([full[i, :, i : i + _WIDTH] for i in range(INTERVALS)])
+    return pieces, _PENALTY * roughness(INTERVALS) + 1e-12 * np.eye(_COUNT)
+
+
+_PIECES, _PENALTIES = _splines()
+
+
+def new_equations() -> FloatArray:
+    """Memory that `fit_cable` needs: normal equations, right-hand side, the splines at a place."""
+    return np.empty((_COUNT, _COUNT + 3))
+
+
+def new_pieces() -> FloatArray:
+    """Memory of one curve."""
+    return np.empty((INTERVALS, _WIDTH, 2))
+
+
+@inline
+def at(pieces, u):  # type: ignore[no-untyped-def]
+    """Point (column, row) at u and derivative by u there; beyond the ends the end pieces go on."""
+    place = u * INTERVALS
+    piece = min(max(floor(place), 0), INTERVALS - 1)
+    place -= piece
+    p = pieces[piece]
+    x, y, dx, dy = p[DEGREE, 0], p[DEGREE, 1], 0.0, 0.0
+    for k in range(DEGREE - 1, -1, -1):
+        dx = dx * place + x
+        dy = dy * place + y
+        x = x * place + p[k, 0]
+        y = y * place + p[k, 1]
+    return x, y, dx * INTERVALS, dy * INTERVALS
+
+
+@compiled
+def fit_cable(points, pieces, equations):  # type: ignore[no-untyped-def]
+    """Curve through points at parameters 0 … 1, by penalised least squares.
+
+    points     (N, ≥ 5) columns as above, weights ≥ 0 and not all zero
+    pieces     of the curve, are written
+    equations  memory, see `new_equations`
+    """
+    x_axis, y_axis, value = _COUNT, _COUNT + 1, _COUNT + 2
+    for c in range(_COUNT):
+        for d in range(_COUNT + 3):
+            equations[c, d] = 0.0
+    total = 0.0
+    for n in range(len(points)):
+        total += points[n, WEIGHT]
+    for n in range(len(points)):
+        if points[n, WEIGHT] == 0.0:
+            continue
+        weight = points[n, WEIGHT] / total
+        place = points[n, PARAMETER] * INTERVALS
+        piece = min(int(place), INTERVALS - 1)
+        place -= piece
+        for c in range(_WIDTH):
+            power = _PIECES[piece, DEGREE, c]
+            for k in range(DEGREE - 1, -1, -1):
+                power = power * place + _PIECES[piece, k, c]
+            equations[c, value] = power
+        for c in range(_WIDTH):
+            weighted = weight * equations[c, value]
+            for d in range(c + 1):
+                equations[piece + c, piece + d] += weighted * equations[d, value]
+            equations[piece + c, x_axis] += weighted * points[n, COLUMN]
+            equations[piece + c, y_axis] += weighted * points[n, ROW]
+    for c in range(_COUNT):
+        for d in range(c + 1):
+            equations[c, d] += _PENALTIES[c, d]
+    _solve(equations)
+    for piece in range(INTERVALS):
+        for k in range(_WIDTH):
+            x, y = 0.0, 0.0
+            for c in range(_WIDTH):
+                x += _PIECES[piece, k, c] * equations[piece + c, x_axis]
+                y += _PIECES[piece, k, c] * equations[piece + c, y_axis]
+            pieces[piece, k, 0], pieces[piece, k, 1] = x, y
+
+
+@inline
+def _solve(equations):  # type: ignore[no-untyped-def]
+    """Solve for the two right-hand sides in place, by Cholesky's factors of the lower triangle."""
+    for c in range(_COUNT):
+        for d in range(max(0, c - DEGREE), c + 1):
+            value = equations[c, d]
+            for k in range(max(0, c - DEGREE), d):
+                value -= equations[c, k] * equations[d, k]
+            equations[c, d] = sqrt(value) if c == d else value / equations[d, d]
+    for axis in range(_COUNT, _COUNT + 2):
+        for c in range(_COUNT):
+            value = equations[c, axis]
+            for k in range(max(0, c - DEGREE), c):
+                value -= equations[c, k] * equations[k, axis]
+            equations[c, axis] = value / equations[c, c]
+        for c in range(_COUNT - 1, -1, -1):
+            value = equations[c, axis]
+            for k in range(c + 1, min(c + _WIDTH, _COUNT)):
+                value -= equations[k, c] * equations[k, axis]
+            equations[c, axis] = value / equations[c, c]
