@@ -236,6 +236,8 @@ def follow(picture, start, share, step, gap, line, scratch):  # type: ignore[no-
             weight += w
             moment += w * (k - _SIDE)
         o = moment / weight
+        if np.isnan(o):  # the profile reaches beyond the picture
+            return n, 1
         u -= o * dv
         v += o * du
         line[n, 0], line[n, 1], line[n, 2] = u, v, best

@@ -85,7 +85,7 @@ def fit_cable(points, pieces, equations):  # type: ignore[no-untyped-def]
             continue
         weight = points[n, WEIGHT] / total
         place = points[n, PARAMETER] * INTERVALS
-        piece = min(int(place), INTERVALS - 1)
+        piece = min(max(int(place), 0), INTERVALS - 1)
         place -= piece
         for c in range(_WIDTH):
             power = _PIECES[piece, DEGREE, c]

@@ -105,6 +105,14 @@ def test_a_line_that_goes_on_leaves_the_picture_or_is_too_long():
     assert followed(picture, start, longest=50.0)[1] is End.TOO_LONG
 
 
+@pytest.mark.parametrize("row", [3.0, 5.0, 234.5, 236.0])
+def test_every_point_of_a_line_along_the_edge_of_the_picture_is_a_number(row):
+    image, d = painted(0.01, row - 120.0)
+    line, why = followed(Picture.of(image, None, 1), Start(40.0, row, *d.tolist(), 40.0))
+    assert np.all(np.isfinite(line))
+    assert why is not End.TOO_LONG
+
+
 def test_an_edge_is_not_a_line():
     image, d = painted(0.5, 0.0, sign=0, edge=80.0)
     at = np.array([160.0, 120.0]) + 10.0 * np.array([-d[1], d[0]])
