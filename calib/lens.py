@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -68,7 +69,7 @@ def distort(numbers: FloatArray, ideal_px: FloatArray) -> FloatArray:
     return np.stack(_distorted(numbers, ideal_px[..., 0], ideal_px[..., 1]), axis=-1)
 
 
-def _distorted(numbers, column, row):  # type: ignore[no-untyped-def]
+def _distorted(numbers: FloatArray, column: Any, row: Any) -> tuple[Any, Any]:
     """Column and row in the picture of an ideal pixel, or of arrays of them."""
     fx, fy, cx, cy = numbers[0], numbers[1], numbers[2], numbers[3]
     k1, k2, p1, p2, k3 = numbers[4], numbers[5], numbers[6], numbers[7], numbers[8]
