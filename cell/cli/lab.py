@@ -75,7 +75,10 @@ def fit(
 @app.command()
 def compare(
     study: StudyFolder,
-    model: Annotated[Path, typer.Option("--model", help="Model by `cell fit -o`.")],
+    model: Annotated[
+        list[Path],
+        typer.Option("--model", help="Model by `cell fit -o`; give it again for each more."),
+    ],
     effect: Annotated[
         list[str] | None,
         typer.Option("--effect", help="The file.py of an effect of the model, if it has moved."),
@@ -83,22 +86,38 @@ def compare(
     as_json: JsonFile = None,
     report: ReportFile = None,
 ) -> None:
-    """Compare a model with every trial of a study: overlay, error, noise floor, where it fails."""
+    """Compare models with every trial of a study: overlay, error, noise floor, where they fail.
+
+    Of several, given in the order in which they were made, the errors stand side by side: how they
+    fall as effects are added, and maps before and after.
+    """
     from cell.lab import session
-    from cell.lab.compare import compare_model
+    from cell.lab.compare import compare_model, comparisons_json, model_names
     from cell.lab.report import comparison_page, write_page
     from cell.lab.results import write_json
-    from cell.lab.tables import comparison_table, follows_table
+    from cell.lab.tables import (
+        comparison_sentence,
+        comparison_table,
+        comparisons_table,
+        follows_table,
+    )
 
     with _refusing(as_json, report):
         opened = session.open_study(study)
-        (individual,) = session.read_models([model], opened.cable, effect or [])
-        comparison = compare_model(opened, individual.model)
+        individuals = session.read_models(model, opened.cable, effect or [])
+        comparisons = [
+            compare_model(opened, m.model, name)
+            for m, name in zip(individuals, model_names(model), strict=True)
+        ]
         if as_json:
-            write_json(comparison.to_json(), as_json)
+            write_json(comparisons_json(comparisons), as_json)
         if report:
-            write_page(comparison_page(comparison), report)
-    _print(comparison_table(comparison), follows_table(comparison))
+            write_page(comparison_page(comparisons), report)
+    last = comparisons[-1]
+    side_by_side = [comparisons_table(comparisons)] if len(comparisons) > 1 else []
+    _print(
+        comparison_sentence(comparisons), *side_by_side, comparison_table(last), follows_table(last)
+    )
 
 
 @app.command()
@@ -112,12 +131,20 @@ def diagnose(
 ) -> None:
     """Tell which physical effect the model lacks, none, an unknown one, or that one cannot tell."""
     from cell.lab import session
+    from cell.lab.advice import Paths, advice
     from cell.lab.compare import compare_model
     from cell.lab.diagnose import diagnose as diagnose_study
     from cell.lab.individual import identified
     from cell.lab.report import diagnosis_page, write_page
     from cell.lab.results import to_json, write_json
-    from cell.lab.tables import nearest_table, ranking_table, sentence, waterfall_table
+    from cell.lab.tables import (
+        nearest_table,
+        ranking_table,
+        sentence,
+        steps_text,
+        verdict_line,
+        waterfall_table,
+    )
 
     with _refusing(as_json, report), _progress() as progress:
         selection = session.select_for_diagnosis(effect or [], known or [])
@@ -130,16 +157,25 @@ def diagnose(
             write_json(to_json(examination.diagnosis), as_json)
         steps = [explorer.as_believed(), *examination.steps[1:]]
         comparisons = [compare_model(opened, c.fit.model) for c in steps]
+        in_model = explorer.space.effects
+        todo = advice(
+            examination.diagnosis,
+            Paths.of(study, [*in_model, *explorer.library.values()]),
+            known=tuple(e.name for e in in_model),
+            accepted=tuple(e.name for e in examination.accepted.effects if e not in in_model),
+        )
         if report:
             model = identified(explorer.prepared, examination.steps[-1].fit)
-            write_page(diagnosis_page(examination, comparisons, model), report)
+            write_page(diagnosis_page(examination, comparisons, model, todo), report)
     diagnosis = examination.diagnosis
     more = [nearest_table(diagnosis)] if diagnosis.nearest else []
     _print(
-        sentence(diagnosis, comparisons[0]),
+        sentence(diagnosis, comparisons[0], comparisons[-1]),
+        verdict_line(diagnosis),
         waterfall_table(diagnosis),
         *more,
         ranking_table(diagnosis),
+        steps_text(todo),
     )
 
 
@@ -172,11 +208,14 @@ def discover(
 ) -> None:
     """Infer the missing force from the residual and write it as an effect that one can read."""
     from cell.lab import session
+    from cell.lab.advice import Paths, after_discovery
     from cell.lab.discover import discover as discover_effect
+    from cell.lab.discover import effect_name
     from cell.lab.results import write_json
-    from cell.lab.tables import discovery_table
+    from cell.lab.tables import discovery_sentence, discovery_table, steps_text
 
     with _refusing(out, as_json), _progress() as progress:
+        effect_name(out)
         selection = session.select_effects(effect or [])
         explorer = session.explorer_of(
             session.open_study(study),
@@ -187,7 +226,18 @@ def discover(
         discovery = discover_effect(explorer, out)
         if as_json:
             write_json(discovery.to_json(), as_json)
-    _print(discovery_table(discovery), f"written to {out}; use it with --effect {out}")
+    known = explorer.space.effects
+    paths = Paths.of(study, known)
+    paths = Paths(study, {**(paths.files or {}), discovery.effect: out})
+    todo = after_discovery(
+        discovery.effect, discovery.complete, paths, tuple(e.name for e in known)
+    )
+    _print(
+        discovery_table(discovery),
+        discovery_sentence(discovery),
+        f"written to {out}",
+        steps_text(todo),
+    )
 
 
 @app.command()
@@ -288,4 +338,7 @@ def _print(*parts: Any) -> None:
 
     console = Console()
     for part in parts:
-        console.print(part, highlight=False)
+        if isinstance(part, str):
+            print(part)  # as it is: commands are copied, and file names may have brackets
+        else:
+            console.print(part, highlight=False)

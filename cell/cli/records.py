@@ -72,8 +72,11 @@ def identify(
         print(json.dumps(identified.to_dict(), ensure_ascii=False))
         return
     Console().print(parameters_table(identified))
+    stated = ""
+    if study.noise_std_m is not None:
+        stated = f" (of the measurement as the study states it: {study.noise_std_m * 1e3:.3f} mm)"
     print(
-        f"residual {identified.residual_rms_m * 1e3:.3f} mm rms, noise "
-        f"{identified.noise.std_m * 1e3:.3f} mm, {identified.frames_used} of "
+        f"residual {identified.residual_rms_m * 1e3:.3f} mm rms, camera noise at rest "
+        f"{identified.noise.std_m * 1e3:.3f} mm{stated}, {identified.frames_used} of "
         f"{identified.frames_total} frames"
     )

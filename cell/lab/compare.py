@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,12 +12,17 @@ from numpy.typing import NDArray
 
 from cell.cable.model import CableModel
 from cell.lab.fitting import best_delay
+from cell.lab.noise import NoiseUnknownError, noise_floor
 from cell.lab.prepared import PreparedStudy, is_released
 from cell.lab.where import Where, overall, where
 from cell.study.data import Markers, Study, Trial
 
 FloatArray = NDArray[np.float64]
 
+#: A residual has a pattern below this p-value of its whiteness, and goes with a signal below it.
+NOTICEABLE = 0.01
+#: An error below so many times the noise is noise, of which no share can be said to be gone.
+NOISY = 1.02
 #: Points that show the whole cable, however few markers it has.
 DRAWN = 21
 
@@ -25,6 +31,10 @@ DRAWN = 21
 class Comparison:
     """A model and a study side by side.
 
+    noise_m      of the measurement: as the study states it, else the camera's at rest
+    noise_at_rest_m   the camera's, from frames in which nothing moves; nan if there are none
+    model        name under which it is shown
+    effects      names of those in it, in the order in which they were added
     predicted_m  per trial (times, markers, 2)
     cable_m      per trial (times, `DRAWN` points from tip to grip, 2): the whole cable predicted
     where        one per trial, in the study's order
@@ -37,6 +47,33 @@ class Comparison:
     predicted_m: dict[str, FloatArray]
     cable_m: dict[str, FloatArray]
     where: tuple[Where, ...]
+    noise_at_rest_m: float = float("nan")
+    model: str = "model"
+    effects: tuple[str, ...] = ()
+
+    @property
+    def error_m(self) -> float:
+        """rms error on the motions not fitted to, on those fitted to if there are no others."""
+        return self.heldout_rms_m if np.isfinite(self.heldout_rms_m) else self.fit_rms_m
+
+    @property
+    def noise_is_stated(self) -> bool:
+        """Whether the study says what its measurement's error is."""
+        return self.study.noise_std_m is not None
+
+    def patterns(self) -> int:
+        """Number of trials in which the residual is not white."""
+        return sum(w.whiteness_p_value < NOTICEABLE for w in self.where)
+
+    def removed_share(self, before: Comparison) -> float:
+        """Share of the former error beyond noise (mean square) that is gone; < 0 if it grew.
+
+        nan if the former model's error was noise
+        """
+        excess = before.error_m**2 - self.noise_m**2
+        if before.error_m < NOISY * self.noise_m:
+            return float("nan")
+        return float(min((before.error_m**2 - self.error_m**2) / excess, 1.0))
 
     def to_json(self) -> dict[str, Any]:
         """Plain data: errors per trial, profiles, whiteness, what the residual goes with."""
@@ -69,7 +106,7 @@ class Comparison:
         }
 
 
-def compare_model(study: Study, model: CableModel) -> Comparison:
+def compare_model(study: Study, model: CableModel, name: str = "model") -> Comparison:
     """Errors of a model on all trials.  Raises NoiseUnknownError, ValueError: cannot simulate."""
     prepared = PreparedStudy.of(study)
     study = prepared.study
@@ -96,7 +133,40 @@ def compare_model(study: Study, model: CableModel) -> Comparison:
         predicted,
         cable,
         tuple(found),
+        _noise_at_rest_m(prepared),
+        name,
+        tuple(active.effect.name for active in model.effects),
     )
+
+
+def _noise_at_rest_m(prepared: PreparedStudy) -> float:
+    if prepared.study.noise_std_m is None:
+        return prepared.floor.noise.std_m
+    try:
+        return noise_floor(replace(prepared.study, noise_std_m=None)).noise.std_m
+    except NoiseUnknownError:
+        return float("nan")
+
+
+def comparisons_json(comparisons: Sequence[Comparison]) -> dict[str, Any]:
+    """Plain data of models beside each other: the last one's, and all of them in `models`."""
+    first = comparisons[0]
+    models = [
+        {
+            "name": c.model,
+            "effects": list(c.effects),
+            "removed_share": None if c is first else _number(c.removed_share(first)),
+            **{k: v for k, v in c.to_json().items() if k not in ("format", "noise_m")},
+        }
+        for c in comparisons
+    ]
+    return {**comparisons[-1].to_json(), "models": models}
+
+
+def model_names(paths: Sequence[Path]) -> list[str]:
+    """Short names of model files, unlike each other."""
+    stems = [p.stem for p in paths]
+    return [s if stems.count(s) == 1 else str(p) for s, p in zip(stems, paths, strict=True)]
 
 
 def everywhere(

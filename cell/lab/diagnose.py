@@ -33,14 +33,16 @@ from cell.lab.verdict import (
 class Examination:
     """A diagnosis and the fits behind it, for the report.
 
-    steps    the baseline, then with each effect added in the order of `diagnosis.missing`
-    partial  the same for `diagnosis.partial`
+    steps     the baseline, then with each effect added in the order of `diagnosis.missing`
+    accepted  with every effect that is significant and confirmed, even if they do not explain all
+    partial   the same as `steps` for `diagnosis.partial`
     """
 
     diagnosis: Diagnosis
     steps: tuple[Candidate, ...]
     screened: tuple[Screened, ...]
     singles: tuple[Candidate, ...]
+    accepted: Candidate
     partial: tuple[Candidate, ...] = ()
 
 
@@ -85,7 +87,7 @@ def diagnose(explorer: Explorer, rules: Rules = DEFAULT_RULES) -> Examination:
         partial=_all_found(whole, most, also, len(screened)),
         nearest=() if found else nearest(partial, singles, rules),
     )
-    return Examination(diagnosis, steps, tuple(screened), tuple(singles), most)
+    return Examination(diagnosis, steps, tuple(screened), tuple(singles), current, most)
 
 
 def _added(explorer: Explorer, candidate: Candidate) -> list[type[Effect]]:

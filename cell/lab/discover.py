@@ -1,17 +1,18 @@
-"""Discovers a missing law: admissible terms are tried on the residual, the best kept as a file."""
+"""Discovers a missing law: admissible terms are tried on the residual, those confirmed kept."""
 
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cell.cable.effects import Effect, load_effect
+from cell.cable.effects import Effect, library, load_effect, unscreened
 from cell.files.atomic import write_whole
-from cell.lab.diagnose import diagnose
+from cell.lab.diagnose import Examination, diagnose
 from cell.lab.estimate import estimate
 from cell.lab.explore import Candidate, Explorer
 from cell.lab.fitting import fit_trials
@@ -20,7 +21,7 @@ from cell.lab.terms import admissible, effect_source
 
 
 @dataclass(frozen=True)
-class TermFound:
+class LawParameter:
     """A number of the discovered law, with its 95 % interval."""
 
     name: str
@@ -34,31 +35,40 @@ class TermFound:
 class Discovery:
     """A law that was found, and what it does to the error on held-out trials (else fitted ones).
 
-    accepted  whether it is significant and confirmed on held-out trials
+    effect     its name, that of its file
+    noise_m    of the measurement
+    before_m, after_m   rms error without and with the law
+    confirmed  on held-out trials; False if the study has none
+    complete   whether what is left is noise
     """
 
-    terms: tuple[TermFound, ...]
+    effect: str
+    parameters: tuple[LawParameter, ...]
     laws: tuple[str, ...]
     noise_m: float
     before_m: float
     after_m: float
-    accepted: bool
+    confirmed: bool
+    complete: bool
 
     @property
     def removed_share(self) -> float:
-        """Share of the error beyond noise (mean square) that is gone."""
-        excess = max(self.before_m**2 - self.noise_m**2, 1e-30)
-        return float((self.before_m**2 - self.after_m**2) / excess)
+        """Share of the error beyond noise (mean square) that is gone, 0 … 1."""
+        excess = self.before_m**2 - self.noise_m**2
+        fall = self.before_m**2 - self.after_m**2
+        return float(np.clip(fall / excess, 0.0, 1.0)) if excess > 0.0 else 1.0
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
         return {
             "format": "cable-discovery/1",
-            "accepted": self.accepted,
+            "effect": self.effect,
+            "accepted": self.confirmed,
+            "complete": self.complete,
             "laws": list(self.laws),
             "parameters": {
-                t.name: {"value": t.value, "low": t.low, "high": t.high, "unit": t.unit}
-                for t in self.terms
+                p.name: {"value": p.value, "low": p.low, "high": p.high, "unit": p.unit}
+                for p in self.parameters
             },
             "noise_m": self.noise_m,
             "baseline_rms_m": self.before_m,
@@ -72,17 +82,20 @@ ALL_TERMS = Rules(best=20)
 
 
 class NothingFoundError(ValueError):
-    """No admissible law explains the residual.  Scenario: the model is complete already."""
+    """No law may be written.  Scenario: the model is complete already."""
 
 
 def discover(explorer: Explorer, out: Path, rules: Rules = ALL_TERMS) -> Discovery:
-    """Find the missing law and write it to `out` as an effect.
+    """Find the missing law and write it to `out` as an effect, named after the file.
 
     The residual is regressed on what each admissible term would do to the markers (a score test
     with the cable's own parameters free), the best are refitted, and terms added one after another
-    under the same rules as known effects.  The file is then loaded as any user's and refitted.
-    raises  NothingFoundError: nothing written
+    under the same rules as known effects: significant, and confirmed on held-out trials.  The file
+    is then loaded as any user's and refitted.
+    raises  NothingFoundError: the model is complete, or no term is accepted; ValueError: the name
+            of the file will not do; nothing written
     """
+    name = effect_name(out, [e.name for e in explorer.space.effects])
     terms = {t.name: t for t in admissible(_box(explorer))}
     with tempfile.TemporaryDirectory() as folder:
         tried = {
@@ -91,48 +104,76 @@ def discover(explorer: Explorer, out: Path, rules: Rules = ALL_TERMS) -> Discove
         }
         search = Explorer(explorer.prepared, explorer.space, tried, explorer.progress)
         examination = diagnose(search, rules)
-        found = examination.steps[-1]
-        accepted = len(examination.steps) > 1
-        if not accepted:
-            found = max(examination.singles, key=lambda c: c.evidence, default=found)
-            if found is search.baseline() or found.evidence <= search.baseline().evidence:
-                raise NothingFoundError(
-                    "no admissible law explains the residual better than the model does; "
-                    "nothing written"
-                )
-    kept = [terms[e.name] for e in found.effects if e.name in terms]
+    base, found = search.baseline(), examination.accepted
+    if found is base:
+        raise NothingFoundError(_why_nothing(examination, base))
+    added = [e for e in found.effects if e not in explorer.space.effects]
     settled = estimate(explorer.prepared, found.fit)
-    values = {
-        name: interval.value
-        for effect in found.effects
-        if effect.name in terms
-        for name, interval in settled.intervals(effect).items()
-    }
+    values = {n: i.value for effect in added for n, i in settled.intervals(effect).items()}
+    kept = [terms[e.name] for e in added]
     about = f"Law inferred from the residuals of study {explorer.prepared.study.name}."
-    source = effect_source("discovered", kept, about, values)
+    source = effect_source(name, kept, about, values)
     with tempfile.TemporaryDirectory() as folder:
-        effect = _loaded(Path(folder) / out.with_suffix(".py").name, source)
-        final = _refit(explorer, effect)
+        effect = _loaded(Path(folder) / out.name, source)
+        final = _refit(explorer, base, effect)
     write_whole(out, source)
-    base = explorer.baseline()
     return Discovery(
-        terms=tuple(
-            TermFound(n, i.value, i.low, i.high, i.unit)
+        effect=name,
+        parameters=tuple(
+            LawParameter(n, i.value, i.low, i.high, i.unit)
             for n, i in estimate(explorer.prepared, final.fit).intervals(effect).items()
         ),
         laws=tuple(t.law for t in kept),
-        noise_m=explorer.prepared.noise.std_m,
+        noise_m=explorer.prepared.floor.noise.std_m,
         before_m=_error(base),
         after_m=_error(final),
-        accepted=accepted,
+        confirmed=final.heldout is not None,
+        complete=examination.diagnosis.verdict != "unexplained",
     )
 
 
-def _refit(explorer: Explorer, effect: type[Effect]) -> Candidate:
+def effect_name(out: Path, known: Sequence[str] = ()) -> str:
+    """Name of the effect in a file to be written.
+
+    known   names of effects that the model has already
+    raises  ValueError: it is no Python name, or taken
+    """
+    name = out.stem
+    if out.suffix != ".py" or not name.isidentifier():
+        raise ValueError(f"-o {out}: must be a file like law.py; the effect is named after it")
+    if name in {*library(), *unscreened(), *known}:
+        raise ValueError(f"-o {out}: there is an effect {name} already; give the file another name")
+    return name
+
+
+def _why_nothing(examination: Examination, base: Candidate) -> str:
+    """Why no law is written, and what to do."""
+    noise_m = examination.diagnosis.noise_m
+    misses = f"it misses {_error(base) * 1e3:.4f} mm, noise is {noise_m * 1e3:.4f} mm"
+    if examination.diagnosis.verdict == "complete":
+        return f"the model is complete ({misses}): there is no law to discover; nothing written"
+    nearest = min(examination.singles, key=_error, default=base)
+    tried = ""
+    if nearest is not base:
+        name = next(iter(nearest.names - base.names))
+        tried = f"; the nearest, {name}, would leave {_error(nearest) * 1e3:.4f} mm"
+    return (
+        "no admissible law is significant and confirmed on held-out trials: the model is not "
+        f"complete ({misses}){tried}; nothing written. Measure more motions, or write an effect of "
+        "your own (docs/effects.md)"
+    )
+
+
+def _refit(explorer: Explorer, base: Candidate, effect: type[Effect]) -> Candidate:
     """The baseline with the effect from its file."""
     own = Explorer(explorer.prepared, explorer.space, {effect.name: effect}, explorer.progress)
-    (candidate,) = own.add(own.baseline(), [effect])
-    return candidate
+    better = [c for c in own.add(own.baseline(), [effect]) if _error(c) < _error(base)]
+    if not better:
+        raise NothingFoundError(
+            "the law that was found does not lower the error when it is fitted again from its "
+            "file; nothing written"
+        )
+    return better[0]
 
 
 def _error(candidate: Candidate) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -18,6 +19,8 @@ from cell.lab.where import PHASES, phase_of
 FloatArray = NDArray[np.float64]
 
 SEEN, MODEL, ADDED, NOISE, QUIET = "#222222", "#d1495b", "#00798c", "#5c677d", "#c9ced6"
+#: Of the models between the first and the last.
+BETWEEN = ("#edae49", "#7768ae", "#8f5d2b", "#3d8b37", "#c06c9b")
 #: With fewer markers, each is a tick of an axis.
 FEW_MARKERS = 5
 #: Family-wise level at which evidence is beyond chance, as a diagnosis asks for.
@@ -46,25 +49,100 @@ class Series:
 
 def waterfall(diagnosis: Diagnosis) -> go.Figure:
     """Error of the baseline and after each effect added, and the noise."""
-    names = ["model", *(f"+ {' or '.join((f.effect, *f.tied_with))}" for f in diagnosis.missing)]
-    errors = [diagnosis.baseline, *(f.errors for f in diagnosis.missing)]
+    found = diagnosis.missing or diagnosis.partial
+    names = ["model", *(f"+ {' or '.join((f.effect, *f.tied_with))}" for f in found)]
+    errors = [diagnosis.baseline, *(f.errors for f in found)]
+    return _falling(
+        names,
+        np.array([e.heldout_rms_m for e in errors]),
+        np.array([e.fit_rms_m for e in errors]),
+        diagnosis.noise_m,
+    )
+
+
+def history(comparisons: Sequence[Comparison]) -> go.Figure:
+    """Error of models in their order, with the effects that each has more, and the noise."""
+    names, before = [], comparisons[0]
+    for c in comparisons:
+        changes = [f"+ {e}" for e in c.effects if c is before or e not in before.effects]
+        changes += [f"− {e}" for e in before.effects if e not in c.effects]
+        names.append("<br>".join([f"<b>{html.escape(c.model)}</b>", *changes]))
+        before = c
+    return _falling(
+        names,
+        np.array([c.heldout_rms_m for c in comparisons]),
+        np.array([c.fit_rms_m for c in comparisons]),
+        comparisons[0].noise_m,
+    )
+
+
+def _falling(
+    names: Sequence[str], heldout_m: FloatArray, fit_m: FloatArray, noise_m: float
+) -> go.Figure:
+    """Errors of models one after another, on a logarithmic axis."""
     figure = go.Figure()
-    for label, values, colour in (
-        ("on motions it was not fitted to", [e.heldout_rms_m for e in errors], ADDED),
-        ("on motions it was fitted to", [e.fit_rms_m for e in errors], QUIET),
+    for label, values, colour, place in (
+        ("on motions it was not fitted to", heldout_m, ADDED, "top right"),
+        ("on motions it was fitted to", fit_m, NOISE, "bottom right"),
     ):
-        shown = _mm(np.array(values))
+        shown = _mm(values)
         if all(v is None for v in shown):
             continue
-        text = ["" if v is None else f"{v:.3f}" for v in shown]
-        figure.add_bar(
-            x=names, y=shown, name=label, marker_color=colour, text=text, textposition="outside"
+        figure.add_scatter(
+            x=names,
+            y=shown,
+            name=label,
+            mode="lines+markers+text",
+            line={"color": colour, "dash": "solid" if colour == ADDED else "dot"},
+            marker={"size": 11},
+            text=["" if v is None else f"{v:.3g}" for v in shown],
+            textposition=place,
+            cliponaxis=False,
         )
-    _noise_line(figure, diagnosis.noise_m * 1e3)
-    highest = max(float(np.nanmax([e.fit_rms_m, e.heldout_rms_m])) for e in errors) * 1e3
-    figure.update_yaxes(range=[0.0, 1.15 * max(highest, diagnosis.noise_m * 1e3)])
-    figure.update_layout(yaxis_title="error, mm rms", barmode="group", bargap=0.5)
-    return laid_out(figure, 340)
+    _noise_line(figure, noise_m * 1e3)
+    logarithmic(figure, [heldout_m * 1e3, fit_m * 1e3, np.array([noise_m * 1e3])])
+    figure.update_xaxes(range=[-0.4, len(names) - 0.4], type="category")
+    figure.update_layout(yaxis_title="error, mm rms")
+    return laid_out(figure, 360 + 18 * max(n.count("<br>") for n in names))
+
+
+def by_trial(series: Sequence[Series]) -> go.Figure:
+    """Error of every model on every trial, side by side on a logarithmic axis."""
+    first = series[0].comparison
+    roles = {"fit": "fitted", "validate": "held out"}
+    names = [f"{t.name}<br>{roles[t.role]}" for t in first.study.trials]
+    figure = go.Figure()
+    for s in series:
+        figure.add_scatter(
+            x=names,
+            y=_mm(np.array([w.rms_m for w in s.comparison.where])),
+            mode="markers",
+            name=s.name,
+            marker={"color": s.colour, "size": 11},
+        )
+    _noise_line(figure, first.noise_m * 1e3)
+    errors = [np.array([w.rms_m * 1e3 for w in s.comparison.where]) for s in series]
+    logarithmic(figure, [*errors, np.array([first.noise_m * 1e3])])
+    figure.update_xaxes(type="category")
+    figure.update_layout(yaxis_title="error, mm rms")
+    return laid_out(figure, 380)
+
+
+def logarithmic(figure: go.Figure, values: Sequence[FloatArray], **where: int) -> None:
+    """Makes the y axis logarithmic, with room around positive values and plain numbers on it."""
+    some = np.concatenate([v[np.isfinite(v) & (v > 0.0)] for v in values])
+    low, high = np.log10(some.min()) - 0.15, np.log10(some.max()) + 0.15
+    ticks = thirds() if high - low < 2.0 else [10.0**n for n in range(-6, 4)]
+    if high - low < 0.8:
+        ticks = [m * 10.0**n for n in range(-6, 4) for m in (1, 1.2, 1.5, 2, 3, 4, 5, 6, 8)]
+    figure.update_yaxes(
+        type="log", range=[float(low), float(high)], tickvals=ticks, tickformat="~g", **where
+    )
+
+
+def thirds() -> list[float]:
+    """1, 2 and 5 of every power of ten."""
+    return [m * 10.0**n for n in range(-6, 4) for m in (1, 2, 5)]
 
 
 def ranking(diagnosis: Diagnosis) -> go.Figure:
@@ -104,7 +182,10 @@ def ranking(diagnosis: Diagnosis) -> go.Figure:
 
 
 def residual_maps(series: Sequence[Series], number: int) -> go.Figure:
-    """Residual distance of one trial against time and arc length, each model's beside the other."""
+    """Residual distance of one trial against time and arc length, each model's beside the other.
+
+    Colours are logarithmic, from the noise, which is white.
+    """
     comparison = series[0].comparison
     trial = comparison.study.trials[number]
     t_s = trial.markers.t_s
@@ -112,7 +193,8 @@ def residual_maps(series: Sequence[Series], number: int) -> go.Figure:
         np.linalg.norm(trial.markers.xy_m - s.comparison.predicted_m[trial.name], axis=2) * 1e3
         for s in series
     ]
-    highest = max(4e3 * comparison.noise_m, float(np.nanpercentile(left[0], 99)))
+    noise_mm = comparison.noise_m * 1e3
+    highest = max(4.0 * noise_mm, *(float(np.nanpercentile(v, 99)) for v in left))
     figure = make_subplots(
         1, len(series), shared_yaxes=True, subplot_titles=[f"error {s.of}, mm" for s in series],
         horizontal_spacing=0.04,
@@ -121,9 +203,10 @@ def residual_maps(series: Sequence[Series], number: int) -> go.Figure:
         figure.add_heatmap(
             x=listed(t_s, 4),
             y=listed(comparison.study.arc_length_m * 1e3, 2),
-            z=[listed(row, 4) for row in values.T],
+            z=[listed(row, 4) for row in np.log10(np.maximum(values.T, 1e-6))],
+            text=[listed(row, 4) for row in values.T],
             coloraxis="coloraxis",
-            hovertemplate="%{x:.3f} s, %{y:.0f} mm: %{z:.3f} mm<extra></extra>",
+            hovertemplate="%{x:.3f} s, %{y:.0f} mm: %{text:.3g} mm<extra></extra>",
             row=1,
             col=column,
         )
@@ -137,9 +220,13 @@ def residual_maps(series: Sequence[Series], number: int) -> go.Figure:
     figure.update_layout(
         coloraxis={
             "colorscale": [[0.0, "#ffffff"], [0.25, "#fde0c5"], [0.6, "#eb7a52"], [1.0, "#7a0025"]],
-            "cmin": 0.0,
-            "cmax": round(highest, 4),
-            "colorbar": {"title": "mm"},
+            "cmin": float(np.log10(noise_mm)),
+            "cmax": float(np.log10(highest)),
+            "colorbar": {
+                "title": "mm",
+                "tickvals": [float(np.log10(v)) for v in thirds()],
+                "ticktext": [f"{v:g}" for v in thirds()],
+            },
         }
     )
     return laid_out(figure, 300)
@@ -171,10 +258,11 @@ def profiles(series: Sequence[Series]) -> go.Figure:
             row=1,
             col=1,
         )
-        figure.add_bar(
+        figure.add_scatter(
             x=phases,
             y=_mm(_mean_square([np.array([w.by_phase[p] for p in phases]) for w in wheres])),
-            marker_color=s.colour,
+            mode="markers",
+            marker={"color": s.colour, "size": 11},
             showlegend=False,
             **shared,
             row=1,
@@ -197,7 +285,7 @@ def profiles(series: Sequence[Series]) -> go.Figure:
         y=listed(1e3 * np.sqrt(spectrum.noise), 6),
         mode="lines",
         line={"color": NOISE, "dash": "dash"},
-        name="camera noise",
+        name="noise",
         row=1,
         col=3,
     )
@@ -205,20 +293,26 @@ def profiles(series: Sequence[Series]) -> go.Figure:
         figure.add_hline(
             y=comparison.noise_m * 1e3, line_dash="dash", line_color=NOISE, row=1, col=column
         )
-        figure.update_yaxes(rangemode="tozero", row=1, col=column)
+        shown = [np.array(t.y, dtype=float) for t in figure.select_traces(row=1, col=column)]
+        logarithmic(figure, [*shown, np.array([comparison.noise_m * 1e3])], row=1, col=column)
     length = comparison.study.cable.free_length_m * 1e3
     reach = [-0.05 * length, 1.05 * length]
     figure.update_xaxes(title="from the grip, mm", range=reach, row=1, col=1)
     figure.update_xaxes(type="log", title="Hz", tickvals=[0.1, 1, 10, 100, 1000], row=1, col=3)
-    thirds = [m * 10.0**n for n in range(-6, 3) for m in (1, 2, 5)]
-    figure.update_yaxes(type="log", tickvals=thirds, tickformat="~g", row=1, col=3)
+    figure.update_yaxes(type="log", tickvals=thirds(), tickformat="~g", row=1, col=3)
     return laid_out(figure, 380)
 
 
 def _noise_line(figure: go.Figure, noise_mm: float) -> None:
+    """The noise across a figure whose y axis is logarithmic."""
     figure.add_hline(y=noise_mm, line_dash="dash", line_color=NOISE)
     figure.add_annotation(
-        x=1.0, xref="paper", xanchor="left", y=noise_mm, text=" camera noise", showarrow=False
+        x=1.0,
+        xref="paper",
+        xanchor="left",
+        y=float(np.log10(noise_mm)),
+        text=" noise",
+        showarrow=False,
     )
     figure.update_layout(margin_r=110)
 

@@ -13,23 +13,30 @@ from plotly.offline import get_plotlyjs
 
 from cell.files.atomic import write_whole
 from cell.identify.identified import Identified
-from cell.lab.compare import Comparison
+from cell.lab.advice import STATUSES, VERDICTS, Step
+from cell.lab.compare import NOTICEABLE, Comparison
 from cell.lab.diagnose import Examination
 from cell.lab.figures import (
     ADDED,
+    BETWEEN,
     MODEL,
     Series,
+    by_trial,
+    history,
     profiles,
     ranking,
     residual_maps,
     waterfall,
 )
 from cell.lab.overlay import overlay
-from cell.lab.tables import advice, sentence
+from cell.lab.tables import (
+    comparison_sentence,
+    percent,
+    sentence,
+)
 from cell.lab.where import Where
+from cell.lab.wording import left_in_words, noise_in_words
 
-#: A residual is called noise above this p-value of its whiteness, and goes with a signal below it.
-NOTICEABLE = 0.01
 #: Signals that a residual goes with, listed if the correlation is at least this.
 LEAST_CORRELATION = 0.2
 
@@ -78,12 +85,16 @@ def write_page(page: str, path: Path) -> None:
 
 
 def diagnosis_page(
-    examination: Examination, comparisons: Sequence[Comparison], model: Identified
+    examination: Examination,
+    comparisons: Sequence[Comparison],
+    model: Identified,
+    steps: Sequence[Step],
 ) -> str:
     """Report of a diagnosis.
 
     comparisons  of the baseline, then with each effect added, as in `examination.steps`
     model        the last of these
+    steps        what to do next
     """
     diagnosis = examination.diagnosis
     first, last = comparisons[0], comparisons[-1]
@@ -91,12 +102,14 @@ def diagnosis_page(
     if last is not first:
         name = f"with {_names(examination)}"
         series.append(Series(name, name, ADDED, last))
-    says = _code(sentence(diagnosis, first))
+    says = html.escape(sentence(diagnosis, first, last))
     look = "says" if diagnosis.verdict in ("complete", "missing") else "says bad"
     parts = [
         f'<p class="{look}">{says}</p>',
         _facts(first),
-        f"<p>{_code(advice(diagnosis))}</p>",
+        f'<p class="note">Verdict <code>{diagnosis.verdict}</code>: '
+        f"{html.escape(VERDICTS[diagnosis.verdict])}.</p>",
+        _next(steps),
         "<h2>Error as effects are added</h2>",
         _plot(waterfall(diagnosis)),
     ]
@@ -120,24 +133,51 @@ def diagnosis_page(
     return _page(f"Diagnosis of {first.study.name}", parts)
 
 
-def comparison_page(comparison: Comparison) -> str:
-    """Report of a comparison."""
-    held = comparison.heldout_rms_m
-    beyond = "" if np.isnan(held) else f" and {held * 1e3:.2f} mm on motions it was not fitted to"
-    says = (
-        f"The model misses {comparison.fit_rms_m * 1e3:.2f} mm on motions to be fitted{beyond}; "
-        f"camera noise is {comparison.noise_m * 1e3:.2g} mm."
-    )
-    series = [Series("model", "of the model", MODEL, comparison)]
-    parts = [
-        f'<p class="says">{says}</p>',
-        _facts(comparison),
-        f"<h2>{_FAILS}</h2>",
-        *_where(series),
-        "<h2>Trial by trial</h2>",
-        *_trials(series),
+def comparison_page(comparisons: Sequence[Comparison]) -> str:
+    """Report of models beside each other, in the order in which they were made."""
+    first, last = comparisons[0], comparisons[-1]
+    series = _series(comparisons)
+    ends = series if len(series) < 3 else [series[0], series[-1]]
+    parts = [f'<p class="says">{html.escape(comparison_sentence(comparisons))}</p>', _facts(first)]
+    if last is not first:
+        parts += [
+            "<h2>Error as effects are added</h2>",
+            _plot(history(comparisons)),
+            _models(comparisons),
+            "<h2>Error on every trial</h2>",
+            _plot(by_trial(series)),
+        ]
+    parts += [f"<h2>{_FAILS}</h2>", *_where(series), "<h2>Trial by trial</h2>", *_trials(ends)]
+    return _page(f"Comparison with {first.study.name}", parts)
+
+
+def _series(comparisons: Sequence[Comparison]) -> list[Series]:
+    """Models under the names and in the colours of all figures; the last is the one to believe."""
+    if len(comparisons) == 1:
+        return [Series("model", "of the model", MODEL, comparisons[0])]
+    colours = [MODEL, *(BETWEEN[i % len(BETWEEN)] for i in range(len(comparisons) - 2)), ADDED]
+    return [
+        Series(c.model, f"of {c.model}", colour, c)
+        for c, colour in zip(comparisons, colours, strict=True)
     ]
-    return _page(f"Comparison with {comparison.study.name}", parts)
+
+
+def _models(comparisons: Sequence[Comparison]) -> str:
+    """Errors of models as numbers."""
+    first = comparisons[0]
+    heads = ["model", "effects", "fitted, mm", "held out, mm", "over noise", "of the excess gone"]
+    rows = [
+        [
+            c.model,
+            ", ".join(c.effects) or "none",
+            f"{c.fit_rms_m * 1e3:.4f}",
+            "–" if np.isnan(c.heldout_rms_m) else f"{c.heldout_rms_m * 1e3:.4f}",
+            f"{c.error_m / c.noise_m:.2f}",
+            "–" if c is first else percent(c.removed_share(first)),
+        ]
+        for c in comparisons
+    ]
+    return _table(heads, rows, (2, 3, 4, 5))
 
 
 def _names(examination: Examination) -> str:
@@ -151,7 +191,7 @@ def _facts(comparison: Comparison) -> str:
     return (
         f'<p class="facts">{len(study.trials)} trials ({counts}), {markers} '
         f"marker{'s' * (markers > 1)} on {study.cable.free_length_m * 1e3:.0f} mm of cable; "
-        f"camera noise {comparison.noise_m * 1e3:.3f} mm. Errors are rms per coordinate.</p>"
+        f"{noise_in_words(comparison)}. Errors are rms per coordinate.</p>"
     )
 
 
@@ -164,7 +204,7 @@ def _where(series: Sequence[Series]) -> list[str]:
         role = "fitted" if trial.role == "fit" else "held out"
         errors = [f"{w.rms_m * 1e3:.3f}" for w in wheres]
         last = wheres[-1]
-        left = "noise" if not last.whiteness_p_value < NOTICEABLE else "has a pattern"
+        left = left_in_words(last, series[-1].comparison)
         rows.append([trial.name, role, *errors, left, _goes_with(wheres[0])])
     numbers = range(2, 2 + len(series))
     return [
@@ -203,7 +243,8 @@ def _trials(series: Sequence[Series]) -> list[str]:
     note = (
         '<p class="note">Move the slider or press ▶. The thick lines lead from each point seen '
         "towards where the model has it, drawn larger by the factor given; grey band: twice the "
-        "camera’s noise.  Between the dotted lines the hand moves.</p>"
+        "noise. In the maps white is noise, colours are logarithmic, and the hand moves "
+        "between the dotted lines.</p>"
     )
     return [choice, note, *parts]
 
@@ -231,8 +272,8 @@ def _laws(examination: Examination) -> str:
         if effect.name not in accepted:
             continue
         first, *others = inspect.cleandoc(effect.__doc__ or "").split("\n\n")
-        laws.append(f"<h3>{effect.name}</h3><p class='law'>{html.escape(first)}</p>")
-        laws += [f"<p>{html.escape(text)}</p>" for text in others]
+        laws.append(f"<h3>{effect.name}</h3><p class='law'>{_code(first)}</p>")
+        laws += [f"<p>{_code(text)}</p>" for text in others]
     return "".join(laws)
 
 
@@ -242,6 +283,9 @@ def _everything(examination: Examination) -> str:
         for r in examination.diagnosis.ranking
     ]
     table = _table(["effect", "χ² explained", "p", "status"], rows, (1, 2))
+    shown = dict.fromkeys(r.status for r in examination.diagnosis.ranking)
+    meant = "; ".join(f"{s.replace('_', ' ')}: {STATUSES[s]}" for s in shown)
+    table += f'<p class="note">{html.escape(meant)}.</p>'
     return f"<details><summary>as numbers</summary>{table}</details>"
 
 
@@ -272,9 +316,19 @@ def _table(heads: Sequence[str], rows: Iterable[Sequence[str]], numbers: Iterabl
 
 
 def _code(text: str) -> str:
-    """Text with what stands between backticks as code."""
+    """A docstring's text, what stands between backticks as code."""
     plain, *rest = html.escape(text).split("`")
     return plain + "".join(f"<code>{t}</code>" if i % 2 == 0 else t for i, t in enumerate(rest))
+
+
+def _next(steps: Sequence[Step]) -> str:
+    """What to do next, commands to be copied."""
+    lines = [
+        f"<p>{html.escape(s.why)}{':' if s.command else ''}</p>"
+        + (f"<pre>{html.escape(s.command)}</pre>" if s.command else "")
+        for s in steps
+    ]
+    return f'<div class="next">{"".join(lines)}</div>' if lines else ""
 
 
 def _plot(figure: go.Figure) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,11 +11,12 @@ from rich.table import Table
 
 from cell.cable.effects.base import Effect
 from cell.identify.identified import Identified
+from cell.lab.advice import STATUSES, VERDICTS, Step
 from cell.lab.compare import Comparison
 from cell.lab.explore import Candidate
 from cell.lab.prepared import PreparedStudy
 from cell.lab.results import Diagnosis
-from cell.lab.wording import peak_in_words, place_in_words, plain, short, unexplained
+from cell.lab.wording import noise_like, peak_in_words, place_in_words, plain, short, unexplained
 
 if TYPE_CHECKING:
     from cell.lab.discover import Discovery
@@ -24,27 +25,29 @@ if TYPE_CHECKING:
 _COLOURS = {"present": "green", "inspect": "yellow", "absent": "dim", "cannot_tell": ""}
 
 
-def sentence(diagnosis: Diagnosis, baseline: Comparison | None = None) -> str:
+def sentence(
+    diagnosis: Diagnosis, baseline: Comparison | None = None, final: Comparison | None = None
+) -> str:
     """What was found, as one would say it to a production engineer.
 
     baseline  the model without the effects found beside the trials: to say where it fails
+    final     with them: to say whether what is left is noise in every respect
     """
     noise_mm = diagnosis.noise_m * 1e3
     before_mm = _shown_mm(diagnosis.baseline.heldout_rms_m, diagnosis.baseline.fit_rms_m)
     if diagnosis.verdict == "complete":
         return (
-            f"The model is complete: what it misses ({short(before_mm)} mm) is camera noise "
-            f"({short(noise_mm)} mm)."
+            f"The model is complete: what it misses ({short(before_mm)} mm) is "
+            f"{noise_like(noise_mm, final or baseline)}."
         )
+    stated = baseline is not None and baseline.noise_is_stated
+    noise_name = "the stated error of the measurement" if stated else "camera noise"
     place = "" if baseline is None else _worst_place(baseline)
     misses = f"The model misses {short(before_mm)} mm{place}"
     if diagnosis.verdict == "unexplained":
-        return unexplained(diagnosis, misses)
+        return unexplained(diagnosis, misses, noise_name)
     if not diagnosis.missing:
-        return (
-            f"{misses} at {short(noise_mm)} mm of noise; these motions cannot tell why: "
-            "try `cell suggest`."
-        )
+        return f"{misses} at {short(noise_mm)} mm of noise; these motions cannot tell why."
     last = diagnosis.missing[-1].errors
     after_mm = _shown_mm(last.heldout_rms_m, last.fit_rms_m)
     excess = max(before_mm**2 - noise_mm**2, 1e-12)
@@ -55,34 +58,12 @@ def sentence(diagnosis: Diagnosis, baseline: Comparison | None = None) -> str:
     explains = "explains" if len(diagnosis.missing) == 1 else "explain"
     rest = f"{short(after_mm)} mm, {after_mm / noise_mm:.1f} times the noise, not yet explained"
     if after_mm < 1.1 * noise_mm:
-        rest = "camera noise"
+        rest = noise_like(noise_mm, final)
     hedge = " These motions cannot tell them apart." if diagnosis.verdict == "cannot_tell" else ""
     return (
-        f"{misses}; {names} {explains} {share:.0f} % of what is beyond camera noise; "
+        f"{misses}; {names} {explains} {share:.0f} % of what is beyond {noise_name}; "
         f"the remaining error is {rest}.{hedge}"
     )
-
-
-def advice(diagnosis: Diagnosis) -> str:
-    """What to do next, commands between backticks."""
-    options = " ".join(f"--effect {f.effect}" for f in diagnosis.missing)
-    tied = any(f.tied_with for f in diagnosis.missing)
-    motion = "`cell suggest STUDY -o motion.yaml` gives the motion that tells them apart"
-    match diagnosis.verdict:
-        case "complete":
-            return "Nothing is to be added."
-        case "missing" if not tied:
-            return f"To add it to the model: `cell fit STUDY {options} -o model.json`."
-        case "unexplained":
-            look = "To look for an unknown law: `cell discover STUDY -o discovered.py`."
-            known = " ".join(f"--effect {f.effect}" for f in diagnosis.partial)
-            if not known:
-                return look
-            return f"With what is known of it: `cell fit STUDY {known} -o model.json`. {look}"
-        case "missing":
-            return f"To add it: `cell fit STUDY {options} -o model.json`; {motion}."
-        case _:
-            return f"Measure more: {motion}."
 
 
 def _worst_place(comparison: Comparison) -> str:
@@ -157,7 +138,14 @@ def ranking_table(diagnosis: Diagnosis) -> Table:
         colour = _COLOURS[r.status]
         status = f"[{colour}]{r.status}[/]" if colour else r.status
         table.add_row(r.effect, f"{r.score:.1f}", f"{r.p_value:.1g}", status)
+    shown = dict.fromkeys(r.status for r in diagnosis.ranking)
+    table.caption = "; ".join(f"{s}: {STATUSES[s]}" for s in shown)
     return table
+
+
+def verdict_line(diagnosis: Diagnosis) -> str:
+    """The verdict and what it means."""
+    return f"Verdict {diagnosis.verdict}: {VERDICTS[diagnosis.verdict]}."
 
 
 def model_table(model: Identified) -> Table:
@@ -179,6 +167,49 @@ def errors_line(prepared: PreparedStudy, candidate: Candidate) -> str:
         f"error {_mm(candidate.fit.rms_m)} mm fitted, {_mm(held)} mm held out, "
         f"noise {_mm(prepared.floor.noise.std_m)} mm (rms per coordinate)"
     )
+
+
+def comparison_sentence(comparisons: Sequence[Comparison]) -> str:
+    """What models miss, from the first to the last."""
+    first, last = comparisons[0], comparisons[-1]
+    held = np.isfinite(first.heldout_rms_m)
+    where = "motions not fitted to" if held else "the motions fitted to"
+    noise = f"the noise is {short(first.noise_m * 1e3)} mm"
+    if first is last:
+        beyond = f" and {short(last.heldout_rms_m * 1e3)} mm on motions not fitted to"
+        return (
+            f"The model misses {short(last.fit_rms_m * 1e3)} mm on the motions fitted to"
+            f"{beyond if held else ''}; {noise}."
+        )
+    goes = "falls" if last.error_m < first.error_m else "rises"
+    share = last.removed_share(first)
+    gone = f"; {percent(share)} of what was beyond it is gone" if share >= 0.0 else ""
+    return (
+        f"From “{first.model}” to “{last.model}” the error on {where} {goes} from "
+        f"{short(first.error_m * 1e3)} to {short(last.error_m * 1e3)} mm; {noise}{gone}."
+    )
+
+
+def percent(share: float) -> str:
+    """A share as a person reads it."""
+    return f"{100 * share:.0f} %" if np.isfinite(share) else "–"
+
+
+def comparisons_table(comparisons: Sequence[Comparison]) -> Table:
+    """Errors of models side by side, trial by trial."""
+    table = Table(title="Error, mm rms per coordinate", box=SIMPLE_HEAD)
+    table.add_column("trial")
+    table.add_column("role")
+    for c in comparisons:
+        table.add_column(c.model, justify="right")
+    for i, trial in enumerate(comparisons[0].study.trials):
+        table.add_row(trial.name, trial.role, *(_mm(c.where[i].rms_m) for c in comparisons))
+    table.add_section()
+    table.add_row("fitted", "", *(_mm(c.fit_rms_m) for c in comparisons))
+    table.add_row("held out", "", *(_mm(c.heldout_rms_m) for c in comparisons))
+    table.add_row("noise", "", *(_mm(c.noise_m) for c in comparisons))
+    table.add_row("effects", "", *("\n".join(c.effects) or "–" for c in comparisons))
+    return table
 
 
 def comparison_table(comparison: Comparison) -> Table:
@@ -255,17 +286,35 @@ def describe_effects(library: Mapping[str, type[Effect]]) -> list[dict[str, Any]
 
 
 def discovery_table(discovery: Discovery) -> Table:
-    """Terms kept, and the held-out error before and after."""
-    table = Table(title="Discovered force", box=SIMPLE_HEAD)
-    for column in ("term", "coefficient", "low", "high", "unit"):
-        table.add_column(column, justify="left" if column in ("term", "unit") else "right")
-    for t in discovery.terms:
-        table.add_row(t.name, f"{t.value:.4g}", f"{t.low:.4g}", f"{t.high:.4g}", t.unit)
-    table.caption = (
-        f"held-out error {_mm(discovery.before_m)} → {_mm(discovery.after_m)} mm, noise "
-        f"{_mm(discovery.noise_m)} mm: {100 * discovery.removed_share:.0f} % of the excess removed"
-    )
+    """Numbers of the law."""
+    table = Table(title="Discovered law", box=SIMPLE_HEAD)
+    for column in ("parameter", "value", "low", "high", "unit"):
+        table.add_column(column, justify="left" if column in ("parameter", "unit") else "right")
+    for p in discovery.parameters:
+        table.add_row(p.name, f"{p.value:.4g}", f"{p.low:.4g}", f"{p.high:.4g}", p.unit)
     return table
+
+
+def discovery_sentence(discovery: Discovery) -> str:
+    """What a discovered law does to the error."""
+    where = "held-out error" if discovery.confirmed else "error on the trials fitted to"
+    left = "What is left is noise."
+    if not discovery.complete:
+        times = discovery.after_m / discovery.noise_m
+        left = f"What is left is {times:.1f} times the noise: something else is missing too."
+    doubt = "" if discovery.confirmed else " No trial is held out: the law is not confirmed."
+    return (
+        f"With {discovery.effect} the {where} falls from {_mm(discovery.before_m)} to "
+        f"{_mm(discovery.after_m)} mm, noise {_mm(discovery.noise_m)} mm: "
+        f"{100 * discovery.removed_share:.0f} % of what is beyond noise is gone. {left}{doubt}"
+    )
+
+
+def steps_text(steps: Sequence[Step]) -> str:
+    """Next steps as text: why, and below it the command."""
+    return "\n".join(
+        f"{step.why}:\n    {step.command}" if step.command else step.why for step in steps
+    )
 
 
 def suggestion_table(suggestion: Suggestion) -> Table:

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 
+from cell.lab.compare import NOTICEABLE, Comparison
+from cell.lab.prepared import ERRS
 from cell.lab.results import Diagnosis, Found, Peak
+from cell.lab.where import Where
 
 
-def unexplained(diagnosis: Diagnosis, misses: str) -> str:
+def unexplained(diagnosis: Diagnosis, misses: str, noise_name: str = "camera noise") -> str:
     """Sentence of a study that no effect explains to the noise: what comes nearest.
 
     misses  how much the model misses and where, the beginning of the sentence
     """
-    noise = f"camera noise is {short(diagnosis.noise_m * 1e3)} mm"
+    noise = f"{noise_name} is {short(diagnosis.noise_m * 1e3)} mm"
     if not diagnosis.partial:
-        said = f"{misses}, {noise}, and no known effect explains it: try `cell discover`."
+        said = f"{misses}, {noise}, and no effect that was tried explains it."
         if diagnosis.nearest:
             said += f" Nearest, fitted to all trials: {', '.join(_near(diagnosis))}."
         return said
@@ -27,7 +30,7 @@ def unexplained(diagnosis: Diagnosis, misses: str) -> str:
             f", and {short(diagnosis.left.rms_m * 1e3)} mm stay, {diagnosis.left.over_noise:.1f} "
             f"times the noise, most {peak_in_words(diagnosis.left.peak)}"
         )
-    return f"{said}. What that is, no known effect tells: try `cell discover`."
+    return f"{said}. What that is, no effect that was tried tells."
 
 
 def _near(diagnosis: Diagnosis) -> list[str]:
@@ -42,6 +45,49 @@ def _near(diagnosis: Diagnosis) -> list[str]:
 def _class(found: Found) -> str:
     """An effect and those that cannot be told from it."""
     return " or ".join(plain(n) for n in (found.effect, *found.tied_with))
+
+
+def noise_like(noise_mm: float, final: Comparison | None) -> str:
+    """What an error is that is no larger than the noise, in one consistent statement."""
+    if final is None:
+        return f"camera noise ({short(noise_mm)} mm)"
+    patterns, trials = final.patterns(), len(final.where)
+    seen = f"in {patterns} of {trials} trials it has a pattern, too small to be told what from"
+    if not final.noise_is_stated:
+        return (
+            f"camera noise ({short(noise_mm)} mm)"
+            if not patterns
+            else (f"no larger than camera noise ({short(noise_mm)} mm); {seen}")
+        )
+    rest_mm = final.noise_at_rest_m * 1e3
+    camera = f"; camera noise at rest is {short(rest_mm)} mm" if np.isfinite(rest_mm) else ""
+    said = f"within the measurement's error as the study states it ({short(noise_mm)} mm){camera}"
+    return said if not patterns else f"{said}; {seen}"
+
+
+def left_in_words(where: Where, comparison: Comparison) -> str:
+    """What a model leaves of a trial: noise, a pattern that is no larger, or more."""
+    white = not where.whiteness_p_value < NOTICEABLE
+    if where.rms_m > ERRS * comparison.noise_m:
+        return "more than noise" if white else "a pattern above the noise"
+    if white:
+        return "noise"
+    return (
+        "a pattern within the stated error"
+        if comparison.noise_is_stated
+        else ("a pattern no larger than the noise")
+    )
+
+
+def noise_in_words(comparison: Comparison) -> str:
+    """The noise, and how it is known."""
+    at_rest_m = comparison.noise_at_rest_m
+    if not comparison.noise_is_stated:
+        return f"camera noise {short(comparison.noise_m * 1e3)} mm, measured at rest"
+    camera = (
+        f" (camera noise at rest {short(at_rest_m * 1e3)} mm)" if np.isfinite(at_rest_m) else ""
+    )
+    return f"error of the measurement {short(comparison.noise_m * 1e3)} mm, as stated{camera}"
 
 
 def peak_in_words(peak: Peak) -> str:

@@ -9,6 +9,7 @@ import pytest
 
 from cell.cable.effects import library
 from cell.identify.parameters import ParameterSpace
+from cell.lab.advice import advice
 from cell.lab.compare import compare_model
 from cell.lab.diagnose import diagnose
 from cell.lab.explore import Explorer
@@ -59,13 +60,39 @@ def diagnosed(make_study):
     examination = diagnose(explorer)
     comparisons = [compare_model(study, c.fit.model) for c in examination.steps]
     model = identified(explorer.prepared, examination.steps[-1].fit)
-    text = diagnosis_page(examination, comparisons, model)
+    text = diagnosis_page(examination, comparisons, model, advice(examination.diagnosis))
     return study, examination.diagnosis, comparisons, text
 
 
 def shown(figure, name):
     (trace,) = [t for t in figure["data"] if t.get("name") == name]
     return trace
+
+
+def test_next_commands_are_given_to_be_copied_and_verdicts_explained(diagnosed):
+    words = " ".join(Page(diagnosed[-1]).text)
+    assert "cell fit STUDY --effect tip_mass -o after.json" in words
+    assert "`" not in words
+    assert "missing in the model, confirmed on motions not fitted to" in words
+
+
+def test_a_comparison_shows_models_side_by_side_on_logarithmic_axes(diagnosed):
+    study, _, comparisons, _ = diagnosed
+    before, after = (
+        replace(c, model=n) for c, n in zip(comparisons, ("base", "with"), strict=True)
+    )
+    page = Page(comparison_page([before, after]))
+    history, by_trial = page.figures[:2]
+    held = shown(history, "on motions it was not fitted to")
+    assert held["y"] == pytest.approx([1e3 * before.heldout_rms_m, 1e3 * after.heldout_rms_m], 1e-3)
+    assert held["x"] == ["<b>base</b>", "<b>with</b><br>+ tip_mass"]
+    for figure in (history, by_trial):
+        assert figure["layout"]["yaxis"]["type"] == "log"
+        low, high = figure["layout"]["yaxis"]["range"]
+        assert low < np.log10(1e3 * before.noise_m) < high
+    assert len(shown(by_trial, "with")["y"]) == len(study.trials)
+    words = " ".join(page.text)
+    assert "From “base” to “with” the error on motions not fitted to falls" in words
 
 
 def overlays(page):
@@ -140,7 +167,7 @@ def test_maps_show_the_error_before_and_after_on_one_scale(diagnosed):
     assert len(maps) == len(study.trials)
     before, after = (np.array(t["z"]) for t in maps[0]["data"])
     left = study.trials[0].markers.xy_m - comparisons[0].predicted_m["identify"]
-    assert before == pytest.approx(1e3 * np.linalg.norm(left, axis=2).T, abs=1e-4)
+    assert before == pytest.approx(np.log10(1e3 * np.linalg.norm(left, axis=2).T), abs=1e-4)
     assert after[0].mean() < before[0].mean()
     assert {t["coloraxis"] for t in maps[0]["data"]} == {"coloraxis"}
 
@@ -154,7 +181,7 @@ def test_a_single_marker_that_is_sometimes_lost_makes_a_page(make_study):
         trials.append(replace(trial, markers=Markers(trial.markers.t_s, xy_m)))
     study = replace(study, arc_length_m=study.arc_length_m[:1], trials=tuple(trials))
     model = ParameterSpace.of(study.cable)
-    page = Page(comparison_page(compare_model(study, model.model(model.mean))))
+    page = Page(comparison_page([compare_model(study, model.model(model.mean))]))
     cable = shown(overlays(page)[0], "model")
     assert len(cable["x"]) == 21  # the whole cable, not the one marker
     assert cable["x"][-1] - cable["x"][0] > 50.0

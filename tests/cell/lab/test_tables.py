@@ -1,9 +1,19 @@
 """The sentences that people read: grammar, size of numbers, and what to do next."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import pytest
 
+from cell.cable.effects import library
+from cell.identify.parameters import ParameterSpace
+from cell.lab.advice import Paths, advice
+from cell.lab.compare import compare_model
+from cell.lab.explore import Explorer
+from cell.lab.prepared import PreparedStudy
 from cell.lab.results import Diagnosis, Errors, Found
-from cell.lab.tables import advice, sentence
+from cell.lab.tables import sentence, steps_text
+from cell.lab.wording import left_in_words, noise_in_words
 
 
 def diagnosis(verdict, *names, tied=(), noise_m=1e-4, after_m=1e-4):
@@ -28,10 +38,45 @@ def test_small_noise_is_not_rounded_to_nothing():
     [
         (diagnosis("complete"), "Nothing"),
         (diagnosis("missing", "tip_mass"), "cell fit STUDY --effect tip_mass -o"),
+        (diagnosis("missing", "tip_mass"), "cell compare STUDY --model before.json --model"),
         (diagnosis("missing", "tip_mass", tied=("added_mass",)), "cell suggest STUDY"),
         (diagnosis("unexplained"), "cell discover STUDY"),
         (diagnosis("cannot_tell"), "cell suggest STUDY"),
     ],
 )
 def test_the_advice_fits_the_verdict(found, says):
-    assert says in advice(found)
+    assert says in steps_text(advice(found))
+
+
+def test_commands_name_what_was_given_and_quote_it():
+    paths = Paths(Path("my study"), {"fan": Path("effects/fan.py")})
+    said = steps_text(advice(diagnosis("missing", "fan"), paths))
+    assert "cell fit 'my study' --effect effects/fan.py -o after.json" in said
+    assert "`" not in said
+
+
+def test_a_law_of_ones_own_that_does_not_explain_all_does_not_end_in_a_circle():
+    paths = Paths(Path("s"), {"discovered": Path("discovered.py")})
+    said = steps_text(advice(diagnosis("unexplained"), paths, accepted=("discovered",)))
+    assert "cell fit s --effect discovered.py -o after.json" in said
+    assert "cell discover s --effect discovered.py -o discovered_2.py" in said
+
+
+def test_one_statement_about_noise_where_the_study_states_it_and_the_camera_is_better(make_study):
+    """A small mass leaves a pattern below the stated error: nobody may call it camera noise."""
+    mass = library()["tip_mass"].active(mass_kg=2e-6)
+    study = make_study([mass], seed=4, noise_m=2e-6, colour=0.0)
+    study = replace(study, noise_std_m=2e-5)
+    explorer = Explorer(PreparedStudy.of(study), ParameterSpace.of(study.cable), {})
+    shown = compare_model(study, explorer.baseline().fit.model)
+    assert shown.patterns() > 0
+    assert shown.noise_at_rest_m == pytest.approx(2e-6, rel=0.1)
+    small = Errors(shown.fit_rms_m, shown.heldout_rms_m)
+    said = sentence(Diagnosis(shown.noise_m, small, "complete"), shown, shown)
+    assert "within the measurement's error as the study states it (0.02 mm)" in said
+    assert "camera noise at rest is 0.002 mm" in said
+    assert f"in {shown.patterns()} of 4 trials it has a pattern" in said
+    assert "camera noise (0.02" not in said
+    words = {left_in_words(w, shown) for w in shown.where}
+    assert words <= {"noise", "a pattern within the stated error"}
+    assert "as stated (camera noise at rest 0.002 mm)" in noise_in_words(shown)

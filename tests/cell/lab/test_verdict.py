@@ -10,12 +10,13 @@ from scipy import signal
 from cell.cable.effects import library
 from cell.identify.noise import Noise
 from cell.identify.parameters import ParameterSpace
+from cell.lab.advice import advice
 from cell.lab.diagnose import diagnose
 from cell.lab.explore import Explorer
 from cell.lab.leftover import Leftover, deviance, independent_values, removed_share
 from cell.lab.prepared import PreparedStudy
 from cell.lab.results import to_json
-from cell.lab.tables import advice, sentence
+from cell.lab.tables import sentence, steps_text
 
 
 def explore(study, names, misfit=None):
@@ -53,7 +54,7 @@ def test_what_explains_most_is_reported_with_its_share_and_what_it_leaves(unexpl
     assert f"natural curvature explains most of it, not all: {100 * share:.0f} %" in sentence(
         unexplained
     )
-    assert "--effect natural_curvature" in advice(unexplained)
+    assert "--effect natural_curvature" in steps_text(advice(unexplained))
 
 
 def test_the_nearest_effects_are_named_with_what_they_leave_and_where(
