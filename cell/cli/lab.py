@@ -58,7 +58,7 @@ def fit(
     from cell.lab.results import write_json
     from cell.lab.tables import errors_line, model_table
 
-    with _refusing(out, as_json), _progress() as progress:
+    with refusing(out, as_json), working() as progress:
         selection = session.select_effects(effect or [])
         explorer = session.explorer_of(
             session.open_study(study),
@@ -69,7 +69,7 @@ def fit(
         model, candidate = session.fit_study(explorer)
         for path in filter(None, (out, as_json)):
             write_json(model.to_dict(), path)
-    _print(model_table(model), errors_line(explorer.prepared, candidate))
+    show(model_table(model), errors_line(explorer.prepared, candidate))
 
 
 @app.command()
@@ -102,7 +102,7 @@ def compare(
         follows_table,
     )
 
-    with _refusing(as_json, report):
+    with refusing(as_json, report):
         opened = session.open_study(study)
         individuals = session.read_models(model, opened.cable, effect or [])
         comparisons = [
@@ -115,7 +115,7 @@ def compare(
             write_page(comparison_page(comparisons), report)
     last = comparisons[-1]
     side_by_side = [comparisons_table(comparisons)] if len(comparisons) > 1 else []
-    _print(
+    show(
         comparison_sentence(comparisons), *side_by_side, comparison_table(last), follows_table(last)
     )
 
@@ -146,7 +146,7 @@ def diagnose(
         waterfall_table,
     )
 
-    with _refusing(as_json, report), _progress() as progress:
+    with refusing(as_json, report), working() as progress:
         selection = session.select_for_diagnosis(effect or [], known or [])
         opened = session.open_study(study)
         explorer = session.explorer_of(
@@ -169,7 +169,7 @@ def diagnose(
             write_page(diagnosis_page(examination, comparisons, model, todo), report)
     diagnosis = examination.diagnosis
     more = [nearest_table(diagnosis)] if diagnosis.nearest else []
-    _print(
+    show(
         sentence(diagnosis, comparisons[0], comparisons[-1]),
         verdict_line(diagnosis),
         waterfall_table(diagnosis),
@@ -191,11 +191,11 @@ def effects(
     from cell.lab.results import write_json
     from cell.lab.tables import describe_effects, effects_table
 
-    with _refusing(as_json):
+    with refusing(as_json):
         library = session.select_effects([], effect or []).candidates
         if as_json:
             write_json({"effects": describe_effects(library)}, as_json)
-    _print(effects_table(library))
+    show(effects_table(library))
 
 
 @app.command()
@@ -214,7 +214,7 @@ def discover(
     from cell.lab.results import write_json
     from cell.lab.tables import discovery_sentence, discovery_table, steps_text
 
-    with _refusing(out, as_json), _progress() as progress:
+    with refusing(out, as_json), working() as progress:
         effect_name(out)
         selection = session.select_effects(effect or [])
         explorer = session.explorer_of(
@@ -232,7 +232,7 @@ def discover(
     todo = after_discovery(
         discovery.effect, discovery.complete, paths, tuple(e.name for e in known)
     )
-    _print(
+    show(
         discovery_table(discovery),
         discovery_sentence(discovery),
         f"written to {out}",
@@ -263,7 +263,7 @@ def suggest(
     from cell.lab.surroundings import Surroundings
     from cell.lab.tables import suggestion_table
 
-    with _refusing(out, as_json), _progress() as progress:
+    with refusing(out, as_json), working() as progress:
         surroundings = Surroundings.read(config)
         selection = session.select_for_diagnosis(effect or [], known or [])
         explorer = session.explorer_of(
@@ -277,7 +277,7 @@ def suggest(
             write_motion(suggestion, out)
         if as_json:
             write_json(suggestion.to_json(), as_json)
-    _print(suggestion_table(suggestion))
+    show(suggestion_table(suggestion))
 
 
 @app.command()
@@ -289,14 +289,14 @@ def study(
     from cell.lab.gather import gather
     from cell.study.folder import write_study
 
-    with _refusing():
+    with refusing():
         gathered = gather(runs, out.name)
         write_study(gathered, out)
     print(f"{out}: {len(gathered.trials)} trials of {len(runs)} cycles")
 
 
 @contextmanager
-def _refusing(*outputs: Path | None) -> Iterator[None]:
+def refusing(*outputs: Path | None) -> Iterator[None]:
     """Ends with 2 and a message, nothing written, if what was given is wrong.
 
     outputs  files to be written at the end of a long computation: tried at its beginning
@@ -324,7 +324,7 @@ def _check_writable(path: Path) -> None:
 
 
 @contextmanager
-def _progress() -> Iterator[Any]:
+def working() -> Iterator[Any]:
     """A line that tells what is being done, on the error stream; silent if nobody watches it."""
     from rich.console import Console
 
@@ -333,7 +333,8 @@ def _progress() -> Iterator[Any]:
         yield lambda text: status.update(text)
 
 
-def _print(*parts: Any) -> None:
+def show(*parts: Any) -> None:
+    """Print texts and tables."""
     from rich.console import Console
 
     console = Console()
