@@ -4,7 +4,7 @@ BIN := $(VENV)/bin
 PYTHON ?= $(firstword $(foreach p,python3.12 python3.11 python3.13 python3,$(shell $(p) -c "import sys; print('$(p)' if (3,11) <= sys.version_info[:2] < (3,14) else '')" 2>/dev/null)))
 CYCLES ?= 3
 
-.PHONY: run test lint types imports tests hardware bench figures learn coverage practice false-alarms confusion fault-trials endurance clean help
+.PHONY: run test lint types imports tests hardware bench figures coverage practice false-alarms confusion fault-trials malformed endurance clean help
 
 help:            ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
@@ -38,9 +38,6 @@ bench: $(VENV)/.dev   ## speed, as ratios against a peer in one run
 figures: $(VENV)/.dev   ## the paper's figures from this code
 	$(BIN)/python tools/paper_figures.py
 
-learn: $(VENV)/.dev   ## an effect hidden in the world is found, promoted, and its cables are inserted
-	$(BIN)/python tools/learn.py $(if $(EFFECT),--effect $(EFFECT))
-
 coverage: $(VENV)/.dev   ## do the 95 % intervals cover the truth? 100 filmed cables, ~10 min
 	$(BIN)/python tools/coverage_study.py --pictures
 
@@ -57,6 +54,9 @@ confusion: $(VENV)/.dev   ## which effect is named: for each of the library, out
 
 fault-trials: $(VENV)/.dev   ## a fault in every device in every step, and processes killed, ~40 min
 	$(BIN)/python tools/fault_trials.py --patience-s 0.15 -o docs/fault_trials.md
+
+malformed: $(VENV)/.dev   ## 1,000 spoilt studies, settings, motions, models and effects
+	MALFORMED_CASES=1000 $(BIN)/pytest -n 2 tests/end_to_end/test_malformed.py
 
 endurance: $(VENV)/.dev   ## 500 cycles against the emulators: memory, threads, files (~40 min)
 	$(BIN)/python tools/endurance.py --cycles 500

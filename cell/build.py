@@ -17,7 +17,7 @@ from cell.run.cycle import Cell
 from cell.run.station import Devices, Task
 from cell.settings import Settings
 from cell.settings import model as given
-from cell.settings.translate import cable_of, identification_of, model_hash, pose_of, view_of
+from cell.settings.translate import cable_of, identification_of, pose_of, view_of
 from cell.simulated.twins import Twins, build_twins
 from cell.vision.detect import VisionOptions
 from drivers.clock import RealClock
@@ -145,7 +145,6 @@ def cell_task(settings: Settings) -> Task:
         vision=VisionOptions(free_length_m=settings.cable.free_length_m),
         identification=identification_of(settings),
         choice=ChoiceOptions(least_probability=settings.choice.min_probability),
-        model=model_hash(settings.model),
     )
 
 

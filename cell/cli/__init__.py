@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import typer
 
-from cell.cli import lab, line, records, run, settings
+from cell.cli import lab, records, run, settings
+from cell.cli.streams import usable_streams
 
 app = typer.Typer(
     name="cell",
@@ -16,10 +17,11 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     add_completion=False,
 )
-for group in (run, settings, records, lab, line):
+for group in (run, settings, records, lab):
     app.add_typer(group.app)
 
 
 def main() -> None:
     """Entry point of the console script."""
-    app()
+    with usable_streams():
+        app()

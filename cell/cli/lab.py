@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cell.cli.shared import BAD_INPUT, group
+from cell.cli.shared import BAD_INPUT, group, tell_notes
+from cell.files.overwriting import check_new_study, check_output
+
+if TYPE_CHECKING:
+    from cell.study.data import Study
 
 app = group()
 
@@ -44,6 +47,10 @@ ReportFile = Annotated[
     Path | None, typer.Option("--report", help="Write a self-contained HTML report here.")
 ]
 
+Force = Annotated[
+    bool, typer.Option("--force", help="Overwrite also what this program did not write.")
+]
+
 
 @app.command()
 def fit(
@@ -52,16 +59,17 @@ def fit(
     effect: InModel = None,
     prior: PriorFile = None,
     as_json: JsonFile = None,
+    force: Force = False,
 ) -> None:
     """Fit the cable's parameters, and those of effects, to the study's `fit` trials."""
     from cell.lab import session
     from cell.lab.results import write_json
     from cell.lab.tables import errors_line, model_table
 
-    with refusing(out, as_json), working() as progress:
+    with _refusing(out, as_json, force=force), _progress() as progress:
         selection = session.select_effects(effect or [])
         explorer = session.explorer_of(
-            session.open_study(study),
+            _opened(study),
             selection,
             session.read_prior(prior, selection.own),
             progress,
@@ -69,7 +77,7 @@ def fit(
         model, candidate = session.fit_study(explorer)
         for path in filter(None, (out, as_json)):
             write_json(model.to_dict(), path)
-    show(model_table(model), errors_line(explorer.prepared, candidate))
+    _print(model_table(model), errors_line(explorer.prepared, candidate))
 
 
 @app.command()
@@ -85,6 +93,7 @@ def compare(
     ] = None,
     as_json: JsonFile = None,
     report: ReportFile = None,
+    force: Force = False,
 ) -> None:
     """Compare models with every trial of a study: overlay, error, noise floor, where they fail.
 
@@ -102,8 +111,8 @@ def compare(
         follows_table,
     )
 
-    with refusing(as_json, report):
-        opened = session.open_study(study)
+    with _refusing(as_json, report, force=force):
+        opened = _opened(study)
         individuals = session.read_models(model, opened.cable, effect or [])
         comparisons = [
             compare_model(opened, m.model, name)
@@ -115,7 +124,7 @@ def compare(
             write_page(comparison_page(comparisons), report)
     last = comparisons[-1]
     side_by_side = [comparisons_table(comparisons)] if len(comparisons) > 1 else []
-    show(
+    _print(
         comparison_sentence(comparisons), *side_by_side, comparison_table(last), follows_table(last)
     )
 
@@ -128,6 +137,7 @@ def diagnose(
     prior: PriorFile = None,
     as_json: JsonFile = None,
     report: ReportFile = None,
+    force: Force = False,
 ) -> None:
     """Tell which physical effect the model lacks, none, an unknown one, or that one cannot tell."""
     from cell.lab import session
@@ -146,9 +156,9 @@ def diagnose(
         waterfall_table,
     )
 
-    with refusing(as_json, report), working() as progress:
+    with _refusing(as_json, report, force=force), _progress() as progress:
         selection = session.select_for_diagnosis(effect or [], known or [])
-        opened = session.open_study(study)
+        opened = _opened(study)
         explorer = session.explorer_of(
             opened, selection, session.read_prior(prior, selection.own), progress
         )
@@ -169,7 +179,7 @@ def diagnose(
             write_page(diagnosis_page(examination, comparisons, model, todo), report)
     diagnosis = examination.diagnosis
     more = [nearest_table(diagnosis)] if diagnosis.nearest else []
-    show(
+    _print(
         sentence(diagnosis, comparisons[0], comparisons[-1]),
         verdict_line(diagnosis),
         waterfall_table(diagnosis),
@@ -185,17 +195,18 @@ def effects(
         list[str] | None, typer.Option("--effect", help="A file.py to check and list as well.")
     ] = None,
     as_json: JsonFile = None,
+    force: Force = False,
 ) -> None:
     """List the effects that a model may be given: laws, parameters, units and limits."""
     from cell.lab import session
     from cell.lab.results import write_json
     from cell.lab.tables import describe_effects, effects_table
 
-    with refusing(as_json):
+    with _refusing(as_json, force=force):
         library = session.select_effects([], effect or []).candidates
         if as_json:
-            write_json({"effects": describe_effects(library)}, as_json)
-    show(effects_table(library))
+            write_json({"format": "cable-effects/1", "effects": describe_effects(library)}, as_json)
+    _print(effects_table(library))
 
 
 @app.command()
@@ -205,6 +216,7 @@ def discover(
     effect: InModel = None,
     prior: PriorFile = None,
     as_json: JsonFile = None,
+    force: Force = False,
 ) -> None:
     """Infer the missing force from the residual and write it as an effect that one can read."""
     from cell.lab import session
@@ -214,11 +226,11 @@ def discover(
     from cell.lab.results import write_json
     from cell.lab.tables import discovery_sentence, discovery_table, steps_text
 
-    with refusing(out, as_json), working() as progress:
+    with _refusing(out, as_json, force=force), _progress() as progress:
         effect_name(out)
         selection = session.select_effects(effect or [])
         explorer = session.explorer_of(
-            session.open_study(study),
+            _opened(study),
             selection,
             session.read_prior(prior, selection.own),
             progress,
@@ -232,7 +244,7 @@ def discover(
     todo = after_discovery(
         discovery.effect, discovery.complete, paths, tuple(e.name for e in known)
     )
-    show(
+    _print(
         discovery_table(discovery),
         discovery_sentence(discovery),
         f"written to {out}",
@@ -254,6 +266,7 @@ def suggest(
     known: Known = None,
     prior: PriorFile = None,
     as_json: JsonFile = None,
+    force: Force = False,
 ) -> None:
     """Suggest the safe motion that best tells the remaining candidates apart, and its power."""
     from cell.lab import session
@@ -263,11 +276,11 @@ def suggest(
     from cell.lab.surroundings import Surroundings
     from cell.lab.tables import suggestion_table
 
-    with refusing(out, as_json), working() as progress:
+    with _refusing(out, as_json, force=force), _progress() as progress:
         surroundings = Surroundings.read(config)
         selection = session.select_for_diagnosis(effect or [], known or [])
         explorer = session.explorer_of(
-            session.open_study(study),
+            _opened(study),
             selection,
             session.read_prior(prior, selection.own),
             progress,
@@ -277,29 +290,32 @@ def suggest(
             write_motion(suggestion, out)
         if as_json:
             write_json(suggestion.to_json(), as_json)
-    show(suggestion_table(suggestion))
+    _print(suggestion_table(suggestion))
 
 
 @app.command()
 def study(
     runs: Annotated[list[Path], typer.Argument(help="Folders of recorded cycles.")],
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder of the new study.")],
+    force: Force = False,
 ) -> None:
     """Gather recorded cycles of one cable into a study."""
     from cell.lab.gather import gather
     from cell.study.folder import write_study
 
-    with refusing():
+    with _refusing():
+        check_new_study(out, force=force)
         gathered = gather(runs, out.name)
         write_study(gathered, out)
     print(f"{out}: {len(gathered.trials)} trials of {len(runs)} cycles")
 
 
 @contextmanager
-def refusing(*outputs: Path | None) -> Iterator[None]:
+def _refusing(*outputs: Path | None, force: bool = False) -> Iterator[None]:
     """Ends with 2 and a message, nothing written, if what was given is wrong.
 
     outputs  files to be written at the end of a long computation: tried at its beginning
+    force    whether they may take the place of what no command wrote
     """
     from cell.cable.effects import EffectError
     from cell.files.input_error import InputError
@@ -307,24 +323,24 @@ def refusing(*outputs: Path | None) -> Iterator[None]:
 
     try:
         for output in filter(None, outputs):
-            _check_writable(output)
+            check_output(output, force=force)
         yield
     except (InputError, EffectError, NoiseUnknownError, FileNotFoundError, ValueError) as error:
         print(error, file=sys.stderr)
         raise typer.Exit(BAD_INPUT) from error
 
 
-def _check_writable(path: Path) -> None:
-    """Whether a file can be written here.  Raises ValueError."""
-    if path.is_dir():
-        raise ValueError(f"{path}: is a folder; give the name of a file in it")
-    there = next(p for p in path.absolute().parents if p.exists())
-    if not (there.is_dir() and os.access(there, os.W_OK)):
-        raise ValueError(f"{path}: cannot be written, {there} is no folder that may be changed")
+def _opened(folder: Path) -> Study:
+    """A study fit for the lab; what is odd about it is told."""
+    from cell.lab import session
+
+    opened = session.open_study(folder)
+    tell_notes(opened)
+    return opened
 
 
 @contextmanager
-def working() -> Iterator[Any]:
+def _progress() -> Iterator[Any]:
     """A line that tells what is being done, on the error stream; silent if nobody watches it."""
     from rich.console import Console
 
@@ -333,8 +349,7 @@ def working() -> Iterator[Any]:
         yield lambda text: status.update(text)
 
 
-def show(*parts: Any) -> None:
-    """Print texts and tables."""
+def _print(*parts: Any) -> None:
     from rich.console import Console
 
     console = Console()

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from cell.cli.shared import NOT_ALL_DONE, group, refuse
+from cell.cli.shared import NOT_ALL_DONE, group, refuse, tell_notes
 
 app = group()
 
@@ -49,6 +49,7 @@ def identify(
     try:
         effects = select_effects(effect or []).in_model
         study = read_study(study_folder(folder))
+        tell_notes(study)
         settings = config or (folder / "settings.yaml" if recorded else None)
         options = IdentifyOptions()
         if settings is not None:

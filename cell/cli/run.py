@@ -23,6 +23,7 @@ from cell.cli.shared import (
     interrupted_once,
     refuse,
 )
+from cell.cli.streams import emit
 
 if TYPE_CHECKING:
     from cell.records.result import Result
@@ -78,6 +79,7 @@ def run(
     from cell.build import build_cell
     from cell.files.input_error import InputError
     from cell.plan.motion_file import load_motion
+    from cell.records.folder import RecordError
     from cell.run.plans import INSERTING, measuring
     from cell.settings import load_settings
     from cell.terminal.console import RunProgress, troubles
@@ -103,19 +105,17 @@ def run(
                 for result in _results(cell, plan, cycles, progress):
                     results.append(result)
                     if as_json:
-                        print(json.dumps(result.to_json(), ensure_ascii=False), flush=True)
+                        emit(json.dumps(result.to_json(), ensure_ascii=False))
             finally:
                 cell.close()
     except InputError as error:
         refuse(error)
-    except OSError as error:  # of the record: a device's own is a fault with a result
-        print(f"the record cannot be written: {error}", file=sys.stderr)
+    except RecordError as error:  # it cannot even be begun: nothing of this cycle has moved
+        print(f"{error}; make room there, or choose another folder with --out", file=sys.stderr)
         raise typer.Exit(NOT_ALL_DONE if results else BAD_INPUT) from error
     if not as_json:
         _show(results, plan.names, dry_run)
     for line in troubles(results):
-        print(line, file=sys.stderr)
-    for line in _changes(out, results, config):
         print(line, file=sys.stderr)
     reached = [r for r in results if r.outcome is plan.aim]
     raise typer.Exit(ALL_DONE if len(reached) == cycles else NOT_ALL_DONE)
@@ -159,24 +159,6 @@ def _show(results: Sequence[Result], steps: Sequence[str], dry_run: bool) -> Non
     for result in results:
         what = "dry run" if dry_run else "cable"
         console.print(f"{what} {result.cycle}: {result.folder}", highlight=False)
-
-
-def _changes(out: Path, results: list[Result], config: Path) -> list[str]:
-    """What has changed in the cycles under `out`, and what to do; also for a cable that was
-    rejected because the model misses it.
-    """
-    from cell.plan.choose import MISSES
-    from cell.records.chart import signals
-    from cell.records.history import line_history
-
-    if not results or results[-1].model is None:
-        return []
-    history = line_history(out, results[-1].model)
-    lines = [str(s) for s in signals(history)]
-    missed = any(r.reason is not None and MISSES in r.reason for r in results)
-    if lines or missed:
-        lines.append(f"to learn what the model lacks: cell learn {out} --config {config}")
-    return lines
 
 
 @app.command()

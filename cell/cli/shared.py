@@ -8,9 +8,12 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
+
+if TYPE_CHECKING:
+    from cell.study.data import Study
 
 ALL_DONE, NOT_ALL_DONE, BAD_INPUT = 0, 1, 2
 
@@ -28,6 +31,12 @@ def refuse(error: Exception) -> NoReturn:
     """End with 2 and the message of what was wrong."""
     print(error, file=sys.stderr)
     raise typer.Exit(BAD_INPUT) from error
+
+
+def tell_notes(study: Study) -> None:
+    """Say on the error stream what whoever reads results of a study should know."""
+    for note in study.notes:
+        print(f"note: {note}", file=sys.stderr)
 
 
 @contextmanager

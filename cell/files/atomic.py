@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from pathlib import Path
 
 
@@ -21,6 +22,9 @@ def write_whole(path: Path, content: str | bytes) -> None:
     try:
         part.write_bytes(data)
         part.replace(target)
-    except BaseException:
-        part.unlink(missing_ok=True) if part.is_file() else None
+    except BaseException as error:
+        with suppress(OSError):
+            part.unlink()
+        if isinstance(error, OSError):  # which knows no name when a disk is full
+            raise type(error)(error.errno, error.strerror, str(path)) from error
         raise

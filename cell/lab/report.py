@@ -342,7 +342,8 @@ def _plot(figure: go.Figure) -> str:
 
 def _page(title: str, parts: Sequence[str]) -> str:
     return (
-        f'<!doctype html><html lang="en"><head><meta charset="utf-8">'
+        f'<!doctype html><html lang="en"><head><meta name="generator" '
+        f'content="cable-cell"><meta charset="utf-8">'
         f'<meta name="viewport" content="width=device-width"><title>{html.escape(title)}</title>'
         f"<style>{_STYLE}</style><script>{get_plotlyjs()}</script></head><body>"
         f"<h1>{html.escape(title)}</h1><noscript><p>The figures need JavaScript.</p></noscript>"

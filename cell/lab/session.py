@@ -126,9 +126,10 @@ def _too_short(study: Study, trial: Trial) -> str | None:
     markers = trial.markers.xy_m[:, 0]
     rest = markers[still] if trial.start == "equilibrium" else markers[len(markers) // 2 :]
     droop_m = abs(float(np.nanmean(rest[:, 1] - trial.grip.y_m[0]))) if len(rest) else np.nan
-    if not np.isfinite(droop_m):
+    gravity_m_per_s2 = float(np.hypot(*study.gravity_m_per_s2))
+    if not np.isfinite(droop_m) or gravity_m_per_s2 == 0.0:
         return None
-    period_s = 2.0 * np.pi * np.sqrt(droop_m / (SWING * np.hypot(*study.gravity_m_per_s2)))
+    period_s = 2.0 * np.pi * np.sqrt(droop_m / (SWING * gravity_m_per_s2))
     if moving_s >= period_s:
         return None
     return (

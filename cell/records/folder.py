@@ -7,12 +7,14 @@ runs/<time>-<n>/
   model.json      this cable's parameters
   result.json     how it ended
   *.png           pictures with what was seen and predicted drawn over them
+  reserve         room on the disk for the cycle's end; gone when it is closed
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -32,32 +34,48 @@ from cell.study.folder import read_study, write_study
 
 FORMAT = "cable-cycle/1"
 
+#: Enough for state and result, which are written when a cycle ends.
+RESERVE_BYTES = 64 * 1024
+
+
+class RecordError(OSError):
+    """A cycle's folder cannot be written.  Scenario: the disk fills up while a cable swings."""
+
 
 class Record:
-    """Writes one cycle's folder.  Every file is replaced whole, so that none is ever half there."""
+    """Writes one cycle's folder.  Every file is replaced whole, so that none is ever half there.
+
+    Room for how the cycle ends is reserved at its beginning, and used when the disk is full.
+
+    raises  RecordError, from every method
+    """
 
     def __init__(self, runs: Path, cycle: int, started: datetime) -> None:
-        """Create `runs/<time>-<cycle>`.  Raises OSError: it cannot be made, or is there already."""
+        """Create `runs/<time>-<cycle>`.  Raises RecordError also if it is there already."""
         self.folder = runs / f"{started:%Y%m%dT%H%M%S}.{started.microsecond // 1000:03d}-{cycle}"
-        self.folder.mkdir(parents=True)
+        self._reserve = self.folder / "reserve"
+        with self._told():
+            self.folder.mkdir(parents=True)
+            write_whole(self._reserve, bytes(RESERVE_BYTES))
         self._state: dict[str, Any] = {"format": FORMAT, "cycle": cycle, "closed": False}
 
     def state(self, **entries: Any) -> None:
         """Replace entries of `state.json`."""
         self._state.update(entries)
-        write_whole(self.folder / "state.json", _json(self._state))
+        self._write("state.json", _json(self._state))
 
     def settings(self, settings: Mapping[str, Any]) -> None:
         """Settings as resolved."""
-        write_whole(self.folder / "settings.yaml", yaml_text(settings))
+        self._write("settings.yaml", yaml_text(settings))
 
     def study(self, study: Study) -> None:
         """What was measured so far; replaces what was there."""
-        write_study(study, self.folder / "study")
+        with self._told():
+            write_study(study, self.folder / "study")
 
     def model(self, model: Mapping[str, Any]) -> None:
         """This cable's parameters."""
-        write_whole(self.folder / "model.json", _json(model))
+        self._write("model.json", _json(model))
 
     def pictures(self, images: Mapping[str, NDArray[np.uint8]]) -> None:
         """Pictures (H, W, 3), blue first, each as its name with .png."""
@@ -65,12 +83,31 @@ class Record:
             done, data = cv2.imencode(".png", image)
             if not done:
                 raise ValueError(f"picture {name} of shape {image.shape} cannot be encoded")
-            write_whole(self.folder / f"{name}.png", data.tobytes())
+            self._write(f"{name}.png", data.tobytes())
 
     def close(self, result: Result) -> None:
         """Write the result and the mark that nothing more comes."""
-        write_whole(self.folder / "result.json", _json(result.to_json()))
+        self.use_reserve()
+        self._write("result.json", _json(result.to_json()))
         self.state(closed=True, outcome=result.outcome.value)
+
+    def use_reserve(self) -> None:
+        """Free the room that was reserved: the cycle is about to end."""
+        with self._told():
+            self._reserve.unlink(missing_ok=True)
+
+    def _write(self, name: str, content: str | bytes) -> None:
+        with self._told():
+            write_whole(self.folder / name, content)
+
+    @contextmanager
+    def _told(self) -> Iterator[None]:
+        """What the system refuses, in words, with the folder."""
+        try:
+            yield
+        except OSError as error:
+            cause = f"the record cannot be written: {error.strerror or error}: {self.folder}"
+            raise RecordError(cause) from error
 
 
 @dataclass(frozen=True)

@@ -6,14 +6,15 @@ import time
 import traceback
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from cell.computer.memory import give_back
-from cell.records.folder import Record
-from cell.records.result import Fault, Result
+from cell.records.folder import Record, RecordError
+from cell.records.result import Fault, Outcome, Result
 from cell.run import steps
 from cell.run.commands import INTERRUPTING, RESUMING, Commands, InterruptedByCommandError
 from cell.run.machine import CellState, Event, EventRefusedError, Machine
@@ -31,6 +32,9 @@ from drivers.interfaces import (
 
 #: After these the devices are connected anew; after the others they are still there.
 UNREACHED = (ConnectError, DeviceLostError, DeviceTimeoutError, CameraError)
+
+#: What may end a cycle without being a mistake of the program.
+EXPECTED = (DeviceError, InterruptedByCommandError, KeyboardInterrupt, RecordError)
 
 
 class Cell:
@@ -138,7 +142,10 @@ class Cell:
             if after[state] > before[state]
         }
         result = progress.result(spent_s)
-        record.close(result)
+        try:
+            record.close(result)
+        except RecordError as error:
+            result = self._unrecorded(progress, result, error)
         del progress  # and its pictures
         give_back()
         return result
@@ -148,19 +155,31 @@ class Cell:
         fault, event = _fault(progress.step, error)
         progress.watch.cease()
         mode = steps.halt(self._station.devices, fault.cause)
+        cable = steps.whereabouts_of_cable(self._station.devices)
         if isinstance(error, UNREACHED):
             self._done_once.discard(CONNECT.name)
         for sent in (event, Event.DONE):
             if self.machine.can(sent):
                 self.machine.send(sent)
-        progress.fault = fault
-        progress.record.state(
-            state=self.machine.state.value,
-            arm=mode.value,
-            traceback=None
-            if isinstance(error, DeviceError | InterruptedByCommandError | KeyboardInterrupt)
-            else "".join(traceback.format_exception(error)),
-        )
+        progress.fault = replace(fault, cable=cable)
+        with suppress(RecordError):  # there is another try at the end
+            progress.record.use_reserve()
+            progress.record.state(
+                state=self.machine.state.value,
+                arm=mode.value,
+                cable=cable,
+                traceback=None
+                if isinstance(error, EXPECTED)
+                else "".join(traceback.format_exception(error)),
+            )
+
+    def _unrecorded(self, progress: Progress, result: Result, error: RecordError) -> Result:
+        """The result of a cycle whose record cannot be closed: nobody will find it there."""
+        if result.fault is not None:
+            return result
+        fault, _ = _fault(progress.step, error)
+        cable = steps.whereabouts_of_cable(self._station.devices)
+        return replace(result, outcome=Outcome.FAILED, fault=replace(fault, cable=cable))
 
     # --- what surrounds every step ------------------------------------------------------------
 
@@ -241,4 +260,6 @@ def _fault(step: str, error: BaseException) -> tuple[Fault, Event]:
             return Fault(step, "interrupted by a person"), Event.STOP
         case DeviceError():
             return Fault(step, error.cause, error.device, error.remedy), Event.ABORT
+        case RecordError():
+            return Fault(step, str(error), remedy="make room there, or mend the disk"), Event.ABORT
     return Fault(step, f"{type(error).__name__}: {error}"), Event.ABORT

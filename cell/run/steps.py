@@ -84,6 +84,15 @@ def halt(devices: Devices, reason: str) -> ArmMode:
     return state.mode
 
 
+def whereabouts_of_cable(devices: Devices) -> str:
+    """Where the cable is, as far as the gripper can tell."""
+    try:
+        held = devices.gripper.state().holding
+    except DeviceError:
+        return "the gripper does not say whether a cable is in the jaws; look"
+    return "a cable is in the jaws" if held else "no cable is in the jaws"
+
+
 # --- in every cycle -----------------------------------------------------------------------------
 
 

@@ -174,8 +174,10 @@ def troubles(results: Sequence[Result]) -> list[str]:
         if r.fault is not None:
             device = f"{r.fault.device}: " if r.fault.device else ""
             remedy = f"; {r.fault.remedy}" if r.fault.remedy else ""
+            cable = f"; {r.fault.cable}" if r.fault.cable else ""
             lines.append(
-                f"cable {r.cycle} failed in step {r.fault.step}: {device}{r.fault.cause}{remedy}"
+                f"cable {r.cycle} failed in step {r.fault.step}: "
+                f"{device}{r.fault.cause}{remedy}{cable}"
             )
         elif r.outcome is Outcome.UNFIT:
             lines += [f"{c.what}: {_shown(c)}; {c.remedy}" for c in r.checks if not c.right]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import threading
 from collections.abc import Callable
@@ -12,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from cell.files.atomic import write_whole
 from cell.records.folder import read_record
 from cell.records.result import Outcome, Result
 from cell.run.machine import CellState, Event, EventRefusedError
@@ -177,14 +179,43 @@ def test_a_stop_given_between_cycles_is_not_lost(live: Live) -> None:
     assert it.twins.world.waiting == 1, "no cable was taken"
 
 
-def test_a_record_that_can_no_longer_be_written_stops_the_arm_too(live: Live) -> None:
+def test_a_full_disk_ends_the_cycle_with_a_closed_record_that_says_where_the_cable_is(
+    live: Live, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def disk_full(it: SimpleNamespace) -> None:
+        """Nothing can be written any more, but into room that is freed."""
         (folder,) = it.runs.iterdir()
-        (folder / f"state.json.{os.getpid()}.part").mkdir()  # the next write of the state fails
 
-    it = live({"lower": disk_full})
-    with pytest.raises(OSError, match="state"):
-        it.cell.run_cycle(1)
+        def write(path: Path, content: str | bytes) -> None:
+            if (folder / "reserve").exists() or len(content) > 60_000:
+                raise OSError(errno.ENOSPC, "No space left on device")
+            write_whole(path, content)
+
+        monkeypatch.setattr("cell.records.folder.write_whole", write)
+        monkeypatch.setattr("cell.study.folder.write_whole", write)
+
+    it = live({"hold_and_capture": disk_full})
+    result = it.cell.run_cycle(1)
+    assert result.outcome is Outcome.FAILED and result.fault is not None
+    assert result.fault.cause.startswith("the record cannot be written: No space left on device: ")
+    assert result.fault.remedy == "make room there, or mend the disk"
+    assert result.fault.cable == "a cable is in the jaws"
+    (folder,) = it.runs.iterdir()
+    record = read_record(folder)
+    assert record.closed and record.result == result
+    assert (record.state["state"], record.state["cable"]) == ("aborted", "a cable is in the jaws")
+    assert not (folder / "reserve").exists()
+    assert it.cell.machine.state is CellState.ABORTED
+
+
+def test_a_record_that_can_no_longer_be_written_stops_the_arm_too(live: Live) -> None:
+    def disk_gone(it: SimpleNamespace) -> None:
+        (folder,) = it.runs.iterdir()
+        (folder / f"state.json.{os.getpid()}.part").mkdir()  # no write of the state succeeds
+
+    it = live({"lower": disk_gone})
+    result = it.cell.run_cycle(1)
+    assert result.fault is not None and "the record cannot be written" in result.fault.cause
     assert it.twins.world.hand_rests_from_s() <= it.twins.world.clock.now_s()
     assert it.cell.machine.state is CellState.ABORTED
     assert it.twins.arm.state().mode is ArmMode.STOPPED

@@ -5,6 +5,7 @@ Plain Python, because its exceptions carry the user's own lines; then the hooks 
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import inspect
 import itertools
@@ -40,7 +41,16 @@ _FIELDS = ("name", "parameters", "memory", "dissipative", "smooth")
 _CABLE = CableData(0.016, 1e-4, 0.0074, 0.1)
 
 
-def check(effect: type[Effect]) -> None:
+#: Told what is tried next, its line, and the seconds of computing that it may take.
+Doing = Callable[[str, int, int], None]
+
+#: Computing that trying a hook may take, s; it takes microseconds.
+HOOK_S = 4
+#: States of a swing at which a hook is called once more.
+STATES = 4000
+
+
+def check(effect: type[Effect], doing: Doing = lambda what, line, seconds: None) -> None:
     """Refuse an effect whose form, results or physics is not what it says.
 
     raises  EffectError with file and line
@@ -51,6 +61,7 @@ def check(effect: type[Effect]) -> None:
         p = SimpleNamespace(**values)
         for hook in HOOKS:
             if getattr(effect, hook) is not None:
+                doing(f"{effect.name}.{hook}", _line(effect, hook), HOOK_S)
                 _try(effect, hook, p, path)
     _check_off(effect, path)
     if effect.dissipative:
@@ -161,7 +172,7 @@ def _try(effect: type[Effect], hook: str, p: Any, path: Path) -> None:
             _refuse(effect, hook, path, f"returned {moved!r}: must be a function of time")
         try:
             result = np.array(moved(t), dtype=np.float64)
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise _placed(error, effect, hook, path) from error
         if result.shape != (3, t.size) or not np.all(np.isfinite(result)):
             _refuse(effect, hook, path, f"pose(t) has shape {result.shape}, not finite (3, T)")
@@ -199,11 +210,11 @@ def _call(effect: type[Effect], hook: str, path: Path, *args: Any) -> Any:
     try:
         with np.errstate(all="ignore"):
             return getattr(effect, hook)(*args)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise _placed(error, effect, hook, path) from error
 
 
-def _placed(error: Exception, effect: type[Effect], hook: str, path: Path) -> EffectError:
+def _placed(error: BaseException, effect: type[Effect], hook: str, path: Path) -> EffectError:
     """The error at the line of the effect's own file where it arose."""
     frames = traceback.extract_tb(error.__traceback__)
     own = [f for f in frames if Path(f.filename) == path]
@@ -307,3 +318,27 @@ def _cycle_work(effect: type[Effect], p: Any, amplitude: float) -> tuple[float, 
             power = moment(_CABLE, at, middle, p) * at.rate * dt
             work, scale = work + power, scale + abs(power)
     return work, scale
+
+
+def visit_many_states(effect: type[Effect]) -> None:
+    """Call the compiled hooks, in plain Python, at states as a cable meets them in a swing.
+
+    A loop without end may begin in few of them only.  What a hook raises there is said when the
+    effect is used.
+    """
+    rng = np.random.default_rng(1)
+    values = list(_probe_values(effect))
+    low = np.array([-0.15, -0.2, -2.0, -2.0, -1.0, -1.0, -3.2, -40.0, 0.0, 0.0])
+    high = np.array([0.05, 0.1, 2.0, 2.0, 1.0, 1.0, 3.2, 40.0, 0.1, 2.0])
+    for k in range(STATES):
+        p = SimpleNamespace(**values[k % len(values)])
+        state = [float(v) for v in rng.uniform(low, high)]
+        at = Bend(60.0 * state[4], 100.0 * state[2], 3e-5, state[8])
+        memory = SimpleNamespace(**dict.fromkeys(effect.memory, state[5]))
+        with contextlib.suppress(Exception), np.errstate(all="ignore"):
+            if effect.force is not None:
+                effect.force(_CABLE, Place(*state), p)
+            if effect.moment is not None:
+                effect.moment(_CABLE, at, memory, p)
+            if effect.memory_rate is not None:
+                effect.memory_rate(_CABLE, at, memory, p)

@@ -171,6 +171,13 @@ def _module(source: str, effect: type[Effect]) -> Any:
     return module
 
 
+def proof_of(file: Path) -> Path:
+    """File that is there once this content of an effect's file has passed its trial."""
+    depends = [str(file), fingerprint(), numba.__version__, np.__version__]
+    key = hashlib.sha256("\0".join(depends).encode() + file.read_bytes()).hexdigest()[:20]
+    return _cache_folder() / f"tried_{key}"
+
+
 @lru_cache(maxsize=1)
 def _cache_folder() -> Path:
     """Folder for generated loops: NUMBA_CACHE_DIR, else the user's cache, else a temporary one."""

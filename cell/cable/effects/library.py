@@ -4,17 +4,23 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
+import inspect
+import re
 import sys
 from pathlib import Path
 from types import ModuleType
 
-from numba.core.errors import NumbaError
-
 from cell.cable.effects import air, bending, camera, grip, hand, lens, plastic
 from cell.cable.effects.base import Effect, EffectFile
-from cell.cable.effects.check import check
-from cell.cable.effects.compiled import loops_of
+from cell.cable.effects.check import Doing, check, visit_many_states
+from cell.cable.effects.compiled import loops_of, proof_of
 from cell.cable.effects.refused import EffectError
+from cell.cable.effects.trial import COMPILING_S, try_effect
+
+#: A law fits on a page.
+MAX_BYTES = 100_000
+#: Computing that calling the hooks at many states may take, s; it takes well under one.
+SWING_S = 8
 
 _FAMILIES = (air, bending, grip, hand, camera)
 _RARE = (plastic, lens)
@@ -30,14 +36,37 @@ def unscreened() -> dict[str, type[Effect]]:
     return {e.name: e for module in _RARE for e in _effects_in(module)}
 
 
-def load_effect(path: str | Path) -> type[Effect]:
+def load_effect(path: str | Path, *, trusted: bool = False) -> type[Effect]:
     """The one effect defined in a Python file, checked and compiled.
 
-    raises  EffectError: with the file and line of the mistake; FileNotFoundError
+    The file is a program, and it is run: first in a process of its own, which is killed if it does
+    not come to an end, then in this one.
+
+    trusted  the program wrote the file itself: it is not tried elsewhere first
+    raises   EffectError: with the file and line of the mistake; FileNotFoundError
     """
     file = Path(path).resolve()
     if not file.is_file():
-        raise FileNotFoundError(f"{path}: no such effect file")
+        raise FileNotFoundError(f"{path}: no such effect file; give the path of a Python file")
+    if file.stat().st_size > MAX_BYTES:
+        raise EffectError(file, 1, f"has more than {MAX_BYTES} bytes: is it an effect?")
+    proof = proof_of(file)
+    if not trusted and not proof.exists():
+        try_effect(file, _tried)
+        proof.touch()
+    return _loaded(file, lambda what, line, seconds: None)
+
+
+def _tried(file: Path, doing: Doing) -> None:
+    """Everything that an effect's code is run for: checks, compiling, the states of a swing."""
+    effect = _loaded(file, doing)
+    if effect.force is None and effect.moment is None:
+        return
+    doing(f"{effect.name}: a hook, in some state of a swing,", _first_line(effect), SWING_S)
+    visit_many_states(effect)
+
+
+def _loaded(file: Path, doing: Doing) -> type[Effect]:
     sha256 = file_sha256(file)
     name = f"cable_effect_{file.stem}_{hashlib.sha256(str(file).encode()).hexdigest()[:8]}"
     spec = importlib.util.spec_from_file_location(name, file)
@@ -49,7 +78,7 @@ def load_effect(path: str | Path) -> type[Effect]:
         spec.loader.exec_module(module)
     except SyntaxError as error:
         raise EffectError(file, error.lineno or 1, f"{error.msg}") from error
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         trace, line = error.__traceback__, 1
         while trace is not None:
             if trace.tb_frame.f_code.co_filename == str(file):
@@ -61,12 +90,18 @@ def load_effect(path: str | Path) -> type[Effect]:
         names = [e.__name__ for e in found]
         raise EffectError(file, 1, f"must define exactly one subclass of Effect, has {names}")
     (effect,) = found
-    check(effect)
+    check(effect, doing)
+    if effect.name in library() | unscreened():
+        _, line = inspect.getsourcelines(effect)
+        cause = f"name = {effect.name!r} is the library's own effect; give yours another name"
+        raise EffectError(file, line, cause)
     effect.file = EffectFile(file, sha256)
     try:
+        if effect.force is not None or effect.moment is not None:
+            doing(f"{effect.name}: compiling its hooks", _first_line(effect), COMPILING_S)
         loops_of(effect)
-    except NumbaError as error:
-        raise EffectError(file, _first_line(effect), _short(error)) from error
+    except Exception as error:  # numba raises much that is no NumbaError
+        raise EffectError(file, _line_of(error, file, effect), _short(error)) from error
     return effect
 
 
@@ -90,6 +125,12 @@ def _first_line(effect: type[Effect]) -> int:
     return min(h.__code__.co_firstlineno for h in hooks if h is not None)
 
 
-def _short(error: NumbaError) -> str:
-    text = str(error).strip().splitlines()
-    return "a hook cannot be compiled; use plain arithmetic on numbers: " + " ".join(text)[:600]
+def _line_of(error: Exception, file: Path, effect: type[Effect]) -> int:
+    """Line of the effect's file that numba names last, the innermost; else that of a hook."""
+    named = re.findall(rf'{re.escape(str(file))}"?,? (?:line |\()(\d+)', str(error))
+    return int(named[-1]) if named else _first_line(effect)
+
+
+def _short(error: Exception) -> str:
+    text = " ".join(str(error).split())
+    return "a hook cannot be compiled; use plain arithmetic on numbers: " + text[:600]

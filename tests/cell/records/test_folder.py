@@ -11,7 +11,7 @@ import pytest
 
 from cell.cable.geometry import Cable, Motion
 from cell.files.input_error import InputError
-from cell.records.folder import Record, read_record
+from cell.records.folder import Record, RecordError, read_record
 from cell.records.result import Fault, Outcome, Result
 from cell.study.data import Markers, Study, Trial
 
@@ -79,12 +79,12 @@ def test_pictures_and_settings_are_written_whole(tmp_path: Path) -> None:
     record.pictures({"overlay": np.zeros((4, 5, 3), np.uint8)})
     record.settings({"gripper": {"force_n": 20.0}})
     names = {f.name for f in record.folder.iterdir()}
-    assert names == {"overlay.png", "settings.yaml"}, "no half-written file may stay"
+    assert names == {"overlay.png", "settings.yaml", "reserve"}, "no half-written file may stay"
 
 
 def test_a_record_never_writes_into_another_one(tmp_path: Path) -> None:
     Record(tmp_path, 1, NOW)
-    with pytest.raises(FileExistsError):
+    with pytest.raises(RecordError, match="File exists"):
         Record(tmp_path, 1, NOW)
 
 

@@ -112,9 +112,36 @@ MISTAKES = {
         2,
         "memory_rate",
     ),
+    "import in a hook": (
+        FORCE + "        import os\n        return -p.size * at.vx, 0.0\n",
+        6,
+        "plain arithmetic on numbers: Use of unsupported opcode (IMPORT_NAME)",
+    ),
+    "exit": ("import sys\n\nsys.exit(0)\n", 3, "SystemExit: 0"),
+    "exit in a hook": (FORCE + "        raise SystemExit\n", 6, "mine.force: SystemExit"),
+    "end of the process": ("import os\n\nos._exit(0)\n", 1, "its module takes too long"),
+    "loop": ("while True:\n    pass\n", 1, "its module takes too long, as a loop without end"),
+    "loop in a hook": (
+        FORCE + "        while True:\n            pass\n",
+        5,
+        "mine.force takes too long, as a loop without end",
+    ),
+    "loop in some states": (
+        FORCE + "        y = at.y\n        while -0.015 > y > -0.0199 and p.size > 0.0:\n"
+        "            y = 0.5 * (y + at.y)\n        return -p.size * at.vx, 0.0\n",
+        5,
+        "mine: a hook, in some state of a swing, takes too long",
+    ),
+    "all memory": (FORCE + "        x = [0] * 10**10\n        return x[0], 0.0\n", 6, "MemoryErr"),
+    "a library effect's name": (
+        FORCE.replace('"mine"', '"air_drag"') + "        return -p.size * at.vx, 0.0\n",
+        2,
+        "name = 'air_drag' is the library's own effect; give yours another name",
+    ),
+    "very long": ("x = 1\n" * 20_000, 1, "is it an effect?"),
     "not compilable": (
         FORCE + "        return p.size * len({'a': [1], 2: 3}), 0.0\n",
-        5,
+        6,
         "cannot be compiled",
     ),
     "parameters": (

@@ -1,0 +1,51 @@
+"""What a command may overwrite: what a command wrote, and nothing else unasked."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+
+#: How the files begin that commands write to where a person says: JSON, motion, page, law.
+_OWN = re.compile(
+    rb'\s*\{\s*"format": "(?:cable|cell)-[a-z]+/\d+"'
+    rb"|format: cell-motion/\d+\b"
+    rb'|<!doctype html><html lang="en"><head><meta name="generator" content="cable-cell">'
+    rb'|"""Law inferred from the residuals of study '
+)
+
+
+def check_output(path: Path, *, force: bool = False) -> None:
+    """Whether a file can be written here, before the work that it is to hold.
+
+    force   also over a file that no command wrote
+    raises  ValueError: there is a folder, a device or somebody's file, or no right to write
+    """
+    if path.is_dir():
+        raise ValueError(f"{path}: is a folder; give the name of a file in it")
+    if path.exists() and not path.is_file():
+        raise ValueError(f"{path}: is a pipe or a device; give the name of a file")
+    there = next(p for p in path.absolute().parents if p.exists())
+    if not (there.is_dir() and os.access(there, os.W_OK)):
+        raise ValueError(f"{path}: cannot be written, {there} is no folder that may be changed")
+    if path.exists() and not force and not _is_own(path):
+        raise ValueError(
+            f"{path}: is there and was not written by this program; give another name, or --force "
+            "to overwrite it"
+        )
+
+
+def check_new_study(folder: Path, *, force: bool = False) -> None:
+    """Whether a study can be written here.  Raises ValueError: there is one, or a file."""
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"{folder}: is a file; give the name of a folder")
+    if (folder / "study.yaml").exists() and not force:
+        raise ValueError(
+            f"{folder}: holds a study already; give another folder, or --force to overwrite it"
+        )
+
+
+def _is_own(path: Path) -> bool:
+    with path.open("rb") as file:
+        start = file.read(200)
+    return not start or _OWN.match(start) is not None

@@ -1,0 +1,281 @@
+"""Inputs that somebody has spoilt: no traceback, no hang, no file harmed, every error has a place.
+
+Good files are changed at random, repeatably.  `make malformed` tries more of them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import random
+import resource
+import shutil
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from cell.cable.dynamics import simulate
+from cell.cable.geometry import Cable, Motion
+from cell.cable.model import CableModel
+from cell.cli import app
+from cell.files.input_error import InputError
+from cell.identify.individual import identify
+from cell.plan.motion_file import load_motion
+from cell.settings import load_settings
+from cell.study.data import Markers, Study, Trial
+from cell.study.folder import write_study
+
+CASES = int(os.environ.get("MALFORMED_CASES", "60"))
+#: Computing after which a command counts as hung, s.
+HUNG_S = 10.0
+MOST_BYTES = 1024**3
+
+CONFIG = Path(__file__).parents[2] / "config" / "fake.yaml"
+
+MOTION = """format: cell-motion/1
+purpose: tell air_drag from draught
+start: {x_m: 0.0, y_m: 0.0, angle_rad: 0.0}
+still_s: 0.2
+moves:
+- {x_m: 0.0, y_m: -0.05, angle_rad: 0.0, duration_s: 0.5}
+hold_s: 1.0
+"""
+
+EFFECT = '''"""A magnet beside the path."""
+
+from cell.cable.effects import Effect, Parameter
+
+
+class Magnet(Effect):
+    """Pull towards a place."""
+
+    name = "magnet"
+    parameters = (
+        Parameter("strength_n_m", "N·m", 0.0, 1e-3, default=0.0, starts=(2e-5,)),
+        Parameter("x_m", "m", -1.0, 1.0, default=-0.1, starts=(-0.1,), amplitude=False),
+    )
+
+    def force(cable, at, p):
+        dx = p.x_m - at.x
+        return p.strength_n_m * dx / (dx * dx + 1e-4), 0.0
+'''
+
+VALUES = (
+    "nan", ".nan", "inf", "-.inf", "-1", "0", "1e308", "-1e308", "1e-320", "true", "null", "~",
+    "''", "'1'", "[]", "{}", "[1, 2, 3]", "1e6", "12 mm", "0x10", "1_0", "9" * 5000, "x" * 3000,
+    "\u200b", "\x1b[2J", "*a", "&a [*a]", "!!python/name:os.system", "2020-13-45", "-", "1,5", "☃",
+)  # fmt: skip
+
+Change = Callable[[random.Random, bytes], bytes]
+
+
+def _lines(change: Callable[[random.Random, list[bytes]], list[bytes]]) -> Change:
+    return lambda rng, data: b"\n".join(change(rng, data.split(b"\n")))
+
+
+def _pick(rng: random.Random, data: bytes, what: Callable[[bytes], bool]) -> tuple[int, int]:
+    """Where a word of a kind stands."""
+    separators = b" ,:\n[]{}()\"'"
+    starts = [i for i in range(len(data)) if i == 0 or data[i - 1] in separators]
+    words = []
+    for i in starts:
+        end = i
+        while end < len(data) and data[end] not in separators:
+            end += 1
+        if end > i and what(data[i:end]):
+            words.append((i, end))
+    return rng.choice(words or [(0, 0)])
+
+
+def _is_number(word: bytes) -> bool:
+    return word[:1].isdigit() or word[:1] in (b"-", b".")
+
+
+def other_value(rng: random.Random, data: bytes) -> bytes:
+    i, end = _pick(rng, data, _is_number)
+    return data[:i] + rng.choice(VALUES).encode() + data[end:]
+
+
+def other_size(rng: random.Random, data: bytes) -> bytes:
+    i, end = _pick(rng, data, _is_number)
+    try:
+        value = float(data[i:end])
+    except ValueError:
+        return other_value(rng, data)
+    factor = rng.choice([-1.0, 1e3, 1e-3, 57.3, 1e9, 1e-9, 2.0, 0.0])
+    return data[:i] + repr(value * factor).encode() + data[end:]
+
+
+def other_word(rng: random.Random, data: bytes) -> bytes:
+    i, end = _pick(rng, data, bytes.isalpha)
+    word = bytearray(data[i:end])
+    rng.shuffle(word)
+    return data[:i] + bytes(word) + data[end:]
+
+
+def noise(rng: random.Random, data: bytes) -> bytes:
+    spoilt = bytearray(data)
+    for _ in range(rng.choice([1, 3, 30])):
+        spoilt[rng.randrange(len(spoilt))] = rng.randrange(256)
+    return bytes(spoilt)
+
+
+CHANGES: dict[str, Change] = {
+    "other value": other_value,
+    "other size": other_size,
+    "other word": other_word,
+    "noise": noise,
+    "line left out": _lines(lambda r, t: [x for i, x in enumerate(t) if i != r.randrange(len(t))]),
+    "line twice": _lines(lambda r, t: [y for x in t for y in [x] * r.choice([1, 1, 1, 2])]),
+    "lines exchanged": _lines(lambda r, t: r.sample(t, len(t))),
+    "line indented": _lines(lambda r, t: [r.choice([b"", b"", b" ", b"\t"]) + x for x in t]),
+    "cut": lambda r, d: d[: r.randrange(len(d))],
+    "empty": lambda r, d: b"",
+    "repeated": lambda r, d: d * r.choice([2, 50, 3000]),
+    "deep": lambda r, d: d + r.choice([b"[", b"{a: ", b'{"a":', b"(", b"- "]) * 20_000,
+    "another encoding": lambda r, d: d.decode().encode(r.choice(["utf-16", "utf-8-sig", "cp037"])),
+    "windows": lambda r, d: d.replace(b"\n", b"\r\n"),
+    "zeros": lambda r, d: d[:50] + bytes(1000) + d[50:],
+    "very many keys": lambda r, d: d + b"".join(b"\nk%d: 1" % i for i in range(9_000)),
+    "bomb": lambda r, d: (
+        d + b"\na0: &a0 [x, x]\n"
+        + b"".join(b"a%d: &a%d [*a%d, *a%d, *a%d]\n" % (i, i, i - 1, i - 1, i - 1)
+                   for i in range(1, 30))
+    ),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a good file of every kind."""
+    folder = tmp_path_factory.mktemp("good")
+    t = np.arange(0.0, 0.8, 0.01)
+    x = np.clip((t - 0.2) / 0.2, 0.0, 1.0)
+    grip = Motion(t, 0 * t, -0.05 * x**3 * (10 - 15 * x + 6 * x**2), 0 * t)
+    cable, arcs = Cable(0.1, 0.0074, 0.016, 1e-4), np.linspace(0.1, 0.0, 3)
+    model = CableModel(cable, np.array(3e-5), viscosity_n_m2_s=1e-7)
+    xy_m = simulate(model, grip, t, arcs)[0]
+    xy_m = xy_m + np.random.default_rng(1).normal(0.0, 1e-4, xy_m.shape)
+    trial = Trial("a", "fit", "equilibrium", grip, Markers(t, xy_m))
+    write_study(Study("s", cable, arcs, (trial,)), folder / "study")
+    identified = identify(trial, arcs, cable)
+    (folder / "model.json").write_text(json.dumps(identified.to_dict(), indent=1))
+    shutil.copy(CONFIG, folder / "settings.yaml")
+    (folder / "motion.yaml").write_text(MOTION)
+    (folder / "effect.py").write_text(EFFECT)
+    return folder
+
+
+def _command(kind: str, folder: Path) -> list[str]:
+    out, study = str(folder / "out"), str(folder / "study")
+    return {
+        "settings.yaml": ["check", "-c", str(folder / "settings.yaml")],
+        "study/study.yaml": ["identify", study],
+        "study/a/markers.csv": ["identify", study],
+        "study/a/grip.csv": ["study", study, "-o", out],
+        "model.json": ["compare", study, "--model", str(folder / "model.json"), "--json", out],
+        "effect.py": ["effects", "--effect", str(folder / "effect.py"), "--json", out],
+    }[kind]
+
+
+KINDS = (
+    "settings.yaml", "study/study.yaml", "study/a/markers.csv", "study/a/grip.csv", "model.json",
+    "motion.yaml", "effect.py",
+)  # fmt: skip
+
+
+@contextmanager
+def hung_after(seconds: float) -> Iterator[None]:
+    """Fails if what is done takes more computing than this; waiting does not count."""
+
+    def fail(number: int, frame: FrameType | None) -> None:
+        pytest.fail(f"hung: more than {seconds} s of computing")
+
+    former = signal.signal(signal.SIGVTALRM, fail)
+    signal.setitimer(signal.ITIMER_VIRTUAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
+        signal.signal(signal.SIGVTALRM, former)
+
+
+def _contents(folder: Path) -> dict[str, str]:
+    return {
+        str(p.relative_to(folder)): hashlib.sha256(p.read_bytes()).hexdigest()
+        for p in sorted(folder.rglob("*"))
+        if p.is_file()
+    }
+
+
+def _outcome(kind: str, folder: Path) -> tuple[int, str]:
+    """Exit code and error output of the command that reads this kind of file."""
+    if kind == "motion.yaml":  # the command would go on and move a cell
+        try:
+            load_motion(folder / kind, load_settings(CONFIG))
+        except InputError as error:
+            return 2, str(error)
+        return 0, ""
+    done = CliRunner().invoke(app, _command(kind, folder))
+    if done.exception is not None and not isinstance(done.exception, SystemExit):
+        raise done.exception
+    return done.exit_code, done.stderr
+
+
+def _check(kind: str, folder: Path) -> None:
+    before = _contents(folder)
+    with hung_after(HUNG_S):
+        code, said = _outcome(kind, folder)
+    after = _contents(folder)
+    wrote = {name for name in after if name not in before}
+    assert {name: after.get(name) for name in before} == before, "a file was harmed"
+    assert code in (0, 1, 2)
+    assert "Traceback" not in said
+    if code != 0:
+        assert not wrote, "nothing may be written"
+        assert str(folder) in said, f"no place is named: {said}"
+        assert len(said) < 20_000
+        assert said.isprintable() or all(c.isprintable() or c == "\n" for c in said)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    assert peak < MOST_BYTES, f"{peak / 1e9:.2f} GB of memory"
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_good_file_is_good(good: Path, tmp_path: Path, kind: str) -> None:
+    shutil.copytree(good, tmp_path / "case")
+    assert _outcome(kind, tmp_path / "case")[0] == 0
+
+
+@pytest.mark.parametrize("case", range(CASES))
+def test_a_spoilt_file_is_refused_with_its_place_or_used(
+    good: Path, tmp_path: Path, case: int
+) -> None:
+    rng = random.Random(case)
+    kind, change = rng.choice(KINDS), rng.choice(sorted(CHANGES))
+    shutil.copytree(good, tmp_path / "case")
+    path = tmp_path / "case" / kind
+    path.write_bytes(CHANGES[change](rng, path.read_bytes()))
+    _check(kind, tmp_path / "case")
+
+
+@pytest.mark.parametrize("instead", ["folder", "pipe", "device", "nothing"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_is_no_file_is_refused(good: Path, tmp_path: Path, kind: str, instead: str) -> None:
+    shutil.copytree(good, tmp_path / "case")
+    path = tmp_path / "case" / kind
+    path.unlink()
+    if instead == "folder":
+        path.mkdir()
+    elif instead == "pipe":
+        os.mkfifo(path)
+    elif instead == "device":
+        path.symlink_to("/dev/zero")
+    _check(kind, tmp_path / "case")
+    assert _outcome(kind, tmp_path / "case")[0] == 2
