@@ -29,6 +29,8 @@ MAX_GRAVITY_M_PER_S2 = 100.0
 MAX_NOISE_FRACTION = 0.2
 MAX_TRIAL_S = 30.0
 MAX_DISTANCE_M = 100.0
+#: Of a marker; nearer ones are told with their distance from the hand.
+MAX_COORDINATE_M = 1e6
 
 #: Frames of a trial that are taken; a fit's time and memory grow with them.
 MAX_FRAMES = 5_000
@@ -273,8 +275,8 @@ def _read_trial(folder: Path, trial: _Trial, header: _Study, order: NDArray[np.i
             f"{motion.t_s[-1]:g} s, without overlap; put both on one clock, in seconds",
         )
     table.check(
-        ~(np.abs(table.values) > [np.inf, *[MAX_DISTANCE_M] * (2 * count)]),
-        lambda _: f"is beyond ±{MAX_DISTANCE_M:g} m; give metres",
+        ~(np.abs(table.values) > [np.inf, *[MAX_COORDINATE_M] * (2 * count)]),
+        lambda _: f"is beyond ±{MAX_COORDINATE_M:g} m; give metres",
     )
     grip_xy_m = np.column_stack([np.interp(t_s, motion.t_s, v) for v in (motion.x_m, motion.y_m)])
     # A marker cannot be farther from the hand than the cable is long; half as far again leaves
