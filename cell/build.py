@@ -17,9 +17,8 @@ from cell.run.cycle import Cell
 from cell.run.station import Devices, Task
 from cell.settings import Settings
 from cell.settings import model as given
-from cell.settings.translate import cable_of, identification_of, pose_of, view_of
+from cell.settings.translate import cable_of, identification_of, pose_of, view_of, vision_of
 from cell.simulated.twins import Twins, build_twins
-from cell.vision.detect import VisionOptions
 from drivers.clock import RealClock
 from drivers.files import FilesCamera
 from drivers.genicam_camera import GenicamCamera, GenicamOptions
@@ -142,7 +141,7 @@ def cell_task(settings: Settings) -> Task:
         insertion=MotionLimits(**motion.insertion.model_dump()),
         force_n=settings.gripper.force_n,
         view=view_of(settings.camera.view),
-        vision=VisionOptions(free_length_m=settings.cable.free_length_m),
+        vision=vision_of(settings),
         identification=identification_of(settings),
         choice=ChoiceOptions(least_probability=settings.choice.min_probability),
     )

@@ -19,8 +19,9 @@ from calib.plane import PlaneView
 from cell.build import real_devices
 from cell.run.warm_up import warm_up_eyes
 from cell.settings import load_settings
+from cell.settings.translate import vision_of
 from cell.simulated.emulated import EmulatedCell
-from cell.vision.detect import VisionOptions, detect
+from cell.vision.detect import detect
 from cell.vision.sighting import Sighting
 from drivers.interfaces import Trajectory
 
@@ -65,7 +66,7 @@ def servo(seconds: float) -> Servo:
         plane = PlaneView.from_scale(
             view.metres_per_pixel, view.origin_column_px, view.origin_row_px
         )
-        options = VisionOptions(free_length_m=settings.cable.free_length_m)
+        options = vision_of(settings)
         warm_up_eyes(options)  # compiling on a new machine would hold everything up
         devices = real_devices(settings)
         with EmulatedCell(settings, seed=1) as emulated:

@@ -247,6 +247,44 @@ class _Camera(_Section):
     view: View
 
 
+def _told_apart(discs_m: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
+    from cell.vision.marks import JawMarks  # takes its time, and hardly anybody has other discs
+
+    JawMarks(discs_m)
+    return discs_m
+
+
+Discs = Annotated[
+    tuple[tuple[Place, Place], ...], Field(min_length=3, max_length=12), AfterValidator(_told_apart)
+]
+
+
+class JawPlate(_Section):
+    """Light discs on the dark plate of the jaw, by which the camera finds the hand."""
+
+    discs_m: Discs = ((0.006, 0.009), (0.006, -0.009), (0.032, 0.009), (0.025, -0.003))
+    """Centres, m, as the camera sees them with the clamp level: origin at the gripping point, the
+    cable leaves towards -x, y up.  All distances between them differ by 1 mm or more."""
+    radius_m: Annotated[float, Field(ge=0.0005, le=0.05)] = 0.0025
+    """Radius of every disc, m."""
+
+
+class Vision(_Section):
+    """What the cable and the jaw look like in the camera's pictures."""
+
+    cable_is: Literal["dark", "light"] = "dark"
+    """Darker than what is behind it, as before a lit screen; or lighter, as lit before black."""
+    min_contrast: Annotated[float, Field(ge=1.0, le=200.0)] = 5.0
+    """Least contrast of the cable over three pixels, grey levels; less counts as no cable."""
+    line_width_px: Annotated[float, Field(ge=0.3, le=20.0)] = 1.0
+    """Standard deviation of the cable's profile across it, blur included, pixels."""
+    nodes: Annotated[int, Field(ge=3, le=101)] = 11
+    """Points at which the cable's place is measured, at equal distances along it."""
+    length_tolerance_m: Annotated[float, Field(gt=0.0, le=0.1)] = 0.003
+    """A line that is longer or shorter than the cable by more than this, m, is not the cable."""
+    jaw: JawPlate = JawPlate()
+
+
 class SimulatedCamera(_Camera):
     """Twin of a camera: renders the simulated world."""
 
@@ -371,6 +409,7 @@ class Settings(_Section):
         SimulatedCamera | OpenCvCamera | GenicamCamera | FilesCamera, Field(discriminator="kind")
     ]
     gripper: Annotated[SimulatedGripper | SerialGripper, Field(discriminator="kind")]
+    vision: Vision = Vision()
     identification: Identification = Identification()
     model: Model = Model()
     choice: Choice = Choice()

@@ -14,6 +14,8 @@ from cell.identify.individual import IdentifyOptions
 from cell.identify.model_class import ModelClass, effect_from
 from cell.settings import model as given
 from cell.settings.model import Settings
+from cell.vision.detect import VisionOptions
+from cell.vision.marks import JawMarks
 from drivers.interfaces import Pose
 
 
@@ -30,6 +32,20 @@ def pose_of(pose: given.Pose) -> Pose:
 def view_of(view: given.View) -> PlaneView:
     """The map between pixels and the cell's plane."""
     return PlaneView.from_scale(view.metres_per_pixel, view.origin_column_px, view.origin_row_px)
+
+
+def vision_of(settings: Settings) -> VisionOptions:
+    """How cable and jaw are found in the pictures."""
+    vision = settings.vision
+    return VisionOptions(
+        free_length_m=settings.cable.free_length_m,
+        length_tolerance_m=vision.length_tolerance_m,
+        nodes=vision.nodes,
+        cable_is=vision.cable_is,
+        min_contrast=vision.min_contrast,
+        line_width_px=vision.line_width_px,
+        marks=JawMarks(vision.jaw.discs_m, vision.jaw.radius_m),
+    )
 
 
 def identification_of(settings: Settings) -> IdentifyOptions:

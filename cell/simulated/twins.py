@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from cell.settings import Settings
 from cell.settings import model as given
@@ -13,7 +15,7 @@ from drivers.sim.arm import ArmTwinOptions, SimArm
 from drivers.sim.camera import CameraTwinOptions, SimCamera
 from drivers.sim.clock import SimClock
 from drivers.sim.gripper import SimGripper
-from drivers.sim.render import RenderOptions
+from drivers.sim.render import LIGHT_ON_DARK, RenderOptions
 from drivers.sim.world import World
 
 
@@ -58,7 +60,11 @@ def camera_twin(
     """Pictures as the camera of the settings takes them; `look` tells how good they are."""
     camera = settings.camera
     assert not isinstance(camera, given.FilesCamera)
-    picture = RenderOptions(
+    vision = settings.vision
+    picture = replace(
+        RenderOptions() if vision.cable_is == "dark" else LIGHT_ON_DARK,
+        plate_m=_plate_m(vision.jaw),
+        marks_m=tuple((x_m, y_m, vision.jaw.radius_m) for x_m, y_m in vision.jaw.discs_m),
         width_px=camera.width_px,
         height_px=camera.height_px,
         thickness_m=settings.cable.thickness_m,
@@ -68,3 +74,16 @@ def camera_twin(
         scene_seed=seed,
     )
     return CameraTwinOptions(view_of(camera.view).homography, picture, camera.frame_rate_hz)
+
+
+def _plate_m(jaw: given.JawPlate) -> tuple[float, float, float, float]:
+    """A plate around the discs and the gripping point: x and y from, x and y to, m."""
+    low, high = np.min(jaw.discs_m, axis=0), np.max(jaw.discs_m, axis=0)
+    edges = (
+        min(0.0, low[0] - jaw.radius_m),
+        low[1] - jaw.radius_m - 0.0015,
+        high[0] + jaw.radius_m + 0.0035,
+        high[1] + jaw.radius_m + 0.0015,
+    )
+    x0, y0, x1, y1 = (round(float(edge), 6) for edge in edges)
+    return x0, y0, x1, y1

@@ -19,6 +19,7 @@ from cell.run.machine import CellState, Event
 from cell.run.plans import INSERTING, Step
 from cell.run.station import Station
 from cell.settings import Settings
+from cell.settings.model import JawPlate, Vision
 from cell.simulated.hidden import hidden_cable
 from drivers.interfaces import DeviceTimeoutError, Trajectory
 
@@ -114,6 +115,18 @@ def test_a_computer_too_slow_for_the_planned_moment_plans_a_later_one(live: Live
     result = it.cell.run_cycle(1)
     assert it.steps.count("simulate") == 2
     assert result.outcome is Outcome.INSERTED
+
+
+def test_a_light_cable_and_another_jaw_plate_are_seen_if_the_settings_say_so(
+    live: Live, quick: Settings
+) -> None:
+    jaw = JawPlate(discs_m=((0.008, 0.01), (0.008, -0.012), (0.04, 0.004)), radius_m=0.003)
+    vision = Vision(cable_is="light", nodes=15, jaw=jaw)
+    settings = quick.model_copy(update={"vision": vision})
+    result = live(settings=settings).cell.run_cycle(1)
+    assert result.outcome is Outcome.INSERTED, result.fault or result.reason
+    study = read_record(Path(result.folder)).study
+    assert study is not None and study.arc_length_m.shape == (15,)
 
 
 def test_a_cable_that_no_offset_can_insert_is_put_aside(live: Live, quick: Settings) -> None:

@@ -11,6 +11,11 @@ import yaml
 
 from cell.files.input_error import InputError
 from cell.settings import Settings, load_settings
+from cell.settings.model import SimulatedCamera
+from cell.settings.translate import vision_of
+from cell.simulated.twins import camera_twin
+from cell.vision.detect import VisionOptions
+from cell.vision.marks import JawMarks
 
 CONFIG = Path(__file__).parents[3] / "config"
 FAKE = (CONFIG / "fake.yaml").read_text(encoding="utf-8")
@@ -50,7 +55,40 @@ def test_the_schema_for_editors_is_fresh_and_accepts_what_is_shipped() -> None:
         jsonschema.validate(yaml.safe_load(FAKE.replace("force_n", "force")), schema)
 
 
+def test_what_is_not_said_of_the_pictures_is_what_vision_takes_for_granted() -> None:
+    settings = load_settings(CONFIG / "fake.yaml")
+    assert vision_of(settings) == VisionOptions(free_length_m=settings.cable.free_length_m)
+
+
+def test_what_is_said_of_the_pictures_reaches_vision_and_the_simulated_camera(
+    tmp_path: Path,
+) -> None:
+    discs = ((0.01, 0.012), (0.01, -0.012), (0.05, 0.002))
+    path = tmp_path / "cell.yaml"
+    said = (
+        "vision: {cable_is: light, min_contrast: 9, line_width_px: 1.5, nodes: 15,\n"
+        "  length_tolerance_m: 0.004, jaw: {radius_m: 0.003,\n"
+        "  discs_m: [[0.01, 0.012], [0.01, -0.012], [0.05, 0.002]]}}\n"
+    )
+    path.write_text(FAKE + said, encoding="utf-8")
+    settings = load_settings(path)
+    marks = JawMarks(discs, 0.003)
+    assert vision_of(settings) == VisionOptions(0.1, 0.004, 15, "light", 9.0, 1.5, marks)
+    assert isinstance(settings.camera, SimulatedCamera)
+    picture = camera_twin(settings, settings.camera, 1).picture
+    assert picture.marks_m == tuple((*centre, 0.003) for centre in discs)
+    assert picture.cable_level > picture.background_level
+    x0, y0, x1, y1 = picture.plate_m
+    assert all(x0 < x - 0.003 and x + 0.003 < x1 for x, _ in discs)
+    assert all(y0 < y - 0.003 and y + 0.003 < y1 for _, y in discs)
+
+
+SQUARE = "vision: {jaw: {discs_m: [[0.01, 0.01], [0.01, -0.01], [0.03, 0.01], [0.03, -0.01]]}}\n"
+
 MISTAKES = [
+    ("camera:\n", f"{SQUARE}camera:\n", "must differ by at least 1.0 mm each; move a mark"),
+    ("camera:\n", "vision: {nodes: 2}\ncamera:\n", "vision.nodes: input should be greater"),
+    ("camera:\n", "vision: {cable_is: grey}\ncamera:\n", "vision.cable_is: "),
     # old, new, what is said
     (
         "force_n: 20.0",
