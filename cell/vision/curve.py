@@ -109,7 +109,8 @@ def pieces_of_splines(intervals: int, derivative: int) -> FloatArray:
 
     The place goes from 0 to 1 in every piece; lowest power first.
     """
-    left = np.arange(intervals) / intervals
+    # as the knots are rounded: a place just before a knot would be in the piece before
+    left = np.linspace(0.0, 1.0, intervals + 1)[:-1]
     powers, size = [], 1.0
     for k in range(DEGREE + 1):
         more = k + derivative

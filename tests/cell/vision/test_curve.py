@@ -34,12 +34,19 @@ def circle(curvature, angle, length, count):
     intervals=st.integers(3, 12),
 )
 def test_a_circle_keeps_its_length_and_curvature(curvature, angle, length, intervals):
+    """Within the order of quintic splines: 6 in place, 5 in direction, 4 in curvature (de Boor).
+
+    What counts is how far the circle turns in one interval; the factors are those measured at up
+    to 1.5 rad, with a margin of 1.4 to 3.
+    """
     points = circle(curvature, angle, length, 300)
     curve = fit_curve(chord_parameters(points), points, np.ones(300), intervals, 1e-15)
     line = curve.centreline(500)
-    assert line.length_m == pytest.approx(length, rel=1e-4)
-    assert line.curvature_1_per_m == pytest.approx(curvature, rel=0.02, abs=0.05)
-    assert line.angle_rad[-1] - line.angle_rad[0] == pytest.approx(curvature * length, rel=1e-3)
+    turn = curvature * length / intervals
+    turned = line.angle_rad[-1] - line.angle_rad[0]
+    assert line.length_m == pytest.approx(length, rel=1e-4 * turn**6 + 1e-6)
+    assert turned == pytest.approx(curvature * length, rel=3e-3 * turn**5 + 1e-5)
+    assert line.curvature_1_per_m == pytest.approx(curvature, rel=2e-2 * turn**4 + 1e-3)
 
 
 def test_noise_across_the_curve_does_not_lengthen_it():
@@ -76,7 +83,7 @@ def test_roughness_is_the_integral_of_the_third_derivative_squared():
 
 
 @pytest.mark.parametrize("derivative", [0, 1, 2, 5])
-@pytest.mark.parametrize("intervals", [1, 7])
+@pytest.mark.parametrize("intervals", [1, 5, 7, 10])
 def test_points_are_those_of_the_splines_and_go_on_beyond_the_ends(intervals, derivative):
     rng = np.random.default_rng(0)
     curve = Curve(rng.normal(size=(intervals + 5, 2)))
