@@ -18,6 +18,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from drivers.sim.coverage import gather, lay_over, running_sum
 from drivers.sim.pinhole import Sight, metres_per_pixel, to_pixels
 
 FloatArray = NDArray[np.float64]
@@ -179,7 +180,7 @@ class _Polygons:
 
     def __init__(self, sight: Sight) -> None:
         self._sight = sight
-        self._corners: list[FloatArray] = []  # (P, V, 2) each
+        self._corners_m: list[FloatArray] = []  # (P, V, 2 or 3) each
         self._levels: list[FloatArray] = []  # (P,) light each adds where it covers
         self._hides: list[FloatArray] = []  # (P,) share of the background each hides
 
@@ -187,7 +188,7 @@ class _Polygons:
         self, corners_m: FloatArray, level: FloatArray, hides: float | FloatArray, weight: float
     ) -> None:
         """(P, V, 2 or 3) convex polygons, m."""
-        self._corners.append(to_pixels(self._sight, corners_m))
+        self._corners_m.append(corners_m)
         self._levels.append(np.asarray(weight * level, dtype=np.float64))
         self._hides.append(weight * np.broadcast_to(np.float64(hides), len(level)))
 
@@ -226,11 +227,12 @@ class _Polygons:
     def over(self, background: LightArray, blur_px: float) -> LightArray:
         """The background with everything drawn over it, seen through the lens."""
         light = background.copy()
-        if not self._corners:
+        if not self._corners_m:
             return light
+        in_pixels = self._in_pixels()
         height, width = background.shape
         margin = 4 + ceil(4.0 * blur_px)
-        every = np.concatenate([c.reshape(-1, 2) for c in self._corners])
+        every = np.concatenate([c.reshape(-1, 2) for c in in_pixels])
         low = np.clip(np.floor(every.min(0)) - margin, -margin, [width, height]).astype(int)
         high = np.clip(np.ceil(every.max(0)) + margin, 0, [width + margin, height + margin])
         columns, rows = (high.astype(int) - low).tolist()
@@ -238,10 +240,10 @@ class _Polygons:
             return light
         added = np.zeros((rows, columns + 2), dtype=np.float32)
         hidden = np.zeros((rows, columns + 2), dtype=np.float32)
-        for corners, levels, hides in zip(self._corners, self._levels, self._hides, strict=True):
-            _gather(corners - low + 0.5, levels, hides, added, hidden)
-        _running_sum(added)
-        _running_sum(hidden)
+        for corners, levels, hides in zip(in_pixels, self._levels, self._hides, strict=True):
+            gather(corners - low + 0.5, levels, hides, added, hidden)
+        running_sum(added)
+        running_sum(hidden)
         if blur_px > 0.0:
             size = 2 * ceil(3.0 * blur_px) + 1
             added = cv2.GaussianBlur(added, (size, size), blur_px)
@@ -252,9 +254,20 @@ class _Polygons:
             slice(inside.start - low[1], inside.stop - low[1]),
             slice(across.start - low[0], across.stop - low[0]),
         )
-        light[inside, across] *= 1.0 - np.minimum(hidden[part], 1.0)
-        light[inside, across] += added[part]
+        lay_over(light[inside, across], added[part], hidden[part])
         return light
+
+    def _in_pixels(self) -> list[FloatArray]:
+        """Corners (P, V, 2) of every addition; all of the plane's points are mapped at once."""
+        found = list(self._corners_m)
+        for size in {corners.shape[-1] for corners in found}:
+            which = [k for k, corners in enumerate(found) if corners.shape[-1] == size]
+            flat = np.concatenate([found[k].reshape(-1, size) for k in which])
+            ends = np.cumsum([found[k].size // size for k in which])
+            parts = np.split(to_pixels(self._sight, flat), ends[:-1])
+            for k, pixels in zip(which, parts, strict=True):
+                found[k] = pixels.reshape(*found[k].shape[:-1], 2)
+        return found
 
 
 _ANGLES = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
@@ -294,71 +307,6 @@ def _copies(cable_m: FloatArray | None, rates: Rates, sight: Sight, options: Ren
         speed = max(speed, float(np.linalg.norm(cable_m_per_s, axis=1).max()))
     blur_px = speed * options.exposure_s / metres_per_pixel(sight)
     return int(np.clip(ceil(2.0 * blur_px), 1, 16))
-
-
-@njit(cache=True)
-def _gather(corners, levels, hides, added, hidden):  # type: ignore[no-untyped-def]
-    """Add the edges of (P, V, 2) polygons; pixel (row, column) covers [column, column + 1]."""
-    rows, columns = added.shape[0], added.shape[1] - 2
-    for p in range(corners.shape[0]):
-        count = corners.shape[1]
-        area = 0.0
-        for v in range(count):
-            w = (v + 1) % count
-            area += corners[p, v, 0] * corners[p, w, 1] - corners[p, w, 0] * corners[p, v, 1]
-        turn = 1.0 if area < 0.0 else -1.0
-        for v in range(count):
-            w = (v + 1) % count
-            x0, y0 = corners[p, v, 0], corners[p, v, 1]
-            x1, y1 = corners[p, w, 0], corners[p, w, 1]
-            if y0 == y1:
-                continue
-            sign = turn
-            if y0 > y1:
-                x0, y0, x1, y1 = x1, y1, x0, y0
-                sign = -turn
-            slope = (x1 - x0) / (y1 - y0)
-            for row in range(max(0, int(np.floor(y0))), min(rows, int(np.ceil(y1)))):
-                top, bottom = max(y0, float(row)), min(y1, row + 1.0)
-                a = x0 + slope * (top - y0)
-                b = x0 + slope * (bottom - y0)
-                a = min(max(a, 0.0), float(columns))
-                b = min(max(b, 0.0), float(columns))
-                if a > b:
-                    a, b = b, a
-                _edge(added, row, a, b, sign * (bottom - top) * levels[p])
-                _edge(hidden, row, a, b, sign * (bottom - top) * hides[p])
-
-
-@njit(cache=True, inline="always")
-def _edge(buffer, row, a, b, weight):  # type: ignore[no-untyped-def]
-    """Share of each pixel to the right of an edge that runs from column a to b within a row."""
-    first, last = int(a), int(b)
-    if first == last:
-        middle = 0.5 * (a + b) - first
-        buffer[row, first] += weight * (1.0 - middle)
-        buffer[row, first + 1] += weight * middle
-        return
-    per_column = weight / (b - a)
-    before = 0.0  # covered so far, up to and including the pixel before
-    for column in range(first, last + 1):
-        left, right = max(a, float(column)), min(b, column + 1.0)
-        # to the right of the edge within this pixel, plus all that crossed before it
-        crossed = per_column * (right - left)
-        covered = crossed * (column + 1.0 - 0.5 * (left + right))
-        start = per_column * (left - a)
-        buffer[row, column] += start + covered - before
-        before = start + covered
-    buffer[row, last + 1] += weight - before
-
-
-@njit(cache=True)
-def _running_sum(buffer):  # type: ignore[no-untyped-def]
-    for row in range(buffer.shape[0]):
-        total = np.float64(0.0)
-        for column in range(buffer.shape[1]):
-            total += buffer[row, column]
-            buffer[row, column] = total
 
 
 # --- scene and sensor -------------------------------------------------------------------------
