@@ -12,7 +12,7 @@ from cell.cable.effects.base import Effect
 from cell.lab.estimate import Estimate, estimate
 from cell.lab.explore import Candidate, Explorer, Gain
 from cell.lab.leftover import leftover, removed_share
-from cell.lab.partial import Partial, explain_partly, nearest, what_is_left
+from cell.lab.partial import Partial, explain_partly, nearest, tied_so_far, what_is_left
 from cell.lab.results import Diagnosis, Found, Ranked, Status, Verdict
 from cell.lab.rules import DEFAULT_RULES, Rules
 from cell.lab.score import holm
@@ -75,7 +75,7 @@ def diagnose(explorer: Explorer, rules: Rules = DEFAULT_RULES) -> Examination:
         partial = explain_partly(explorer, explorer.known(), len(screened), rules)
     verdict: Verdict = verdict_of(base, current, tied, rules) if found else "unexplained"
     whole, most = partial.explorer, partial.steps
-    also = {e.name: _tied(whole, most[-1], e, rules) for e in _added(whole, most[-1])}
+    also = {e.name: tied_so_far(whole, most[-1], e, rules) for e in _added(whole, most[-1])}
     rivals = {n for names in (*tied.values(), *also.values()) for n in names}
     diagnosis = Diagnosis(
         noise_m=explorer.prepared.floor.noise.std_m,

@@ -14,7 +14,7 @@ from scipy import stats
 
 from cell.lab.compare import Comparison
 from cell.lab.results import Diagnosis
-from cell.lab.where import PHASES, phase_of
+from cell.lab.where import PHASES, distance, phase_of
 
 FloatArray = NDArray[np.float64]
 
@@ -190,8 +190,7 @@ def residual_maps(series: Sequence[Series], number: int) -> go.Figure:
     trial = comparison.study.trials[number]
     t_s = trial.markers.t_s
     left = [
-        np.linalg.norm(trial.markers.xy_m - s.comparison.predicted_m[trial.name], axis=2) * 1e3
-        for s in series
+        distance(trial.markers.xy_m, s.comparison.predicted_m[trial.name]) * 1e3 for s in series
     ]
     noise_mm = comparison.noise_m * 1e3
     highest = max(4.0 * noise_mm, *(float(np.nanpercentile(v, 99)) for v in left))

@@ -79,22 +79,20 @@ class _Block:
 
 
 def _still_blocks(trial: Trial) -> list[_Block]:
-    """Of every marker the longest run of frames in which it is seen, those of equal runs together.
+    """Of every coordinate the longest run of frames in which it is seen, equal runs together.
 
     So that a lost frame costs what came before or after it, and not the marker.
     """
     still = still_frames(trial.markers.t_s, trial.grip, trial.release_s)
-    xy_m = trial.markers.xy_m[still]
+    series_m = trial.markers.xy_m[still]
+    series_m = series_m.reshape(len(series_m), 2 * series_m.shape[1])
     together: dict[tuple[int, int], list[int]] = {}
-    seen: NDArray[np.bool_] = np.isfinite(xy_m[..., 0] + xy_m[..., 1])
-    for marker in range(xy_m.shape[1]):
-        begin, end = _longest_run(seen[:, marker])
+    seen: NDArray[np.bool_] = np.isfinite(series_m)
+    for series in range(series_m.shape[1]):
+        begin, end = _longest_run(seen[:, series])
         if end - begin >= MIN_STILL_FRAMES:
-            together.setdefault((begin, end), []).append(marker)
-    return [
-        _Block(xy_m[begin:end, markers].reshape(end - begin, -1))
-        for (begin, end), markers in together.items()
-    ]
+            together.setdefault((begin, end), []).append(series)
+    return [_Block(series_m[begin:end, series]) for (begin, end), series in together.items()]
 
 
 def _longest_run(seen: NDArray[np.bool_]) -> tuple[int, int]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
 from cell.lab.figures import NOISE, SEEN, Series, laid_out, listed
-from cell.lab.where import across_tip
+from cell.lab.where import across_tip, beside, distance
 
 FloatArray = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ def overlay(series: Sequence[Series], number: int) -> go.Figure:
     t_s, seen = trial.markers.t_s, trial.markers.xy_m * 1e3
     models = [s.comparison.predicted_m[trial.name] * 1e3 for s in series]
     cables = [s.comparison.cable_m[trial.name] * 1e3 for s in series]
-    error = float(np.nanpercentile(_distance(seen, models[0]), 99))
+    error = float(np.nanpercentile(distance(seen, models[0]), 99))
     larger = _larger(error, comparison.study.cable.free_length_m * 1e3)
     figure = make_subplots(
         2,
@@ -43,12 +43,13 @@ def overlay(series: Sequence[Series], number: int) -> go.Figure:
     )
     shown = np.unique(np.linspace(0, len(t_s) - 1, SLIDER_FRAMES).astype(int))
     across = across_tip(trial, comparison.predicted_m[trial.name])
-    errors = [np.sum((seen[:, 0] - m[:, 0]) * across, axis=1) for m in models]
+    errors = [np.sum(beside(seen, m)[:, 0] * across, axis=1) for m in models]
     _tip_panels(figure, series, t_s, seen, models, errors)
 
     def at(k: int) -> list[dict[str, Any]]:
         """What the slider moves: the cable, its errors drawn larger, and two cursors."""
-        shapes = [_points(seen[k]), *(_points(c[k]) for c in cables)]
+        drawn = models[0] + beside(seen, models[0])
+        shapes = [_points(drawn[k]), *(_points(c[k]) for c in cables)]
         whiskers = [_whiskers(seen[k], m[k], larger) for m in models]
         x = [round(float(t_s[k]), 4)] * 2
         return [*shapes, *whiskers, *({"x": x, "y": y} for y in cursors)]
@@ -74,7 +75,7 @@ def overlay(series: Sequence[Series], number: int) -> go.Figure:
         *({"mode": "lines", "line": {"color": "#999", "width": 1}, "showlegend": False},) * 2,
     ]
     places = [(1, 1)] * (1 + 2 * len(series)) + [(1, 2), (2, 2)]
-    farthest = np.nan_to_num(_distance(seen, models[0])[shown]).max(axis=1)
+    farthest = np.nan_to_num(distance(seen, models[0])[shown]).max(axis=1)
     worst = int(shown[np.argmax(farthest)])
     for data, look, (row, column) in zip(at(worst), looks, places, strict=True):
         figure.add_scatter(**data, **look, row=row, col=column)
@@ -157,11 +158,6 @@ def _slider(figure: go.Figure, frames: Sequence[tuple[str, float]], active: int)
     )
 
 
-def _distance(seen: FloatArray, model: FloatArray) -> FloatArray:
-    """(times, markers), in the same unit; nan where not seen."""
-    return np.asarray(np.linalg.norm(seen - model, axis=2))
-
-
 def _larger(error: float, length: float) -> int:
     """By how much errors must be enlarged to be seen beside a cable of this length."""
     wanted = ERROR_SHARE * length / max(error, 1e-6 * length)
@@ -170,7 +166,9 @@ def _larger(error: float, length: float) -> int:
 
 def _whiskers(seen: FloatArray, model: FloatArray, larger: int) -> dict[str, Any]:
     """From every marker towards where the model has it, so many times farther."""
-    ends = seen + larger * (model - seen)
+    away = beside(seen, model)
+    seen = model + away
+    ends = seen - larger * away
     gaps = np.full_like(seen, np.nan)
     return _points(np.stack([seen, ends, gaps], axis=1).reshape(-1, 2))
 

@@ -125,10 +125,11 @@ def _too_short(study: Study, trial: Trial) -> str | None:
     moving_s = float(t_s[-1] - t_s[min(still.stop, len(t_s) - 1)])
     markers = trial.markers.xy_m[:, 0]
     rest = markers[still] if trial.start == "equilibrium" else markers[len(markers) // 2 :]
-    droop_m = abs(float(np.nanmean(rest[:, 1] - trial.grip.y_m[0]))) if len(rest) else np.nan
+    beside_m = rest[:, 1] - trial.grip.y_m[0]
     gravity_m_per_s2 = float(np.hypot(*study.gravity_m_per_s2))
-    if not np.isfinite(droop_m) or gravity_m_per_s2 == 0.0:
+    if not np.isfinite(beside_m).any() or gravity_m_per_s2 == 0.0:
         return None
+    droop_m = abs(float(np.nanmean(beside_m)))
     period_s = 2.0 * np.pi * np.sqrt(droop_m / (SWING * gravity_m_per_s2))
     if moving_s >= period_s:
         return None
@@ -149,19 +150,19 @@ def explorer_of(
     The prior's effects are part of the model, and those of the selection that are.
     """
     if prior is None:
-        prepared, believed = PreparedStudy.of(study), None
+        prepared = PreparedStudy.of(study)
         space = ParameterSpace.of(study.cable, gravity_m_per_s2=study.gravity_m_per_s2)
     else:
         path, model = prior
         check_same_kind(path, model, study.cable)
         space = prior_space(study, model)
-        believed = space.mean
         prepared = PreparedStudy.of(
             study, misfit=misfit(model, _least_rms_m(study, space, model, selection.candidates))
         )
     effects = [*space.effects, *(e for e in selection.in_model if e not in space.effects)]
-    candidates = selection.candidates
-    return Explorer(prepared, space_with(space, effects), candidates, progress, believed)
+    full = space_with(space, effects)
+    believed = None if prior is None else full.mean
+    return Explorer(prepared, full, selection.candidates, progress, believed)
 
 
 def _least_rms_m(

@@ -103,6 +103,18 @@ def where(
     )
 
 
+def beside(seen: FloatArray, model: FloatArray) -> FloatArray:
+    """(…, 2) from model to what was seen: along one coordinate alone where the other was not."""
+    away = seen - model
+    lost = np.isnan(away)
+    return np.where(lost & ~lost.all(axis=-1, keepdims=True), 0.0, away)
+
+
+def distance(seen: FloatArray, model: FloatArray) -> FloatArray:
+    """(…) of `beside`, nan where neither coordinate was seen."""
+    return np.asarray(np.linalg.norm(beside(seen, model), axis=-1))
+
+
 def rms(residual_m: FloatArray) -> float:
     """Root mean square over what is not nan; nan if nothing is."""
     seen = residual_m[np.isfinite(residual_m)]
@@ -196,7 +208,10 @@ def follows(trial: Trial, predicted_m: FloatArray, white: FloatArray) -> tuple[F
         "|v|v of the tip": np.abs(velocity) * velocity,
         "curvature rate": np.gradient(chord - trial_angle(trial, t_s), t_s),
     }
-    error = np.sum(white[:, 0] * normal, axis=1)
+    # of a marker of which one coordinate is seen, as much as that shows
+    seen = np.isfinite(white[:, 0])
+    error = np.sum(np.where(seen, white[:, 0], 0.0) * normal, axis=1)
+    error = np.where(seen.any(axis=1), error, np.nan)
     found = [Follows(name, *_correlation(error, values)) for name, values in signals.items()]
     return tuple(sorted(found, key=lambda f: -abs(f.correlation)))
 
@@ -223,6 +238,8 @@ def trial_angle(trial: Trial, t_s: FloatArray) -> FloatArray:
 
 def _correlation(a: FloatArray, b: FloatArray) -> tuple[float, float]:
     both = np.isfinite(a) & np.isfinite(b)
+    if not both.any():
+        return 0.0, 1.0
     a, b = a[both] - a[both].mean(), b[both] - b[both].mean()
     power = float(np.sqrt((a @ a) * (b @ b)))
     n = len(a)

@@ -258,11 +258,6 @@ def _read_trial(folder: Path, trial: _Trial, header: _Study, order: NDArray[np.i
     _check_times(table)
     t_s = table.values[:, 0]
     xy_m = table.values[:, 1:].reshape(len(t_s), count, 2)
-    half = np.isnan(xy_m).any(axis=2) & ~np.isnan(xy_m).all(axis=2)
-    table.check(
-        np.column_stack([np.ones(len(t_s), bool), ~np.repeat(half, 2, axis=1)]),
-        lambda _: "of a marker of which only the other coordinate is seen; leave both empty",
-    )
     if np.isnan(xy_m).all():
         raise table.error(
             2, None, f"no marker is seen in any of {len(t_s)} rows; remove the trial or its nan"
@@ -282,7 +277,9 @@ def _read_trial(folder: Path, trial: _Trial, header: _Study, order: NDArray[np.i
     # A marker cannot be farther from the hand than the cable is long; half as far again leaves
     # room for noise, a slipping grip and a clock that is off, and none for millimetres.
     limit_m = 1.5 * header.cable.free_length_m
-    distance_m = np.linalg.norm(xy_m - grip_xy_m[:, None], axis=2)
+    # A coordinate that was not seen adds nothing: what is left is the least that it can be.
+    away_m = np.nan_to_num(xy_m - grip_xy_m[:, None])
+    distance_m = np.hypot(away_m[..., 0], away_m[..., 1])
     near = ~(distance_m > limit_m)
     table.check(
         np.column_stack([np.ones(len(t_s), bool), np.repeat(near, 2, axis=1)]),

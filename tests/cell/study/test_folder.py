@@ -198,7 +198,6 @@ MISTAKES: list[tuple[str, Edit, str]] = [
     ("identify/markers.csv", cell(3, 2, "1,5"), "markers.csv:4: has 8 cells, the header has 7"),
     ("identify/markers.csv", cell(3, 2, "n/a"), "markers.csv:4: y0_m: 'n/a' is not a number"),
     ("identify/markers.csv", cell(3, 2, "inf"), "markers.csv:4: y0_m: inf is not finite"),
-    ("identify/markers.csv", cell(3, 2, ""), "markers.csv:4: x0_m: "),
     ("identify/markers.csv", cell(3, 2, "-12.5"), "1.5 free lengths) from the gripping point"),
     (
         "identify/markers.csv",
