@@ -63,8 +63,9 @@ def fit(
 ) -> None:
     """Fit the cable's parameters, and those of effects, to the study's `fit` trials."""
     from cell.lab import session
+    from cell.lab.doubts import fit_doubts
     from cell.lab.results import write_json
-    from cell.lab.tables import errors_line, model_table
+    from cell.lab.tables import errors_line, model_table, warning_lines
 
     with _refusing(out, as_json, force=force), _progress() as progress:
         selection = session.select_effects(effect or [])
@@ -75,9 +76,12 @@ def fit(
             progress,
         )
         model, candidate = session.fit_study(explorer)
+        warnings = fit_doubts(explorer, candidate)
+        written = model.to_dict() | {"warnings": [vars(w) for w in warnings]}
         for path in filter(None, (out, as_json)):
-            write_json(model.to_dict(), path)
-    _print(model_table(model), errors_line(explorer.prepared, candidate))
+            write_json(written, path)
+    errors = errors_line(explorer.prepared, candidate)
+    _print(*warning_lines(warnings), errors, model_table(model))
 
 
 @app.command()
@@ -153,6 +157,7 @@ def diagnose(
         sentence,
         steps_text,
         verdict_line,
+        warning_lines,
         waterfall_table,
     )
 
@@ -182,6 +187,7 @@ def diagnose(
     _print(
         sentence(diagnosis, comparisons[0], comparisons[-1]),
         verdict_line(diagnosis),
+        *warning_lines(diagnosis.warnings),
         waterfall_table(diagnosis),
         *more,
         ranking_table(diagnosis),

@@ -14,7 +14,7 @@ from cell.cable.model import CableModel
 from cell.lab.fitting import best_delay
 from cell.lab.noise import NoiseUnknownError, noise_floor
 from cell.lab.prepared import PreparedStudy, is_released
-from cell.lab.where import Where, overall, where
+from cell.lab.where import Where, nowhere, overall, where
 from cell.study.data import Markers, Study, Trial
 
 FloatArray = NDArray[np.float64]
@@ -107,23 +107,30 @@ class Comparison:
 
 
 def compare_model(study: Study, model: CableModel, name: str = "model") -> Comparison:
-    """Errors of a model on all trials.  Raises NoiseUnknownError, ValueError: cannot simulate."""
+    """Errors of a model on all trials; infinite where it cannot be simulated.
+
+    raises  NoiseUnknownError
+    """
     prepared = PreparedStudy.of(study)
     study = prepared.study
     predicted, cable, found = {}, {}, []
     for trial in study.trials:
         delay = best_delay(prepared, model, trial) if is_released(trial) else 0.0
         points, shapes = everywhere(prepared, trial, [model], delay)
-        if not np.isfinite(points).all():
-            raise ValueError(f"trial {trial.name}: the model cannot be simulated with this motion")
         predicted[trial.name], cable[trial.name] = points[0], shapes[0]
+        if not np.isfinite(points).all():
+            found.append(nowhere(trial, study.arc_length_m, prepared.floor.noise))
+            continue
         # rows are (markers, axes, times); unseen values are exactly zero there
         white = prepared.white(trial, points)[0].reshape(-1, 2, len(trial.markers.t_s))
         white = np.where(np.isfinite(trial.markers.xy_m), np.moveaxis(white, 2, 0), np.nan)
         found.append(where(trial, points[0], white, study.arc_length_m, prepared.floor.noise))
 
     def error(role: str) -> float:
-        return overall([t.markers.xy_m - predicted[t.name] for t in study.trials if t.role == role])
+        chosen = [t for t in study.trials if t.role == role]
+        if not all(np.isfinite(predicted[t.name]).all() for t in chosen):
+            return float("inf")
+        return overall([t.markers.xy_m - predicted[t.name] for t in chosen])
 
     return Comparison(
         study,

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cell.cable.effects.base import Effect
+from cell.lab.doubts import doubts
 from cell.lab.estimate import Estimate, estimate
 from cell.lab.explore import Candidate, Explorer, Gain
 from cell.lab.leftover import leftover, removed_share
@@ -56,15 +57,7 @@ def diagnose(explorer: Explorer, rules: Rules = DEFAULT_RULES) -> Examination:
     base = explorer.baseline()
     screened = explorer.screened(base)
     singles = explorer.add(base, explorer.worth_refitting(base, rules.best))
-    current = base
-    for _ in range(rules.most_effects):
-        if _below_stated(explorer, current, rules) or hopeless_search(explorer, current, rules):
-            break
-        options = explorer.add(current, explorer.worth_refitting(current, rules.best))
-        better = _accepted(explorer, current, options, len(screened), rules)
-        if better is None:
-            break
-        current = _pruned(explorer, _exchanged(explorer, better, rules), rules)
+    current, cut_short = _searched(explorer, base, len(screened), rules)
     found = explains(explorer, base, current, rules)
     if found:
         steps = _in_order(explorer, current)
@@ -86,8 +79,27 @@ def diagnose(explorer: Explorer, rules: Rules = DEFAULT_RULES) -> Examination:
         left=what_is_left(whole, most[0], current if found else most[-1]),
         partial=_all_found(whole, most, also, len(screened)),
         nearest=() if found else nearest(partial, singles, rules),
+        warnings=doubts(explorer, whole, current if found else most[-1], cut_short),
     )
     return Examination(diagnosis, steps, tuple(screened), tuple(singles), current, most)
+
+
+def _searched(
+    explorer: Explorer, base: Candidate, library: int, rules: Rules
+) -> tuple[Candidate, bool]:
+    """The baseline with the effects that are believed; whether the search was cut short."""
+    current = base
+    for _ in range(rules.most_effects):
+        if _below_stated(explorer, current, rules) or hopeless_search(explorer, current, rules):
+            break
+        if explorer.prepared.work.simulated_s > rules.most_simulated_s:
+            return current, True
+        options = explorer.add(current, explorer.worth_refitting(current, rules.best))
+        better = _accepted(explorer, current, options, library, rules)
+        if better is None:
+            break
+        current = _pruned(explorer, _exchanged(explorer, better, rules), rules)
+    return current, False
 
 
 def _added(explorer: Explorer, candidate: Candidate) -> list[type[Effect]]:
@@ -145,7 +157,7 @@ def _confirmed(
 def _exchanged(explorer: Explorer, candidate: Candidate, rules: Rules) -> Candidate:
     """The candidate with effects exchanged one by one for others while evidence grows."""
     improved = len(_added(explorer, candidate)) > 1
-    while improved:
+    while improved and explorer.prepared.work.simulated_s < rules.most_simulated_s:
         improved = False
         for effect in _added(explorer, candidate):
             rest = explorer.without(candidate, effect)

@@ -313,7 +313,7 @@ def pinned(space: ParameterSpace, q: FloatArray) -> ParameterSpace:
 
 
 def best_delay(prepared: PreparedStudy, model: CableModel, trial: Trial) -> float:
-    """Release delay of one trial, the model given."""
+    """Release delay of one trial, the model given; 0 if it cannot be simulated there."""
     problem = gauss_newton.Problem(
         residuals=lambda q: prepared.white(
             trial, prepared.predict(trial, [model] * len(q), q[:, 0])
@@ -324,7 +324,10 @@ def best_delay(prepared: PreparedStudy, model: CableModel, trial: Trial) -> floa
         low=np.full(1, -RELEASE_LIMIT_S),
         high=np.full(1, RELEASE_LIMIT_S),
     )
-    return float(gauss_newton.minimise(problem, np.zeros(1)).q[0])
+    try:
+        return float(gauss_newton.minimise(problem, np.zeros(1)).q[0])
+    except ValueError:
+        return 0.0
 
 
 def _root(covariance: FloatArray) -> FloatArray:

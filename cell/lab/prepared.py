@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,10 +26,23 @@ RELEASE_STD_S = 0.005
 RELEASE_LIMIT_S = 0.020
 
 
+@dataclass
+class Work:
+    """Seconds of cables' motion simulated so far with `SOLVER`, or what they cost with others."""
+
+    simulated_s: float = 0.0
+
+    def add(self, models: int, duration_s: float, solver: Solver) -> None:
+        """Count a batch."""
+        cost = solver.segments / SOLVER.segments * SOLVER.step_s / solver.step_s
+        self.simulated_s += models * duration_s * cost
+
+
 @dataclass(frozen=True, eq=False)
 class PreparedStudy:
     """A study, its noise floor, and what whitens its trials.
 
+    work   what has been simulated of it
     noise  used for whitening: the floor's, or larger where an earlier individual's model is known
            to err by more
     """
@@ -39,6 +52,7 @@ class PreparedStudy:
     noise: Noise
     whiteners: dict[str, Whitener]
     solver: Solver
+    work: Work = field(default_factory=Work)
 
     @staticmethod
     def of(
@@ -63,6 +77,8 @@ class PreparedStudy:
         delay_s  (lanes,) by which the release of a cable held straight is late; the hand then
                  stands still, so that everything happens later by as much
         """
+        t_s = trial.markers.t_s
+        self.work.add(len(models), float(t_s[-1] - t_s[0]), self.solver)
         delays = np.zeros(len(models)) if delay_s is None else delay_s
         out = np.empty((len(models), *trial.markers.xy_m.shape))
         for delay in np.unique(delays):

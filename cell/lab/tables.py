@@ -15,7 +15,7 @@ from cell.lab.advice import STATUSES, VERDICTS, Step
 from cell.lab.compare import Comparison
 from cell.lab.explore import Candidate
 from cell.lab.prepared import PreparedStudy
-from cell.lab.results import Diagnosis
+from cell.lab.results import Diagnosis, Warned
 from cell.lab.wording import noise_like, peak_in_words, place_in_words, plain, short, unexplained
 
 if TYPE_CHECKING:
@@ -68,7 +68,11 @@ def sentence(
 
 def _worst_place(comparison: Comparison) -> str:
     """Which part of the cable, and which phase of the motion, have the largest error."""
-    by_marker = np.sqrt(np.mean([w.by_arc_length.rms_m**2 for w in comparison.where], axis=0))
+    squares = np.array([w.by_arc_length.rms_m**2 for w in comparison.where])
+    squares = squares[np.isfinite(squares).any(axis=1)]
+    if len(squares) == 0:
+        return ""
+    by_marker = np.sqrt(np.mean(squares, axis=0))
     share = comparison.study.arc_length_m[int(np.nanargmax(by_marker))]
     part = place_in_words(share / comparison.study.cable.free_length_m)
     phases = list(comparison.where[0].by_phase)
@@ -158,6 +162,11 @@ def model_table(model: Identified) -> Table:
     for name, value, lo, hi, unit in rows:
         table.add_row(name, f"{value:.4g}", f"{lo:.4g}", f"{hi:.4g}", unit)
     return table
+
+
+def warning_lines(warnings: Sequence[Warned]) -> list[str]:
+    """One line each, for the top of what is printed."""
+    return [f"Warning: {w.message}." for w in warnings]
 
 
 def errors_line(prepared: PreparedStudy, candidate: Candidate) -> str:

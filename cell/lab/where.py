@@ -103,6 +103,24 @@ def where(
     )
 
 
+def nowhere(trial: Trial, arc_length_m: FloatArray, noise: Noise) -> Where:
+    """Of a trial that the model cannot be simulated in: an infinite error, and no place for it."""
+    t_s, markers = trial.markers.t_s, len(arc_length_m)
+    blank = spectrum(t_s, np.full((len(t_s), markers, 2), np.nan), noise)
+    bins = min(TIME_BINS, len(t_s))
+    edges = np.linspace(t_s[0], t_s[-1], bins + 1)
+    return Where(
+        trial=trial.name,
+        rms_m=float("inf"),
+        by_time=Profile(0.5 * (edges[1:] + edges[:-1]), np.full(bins, np.nan)),
+        by_arc_length=Profile(arc_length_m, np.full(markers, np.nan)),
+        by_phase=dict.fromkeys(PHASES, float("nan")),
+        spectrum=blank,
+        whiteness_p_value=float("nan"),
+        follows=(),
+    )
+
+
 def beside(seen: FloatArray, model: FloatArray) -> FloatArray:
     """(…, 2) from model to what was seen: along one coordinate alone where the other was not."""
     away = seen - model

@@ -1,0 +1,105 @@
+"""What makes a fit or a diagnosis doubtful, each with a code for programs and a sentence."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cell.lab.explore import Candidate, Explorer
+from cell.lab.fitting import Fit, fit_trials
+from cell.lab.results import Warned
+
+#: A model that leaves this share of what the markers move (rms) is no model of the cable.
+HOPELESS_SHARE = 0.5
+#: Error over noise from which a fit's intervals rest on the model's own error.
+BEYOND_NOISE = 3.0
+
+
+def fit_doubts(explorer: Explorer, candidate: Candidate) -> tuple[Warned, ...]:
+    """Of a fitted model: hopeless, far beyond the noise, at a bound, or that it diverges."""
+    fit, floor = candidate.fit, explorer.prepared.floor
+    found = []
+    moved_m = _moved_m(explorer)
+    worst_m = max(fit.rms_m, candidate.heldout.rms_m if candidate.heldout else 0.0)
+    if fit.rms_m > HOPELESS_SHARE * moved_m:
+        found.append(
+            Warned(
+                "hopeless",
+                f"the fit misses {fit.rms_m * 1e3:.3g} mm of markers that move by "
+                f"{moved_m * 1e3:.3g} mm (rms): its parameters mean nothing; check the study's "
+                "frame, times and datasheet",
+            )
+        )
+    elif np.isfinite(worst_m) and worst_m > BEYOND_NOISE * floor.noise.std_m:
+        found.append(
+            Warned(
+                "beyond_noise",
+                f"the model misses {worst_m * 1e3:.3g} mm, {worst_m / floor.noise.std_m:.0f} times "
+                "the noise: it lacks something; `cell diagnose STUDY` says what",
+            )
+        )
+    found += [
+        Warned(
+            "at_bound",
+            f"{name} is at its bound, {value:.4g} {unit}: an answer that the limit gave, not the "
+            "measurement",
+        )
+        for name, value, unit in _at_bound(fit)
+    ]
+    if candidate.heldout is not None:
+        found += [
+            Warned(
+                "diverges",
+                f"the model cannot be simulated in trial {name}, which it was not fitted to",
+            )
+            for name, predicted in candidate.heldout.predicted_m.items()
+            if not np.isfinite(predicted).all()
+        ]
+    return tuple(found)
+
+
+def doubts(
+    explorer: Explorer, whole: Explorer, final: Candidate, cut_short: bool
+) -> tuple[Warned, ...]:
+    """Of a diagnosis: of its final model, and whether the search for more was cut short.
+
+    whole  what the final model was fitted with
+    """
+    found = fit_doubts(whole, final)
+    if cut_short:
+        simulated_s = explorer.prepared.work.simulated_s
+        found += (
+            Warned(
+                "cut_short",
+                f"the search for further effects ended after {simulated_s:.0f} s of motion had "
+                "been simulated",
+            ),
+        )
+    return tuple(w for w in found if w.code != "beyond_noise")
+
+
+def _moved_m(explorer: Explorer) -> float:
+    """rms distance of the fit trials' markers from their own means, per coordinate, m."""
+    square, count = 0.0, 0
+    for trial in fit_trials(explorer.prepared):
+        for series in trial.markers.xy_m.reshape(len(trial.markers.t_s), -1).T:
+            seen = series[np.isfinite(series)]
+            if seen.size:
+                square += float(np.sum((seen - seen.mean()) ** 2))
+                count += seen.size
+    return float(np.sqrt(square / max(count, 1)))
+
+
+def _at_bound(fit: Fit) -> list[tuple[str, float, str]]:
+    """Fitted parameters that lie at a bound, except amplitudes that are absent there."""
+    space, q = fit.space, fit.q
+    absent = {
+        f"{e.name}.{p.name}": p.default for e in space.effects for p in e.parameters if p.amplitude
+    }
+    values = space.natural(q)
+    return [
+        (name, float(values[i]), space.units[i])
+        for i, name in enumerate(space.names)
+        if space.low[i] < space.high[i]
+        and (q[i] <= space.low[i] or q[i] >= space.high[i])
+        and absent.get(name) != values[i]
+    ]

@@ -1,0 +1,79 @@
+"""Doubtful fits say so, in words, in the JSON, and without ending the command."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from cell.cable.effects import library
+from cell.cable.geometry import Motion
+from cell.cli import app
+from cell.study.data import Markers
+from cell.study.folder import write_study
+
+run = CliRunner().invoke
+
+
+@pytest.fixture(scope="module")
+def loaded(make_study):
+    return make_study([library()["tip_mass"].active(mass_kg=2.5e-5)], seed=11)
+
+
+def fitted(folder, tmp_path, *more):
+    out = tmp_path / "model.json"
+    done = run(app, ["fit", str(folder), "-o", str(out), *more])
+    assert done.exit_code == 0, done.output
+    return json.loads(out.read_text()), done.output
+
+
+def test_a_fit_that_cannot_be_right_says_so_in_its_first_line(loaded, tmp_path):
+    """Every marker's swing is delayed by half a second: nothing follows the hand."""
+    trials = []
+    for trial in loaded.trials:
+        xy_m = np.roll(trial.markers.xy_m, 110, axis=0)
+        xy_m[:110] = trial.markers.xy_m[0]
+        trials.append(replace(trial, markers=Markers(trial.markers.t_s, xy_m)))
+    write_study(replace(loaded, trials=tuple(trials), noise_std_m=1e-4), tmp_path / "late")
+    model, said = fitted(tmp_path / "late", tmp_path)
+    assert "hopeless" in {w["code"] for w in model["warnings"]}
+    assert said.startswith("Warning: the fit misses")
+
+
+def test_an_answer_at_its_bound_is_flagged(make_study, tmp_path):
+    late = library()["camera_latency"].active(delay_s=0.09)
+    study = make_study([late], seed=32)
+    trials = [
+        replace(t, markers=Markers(t.markers.t_s + 0.05, t.markers.xy_m)) for t in study.trials
+    ]
+    write_study(replace(study, trials=tuple(trials), noise_std_m=1e-4), tmp_path / "late")
+    model, said = fitted(tmp_path / "late", tmp_path, "--effect", "camera_latency")
+    assert "at_bound" in {w["code"] for w in model["warnings"]}
+    assert "camera_latency.delay_s is at its bound" in " ".join(said.split())
+
+
+def test_a_prior_and_an_effect_that_it_lacks_go_together(loaded, tmp_path):
+    write_study(loaded, tmp_path / "loaded")
+    prior = tmp_path / "prior.json"
+    assert run(app, ["fit", str(tmp_path / "loaded"), "-o", str(prior)]).exit_code == 0
+    more = ["--prior", str(prior), "--effect", "tip_mass"]
+    model, _ = fitted(tmp_path / "loaded", tmp_path, *more)
+    assert model["effects"] == ["tip_mass"] or "tip_mass" in str(model["effects"])
+
+
+def test_a_held_out_trial_that_diverges_is_a_finding_not_an_end(loaded, tmp_path):
+    last = loaded.trials[-1]
+    t_s = last.grip.t_s
+    thrown = Motion(t_s, 0.4 * np.sin(60.0 * t_s), last.grip.y_m, 3.0 * np.sin(40.0 * t_s))
+    seen = np.full_like(last.markers.xy_m, np.nan)
+    seen[:3] = last.markers.xy_m[:3]
+    wild = replace(last, grip=thrown, markers=replace(last.markers, xy_m=seen))
+    write_study(replace(loaded, trials=(*loaded.trials[:-1], wild)), tmp_path / "wild")
+    model, said = fitted(tmp_path / "wild", tmp_path)
+    assert "diverges" in {w["code"] for w in model["warnings"]}, said
+    out, page = tmp_path / "c.json", tmp_path / "c.html"
+    given = ["compare", str(tmp_path / "wild"), "--model", str(tmp_path / "model.json")]
+    done = run(app, [*given, "--json", str(out), "--report", str(page)])
+    assert done.exit_code == 0, done.output
+    assert json.loads(out.read_text())["heldout_rms_m"] is None
