@@ -14,7 +14,7 @@ from scipy import stats
 
 from cell.lab.compare import Comparison
 from cell.lab.results import Diagnosis
-from cell.lab.where import PHASES, distance, phase_of
+from cell.lab.where import PHASES, distance, largest, phase_of
 
 FloatArray = NDArray[np.float64]
 
@@ -193,7 +193,7 @@ def residual_maps(series: Sequence[Series], number: int) -> go.Figure:
         distance(trial.markers.xy_m, s.comparison.predicted_m[trial.name]) * 1e3 for s in series
     ]
     noise_mm = comparison.noise_m * 1e3
-    highest = max(4.0 * noise_mm, *(float(np.nanpercentile(v, 99)) for v in left))
+    highest = max(4.0 * noise_mm, *(largest(v) for v in left))
     figure = make_subplots(
         1, len(series), shared_yaxes=True, subplot_titles=[f"error {s.of}, mm" for s in series],
         horizontal_spacing=0.04,

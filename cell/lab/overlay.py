@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
 from cell.lab.figures import NOISE, SEEN, Series, laid_out, listed
-from cell.lab.where import across_tip, beside, distance
+from cell.lab.where import across_tip, beside, distance, largest
 
 FloatArray = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ def overlay(series: Sequence[Series], number: int) -> go.Figure:
     t_s, seen = trial.markers.t_s, trial.markers.xy_m * 1e3
     models = [s.comparison.predicted_m[trial.name] * 1e3 for s in series]
     cables = [s.comparison.cable_m[trial.name] * 1e3 for s in series]
-    error = float(np.nanpercentile(distance(seen, models[0]), 99))
+    error = largest(distance(seen, models[0]))
     larger = _larger(error, comparison.study.cable.free_length_m * 1e3)
     figure = make_subplots(
         2,

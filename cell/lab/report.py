@@ -227,7 +227,7 @@ def _goes_with(where: Where) -> str:
 def _trials(series: Sequence[Series]) -> list[str]:
     """Overlay and residual maps of every trial, one shown at a time, the worst one first."""
     comparison = series[0].comparison
-    worst = int(np.nanargmax([w.rms_m for w in comparison.where]))
+    worst = int(np.argmax([w.rms_m if np.isfinite(w.rms_m) else 0.0 for w in comparison.where]))
     options, parts = [], []
     for i, trial in enumerate(comparison.study.trials):
         name, chosen = html.escape(trial.name), i == worst

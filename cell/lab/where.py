@@ -133,6 +133,12 @@ def distance(seen: FloatArray, model: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.norm(beside(seen, model), axis=-1))
 
 
+def largest(values: FloatArray) -> float:
+    """The 99th percentile of what is finite; 0 if nothing is."""
+    some = values[np.isfinite(values)]
+    return float(np.percentile(some, 99)) if some.size else 0.0
+
+
 def rms(residual_m: FloatArray) -> float:
     """Root mean square over what is not nan; nan if nothing is."""
     seen = residual_m[np.isfinite(residual_m)]
