@@ -17,7 +17,14 @@ from cell.run.cycle import Cell
 from cell.run.station import Devices, Task
 from cell.settings import Settings
 from cell.settings import model as given
-from cell.settings.translate import cable_of, identification_of, pose_of, view_of, vision_of
+from cell.settings.translate import (
+    cable_of,
+    identification_of,
+    model_hash,
+    pose_of,
+    view_of,
+    vision_of,
+)
 from cell.simulated.twins import Twins, build_twins
 from drivers.clock import RealClock
 from drivers.files import FilesCamera
@@ -144,6 +151,7 @@ def cell_task(settings: Settings) -> Task:
         vision=vision_of(settings),
         identification=identification_of(settings),
         choice=ChoiceOptions(least_probability=settings.choice.min_probability),
+        model=model_hash(settings.model),
     )
 
 

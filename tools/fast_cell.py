@@ -21,9 +21,10 @@ from cell.identify.identified import Identified
 from cell.identify.individual import CableRejectedError, hold_trial, identify
 from cell.plan.choose import Choice, choose
 from cell.plan.passage import Passage, measured_passage
-from cell.plan.paths import executed_motion, identification_path
-from cell.run.early_estimate import prospect
-from cell.run.station import Candidates, Filmed, Task, Timing
+from cell.plan.paths import executed_motion, identification_path, insertion_path
+from cell.run.early_estimate import simulate_offsets
+from cell.run.findings import Candidates, Filmed
+from cell.run.station import Task, Timing
 from cell.settings import Settings
 from cell.simulated.hidden import hidden_cable
 from cell.study.data import Markers, Trial
@@ -103,7 +104,7 @@ def fast_cycle(
     identified, expected, choice, reason = None, None, None, None
     try:
         identified = identify(held, task.arc_length_m, task.cable, options=task.identification)
-        expected = prospect(task, timing, filmed, held, identified, start_s)
+        expected = simulate_offsets(task, timing, filmed, held, identified, start_s)
         choice = choose(expected.forecast, identified, task.destination, task.choice)
         reason = choice.reason
     except CableRejectedError as error:
@@ -157,8 +158,6 @@ class _Truths:
 
 
 def _truths(task: Task, hidden: CableModel, down: Motion, start_s: float, lag_s: float) -> _Truths:
-    from cell.plan.paths import insertion_path
-
     motions = []
     for offset_m in task.offsets_m:
         path = insertion_path(task.lowered, offset_m, task.advance_m, task.insertion, RATE_HZ)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import typer
 
-from cell.cli import lab, records, run, settings
+from cell.cli import lab, line, records, run, settings
 from cell.cli.streams import usable_streams
 
 app = typer.Typer(
@@ -17,7 +17,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     add_completion=False,
 )
-for group in (run, settings, records, lab):
+for group in (run, settings, records, lab, line):
     app.add_typer(group.app)
 
 

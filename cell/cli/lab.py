@@ -67,7 +67,7 @@ def fit(
     from cell.lab.results import write_json
     from cell.lab.tables import errors_line, model_table, warning_lines
 
-    with _refusing(out, as_json, force=force), _progress() as progress:
+    with refusing(out, as_json, force=force), working() as progress:
         selection = session.select_effects(effect or [])
         explorer = session.explorer_of(
             _opened(study),
@@ -81,7 +81,7 @@ def fit(
         for path in filter(None, (out, as_json)):
             write_json(written, path)
     errors = errors_line(explorer.prepared, candidate)
-    _print(*warning_lines(warnings), errors, model_table(model))
+    show(*warning_lines(warnings), errors, model_table(model))
 
 
 @app.command()
@@ -115,7 +115,7 @@ def compare(
         follows_table,
     )
 
-    with _refusing(as_json, report, force=force):
+    with refusing(as_json, report, force=force):
         opened = _opened(study)
         individuals = session.read_models(model, opened.cable, effect or [])
         comparisons = [
@@ -128,7 +128,7 @@ def compare(
             write_page(comparison_page(comparisons), report)
     last = comparisons[-1]
     side_by_side = [comparisons_table(comparisons)] if len(comparisons) > 1 else []
-    _print(
+    show(
         comparison_sentence(comparisons), *side_by_side, comparison_table(last), follows_table(last)
     )
 
@@ -161,7 +161,7 @@ def diagnose(
         waterfall_table,
     )
 
-    with _refusing(as_json, report, force=force), _progress() as progress:
+    with refusing(as_json, report, force=force), working() as progress:
         selection = session.select_for_diagnosis(effect or [], known or [])
         opened = _opened(study)
         explorer = session.explorer_of(
@@ -184,7 +184,7 @@ def diagnose(
             write_page(diagnosis_page(examination, comparisons, model, todo), report)
     diagnosis = examination.diagnosis
     more = [nearest_table(diagnosis)] if diagnosis.nearest else []
-    _print(
+    show(
         sentence(diagnosis, comparisons[0], comparisons[-1]),
         verdict_line(diagnosis),
         *warning_lines(diagnosis.warnings),
@@ -208,11 +208,11 @@ def effects(
     from cell.lab.results import write_json
     from cell.lab.tables import describe_effects, effects_table
 
-    with _refusing(as_json, force=force):
+    with refusing(as_json, force=force):
         library = session.select_effects([], effect or []).candidates
         if as_json:
             write_json({"format": "cable-effects/1", "effects": describe_effects(library)}, as_json)
-    _print(effects_table(library))
+    show(effects_table(library))
 
 
 @app.command()
@@ -232,7 +232,7 @@ def discover(
     from cell.lab.results import write_json
     from cell.lab.tables import discovery_sentence, discovery_table, steps_text
 
-    with _refusing(out, as_json, force=force), _progress() as progress:
+    with refusing(out, as_json, force=force), working() as progress:
         effect_name(out)
         selection = session.select_effects(effect or [])
         explorer = session.explorer_of(
@@ -250,7 +250,7 @@ def discover(
     todo = after_discovery(
         discovery.effect, discovery.complete, paths, tuple(e.name for e in known)
     )
-    _print(
+    show(
         discovery_table(discovery),
         discovery_sentence(discovery),
         f"written to {out}",
@@ -282,7 +282,7 @@ def suggest(
     from cell.lab.surroundings import Surroundings
     from cell.lab.tables import suggestion_table
 
-    with _refusing(out, as_json, force=force), _progress() as progress:
+    with refusing(out, as_json, force=force), working() as progress:
         surroundings = Surroundings.read(config)
         selection = session.select_for_diagnosis(effect or [], known or [])
         explorer = session.explorer_of(
@@ -296,7 +296,7 @@ def suggest(
             write_motion(suggestion, out)
         if as_json:
             write_json(suggestion.to_json(), as_json)
-    _print(suggestion_table(suggestion))
+    show(suggestion_table(suggestion))
 
 
 @app.command()
@@ -309,7 +309,7 @@ def study(
     from cell.lab.gather import gather
     from cell.study.folder import write_study
 
-    with _refusing():
+    with refusing():
         check_new_study(out, force=force)
         gathered = gather(runs, out.name)
         write_study(gathered, out)
@@ -317,7 +317,7 @@ def study(
 
 
 @contextmanager
-def _refusing(*outputs: Path | None, force: bool = False) -> Iterator[None]:
+def refusing(*outputs: Path | None, force: bool = False) -> Iterator[None]:
     """Ends with 2 and a message, nothing written, if what was given is wrong.
 
     outputs  files to be written at the end of a long computation: tried at its beginning
@@ -346,7 +346,7 @@ def _opened(folder: Path) -> Study:
 
 
 @contextmanager
-def _progress() -> Iterator[Any]:
+def working() -> Iterator[Any]:
     """A line that tells what is being done, on the error stream; silent if nobody watches it."""
     from rich.console import Console
 
@@ -355,7 +355,8 @@ def _progress() -> Iterator[Any]:
         yield lambda text: status.update(text)
 
 
-def _print(*parts: Any) -> None:
+def show(*parts: Any) -> None:
+    """Print texts and tables."""
     from rich.console import Console
 
     console = Console()

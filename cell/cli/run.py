@@ -117,6 +117,8 @@ def run(
         _show(results, plan.names, dry_run)
     for line in troubles(results):
         print(line, file=sys.stderr)
+    for line in _changes(out, results, config):
+        print(line, file=sys.stderr)
     reached = [r for r in results if r.outcome is plan.aim]
     raise typer.Exit(ALL_DONE if len(reached) == cycles else NOT_ALL_DONE)
 
@@ -159,6 +161,24 @@ def _show(results: Sequence[Result], steps: Sequence[str], dry_run: bool) -> Non
     for result in results:
         what = "dry run" if dry_run else "cable"
         console.print(f"{what} {result.cycle}: {result.folder}", highlight=False)
+
+
+def _changes(out: Path, results: list[Result], config: Path) -> list[str]:
+    """What has changed in the cycles under `out`, and what to do; also for a cable that was
+    rejected because the model misses it.
+    """
+    from cell.plan.choose import MISSES
+    from cell.records.chart import signals
+    from cell.records.history import line_history
+
+    if not results or results[-1].model is None:
+        return []
+    history = line_history(out, results[-1].model)
+    lines = [str(s) for s in signals(history)]
+    missed = any(r.reason is not None and MISSES in r.reason for r in results)
+    if lines or missed:
+        lines.append(f"to learn what the model lacks: cell learn {out} --config {config}")
+    return lines
 
 
 @app.command()

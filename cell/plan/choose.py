@@ -19,6 +19,8 @@ FloatArray = NDArray[np.float64]
 
 #: So many times longer steps are good enough for how a tip depends on the parameters: 0.4 % of it.
 SLOPES_COARSER = 4.0
+#: Words of a reason that has to do with the model.
+MISSES = "the model misses this cable's tip"
 
 
 @dataclass(frozen=True)
@@ -171,10 +173,7 @@ def choose(
             f"(margin {best.margin_m * 1e3:+.2f} mm)"
         )
         if missed_m > options.repeatability_m:
-            reason += (
-                f"; the model misses this cable's tip by {identified.model_error_m * 1e3:.2f} mm "
-                "while it swings"
-            )
+            reason += f"; {MISSES} by {identified.model_error_m * 1e3:.2f} mm while it swings"
     return Choice(best, table, reason, expected.t_s, expected.tip_m[index])
 
 

@@ -73,8 +73,11 @@ class Result:
     margin_m            measured: smallest distance to the destination's floor or ceiling while
                         the tip passed it; negative = missed by so much
     predicted_margin_m  the same, predicted
+    predicted_std_m     standard deviation of the predicted margin
     probability         predicted probability of passing
     prediction_error_m  largest distance between predicted and measured tip in the destination
+    residual_rms_m, noise_m   what the identified model misses of the frames, and their noise
+    model               hash of the section `model` of the settings
     wait_s              how long the robot stood waiting for the computer
     seconds             time of each step, s
     state_seconds       time spent in each state of the cell, s
@@ -92,8 +95,12 @@ class Result:
     measured_miss_m: float | None = None
     margin_m: float | None = None
     predicted_margin_m: float | None = None
+    predicted_std_m: float | None = None
     probability: float | None = None
     prediction_error_m: float | None = None
+    residual_rms_m: float | None = None
+    noise_m: float | None = None
+    model: str | None = None
     wait_s: float | None = None
     seconds: Mapping[str, float] = field(default_factory=dict)
     state_seconds: Mapping[str, float] = field(default_factory=dict)

@@ -33,7 +33,7 @@ class Devices:
 
 @dataclass(frozen=True)
 class Task:
-    """What is to be done with every cable."""
+    """What is to be done with every cable; `model` is the hash of what is assumed of it."""
 
     cable: Cable
     destination: Destination
@@ -55,6 +55,7 @@ class Task:
     vision: VisionOptions
     identification: IdentifyOptions
     choice: ChoiceOptions
+    model: str
 
     @property
     def lowered(self) -> Pose:

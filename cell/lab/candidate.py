@@ -1,0 +1,92 @@
+"""A candidate model as a file: the section `model` for the settings, and what speaks for it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cell.files.atomic import write_whole
+from cell.files.yaml_document import yaml_text
+from cell.identify.model_class import source_of
+from cell.lab.gates import Forecast, Gate
+from cell.lab.learn import Lesson
+from cell.settings.model import Model
+from cell.settings.promotion import FORMAT
+from cell.settings.translate import model_hash
+
+
+def write_candidate(
+    path: Path,
+    lesson: Lesson,
+    judged: Sequence[Gate],
+    paired: Sequence[Forecast],
+    present: Model,
+) -> None:
+    """Write what was learned; `read_candidate` reads it."""
+    content = {
+        "format": FORMAT,
+        "beside": model_hash(present),
+        "model": section(lesson, present).model_dump(mode="json", exclude_defaults=True),
+        "tied": list(lesson.tied),
+        "gates": [{"gate": g.name, "passed": g.passed, "found": g.found} for g in judged],
+        "forecasts": [_plain(asdict(f)) for f in paired],
+        "votes": [_plain(asdict(v)) for v in lesson.votes],
+        "cycles": [str(c.folder.resolve()) for c in lesson.cycles],
+    }
+    write_whole(path, yaml_text(content))
+
+
+def section(lesson: Lesson, present: Model) -> Model:
+    """The present model with the effect that was learned.
+
+    One parameter is written as `fixed` with its standard deviation, several as a prior, because
+    they depend on each other.
+    """
+    assert lesson.best is not None
+    assert lesson.spread is not None
+    tried, fit = lesson.best, lesson.best.fit
+    covariance = fit.covariance.copy()
+    covariance[0, 0] += lesson.spread.tau**2
+    q = fit.space.mean.copy()
+    q[fit.common] = fit.theta
+    natural = fit.space.natural(q)[fit.common]
+    source = source_of(tried.effect)
+    entry: dict[str, Any] = {"effect": source}
+    if tried.effect.file is not None:
+        entry["sha256"] = tried.effect.file.sha256
+    plain = present.model_dump(mode="json")
+    if len(tried.names) == 1:
+        logarithmic = bool(fit.space.logarithmic[fit.common[0]])
+        std = float(np.sqrt(covariance[0, 0])) * (float(natural[0]) if logarithmic else 1.0)
+        name = tried.names[0].partition(".")[2]
+        entry["parameters"] = {name: {"fixed": _digits(natural[0]), "std": _digits(std)}}
+    else:
+        entry["parameters"] = {n.partition(".")[2]: "prior" for n in tried.names}
+        old = plain["prior"] or {"names": [], "mean": [], "covariance": []}
+        k, m = len(old["names"]), len(tried.names)
+        joint = np.zeros((k + m, k + m))
+        joint[:k, :k] = np.array(old["covariance"]).reshape(k, k)
+        joint[k:, k:] = covariance
+        plain["prior"] = {
+            "names": [*old["names"], *tried.names],
+            "mean": [*old["mean"], *(_digits(v) for v in natural)],
+            "covariance": [[_digits(v) for v in row] for row in joint],
+        }
+    plain["effects"] = [*plain["effects"], entry]
+    return Model.model_validate(plain)
+
+
+def _digits(value: float) -> float:
+    """Six digits: more are not known, and fewer could make a covariance none."""
+    return float(f"{float(value):.6g}")
+
+
+def _plain(data: dict[str, Any]) -> dict[str, Any]:
+    return {
+        k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in data.items()
+    }

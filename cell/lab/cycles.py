@@ -1,0 +1,92 @@
+"""Recorded cycles of many cables, for what all of them have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from cell.cable.geometry import Cable
+from cell.files.input_error import InputError, Problem
+from cell.records.folder import read_record
+from cell.records.result import Outcome
+from cell.study.data import Study, Trial
+from cell.study.folder import read_study
+
+#: Data sheets of the same cable agree to this.
+SAME = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedCycle:
+    """What was measured of one cable.
+
+    held      the hold that it was identified from; None = only measured, with motions of its own
+    executed  the execution; None = there was none
+    """
+
+    name: str
+    folder: Path
+    study: Study
+    held: Trial | None
+    executed: Trial | None
+    outcome: Outcome | None
+
+    @property
+    def whole(self) -> Study:
+        """The study with every trial to be fitted to."""
+        trials = tuple(replace(t, role="fit") for t in self.study.trials)
+        return replace(self.study, trials=trials)
+
+
+def read_cycles(runs: Sequence[Path], cable: Cable) -> tuple[list[RecordedCycle], list[str]]:
+    """The cycles in folders, or in the folders in them, oldest first; and what was left out, why.
+
+    raises  InputError: a folder that holds no cycle, one of another data sheet, or none of use
+    """
+    found: list[RecordedCycle] = []
+    left_out: list[str] = []
+    for folder in _folders(runs):
+        cycle = _read(folder)
+        if cycle is None:
+            left_out.append(f"{folder}: nothing was measured")
+            continue
+        for name, value in vars(cable).items():
+            theirs = getattr(cycle.study.cable, name)
+            if not np.isclose(theirs, value, rtol=SAME):
+                message = f"is {theirs:g}, but {value:g} in the settings; learn from one kind only"
+                place = folder / "study" / "study.yaml"
+                raise InputError([Problem(place, 1, None, f"cable.{name}", message)])
+        found.append(cycle)
+    if not found:
+        raise InputError([Problem(Path(runs[0]), 1, None, "", "no cycle here has measurements")])
+    return sorted(found, key=lambda c: c.name), left_out
+
+
+def _folders(runs: Sequence[Path]) -> Iterator[Path]:
+    for run in runs:
+        if (run / "state.json").exists() or (run / "study.yaml").exists():
+            yield run
+            continue
+        inside = sorted(p.parent for p in run.glob("*/state.json")) if run.is_dir() else []
+        if not inside:
+            message = "holds no recorded cycle (state.json) and no study (study.yaml)"
+            raise InputError([Problem(run, 1, None, "", message)])
+        yield from inside
+
+
+def _read(folder: Path) -> RecordedCycle | None:
+    if (folder / "state.json").exists():
+        record = read_record(folder)
+        study, outcome = record.study, record.result.outcome if record.result else None
+    else:
+        study, outcome = read_study(folder), None
+    if study is None:
+        return None
+    trials = {t.name: t for t in study.trials}
+    name = folder.resolve().name
+    return RecordedCycle(
+        name, folder, study, trials.get("identify"), trials.get("execute"), outcome
+    )

@@ -1,0 +1,235 @@
+"""What a candidate model must pass before the line uses it: forecasts of cables it never saw."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from cell.cable.dynamics import DivergedError, simulate
+from cell.cable.geometry import Cable
+from cell.cable.statics import UnsettledError
+from cell.identify.individual import CableRejectedError, IdentifyOptions, identify
+from cell.identify.model_class import ModelClass
+from cell.lab.cycles import RecordedCycle
+from cell.lab.learn import Lesson, Tried
+from cell.plan.destination import Destination
+from cell.plan.passage import measured_passage
+from cell.study.data import Markers, Trial
+
+FloatArray = NDArray[np.float64]
+
+#: Forecasts that there must be for a candidate to be judged.
+FEWEST = 3
+#: The candidate's forecast must err less than the present model's by this share, and by so much.
+BETTER, BETTER_M = 0.1, 1e-5
+#: One-sided, of the paired differences (Wilcoxon); of fewer than five none may be
+#: worse by more than the noise.
+SIGNIFICANCE = 0.05
+#: By which the worst forecast may become worse: what arm and camera repeat to, m.
+REPEATABILITY_M = 1e-4
+#: Share of a hold from which the rest is forecast, where there is no execution.
+FIRST_SHARE = 0.6
+#: A parameter must differ from what it is without the effect by so many standard deviations.
+IDENTIFIABLE = 3.0
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """One recorded motion, forecast by both models from what was seen of that cable before.
+
+    of       an execution, forecast from that cycle's own hold; of a cable that was rejected the
+             rest of the hold, forecast from its first frames
+
+    present_m, candidate_m   largest error of the tip in the destination; the candidate's effects
+                             are those that the other cables show
+    present_s, candidate_s   of the computer, for the identification
+    """
+
+    cycle: str
+    present_m: float
+    candidate_m: float
+    present_s: float
+    candidate_s: float
+    of: Literal["execution", "rest of the hold"] = "execution"
+
+
+@dataclass(frozen=True)
+class Gate:
+    """One condition, whether it is met, and what was found."""
+
+    name: str
+    passed: bool
+    found: str
+
+
+def forecasts(
+    lesson: Lesson,
+    cable: Cable,
+    options: IdentifyOptions,
+    destination: Destination,
+) -> list[Forecast]:
+    """Every recorded execution of the lesson, and holds without one, out of sample."""
+    assert lesson.best is not None
+    found = []
+    for i, cycle in enumerate(lesson.cycles):
+        if cycle.held is None:
+            continue
+        kind = with_effect(options.kind, lesson.best, lesson.best.fit.without(i), lesson)
+        before = _forecast_m(cycle, cable, options, destination)
+        after = _forecast_m(cycle, cable, replace(options, kind=kind), destination)
+        of: Literal["execution", "rest of the hold"] = (
+            "rest of the hold" if cycle.executed is None else "execution"
+        )
+        found.append(Forecast(cycle.name, before[0], after[0], before[1], after[1], of))
+    return found
+
+
+def with_effect(kind: ModelClass, tried: Tried, theta: FloatArray, lesson: Lesson) -> ModelClass:
+    """The model class with an effect at theta: as uncertain as it is, and as cables differ."""
+    covariance = tried.fit.covariance.copy()
+    if lesson.spread is not None:
+        covariance[0, 0] += lesson.spread.tau**2
+    q = tried.fit.space.mean.copy()
+    q[tried.fit.common] = theta
+    natural = tried.fit.space.natural(q)
+    k, m = len(kind.names), len(theta)
+    joint = np.zeros((k + m, k + m))
+    joint[:k, :k] = np.array(kind.covariance).reshape(k, k)
+    joint[k:, k:] = covariance
+    return replace(
+        kind,
+        effects=(*kind.effects, tried.effect),
+        names=(*kind.names, *tried.names),
+        mean=(*kind.mean, *(float(natural[i]) for i in tried.fit.common)),
+        covariance=tuple(tuple(map(float, row)) for row in joint),
+    )
+
+
+def _forecast_m(
+    cycle: RecordedCycle, cable: Cable, options: IdentifyOptions, destination: Destination
+) -> tuple[float, float]:
+    """Largest error of the tip, m, `inf` if there is no forecast; and the CPU time, s.
+
+    In the destination, or in the rest of the hold.
+    """
+    assert cycle.held is not None
+    begun_s = time.process_time()
+    first, later = cycle.held, cycle.executed
+    if later is None:
+        first, later = _parted(cycle.held)
+    markers = later.markers
+    try:
+        found = identify(first, cycle.study.arc_length_m, cable, options=options)
+        spent_s = time.process_time() - begun_s
+        tip = simulate(
+            found.model,
+            later.grip,
+            markers.t_s,
+            np.array([cable.free_length_m]),
+            solver=options.fit.solver,
+        )[0, :, 0]
+    except (CableRejectedError, DivergedError, UnsettledError):
+        return float("inf"), time.process_time() - begun_s
+    if cycle.executed is None:
+        error = np.linalg.norm(markers.xy_m[:, 0] - tip, axis=1)
+        return float(np.nanmax(error)), spent_s
+    passage = measured_passage(destination, markers.t_s, markers.xy_m[:, 0], markers.t_s, tip)
+    return passage.error_m, spent_s
+
+
+def _parted(held: Trial) -> tuple[Trial, Trial]:
+    """The first frames of a hold, and the others."""
+    t_s, xy_m = held.markers.t_s, held.markers.xy_m
+    at = int(FIRST_SHARE * len(t_s))
+    return (
+        replace(held, markers=Markers(t_s[:at], xy_m[:at])),
+        replace(held, markers=Markers(t_s[at:], xy_m[at:])),
+    )
+
+
+def gates(lesson: Lesson, paired: Sequence[Forecast], destination: Destination) -> list[Gate]:
+    """All conditions, each with what was found."""
+    assert lesson.best is not None
+    before = np.array([f.present_m for f in paired])
+    after = np.array([f.candidate_m for f in paired])
+    gate = [
+        Gate(
+            "enough forecasts",
+            len(paired) >= FEWEST,
+            f"{sum(f.of == 'execution' for f in paired)} executions, {len(paired)} in all, "
+            f"needs {FEWEST}",
+        )
+    ]
+    if len(paired) >= FEWEST:
+        gate += [_better(before, after, lesson.noise_m), _worst(before, after)]
+        gate.append(_passing(before, after, destination))
+    return [*gate, _inside(lesson.best), _identifiable(lesson.best), _consistent(lesson)]
+
+
+def _better(before: FloatArray, after: FloatArray, noise_m: float) -> Gate:
+    rms = [float(np.sqrt(np.mean(v**2))) for v in (before, after)]
+    if len(before) >= 5:
+        p = float(stats.wilcoxon(before, after, alternative="greater").pvalue)
+        sure, how = p <= SIGNIFICANCE, f"p = {p:.2g}"
+    else:
+        worse = int(np.sum(after > before + noise_m))
+        sure, how = worse == 0, f"{worse} of {len(before)} worse"
+    enough = rms[1] < (1.0 - BETTER) * rms[0] and rms[0] - rms[1] > BETTER_M
+    found = f"{rms[0] * 1e3:.3f} → {rms[1] * 1e3:.3f} mm rms, {how}"
+    return Gate("forecasts unseen cables better", bool(sure and enough), found)
+
+
+def _worst(before: FloatArray, after: FloatArray) -> Gate:
+    passed = bool(after.max() <= before.max() + REPEATABILITY_M)
+    found = f"{before.max() * 1e3:.3f} → {after.max() * 1e3:.3f} mm"
+    return Gate("worst case no worse", passed, found)
+
+
+def _passing(before: FloatArray, after: FloatArray, destination: Destination) -> Gate:
+    half_m = 0.5 * (destination.y_max_m - destination.y_min_m)
+    counts = [int(np.sum(v < half_m)) for v in (before, after)]
+    found = f"{counts[0]} → {counts[1]} of {len(before)} forecast within ± {half_m * 1e3:.1f} mm"
+    return Gate("as many would have passed", counts[1] >= counts[0], found)
+
+
+def _inside(tried: Tried) -> Gate:
+    fit = tried.fit
+    low, high = fit.space.low[fit.common], fit.space.high[fit.common]
+    at = [n for n, v, a, b in zip(tried.names, fit.theta, low, high, strict=True) if not a < v < b]
+    return Gate("inside physical bounds", not at, ", ".join(at) + " at a bound" if at else "all")
+
+
+def _identifiable(tried: Tried) -> Gate:
+    """Whether every amplitude stands out of its uncertainty."""
+    fit, std = tried.fit, np.sqrt(np.diag(tried.fit.covariance))
+    sizes = []
+    for p in tried.effect.parameters:
+        name = f"{tried.effect.name}.{p.name}"
+        if not p.amplitude or name not in tried.names:
+            continue
+        i = tried.names.index(name)
+        off = np.log(p.default) if fit.space.logarithmic[fit.common[i]] else p.default
+        sizes.append(abs(float(fit.theta[i]) - off) / float(std[i]))
+    most = max(sizes, default=0.0)
+    return Gate("identifiable", most >= IDENTIFIABLE, f"{most:.1f} standard deviations from none")
+
+
+def _consistent(lesson: Lesson) -> Gate:
+    """Whether the effect stays as it is whichever cable is left out."""
+    assert lesson.best is not None
+    fit, p = lesson.best.fit, lesson.best.effect.parameters[0]
+    name = lesson.best.names[0]
+    if len(fit.cables) < 2 or name != f"{lesson.best.effect.name}.{p.name}":
+        return Gate("consistent between cables", len(fit.cables) > 1, f"{len(fit.cables)} cable")
+    off = np.log(p.default) if fit.space.logarithmic[fit.common[0]] else p.default
+    size = float(fit.theta[0]) - off
+    left = [float(fit.without(i)[0]) - off for i in range(len(fit.cables))]
+    passed = all(0.5 < v / size < 2.0 for v in left) if size != 0.0 else False
+    found = f"{min(v / size for v in left):.2f} … {max(v / size for v in left):.2f} of it remain"
+    return Gate("whichever cable is left out", passed, found)

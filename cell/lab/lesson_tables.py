@@ -1,0 +1,75 @@
+"""What was learned, for a person: sentences and tables."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from cell.lab.gates import Gate
+from cell.lab.learn import Lesson
+
+FloatArray = NDArray[np.float64]
+
+
+def lesson_lines(lesson: Lesson) -> list[str]:
+    """What is missing, how much of the error it explains, and how sure that is."""
+    before_m, noise_m = lesson.baseline.rms_m, lesson.noise_m
+    first = (
+        f"{len(lesson.cycles)} cables: the model misses {before_m * 1e3:.3f} mm rms, the noise is "
+        f"{noise_m * 1e3:.3f} mm"
+    )
+    if lesson.best is None:
+        return [first, "no effect of the library explains more than chance: the model is complete"]
+    best, lines = lesson.best, [first]
+    natural = best.fit.space.natural(_point(lesson))[best.fit.common]
+    values = ", ".join(
+        f"{name.partition('.')[2]} {value:.4g} {best.fit.space.units[i]}"
+        for name, value, i in zip(best.names, natural, best.fit.common, strict=True)
+    )
+    lines.append(
+        f"missing: {best.effect.name} ({values}), p = {best.p_value:.1g}; with it the model misses "
+        f"{best.fit.rms_m * 1e3:.3f} mm"
+    )
+    if lesson.tied:
+        lines.append(f"these cycles cannot tell it from: {', '.join(lesson.tied)}")
+    if lesson.spread is not None and lesson.spread.freedom > 0:
+        s = lesson.spread
+        lines.append(
+            f"between cables it differs by {s.tau:.3g} (standard deviation; Cochran's Q "
+            f"{s.q:.1f} of {s.freedom}, p = {s.p_value:.2g})"
+        )
+    return lines
+
+
+def votes_table(lesson: Lesson) -> Table:
+    """Which cycles speak for the effect, and which against."""
+    assert lesson.best is not None
+    name = lesson.best.names[0]
+    table = Table(title=f"cycles for and against {lesson.best.effect.name}", box=SIMPLE_HEAD)
+    for heading in ("cycle", "speaks", "fall of χ²", name.partition(".")[2], "±"):
+        table.add_column(heading, justify="left" if heading in ("cycle", "speaks") else "right")
+    for v in lesson.votes:
+        speaks = "for" if v.fall > 2.0 else "against" if v.fall < -2.0 else "neither"
+        table.add_row(v.cycle, speaks, f"{v.fall:.1f}", f"{v.value:.4g}", f"{v.std:.2g}")
+    return table
+
+
+def gates_table(judged: Sequence[Gate]) -> Table:
+    """What a candidate must pass."""
+    table = Table(title="gates", box=SIMPLE_HEAD)
+    for heading in ("", "found", ""):
+        table.add_column(heading)
+    for g in judged:
+        table.add_row(g.name, g.found, "[green]passed[/]" if g.passed else "[red]not passed[/]")
+    return table
+
+
+def _point(lesson: Lesson) -> FloatArray:
+    assert lesson.best is not None
+    q = lesson.best.fit.space.mean.copy()
+    q[lesson.best.fit.common] = lesson.best.fit.theta
+    return q

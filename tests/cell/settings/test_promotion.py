@@ -1,0 +1,140 @@
+"""A model enters the settings and leaves them again, and nothing else in the file changes."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from cell.files import atomic
+from cell.files.input_error import InputError
+from cell.files.yaml_document import yaml_text
+from cell.settings import load_settings
+from cell.settings.promotion import history_of, promote, read_candidate, spliced, undo
+from cell.settings.translate import model_hash
+
+CONFIG = Path(__file__).parents[3] / "config" / "fake.yaml"
+DRAG = {"effects": [{"effect": "air_drag", "parameters": {"drag_coefficient": {"fixed": 1.9}}}]}
+
+
+def candidate(tmp_path: Path, config: Path, model: dict, *, passed: bool = True) -> Path:
+    path = tmp_path / "candidate.yaml"
+    content = {
+        "format": "cell-candidate/1",
+        "beside": model_hash(load_settings(config).model),
+        "model": model,
+        "gates": [{"gate": "forecasts unseen cables better", "passed": passed, "found": "so"}],
+    }
+    path.write_text(yaml_text(content), encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    return Path(shutil.copy(CONFIG, tmp_path / "cell.yaml"))
+
+
+def test_all_other_lines_stay_as_they_were(tmp_path: Path, config: Path) -> None:
+    before = config.read_bytes()
+    entry = promote(read_candidate(candidate(tmp_path, config, DRAG)), config)
+    after = config.read_bytes()
+    assert after.startswith(before)
+    assert load_settings(config).model.effects[0].effect == "air_drag"
+    assert entry.read_bytes() == before
+    undo(config)
+    assert config.read_bytes().rstrip() == before.rstrip()
+
+
+def test_a_second_promotion_replaces_the_first_between_its_neighbours(
+    tmp_path: Path, config: Path
+) -> None:
+    text = config.read_text(encoding="utf-8")
+    section = "model:              # learned in May\n  effects:\n  - effect: tip_mass  # glue\n\n"
+    config.write_text(text.replace("limits:", f"{section}# the box\nlimits:"), encoding="utf-8")
+    before = config.read_text(encoding="utf-8")
+    promote(read_candidate(candidate(tmp_path, config, DRAG)), config)
+    after = config.read_text(encoding="utf-8")
+    assert "# the box\nlimits:" in after and "tip_mass" not in after
+    head, tail = before.split(section.rstrip("\n"))
+    assert after.startswith(head) and after.endswith(tail)
+    # what a person changes meanwhile survives going back
+    config.write_text(after.replace("lag_s: 0.03", "lag_s: 0.031  # measured"), encoding="utf-8")
+    undo(config)
+    assert config.read_text("utf-8") == before.replace("lag_s: 0.03", "lag_s: 0.031  # measured")
+    with pytest.raises(InputError, match="nothing to undo"):
+        undo(config)
+
+
+def test_line_ends_are_kept(tmp_path: Path, config: Path) -> None:
+    config.write_bytes(config.read_bytes().replace(b"\n", b"\r\n"))
+    promote(read_candidate(candidate(tmp_path, config, DRAG)), config)
+    after = config.read_bytes()
+    assert after.count(b"\n") == after.count(b"\r\n")
+    assert load_settings(config).model.effects
+
+
+def test_what_failed_a_gate_or_was_learned_beside_another_model_is_refused(
+    tmp_path: Path, config: Path
+) -> None:
+    before = config.read_bytes()
+    failed = read_candidate(candidate(tmp_path, config, DRAG, passed=False))
+    with pytest.raises(InputError, match=r"'forecasts unseen cables better': not passed"):
+        promote(failed, config)
+    good = read_candidate(candidate(tmp_path, config, DRAG))
+    promote(good, config)
+    with pytest.raises(InputError, match="was learned beside the model"):
+        promote(good, config)
+    undo(config)
+    assert config.read_bytes().rstrip() == before.rstrip()
+
+
+def test_a_wrong_model_is_not_written(tmp_path: Path, config: Path) -> None:
+    before = config.read_bytes()
+    wrong = {"effects": [{"effect": "air_drag", "parameters": {"drag_coefficient": {"fixed": -1}}}]}
+    with pytest.raises(InputError, match="must be 0"):
+        promote(read_candidate(candidate(tmp_path, config, wrong)), config)
+    assert config.read_bytes() == before
+    assert not history_of(config).exists()
+
+
+@pytest.mark.parametrize("survives", range(5))
+def test_killed_between_any_two_writes_the_settings_are_old_or_new(
+    tmp_path: Path, config: Path, monkeypatch: pytest.MonkeyPatch, survives: int
+) -> None:
+    old = config.read_bytes()
+    chosen = read_candidate(candidate(tmp_path, config, DRAG))
+    writes = 0
+
+    class KilledError(BaseException):
+        pass
+
+    def counted(real):
+        def write(self: Path, *args):
+            nonlocal writes
+            if writes == survives:
+                raise KilledError
+            writes += 1
+            return real(self, *args)
+
+        return write
+
+    for name in ("write_bytes", "replace", "rename"):
+        monkeypatch.setattr(atomic.Path, name, counted(getattr(Path, name)))
+    try:
+        promote(chosen, config)
+        undo(config)
+    except KilledError:
+        pass
+    monkeypatch.undo()
+    found = config.read_bytes()
+    assert found == old or load_settings(config).model.effects[0].effect == "air_drag"
+    assert load_settings(config)
+    if load_settings(config).model.effects:
+        undo(config)
+    assert config.read_bytes().rstrip() == old.rstrip()
+
+
+def test_a_file_in_braces_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="is not one key a line"):
+        spliced(tmp_path / "x.yaml", "{cable: 1}\n", "model: {}\n")

@@ -1,0 +1,164 @@
+"""From a line that rejects good cables to one that inserts them: the whole loop in one command.
+
+A simulated cell has physics in its world that its model lacks.  Its mouth is narrow, so that
+cables are rejected or missed for it; `cell learn` names the effect from the recorded cycles,
+`cell promote` gives it to the model, and the same cables come again.
+`python tools/learn.py [--effect air_drag] [--size 2] [--cables 4] [--out FOLDER] [--picture F.png]`
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import secrets
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+from fast_cell import typical
+
+from cell.build import cell_task
+from cell.cable.dynamics import simulate
+from cell.cable.effects import library
+from cell.identify.individual import identify
+from cell.records.folder import read_record
+from cell.settings import load_settings
+
+CONFIG = Path(__file__).parents[1] / "config" / "fake.yaml"
+#: A mouth this high lets pass what is forecast well, and little else.
+MOUTH = ("y_m: [-0.111, -0.101]", "y_m: [-0.1085, -0.1035]")
+OFFSETS = ("step_m: 0.002", "step_m: 0.001")
+#: What a hidden effect is drawn from: those that show in a cable of this size.
+DRAWN_FROM = ("air_drag", "linear_air_drag", "stress_relaxation", "bending_hysteresis", "tip_mass")
+
+
+@dataclass(frozen=True)
+class Step:
+    """Cycles of the same cables with one model: outcomes, and errors of forecast and fit, mm."""
+
+    title: str
+    config: Path
+    runs: Path
+
+    @property
+    def results(self) -> list[dict[str, object]]:
+        files = sorted(self.runs.glob("*/result.json"), key=lambda p: p.parent.name)
+        return [json.loads(f.read_text(encoding="utf-8")) for f in files]
+
+    def mean_mm(self, key: str) -> float:
+        known = [float(str(r[key])) for r in self.results if r[key] is not None]
+        return 1e3 * float(np.sqrt(np.mean(np.square(known)))) if known else float("nan")
+
+    def summary(self) -> str:
+        inserted = sum(r["outcome"] == "inserted" for r in self.results)
+        return (
+            f"{self.title}: {inserted} of {len(self.results)} inserted; the model misses the swing "
+            f"by {self.mean_mm('residual_rms_m'):.3f} mm rms"
+        )
+
+
+def command(*arguments: object) -> int:
+    words = [str(a) for a in arguments]
+    print(f"\n$ cell {' '.join(words)}", flush=True)
+    return subprocess.run([sys.executable, "-m", "cell", *words], check=False).returncode
+
+
+def config_in(folder: Path, effect: str, size: float) -> Path:
+    text = CONFIG.read_text(encoding="utf-8")
+    hidden = json.dumps({effect: typical(library()[effect], size)})
+    for old, new in (MOUTH, OFFSETS, ("effects: {}  ", f"effects: {hidden}  ")):
+        assert old in text, old
+        text = text.replace(old, new)
+    path = folder / "cell.yaml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def draw(before: Step, after: Step, effect: str, path: Path) -> None:
+    figure, (left, right) = plt.subplots(1, 2, figsize=(10.5, 4.2), constrained_layout=True)
+    noise = after.mean_mm("noise_m")
+    bars = [before.mean_mm("residual_rms_m"), after.mean_mm("residual_rms_m"), noise]
+    names = ["baseline", f"+ {effect}", "camera noise"]
+    drawn = left.bar(names, bars, color=["#c0392b", "#2e7d32", "#9e9e9e"], width=0.6)
+    left.bar_label(drawn, labels=[f"{b:.3f}" for b in bars], padding=2)
+    left.set(ylabel="the model misses the swing by, mm rms", title="The error falls")
+    left.spines[["top", "right"]].set_visible(False)
+    _draw_tip(right, before, after)
+    figure.savefig(path, dpi=110)
+    print(f"picture: {path}")
+
+
+def _draw_tip(axes: plt.Axes, before: Step, after: Step) -> None:
+    """Where the first inserted cable's tip went, and what both models forecast of it."""
+    record = next(
+        r
+        for f in sorted(after.runs.iterdir())
+        if (r := read_record(f)).study is not None and r.study.role("validate")
+    )
+    study = record.study
+    assert study is not None
+    held, executed = study.role("fit")[0], study.role("validate")[0]
+    tip = executed.markers.xy_m[:, 0] * 1e3
+    for step, config, colour in (
+        (before, before.config, "#c0392b"),
+        (after, after.config, "#2e7d32"),
+    ):
+        task = cell_task(load_settings(config))
+        found = identify(held, study.arc_length_m, study.cable, options=task.identification)
+        times = executed.markers.t_s
+        at = np.array([study.cable.free_length_m])
+        path = simulate(found.model, executed.grip, times, at)[0, :, 0] * 1e3
+        axes.plot(*path.T, color=colour, label=f"forecast {step.title}")
+    axes.plot(*tip.T, ".", color="black", markersize=3, label="seen")
+    mouth = task.destination
+    x, y = mouth.x_min_m * 1e3, mouth.y_min_m * 1e3
+    size = (mouth.x_max_m * 1e3 - x, mouth.y_max_m * 1e3 - y)
+    axes.add_patch(plt.Rectangle((x, y), *size, fill=False, edgecolor="#1565c0", linewidth=2))
+    axes.set(xlim=(x - 8, x + 14), ylim=(y - 5, y + size[1] + 5), xlabel="x, mm", ylabel="y, mm")
+    axes.xaxis.set_major_locator(plt.MultipleLocator(5))
+    axes.set(title="The tip in the mouth (blue)")
+    axes.legend(frameon=False, fontsize=8)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument(
+        "--effect", choices=sorted(library()), help="default: drawn, told at the end"
+    )
+    parser.add_argument("--size", type=float, default=2.0, help="times its typical strength")
+    parser.add_argument("--cables", type=int, default=4)
+    parser.add_argument("--seed", type=int, default=3)
+    parser.add_argument("--out", type=Path)
+    parser.add_argument("--picture", type=Path)
+    options = parser.parse_args()
+    folder = options.out or Path(tempfile.mkdtemp(prefix="cell-learn-"))
+    folder.mkdir(parents=True, exist_ok=True)
+    effect = options.effect or secrets.choice(DRAWN_FROM)
+    config = config_in(folder, effect, options.size)
+    old = folder / "before.yaml"
+    old.write_bytes(config.read_bytes())
+    again = ("--cycles", options.cables, "--seed", options.seed)
+    command("run", "--config", config, *again, "--out", folder / "before")
+    learned = command(
+        "learn", folder / "before", "--config", config, "-o", folder / "candidate.yaml"
+    )
+    if learned == 0 and (folder / "candidate.yaml").exists():
+        learned = command("promote", folder / "candidate.yaml", "--config", config)
+    command("run", "--config", config, *again, "--out", folder / "after")
+    before = Step("before", old, folder / "before")
+    after = Step("after", config, folder / "after")
+    print(f"\n{before.summary()}\n{after.summary()}")
+    model = load_settings(config).model.effects
+    found = ", ".join(e.effect for e in model) or "nothing"
+    print(f"hidden in the world: {effect}; learned and promoted: {found}")
+    if model:
+        draw(before, after, found, options.picture or folder / "learned.png")
+    return learned
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
