@@ -42,6 +42,10 @@ Known = Annotated[
 PriorFile = Annotated[
     Path | None, typer.Option("--prior", help="Model of an earlier individual, by `cell fit -o`.")
 ]
+LineModel = Annotated[
+    Path | None,
+    typer.Option("--config", "-c", help="Settings of a cell: its `model` is where one starts."),
+]
 JsonFile = Annotated[Path | None, typer.Option("--json", help="Write the result here as JSON.")]
 ReportFile = Annotated[
     Path | None, typer.Option("--report", help="Write a self-contained HTML report here.")
@@ -58,6 +62,7 @@ def fit(
     out: Annotated[Path | None, typer.Option("-o", "--out", help="Write the model here.")] = None,
     effect: InModel = None,
     prior: PriorFile = None,
+    config: LineModel = None,
     as_json: JsonFile = None,
     force: Force = False,
 ) -> None:
@@ -74,6 +79,7 @@ def fit(
             selection,
             session.read_prior(prior, selection.own),
             progress,
+            session.read_kind(config),
         )
         model, candidate = session.fit_study(explorer)
         warnings = fit_doubts(explorer, candidate)
@@ -139,6 +145,7 @@ def diagnose(
     effect: Tried = None,
     known: Known = None,
     prior: PriorFile = None,
+    config: LineModel = None,
     as_json: JsonFile = None,
     report: ReportFile = None,
     force: Force = False,
@@ -165,7 +172,11 @@ def diagnose(
         selection = session.select_for_diagnosis(effect or [], known or [])
         opened = _opened(study)
         explorer = session.explorer_of(
-            opened, selection, session.read_prior(prior, selection.own), progress
+            opened,
+            selection,
+            session.read_prior(prior, selection.own),
+            progress,
+            session.read_kind(config),
         )
         examination = diagnose_study(explorer)
         if as_json:
@@ -266,7 +277,7 @@ def suggest(
     ] = None,
     config: Annotated[
         Path | None,
-        typer.Option("--config", "-c", help="Settings of the cell that the motion is for."),
+        typer.Option("--config", "-c", help="Settings of the cell: its limits and `model`."),
     ] = None,
     effect: Tried = None,
     known: Known = None,
@@ -290,6 +301,7 @@ def suggest(
             selection,
             session.read_prior(prior, selection.own),
             progress,
+            session.read_kind(config),
         )
         suggestion = suggest_motion(explorer, diagnose_study(explorer), surroundings)
         if out:

@@ -63,6 +63,12 @@ def learn(
     if lesson.best is None:
         raise typer.Exit(ALL_DONE)
     show(votes_table(lesson), gates_table(judged))
+    if lesson.tied:
+        folder = lesson.cycles[0].folder
+        print(
+            f"the motion that tells them apart: cell suggest {folder / 'study'} --config {config} "
+            f"-o motion.yaml, then cell run --config {config} --motion motion.yaml, and learn again"
+        )
     if all(g.passed for g in judged):
         print(f"written to {out}; use it with: cell promote {out} --config {config}")
         raise typer.Exit(ALL_DONE)

@@ -13,7 +13,7 @@ from cell.cable.effects import Effect, library
 from cell.cable.geometry import Cable
 from cell.files.input_error import InputError, Problem
 from cell.identify.identified import Identified
-from cell.identify.model_class import effect_from, known_effects
+from cell.identify.model_class import ModelClass, effect_from, known_effects
 from cell.identify.noise import Noise, still_frames
 from cell.identify.parameters import ParameterSpace
 from cell.lab.explore import Candidate, Explorer, Progress
@@ -26,6 +26,8 @@ from cell.lab.individual import (
     read_model,
 )
 from cell.lab.prepared import ERRS, PreparedStudy
+from cell.settings import load_settings
+from cell.settings.translate import model_class_of
 from cell.study.data import Study, Trial
 from cell.study.folder import read_study, study_folder
 
@@ -144,14 +146,16 @@ def explorer_of(
     selection: EffectSelection,
     prior: tuple[Path, Identified] | None = None,
     progress: Progress = lambda _: None,
+    kind: ModelClass = ModelClass(),  # noqa: B008
 ) -> Explorer:
     """The study made ready, with an earlier individual's model as prior if there is one.
 
     The prior's effects are part of the model, and those of the selection that are.
+    kind  what all such cables have in common; an individual's prior has its own
     """
     if prior is None:
         prepared = PreparedStudy.of(study)
-        space = ParameterSpace.of(study.cable, gravity_m_per_s2=study.gravity_m_per_s2)
+        space = kind.space(study.cable, study.gravity_m_per_s2)
     else:
         path, model = prior
         check_same_kind(path, model, study.cable)
@@ -163,6 +167,14 @@ def explorer_of(
     full = space_with(space, effects)
     believed = None if prior is None else full.mean
     return Explorer(prepared, full, selection.candidates, progress, believed)
+
+
+def read_kind(config: Path | None) -> ModelClass:
+    """What the section `model` of a cell's settings says; the baseline without.
+
+    raises  InputError
+    """
+    return ModelClass() if config is None else model_class_of(load_settings(config).model)
 
 
 def _least_rms_m(

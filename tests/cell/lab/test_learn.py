@@ -12,11 +12,13 @@ import pytest
 from cell.build import cell_task
 from cell.cable.effects import library
 from cell.files.input_error import InputError
+from cell.files.yaml_document import yaml_text
 from cell.identify.individual import identify
 from cell.lab.candidate import section, write_candidate
 from cell.lab.cycles import RecordedCycle, read_cycles
 from cell.lab.gates import Forecast, forecasts, gates
 from cell.lab.learn import Lesson, learn
+from cell.lab.session import explorer_of, read_kind, select_effects
 from cell.lab.shared import Spread
 from cell.settings import load_settings
 from cell.settings.model import Model
@@ -111,6 +113,20 @@ def test_with_the_effect_learned_another_cable_is_followed(lesson: Lesson) -> No
     ]
     assert found[0].model_error_m > 1e-4
     assert found[1].model_error_m < 0.15 * found[0].model_error_m
+
+
+def test_the_lab_starts_from_the_lines_model(lesson: Lesson, tmp_path: Path) -> None:
+    """With the effect in the settings, a study of such a cable is explained without a word more."""
+    section_text = yaml_text({"model": section(lesson, Model()).model_dump(exclude_defaults=True)})
+    config = tmp_path / "cell.yaml"
+    config.write_text((ROOT / "config/fake.yaml").read_text("utf-8") + section_text, "utf-8")
+    study = lesson.cycles[0].study
+    rms_m = [
+        explorer_of(study, select_effects([]), kind=read_kind(given)).baseline().fit.rms_m
+        for given in (None, config)
+    ]
+    assert rms_m[1] < 0.8 * rms_m[0]
+    assert rms_m[1] < 1.2 * lesson.noise_m  # seen too far along the cable, too
 
 
 def test_a_forecast_that_is_no_better_is_stopped_at_the_gate(lesson: Lesson) -> None:
