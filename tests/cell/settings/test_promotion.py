@@ -9,6 +9,7 @@ import pytest
 
 from cell.files import atomic
 from cell.files.input_error import InputError
+from cell.files.overwriting import check_output
 from cell.files.yaml_document import yaml_text
 from cell.settings import load_settings
 from cell.settings.promotion import history_of, promote, read_candidate, spliced, undo
@@ -138,3 +139,9 @@ def test_killed_between_any_two_writes_the_settings_are_old_or_new(
 def test_a_file_in_braces_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="is not one key a line"):
         spliced(tmp_path / "x.yaml", "{cable: 1}\n", "model: {}\n")
+
+
+def test_a_candidate_may_be_learned_again_over_the_one_before(tmp_path: Path, config: Path) -> None:
+    check_output(candidate(tmp_path, config, DRAG))
+    with pytest.raises(ValueError, match="was not written by this program"):
+        check_output(config)
