@@ -4,7 +4,7 @@ BIN := $(VENV)/bin
 PYTHON ?= $(firstword $(foreach p,python3.12 python3.11 python3.13 python3,$(shell $(p) -c "import sys; print('$(p)' if (3,11) <= sys.version_info[:2] < (3,14) else '')" 2>/dev/null)))
 CYCLES ?= 3
 
-.PHONY: run test lint types imports tests hardware bench figures learn coverage practice false-alarms confusion fault-trials malformed endurance clean help
+.PHONY: run test lint types imports tests hardware bench figures learn coverage practice false-alarms confusion fault-trials calibration-study malformed endurance clean help
 
 help:            ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
@@ -57,6 +57,9 @@ confusion: $(VENV)/.dev   ## which effect is named: for each of the library, out
 
 fault-trials: $(VENV)/.dev   ## a fault in every device in every step, and processes killed, ~40 min
 	$(BIN)/python tools/fault_trials.py --patience-s 0.15 -o docs/fault_trials.md
+
+calibration-study: $(VENV)/.dev   ## true errors of 20 calibrations beside what they say, and beside OpenCV, ~4 min
+	$(BIN)/python tools/calibration_study.py --setups 20
 
 malformed: $(VENV)/.dev   ## 1,000 spoilt studies, settings, motions, models and effects
 	MALFORMED_CASES=1000 $(BIN)/pytest -n 2 tests/end_to_end/test_malformed.py

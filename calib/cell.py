@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from calib.errors import MisfitError, OneSidedError, TooFewError, WrongScaleError
 from calib.lens import Lens
 from calib.plane import PlaneView
-from calib.projection import pose, pose_numbers, project, rotation
+from calib.projection import pose, project, rotation
 from calib.robust import Known, RobustFit, robust_fit
 
 FloatArray = NDArray[np.float64]
@@ -40,6 +40,14 @@ _LENS, _CAMERA, _MARK, _SCALE, _GRAVITY = (
     slice(22, 24),
 )
 _COUNT = 24
+
+
+@dataclass(frozen=True, eq=False)
+class Plate:
+    """Light discs on the jaw: (M, 2) centres in the frame M, and their radius, m."""
+
+    marks_m: FloatArray
+    radius_m: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,21 +104,29 @@ class CellFit:
 
     def spread_m(self, pixels: FloatArray) -> FloatArray:
         """(…,) standard deviation of where pixels (…, 2) lie in the plane, over both axes, m."""
-        flat = pixels.reshape(-1, 2)
-        slopes = self._slopes(lambda x: self._view(x).to_plane(flat).ravel())
+        slopes = self.map_slopes(pixels.reshape(-1, 2))
         variance = np.einsum("np,pq,nq->n", slopes, self.covariance, slopes)
         return np.asarray(np.sqrt(variance.reshape(-1, 2).sum(axis=1))).reshape(pixels.shape[:-1])
 
+    def map_slopes(self, pixels: FloatArray) -> FloatArray:
+        """(2 N, 24) how (N, 2) pixels' places in the plane, m, change with the parameters."""
+        return self._slopes(lambda x: self._view(x).to_plane(pixels).ravel())
+
     def plane_spread(self) -> tuple[float, float]:
-        """Standard deviation of the plane in the base frame: of its origin, m, and turn, rad."""
+        """Standard deviation of the plane in the base frame: of its origin, m, and turn, rad.
+
+        An arm that moves in the plane alone says nothing of the plane's distance: left out then.
+        """
         inverse = np.linalg.inv(self.X_BP)
 
         def off(x: FloatArray) -> FloatArray:
-            return pose_numbers(inverse @ plane_in_base(x, self.home, self.up, self.in_plane))
+            X = inverse @ plane_in_base(x, self.home, self.up, self.in_plane)
+            return np.array([X[2, 1], X[0, 2], X[1, 0], *X[:3, 3]])  # turned by very little
 
         slopes = self._slopes(off)
         variance = np.diag(slopes @ self.covariance @ slopes.T)
-        return float(np.sqrt(variance[3:].sum())), float(np.sqrt(variance[:3].sum()))
+        place = variance[3:5] if self.in_plane else variance[3:]
+        return float(np.sqrt(place.sum())), float(np.sqrt(variance[:3].sum()))
 
     def roll(self) -> tuple[float, float]:
         """Roll of the camera against gravity, rad, clockwise in the picture; and its deviation."""
@@ -170,7 +186,7 @@ def view_of(x: FloatArray, home: FloatArray, up: FloatArray, in_plane: bool) -> 
 def fit_cell(
     shown: Sequence[Shown],
     held_out: Sequence[Shown],
-    marks_m: FloatArray,
+    plate: Plate,
     lens: Lens,
     lens_covariance: FloatArray,
     gravity: Gravity,
@@ -180,9 +196,8 @@ def fit_cell(
 ) -> CellFit:
     """Camera, robot, marks and gravity together, from the jaw shown at rest in many poses.
 
-    marks_m  (M, 2) discs in the frame M
-    home     (4, 4) X_BT in which cables are gripped: the plane's origin
-    raises   TooFewError, OneSidedError, WrongScaleError, MisfitError
+    home    (4, 4) X_BT in which cables are gripped: the plane's origin
+    raises  TooFewError, OneSidedError, WrongScaleError, MisfitError
     """
     if len(shown) < LEAST_POSES:
         raise TooFewError(
@@ -190,15 +205,18 @@ def fit_cell(
             "see that they are lit, sharp and not hidden, and widen `limits` if they are narrow",
         )
     _check_poses(shown)
+    marks_m, radius_m = plate.marks_m, plate.radius_m
     start = _first_guess(shown, marks_m, lens)
     expected, information = _known(lens, lens_covariance, gravity)
+    flat, seen = np.column_stack([marks_m, np.zeros(len(marks_m))]), shown
     together = 1.0  # weight of what all marks of a pose have in common
     for _ in range(2):
-        model = _Model(shown, marks_m, gravity, together)
+        model = MarksModel(shown, marks_m, gravity, together)
         fit = robust_fit(model, start, Known(expected, information, model.threads))
-        plain = _Model(shown, marks_m, gravity, 1.0)(fit.mean)[0].reshape(len(shown), -1, 2)
+        plain = MarksModel(shown, marks_m, gravity, 1.0)(fit.mean)[0].reshape(len(shown), -1, 2)
         within, common = _scatter(plain, fit.used)
         start = fit.mean
+        shown = [_centred(one, start, flat, radius_m) for one in seen]
         together = float(min(1.0, within / np.sqrt(len(marks_m)) / max(common, 1e-9)))
     x = fit.mean
     _check_fit(fit, common, shown)
@@ -212,7 +230,14 @@ def fit_cell(
         pose(x[_CAMERA]),
         within,
         float(np.sqrt(max(0.0, common**2 - within**2 / len(marks_m)))),
-        _held_out(x, held_out, marks_m, home, gravity.up, in_plane),
+        _held_out(
+            x,
+            [_centred(o, x, flat, radius_m) for o in held_out],
+            marks_m,
+            home,
+            gravity.up,
+            in_plane,
+        ),
         plain,
         (1.0 + float(x[_SCALE]), spread),
         home,
@@ -224,7 +249,7 @@ def fit_cell(
 # --- the fit ----------------------------------------------------------------------------------
 
 
-class _Model:
+class MarksModel:
     """Residuals of all marks, what a pose's marks have in common weighted by `together`."""
 
     def __init__(
@@ -237,6 +262,7 @@ class _Model:
         self._together = together
 
     def __call__(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(S M, 2) residuals, px, and (S M, 2, 24) derivatives."""
         R_CB, by_camera = rotation(x[9:12])
         R_TM, by_mark = rotation(x[15:18])
         R_BT, t_BT = self._hands[:, :3, :3], self._hands[:, :3, 3]
@@ -335,6 +361,26 @@ def _first_guess(shown: Sequence[Shown], marks_m: FloatArray, lens: Lens) -> Flo
     start[_LENS] = lens.numbers
     start[_CAMERA] = np.concatenate([turn.ravel(), shift.ravel()])
     return start
+
+
+def _centred(one: Shown, x: FloatArray, marks: FloatArray, radius_m: float) -> Shown:
+    """Pixels of the discs' centres, from those of the centroids of their pictures.
+
+    Perspective and distortion put the two a little apart.
+    """
+    angles = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
+    rim = radius_m * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(32)])
+    X_CM = pose(x[_CAMERA]) @ one.X_BT @ pose(x[_MARK])
+    pixels = one.pixels.copy()
+    for k, mark in enumerate((1.0 + x[_SCALE]) * marks):
+        points = np.vstack([mark, mark + rim]) @ X_CM[:3, :3].T + X_CM[:3, 3]
+        centre, *edge = project(x[_LENS], points)[0]
+        a = np.array(edge) - centre
+        b = np.roll(a, -1, axis=0)
+        cross = a[:, 0] * b[:, 1] - b[:, 0] * a[:, 1]
+        if abs(cross.sum()) > 0.0:
+            pixels[k] -= np.sum((a + b) * cross[:, None], axis=0) / (3.0 * cross.sum())
+    return Shown(one.name, one.X_BT, pixels)
 
 
 def _scatter(by_pose: FloatArray, used: NDArray[np.bool_]) -> tuple[float, float]:

@@ -56,8 +56,3 @@ def pose(numbers: FloatArray) -> FloatArray:
     X[:3, :3] = cv2.Rodrigues(np.asarray(numbers[:3], dtype=np.float64))[0]
     X[:3, 3] = numbers[3:]
     return X
-
-
-def pose_numbers(X: FloatArray) -> FloatArray:
-    """(6,) rotation vector and translation of a (4, 4) pose."""
-    return np.concatenate([cv2.Rodrigues(X[:3, :3])[0].ravel(), X[:3, 3]])

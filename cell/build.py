@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,12 +18,12 @@ from cell.run.cycle import Cell
 from cell.run.station import Devices, Task
 from cell.settings import Settings
 from cell.settings import model as given
+from cell.settings.calibrated import Calibrated, typed
 from cell.settings.translate import (
     cable_of,
     identification_of,
     model_hash,
     pose_of,
-    view_of,
     vision_of,
 )
 from cell.simulated.twins import Twins, build_twins
@@ -45,7 +46,7 @@ from drivers.ur import UrArm, UrOptions
 
 FloatArray = NDArray[np.float64]
 
-_UR_TUNING = ("lookahead_s", "gain", "lag_s")
+_UR_TUNING = ("lookahead_s", "gain")
 
 
 def build_cell(
@@ -55,35 +56,46 @@ def build_cell(
     seed: int,
     cycles: int,
     on_step: Callable[[int, str], None] = lambda number, step: None,
+    known: Calibrated | None = None,
 ) -> Cell:
     """A cell with its devices, none of them connected yet.
 
     seed    of the simulated cables and of their devices' noise
     cycles  so many simulated cables are laid out
+    known   what is known of camera and clocks; None = as typed
     """
     if isinstance(settings.arm, given.SimulatedArm):
-        devices = twin_devices(build_twins(settings, seed, cycles))
+        devices = twin_devices(build_twins(settings, seed, cycles, known))
     else:
-        devices = real_devices(settings)
-    return cell_with(settings, devices, runs, on_step)
+        devices = real_devices(settings, known)
+    return cell_with(settings, devices, runs, on_step, known)
 
 
-def cell_with(
-    settings: Settings, devices: Devices, runs: Path, on_step: Callable[[int, str], None]
-) -> Cell:
-    """A cell around given devices, which it surrounds with their limits."""
-    one_heap()
-    guarded = Devices(
+def guarded_devices(settings: Settings, devices: Devices) -> Devices:
+    """Devices surrounded with the limits of the settings."""
+    return Devices(
         arm=GuardedArm(devices.arm, _arm_limits(settings)),
         camera=GuardedCamera(devices.camera, devices.clock),
         gripper=GuardedGripper(devices.gripper, GripperLimits(*settings.gripper.force_limits_n)),
         clock=devices.clock,
     )
+
+
+def cell_with(
+    settings: Settings,
+    devices: Devices,
+    runs: Path,
+    on_step: Callable[[int, str], None],
+    known: Calibrated | None = None,
+) -> Cell:
+    """A cell around given devices, which it surrounds with their limits."""
+    one_heap()
+    guarded = guarded_devices(settings, devices)
     watched = isinstance(devices.clock, RealClock)
     hurried = watched or settings.world.real_time_factor is not None
     return Cell(
         guarded,
-        cell_task(settings),
+        cell_task(settings, known),
         settings.model_dump(mode="json"),
         runs,
         on_step,
@@ -97,39 +109,45 @@ def twin_devices(twins: Twins) -> Devices:
     return Devices(twins.arm, twins.camera, twins.gripper, twins.world.clock)
 
 
-def real_devices(settings: Settings) -> Devices:
-    """Arm, camera and gripper as the settings name them, not connected yet."""
+def real_devices(settings: Settings, known: Calibrated | None = None) -> Devices:
+    """Arm, camera and gripper as the settings name them, not connected yet.
+
+    known  their delays; None = as typed
+    """
+    known = typed(settings) if known is None else known
     arm, gripper, clock = settings.arm, settings.gripper, RealClock()
     assert isinstance(arm, given.UrArm)
     assert isinstance(gripper, given.SerialGripper)
     mount = PlaneMount(arm.plane_origin_m, arm.plane_x_axis, arm.plane_y_axis)
     reached = arm.model_dump(include={"host", "model", "tcp", "rate_hz", *_UR_TUNING})
+    reached["lag_s"] = known.lag_s
     serial = gripper.model_dump(include={"port", "address", "baud", "reply_s"})
     return Devices(
         arm=UrArm(UrOptions(mount=mount, **reached)),
-        camera=_real_camera(settings, clock),
+        camera=_real_camera(settings, clock, known.latency_s),
         gripper=SerialGripper(SerialGripperOptions(**serial), clock),
         clock=clock,
     )
 
 
-def _real_camera(settings: Settings, clock: RealClock) -> Camera:
+def _real_camera(settings: Settings, clock: RealClock, latency_s: float) -> Camera:
     values = settings.camera.model_dump(exclude={"kind", "view", "latency_s", "lost_after_s"})
     match settings.camera:
         case given.OpenCvCamera() as camera:
-            capture = CaptureOptions(camera.latency_s, lost_after_s=camera.lost_after_s)
+            capture = CaptureOptions(latency_s, lost_after_s=camera.lost_after_s)
             return OpenCvCamera(OpenCvOptions(**values, capture=capture), clock)
         case given.GenicamCamera() as camera:
-            capture = CaptureOptions(camera.latency_s, lost_after_s=camera.lost_after_s)
+            capture = CaptureOptions(latency_s, lost_after_s=camera.lost_after_s)
             return GenicamCamera(GenicamOptions(**values, capture=capture), clock)
         case given.FilesCamera() as camera:
             return FilesCamera(camera.folder, camera.frame_rate_hz, clock)
     raise AssertionError("the settings refuse a simulated camera beside a real arm")
 
 
-def cell_task(settings: Settings) -> Task:
-    """What the settings ask the cell to do with every cable."""
+def cell_task(settings: Settings, known: Calibrated | None = None) -> Task:
+    """What the settings ask the cell to do with every cable; `known` None = as typed."""
     motion = settings.motion
+    known = typed(settings) if known is None else known
     return Task(
         cable=cable_of(settings),
         destination=Destination(*settings.destination.x_m, *settings.destination.y_m),
@@ -147,12 +165,20 @@ def cell_task(settings: Settings) -> Task:
         lowering=MotionLimits(**motion.lowering.model_dump()),
         insertion=MotionLimits(**motion.insertion.model_dump()),
         force_n=settings.gripper.force_n,
-        view=view_of(settings.camera.view),
+        view=known.view,
+        map_std_m=known.map_std_m,
         vision=vision_of(settings),
         identification=identification_of(settings),
-        choice=ChoiceOptions(least_probability=settings.choice.min_probability),
+        choice=_choice(settings, known),
         model=model_hash(settings.model),
     )
+
+
+def _choice(settings: Settings, known: Calibrated) -> ChoiceOptions:
+    """How to choose; where the camera puts the destination is uncertain by the map as well."""
+    options = ChoiceOptions(least_probability=settings.choice.min_probability)
+    upright_m = known.map_std_m / np.sqrt(2.0)
+    return replace(options, repeatability_m=float(np.hypot(options.repeatability_m, upright_m)))
 
 
 def _arm_limits(settings: Settings) -> ArmLimits:

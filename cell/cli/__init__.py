@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import typer
 
-from cell.cli import lab, line, records, run, settings
+from cell.cli import calibrate, lab, line, records, run, settings
 from cell.cli.streams import usable_streams
 
 app = typer.Typer(
@@ -19,6 +19,7 @@ app = typer.Typer(
 )
 for group in (run, settings, records, lab, line):
     app.add_typer(group.app)
+app.add_typer(calibrate.app)
 
 
 def main() -> None:

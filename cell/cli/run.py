@@ -82,6 +82,7 @@ def run(
     from cell.records.folder import RecordError
     from cell.run.plans import INSERTING, measuring
     from cell.settings import load_settings
+    from cell.settings.calibrated import calibrated
     from cell.terminal.console import RunProgress, troubles
 
     if speed != 1.0 and not dry_run:
@@ -89,6 +90,7 @@ def run(
     results: list[Result] = []
     try:
         settings = load_settings(config)
+        known = calibrated(settings, config)
         plan = INSERTING if motion is None else measuring(load_motion(motion, settings))
         with _emulators(settings, seed), interrupted_once() as not_lost, ExitStack() as shown:
 
@@ -97,7 +99,7 @@ def run(
                 progress.step(number, step)
 
             cables = 0 if dry_run else cycles
-            cell = build_cell(settings, out, seed=seed, cycles=cables, on_step=on_step)
+            cell = build_cell(settings, out, seed=seed, cycles=cables, on_step=on_step, known=known)
             try:
                 if dry_run:
                     plan = cell.rehearsal(plan, speed)
@@ -114,7 +116,7 @@ def run(
         print(f"{error}; make room there, or choose another folder with --out", file=sys.stderr)
         raise typer.Exit(NOT_ALL_DONE if results else BAD_INPUT) from error
     if not as_json:
-        _show(results, plan.names, dry_run)
+        _show(results, plan.names, dry_run, known.notes)
     for line in troubles(results):
         print(line, file=sys.stderr)
     for line in _changes(out, results, config):
@@ -145,7 +147,9 @@ def _results(cell: Cell, plan: Plan, cycles: int, progress: RunProgress) -> Iter
                 return
 
 
-def _show(results: Sequence[Result], steps: Sequence[str], dry_run: bool) -> None:
+def _show(
+    results: Sequence[Result], steps: Sequence[str], dry_run: bool, notes: Sequence[str]
+) -> None:
     """Print the tables of a run, and where its records are."""
     from rich.console import Console
 
@@ -158,6 +162,8 @@ def _show(results: Sequence[Result], steps: Sequence[str], dry_run: bool) -> Non
     else:
         console.print(results_table(results))
     console.print(seconds_table(results, steps))
+    for note in notes:
+        console.print(note, highlight=False)
     for result in results:
         what = "dry run" if dry_run else "cable"
         console.print(f"{what} {result.cycle}: {result.folder}", highlight=False)

@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.plane import PlaneView
 from cell.settings import Settings, load_settings
+from cell.settings.calibrated import calibrated
 from cell.vision.marks import JawMarks
 
 FloatArray = NDArray[np.float64]
@@ -46,12 +48,9 @@ class Surroundings:
     frame_rate_hz: float | None = None
 
     @staticmethod
-    def of(settings: Settings) -> Surroundings:
-        """Of a cell."""
+    def of(settings: Settings, view: PlaneView) -> Surroundings:
+        """Of a cell, with the map of its camera."""
         limits, home, camera = settings.limits, settings.motion.home, settings.camera
-        scale = camera.view.metres_per_pixel
-        left = (EDGE_PX - camera.view.origin_column_px) * scale
-        top = (camera.view.origin_row_px - EDGE_PX) * scale
         return Surroundings(
             home=(home.x_m, home.y_m, home.angle_rad),
             x_m=limits.x_m,
@@ -60,10 +59,7 @@ class Surroundings:
             velocity_m_per_s=limits.velocity_m_per_s,
             acceleration_m_per_s2=limits.acceleration_m_per_s2,
             jerk_m_per_s3=limits.jerk_m_per_s3,
-            picture_m=(
-                (left, left + (camera.width_px - 1 - 2 * EDGE_PX) * scale),
-                (top - (camera.height_px - 1 - 2 * EDGE_PX) * scale, top),
-            ),
+            picture_m=pictured(view, camera.width_px, camera.height_px),
             workpiece_m=settings.destination.x_m[1],
             frame_rate_hz=camera.frame_rate_hz,
         )
@@ -71,7 +67,10 @@ class Surroundings:
     @staticmethod
     def read(config: Path | None) -> Surroundings:
         """Of the cell with these settings; a cautious box without.  Raises InputError."""
-        return Surroundings() if config is None else Surroundings.of(load_settings(config))
+        if config is None:
+            return Surroundings()
+        settings = load_settings(config)
+        return Surroundings.of(settings, calibrated(settings, config).view)
 
     def allows(self, angle_rad: float) -> bool:
         """Whether a clamp angle is inside its limits by the margin, or is that of home."""
@@ -109,6 +108,17 @@ class Surroundings:
             return ranges
         x, y = (float(np.clip(h, *r)) for h, r in zip(self.home[:2], ranges, strict=True))
         return x, y
+
+
+def pictured(view: PlaneView, width_px: int, height_px: int) -> tuple[Range, Range]:
+    """x and y of an upright rectangle that the view has within the picture, its edge left off."""
+    right, bottom = width_px - 1 - EDGE_PX, height_px - 1 - EDGE_PX
+    corners = [[EDGE_PX, EDGE_PX], [right, EDGE_PX], [right, bottom], [EDGE_PX, bottom]]
+    x, y = view.to_plane(np.array(corners)).T
+    return (
+        (float(max(x[0], x[3])), float(min(x[1], x[2]))),
+        (float(max(y[2], y[3])), float(min(y[0], y[1]))),
+    )
 
 
 @dataclass(frozen=True)

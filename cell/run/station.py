@@ -56,6 +56,8 @@ class Task:
     identification: IdentifyOptions
     choice: ChoiceOptions
     model: str
+    map_std_m: float = 0.0
+    """Of a point's place by the view, over both axes together."""
 
     @property
     def lowered(self) -> Pose:

@@ -68,6 +68,7 @@ def study_of(name: str, task: Task, trials: Sequence[Trial]) -> Study:
     grip_px = task.view.to_pixels(np.array([grip.x_m[0], grip.y_m[0]]))
     in_motion_m = NODE_ERROR_PX / pixels_per_metre(task.view, grip_px)
     noise_m = max(in_motion_m, 0.0 if at_rest is None else at_rest[0])
+    noise_m = float(np.hypot(noise_m, task.map_std_m / np.sqrt(2.0)))
     return Study(name, task.cable, task.arc_length_m, tuple(trials), noise_std_m=noise_m)
 
 

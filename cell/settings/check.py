@@ -60,6 +60,7 @@ def contradictions(document: Document, settings: Settings) -> list[Problem]:
         *_brisker_than_limits(document, settings),
         *_devices(document, settings),
         *_emulated(document, settings),
+        *_calibration(document, settings),
         *_hidden_effects(document, settings),
         *_model(document, settings),
     ]
@@ -189,6 +190,22 @@ def _devices(document: Document, settings: Settings) -> list[Problem]:
     return problems
 
 
+def _calibration(document: Document, settings: Settings) -> list[Problem]:
+    """The map from pixels to the plane is typed or calibrated, not both, not neither."""
+    if settings.camera.view is not None and settings.calibration is not None:
+        message = "is calibrated (section `calibration`); leave out one of the two"
+        return [document.problem(("camera", "view"), message)]
+    if settings.camera.view is None and settings.calibration is None:
+        message = "is missing; add the section `calibration: {}` and run `cell calibrate`, or type "
+        return [document.problem(("camera", "view"), message + "it by hand")]
+    hidden = settings.world.camera
+    shown = "sim" in (settings.camera.kind,) or settings.emulated is not None
+    if shown and settings.camera.view is None and hidden is None:
+        message = "where the camera stands is missing: this cell is not real, so say it here"
+        return [document.problem(("world", "camera"), message)]
+    return []
+
+
 def _emulated(document: Document, settings: Settings) -> list[Problem]:
     """Whether emulators can be where the devices are, and nothing real is there."""
     if settings.emulated is None:
@@ -301,6 +318,8 @@ def _destination_in_reach(document: Document, settings: Settings) -> list[Proble
 def _in_view(document: Document, settings: Settings) -> list[Problem]:
     """The camera must see where the tip is to pass, otherwise nothing can be verified."""
     camera = settings.camera
+    if camera.view is None:
+        return []  # seen when the calibration is read
     scale = camera.view.metres_per_pixel
     left_m = -camera.view.origin_column_px * scale
     top_m = camera.view.origin_row_px * scale
@@ -324,7 +343,8 @@ def _in_view(document: Document, settings: Settings) -> list[Problem]:
 
 def _wide_enough(document: Document, settings: Settings) -> list[Problem]:
     """The cable must fit into the destination, and the camera must see that it did."""
-    pixel_m = settings.camera.view.metres_per_pixel
+    view = settings.camera.view
+    pixel_m = 0.0 if view is None else view.metres_per_pixel
     problems = []
     for name, least_m, what in (
         ("x_m", pixel_m, "a pixel of the camera"),

@@ -240,11 +240,37 @@ class View(_Section):
     origin_row_px: Finite
 
 
+class Calibration(_Section):
+    """Where `cell calibrate` leaves what it finds, and how good and how old it may be.
+
+    With this section camera map, latency, lag and, for a UR arm, plane and tool come from there,
+    and nothing moves unless they are there, fit the devices, and are good and new enough.
+    """
+
+    folder: Path = Path("calibration")
+    max_age_days: Positive = 90.0
+    """Of camera and cell."""
+    time_max_age_h: Positive = 24.0
+    """Of latency and lag: a camera's stamps change with every start."""
+    max_error_m: Positive = 1.5e-4
+    """Of the map, 95 % bound anywhere in the field."""
+    max_time_error_s: Positive = 1e-3
+    """Of latency and lag, 95 % bound."""
+    square_m: Positive = 0.02
+    """Side of a square of the board, as measured on the printout."""
+    columns: Annotated[int, Field(ge=3, le=40)] = 12
+    rows: Annotated[int, Field(ge=3, le=40)] = 9
+    dictionary: str = "4X4_100"
+    legacy: bool = False
+    """Pattern of the board as before OpenCV 4.6."""
+
+
 class _Camera(_Section):
     width_px: Annotated[int, Field(ge=64, le=10_000)] = 1280
     height_px: Annotated[int, Field(ge=64, le=10_000)] = 1024
     frame_rate_hz: Annotated[float, Field(ge=10.0, le=2000.0)] = 200.0
-    view: View
+    view: View | None = None
+    """Typed by hand, for a cell that is not calibrated; null = from the section `calibration`."""
 
 
 def _told_apart(discs_m: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
@@ -360,8 +386,35 @@ class SerialGripper(_Gripper):
     """Time that an answer may take; two missing in a row are a lost gripper, and stop the arm."""
 
 
+class HiddenCamera(_Section):
+    """Where the camera of a simulated or emulated cell really stands, and what its lens is."""
+
+    metres_per_pixel: Annotated[float, Field(gt=0.0, le=0.01)]
+    """Across the line of sight, in the middle of the picture."""
+    origin_column_px: Finite
+    """Where a camera square to the plane would see its origin."""
+    origin_row_px: Finite
+    focal_px: Annotated[float, Field(ge=100.0, le=100_000.0)] = 2600.0
+    tilt_rad: Annotated[float, Field(ge=-0.7, le=0.7)] = 0.0
+    """Turn about the plane's x axis: positive = it looks down."""
+    pan_rad: Annotated[float, Field(ge=-0.7, le=0.7)] = 0.0
+    roll_rad: Annotated[float, Field(ge=-0.7, le=0.7)] = 0.0
+    k1: Annotated[float, Field(ge=-0.5, le=0.5)] = 0.0
+    """Distortion, with k2, p1 and p2 as in OpenCV."""
+    k2: Annotated[float, Field(ge=-0.5, le=0.5)] = 0.0
+    p1: Annotated[float, Field(ge=-0.01, le=0.01)] = 0.0
+    p2: Annotated[float, Field(ge=-0.01, le=0.01)] = 0.0
+    stamps_late_s: Annotated[float, Field(ge=0.0, le=0.5)] = 0.0
+    """Of a simulated camera: its frames say that they were exposed that much later."""
+
+
 class World(_Section):
     """The simulated cables: what the cell must find out and never reads."""
+
+    camera: HiddenCamera | None = None
+    """null = it stands as `camera.view` says."""
+    arm_lag_s: Annotated[float, Field(ge=0.0, le=0.3)] | None = None
+    """How late a simulated arm really follows; null = as `arm.lag_s` says."""
 
     rigidity_n_m2: PositiveRange = (1.5e-5, 5e-5)
     """Flexural rigidity of an individual is drawn from this range, evenly in its logarithm."""
@@ -410,6 +463,8 @@ class Settings(_Section):
     ]
     gripper: Annotated[SimulatedGripper | SerialGripper, Field(discriminator="kind")]
     vision: Vision = Vision()
+    calibration: Calibration | None = None
+    """Null = uncalibrated: `camera.view`, `camera.latency_s` and `arm.lag_s` are typed by hand."""
     identification: Identification = Identification()
     model: Model = Model()
     choice: Choice = Choice()

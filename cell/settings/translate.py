@@ -7,7 +7,6 @@ import json
 
 import numpy as np
 
-from calib.plane import PlaneView
 from cell.cable.effects import Effect
 from cell.cable.geometry import Cable
 from cell.identify.individual import IdentifyOptions
@@ -27,11 +26,6 @@ def cable_of(settings: Settings) -> Cable:
 def pose_of(pose: given.Pose) -> Pose:
     """Pose of the gripping point in the cell's plane."""
     return Pose(pose.x_m, pose.y_m, pose.angle_rad)
-
-
-def view_of(view: given.View) -> PlaneView:
-    """The map between pixels and the cell's plane."""
-    return PlaneView.from_scale(view.metres_per_pixel, view.origin_column_px, view.origin_row_px)
 
 
 def vision_of(settings: Settings) -> VisionOptions:

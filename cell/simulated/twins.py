@@ -8,13 +8,15 @@ import numpy as np
 
 from cell.settings import Settings
 from cell.settings import model as given
-from cell.settings.translate import pose_of, view_of
+from cell.settings.calibrated import Calibrated, typed
+from cell.settings.translate import pose_of
 from cell.simulated.hidden import cable_shape, hidden_cable
 from drivers.files import FilesCamera
 from drivers.sim.arm import ArmTwinOptions, SimArm
-from drivers.sim.camera import CameraTwinOptions, SimCamera
+from drivers.sim.camera import CameraTwinOptions, SimCamera, Staging
 from drivers.sim.clock import SimClock
 from drivers.sim.gripper import SimGripper
+from drivers.sim.pinhole import Pinhole, Sight
 from drivers.sim.render import LIGHT_ON_DARK, RenderOptions
 from drivers.sim.world import World
 
@@ -28,30 +30,52 @@ class Twins:
     camera: SimCamera | FilesCamera
     gripper: SimGripper
 
+    def stage(self, staging: Staging) -> None:
+        """Hold something before the camera."""
+        if isinstance(self.camera, SimCamera):
+            self.camera.staging = staging
 
-def build_twins(settings: Settings, seed: int, cycles: int) -> Twins:
-    """The simulated world with `cycles` cables laid out; for settings whose devices are `sim`."""
+
+def build_twins(
+    settings: Settings, seed: int, cycles: int, known: Calibrated | None = None
+) -> Twins:
+    """The simulated world with `cycles` cables laid out; for settings whose devices are `sim`.
+
+    known  what the devices' drivers are told of their delays; None = as typed
+    """
+    known = typed(settings) if known is None else known
     arm = settings.arm
     assert isinstance(arm, given.SimulatedArm)
     clock = SimClock(real_time_factor=settings.world.real_time_factor)
     world = World(clock, pose_of(settings.motion.home))
     for number in range(1, cycles + 1):
         world.present(cable_shape(hidden_cable(settings, seed, number), settings.world.segments))
-    options = ArmTwinOptions(lag_s=arm.lag_s, rate_hz=arm.rate_hz, noise_m=arm.noise_m)
+    true_lag_s = settings.world.arm_lag_s
+    options = ArmTwinOptions(
+        lag_s=known.lag_s,
+        true_lag_s=arm.lag_s if true_lag_s is None else true_lag_s,
+        rate_hz=arm.rate_hz,
+        noise_m=arm.noise_m,
+    )
     return Twins(
         world,
         SimArm(world, options, seed=seed),
-        _simulated_camera(settings, world, seed),
+        _simulated_camera(settings, world, seed, known),
         SimGripper(world),
     )
 
 
-def _simulated_camera(settings: Settings, world: World, seed: int) -> SimCamera | FilesCamera:
+def _simulated_camera(
+    settings: Settings, world: World, seed: int, known: Calibrated
+) -> SimCamera | FilesCamera:
     camera = settings.camera
     if isinstance(camera, given.FilesCamera):
         return FilesCamera(camera.folder, camera.frame_rate_hz, world.clock)
     assert isinstance(camera, given.SimulatedCamera)
-    return SimCamera(world, camera_twin(settings, camera, seed), seed=seed)
+    hidden = settings.world.camera
+    late_s = 0.0 if hidden is None else hidden.stamps_late_s - known.latency_s
+    twin = replace(camera_twin(settings, camera, seed), stamps_late_s=late_s)
+    return SimCamera(world, twin, seed=seed)
 
 
 def camera_twin(
@@ -73,7 +97,24 @@ def camera_twin(
         read_noise=look.read_noise,
         scene_seed=seed,
     )
-    return CameraTwinOptions(view_of(camera.view).homography, picture, camera.frame_rate_hz)
+    return CameraTwinOptions(_sight(settings), picture, camera.frame_rate_hz)
+
+
+def _sight(settings: Settings) -> Sight:
+    """Where the camera of a cell that is not real really stands."""
+    hidden, camera = settings.world.camera, settings.camera
+    if hidden is None:
+        return typed(settings).view.homography
+    return Pinhole.standing(
+        metres_per_pixel=hidden.metres_per_pixel,
+        origin_px=(hidden.origin_column_px, hidden.origin_row_px),
+        size_px=(camera.width_px, camera.height_px),
+        focal_px=hidden.focal_px,
+        tilt_rad=hidden.tilt_rad,
+        pan_rad=hidden.pan_rad,
+        roll_rad=hidden.roll_rad,
+        distortion=(hidden.k1, hidden.k2, hidden.p1, hidden.p2, 0.0),
+    )
 
 
 def _plate_m(jaw: given.JawPlate) -> tuple[float, float, float, float]:

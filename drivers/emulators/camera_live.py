@@ -12,7 +12,7 @@ import numpy as np
 from drivers.emulators.camera_poses import RtdePoses
 from drivers.interfaces import FloatArray, Image, Trajectory
 from drivers.plane_mount import PlaneMount
-from drivers.sim.camera import CameraTwinOptions, photograph
+from drivers.sim.camera import CameraTwinOptions, Staging, photograph
 from drivers.sim.world import View
 from drivers.ur_kinematics import MODELS, matrix_of
 
@@ -83,6 +83,7 @@ class LiveScene:
         self._camera = camera
         self._rng = np.random.default_rng(seed)
         self._cable: LiveCable | None = None
+        self._staging = Staging()
         self._grip = _Track()
         self._shape = _Track()
         self._new_s, self._new = np.empty(0), np.empty((0, 3))  # poses new to the cable
@@ -97,7 +98,13 @@ class LiveScene:
             self.keep_up()
 
     def tell(self, message: object) -> None:
-        """A `CableFactory` = gripped; None = let go.  Raises TypeError: anything else."""
+        """A `CableFactory` = gripped; None = let go; a `Staging` = shown from now on.
+
+        raises  TypeError: anything else
+        """
+        if isinstance(message, Staging):
+            self._staging = message
+            return
         if message is not None and not callable(message):
             raise TypeError(f"{message!r} is neither a cable's factory nor None")
         self._swing()  # what came so far is not the new cable's
@@ -122,7 +129,10 @@ class LiveScene:
         moments_s = t_s + span_s * np.array([-0.5, 0.0, 0.5])
         cables = None if self._shape.empty else self._shape.at(moments_s)
         return photograph(
-            View(moments_s, self._grip.at(moments_s), cables), self._camera, self._rng
+            View(moments_s, self._grip.at(moments_s), cables),
+            self._camera,
+            self._rng,
+            self._staging,
         )
 
     def keep_up(self) -> None:

@@ -15,7 +15,7 @@ from drivers.interfaces import (
     Image,
 )
 from drivers.sim.pinhole import Sight
-from drivers.sim.render import Rates, RenderOptions, render
+from drivers.sim.render import Patches, Rates, RenderOptions, render
 from drivers.sim.world import View, World
 
 _LOST_REMEDY = "check the camera's cable and power, then connect again"
@@ -58,6 +58,14 @@ class CameraTwinOptions:
     stamps_late_s: float = 0.0
 
 
+@dataclass(frozen=True, eq=False)
+class Staging:
+    """What a person holds before the camera: a board, a thread; and whether the jaw is in view."""
+
+    patches: tuple[Patches, ...] = ()
+    jaw: bool = True
+
+
 class SimCamera:
     """A camera in a simulated world; a frame costs nothing until it is read."""
 
@@ -66,6 +74,7 @@ class SimCamera:
     ) -> None:
         self.name = name
         self.faults = CameraFaults()
+        self.staging = Staging()
         self._world = world
         self._clock = world.clock
         self._options = options
@@ -160,16 +169,21 @@ class SimCamera:
         span_s = max(picture.exposure_s, 1e-4)
         view = self._world.look(exposed_s + span_s * np.array([-0.5, 0.0, 0.5]))
         rng = np.random.default_rng([self._seed, self._recordings, index])
-        return photograph(view, replace(self._options, picture=picture), rng)
+        return photograph(view, replace(self._options, picture=picture), rng, self.staging)
 
 
-def photograph(view: View, options: CameraTwinOptions, rng: np.random.Generator) -> Image:
+def photograph(
+    view: View,
+    options: CameraTwinOptions,
+    rng: np.random.Generator,
+    staging: Staging = Staging(),
+) -> Image:
     """Picture of a view at three moments: the exposure's beginning, middle and end."""
     span_s = float(view.t_s[2] - view.t_s[0])
     cables = view.cables
     return render(
         None if cables is None else cables[1],
-        _triple(view.grip[1]),
+        _triple(view.grip[1]) if staging.jaw else None,
         options.sight,
         options.picture,
         rng,
@@ -177,6 +191,7 @@ def photograph(view: View, options: CameraTwinOptions, rng: np.random.Generator)
             None if cables is None else (cables[2] - cables[0]) / span_s,
             _triple((view.grip[2] - view.grip[0]) / span_s),
         ),
+        patches=staging.patches,
     )
 
 

@@ -1,0 +1,1 @@
+"""Calibrates a cell: shows, moves and films what is needed, and keeps what it finds."""

@@ -1,0 +1,256 @@
+"""Measurements → calibration: each fit, what is stored of it, and today's error against it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.board import Board, BoardView, find_board
+from calib.camera import CameraFit, fit_camera, picture_grid
+from calib.cell import CellFit, Gravity, MarksModel, Plate, fit_cell
+from calib.errors import CalibrationError, TooFewError
+from calib.lens import Lens
+from calib.store import Stored
+from calib.thread import find_thread
+from calib.timing import Delay, arm_lag, camera_latency
+from cell.calibration.measure import marks_m, matrix_of, seen_marks
+from cell.calibration.raw import Picture, SeenMove, ShownCell
+from cell.settings import Settings
+from cell.settings.calibrated import CIRCLE_95, devices_of
+from cell.settings.translate import pose_of, vision_of
+
+FloatArray = NDArray[np.float64]
+
+#: A base is mounted level to this without a plumb line: standard deviation, rad.
+LEVEL_SPREAD_RAD = 0.0035
+#: Half of a normal law's 95 % interval, in standard deviations.
+_SIGMAS_95 = 1.96
+
+
+def board_of(settings: Settings) -> Board:
+    """The board that the settings describe.  Raises ValueError: it is impossible."""
+    given = settings.calibration
+    if given is None:
+        return Board()
+    return Board(
+        given.columns, given.rows, given.square_m, dictionary=given.dictionary, legacy=given.legacy
+    )
+
+
+def camera_from(
+    pictures: Sequence[Picture], board: Board
+) -> tuple[CameraFit, tuple[BoardView, ...], tuple[str, ...]]:
+    """Lens, the views that it comes from, and what was wrong with other pictures.
+
+    Corners are found, a lens fitted, corners found again with it, and the lens fitted again.
+    raises  CalibrationError
+    """
+    troubles: list[str] = []
+    first = _views(pictures, board, None, troubles)
+    lens = fit_camera(first, board).lens
+    views = _views(pictures, board, lens, [])
+    return fit_camera(views, board), tuple(views), tuple(troubles)
+
+
+def _views(
+    pictures: Sequence[Picture], board: Board, lens: Lens | None, troubles: list[str]
+) -> list[BoardView]:
+    views, wrong = [], []
+    for picture in pictures:
+        try:
+            view = find_board(picture.image, board, picture.name, lens)
+        except CalibrationError as error:
+            wrong.append(error)
+            troubles.append(str(error))
+            continue
+        if view is None:
+            troubles.append(f"{picture.name}: the board was not found")
+        else:
+            views.append(view)
+    if len(wrong) > len(pictures) // 2:
+        raise wrong[0]
+    return views
+
+
+def stored_camera(fit: CameraFit, settings: Settings) -> Stored:
+    """What is kept of a lens."""
+    return Stored(
+        "camera",
+        datetime.now(UTC),
+        {
+            "pictures": len(fit.views),
+            "corners": sum(v.corners for v in fit.views),
+            "outliers": fit.outliers,
+        },
+        _only(devices_of(settings), "camera", "width_px", "height_px"),
+        {
+            "noise_px": fit.noise_px,
+            "spread_95_px": CIRCLE_95 * float(fit.spread_px.max()),
+            "halves_rms_px": float(np.sqrt(np.mean(fit.halves_px**2))),
+        },
+        {"lens": fit.lens.numbers, "warp_m": fit.warp_m},
+        fit.covariance,
+    )
+
+
+def cell_from(shown: ShownCell, camera: Stored, settings: Settings) -> CellFit:
+    """Plane, robot, marks and gravity.  Raises CalibrationError."""
+    marks = vision_of(settings).marks
+    threads = () if shown.thread is None else (find_thread(*shown.thread),)
+    role = {name: [p for p in shown.poses if p.role == name] for name in ("fit", "held_out")}
+    found = seen_marks(role["fit"], marks)
+    if len(found) < 0.7 * len(role["fit"]):
+        raise TooFewError(
+            f"the marks on the jaw were found in {len(found)} of {len(role['fit'])} poses",
+            "see that all four are lit, sharp, in the picture and not hidden",
+        )
+    return fit_cell(
+        found,
+        seen_marks(role["held_out"], marks),
+        Plate(marks_m(marks), marks.radius_m),
+        Lens.of(camera.array("lens", (9,))),
+        camera.covariance,
+        Gravity(np.array([0.0, 1.0, 0.0]), LEVEL_SPREAD_RAD, threads),
+        matrix_of(pose_of(settings.motion.home)),
+        in_plane=True,
+    )
+
+
+def stored_cell(fit: CellFit, settings: Settings) -> Stored:
+    """What is kept of a cell."""
+    size = (settings.camera.width_px, settings.camera.height_px)
+    spread_m = fit.spread_m(picture_grid(size))
+    origin_m, turn_rad = fit.plane_spread()
+    roll_rad, roll_std = fit.roll()
+    held_out = np.linalg.norm(fit.held_out_m, axis=1)
+    lens = fit.view.lens
+    assert lens is not None
+    return Stored(
+        "cell",
+        datetime.now(UTC),
+        {
+            "poses": len(fit.residuals_px),
+            "held_out": len(held_out) // len(vision_of(settings).marks.centres_m),
+        },
+        _only(devices_of(settings), "camera", "width_px", "height_px", "arm"),
+        {
+            "map_95_m": CIRCLE_95 * float(spread_m.max()),
+            "map_rms_m": float(np.sqrt(np.mean(spread_m**2))),
+            "held_out_rms_m": float(np.sqrt(np.mean(held_out**2))) if len(held_out) else np.nan,
+            "held_out_max_m": float(held_out.max()) if len(held_out) else np.nan,
+            "noise_px": fit.noise_px,
+            "arm_noise_px": fit.arm_noise_px,
+            "plane_origin_95_m": CIRCLE_95 * origin_m,
+            "plane_turn_95_rad": _SIGMAS_95 * turn_rad,
+            "roll_95_rad": _SIGMAS_95 * roll_std,
+        },
+        {
+            "homography": fit.view.homography,
+            "lens": lens.numbers,
+            "roll_rad": roll_rad,
+            "marks_scale": fit.scale[0],
+            "plane_in_arm": fit.X_BP,
+            "marks_in_tool": fit.X_TM,
+            "parameters": fit.mean,
+        },
+        fit.covariance,
+    )
+
+
+@dataclass(frozen=True)
+class Times:
+    """Latency of the camera's stamps and lag of the arm."""
+
+    latency: Delay
+    lag: Delay
+
+
+def times_from(move: SeenMove) -> Times:
+    """Both delays from one motion.  Raises CalibrationError."""
+    return Times(
+        camera_latency(move.stamps_s, move.seen_m, move.hand), arm_lag(move.told, move.hand)
+    )
+
+
+def stored_times(times: Times, settings: Settings, frames: int, told: float) -> Stored:
+    """What is kept of the delays; `told` is the latency that the driver took off already."""
+    return Stored(
+        "time",
+        datetime.now(UTC),
+        {"frames": frames},
+        _only(devices_of(settings), "camera", "arm", "lookahead_s"),
+        {
+            "latency_95_s": times.latency.half_width_s,
+            "lag_95_s": times.lag.half_width_s,
+            "latency_rms_m": times.latency.rms_m,
+            "lag_rms_m": times.lag.rms_m,
+        },
+        {"latency_s": told + times.latency.value_s, "lag_s": times.lag.value_s},
+    )
+
+
+# --- today against what is stored -------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Today:
+    """How far the cell is beside its calibration; `sentence` and `command` for a person.
+
+    moved_m    the marks beside where the stored map has them, the mean
+    left_m     rms of the rest
+    """
+
+    good: bool
+    sentence: str
+    command: str | None
+    moved_m: float
+    left_m: float
+    latency_change_s: float | None
+
+
+def today(
+    shown: ShownCell, cell: Stored, times: Times | None, settings: Settings, config: str
+) -> Today:
+    """Today's error.  Raises CalibrationError: the marks are not found."""
+    marks = vision_of(settings).marks
+    found = seen_marks(shown.poses, marks)
+    if not found:
+        raise TooFewError(
+            "the marks on the jaw were found in none of the poses",
+            "see that they are lit and that the camera looks at the hand; then check again",
+        )
+    limits = settings.calibration
+    assert limits is not None
+    mean = cell.array("parameters", (24,))
+    gravity = Gravity(np.array([0.0, 1.0, 0.0]), LEVEL_SPREAD_RAD)
+    off_px = MarksModel(found, marks_m(marks), gravity, 1.0)(mean)[0]
+    homography = cell.array("homography", (3, 3))
+    scale_m = float(np.sqrt(abs(np.linalg.det(homography[:2, :2]))) / abs(homography[2, 2]))
+    shift = off_px.mean(axis=0)
+    moved_m = float(np.linalg.norm(shift)) * scale_m
+    left_m = float(np.sqrt(np.mean(np.sum((off_px - shift) ** 2, axis=1)))) * scale_m
+    bound_m = limits.max_error_m
+    change_s = None if times is None else times.latency.value_s
+    command = f"cell calibrate cell --config {config}"
+    if moved_m > bound_m:
+        sentence = f"the camera, or the plate on the jaw, moved by {moved_m * 1e3:.2f} mm"
+        return Today(False, sentence, command, moved_m, left_m, change_s)
+    if left_m > bound_m:
+        sentence = f"the map is wrong by {left_m * 1e3:.2f} mm rms: the camera turned, or its lens"
+        command = f"cell calibrate --config {config}"
+        return Today(False, sentence, command, moved_m, left_m, change_s)
+    if change_s is not None and abs(change_s) > limits.max_time_error_s:
+        sentence = f"recalibrate time: the camera's latency changed by {change_s * 1e3:+.2f} ms"
+        command = f"cell calibrate time --config {config}"
+        return Today(False, sentence, command, moved_m, left_m, change_s)
+    sentence = f"good: {np.hypot(moved_m, left_m) * 1e3:.3f} mm beside the stored map"
+    return Today(True, sentence, None, moved_m, left_m, change_s)
+
+
+def _only(values: Mapping[str, Any], *names: str) -> dict[str, Any]:
+    return {name: values[name] for name in names}

@@ -1,0 +1,207 @@
+"""Shows the board, moves the hand and films it: the measurements of each calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.board import Board, BoardView, find_board
+from calib.camera import picture_grid
+from calib.cell import CellFit, Shown
+from calib.errors import CalibrationError
+from calib.plane import PlaneView
+from calib.plate import find_plate
+from calib.poses import choose_poses, in_picture
+from cell.calibration.raw import Picture, SeenMove, ShownCell, ShownPose
+from cell.calibration.session import FilmedMove, Session
+from cell.calibration.showing import BOARD_VIEWS, Assistant
+from cell.plan.measuring import Move, least_duration_s, measuring_path
+from cell.settings import Settings
+from cell.settings.translate import vision_of
+from cell.vision.marks import JawMarks, find_jaw
+from drivers.interfaces import Pose, Trajectory
+
+FloatArray = NDArray[np.float64]
+Say = Callable[[str], None]
+
+#: Poses shown before anything is known, chosen then, and held out of the fit.
+FIRST_POSES, CHOSEN_POSES, HELD_OUT_POSES = 9, 15, 6
+#: Share of the limits that is used, and of the cell's own briskness for the timing motion.
+_SHARE, _BRISK = 0.95, 0.8
+#: The same of the first poses, when nothing tells yet where the picture ends.
+_FIRST_SHARE = 0.75
+_COARSE = 4  # the picture is cut in so many columns and rows to say where corners are lacking
+
+
+def marks_m(marks: JawMarks) -> FloatArray:
+    """(M, 2) centres."""
+    return np.array(marks.centres_m)
+
+
+def show_board(session: Session, assistant: Assistant, board: Board, say: Say) -> list[Picture]:
+    """Pictures of the board in many poses, with word of where corners are lacking."""
+    pictures: list[Picture] = []
+    views: list[BoardView] = []
+    for number in range(1, BOARD_VIEWS + 1):
+        assistant.board(number, lacking(views))
+        picture = Picture(f"board_{number:02d}.png", session.picture())
+        pictures.append(picture)
+        try:
+            view = find_board(picture.image, board, picture.name)
+        except CalibrationError as error:
+            say(str(error))
+            continue
+        if view is not None:
+            views.append(view)
+        seen = 0 if view is None else len(view.ids)
+        say(f"view {number} of {BOARD_VIEWS}: {seen} of {len(board.corners_m)} corners")
+    assistant.clear()
+    return pictures
+
+
+def lacking(views: Sequence[BoardView]) -> str:
+    """Where in the picture few corners were seen: " further up and left", or nothing."""
+    if len(views) < 3:
+        return ""
+    width, height = views[0].size_px
+    pixels = np.concatenate([v.pixels for v in views])
+    counts, _, _ = np.histogram2d(
+        pixels[:, 1], pixels[:, 0], bins=_COARSE, range=[[0, height], [0, width]]
+    )
+    row, column = np.unravel_index(int(np.argmin(counts)), counts.shape)
+    if counts[row, column] > 0.25 * counts.mean():
+        return ""
+    up = "up" if row < _COARSE / 2 else "down"
+    return f" further {up} and {'left' if column < _COARSE / 2 else 'right'}, tilted"
+
+
+# --- poses of the hand ------------------------------------------------------------------------
+
+
+def show_hand(
+    session: Session, assistant: Assistant, fit: Callable[[ShownCell], CellFit], say: Say
+) -> ShownCell:
+    """The hand at rest in poses, the later ones where they teach most; and a plumb line."""
+    assistant.clear()
+    settings = session.settings
+    marks = vision_of(settings).marks
+    rng = np.random.default_rng(len(settings.cable.model_dump()))
+    poses: list[ShownPose] = []
+    total = FIRST_POSES + CHOSEN_POSES + HELD_OUT_POSES
+
+    def show(goal: Pose, role: str) -> None:
+        rest = session.rest_at(goal)
+        name = f"pose_{len(poses) + 1:02d}.png"
+        poses.append(ShownPose(role, rest.pose, Picture(name, rest.image)))
+        say(f"pose {len(poses)} of {total}")
+
+    for goal in first_poses(settings):
+        show(goal, "fit")
+    rough = fit(ShownCell(tuple(poses), None))
+    size = (settings.camera.width_px, settings.camera.height_px)
+    candidates = candidate_poses(settings)
+    field = picture_grid(size)[::2, ::2].reshape(-1, 2)
+    chosen = choose_poses(
+        rough, [matrix_of(p) for p in candidates], marks_m(marks), field, size, CHOSEN_POSES
+    )
+    for k in _in_short_ways([candidates[k] for k in chosen]):
+        show(k, "fit")
+    others = [Pose(*(float(v) for v in values)) for values in rng.uniform(*_box(settings), (60, 3))]
+    seen = in_picture(rough, [matrix_of(p) for p in others], marks_m(marks), size)
+    for goal in [others[k] for k in np.flatnonzero(seen)[:HELD_OUT_POSES]]:
+        show(goal, "held_out")
+    session.go_to(session.home)
+    without = session.picture(4)
+    thread = (session.picture(4), without) if assistant.thread() else None
+    assistant.clear()
+    return ShownCell(tuple(poses), thread)
+
+
+def first_poses(settings: Settings) -> list[Pose]:
+    """Corners and middles of a box well within the limits, turned alternately."""
+    low, high = _box(settings)
+    middle, half = 0.5 * (low + high), 0.5 * _FIRST_SHARE * (high - low)
+    low, high = middle - half, middle + half
+    places = list(product((low[0], middle[0], high[0]), (high[1], middle[1], low[1])))
+    turns = [low[2], high[2], middle[2]]
+    return [Pose(float(x), float(y), float(turns[k % 3])) for k, (x, y) in enumerate(places)]
+
+
+def candidate_poses(settings: Settings) -> list[Pose]:
+    """A grid over the limits."""
+    low, high = _box(settings)
+    axes = [np.linspace(a, b, n) for a, b, n in zip(low, high, (6, 6, 3), strict=True)]
+    return [Pose(*(float(v) for v in values)) for values in product(*axes)]
+
+
+def _box(settings: Settings) -> tuple[FloatArray, FloatArray]:
+    limits = settings.limits
+    edges = np.array([limits.x_m, limits.y_m, limits.angle_rad])
+    middle, half = edges.mean(axis=1), 0.5 * _SHARE * np.ptp(edges, axis=1)
+    half[2] = min(half[2], 0.35)  # more teaches little and takes time
+    return middle - half, middle + half
+
+
+def _in_short_ways(poses: Sequence[Pose]) -> list[Pose]:
+    """Each next to the one before."""
+    left, way = list(poses), []
+    here = left[0] if left else Pose(0.0, 0.0)
+    while left:
+        near = min(left, key=lambda p: abs(p.x_m - here.x_m) + abs(p.y_m - here.y_m))
+        left.remove(near)
+        way.append(near)
+        here = near
+    return way
+
+
+def matrix_of(pose: Pose) -> FloatArray:
+    """(4, 4) of a pose in the arm's plane; its third axis is the plane's normal."""
+    c, s = np.cos(pose.angle_rad), np.sin(pose.angle_rad)
+    X = np.eye(4)
+    X[:2, :2] = [[c, -s], [s, c]]
+    X[:2, 3] = pose.x_m, pose.y_m
+    return X
+
+
+def seen_marks(shown: Sequence[ShownPose], marks: JawMarks) -> list[Shown]:
+    """The poses in which the marks were found."""
+    found = []
+    for one in shown:
+        pixels = find_plate(one.picture.image, marks_m(marks), marks.radius_m)
+        if pixels is not None:
+            found.append(Shown(one.picture.name, matrix_of(one.pose), pixels))
+    return found
+
+
+# --- a motion ---------------------------------------------------------------------------------
+
+
+def timing_path(settings: Settings, start: Pose, rate_hz: float) -> Trajectory:
+    """Down and up again, twice, briskly, within the limits."""
+    limits, motion = settings.limits, settings.motion
+    way_m = min(motion.lower_m, start.y_m - limits.y_m[0])
+    brisk = motion.lowering
+    bounds = (
+        _BRISK * brisk.velocity_m_per_s,
+        _BRISK * brisk.acceleration_m_per_s2,
+        _BRISK * brisk.jerk_m_per_s3,
+    )
+    low = Pose(start.x_m, start.y_m - way_m, start.angle_rad)
+    lasts_s = max(0.25, least_duration_s(way_m, bounds))
+    return measuring_path(start, [Move(p, lasts_s) for p in (low, start, low, start)], rate_hz)
+
+
+def seen_move(filmed: FilmedMove, view: PlaneView, marks: JawMarks) -> SeenMove:
+    """Where the jaw was seen in each frame; nan where it was not."""
+    seen = np.full((len(filmed.frames), 2), np.nan)
+    near: FloatArray | None = None
+    for k, frame in enumerate(filmed.frames):
+        jaw = find_jaw(frame.image, view, marks, near)
+        near = None if jaw is None else jaw.grip_m
+        if jaw is not None:
+            seen[k] = jaw.grip_m
+    stamps_s = np.array([frame.t_s for frame in filmed.frames])
+    return SeenMove(filmed.told, filmed.hand, stamps_s, seen)

@@ -1,0 +1,159 @@
+"""What was shown, moved and filmed for a calibration, kept as a folder and read again."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.files.input_error import InputError, Problem
+from drivers.interfaces import Image, Pose, Trajectory
+
+FloatArray = NDArray[np.float64]
+
+_POSES, _TOLD, _HAND, _SEEN = "poses.csv", "told.csv", "hand.csv", "seen.csv"
+_THREAD, _WITHOUT = "thread.png", "without_thread.png"
+_PICTURES = (".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg", ".pgm")
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A picture and its name."""
+
+    name: str
+    image: Image
+
+
+@dataclass(frozen=True, eq=False)
+class ShownPose:
+    """The hand at rest: `role` is fit or held_out; pose as the arm measured it."""
+
+    role: str
+    pose: Pose
+    picture: Picture
+
+
+@dataclass(frozen=True, eq=False)
+class ShownCell:
+    """All poses, and pictures with and without a plumb line; None = there was none."""
+
+    poses: tuple[ShownPose, ...]
+    thread: tuple[Image, Image] | None
+
+
+@dataclass(frozen=True, eq=False)
+class SeenMove:
+    """A motion as told, as measured, and where the camera saw the gripping point at its stamps."""
+
+    told: Trajectory
+    hand: Trajectory
+    stamps_s: FloatArray
+    seen_m: FloatArray
+
+
+def save_pictures(folder: Path, pictures: Sequence[Picture]) -> None:
+    """Write pictures as PNG."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for picture in pictures:
+        cv2.imwrite(str(folder / picture.name), picture.image)
+
+
+def read_pictures(folder: Path) -> tuple[Picture, ...]:
+    """All pictures of a folder, by name.  Raises InputError: there are none, or not readable."""
+    if not folder.is_dir():
+        raise InputError([Problem(folder, 1, None, "", "is no folder; give one with pictures")])
+    paths = sorted(p for p in folder.iterdir() if p.suffix.lower() in _PICTURES)
+    if not paths:
+        raise InputError([Problem(folder, 1, None, "", "has no pictures (PNG, TIFF, JPEG)")])
+    return tuple(Picture(path.name, _read(path)) for path in paths)
+
+
+def save_cell(folder: Path, shown: ShownCell) -> None:
+    """Write poses and pictures."""
+    save_pictures(folder, [one.picture for one in shown.poses])
+    rows = [
+        (one.picture.name, one.role, one.pose.x_m, one.pose.y_m, one.pose.angle_rad)
+        for one in shown.poses
+    ]
+    _write(folder / _POSES, ("picture", "role", "x_m", "y_m", "angle_rad"), rows)
+    if shown.thread is not None:
+        cv2.imwrite(str(folder / _THREAD), shown.thread[0])
+        cv2.imwrite(str(folder / _WITHOUT), shown.thread[1])
+
+
+def read_cell(folder: Path) -> ShownCell:
+    """What `save_cell` wrote.  Raises InputError."""
+    poses = []
+    for line, row in _rows(folder / _POSES, 5):
+        name, role = row[0], row[1]
+        if role not in ("fit", "held_out"):
+            message = f"{role!r} must be fit or held_out"
+            raise InputError([Problem(folder / _POSES, line, None, "role", message)])
+        x, y, angle = _numbers(folder / _POSES, line, row[2:])
+        poses.append(ShownPose(role, Pose(x, y, angle), Picture(name, _read(folder / name))))
+    thread = None
+    if (folder / _THREAD).exists():
+        thread = (_read(folder / _THREAD), _read(folder / _WITHOUT))
+    return ShownCell(tuple(poses), thread)
+
+
+def save_move(folder: Path, move: SeenMove) -> None:
+    """Write a motion."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, path in ((_TOLD, move.told), (_HAND, move.hand)):
+        table = np.column_stack([path.t_s, path.x_m, path.y_m, path.angle_rad])
+        _write(folder / name, ("t_s", "x_m", "y_m", "angle_rad"), table.tolist())
+    seen = np.column_stack([move.stamps_s, move.seen_m])
+    _write(folder / _SEEN, ("stamp_s", "x_m", "y_m"), seen.tolist())
+
+
+def read_move(folder: Path) -> SeenMove:
+    """What `save_move` wrote.  Raises InputError."""
+    told, hand, seen = (
+        np.array([_numbers(folder / name, line, row) for line, row in _rows(folder / name, width)])
+        for name, width in ((_TOLD, 4), (_HAND, 4), (_SEEN, 3))
+    )
+    return SeenMove(Trajectory(*told.T), Trajectory(*hand.T), seen[:, 0], seen[:, 1:])
+
+
+def _read(path: Path) -> Image:
+    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    if image is None:
+        raise InputError([Problem(path, 1, None, "", "is missing or no picture")])
+    return np.asarray(image, dtype=np.uint8)
+
+
+def _write(path: Path, header: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(header)
+        writer.writerows(rows)
+
+
+def _rows(path: Path, width: int) -> list[tuple[int, list[str]]]:
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            lines = list(csv.reader(file))
+    except OSError as error:
+        raise InputError(
+            [Problem(path, 1, None, "", f"cannot be read: {error.strerror}")]
+        ) from error
+    for number, row in enumerate(lines, 1):
+        if len(row) != width:
+            message = f"has {len(row)} columns, {width} are needed"
+            raise InputError([Problem(path, number, None, "", message)])
+    if len(lines) < 2:
+        raise InputError([Problem(path, 1, None, "", "has no rows")])
+    return list(enumerate(lines[1:], 2))
+
+
+def _numbers(path: Path, line: int, cells: Sequence[str]) -> list[float]:
+    try:
+        return [float(cell) for cell in cells]
+    except ValueError as error:
+        raise InputError([Problem(path, line, None, "", f"{error}; give numbers")]) from error

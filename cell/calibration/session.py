@@ -1,0 +1,175 @@
+"""Devices while a cell is calibrated: the hand at rest, pictures of it, a filmed motion."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.plan.paths import MotionLimits, retreat_path
+from cell.run.station import Devices
+from cell.settings import Settings
+from cell.settings.translate import pose_of
+from drivers.interfaces import (
+    ArmMode,
+    CameraError,
+    DeviceTimeoutError,
+    Frame,
+    GripError,
+    Image,
+    Pose,
+    StoppedError,
+    Trajectory,
+)
+
+FloatArray = NDArray[np.float64]
+
+#: Share of the cell's own speed with which a hand is brought to a pose.
+_SLOWER = 2.0
+_POLL_S, _REST_TIMEOUT_S, _CALM_S = 0.01, 3.0, 0.15
+_AT_GOAL_M, _AT_GOAL_RAD = 5e-5, 1e-3
+#: An arm is told a path so long before it starts, and a film begins and ends so long beside it, s.
+_AHEAD_S, _BESIDE_S = 0.25, 0.15
+
+
+@dataclass(frozen=True, eq=False)
+class Rest:
+    """The hand at rest: measured pose, the mean over a while; the mean of some pictures."""
+
+    pose: Pose
+    image: Image
+
+
+@dataclass(frozen=True, eq=False)
+class FilmedMove:
+    """A motion as told and as measured, on the cell's clock, and every frame of it."""
+
+    told: Trajectory
+    hand: Trajectory
+    frames: tuple[Frame, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Session:
+    """Connected devices of a cell."""
+
+    settings: Settings
+    devices: Devices
+
+    def go_to(self, goal: Pose) -> None:
+        """Bring the hand to rest in a pose.  Raises DeviceError."""
+        arm, clock = self.devices.arm, self.devices.clock
+        here = arm.state().pose
+        away_m = max(abs(here.x_m - goal.x_m), abs(here.y_m - goal.y_m))
+        if away_m > _AT_GOAL_M or abs(here.angle_rad - goal.angle_rad) > _AT_GOAL_RAD:
+            path = retreat_path(here, goal, self.limits.slowed(_SLOWER), arm.rate_hz)
+            arm.follow(path)
+            self._await_rest(float(path.t_s[-1]))
+        clock.sleep_s(_CALM_S)
+
+    def rest_at(self, goal: Pose, count: int = 4) -> Rest:
+        """The hand at rest in a pose, and the mean of `count` pictures of it.
+
+        raises  DeviceError; CameraError: the hand moved meanwhile
+        """
+        self.go_to(goal)
+        arm, clock = self.devices.arm, self.devices.clock
+        begin_s = clock.now_s()
+        image = self.picture(count)
+        clock.sleep_s(max(0.0, begin_s + 0.1 - clock.now_s()))
+        log = arm.log(begin_s, clock.now_s())
+        places = np.stack([log.x_m, log.y_m, log.angle_rad], axis=1)
+        if len(places) < 3:
+            raise CameraError(arm.name, "reports no poses at rest", "check the arm's rate")
+        moved_m = float(np.ptp(places[:, :2], axis=0).max())
+        if moved_m > 5e-4:
+            raise CameraError(
+                self.devices.camera.name,
+                f"the hand moved by {moved_m * 1e3:.2f} mm while pictures were taken",
+                "let the arm come to rest; check its mounting and gain",
+            )
+        x, y, angle = places.mean(axis=0)
+        return Rest(Pose(float(x), float(y), float(angle)), image)
+
+    def picture(self, count: int = 1) -> Image:
+        """Mean of `count` pictures."""
+        camera = self.devices.camera
+        camera.start(count)
+        images = [frame.image for frame in self._frames()]
+        if len(images) < count:
+            raise CameraError(camera.name, f"only {len(images)} of {count} pictures came", "")
+        if count == 1:
+            return images[0]
+        mean: Image = np.rint(np.mean(images, axis=0)).astype(np.uint8)
+        return mean
+
+    def film(self, path: Trajectory) -> FilmedMove:
+        """Film a motion from before its beginning to after its end."""
+        arm, camera, clock = self.devices.arm, self.devices.camera, self.devices.clock
+        begin_s = clock.now_s()
+        start_s = begin_s + _AHEAD_S + _BESIDE_S
+        lasts_s = start_s - begin_s + float(path.t_s[-1]) + _BESIDE_S + 2.0 * arm.lag_s
+        arm.follow(path, start_s)
+        camera.start(int(np.ceil(lasts_s * camera.frame_rate_hz)))
+        frames = tuple(self._frames())
+        self._await_rest(0.0)
+        told = Trajectory(path.t_s + start_s, path.x_m, path.y_m, path.angle_rad)
+        return FilmedMove(told, arm.log(begin_s, clock.now_s()), frames)
+
+    @property
+    def limits(self) -> MotionLimits:
+        """With which the hand is moved while a cell is calibrated."""
+        return MotionLimits(**self.settings.motion.insertion.model_dump())
+
+    @property
+    def home(self) -> Pose:
+        """Where cables are grasped."""
+        return pose_of(self.settings.motion.home)
+
+    def _frames(self) -> Iterator[Frame]:
+        while (frame := self.devices.camera.read()) is not None:
+            yield frame
+
+    def _await_rest(self, lasts_s: float) -> None:
+        """Let a motion end that lasts so long.  Raises StoppedError, DeviceTimeoutError."""
+        arm, clock = self.devices.arm, self.devices.clock
+        until_s = clock.now_s() + lasts_s + _REST_TIMEOUT_S
+        clock.sleep_s(lasts_s)
+        while (state := arm.state()).moving:
+            if clock.now_s() > until_s:
+                raise DeviceTimeoutError(arm.name, "does not come to rest", "check its path")
+            clock.sleep_s(_POLL_S)
+        if state.mode is not ArmMode.READY:
+            raise StoppedError(arm.name, f"is in {state.mode.value}", state.mode.remedy)
+
+
+@contextmanager
+def opened(
+    settings: Settings, devices: Devices, *, moves: bool, say: Callable[[str], None]
+) -> Iterator[Session]:
+    """Devices connected, with empty jaws where the arm moves; stopped and closed at the end.
+
+    raises  DeviceError
+    """
+    used = [devices.camera, *((devices.arm, devices.gripper) if moves else ())]
+    try:
+        for device in used:
+            say(f"connect {device.name}")
+            device.connect()
+        if moves:
+            devices.arm.reset()
+            if devices.gripper.state().holding:
+                raise GripError(
+                    devices.gripper.name, "holds something", "calibrating needs empty jaws"
+                )
+        yield Session(settings, devices)
+    except BaseException:
+        if moves:
+            devices.arm.stop("calibration broken off")
+        raise
+    finally:
+        for device in used:
+            device.close()

@@ -1,0 +1,52 @@
+"""Who shows the camera what it must see."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+#: Views of the board.
+BOARD_VIEWS = 20
+
+
+class Assistant(Protocol):
+    """Whoever shows things to the camera."""
+
+    def board(self, number: int, hint: str) -> None:
+        """The board as the `number`-th view, from 1; `hint` says where it is lacking."""
+        ...
+
+    def thread(self) -> bool:
+        """A plumb line in the cell's plane; False = there is none."""
+        ...
+
+    def clear(self) -> None:
+        """Nothing but the cell itself."""
+        ...
+
+
+@dataclass(frozen=True)
+class Person:
+    """Asks a person at a terminal.
+
+    ask  shows words and waits; returns what was typed
+    """
+
+    ask: Callable[[str], str]
+
+    def board(self, number: int, hint: str) -> None:
+        """Ask for the board."""
+        self.ask(f"view {number} of {BOARD_VIEWS}: show the board{hint}; hold it still, Enter")
+
+    def thread(self) -> bool:
+        """Ask for a plumb line."""
+        typed = self.ask(
+            "hang a thread with a weight where the cable swings, let it come to rest, Enter; "
+            "or n, if there is none: the robot's base is then taken to be level to 0.2°"
+        )
+        return not typed.strip().lower().startswith("n")
+
+    def clear(self) -> None:
+        """Ask for an empty scene."""
+        self.ask("take board and thread away, keep people out: the robot will move; Enter")

@@ -1,0 +1,265 @@
+"""A whole calibration from devices or folders to files and reports, part by part."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from calib.errors import CalibrationError
+from calib.plane import PlaneView
+from calib.store import Stored, load, save
+from calib.timing import Delay
+from cell.build import guarded_devices, real_devices, twin_devices
+from cell.calibration import conclude, measure, raw
+from cell.calibration.conclude import Today
+from cell.calibration.report import camera_report, cell_report, time_report
+from cell.calibration.session import Session, opened
+from cell.calibration.showing import BOARD_VIEWS, Assistant, Person
+from cell.files.atomic import write_whole
+from cell.files.input_error import InputError, Problem
+from cell.settings import Settings
+from cell.settings import model as given
+from cell.settings.calibrated import Calibrated, typed, view_of_stored
+from cell.settings.translate import vision_of
+from cell.simulated.emulated import EmulatedCell, runs_already
+from cell.simulated.showing import Simulation
+from cell.simulated.twins import build_twins
+
+Say = Callable[[str], None]
+
+
+class Workshop:
+    """Devices, settings and files of a calibration, within a `with`.
+
+    say, ask  progress for a person; a question that waits for an answer
+    live      False = only from folders: nothing is connected
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        config: Path,
+        seed: int,
+        say: Say,
+        ask: Callable[[str], str],
+        *,
+        live: bool,
+    ) -> None:
+        if settings.calibration is None:
+            message = "is missing; add `calibration: {}`, and leave out camera.view"
+            raise InputError([Problem(config, 1, None, "calibration", message)])
+        self._settings, self._config, self._seed = settings, config, seed
+        self._say, self._ask, self._live = say, ask, live
+        self._folder = settings.calibration.folder
+        self._board = conclude.board_of(settings)
+        self._stack = contextlib.ExitStack()
+        self._session: Session | None = None
+        self._assistant: Assistant = Person(ask)
+        self._made: dict[str, Stored] = {}
+        self._reports: dict[str, Path] = {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._stack.close()
+
+    # --- parts --------------------------------------------------------------------------------
+
+    def do(self, part: str, source: Path | None = None) -> Stored:
+        """Calibrate `camera`, `cell` or `time`, live or from a folder.
+
+        raises  CalibrationError, StoreError, InputError, DeviceError, EmulatorError
+        """
+        self._say(f"--- {part}")
+        made = {"camera": self._camera, "cell": self._cell, "time": self._time}[part](source)
+        save(self._folder / f"{part}.yaml", made)
+        self._made[part] = made
+        return made
+
+    def _camera(self, source: Path | None) -> Stored:
+        if source is None:
+            session = self._open()
+            pictures = measure.show_board(session, self._assistant, self._board, self._say)
+            raw.save_pictures(self._raw("camera"), pictures)
+        else:
+            pictures = list(raw.read_pictures(source))
+        fit, views, troubles = conclude.camera_from(pictures, self._board)
+        for trouble in troubles:
+            self._say(trouble)
+        stored = conclude.stored_camera(fit, self._settings)
+        self._report("camera", camera_report(stored, fit, views, pictures, troubles))
+        return stored
+
+    def _cell(self, source: Path | None) -> Stored:
+        camera = self._before("camera")
+        self._check_size(camera)
+        if source is None:
+            shown = measure.show_hand(
+                self._open(),
+                self._assistant,
+                lambda some: conclude.cell_from(some, camera, self._settings),
+                self._say,
+            )
+            raw.save_cell(self._raw("cell"), shown)
+        else:
+            shown = raw.read_cell(source)
+        fit = conclude.cell_from(shown, camera, self._settings)
+        stored = conclude.stored_cell(fit, self._settings)
+        self._report("cell", cell_report(stored, fit, shown, self._settings))
+        return stored
+
+    def _time(self, source: Path | None) -> Stored:
+        told_s = 0.0
+        if source is None:
+            move = self._move(view_of_stored(self._before("cell")))
+            raw.save_move(self._raw("time"), move)
+        else:
+            move = raw.read_move(source)
+        times = conclude.times_from(move)
+        stored = conclude.stored_times(times, self._settings, len(move.stamps_s), told_s)
+        self._report("time", time_report(stored, times, move))
+        return stored
+
+    def check(self) -> Today:
+        """Today's error against the stored one.  Raises as `do`."""
+        cell = self._before("cell")
+        latency_s = self._before("time").number("latency_s")
+        session = self._open()
+        poses = []
+        for k, goal in enumerate(measure.first_poses(self._settings)[::2]):
+            rest = session.rest_at(goal)
+            poses.append(raw.ShownPose("fit", rest.pose, raw.Picture(f"{k}", rest.image)))
+        shown = raw.ShownCell(tuple(poses), None)
+        found = conclude.today(shown, cell, None, self._settings, str(self._config))
+        if not found.good:
+            return found
+        move = self._move(view_of_stored(cell))
+        times = conclude.times_from(move)
+        changed = conclude.Times(
+            Delay(times.latency.value_s - latency_s, 0.0, times.latency.rms_m), times.lag
+        )
+        return conclude.today(shown, cell, changed, self._settings, str(self._config))
+
+    # --- what came of it ----------------------------------------------------------------------
+
+    def good_enough(self) -> bool:
+        """Whether `cell run` would accept what was made."""
+        limits = self._settings.calibration
+        assert limits is not None
+        bounds = {
+            "map_95_m": limits.max_error_m,
+            "latency_95_s": limits.max_time_error_s,
+            "lag_95_s": limits.max_time_error_s,
+        }
+        errors = {k: v for made in self._made.values() for k, v in made.error.items()}
+        return all(errors[name] <= bound for name, bound in bounds.items() if name in errors)
+
+    def summary(self) -> dict[str, Any]:
+        """All that was found, for programs."""
+        return {
+            kind: {
+                "file": str(self._folder / f"{kind}.yaml"),
+                "report": str(self._reports[kind]),
+                "error": dict(made.error),
+                "result": {k: np.asarray(v).tolist() for k, v in made.result.items()},
+            }
+            for kind, made in self._made.items()
+        }
+
+    def lines(self) -> list[str]:
+        """All that was found, for people."""
+        lines = []
+        for kind, made in self._made.items():
+            lines.append(f"{kind:7} {_words(made)}")
+            lines.append(f"        {self._folder / kind}.yaml, {self._reports[kind]}")
+        return lines
+
+    # --- devices and files --------------------------------------------------------------------
+
+    def _open(self) -> Session:
+        if self._session is not None:
+            return self._session
+        settings = self._settings
+        nothing = Calibrated(PlaneView(np.eye(3)), 0.0, settings.arm.lag_s)
+        known = nothing if settings.camera.view is None else typed(settings)
+        if isinstance(settings.arm, given.SimulatedArm):
+            twins = build_twins(settings, self._seed, 0, known)
+            devices = twin_devices(twins)
+            self._assistant = Simulation(
+                settings, self._board, twins.stage, self._seed, BOARD_VIEWS
+            )
+        else:
+            if settings.emulated is not None:
+                if runs_already(settings):
+                    raise CalibrationError(
+                        "emulators run already, and cannot be shown the board",
+                        "end `cell emulate`; calibrating starts its own",
+                    )
+                emulated = self._stack.enter_context(EmulatedCell(settings, self._seed))
+                self._assistant = Simulation(
+                    settings, self._board, emulated.camera.tell, self._seed, BOARD_VIEWS
+                )
+            devices = real_devices(settings, known)
+        guarded = guarded_devices(settings, devices)
+        self._session = self._stack.enter_context(
+            opened(settings, guarded, moves=True, say=self._say)
+        )
+        return self._session
+
+    def _move(self, view: PlaneView) -> raw.SeenMove:
+        session = self._open()
+        session.go_to(session.home)
+        path = measure.timing_path(self._settings, session.home, session.devices.arm.rate_hz)
+        self._say("film a motion")
+        filmed = session.film(path)
+        self._say(f"look at {len(filmed.frames)} frames")
+        return measure.seen_move(filmed, view, vision_of(self._settings).marks)
+
+    def _before(self, kind: str) -> Stored:
+        """A calibration that this one needs."""
+        return self._made[kind] if kind in self._made else load(self._folder / f"{kind}.yaml", kind)
+
+    def _check_size(self, camera: Stored) -> None:
+        size = (self._settings.camera.width_px, self._settings.camera.height_px)
+        made = (camera.devices.get("width_px"), camera.devices.get("height_px"))
+        if made != size:
+            raise CalibrationError(
+                f"the lens was found with pictures of {made[0]} × {made[1]}, the settings say "
+                f"{size[0]} × {size[1]}",
+                f"run `cell calibrate camera --config {self._config}`",
+            )
+
+    def _raw(self, kind: str) -> Path:
+        """A new folder for what was measured."""
+        stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S")
+        return self._folder / "recorded" / f"{kind}-{stamp}"
+
+    def _report(self, kind: str, page: str) -> None:
+        path = self._folder / f"{kind}.html"
+        write_whole(path, page)
+        self._reports[kind] = path
+
+
+def _words(made: Stored) -> str:
+    e = made.error
+    match made.kind:
+        case "camera":
+            return (
+                f"lens ±{e['spread_95_px']:.3f} px (95 %), corners {e['noise_px']:.3f} px, "
+                f"halves differ by {e['halves_rms_px']:.3f} px"
+            )
+        case "cell":
+            return (
+                f"map ±{e['map_95_m'] * 1e3:.3f} mm (95 %, worst of the picture), held-out poses "
+                f"{e['held_out_rms_m'] * 1e3:.3f} mm rms, {e['held_out_max_m'] * 1e3:.3f} mm worst"
+            )
+    return (
+        f"latency {made.number('latency_s') * 1e3:.2f} ± {e['latency_95_s'] * 1e3:.2f} ms, lag "
+        f"{made.number('lag_s') * 1e3:.2f} ± {e['lag_95_s'] * 1e3:.2f} ms (95 %)"
+    )

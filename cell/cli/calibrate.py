@@ -1,0 +1,154 @@
+"""Commands that calibrate a cell: calibrate, and its parts."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, Config, interrupted_once, refuse
+
+if TYPE_CHECKING:
+    from cell.calibration.work import Workshop
+
+app = typer.Typer(
+    name="calibrate",
+    help="Calibrate a cell: all of it, or a part; and say how good it is.",
+    invoke_without_command=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+
+AsJson = Annotated[bool, typer.Option("--json", help="One JSON object instead of words.")]
+Source = Annotated[
+    Path | None,
+    typer.Option("--from", help="A folder that an earlier calibration recorded; nothing moves."),
+]
+Seed = Annotated[int, typer.Option(min=0, help="Of a simulated or emulated cell.")]
+
+
+@app.callback()
+def everything(
+    context: typer.Context,
+    config: Annotated[
+        Path | None, typer.Option("--config", "-c", help="Settings of the cell, YAML.")
+    ] = None,
+    seed: Seed = 1,
+    as_json: AsJson = False,
+) -> None:
+    """Calibrate camera, cell and time, one after the other.
+
+    The board is shown, then the hand moves within `limits`, with empty jaws.  Ends with 0 if all
+    is good enough for `cell run`, 1 if not, 2 if the settings are wrong or something contradicts.
+    """
+    if context.invoked_subcommand is not None:
+        return
+    if config is None:
+        refuse(ValueError("cell calibrate: --config is missing; give the settings of the cell"))
+    with _workshop(config, seed, as_json) as work:
+        for part in ("camera", "cell", "time"):
+            work.do(part)
+        _end(work, as_json)
+
+
+@app.command()
+def camera(config: Config, source: Source = None, seed: Seed = 1, as_json: AsJson = False) -> None:
+    """Find the lens from pictures of the board, live or from a folder."""
+    _part("camera", config, source, seed, as_json)
+
+
+@app.command()
+def cell(config: Config, source: Source = None, seed: Seed = 1, as_json: AsJson = False) -> None:
+    """Find where pixels lie in the cell's plane: the hand shows its plate; needs the lens."""
+    _part("cell", config, source, seed, as_json)
+
+
+@app.command("time")
+def time_(config: Config, source: Source = None, seed: Seed = 1, as_json: AsJson = False) -> None:
+    """Find latency of the camera and lag of the arm, from one motion; needs the cell."""
+    _part("time", config, source, seed, as_json)
+
+
+@app.command()
+def check(config: Config, seed: Seed = 1, as_json: AsJson = False) -> None:
+    """Compare today with what is stored, in less than a minute, and name the command that mends it.
+
+    Ends with 0 if the calibration still holds, 1 if not.
+    """
+    with _workshop(config, seed, as_json) as work:
+        found = work.check()
+        if as_json:
+            print(json.dumps(vars(found), ensure_ascii=False))
+        else:
+            print(found.sentence + ("" if found.command is None else f"; run `{found.command}`"))
+        raise typer.Exit(ALL_DONE if found.good else NOT_ALL_DONE)
+
+
+@app.command()
+def board(
+    out: Annotated[Path, typer.Option("--out", "-o", help="The PDF.")] = Path("board.pdf"),
+    columns: Annotated[int, typer.Option(min=3, max=40, help="Squares across.")] = 12,
+    rows: Annotated[int, typer.Option(min=3, max=40, help="Squares down.")] = 9,
+    square_mm: Annotated[float, typer.Option(min=1.0, max=200.0, help="Side of a square.")] = 20.0,
+    dictionary: Annotated[str, typer.Option(help="Of OpenCV's markers.")] = "4X4_100",
+    legacy: Annotated[bool, typer.Option("--legacy", help="Pattern before OpenCV 4.6.")] = False,
+) -> None:
+    """Write the board as a PDF to scale, with rulers to check the printout."""
+    from calib.board import Board
+    from calib.board_pdf import board_pdf
+
+    try:
+        wanted = Board(columns, rows, square_mm / 1e3, dictionary=dictionary, legacy=legacy)
+    except ValueError as error:
+        refuse(error)
+    out.write_bytes(board_pdf(wanted))
+    print(f"{out}: print at 100 %, measure ten squares, put the result in calibration.square_m")
+
+
+def _part(part: str, config: Path, source: Path | None, seed: int, as_json: bool) -> None:
+    with _workshop(config, seed, as_json, live=source is None) as work:
+        work.do(part, source)
+        _end(work, as_json)
+
+
+def _end(work: Workshop, as_json: bool) -> None:
+    if as_json:
+        print(json.dumps(work.summary(), ensure_ascii=False))
+    else:
+        for line in work.lines():
+            print(line)
+    raise typer.Exit(ALL_DONE if work.good_enough() else NOT_ALL_DONE)
+
+
+@contextmanager
+def _workshop(config: Path, seed: int, as_json: bool, *, live: bool = True) -> Iterator[Workshop]:
+    """Everything that calibrating needs; what goes wrong is said and ends with 2."""
+    from calib.errors import CalibrationError
+    from calib.store import StoreError
+    from cell.calibration.work import Workshop
+    from cell.files.input_error import InputError
+    from cell.settings import load_settings
+    from drivers.emulators.launch import EmulatorError
+    from drivers.interfaces import DeviceError
+
+    def say(words: str) -> None:
+        print(words, file=sys.stderr, flush=True)
+
+    def ask(words: str) -> str:
+        if as_json or not sys.stdin.isatty():
+            raise CalibrationError(
+                f"somebody must act: {words}", "run it at a terminal, or with --from a folder"
+            )
+        return input(words + " ")
+
+    try:
+        settings = load_settings(config)
+        with interrupted_once(), Workshop(settings, config, seed, say, ask, live=live) as work:
+            yield work
+    except (InputError, CalibrationError, StoreError, EmulatorError, DeviceError) as error:
+        refuse(error)

@@ -1,0 +1,150 @@
+"""What a cell knows of its camera and its clocks: as calibrated, or as typed by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.lens import Lens
+from calib.plane import PlaneView
+from calib.store import Stored, StoreError, load
+from cell.files.input_error import InputError, Problem
+from cell.settings import model as given
+from cell.settings.model import Settings
+
+FloatArray = NDArray[np.float64]
+
+#: 95 % of a circle's normal law lie within so many standard deviations over both axes together.
+CIRCLE_95 = 1.73
+
+
+@dataclass(frozen=True, eq=False)
+class Calibrated:
+    """Map, delays and their uncertainty.
+
+    view       pixel → plane
+    latency_s  of the camera's stamps; lag_s of the arm
+    map_std_m  standard deviation of a point's place by the map, over both axes; 0 = not known
+    notes      what a person should know
+    """
+
+    view: PlaneView
+    latency_s: float
+    lag_s: float
+    map_std_m: float = 0.0
+    notes: tuple[str, ...] = ()
+
+
+def devices_of(settings: Settings) -> Mapping[str, Any]:
+    """What a calibration holds for: camera and its picture, arm and its servo."""
+    camera, arm = settings.camera, settings.arm
+    camera_name = getattr(camera, "serial_number", None) or getattr(camera, "device", None)
+    return {
+        "camera": f"{camera.kind} {camera_name}" if camera_name is not None else camera.kind,
+        "width_px": camera.width_px,
+        "height_px": camera.height_px,
+        "arm": f"{arm.kind} {arm.host}" if isinstance(arm, given.UrArm) else arm.kind,
+        "lookahead_s": arm.lookahead_s if isinstance(arm, given.UrArm) else None,
+    }
+
+
+def calibrated(settings: Settings, config: Path, now: datetime | None = None) -> Calibrated:
+    """What is known of camera and clocks.
+
+    config  the settings' file, named in complaints
+    raises  InputError: a calibration is missing, too old, too poor, or one of other devices; each
+            with the command that mends it
+    """
+    if settings.calibration is None:
+        return typed(settings)
+    now = datetime.now(UTC) if now is None else now
+    wanted, folder = settings.calibration, settings.calibration.folder
+    problems: list[Problem] = []
+    found: dict[str, Stored] = {}
+    if not any((folder / f"{kind}.yaml").exists() for kind in _HOLDS_FOR):
+        message = f"this cell is not calibrated yet: {folder} has nothing; run `cell calibrate "
+        raise InputError([Problem(config, 1, None, "calibration", f"{message}--config {config}`")])
+    for kind in _HOLDS_FOR:
+        path = folder / f"{kind}.yaml"
+        try:
+            found[kind] = load(path, kind)
+            complaint = _complaint(found[kind], wanted, settings, now)
+        except StoreError as error:
+            message = str(error).replace(
+                f"calibrate {kind}`", f"calibrate {kind} --config {config}`"
+            )
+            problems.append(Problem(config, 1, None, "calibration", message))
+            continue
+        if complaint is not None:
+            remedy = f"run `cell calibrate {kind} --config {config}`"
+            problems.append(Problem(path, 1, None, kind, f"{complaint}; {remedy}"))
+    if problems:
+        raise InputError(problems)
+    cell, time = found["cell"], found["time"]
+    bound_m = float(cell.error["map_95_m"])
+    try:
+        return Calibrated(
+            view_of_stored(cell),
+            time.number("latency_s"),
+            time.number("lag_s"),
+            bound_m / CIRCLE_95,
+            (
+                f"calibrated: map ±{bound_m * 1e3:.3f} mm (95 %), {cell.age_h(now) / 24:.1f} days "
+                f"old; latency ±{float(time.error['latency_95_s']) * 1e3:.2f} ms, lag "
+                f"±{float(time.error['lag_95_s']) * 1e3:.2f} ms, {time.age_h(now):.1f} h old",
+            ),
+        )
+    except (StoreError, KeyError) as error:
+        raise InputError([Problem(folder / "cell.yaml", 1, None, "", str(error))]) from error
+
+
+def typed(settings: Settings) -> Calibrated:
+    """What a person typed."""
+    view = settings.camera.view
+    assert view is not None  # `check` refuses anything else
+    return Calibrated(
+        PlaneView.from_scale(view.metres_per_pixel, view.origin_column_px, view.origin_row_px),
+        getattr(settings.camera, "latency_s", 0.0),
+        settings.arm.lag_s,
+        0.0,
+        ("uncalibrated: camera.view is typed by hand, nothing says how good it is",),
+    )
+
+
+def view_of_stored(cell: Stored) -> PlaneView:
+    """The map of a stored calibration.  Raises StoreError."""
+    return PlaneView(cell.array("homography", (3, 3)), Lens.of(cell.array("lens", (9,))))
+
+
+def _complaint(
+    stored: Stored, wanted: given.Calibration, settings: Settings, now: datetime
+) -> str | None:
+    """Why a calibration may not be used; None = it may."""
+    here = devices_of(settings)
+    for name in _HOLDS_FOR[stored.kind]:
+        if stored.devices.get(name) != here[name]:
+            return f"made with {name} {stored.devices.get(name)}, the settings say {here[name]}"
+    limit_h = wanted.time_max_age_h if stored.kind == "time" else 24.0 * wanted.max_age_days
+    if stored.age_h(now) > limit_h:
+        return f"made {stored.age_h(now):.0f} h ago, at most {limit_h:g} h are allowed"
+    for name, limit, unit in (
+        ("map_95_m", wanted.max_error_m, "m"),
+        ("latency_95_s", wanted.max_time_error_s, "s"),
+        ("lag_95_s", wanted.max_time_error_s, "s"),
+    ):
+        if name in stored.error and not float(stored.error[name]) <= limit:
+            return f"{name} = {float(stored.error[name]):.2g} {unit}, at most {limit:g} allowed"
+    return None
+
+
+_HOLDS_FOR = {
+    "camera": ("camera", "width_px", "height_px"),
+    "cell": ("camera", "width_px", "height_px", "arm"),
+    "time": ("camera", "arm", "lookahead_s"),
+}

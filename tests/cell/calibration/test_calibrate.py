@@ -1,0 +1,133 @@
+"""A simulated cell with a tilted, distorted camera and late stamps: refused, calibrated, right."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from calib.camera import picture_grid
+from calib.lens import Lens
+from calib.plane import PlaneView
+from calib.store import load
+from cell.cli import app
+from cell.settings import load_settings
+from cell.settings.calibrated import calibrated
+from drivers.sim.pinhole import Pinhole
+
+VIEW = "  view: {metres_per_pixel: 0.0002, origin_column_px: 1000, origin_row_px: 150}\n"
+TILT_RAD = np.radians(12.0)
+CAMERA = (
+    "{metres_per_pixel: 0.0002, origin_column_px: %g, origin_row_px: 150, "
+    f"tilt_rad: {TILT_RAD:.6f}, roll_rad: 0.02, k1: -0.2, k2: 0.05, stamps_late_s: %g}}"
+)
+
+
+def settings_file(folder: Path, name="cell.yaml", column=1000.0, late_s=0.02) -> Path:
+    text = Path("config/fake.yaml").read_text().replace(VIEW, "")
+    world = f"\nworld:\n  arm_lag_s: 0.034\n  camera: {CAMERA % (column, late_s)}\n"
+    text = text.replace("\nworld:", f"\ncalibration: {{folder: {folder / 'calib'}}}\n{world}", 1)
+    path = folder / name
+    path.write_text(text)
+    return path
+
+
+def called(*words: object) -> tuple[int, str, str]:
+    result = CliRunner().invoke(app, [str(w) for w in words])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result.exit_code, result.stdout, result.stderr
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("cell")
+    config = settings_file(folder)
+    code, _, refused = called("run", "--config", config, "--out", folder / "runs")
+    assert code == 2
+    assert f"not calibrated yet: {folder / 'calib'} has nothing" in refused
+    assert not (folder / "runs").exists()
+    code, out, _ = called("calibrate", "--config", config, "--json")
+    assert code == 0
+    (folder / "summary.json").write_text(out)
+    return folder
+
+
+def test_the_map_is_right_within_its_bound(folder):
+    known = calibrated(load_settings(folder / "cell.yaml"), folder / "cell.yaml")
+    eye = Pinhole.standing(
+        metres_per_pixel=2e-4, origin_px=(1000.0, 150.0), size_px=(1280, 1024), focal_px=2600.0,
+        tilt_rad=TILT_RAD, roll_rad=0.02, distortion=(-0.2, 0.05, 0.0, 0.0, 0.0),
+    )  # fmt: skip
+    lens = Lens(eye.focal_px, eye.focal_px, *eye.centre_px, *eye.distortion)
+    grid = picture_grid((1280, 1024))
+    off = known.view.to_plane(grid) - PlaneView.from_pose(lens, eye.X_CP).to_plane(grid)
+    off = np.linalg.norm(off, axis=-1)
+    assert np.sqrt(np.mean(off**2)) < 5e-5
+    assert off.max() < 1.5e-4
+    stored = load(folder / "calib" / "cell.yaml", "cell")
+    assert off.max() < 2.0 * stored.error["map_95_m"]
+    assert stored.error["held_out_rms_m"] < 2e-5
+
+
+def test_delays_roll_and_scale_are_right(folder):
+    time = load(folder / "calib" / "time.yaml", "time")
+    assert time.number("latency_s") == pytest.approx(0.02, abs=3e-4)
+    assert time.number("lag_s") == pytest.approx(0.034, abs=1e-3)
+    cell = load(folder / "calib" / "cell.yaml", "cell")
+    assert cell.number("roll_rad") == pytest.approx(0.02, abs=np.radians(0.03))
+    assert cell.number("marks_scale") == pytest.approx(1.0, abs=1e-3)
+
+
+def test_reports_and_summary_are_there(folder):
+    summary = json.loads((folder / "summary.json").read_text())
+    assert set(summary) == {"camera", "cell", "time"}
+    for kind, found in summary.items():
+        page = Path(found["report"]).read_text()
+        assert page.startswith("<!doctype html>")
+        assert "<svg" in page
+        assert Path(found["file"]) == folder / "calib" / f"{kind}.yaml"
+
+
+def test_recorded_folders_give_the_same_again(folder):
+    for kind in ("cell", "time"):
+        (recorded,) = (folder / "calib" / "recorded").glob(f"{kind}-*")
+        before = load(folder / "calib" / f"{kind}.yaml", kind)
+        code, _, _ = called("calibrate", kind, "--config", folder / "cell.yaml", "--from", recorded)
+        assert code == 0
+        after = load(folder / "calib" / f"{kind}.yaml", kind)
+        for name, value in before.result.items():
+            assert np.allclose(value, after.result[name], rtol=1e-6, atol=1e-9)
+
+
+def test_a_wrong_folder_is_named(folder, tmp_path):
+    code, _, refused = called(
+        "calibrate", "camera", "--config", folder / "cell.yaml", "--from", tmp_path
+    )
+    assert (code, "has no pictures" in refused) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("change", "code", "words"),
+    [
+        ({}, 0, "good: "),
+        ({"column": 1004.0}, 1, "moved by 0.7"),
+        ({"late_s": 0.023}, 1, "recalibrate time: the camera's latency changed by +3.0"),
+    ],
+)
+def test_check_says_what_changed(folder, change, code, words):
+    config = settings_file(folder, "today.yaml", **change)
+    found = called("calibrate", "check", "--config", config)
+    assert found[0] == code
+    assert words in found[1]
+    assert ("run `cell calibrate" in found[1]) == bool(code)
+
+
+def test_the_board_comes_as_a_pdf(tmp_path):
+    assert called("calibrate", "board", "-o", tmp_path / "b.pdf", "--square-mm", 15)[0] == 0
+    assert (tmp_path / "b.pdf").read_bytes().startswith(b"%PDF-1.4")
+    code, _, refused = called("calibrate", "board", "--columns", 40, "--rows", 40)
+    assert (code, "take a larger dictionary" in refused) == (2, True)
