@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import yaml
+from stalls import StallProbe, Stalls
 
 from calib.plane import PlaneView
 from cell.build import real_devices
@@ -23,7 +24,7 @@ from cell.settings.translate import vision_of
 from cell.simulated.emulated import EmulatedCell
 from cell.vision.detect import detect
 from cell.vision.sighting import Sighting
-from drivers.interfaces import Trajectory
+from drivers.interfaces import Camera, CameraError, DeviceLostError, Trajectory
 
 CONFIG = Path(__file__).parents[1] / "config" / "emulated.yaml"
 HOST = "127.0.0.76"
@@ -33,12 +34,20 @@ STROKE_M, SWING_S = 0.03, 1.5
 
 @dataclass(frozen=True)
 class Servo:
-    """Times between two commands as the controller got them, s, and frames seen meanwhile."""
+    """Times between two commands as the controller got them, s, and frames seen meanwhile.
+
+    cpu_s     of this process: arm, camera and vision
+    troubles  what the camera said when it could not keep up; it was connected again
+    stalls    of this computer in the same time
+    """
 
     gaps_s: np.ndarray
     frames: int
     unseen: int
     seconds: float
+    cpu_s: float
+    troubles: tuple[str, ...]
+    stalls: Stalls
 
     def percentile_ms(self, q: float) -> float:
         return 1e3 * float(np.percentile(self.gaps_s, q))
@@ -51,6 +60,36 @@ def up_and_down(seconds: float, rate_hz: float) -> Trajectory:
     fade = fade**3 * (10.0 - 15.0 * fade + 6.0 * fade * fade)
     y_m = -0.5 * STROKE_M * (1.0 - np.cos(2.0 * np.pi * t_s / SWING_S)) * fade
     return Trajectory(t_s, 0.0 * t_s, y_m, 0.0 * t_s)
+
+
+class _Watcher:
+    """Looks for the cable in what the camera gives; a camera that falls behind is no end."""
+
+    def __init__(self, camera: Camera, plane: PlaneView, options: VisionOptions) -> None:
+        self._camera, self._plane, self._options = camera, plane, options
+        self._previous: Sighting | None = None
+        self.frames = self.unseen = 0
+        self.troubles: list[str] = []
+
+    def watch(self, until_s: float) -> None:
+        while time.monotonic() < until_s:
+            try:
+                self._portion(until_s)
+            except (CameraError, DeviceLostError) as error:
+                self.troubles.append(str(error))
+                self._camera.close()
+                self._camera.connect()
+
+    def _portion(self, until_s: float) -> None:
+        self._camera.start(PORTION)
+        while (frame := self._camera.read()) is not None:
+            self._previous = detect(
+                frame.image, frame.t_s, self._plane, self._options, None, self._previous
+            )
+            self.frames += 1
+            self.unseen += not self._previous.seen
+            if time.monotonic() > until_s:
+                self._camera.stop()
 
 
 def servo(seconds: float) -> Servo:
@@ -69,37 +108,36 @@ def servo(seconds: float) -> Servo:
         options = vision_of(settings)
         warm_up_eyes(options)  # compiling on a new machine would hold everything up
         devices = real_devices(settings)
-        with EmulatedCell(settings, seed=1) as emulated:
+        with EmulatedCell(settings, seed=1) as emulated, StallProbe() as probe:
             devices.gripper.connect()
             devices.camera.connect()
             devices.arm.connect()
             devices.gripper.grip(settings.gripper.force_n)
             emulated.controller.ask("servo_gaps")
+            watcher = _Watcher(devices.camera, plane, options)
+            probe.take()
+            cpu_s = time.process_time()
             devices.arm.follow(up_and_down(seconds, devices.arm.rate_hz))
-            began_s = time.monotonic()
-            frames = unseen = 0
-            previous: Sighting | None = None
-            while time.monotonic() < began_s + seconds:
-                devices.camera.start(PORTION)
-                while (frame := devices.camera.read()) is not None:
-                    previous = detect(frame.image, frame.t_s, plane, options, None, previous)
-                    frames += 1
-                    unseen += not previous.seen
-                    if time.monotonic() > began_s + seconds:
-                        devices.camera.stop()
+            watcher.watch(time.monotonic() + seconds)
+            cpu_s = time.process_time() - cpu_s
+            stalls = probe.take()
             gaps_s = np.array(emulated.controller.ask("servo_gaps")["gaps_s"])
             devices.arm.close()
             devices.camera.close()
             devices.gripper.close()
-    return Servo(gaps_s, frames, unseen, seconds)
+    troubles = tuple(watcher.troubles)
+    return Servo(gaps_s, watcher.frames, watcher.unseen, seconds, cpu_s, troubles, stalls)
 
 
 def summary(found: Servo) -> str:
     gaps_s = found.gaps_s
+    troubles = "".join(f"\n  the emulated camera fell behind: {said}" for said in found.troubles)
     return (
         f"  {len(gaps_s)} commands in {found.seconds:.0f} s, {found.frames} frames looked at "
         f"({found.unseen} without cable), load average {os.getloadavg()[0]:.1f}\n"
         f"  period median {found.percentile_ms(50.0):.2f} ms, p99 {found.percentile_ms(99.0):.2f}, "
         f"p99.9 {found.percentile_ms(99.9):.2f}, longest {found.percentile_ms(100.0):.2f}; "
-        f"{np.mean(gaps_s > 0.0025):.3%} above 2.5 ms"
+        f"{np.mean(gaps_s > 0.0025):.3%} above 2.5 ms\n"
+        f"  CPU time of arm, camera and vision: {found.cpu_s / found.seconds:.0%} of a core\n"
+        f"  {found.stalls}{troubles}"
     )
