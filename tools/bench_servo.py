@@ -22,9 +22,9 @@ from cell.run.warm_up import warm_up_eyes
 from cell.settings import load_settings
 from cell.settings.translate import vision_of
 from cell.simulated.emulated import EmulatedCell
-from cell.vision.detect import detect
+from cell.vision.detect import VisionOptions, detect
 from cell.vision.sighting import Sighting
-from drivers.interfaces import Camera, CameraError, DeviceLostError, Trajectory
+from drivers.interfaces import Camera, DeviceError, Trajectory
 
 CONFIG = Path(__file__).parents[1] / "config" / "emulated.yaml"
 HOST = "127.0.0.76"
@@ -72,13 +72,17 @@ class _Watcher:
         self.troubles: list[str] = []
 
     def watch(self, until_s: float) -> None:
+        connected = True
         while time.monotonic() < until_s:
             try:
+                if not connected:
+                    self._camera.connect()
+                    connected = True
                 self._portion(until_s)
-            except (CameraError, DeviceLostError) as error:
+            except DeviceError as error:
                 self.troubles.append(str(error))
                 self._camera.close()
-                self._camera.connect()
+                connected = False
 
     def _portion(self, until_s: float) -> None:
         self._camera.start(PORTION)
