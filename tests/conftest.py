@@ -15,6 +15,12 @@ HARDWARE = "hardware"
 REAL_TIME = ("drivers/conformance", "drivers/emulators", "drivers/test_ur")
 
 
+@pytest.fixture(autouse=True)
+def no_ticks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a busy computer a command takes more than the ten seconds after which it speaks."""
+    monkeypatch.setattr("cell.terminal.progress.EVERY_S", 1e6)
+
+
 @pytest.fixture
 def cable() -> Cable:
     return Cable(0.1, 0.0074, 0.016, 1e-4)

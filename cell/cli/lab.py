@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from cell.cli.result_json import STDOUT, Json, JsonCommand, write_result
 from cell.cli.shared import BAD_INPUT, group, tell_notes
 from cell.files.overwriting import check_new_study, check_output
 
 if TYPE_CHECKING:
     from cell.study.data import Study
+    from cell.terminal.progress import ProgressLine
 
 app = group()
 
@@ -46,7 +48,17 @@ LineModel = Annotated[
     Path | None,
     typer.Option("--config", "-c", help="Settings of a cell: its `model` is where one starts."),
 ]
-JsonFile = Annotated[Path | None, typer.Option("--json", help="Write the result here as JSON.")]
+ResultFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--json",
+        "-o",
+        "--out",
+        help="--json prints the result as JSON instead of tables, -o FILE writes it. "
+        "(--json FILE, the older form, writes.)",
+        show_default=False,
+    ),
+]
 ReportFile = Annotated[
     Path | None, typer.Option("--report", help="Write a self-contained HTML report here.")
 ]
@@ -56,23 +68,22 @@ Force = Annotated[
 ]
 
 
-@app.command()
+@app.command(cls=JsonCommand)
 def fit(
     study: StudyFolder,
     out: Annotated[Path | None, typer.Option("-o", "--out", help="Write the model here.")] = None,
     effect: InModel = None,
     prior: PriorFile = None,
     config: LineModel = None,
-    as_json: JsonFile = None,
+    as_json: Json = None,
     force: Force = False,
 ) -> None:
     """Fit the cable's parameters, and those of effects, to the study's `fit` trials."""
     from cell.lab import session
     from cell.lab.doubts import fit_doubts
-    from cell.lab.results import write_json
     from cell.lab.tables import errors_line, model_table, warning_lines
 
-    with refusing(out, as_json, force=force), working() as progress:
+    with refusing(out, as_json, force=force), working("fit") as progress:
         selection = session.select_effects(effect or [])
         explorer = session.explorer_of(
             _opened(study),
@@ -84,13 +95,13 @@ def fit(
         model, candidate = session.fit_study(explorer)
         warnings = fit_doubts(explorer, candidate)
         written = model.to_dict() | {"warnings": [vars(w) for w in warnings]}
-        for path in filter(None, (out, as_json)):
-            write_json(written, path)
-    errors = errors_line(explorer.prepared, candidate)
-    show(*warning_lines(warnings), errors, model_table(model))
+        tables = write_result(written, out, as_json)
+    if tables:
+        errors = errors_line(explorer.prepared, candidate)
+        show(*warning_lines(warnings), errors, model_table(model))
 
 
-@app.command()
+@app.command(cls=JsonCommand)
 def compare(
     study: StudyFolder,
     model: Annotated[
@@ -101,7 +112,7 @@ def compare(
         list[str] | None,
         typer.Option("--effect", help="The file.py of an effect of the model, if it has moved."),
     ] = None,
-    as_json: JsonFile = None,
+    as_json: ResultFile = None,
     report: ReportFile = None,
     force: Force = False,
 ) -> None:
@@ -113,7 +124,6 @@ def compare(
     from cell.lab import session
     from cell.lab.compare import compare_model, comparisons_json, model_names
     from cell.lab.report import comparison_page, write_page
-    from cell.lab.results import write_json
     from cell.lab.tables import (
         comparison_sentence,
         comparison_table,
@@ -121,32 +131,35 @@ def compare(
         follows_table,
     )
 
-    with refusing(as_json, report, force=force):
+    with refusing(as_json, report, force=force), working("compare"):
         opened = _opened(study)
         individuals = session.read_models(model, opened.cable, effect or [])
         comparisons = [
             compare_model(opened, m.model, name)
             for m, name in zip(individuals, model_names(model), strict=True)
         ]
-        if as_json:
-            write_json(comparisons_json(comparisons), as_json)
+        tables = write_result(comparisons_json(comparisons), as_json)
         if report:
             write_page(comparison_page(comparisons), report)
-    last = comparisons[-1]
-    side_by_side = [comparisons_table(comparisons)] if len(comparisons) > 1 else []
-    show(
-        comparison_sentence(comparisons), *side_by_side, comparison_table(last), follows_table(last)
-    )
+    if tables:
+        last = comparisons[-1]
+        side_by_side = [comparisons_table(comparisons)] if len(comparisons) > 1 else []
+        show(
+            comparison_sentence(comparisons),
+            *side_by_side,
+            comparison_table(last),
+            follows_table(last),
+        )
 
 
-@app.command()
+@app.command(cls=JsonCommand)
 def diagnose(
     study: StudyFolder,
     effect: Tried = None,
     known: Known = None,
     prior: PriorFile = None,
     config: LineModel = None,
-    as_json: JsonFile = None,
+    as_json: ResultFile = None,
     report: ReportFile = None,
     force: Force = False,
 ) -> None:
@@ -157,7 +170,7 @@ def diagnose(
     from cell.lab.diagnose import diagnose as diagnose_study
     from cell.lab.individual import identified
     from cell.lab.report import diagnosis_page, write_page
-    from cell.lab.results import to_json, write_json
+    from cell.lab.results import to_json
     from cell.lab.tables import (
         nearest_table,
         ranking_table,
@@ -168,7 +181,7 @@ def diagnose(
         waterfall_table,
     )
 
-    with refusing(as_json, report, force=force), working() as progress:
+    with refusing(as_json, report, force=force), working("diagnose") as progress:
         selection = session.select_for_diagnosis(effect or [], known or [])
         opened = _opened(study)
         explorer = session.explorer_of(
@@ -179,8 +192,7 @@ def diagnose(
             session.read_kind(config),
         )
         examination = diagnose_study(explorer)
-        if as_json:
-            write_json(to_json(examination.diagnosis), as_json)
+        tables = write_result(to_json(examination.diagnosis), as_json)
         steps = [explorer.as_believed(), *examination.steps[1:]]
         comparisons = [compare_model(opened, c.fit.model) for c in steps]
         in_model = explorer.space.effects
@@ -194,45 +206,47 @@ def diagnose(
             model = identified(explorer.prepared, examination.steps[-1].fit)
             write_page(diagnosis_page(examination, comparisons, model, todo), report)
     diagnosis = examination.diagnosis
-    more = [nearest_table(diagnosis)] if diagnosis.nearest else []
-    show(
-        sentence(diagnosis, comparisons[0], comparisons[-1]),
-        verdict_line(diagnosis),
-        *warning_lines(diagnosis.warnings),
-        waterfall_table(diagnosis),
-        *more,
-        ranking_table(diagnosis),
-        steps_text(todo),
-    )
+    if tables:
+        more = [nearest_table(diagnosis)] if diagnosis.nearest else []
+        show(
+            sentence(diagnosis, comparisons[0], comparisons[-1]),
+            verdict_line(diagnosis),
+            *warning_lines(diagnosis.warnings),
+            waterfall_table(diagnosis),
+            *more,
+            ranking_table(diagnosis),
+            steps_text(todo),
+        )
 
 
-@app.command()
+@app.command(cls=JsonCommand)
 def effects(
     effect: Annotated[
         list[str] | None, typer.Option("--effect", help="A file.py to check and list as well.")
     ] = None,
-    as_json: JsonFile = None,
+    as_json: ResultFile = None,
     force: Force = False,
 ) -> None:
     """List the effects that a model may be given: laws, parameters, units and limits."""
     from cell.lab import session
-    from cell.lab.results import write_json
     from cell.lab.tables import describe_effects, effects_table
 
     with refusing(as_json, force=force):
         library = session.select_effects([], effect or []).candidates
-        if as_json:
-            write_json({"format": "cable-effects/1", "effects": describe_effects(library)}, as_json)
-    show(effects_table(library))
+        tables = write_result(
+            {"format": "cable-effects/1", "effects": describe_effects(library)}, as_json
+        )
+    if tables:
+        show(effects_table(library))
 
 
-@app.command()
+@app.command(cls=JsonCommand)
 def discover(
     study: StudyFolder,
     out: Annotated[Path, typer.Option("-o", "--out", help="Write the effect's file here.")],
     effect: InModel = None,
     prior: PriorFile = None,
-    as_json: JsonFile = None,
+    as_json: Json = None,
     force: Force = False,
 ) -> None:
     """Infer the missing force from the residual and write it as an effect that one can read."""
@@ -240,10 +254,9 @@ def discover(
     from cell.lab.advice import Paths, after_discovery
     from cell.lab.discover import discover as discover_effect
     from cell.lab.discover import effect_name
-    from cell.lab.results import write_json
     from cell.lab.tables import discovery_sentence, discovery_table, steps_text
 
-    with refusing(out, as_json, force=force), working() as progress:
+    with refusing(out, as_json, force=force), working("discover") as progress:
         effect_name(out)
         selection = session.select_effects(effect or [])
         explorer = session.explorer_of(
@@ -253,23 +266,23 @@ def discover(
             progress,
         )
         discovery = discover_effect(explorer, out)
-        if as_json:
-            write_json(discovery.to_json(), as_json)
+        tables = write_result(discovery.to_json(), as_json)
     known = explorer.space.effects
     paths = Paths.of(study, known)
     paths = Paths(study, {**(paths.files or {}), discovery.effect: out})
     todo = after_discovery(
         discovery.effect, discovery.complete, paths, tuple(e.name for e in known)
     )
-    show(
-        discovery_table(discovery),
-        discovery_sentence(discovery),
-        f"written to {out}",
-        steps_text(todo),
-    )
+    if tables:
+        show(
+            discovery_table(discovery),
+            discovery_sentence(discovery),
+            f"written to {out}",
+            steps_text(todo),
+        )
 
 
-@app.command()
+@app.command(cls=JsonCommand)
 def suggest(
     study: StudyFolder,
     out: Annotated[
@@ -282,18 +295,17 @@ def suggest(
     effect: Tried = None,
     known: Known = None,
     prior: PriorFile = None,
-    as_json: JsonFile = None,
+    as_json: Json = None,
     force: Force = False,
 ) -> None:
     """Suggest the safe motion that best tells the remaining candidates apart, and its power."""
     from cell.lab import session
     from cell.lab.diagnose import diagnose as diagnose_study
-    from cell.lab.results import write_json
     from cell.lab.suggest import suggest_motion, write_motion
     from cell.lab.surroundings import Surroundings
     from cell.lab.tables import suggestion_table
 
-    with refusing(out, as_json, force=force), working() as progress:
+    with refusing(out, as_json, force=force), working("suggest") as progress:
         surroundings = Surroundings.read(config)
         selection = session.select_for_diagnosis(effect or [], known or [])
         explorer = session.explorer_of(
@@ -306,9 +318,9 @@ def suggest(
         suggestion = suggest_motion(explorer, diagnose_study(explorer), surroundings)
         if out:
             write_motion(suggestion, out)
-        if as_json:
-            write_json(suggestion.to_json(), as_json)
-    show(suggestion_table(suggestion))
+        tables = write_result(suggestion.to_json(), as_json)
+    if tables:
+        show(suggestion_table(suggestion))
 
 
 @app.command()
@@ -340,8 +352,9 @@ def refusing(*outputs: Path | None, force: bool = False) -> Iterator[None]:
     from cell.lab.noise import NoiseUnknownError
 
     try:
-        for output in filter(None, outputs):
-            check_output(output, force=force)
+        for output in outputs:
+            if output is not None and output != STDOUT:
+                check_output(output, force=force)
         yield
     except (InputError, EffectError, NoiseUnknownError, FileNotFoundError, ValueError) as error:
         print(error, file=sys.stderr)
@@ -357,23 +370,17 @@ def _opened(folder: Path) -> Study:
     return opened
 
 
-@contextmanager
-def working() -> Iterator[Any]:
-    """A line that tells what is being done, on the error stream; silent if nobody watches it."""
-    from rich.console import Console
+def working(command: str) -> ProgressLine:
+    """A line that tells what a command is doing, on the error stream."""
+    from cell.terminal.progress import ProgressLine
 
-    console = Console(stderr=True)
-    with console.status("starting") as status:
-        yield lambda text: status.update(text)
+    return ProgressLine(command)
 
 
 def show(*parts: Any) -> None:
-    """Print texts and tables."""
+    """Print texts as they are, and tables of which no number is cut."""
     from rich.console import Console
 
-    console = Console()
-    for part in parts:
-        if isinstance(part, str):
-            print(part)  # as it is: commands are copied, and file names may have brackets
-        else:
-            console.print(part, highlight=False)
+    from cell.terminal.fitting import show as show_on
+
+    show_on(Console(), *parts)

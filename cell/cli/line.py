@@ -45,7 +45,7 @@ def learn(
     from cell.settings import load_settings
     from cell.settings.translate import cable_of, identification_of
 
-    with refusing(out), working() as progress:
+    with refusing(out), working("learn") as progress:
         settings = load_settings(config)
         cable, options = cable_of(settings), identification_of(settings)
         cycles, left_out = read_cycles(runs, cable)

@@ -1,17 +1,90 @@
-"""Commands about what a cycle left behind: identify."""
+"""Commands about what cycles left behind: list, show, identify."""
 
 from __future__ import annotations
 
 import json
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from cell.cli.shared import NOT_ALL_DONE, group, refuse, tell_notes
 
 app = group()
+
+
+Runs = Annotated[Path, typer.Option("--out", help="Folder of the cycles, as of `cell run`.")]
+AsJson = Annotated[bool, typer.Option("--json", help="As JSON instead of tables.")]
+
+
+@app.command("list")
+def list_cycles(
+    runs: Annotated[Path, typer.Argument(help="Folder of the cycles, as `cell run --out`.")] = Path(
+        "runs"
+    ),
+    as_json: AsJson = False,
+) -> None:
+    """List past cycles, the newest last: outcome, offset, forecast error, pictures.
+
+    Ends with 0, or 2 if the folder is wrong.
+    """
+    from rich.console import Console
+
+    from cell.files.input_error import InputError
+    from cell.records.past_cycles import history
+    from cell.terminal.fitting import show as print_parts
+    from cell.terminal.past import history_table
+
+    try:
+        past = history(runs)
+    except InputError as error:
+        refuse(error)
+    if as_json:
+        print(json.dumps([p.to_json() for p in past], indent=2, ensure_ascii=False))
+    else:
+        print_parts(Console(), history_table(past), f"look at one: cell show {runs}/FOLDER")
+
+
+@app.command()
+def show(
+    folder: Annotated[
+        Path | None, typer.Argument(help="A cycle's folder; none = the newest.")
+    ] = None,
+    runs: Runs = Path("runs"),
+    as_json: AsJson = False,
+    pictures: Annotated[
+        bool, typer.Option("--open", help="Open the pictures with the computer's viewer.")
+    ] = False,
+) -> None:
+    """Show a past cycle: how it ended and why, the cable's parameters, times, pictures.
+
+    Ends with 0, or 2 if the folder is wrong.
+    """
+    from rich.console import Console
+
+    from cell.files.input_error import InputError
+    from cell.records.folder import read_record
+    from cell.records.past_cycles import newest
+    from cell.terminal.fitting import show as print_parts
+    from cell.terminal.past import record_parts
+
+    try:
+        record = read_record(newest(runs) if folder is None else folder)
+    except InputError as error:
+        refuse(error)
+    images = sorted(record.folder.glob("*.png"))
+    if as_json:
+        result = None if record.result is None else record.result.to_json()
+        state = dict(record.state)
+        content: dict[str, Any] = {"folder": str(record.folder), "state": state, "result": result}
+        content["pictures"] = [str(image) for image in images]
+        print(json.dumps(content, indent=2, ensure_ascii=False))
+    else:
+        print_parts(Console(), *record_parts(record, images))
+    if pictures:
+        for image in images:
+            typer.launch(str(image))
 
 
 @app.command()
@@ -44,6 +117,7 @@ def identify(
     from cell.settings.translate import identification_of
     from cell.study.folder import read_study, study_folder
     from cell.terminal.console import parameters_table
+    from cell.terminal.fitting import show as print_parts
 
     recorded = (folder / "state.json").exists()
     try:
@@ -72,7 +146,7 @@ def identify(
     if as_json:
         print(json.dumps(identified.to_dict(), ensure_ascii=False))
         return
-    Console().print(parameters_table(identified))
+    print_parts(Console(), parameters_table(identified))
     stated = ""
     if study.noise_std_m is not None:
         stated = f" (of the measurement as the study states it: {study.noise_std_m * 1e3:.3f} mm)"

@@ -40,6 +40,15 @@ _NEVER_SLOW = (
 )
 
 
+DryRun = Annotated[
+    bool,
+    typer.Option(
+        "--dry-run",
+        help="Make all motions of a cycle with empty jaws, and check arm, camera and gripper.",
+    ),
+]
+
+
 @app.command()
 def run(
     config: Config,
@@ -55,13 +64,7 @@ def run(
         Path | None,
         typer.Option(help="Only measure, with this motion by `cell suggest`; insert nothing."),
     ] = None,
-    dry_run: Annotated[
-        bool,
-        typer.Option(
-            "--dry-run",
-            help="Make all motions of a cycle with empty jaws, and check arm, camera and gripper.",
-        ),
-    ] = False,
+    dry_run: DryRun = False,
     speed: Annotated[
         float,
         typer.Option(min=0.01, max=1.0, help="Share of the full speed; only with --dry-run."),
@@ -84,6 +87,7 @@ def run(
     from cell.settings import load_settings
     from cell.settings.calibrated import calibrated
     from cell.terminal.console import RunProgress, troubles
+    from cell.terminal.logs import to_file
 
     if speed != 1.0 and not dry_run:
         refuse(ValueError(f"--speed {speed:g}: {_NEVER_SLOW}"))
@@ -92,6 +96,7 @@ def run(
         settings = load_settings(config)
         known = calibrated(settings, config)
         plan = INSERTING if motion is None else measuring(load_motion(motion, settings))
+        to_file(out.with_name(f"{out.name}.log"))
         with _emulators(settings, seed), interrupted_once() as not_lost, ExitStack() as shown:
 
             def on_step(number: int, step: str) -> None:
@@ -117,9 +122,7 @@ def run(
         raise typer.Exit(NOT_ALL_DONE if results else BAD_INPUT) from error
     if not as_json:
         _show(results, plan.names, dry_run, known.notes)
-    for line in troubles(results):
-        print(line, file=sys.stderr)
-    for line in _changes(out, results, config):
+    for line in (*troubles(results), *_changes(out, results, config)):
         print(line, file=sys.stderr)
     reached = [r for r in results if r.outcome is plan.aim]
     raise typer.Exit(ALL_DONE if len(reached) == cycles else NOT_ALL_DONE)
@@ -154,19 +157,19 @@ def _show(
     from rich.console import Console
 
     from cell.terminal.console import checks_table, results_table, seconds_table
+    from cell.terminal.fitting import show
 
     console = Console()
     if dry_run:
         for result in results:
-            console.print(checks_table(result))
+            show(console, checks_table(result))
     else:
-        console.print(results_table(results))
-    console.print(seconds_table(results, steps))
-    for note in notes:
-        console.print(note, highlight=False)
+        show(console, results_table(results))
+    show(console, seconds_table(results, steps))
+    show(console, *notes)
     for result in results:
         what = "dry run" if dry_run else "cable"
-        console.print(f"{what} {result.cycle}: {result.folder}", highlight=False)
+        show(console, f"{what} {result.cycle}: {result.folder}")
 
 
 def _changes(out: Path, results: list[Result], config: Path) -> list[str]:

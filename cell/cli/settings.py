@@ -1,12 +1,73 @@
-"""Commands about settings, which move nothing: check, schema."""
+"""Commands about settings, which move nothing: init, check, schema."""
 
 from __future__ import annotations
 
 import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
 
 from cell.cli.shared import Config, group, refuse
 
 app = group()
+
+
+@app.command()
+def init(
+    out: Annotated[
+        Path, typer.Option("-o", "--out", help="Write the settings here; not over a file.")
+    ] = Path("cell.yaml"),
+    real: Annotated[
+        bool, typer.Option("--real", help="A real cell: UR arm, industrial camera, gripper.")
+    ] = False,
+    yes: Annotated[
+        bool, typer.Option("--yes", "-y", help="Ask nothing: defaults, to be edited in the file.")
+    ] = False,
+) -> None:
+    """Write a settings file in which every entry is explained, from a few questions.
+
+    Without a terminal nothing is asked, and the defaults are written: those of a simulated cell
+    run as they are, those of a real one (--real) are examples to be measured and replaced.
+
+    Ends with 0, or 2 if the file is there already or an answer is wrong.
+    """
+    import yaml
+    from pydantic import ValidationError
+
+    from cell.files.input_error import InputError
+    from cell.settings import Settings, load_settings
+    from cell.settings.commented import commented
+    from cell.settings.starting import CellKind, answered, default, questions
+
+    if out.exists():
+        refuse(ValueError(f"{out}: is there already; give another file with -o, or move it away"))
+    kind: CellKind = "real" if real else "simulated"
+    answers: dict[tuple[str, ...], Any] = {}
+    if not yes and _person_is_there():
+        for question in questions(kind):
+            usual = default(kind, question.key)
+            shown = ", ".join(map(str, usual)) if isinstance(usual, list) else usual
+            answer = typer.prompt(question.words, default=shown, type=str)
+            if answer != str(shown):
+                given = f"[{answer}]" if isinstance(usual, list) else answer
+                answers[question.key] = answer if isinstance(usual, str) else yaml.safe_load(given)
+    try:
+        text = commented(Settings.model_validate(answered(kind, answers)))
+    except ValidationError as error:
+        places = [f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors()]
+        refuse(ValueError("; ".join(places) + "; nothing was written"))
+    try:
+        with out.open("x", encoding="utf-8") as file:
+            file.write(text)
+        load_settings(out)
+    except OSError as error:
+        refuse(ValueError(f"{out}: cannot be written: {error.strerror}"))
+    except InputError as error:
+        print(f"{out}: written, but to be mended first", file=sys.stderr)
+        refuse(error)
+    print(f"{out}: written; next: cell check --config {out}")
 
 
 @app.command()
@@ -36,3 +97,8 @@ def schema() -> None:
     from cell.settings import Settings
 
     print(json.dumps(Settings.model_json_schema(), indent=2, ensure_ascii=False))
+
+
+def _person_is_there() -> bool:
+    """Whether somebody can answer."""
+    return sys.stdin.isatty()

@@ -1,4 +1,4 @@
-"""What the commands share: exit codes, options, refusing bad input, being interrupted once."""
+"""What the commands share: exit codes, options, refusing bad input, one interruption."""
 
 from __future__ import annotations
 

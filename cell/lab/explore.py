@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,7 +55,16 @@ POLISHED = 3
 #: A place is sought with residuals tempered by this much more.
 SEARCH = Options(tolerance=0.3, most_passes=10, least_gain=1e-3)
 
-Progress = Callable[[str], None]
+
+class Progress(Protocol):
+    """Is told what is being done: `done` of `total` pieces lie behind; 0 of 0 = not counted."""
+
+    def __call__(self, text: str, done: int = 0, total: int = 0) -> None:
+        """Must return at once."""
+
+
+def unheard(text: str, done: int = 0, total: int = 0) -> None:
+    """Progress that nobody watches."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +110,7 @@ class Explorer:
     prepared: PreparedStudy
     space: ParameterSpace
     library: Mapping[str, type[Effect]]
-    progress: Progress = lambda _: None
+    progress: Progress = unheard
     believed: FloatArray | None = None
     _known: dict[frozenset[str], Candidate] = field(default_factory=dict)
     _screens: dict[frozenset[str], list[Screened]] = field(default_factory=dict)
@@ -179,8 +189,9 @@ class Explorer:
 
         with ThreadPoolExecutor(threads()) as pool:
             found = []
-            for effect, candidate in zip(effects, pool.map(one, effects), strict=True):
-                self.progress(f"refit with {effect.name}")
+            refits = zip(effects, pool.map(one, effects), strict=True)
+            for done, (effect, candidate) in enumerate(refits, start=1):
+                self.progress(f"refitted with {effect.name}", done, len(effects))
                 if candidate is not None:
                     found.append(candidate)
             best = sorted(found, key=lambda c: -c.evidence)[:POLISHED]

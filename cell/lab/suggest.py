@@ -140,7 +140,9 @@ def suggest_motion(
     models = [c.fit.model for c in candidates]
     options, refused = [], Counter[str]()
     rest: dict[float, float] = {}
-    for stroke in strokes(surroundings):
+    offered = strokes(surroundings)
+    for done, stroke in enumerate(offered):
+        explorer.progress("looking for a motion", done, len(offered))
         if stroke.angle_rad not in rest:
             rest[stroke.angle_rad] = _rest_low_m(prepared, models, surroundings, stroke.angle_rad)
         option = _weighed(prepared, candidates, stroke, surroundings, rest[stroke.angle_rad])

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
+from rich.text import Text
 
 from cell.cable.effects.base import Effect
 from cell.identify.identified import Identified
@@ -125,7 +126,7 @@ def waterfall_table(diagnosis: Diagnosis) -> Table:
             f"+ {found.effect}{tied}",
             _mm(found.errors.fit_rms_m),
             _mm(found.errors.heldout_rms_m),
-            parameters,
+            Text(parameters),
             f"{found.p_value:.1g}",
             f"{found.delta_bic:.0f}",
         )
@@ -160,7 +161,7 @@ def model_table(model: Identified) -> Table:
     low, high = model.interval()
     rows = zip(model.space.names, model.values, low, high, model.space.units, strict=True)
     for name, value, lo, hi, unit in rows:
-        table.add_row(name, f"{value:.4g}", f"{lo:.4g}", f"{hi:.4g}", unit)
+        table.add_row(Text(name), f"{value:.4g}", f"{lo:.4g}", f"{hi:.4g}", Text(unit))
     return table
 
 
@@ -229,7 +230,7 @@ def comparison_table(comparison: Comparison) -> Table:
         table.add_column(column, justify="left" if column in ("trial", "role") else "right")
     for trial, w in zip(comparison.study.trials, comparison.where, strict=True):
         table.add_row(
-            trial.name,
+            Text(trial.name),
             trial.role,
             _mm(w.rms_m),
             *(_mm(w.by_phase[p]) for p in phases),
@@ -255,7 +256,7 @@ def follows_table(comparison: Comparison) -> Table:
             else ""
             for n in names
         ]
-        table.add_row(w.trial, *cells)
+        table.add_row(Text(w.trial), *cells)
     return table
 
 
@@ -269,7 +270,7 @@ def effects_table(library: Mapping[str, type[Effect]]) -> Table:
         parameters = "\n".join(
             f"{p.name} [{p.unit}] {p.low:g} … {p.high:g}" for p in effect.parameters if p.fitted
         )
-        table.add_row(name, law, parameters)
+        table.add_row(Text(name), Text(law), Text(parameters))
     return table
 
 
@@ -300,7 +301,7 @@ def discovery_table(discovery: Discovery) -> Table:
     for column in ("parameter", "value", "low", "high", "unit"):
         table.add_column(column, justify="left" if column in ("parameter", "unit") else "right")
     for p in discovery.parameters:
-        table.add_row(p.name, f"{p.value:.4g}", f"{p.low:.4g}", f"{p.high:.4g}", p.unit)
+        table.add_row(Text(p.name), f"{p.value:.4g}", f"{p.low:.4g}", f"{p.high:.4g}", Text(p.unit))
     return table
 
 

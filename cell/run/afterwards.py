@@ -21,7 +21,11 @@ def after_insertion(station: Station, findings: Findings) -> Findings:
     task, trial = station.task, findings.trials[0]
     identified = known(findings.identified)
     passage = passage_pictures(
-        known(findings.executed), known(findings.candidates), known(findings.choice), task
+        known(findings.executed),
+        known(findings.candidates),
+        known(findings.choice),
+        known(findings.passage),
+        task,
     )
     findings = _with_held_pictures(station, findings).with_pictures(passage)
     try:

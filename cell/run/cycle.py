@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 import traceback
 from collections.abc import Callable, Iterable, Mapping
@@ -35,6 +36,9 @@ UNREACHED = (ConnectError, DeviceLostError, DeviceTimeoutError, CameraError)
 
 #: What may end a cycle without being a mistake of the program.
 EXPECTED = (DeviceError, InterruptedByCommandError, KeyboardInterrupt, RecordError)
+
+
+_LOG = logging.getLogger(__name__)
 
 
 class Cell:
@@ -75,6 +79,7 @@ class Cell:
 
         A stop or an abort is given to the arm before this returns.
         """
+        _LOG.warning("command %s: %s", event.value, reason)
         self.commands.give(event, reason)
         if event in INTERRUPTING:
             steps.stop(self._station.devices, reason or event.value)
@@ -146,6 +151,7 @@ class Cell:
             record.close(result)
         except RecordError as error:
             result = self._unrecorded(progress, result, error)
+        _LOG.info("cycle %d: %s in %s", number, result.outcome.value, record.folder)
         del progress  # and its pictures
         give_back()
         return result
@@ -153,6 +159,8 @@ class Cell:
     def _end(self, progress: Progress, error: BaseException) -> None:
         """Stop, say why, and come to rest in Stopped (by command) or Aborted (by fault)."""
         fault, event = _fault(progress.step, error)
+        foreign = None if isinstance(error, EXPECTED) else error
+        _LOG.error("step %s failed: %s", progress.step, error, exc_info=foreign)
         progress.watch.cease()
         mode = steps.halt(self._station.devices, fault.cause)
         cable = steps.whereabouts_of_cable(self._station.devices)
@@ -225,6 +233,7 @@ class Cell:
         finally:
             passed_s = now_s() - begun_s
             progress.seconds[step.name] = progress.seconds.get(step.name, 0.0) + passed_s
+            _LOG.info("cycle %d: step %s took %.3f s", progress.number, step.name, passed_s)
             progress.record.state(seconds=progress.seconds)
         progress.findings = findings
         if step.once:

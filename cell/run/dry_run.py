@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from cell.records.result import Check
 from cell.run.findings import Film, Findings, Followed
-from cell.run.movements import Movement, paths_from
+from cell.run.movements import Movement
 from cell.run.station import Station
+from cell.run.steps import allowed_paths
 from cell.run.waiting import AHEAD_S, await_rest, wait_until
 from cell.vision.marks import find_jaw
-from drivers.interfaces import Frame, GripError, LimitError
+from drivers.interfaces import Frame, GripError
 
 FloatArray = NDArray[np.float64]
 
@@ -38,14 +39,7 @@ def reset(station: Station, findings: Findings) -> Findings:
 
 def check_paths(movements: Sequence[Movement], station: Station, findings: Findings) -> Findings:
     """Every path against limits and reach, before anything moves.  Raises LimitError."""
-    arm = station.devices.arm
-    paths = paths_from(arm.state().pose, station.task, movements, arm.rate_hz)
-    for name, path in paths:
-        try:
-            arm.check(path)
-        except LimitError as error:
-            cause = f"on the way '{name.replace('_', ' ')}' {error.cause}"
-            raise LimitError(error.device, cause, error.remedy) from error
+    paths = allowed_paths(station, movements)
     x_m, y_m = (
         np.concatenate([getattr(path, axis) for _, path in paths]) for axis in ("x_m", "y_m")
     )

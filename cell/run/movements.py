@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from cell.plan.measuring import Measuring, Move, measuring_path
@@ -33,6 +33,10 @@ class Movement:
             return self.path
         assert self.limits is not None
         return path_to(self.goal, here, self.limits, rate_hz)
+
+
+#: The movements of a plan: task, the arm's rate in Hz, share of the speed → movements.
+Movements = Callable[[Task, float, float], tuple[Movement, ...]]
 
 
 def slowed(task: Task, speed: float) -> Task:

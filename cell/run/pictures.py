@@ -12,18 +12,33 @@ from cell.cable.dynamics import simulate
 from cell.identify.identified import Identified
 from cell.plan.choose import Choice
 from cell.plan.destination import Destination
+from cell.plan.passage import Passage
 from cell.run.findings import Candidates, Filmed, Followed
 from cell.run.station import Task
 from cell.study.data import Trial
+from cell.vision.annotation import (
+    DESTINATION,
+    JAW,
+    PREDICTED,
+    SEEN,
+    WHITE,
+    Colour,
+    Image,
+    difference_inset,
+    legend,
+    line,
+    scale_bar,
+    title,
+)
+from cell.vision.marks import pixels_per_metre
 from cell.vision.overlay import overlay
-from drivers.interfaces import Frame
 
 FloatArray = NDArray[np.float64]
-Image = NDArray[np.uint8]
 
-_DESTINATION = (60, 60, 255)  # BGR
-_SEEN = (60, 220, 60)
-_PREDICTED = (60, 140, 255)
+#: What the lines of a picture are.
+_NODES_SEEN = ("nodes seen by the camera", SEEN)
+_NODES_OF_MODEL = ("nodes of the identified model", PREDICTED)
+_JAW_AXIS = ("axis of the jaw", JAW)
 
 
 def held_pictures(
@@ -37,33 +52,72 @@ def held_pictures(
     for name, i in chosen.items():
         frame = filmed.pictures[i]
         at = int(np.argmin(np.abs(t_s - (frame.t_s - filmed.begin_s))))
-        images[f"identify_{name}"] = _drawn(frame, filmed, task, nodes_m[at])
+        sighting = filmed.sightings[frame.index]
+        image = overlay(frame.image, sighting, task.view, nodes_m[at])
+        if sighting.seen:
+            difference_inset(image, sighting.nodes_m, nodes_m[at], metres_per_pixel(task))
+        images[f"identify_{name}"] = _finished(image, task, _NODES_SEEN, _NODES_OF_MODEL, _JAW_AXIS)
     return images
 
 
 def measured_pictures(filmed: Filmed, task: Task) -> dict[str, Image]:
     """A measuring motion: at rest before, with the tip lowest, and at its end; what was seen."""
     return {
-        f"measure_{name}": _drawn(filmed.pictures[i], filmed, task, None)
+        f"measure_{name}": _finished(
+            overlay(
+                filmed.pictures[i].image, filmed.sightings[filmed.pictures[i].index], task.view
+            ),
+            task,
+            _NODES_SEEN,
+            _JAW_AXIS,
+        )
         for name, i in _chosen(filmed).items()
     }
 
 
 def passage_pictures(
-    filmed: Filmed, candidates: Candidates, choice: Choice, task: Task
+    filmed: Filmed, candidates: Candidates, choice: Choice, passage: Passage, task: Task
 ) -> dict[str, Image]:
-    """The execution near the passage: destination, predicted and measured path of the tip."""
+    """The execution near the passage: destination, predicted and measured path of the tip.
+
+    The outcome and the forecast's error are written on it; the inset shows, magnified, where the
+    tip was seen beside where it was predicted, in every frame in which it was in the destination.
+    """
     destination = task.destination
     passes_s = (
         candidates.start_s + choice.t_s[int(np.argmax(choice.tip_m[:, 0] <= destination.x_max_m))]
     )
     frame = min(filmed.pictures, key=lambda p: abs(p.t_s - passes_s))
     image = overlay(frame.image, filmed.sightings[frame.index], task.view)
-    seen_m = np.array([s.nodes_m[0] for s in filmed.sightings if s.seen])
-    _draw(image, task, _corners_m(destination), _DESTINATION, closed=True)
-    _draw(image, task, choice.tip_m, _PREDICTED)
-    _draw(image, task, seen_m, _SEEN)
-    return {"execute_passage": image}
+    seen = [s for s in filmed.sightings if s.seen]
+    seen_m = np.array([s.nodes_m[0] for s in seen]).reshape(-1, 2)
+    t_s = candidates.start_s + choice.t_s
+    predicted_m = np.column_stack(
+        [np.interp([s.t_s for s in seen], t_s, axis) for axis in choice.tip_m.T]
+    )
+    _draw(image, task, _corners_m(destination), DESTINATION, closed=True)
+    _draw(image, task, seen_m, SEEN)
+    _draw(image, task, choice.tip_m, PREDICTED, dashed=True)
+    inside = (seen_m[:, 0] <= destination.x_max_m) & (seen_m[:, 0] >= destination.x_min_m)
+    difference_inset(image, seen_m[inside], predicted_m[inside], metres_per_pixel(task))
+    said = "inserted" if passage.passed else f"missed: {passage.reason}"
+    error = (
+        f"forecast error {passage.error_m * 1e3:.2f} mm, margin {passage.margin_m * 1e3:+.2f} mm"
+    )
+    title(image, [("", SEEN), (said, SEEN if passage.passed else DESTINATION), (error, WHITE)])
+    lines = (
+        ("destination", DESTINATION),
+        ("path of the tip, seen", SEEN),
+        ("path of the tip, predicted (dashed)", PREDICTED),
+        _JAW_AXIS,
+    )
+    return {"execute_passage": _finished(image, task, *lines)}
+
+
+def metres_per_pixel(task: Task) -> float:
+    """Size of a pixel in the plane, at the place where a cable is gripped, m."""
+    at_m = np.array([task.home.x_m, task.home.y_m])
+    return 1.0 / float(pixels_per_metre(task.view, task.view.to_pixels(at_m)))
 
 
 def dry_run_pictures(followed: Sequence[Followed], task: Task) -> dict[str, Image]:
@@ -77,12 +131,17 @@ def dry_run_pictures(followed: Sequence[Followed], task: Task) -> dict[str, Imag
         assert one.film is not None
         for name, frame, at in zip(("begin", "end"), one.film.pictures, (0, -1), strict=True):
             image = np.asarray(cv2.cvtColor(frame.image, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
-            _draw(image, task, _corners_m(task.destination), _DESTINATION, closed=True)
-            _draw(image, task, np.column_stack([one.hand.x_m, one.hand.y_m]), _PREDICTED)
+            _draw(image, task, _corners_m(task.destination), DESTINATION, closed=True)
+            _draw(image, task, np.column_stack([one.hand.x_m, one.hand.y_m]), PREDICTED)
             by_arm = one.hand.at(frame.t_s)
-            _cross(image, task, np.array([by_arm.x_m, by_arm.y_m]), _PREDICTED, upright=True)
-            _cross(image, task, one.film.jaw_m[at], _SEEN)
-            images[f"{i}_{one.name}_{name}"] = image
+            _cross(image, task, np.array([by_arm.x_m, by_arm.y_m]), PREDICTED, upright=True)
+            _cross(image, task, one.film.jaw_m[at], SEEN)
+            lines = (
+                ("destination", DESTINATION),
+                ("gripping point and its way, by the arm", PREDICTED),
+                ("gripping point, by the camera", SEEN),
+            )
+            images[f"{i}_{one.name}_{name}"] = _finished(image, task, *lines)
     return images
 
 
@@ -97,25 +156,32 @@ def _corners_m(destination: Destination) -> FloatArray:
     )
 
 
+def _finished(image: Image, task: Task, *lines: tuple[str, Colour]) -> Image:
+    """The picture with its legend and scale bar."""
+    legend(image, lines)
+    scale_bar(image, metres_per_pixel(task))
+    return image
+
+
 def _draw(
     image: Image,
     task: Task,
     line_m: FloatArray,
-    colour: tuple[int, int, int],
+    colour: Colour,
     *,
     closed: bool = False,
+    dashed: bool = False,
 ) -> None:
     """Draw a line (n, 2) of the plane."""
     if len(line_m):
-        pixels = np.rint(task.view.to_pixels(line_m) * 16.0).astype(np.int32)
-        cv2.polylines(image, [pixels], closed, colour, 2, cv2.LINE_AA, 4)
+        line(image, task.view.to_pixels(line_m), colour, 2, closed=closed, dashed=dashed)
 
 
 def _cross(
     image: Image,
     task: Task,
     at_m: FloatArray,
-    colour: tuple[int, int, int],
+    colour: Colour,
     *,
     upright: bool = False,
 ) -> None:
@@ -131,7 +197,3 @@ def _chosen(filmed: Filmed) -> dict[str, int]:
     tip_y_m = np.array([filmed.sightings[p.index].nodes_m[0, 1] for p in filmed.pictures])
     lowest = int(np.nanargmin(tip_y_m)) if np.isfinite(tip_y_m).any() else 0
     return {"still": 0, "swing": lowest, "held": len(filmed.pictures) - 1}
-
-
-def _drawn(frame: Frame, filmed: Filmed, task: Task, nodes_m: FloatArray | None) -> Image:
-    return overlay(frame.image, filmed.sightings[frame.index], task.view, nodes_m)

@@ -11,7 +11,7 @@ from cell.records.result import Outcome
 from cell.run import dry_run, movements, steps
 from cell.run.afterwards import after_dry_run, after_insertion, after_measurement, after_release
 from cell.run.findings import Findings
-from cell.run.movements import Movement, inserting_movements, measuring_movements
+from cell.run.movements import Movements, inserting_movements, measuring_movements
 from cell.run.station import Station, Task
 
 Act = Callable[[Station, Findings], Findings]
@@ -75,7 +75,7 @@ class Plan:
     """
 
     aim: Outcome
-    movements: Callable[[Task, float, float], tuple[Movement, ...]]
+    movements: Movements
     resetting: tuple[Step, ...]
     starting: tuple[Step, ...]
     execute: tuple[Step | Repeat, ...]
@@ -100,6 +100,7 @@ class Plan:
 
 CONNECT = Step("connect", steps.connect, once=True)
 WARM_UP = Step("warm_up", steps.warm_up, computes=True, once=True)
+CHECK_PATHS = Step("check_paths", partial(steps.check_paths, inserting_movements), once=True)
 RESET = Step("reset", steps.reset)
 START = Step("start", steps.check_ready)
 GRASP = Step("grasp", steps.grasp, may_pause=True)
@@ -119,7 +120,7 @@ RELEASE = Step("release", steps.release, after=after_release, may_pause=True, wi
 INSERTING = Plan(
     aim=Outcome.INSERTED,
     movements=inserting_movements,
-    resetting=(CONNECT, WARM_UP, RESET),
+    resetting=(CONNECT, WARM_UP, CHECK_PATHS, RESET),
     starting=(START,),
     execute=(
         GRASP,
@@ -138,10 +139,13 @@ INSERTING = Plan(
 def measuring(motion: Measuring) -> Plan:
     """Film a cable in a motion, for the model lab, and bring it back to where it was grasped."""
     approach, measure = partial(steps.approach, motion), partial(steps.measure, motion)
+    moves = partial(measuring_movements, motion)
+    check = replace(CHECK_PATHS, act=partial(steps.check_paths, moves), once=False)
     return replace(
         INSERTING,
         aim=Outcome.MEASURED,
-        movements=partial(measuring_movements, motion),
+        movements=moves,
+        resetting=(CONNECT, WARM_UP, check, RESET),
         execute=(
             GRASP,
             Step("approach", approach, holding=True, may_pause=True),
@@ -165,7 +169,10 @@ def rehearsing(plan: Plan, task: Task, rate_hz: float, speed: float) -> Plan:
         plan,
         aim=Outcome.REHEARSED,
         resetting=(CONNECT, replace(RESET, act=dry_run.reset)),
-        execute=(Step("check_paths", partial(dry_run.check_paths, moves)), *follow),
+        execute=(
+            replace(CHECK_PATHS, act=partial(dry_run.check_paths, moves), once=False),
+            *follow,
+        ),
         speed=speed,
         given=Findings(speed=speed),
     )

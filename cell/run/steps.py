@@ -8,6 +8,7 @@ nothing is kept here.  Which steps there are, and in which order, is said in `pl
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from concurrent.futures import BrokenExecutor
 from dataclasses import replace
 
@@ -23,7 +24,7 @@ from cell.records.result import Outcome
 from cell.run.early_estimate import EarlyEstimator, simulate_offsets
 from cell.run.filming import capture, film
 from cell.run.findings import Filming, Findings, known
-from cell.run.movements import APPROACH_SLOWER
+from cell.run.movements import APPROACH_SLOWER, Movement, Movements, paths_from
 from cell.run.station import Devices, Station
 from cell.run.trials import executed_trial, held_trial
 from cell.run.waiting import AHEAD_S, POLL_S, REST_TIMEOUT_S, await_rest, check_arm, wait_until
@@ -35,7 +36,9 @@ from drivers.interfaces import (
     DeviceLostError,
     DeviceTimeoutError,
     GripError,
+    LimitError,
     Pose,
+    Trajectory,
 )
 
 #: One frame in so many is kept as a picture, during the hold and during the execution.
@@ -126,6 +129,35 @@ def reset(station: Station, findings: Findings) -> Findings:
     station.commands.check()  # after the reset, so that a stop given meanwhile is not lost
     station.devices.gripper.release()
     return go_home(station, findings)
+
+
+def check_paths(movements: Movements, station: Station, findings: Findings) -> Findings:
+    """Whether every path of the plan keeps limits and reach, before anything moves.
+
+    The approach, the way back and the way aside count too: a cable between the jaws must not be
+    stranded by a path that is refused later.
+    raises  LimitError: naming the way, the point, its value and the limit
+    """
+    allowed_paths(station, movements(station.task, station.devices.arm.rate_hz, 1.0))
+    return findings
+
+
+def allowed_paths(
+    station: Station, movements: Sequence[Movement]
+) -> tuple[tuple[str, Trajectory], ...]:
+    """Names and paths of movements from where the hand is, and of every offset.
+
+    raises  LimitError: the arm may not follow one of them; nothing was moved
+    """
+    arm = station.devices.arm
+    paths = paths_from(arm.state().pose, station.task, movements, arm.rate_hz)
+    for name, path in paths:
+        try:
+            arm.check(path)
+        except LimitError as error:
+            cause = f"on the way '{name.replace('_', ' ')}' {error.cause}"
+            raise LimitError(error.device, cause, error.remedy) from error
+    return paths
 
 
 def check_ready(station: Station, findings: Findings) -> Findings:

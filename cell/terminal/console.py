@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from statistics import median
 from types import TracebackType
 from typing import Literal
@@ -15,6 +16,7 @@ from rich.table import Table
 from cell.identify.identified import Identified
 from cell.records.result import Check, Outcome, Result
 from cell.run.machine import Event
+from cell.terminal.progress import Stage, Ticker
 
 #: What the keys do during a run, and what is then said of them.
 MAY_HOLD = "h: hold"
@@ -51,14 +53,25 @@ _SHOWN = {
 
 
 class RunProgress:
-    """A line that moves on with every step, on the error stream; silent if nobody watches it.
+    """A line that moves on with every step, on the error stream; off a terminal one every 10 s.
+
+    The time left is that of the cycles left, as long as those so far.
 
     steps  names of those of one cycle, in their order
     """
 
-    def __init__(self, cycles: int, steps: Sequence[str]) -> None:
+    def __init__(
+        self,
+        cycles: int,
+        steps: Sequence[str],
+        now_s: Callable[[], float] = time.monotonic,
+    ) -> None:
         self._cycles = cycles
         self._steps = steps
+        self._now_s = now_s
+        self._started_s = now_s()
+        self._stage = Stage("connect", 0, cycles, self._started_s)
+        self._ticker: Ticker | None = None
         console = Console(stderr=True)
         self._progress = Progress(
             SpinnerColumn(),
@@ -66,6 +79,7 @@ class RunProgress:
             BarColumn(bar_width=16),
             TextColumn("{task.description}"),
             TimeElapsedColumn(),
+            TextColumn("{task.fields[left]}"),
             TextColumn("{task.fields[hint]}"),
             console=console,
             transient=True,
@@ -75,9 +89,20 @@ class RunProgress:
     def __enter__(self) -> RunProgress:
         self._progress.start()
         self._line = self._progress.add_task(
-            "", total=self._cycles * len(self._steps), number=1, cycles=self._cycles, hint=""
+            "",
+            total=self._cycles * len(self._steps),
+            number=1,
+            cycles=self._cycles,
+            left="",
+            hint="",
         )
+        if self._progress.disable:
+            self._ticker = Ticker(self.line)
         return self
+
+    def line(self) -> str:
+        """What is said off a terminal."""
+        return f"run: {self._stage.line(self._started_s, self._now_s())}"
 
     def __exit__(
         self,
@@ -86,13 +111,18 @@ class RunProgress:
         trace: TracebackType | None,
     ) -> None:
         self._progress.stop()
+        if self._ticker is not None:
+            self._ticker.close()
 
     def step(self, number: int, step: str) -> None:
         """A step of a cycle begins."""
         if step in self._steps:
             done = (number - 1) * len(self._steps) + self._steps.index(step)
             self._progress.update(self._line, completed=done)
-        self._progress.update(self._line, description=step.replace("_", " "), number=number)
+        words = step.replace("_", " ")
+        self._stage = Stage(f"{words}, cables done", number - 1, self._cycles, self._started_s)
+        left = self._stage.left(self._now_s())
+        self._progress.update(self._line, description=words, number=number, left=left)
 
     def hint(self, words: str) -> None:
         """Say which key does what."""

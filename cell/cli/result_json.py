@@ -1,0 +1,64 @@
+"""One meaning of --json and -o in every command: --json prints the result, -o writes it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperCommand
+
+from cell.cli.streams import emit
+
+#: Stands for the standard output where a file could be given.
+STDOUT = Path("-")
+
+Json = Annotated[
+    Path | None,
+    typer.Option(
+        "--json",
+        help="Print the result as JSON instead of tables. (--json FILE, the older form, writes.)",
+        show_default=False,
+        metavar="",
+    ),
+]
+
+
+class JsonCommand(TyperCommand):
+    """Command whose `--json` prints, and whose `--json FILE`, the older form, writes.
+
+    A word after `--json` is a file unless a required argument would be missing without it.
+    """
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Give every bare `--json` the standard output for its file."""
+        for i, word in reversed(list(enumerate(args))):
+            following = args[i + 1] if i + 1 < len(args) else "--"
+            if word == "--json" and (
+                (following.startswith("-") and following != str(STDOUT))
+                or self._lacks_argument(ctx, [*args[:i], *args[i + 2 :]])
+            ):
+                args = [*args[: i + 1], str(STDOUT), *args[i + 1 :]]
+        return super().parse_args(ctx, args)
+
+    def _lacks_argument(self, ctx: Any, args: list[str]) -> bool:
+        """Whether these words leave a required argument without a value."""
+        given, _, _ = self.make_parser(ctx).parse_args(list(args))
+        return any(
+            parameter.required and not isinstance(given.get(parameter.name), str | tuple | list)
+            for parameter in self.params
+            if parameter.param_type_name == "argument"
+        )
+
+
+def write_result(data: dict[str, Any], *places: Path | None) -> bool:
+    """Write a result as JSON to each place given; returns whether tables are still wanted."""
+    from cell.lab.results import write_json
+
+    for place in places:
+        if place == STDOUT:
+            emit(json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False))
+        elif place is not None:
+            write_json(data, place)
+    return STDOUT not in places

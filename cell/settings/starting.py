@@ -1,0 +1,116 @@
+"""Settings to start from: a simulated cell, and a real one to be measured and filled in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from copy import deepcopy
+from dataclasses import dataclass
+from typing import Any, Literal
+
+CellKind = Literal["simulated", "real"]
+
+_COMMON: dict[str, Any] = {
+    "cable": {
+        "free_length_m": 0.100,
+        "line_density_kg_per_m": 0.0074,
+        "width_m": 0.016,
+        "thickness_m": 0.0001,
+    },
+    "destination": {"x_m": [-0.135, -0.130], "y_m": [-0.111, -0.101]},
+    "limits": {
+        "x_m": [-0.06, 0.02],
+        "y_m": [-0.10, 0.02],
+        "angle_rad": [-0.1, 0.1],
+        "velocity_m_per_s": 0.6,
+        "acceleration_m_per_s2": 6.0,
+        "jerk_m_per_s3": 250.0,
+    },
+}
+_VIEW = {"metres_per_pixel": 0.0002, "origin_column_px": 1000.0, "origin_row_px": 150.0}
+
+STARTING: Mapping[CellKind, Mapping[str, Any]] = {
+    "simulated": _COMMON
+    | {
+        "limits": _COMMON["limits"] | {"angle_rad": [-0.6, 1.1]},  # tilted to measure
+        "arm": {"kind": "sim"},
+        "camera": {"kind": "sim", "view": _VIEW},
+        "gripper": {"kind": "sim", "force_n": 20.0},
+        "world": {},
+    },
+    "real": _COMMON
+    | {
+        "arm": {
+            "kind": "ur",
+            "host": "192.168.3.10",
+            "model": "UR5e",
+            "tcp": [0.0, 0.0, 0.160, 0.0, 0.0, 0.0],
+            "plane_origin_m": [0.450, -0.120, 0.380],
+            "plane_x_axis": [0.0, -1.0, 0.0],
+        },
+        "camera": {
+            "kind": "genicam",
+            "producer": "/opt/camera/lib/producer.cti",
+            "latency_s": 0.012,
+            "view": _VIEW,
+        },
+        "gripper": {
+            "kind": "serial",
+            "port": "/dev/ttyUSB0",
+            "force_n": 20.0,
+            "force_limits_n": [20.0, 40.0],
+        },
+    },
+}
+
+
+@dataclass(frozen=True)
+class Question:
+    """What is asked of a person about an entry; `key` is its path in the settings."""
+
+    key: tuple[str, ...]
+    words: str
+
+
+#: Asked for every cell; the rest of the file is given defaults and comments.
+QUESTIONS = (
+    Question(("cable", "free_length_m"), "Length of the cable from the jaw to the tip, m"),
+    Question(("cable", "line_density_kg_per_m"), "Its mass per metre, kg/m"),
+    Question(("cable", "width_m"), "Its width, m"),
+    Question(("cable", "thickness_m"), "Its thickness, m"),
+    Question(("destination", "x_m"), "Hole's mouth, far and near edge: x, x, m"),
+    Question(("destination", "y_m"), "Hole's mouth, lower and upper edge: y, y, m"),
+    Question(("limits", "x_m"), "Where the hand may be: least and greatest x, m"),
+    Question(("limits", "y_m"), "Where the hand may be: least and greatest y, m"),
+)
+
+#: Asked for a real cell only.
+DEVICE_QUESTIONS = (
+    Question(("arm", "host"), "Address of the arm's controller"),
+    Question(("arm", "model"), "Model of the arm: UR3e, UR5e or UR10e"),
+    Question(("camera", "producer"), "GenTL producer of the camera, a .cti file"),
+    Question(("gripper", "port"), "Serial port of the gripper"),
+)
+
+
+def questions(kind: CellKind) -> tuple[Question, ...]:
+    """What to ask for a cell of this kind."""
+    return QUESTIONS + (DEVICE_QUESTIONS if kind == "real" else ())
+
+
+def default(kind: CellKind, key: tuple[str, ...]) -> Any:
+    """What an entry starts from."""
+    value: Any = STARTING[kind]
+    for part in key:
+        value = value[part]
+    return value
+
+
+def answered(kind: CellKind, answers: Mapping[tuple[str, ...], Any]) -> dict[str, Any]:
+    """The starting settings with answers in place of the defaults."""
+    settings = deepcopy(dict(STARTING[kind]))
+    for key, value in answers.items():
+        section = settings
+        for part in key[:-1]:
+            section = section[part]
+        section[key[-1]] = value
+    return settings

@@ -1,0 +1,133 @@
+"""What is being done now, since when and until when: a line at a terminal, else one every 10 s."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import TracebackType
+
+from rich.console import Console
+from rich.status import Status
+
+#: Off a terminal a line is printed so often, s: enough to see life, too little to fill a log.
+EVERY_S = 10.0
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A part of the work: `done` of `total` pieces since `begun_s`; total 0 = cannot be counted."""
+
+    text: str
+    done: int
+    total: int
+    begun_s: float
+
+    def line(self, started_s: float, now_s: float) -> str:
+        """For a person: what is done, for how long it has been, about how long this part takes."""
+        words = [self.text]
+        if self.total:
+            words.append(f"{self.done} of {self.total}")
+        words.append(f"{_duration(now_s - started_s)} so far")
+        if left := self.left(now_s):
+            words.append(f"{left} of this part")
+        return ", ".join(words)
+
+    def left(self, now_s: float) -> str:
+        """About how long this part still takes; empty = not known yet."""
+        if not 0 < self.done < self.total:
+            return ""
+        left_s = (now_s - self.begun_s) / self.done * (self.total - self.done)
+        return f"about {_duration(left_s)} left"
+
+
+class Ticker:
+    """Prints a line on the error stream every so often, from a thread of its own, until closed.
+
+    line     what to print now; empty = nothing
+    every_s  None = as often as usual
+    wait     for so many seconds or until closed, which it returns; None = by the clock
+    """
+
+    def __init__(
+        self,
+        line: Callable[[], str],
+        every_s: float | None = None,
+        wait: Callable[[float], bool] | None = None,
+    ) -> None:
+        self._line = line
+        self._every_s = EVERY_S if every_s is None else every_s
+        self._closed = threading.Event()
+        self._wait = self._closed.wait if wait is None else wait
+        self._thread = threading.Thread(target=self._tick, name="progress", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Print no more."""
+        self._closed.set()
+        self._thread.join()
+
+    def _tick(self) -> None:
+        while not self._wait(self._every_s) and not self._closed.is_set():
+            if text := self._line():
+                print(text, file=sys.stderr, flush=True)
+
+
+class ProgressLine:
+    """Where a long computation is: call it as each piece begins; use it as a context.
+
+    The time left is that of the part under way, from the pieces it has behind it.
+    """
+
+    def __init__(
+        self,
+        command: str,
+        console: Console | None = None,
+        now_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._command = command
+        self._console = Console(stderr=True) if console is None else console
+        self._now_s = now_s
+        self._started_s = now_s()
+        self._stage = Stage("at work", 0, 0, self._started_s)
+        self._status: Status | None = None
+        self._ticker: Ticker | None = None
+
+    def __call__(self, text: str, done: int = 0, total: int = 0) -> None:
+        """A piece begins: `done` pieces of `total` lie behind; 0 of 0 = they cannot be counted."""
+        same_part = total and total == self._stage.total and done > self._stage.done
+        begun_s = self._stage.begun_s if same_part else self._now_s()
+        self._stage = Stage(text, done, total, begun_s)
+        if self._status is not None:
+            self._status.update(self.line())
+
+    def line(self) -> str:
+        """What would be shown now."""
+        return f"{self._command}: {self._stage.line(self._started_s, self._now_s())}"
+
+    def __enter__(self) -> ProgressLine:
+        if self._console.is_terminal:
+            self._status = Status(self.line(), console=self._console)
+            self._status.start()
+        else:
+            self._ticker = Ticker(self.line)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._status is not None:
+            self._status.stop()
+        if self._ticker is not None:
+            self._ticker.close()
+
+
+def _duration(seconds: float) -> str:
+    """Whole seconds, or minutes and seconds."""
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes} min {rest} s" if minutes else f"{rest} s"

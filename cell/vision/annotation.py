@@ -1,0 +1,142 @@
+"""What makes a picture readable by itself: legend, scale bar, words and a magnified inset."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+Image = NDArray[np.uint8]
+Colour = tuple[int, int, int]
+
+SEEN: Colour = (60, 220, 60)  # BGR
+PREDICTED: Colour = (60, 140, 255)
+DESTINATION: Colour = (60, 60, 255)
+JAW: Colour = (255, 180, 40)
+UNSEEN: Colour = (60, 60, 255)
+WHITE: Colour = (255, 255, 255)
+
+_SHIFT = 4  # cv2 draws on sixteenths of a pixel
+#: Lengths of scale bars, m; that which is nearest to a fifth of the picture's width is drawn.
+_BARS_M = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
+#: How much larger than in the picture differences are shown: the greatest that fits its inset.
+_MAGNIFICATIONS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
+#: Pictures are this wide when letters have their full size, px.
+_FULL_PX = 1280.0
+
+
+def sixteenths(pixels: FloatArray) -> NDArray[np.int32]:
+    """Fixed-point pixels for cv2; far outside the picture is as good as outside."""
+    return np.rint(np.clip(pixels, -1e4, 1e4) * (1 << _SHIFT)).astype(np.int32)
+
+
+def line(
+    picture: Image,
+    pixels: FloatArray,
+    colour: Colour,
+    width_px: int = 1,
+    *,
+    closed: bool = False,
+    dashed: bool = False,
+) -> None:
+    """Draw a line through (n, 2) pixels; points that are nan are left out."""
+    points = sixteenths(pixels[np.isfinite(pixels).all(axis=1)])
+    if dashed:
+        for start in range(0, len(points) - 1, 4):
+            piece = points[start : start + 3]
+            cv2.polylines(picture, [piece], False, colour, width_px, cv2.LINE_AA, _SHIFT)
+    elif len(points):
+        cv2.polylines(picture, [points], closed, colour, width_px, cv2.LINE_AA, _SHIFT)
+
+
+def write(picture: Image, words: str, at_px: tuple[int, int], colour: Colour) -> None:
+    """Write words, dark-edged, so that they can be read on any ground; cv2's letters are ASCII."""
+    size = 0.7 * _letters(picture)
+    for shade, width in (((0, 0, 0), 4), (colour, 1 if size < 0.5 else 2)):
+        cv2.putText(
+            picture, words, at_px, cv2.FONT_HERSHEY_SIMPLEX, size, shade, width, cv2.LINE_AA
+        )
+
+
+def title(picture: Image, lines: Sequence[tuple[str, Colour]]) -> None:
+    """Write lines of words from the top left corner down."""
+    step = round(30 * _letters(picture))
+    for i, (words, colour) in enumerate(lines):
+        write(picture, words, (round(16 * _letters(picture)), step * (i + 1)), colour)
+
+
+def legend(picture: Image, entries: Sequence[tuple[str, Colour]]) -> None:
+    """Say in the bottom left corner what is drawn in which colour."""
+    scale, height = _letters(picture), picture.shape[0]
+    step, left = round(28 * scale), round(16 * scale)
+    for i, (words, colour) in enumerate(entries):
+        y = height - round(20 * scale) - step * (len(entries) - 1 - i)
+        middle = y - round(7 * scale)
+        ends = np.array([[left, middle], [left + 36 * scale, middle]], np.float64)
+        line(picture, ends, (0, 0, 0), 6)
+        line(picture, ends, colour, 3)
+        write(picture, words, (left + round(46 * scale), y), colour)
+
+
+def scale_bar(picture: Image, metres_per_pixel: float) -> None:
+    """Draw a bar of a round length in the bottom right corner, labelled in mm."""
+    height, width = picture.shape[:2]
+    bar_m = min(_BARS_M, key=lambda b: abs(b / metres_per_pixel - 0.2 * width))
+    bar_px, scale = bar_m / metres_per_pixel, _letters(picture)
+    right, y = width - 24 * scale, height - 24 * scale
+    ends = np.array([[right - bar_px, y], [right, y]])
+    ticks = [ends[i] + np.array([[0.0, -6.0], [0.0, 6.0]]) * scale for i in (0, 1)]
+    for colour, wide in (((0, 0, 0), 6), (WHITE, 2)):
+        for piece in (ends, *ticks):
+            line(picture, piece, colour, wide)
+    at = (round(right - bar_px), round(y - 14 * scale))
+    write(picture, f"{bar_m * 1e3:g} mm", at, WHITE)
+
+
+def difference_inset(
+    picture: Image, seen_m: FloatArray, predicted_m: FloatArray, metres_per_pixel: float
+) -> float:
+    """Draw in the top right corner how far what was seen lies from what was predicted, magnified.
+
+    Every predicted point lies in the middle, and what was seen of it beside it, enlarged so many
+    times as the words say; a circle shows the largest difference.
+
+    seen_m, predicted_m  (n, 2) points that belong together; nan = not known
+    returns  the largest difference, m; nan = none is known
+    """
+    apart_m = (seen_m - predicted_m)[np.isfinite(seen_m - predicted_m).all(axis=1)]
+    if not len(apart_m):
+        return float("nan")
+    largest_m = float(np.hypot(*apart_m.T).max())
+    scale = _letters(picture)
+    half = round(90 * scale)
+    fits = [m for m in _MAGNIFICATIONS if m * largest_m / metres_per_pixel < 0.8 * half]
+    times = fits[-1] if fits else 1
+    left, top = picture.shape[1] - 2 * half - round(16 * scale), round(16 * scale)
+    inset = picture[top : top + 2 * half, left : left + 2 * half]
+    inset[:] = inset // 3
+    edge = np.array([[-half, -half], [half, -half], [half, half], [-half, half]], np.float64)
+    centre = np.array([left + half, top + half], np.float64)
+    line(picture, centre + edge, WHITE, 1, closed=True)
+    for arm in ([8.0, 0.0], [0.0, 8.0]):
+        line(picture, centre + np.array([arm, np.negative(arm)]), PREDICTED, 2)
+    radius = times * largest_m / metres_per_pixel
+    turn = np.linspace(0.0, 2.0 * np.pi, 73)
+    line(picture, centre + radius * np.column_stack([np.cos(turn), np.sin(turn)]), WHITE, 1)
+    pixels = centre + times * apart_m * [1.0, -1.0] / metres_per_pixel
+    line(picture, pixels, SEEN, 1)
+    for u, v in sixteenths(pixels).tolist():
+        cv2.circle(picture, (u, v), 3 << _SHIFT, SEEN, -1, cv2.LINE_AA, _SHIFT)
+    words = f"apart, x{times}: {largest_m * 1e3:.2f} mm at most"
+    wide = cv2.getTextSize(words, cv2.FONT_HERSHEY_SIMPLEX, 0.7 * scale, 2)[0][0]
+    right = picture.shape[1] - round(16 * scale)
+    write(picture, words, (right - wide, top + 2 * half + round(24 * scale)), WHITE)
+    return largest_m
+
+
+def _letters(picture: Image) -> float:
+    """Size of letters, relative to those in a picture of full width."""
+    return float(np.clip(picture.shape[1] / _FULL_PX, 0.45, 2.0))

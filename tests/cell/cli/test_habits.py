@@ -1,0 +1,107 @@
+"""What users expect of any command line: --version, completion, init, --json and -o everywhere."""
+
+import json
+from pathlib import Path
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from cell.cli import app
+from cell.cli.result_json import Json, JsonCommand
+from cell.settings import load_settings
+
+
+def cell(*arguments: object, given: str | None = None):
+    return CliRunner().invoke(app, [str(a) for a in arguments], input=given)
+
+
+def test_the_version_is_printed() -> None:
+    done = cell("--version")
+    assert done.exit_code == 0
+    assert done.stdout.startswith("cell 0.") and "Python 3." in done.stdout
+
+
+def test_shells_can_complete() -> None:
+    assert "--install-completion" in cell("--help").stdout
+    done = CliRunner().invoke(
+        app, env={"_CELL_COMPLETE": "complete_bash", "COMP_WORDS": "cell dia", "COMP_CWORD": "1"},
+        prog_name="cell",
+    )  # fmt: skip
+    assert done.stdout.split() == ["diagnose"]
+
+
+@pytest.mark.parametrize("real", [[], ["--real"]])
+def test_init_asks_nothing_without_a_terminal_and_the_file_checks(real, tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    done = cell("init", "-o", path, *real)
+    assert (done.exit_code, done.stdout) == (
+        0,
+        f"{path}: written; next: cell check --config {path}\n",
+    )
+    assert cell("check", "--config", path).exit_code == 0
+    before = path.read_text()
+    again = cell("init", "-o", path)
+    assert again.exit_code == 2 and "is there already" in again.stderr
+    assert path.read_text() == before
+
+
+def test_init_takes_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cell.cli.settings._person_is_there", lambda: True)
+    path = tmp_path / "mine.yaml"
+    answers = ["0.12", "", "", "", "", "", "-0.05, 0.02", ""]
+    done = cell("init", "-o", path, given="\n".join(answers) + "\n")
+    assert done.exit_code == 0, done.output
+    settings = load_settings(path)
+    assert settings.cable.free_length_m == 0.12
+    assert settings.limits.x_m == (-0.05, 0.02)
+    wrong = cell("init", "-o", tmp_path / "no.yaml", given="-3\n" + "\n" * 7)
+    assert wrong.exit_code == 2
+    assert "cable.free_length_m: Input should be greater than 0" in wrong.stderr
+    assert not (tmp_path / "no.yaml").exists()
+
+
+def json_places(*arguments: str) -> str:
+    tried = typer.Typer()
+
+    @tried.command(cls=JsonCommand)
+    def fit(study: Path, as_json: Json = None, flag: bool = False) -> None:
+        print(study, as_json, flag)
+
+    done = CliRunner().invoke(tried, list(arguments))
+    return done.stdout.strip() if done.exit_code == 0 else f"exit {done.exit_code}"
+
+
+@pytest.mark.parametrize(
+    ("given", "understood"),
+    [
+        ("S", "S None False"),
+        ("S --json", "S - False"),
+        ("--json S", "S - False"),
+        ("S --json --flag", "S - True"),
+        ("S --json -", "S - False"),
+        ("S --json out.json", "S out.json False"),
+        ("--json out.json S", "S out.json False"),
+        ("S --json=out.json", "S out.json False"),
+        ("--json", "exit 2"),
+        ("S --json a b", "exit 2"),
+    ],
+)
+def test_json_prints_and_with_a_file_writes(given: str, understood: str) -> None:
+    assert json_places(*given.split()) == understood
+
+
+def test_effects_as_json_are_printed_alone_or_written_beside_the_table(tmp_path: Path) -> None:
+    printed = cell("effects", "--json")
+    listed = json.loads(printed.stdout)["effects"]
+    assert {"air_drag", "tip_mass"} <= {e["effect"] for e in listed}
+    path = tmp_path / "effects.json"
+    written = cell("effects", "-o", path)
+    assert json.loads(path.read_text())["effects"] == listed
+    assert "[kg/m]" in written.stdout
+
+
+def test_past_cycles_of_no_folder_end_with_2(tmp_path: Path) -> None:
+    for command in (("list", tmp_path / "no"), ("show", "--out", tmp_path), ("show", tmp_path)):
+        done = cell(*command)
+        assert done.exit_code == 2 and done.stderr and not done.stdout

@@ -1,0 +1,51 @@
+"""What is said of work under way: pieces, time so far, time left; off a terminal too."""
+
+import io
+
+from rich.console import Console
+
+from cell.terminal.progress import ProgressLine, Ticker
+
+
+def line_of(console_is_terminal: bool = False):
+    clock = [100.0]
+    console = Console(file=io.StringIO(), force_terminal=console_is_terminal)
+    return clock, ProgressLine("diagnose", console, lambda: clock[0])
+
+
+def test_the_time_left_is_that_of_the_part_under_way() -> None:
+    clock, line = line_of()
+    assert line.line() == "diagnose: at work, 0 s so far"
+    clock[0] += 50.0
+    line("refitted with tip_mass", 0, 8)
+    clock[0] += 10.0
+    line("refitted with air_drag", 2, 8)
+    assert line.line() == (
+        "diagnose: refitted with air_drag, 2 of 8, 1 min 0 s so far, about 30 s left of this part"
+    )
+    line("refitted with air_drag", 1, 5)  # a new part begins
+    clock[0] += 3.0
+    assert line.line().endswith("1 of 5, 1 min 3 s so far, about 12 s left of this part")
+
+
+def test_off_a_terminal_a_line_is_printed_at_every_tick(capsys) -> None:
+    asked = []
+
+    def wait(seconds: float) -> bool:
+        asked.append(seconds)
+        return len(asked) > 2
+
+    Ticker(lambda: f"at work {len(asked)}", 10.0, wait).close()
+    ticker = Ticker(lambda: "", 10.0, wait)  # nothing to say, nothing printed
+    ticker.close()
+    assert set(asked) == {10.0}
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert set(err.splitlines()) <= {"at work 1", "at work 2"}
+
+
+def test_a_line_off_a_terminal_names_command_and_piece(capsys) -> None:
+    _, line = line_of()
+    with line:
+        line("fitting", 1, 3)
+    assert capsys.readouterr().err == "", "work of less than ten seconds is not spoken of"
