@@ -8,7 +8,7 @@ from pathlib import Path
 
 #: How the files begin that commands write to where a person says.
 _OWN = re.compile(
-    rb'\s*\{\s*"format": "(?:cable|cell)-[a-z]+/\d+"'
+    rb'\s*\{\s*"format": "(?:cable-|cell-|identified-)[a-z]+/\d+"'
     rb"|format: cell-(?:motion|candidate)/\d+\b"
     rb'|<!doctype html><html lang="en"><head><meta name="generator" content="cable-cell">'
     rb'|"""Law inferred from the residuals of study '

@@ -91,7 +91,10 @@ def _loaded(file: Path, doing: Doing) -> type[Effect]:
         raise EffectError(file, 1, f"must define exactly one subclass of Effect, has {names}")
     (effect,) = found
     check(effect, doing)
-    if effect.name in library() | unscreened():
+    ours = (library() | unscreened()).get(effect.name)
+    if ours is not None:
+        if file_sha256(Path(inspect.getsourcefile(ours) or "")) == sha256:
+            return ours  # the library's own file, or a copy of it
         _, line = inspect.getsourcelines(effect)
         cause = f"name = {effect.name!r} is the library's own effect; give yours another name"
         raise EffectError(file, line, cause)

@@ -37,7 +37,8 @@ def test_a_circle_keeps_its_length_and_curvature(curvature, angle, length, inter
     """Within the order of quintic splines: 6 in place, 5 in direction, 4 in curvature (de Boor).
 
     What counts is how far the circle turns in one interval.  Measured with 3 to 12 intervals that
-    turn by 0.05 to 1.5 rad: at most 0.33 of the bound of length, 0.23 of direction, 0.63 of curvature.
+    turn by 0.05 to 1.5 rad: at most 0.33 of the bound of length, 0.23 of direction, 0.63 of
+    curvature.
     """
     points = circle(curvature, angle, length, 300)
     curve = fit_curve(chord_parameters(points), points, np.ones(300), intervals, 1e-15)
