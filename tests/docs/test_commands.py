@@ -154,28 +154,19 @@ def test_a_page_does_what_it_says(page: Path, tmp_path: Path) -> None:
     assert not follow(page, tmp_path)
 
 
-@pytest.fixture(scope="module")
-def first_session(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str]]:
-    """The first session of docs/lab.md: its folder, and what was not as stated."""
-    folder = tmp_path_factory.mktemp("session")
-    return folder, follow(ROOT / "docs" / "lab.md", folder)
-
-
-def test_the_labs_first_session_prints_what_it_says(first_session) -> None:
-    assert not first_session[1]
-
-
-def test_the_labs_first_session_finds_what_was_hidden(first_session) -> None:
+def test_the_labs_first_session_prints_what_it_says_and_finds_what_was_hidden(
+    tmp_path: Path,
+) -> None:
     """One motion cannot tell, the suggested one decides: the loop of the lab in a cell."""
-    folder, _ = first_session
-    found = json.loads((folder / "diagnosis.json").read_text())
+    assert not follow(ROOT / "docs" / "lab.md", tmp_path)
+    found = json.loads((tmp_path / "diagnosis.json").read_text())
     assert found["verdict"] == "missing"
     assert [m["effect"] for m in found["missing"]] == ["added_mass"]
     value = found["missing"][0]["parameters"]["kg_per_m"]
     assert value["value"] == pytest.approx(8e-4, rel=0.06)
-    model = json.loads((folder / "after.json").read_text())
+    model = json.loads((tmp_path / "after.json").read_text())
     assert "added_mass.kg_per_m" in [p["name"] for p in model["parameters"]]
-    markers = (folder / "study").glob("*/markers.csv")
+    markers = (tmp_path / "study").glob("*/markers.csv")
     assert all("nan" not in m.read_text() for m in markers), "all of the cable was in every picture"
 
 
