@@ -175,7 +175,8 @@ def gates(lesson: Lesson, paired: Sequence[Forecast], destination: Destination) 
 def _better(before: FloatArray, after: FloatArray, noise_m: float) -> Gate:
     rms = [float(np.sqrt(np.mean(v**2))) for v in (before, after)]
     if len(before) >= 5:
-        p = float(stats.wilcoxon(before, after, alternative="greater").pvalue)
+        same = np.array_equal(before, after)  # no rank differs: the test divides by zero
+        p = 1.0 if same else float(stats.wilcoxon(before, after, alternative="greater").pvalue)
         sure, how = p <= SIGNIFICANCE, f"p = {p:.2g}"
     else:
         worse = int(np.sum(after > before + noise_m))
