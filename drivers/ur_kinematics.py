@@ -9,14 +9,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from math import cos, sin
 
 import cv2
 import numpy as np
 
 from drivers.interfaces import FloatArray
 
-_TWIST_COS = np.array([0.0, 1.0, 1.0, 0.0, 0.0, 1.0])
-_TWIST_SIN = np.array([1.0, 0.0, 0.0, 1.0, -1.0, 0.0])
+_Row = tuple[float, float, float, float]
+
+_TWIST_COS = (0.0, 1.0, 1.0, 0.0, 0.0, 1.0)
+_TWIST_SIN = (1.0, 0.0, 0.0, 1.0, -1.0, 0.0)
+_LAST_ROW = (0.0, 0.0, 0.0, 1.0)
 _ITERATIONS = 60
 _LONGEST_STEP_RAD = 0.3
 
@@ -39,12 +43,13 @@ class UrModel:
     max_joint_speed_rad_per_s: float
 
     @cached_property
-    def _rows(self) -> tuple[tuple[float, float, float, float], ...]:
+    def _rows(self) -> tuple[_Row, ...]:
         return tuple(zip(self.a_m, self.d_m, _TWIST_COS, _TWIST_SIN, strict=True))
 
     def forward(self, q_rad: FloatArray, X_FT: FloatArray | None = None) -> FloatArray:
         """(6,) joint angles → (4, 4) X_BT; X_FT is the tool on the flange, none = the flange."""
-        return self._chain(q_rad, X_FT)[0]
+        X = np.array([*self._links(q_rad)[-1], _LAST_ROW])
+        return X if X_FT is None else X @ X_FT
 
     def inverse(
         self, X_BT: FloatArray, near_rad: FloatArray, X_FT: FloatArray | None = None
@@ -71,21 +76,31 @@ class UrModel:
             f"{self.name} does not reach x = {x:.4f}, y = {y:.4f}, z = {z:.4f} m in its base frame"
         )
 
+    def _links(self, q_rad: FloatArray) -> list[tuple[_Row, _Row, _Row]]:
+        """Upper three rows of the pose of the base and of the frame behind each of the 6 joints.
+
+        In Python's own numbers: for matrices of this size numpy's calls cost more than their sums.
+        """
+        x: _Row = (1.0, 0.0, 0.0, 0.0)
+        y: _Row = (0.0, 1.0, 0.0, 0.0)
+        z: _Row = (0.0, 0.0, 1.0, 0.0)
+        links = [(x, y, z)]
+        for angle_rad, joint in zip(q_rad.tolist(), self._rows, strict=True):
+            c, s = cos(angle_rad), sin(angle_rad)
+            x, y, z = (
+                _after_joint(x, joint, c, s),
+                _after_joint(y, joint, c, s),
+                _after_joint(z, joint, c, s),
+            )
+            links.append((x, y, z))
+        return links
+
     def _chain(self, q_rad: FloatArray, X_FT: FloatArray | None) -> tuple[FloatArray, FloatArray]:
         """Pose of the tool and its (6, 6) Jacobian, linear rows first."""
-        X = np.eye(4)
-        axes, origins = np.empty((6, 3)), np.empty((6, 3))
-        for i, (a, d, ca, sa) in enumerate(self._rows):
-            axes[i], origins[i] = X[:3, 2], X[:3, 3]
-            c, s = np.cos(q_rad[i]), np.sin(q_rad[i])
-            X = X @ np.array(
-                [
-                    [c, -s * ca, s * sa, a * c],
-                    [s, c * ca, -c * sa, a * s],
-                    [0.0, sa, ca, d],
-                    [0.0, 0.0, 0.0, 1.0],
-                ]
-            )
+        links = self._links(q_rad)
+        before = np.array(links[:6])
+        axes, origins = before[:, :, 2], before[:, :, 3]
+        X = np.array([*links[6], _LAST_ROW])
         if X_FT is not None:
             X = X @ X_FT
         arms = X[:3, 3] - origins
@@ -122,6 +137,14 @@ UR10E = UrModel(
     2.094,
 )
 MODELS = {model.name: model for model in (UR3E, UR5E, UR10E)}
+
+
+def _after_joint(row: _Row, joint: _Row, c: float, s: float) -> _Row:
+    """A pose's row times a joint's matrix: a, d, twist (cos, sin) and angle (c, s)."""
+    r0, r1, r2, r3 = row
+    a, d, ca, sa = joint
+    along, across = c * r0 + s * r1, c * r1 - s * r0
+    return along, ca * across + sa * r2, ca * r2 - sa * across, r3 + a * along + d * r2
 
 
 def matrix_of(pose: FloatArray) -> FloatArray:
