@@ -14,7 +14,7 @@ from calib.errors import BlurredError, MisfitError, OneSidedError, TooFewError
 from calib.lens import Lens
 from calib.plane import fit_homography, map_homography
 from calib.projection import pose, project, rotation
-from calib.robust import Known, RobustFit, robust_fit
+from calib.robust import PriorKnowledge, RobustFit, robust_fit
 
 FloatArray = NDArray[np.float64]
 
@@ -163,7 +163,7 @@ def _fit(
 
     start = np.concatenate([lens, [0.0, 0.0], poses.ravel()])
     spread = np.concatenate([_LENS_SPREAD, [_WARP_SPREAD_M] * 2, np.full(poses.size, np.inf)])
-    return robust_fit(model, start, Known.with_spread(np.zeros(len(start)), spread))
+    return robust_fit(model, start, PriorKnowledge.with_spread(np.zeros(len(start)), spread))
 
 
 def _per_view(views: Sequence[BoardView], fit: RobustFit) -> tuple[ViewError, ...]:

@@ -17,7 +17,7 @@ from calib.errors import MisfitError, OneSidedError, TooFewError, WrongScaleErro
 from calib.lens import Lens
 from calib.plane import PlaneView
 from calib.projection import pose, project, rotation
-from calib.robust import Known, RobustFit, robust_fit
+from calib.robust import PriorKnowledge, RobustFit, robust_fit
 
 FloatArray = NDArray[np.float64]
 
@@ -51,7 +51,7 @@ class Plate:
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
+class JawObservation:
     """The jaw's marks at rest: where the arm says the tool is, X_BT (4, 4), and (M, 2) pixels."""
 
     name: str
@@ -184,8 +184,8 @@ def view_of(x: FloatArray, home: FloatArray, up: FloatArray, in_plane: bool) -> 
 
 
 def fit_cell(
-    shown: Sequence[Shown],
-    held_out: Sequence[Shown],
+    shown: Sequence[JawObservation],
+    held_out: Sequence[JawObservation],
     plate: Plate,
     lens: Lens,
     lens_covariance: FloatArray,
@@ -212,7 +212,7 @@ def fit_cell(
     together = 1.0  # weight of what all marks of a pose have in common
     for _ in range(2):
         model = MarksModel(shown, marks_m, gravity, together)
-        fit = robust_fit(model, start, Known(expected, information, model.threads))
+        fit = robust_fit(model, start, PriorKnowledge(expected, information, model.threads))
         plain = MarksModel(shown, marks_m, gravity, 1.0)(fit.mean)[0].reshape(len(shown), -1, 2)
         within, common = _scatter(plain, fit.used)
         start = fit.mean
@@ -253,7 +253,11 @@ class MarksModel:
     """Residuals of all marks, what a pose's marks have in common weighted by `together`."""
 
     def __init__(
-        self, shown: Sequence[Shown], marks_m: FloatArray, gravity: Gravity, together: float
+        self,
+        shown: Sequence[JawObservation],
+        marks_m: FloatArray,
+        gravity: Gravity,
+        together: float,
     ) -> None:
         self._hands = np.array([s.X_BT for s in shown])
         self._seen = np.concatenate([s.pixels for s in shown])
@@ -345,7 +349,7 @@ def _known(
     return expected, information
 
 
-def _first_guess(shown: Sequence[Shown], marks_m: FloatArray, lens: Lens) -> FloatArray:
+def _first_guess(shown: Sequence[JawObservation], marks_m: FloatArray, lens: Lens) -> FloatArray:
     flat = np.column_stack([marks_m, np.zeros(len(marks_m))])
     points = np.concatenate([flat @ s.X_BT[:3, :3].T + s.X_BT[:3, 3] for s in shown])
     pixels = np.concatenate([s.pixels for s in shown])
@@ -363,7 +367,9 @@ def _first_guess(shown: Sequence[Shown], marks_m: FloatArray, lens: Lens) -> Flo
     return start
 
 
-def _centred(one: Shown, x: FloatArray, marks: FloatArray, radius_m: float) -> Shown:
+def _centred(
+    one: JawObservation, x: FloatArray, marks: FloatArray, radius_m: float
+) -> JawObservation:
     """Pixels of the discs' centres, from those of the centroids of their pictures.
 
     Perspective and distortion put the two a little apart.
@@ -380,7 +386,7 @@ def _centred(one: Shown, x: FloatArray, marks: FloatArray, radius_m: float) -> S
         cross = a[:, 0] * b[:, 1] - b[:, 0] * a[:, 1]
         if abs(cross.sum()) > 0.0:
             pixels[k] -= np.sum((a + b) * cross[:, None], axis=0) / (3.0 * cross.sum())
-    return Shown(one.name, one.X_BT, pixels)
+    return JawObservation(one.name, one.X_BT, pixels)
 
 
 def _scatter(by_pose: FloatArray, used: NDArray[np.bool_]) -> tuple[float, float]:
@@ -400,7 +406,7 @@ def _scatter(by_pose: FloatArray, used: NDArray[np.bool_]) -> tuple[float, float
 
 def _held_out(
     x: FloatArray,
-    shown: Sequence[Shown],
+    shown: Sequence[JawObservation],
     marks_m: FloatArray,
     home: FloatArray,
     up: FloatArray,
@@ -430,7 +436,7 @@ def _held_out(
 # --- refusals ---------------------------------------------------------------------------------
 
 
-def _check_poses(shown: Sequence[Shown]) -> None:
+def _check_poses(shown: Sequence[JawObservation]) -> None:
     places = np.array([s.X_BT[:3, 3] for s in shown])
     sizes = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
     if sizes[1] < 0.1 * sizes[0] or sizes[0] < 1e-3:
@@ -439,7 +445,7 @@ def _check_poses(shown: Sequence[Shown]) -> None:
         )
 
 
-def _check_fit(fit: RobustFit, common: float, shown: Sequence[Shown]) -> None:
+def _check_fit(fit: RobustFit, common: float, shown: Sequence[JawObservation]) -> None:
     x, outliers = fit.mean, 1.0 - float(np.mean(fit.used))
     if fit.noise_px > MOST_NOISE_PX or common > MOST_ARM_NOISE_PX or outliers > 0.2:
         worst = np.linalg.norm(fit.residuals.reshape(len(shown), -1, 2), axis=2).mean(axis=1)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.cell import CellFit, Gravity, MarksModel, Shown
+from calib.cell import CellFit, Gravity, JawObservation, MarksModel
 
 FloatArray = NDArray[np.float64]
 
@@ -19,7 +19,7 @@ def in_picture(
     fit: CellFit, poses: Sequence[FloatArray], marks_m: FloatArray, size_px: tuple[int, int]
 ) -> NDArray[np.bool_]:
     """(S,) whether all marks are in the picture with the hand at poses X_BT (4, 4)."""
-    shown = [Shown("", X, np.zeros((len(marks_m), 2))) for X in poses]
+    shown = [JawObservation("", X, np.zeros((len(marks_m), 2))) for X in poses]
     pixels = MarksModel(shown, marks_m, Gravity(fit.up, 1.0), 1.0)(fit.mean)[0]
     pixels = pixels.reshape(len(shown), -1, 2)
     inside = (pixels > _EDGE_PX) & (pixels < np.array(size_px) - 1.0 - _EDGE_PX)
@@ -41,7 +41,9 @@ def choose_poses(
 
     field_px  (G, 2) where the map matters
     """
-    shown = [Shown(f"{k}", X, np.zeros((len(marks_m), 2))) for k, X in enumerate(candidates)]
+    shown = [
+        JawObservation(f"{k}", X, np.zeros((len(marks_m), 2))) for k, X in enumerate(candidates)
+    ]
     slopes = MarksModel(shown, marks_m, Gravity(fit.up, 1.0), 1.0)(fit.mean)[1]
     slopes = slopes.reshape(len(shown), -1, slopes.shape[-1]) / max(fit.noise_px, 0.01)
     inside = in_picture(fit, candidates, marks_m, size_px)

@@ -17,7 +17,7 @@ Model = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
+class PriorKnowledge:
     """What is known beside the points.
 
     expected     (P,) parameters, with (P, P) information (inverse covariance) about them
@@ -29,7 +29,7 @@ class Known:
     further: Callable[[FloatArray], tuple[FloatArray, FloatArray]] | None = None
 
     @classmethod
-    def with_spread(cls, expected: FloatArray, spread: FloatArray) -> Known:
+    def with_spread(cls, expected: FloatArray, spread: FloatArray) -> PriorKnowledge:
         """Parameters known to (P,) standard deviations, inf = not at all."""
         return cls(expected, np.diag(np.where(np.isfinite(spread), 1.0 / spread**2, 0.0)))
 
@@ -74,7 +74,7 @@ class RobustFit:
     used: NDArray[np.bool_]
 
 
-def robust_fit(model: Model, start: FloatArray, known: Known) -> RobustFit:
+def robust_fit(model: Model, start: FloatArray, known: PriorKnowledge) -> RobustFit:
     """Parameters that explain points best, outliers set aside.
 
     A fit with a loss that grows linearly finds the scale of the noise; points beyond
@@ -111,7 +111,7 @@ def _least_squares(
     model: Model,
     start: FloatArray,
     scale: FloatArray,
-    known: Known,
+    known: PriorKnowledge,
     *,
     robust: bool,
 ) -> FloatArray:

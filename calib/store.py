@@ -41,7 +41,7 @@ class StoreError(ValueError):
 
 
 @dataclass(frozen=True, eq=False)
-class Stored:
+class StoredCalibration:
     """A calibration: what, when, how, on which devices, how wrong, and the numbers."""
 
     kind: str
@@ -76,7 +76,7 @@ class Stored:
         return value
 
 
-def save(path: Path, stored: Stored) -> None:
+def save(path: Path, stored: StoredCalibration) -> None:
     """Write a calibration, whole or not at all; `load` gives the same numbers back."""
     tree = _tree(stored)
     tree["hash"] = _hash(tree)
@@ -89,7 +89,7 @@ def save(path: Path, stored: Stored) -> None:
     part.replace(path)
 
 
-def load(path: Path, kind: str) -> Stored:
+def load(path: Path, kind: str) -> StoredCalibration:
     """A calibration of a given kind.  Raises StoreError, naming file, key and remedy."""
     remedy = f"run `cell calibrate {kind}`"
     try:
@@ -120,13 +120,13 @@ def load(path: Path, kind: str) -> Stored:
     except ValueError as error:
         raise StoreError(f"{path}: made: {tree['made']!r} is no time; {remedy}") from error
     covariance = np.asarray(tree["covariance"] or np.empty((0, 0)), dtype=np.float64)
-    return Stored(
+    return StoredCalibration(
         kind, made.replace(tzinfo=made.tzinfo or UTC), tree["how"], tree["devices"],
         tree["error"], tree["result"], covariance,
     )  # fmt: skip
 
 
-def _tree(stored: Stored) -> dict[str, Any]:
+def _tree(stored: StoredCalibration) -> dict[str, Any]:
     return {
         "format": FORMAT,
         "kind": stored.kind,

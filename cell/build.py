@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.computer.memory import one_heap
+from cell.computer.memory import use_one_arena
 from cell.computer.second_process import SecondProcess
 from cell.plan.choose import ChoiceOptions
 from cell.plan.destination import Destination
@@ -89,7 +89,7 @@ def cell_with(
     known: Calibrated | None = None,
 ) -> Cell:
     """A cell around given devices, which it surrounds with their limits."""
-    one_heap()
+    use_one_arena()
     guarded = guarded_devices(settings, devices)
     watched = isinstance(devices.clock, RealClock)
     hurried = watched or settings.world.real_time_factor is not None

@@ -22,7 +22,7 @@ from drivers.interfaces import (
     DeviceLostError,
     Frame,
 )
-from drivers.recording import SLOW_REMEDY, CaptureOptions, Recording, Shot, Taken
+from drivers.recording import SLOW_REMEDY, ArrivedShot, CaptureOptions, Recording, Shot
 
 _LEAST_PERIODS = 3.0  # of silence before a camera is lost
 _WAKING_S = 0.002
@@ -143,7 +143,7 @@ class _Stream:
         self._changed = threading.Condition()
         self._quit = threading.Event()
         self._rate_hz: float | None = None
-        self._recent: deque[Taken] = deque(maxlen=max(2, options.settle_frames))
+        self._recent: deque[ArrivedShot] = deque(maxlen=max(2, options.settle_frames))
         self._error: DeviceError | None = None
         self._recording: Recording | None = None
         self._thread = threading.Thread(target=self._run, name=device, daemon=True)
@@ -164,7 +164,7 @@ class _Stream:
             while not self._quit.is_set():
                 shot = source.grab(self._wanted)
                 if shot is not None:
-                    self._take(Taken(shot, self._clock.now_s()))
+                    self._take(ArrivedShot(shot, self._clock.now_s()))
         except DeviceError as error:
             self._fail(error)
         finally:
@@ -174,9 +174,9 @@ class _Stream:
         recording = self._recording
         return recording is not None and not recording.complete
 
-    def _take(self, taken: Taken) -> None:
+    def _take(self, taken: ArrivedShot) -> None:
         with self._changed:
-            self._recent.append(Taken(_without_image(taken.shot), taken.arrived_s))
+            self._recent.append(ArrivedShot(_without_image(taken.shot), taken.arrived_s))
             recording = self._recording
             if recording is not None and not recording.complete:
                 recording.take(taken)

@@ -79,7 +79,7 @@ def check_settings(
 
 
 @dataclass(frozen=True)
-class Taken:
+class ArrivedShot:
     """A picture, and when it arrived."""
 
     shot: Shot
@@ -116,7 +116,7 @@ class Recording:
         """Whether no more pictures are to be taken."""
         return self.error is not None or self._taken == self._count
 
-    def take(self, taken: Taken) -> None:
+    def take(self, taken: ArrivedShot) -> None:
         """Add a picture, if it was exposed after the start."""
         shot, options = taken.shot, self._options
         reached_s = taken.arrived_s

@@ -292,7 +292,7 @@ def gauss_newton_pass() -> None:
         prior = Prior(knots=len(model.rigidity_n_m2))
         space = ParameterSpace.of(CABLE, effects=kinds, prior=prior)
         q = space.coordinates(np.array([*model.rigidity_n_m2, 1.1, 1e-7, *values]))
-        lanes = space.beside(q)
+        lanes = space.forward_difference_points(q)
 
         def one_pass(
             space: ParameterSpace = space,

@@ -18,7 +18,7 @@ from stalls import StallProbe, Stalls
 
 from calib.plane import PlaneView
 from cell.build import real_devices
-from cell.run.warm_up import warm_up_eyes
+from cell.run.warm_up import warm_up_vision
 from cell.settings import load_settings
 from cell.settings.translate import vision_of
 from cell.simulated.emulated import EmulatedCell
@@ -110,7 +110,7 @@ def servo(seconds: float) -> Servo:
             view.metres_per_pixel, view.origin_column_px, view.origin_row_px
         )
         options = vision_of(settings)
-        warm_up_eyes(options)  # compiling on a new machine would hold everything up
+        warm_up_vision(options)  # compiling on a new machine would hold everything up
         devices = real_devices(settings)
         with EmulatedCell(settings, seed=1) as emulated, StallProbe() as probe:
             devices.gripper.connect()

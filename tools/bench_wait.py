@@ -35,7 +35,7 @@ CONFIG = Path(__file__).parents[1] / "config" / "fake.yaml"
 
 
 @dataclass(frozen=True)
-class Waited:
+class Wait:
     """One cycle.
 
     wait_s    from when the last frame of the hold was taken until the offset was chosen, as the
@@ -121,11 +121,11 @@ def measured(settings: Settings, seed: int, cycles: int, to_parent: Connection) 
             hold = player.late_s[0]
             behind_s = hold[-1] - min(hold)
             waited_s = np.nan if result.wait_s is None else result.wait_s + behind_s
-            to_parent.send(Waited(result.outcome.value, waited_s, behind_s, os.getloadavg()[0]))
+            to_parent.send(Wait(result.outcome.value, waited_s, behind_s, os.getloadavg()[0]))
         cell.close()
 
 
-def waits(cycles: int, seed: int) -> list[Waited]:
+def waits(cycles: int, seed: int) -> list[Wait]:
     """Every cycle's wait, told as it comes."""
     settings = load_settings(CONFIG)
     real = settings.world.model_copy(update={"real_time_factor": 1.0})
@@ -158,7 +158,7 @@ def waits(cycles: int, seed: int) -> list[Waited]:
     return found
 
 
-def summary(found: list[Waited]) -> str:
+def summary(found: list[Wait]) -> str:
     """Quantiles and a histogram."""
     ms = 1e3 * np.array([w.wait_s for w in found])
     middle, most, worst = np.nanquantile(ms, [0.5, 0.95, 1.0])

@@ -20,7 +20,7 @@ import numpy as np
 
 from calib.board import Board, BoardView
 from calib.camera import picture_grid
-from calib.cell import CellFit, Gravity, Plate, Shown, camera_roll, fit_cell
+from calib.cell import CellFit, Gravity, JawObservation, Plate, camera_roll, fit_cell
 from calib.errors import CalibrationError
 from calib.lens import Lens
 from calib.plane import PlaneView
@@ -86,9 +86,9 @@ class Setup:
             for k, X in enumerate(poses)
         ]
 
-    def shown(self, count: int) -> list[Shown]:
+    def shown(self, count: int) -> list[JawObservation]:
         """The plate at rest in random poses, turned out of the plane by 20° at most."""
-        found: list[Shown] = []
+        found: list[JawObservation] = []
         while len(found) < count:
             turn = [*self.rng.uniform(-0.35, 0.35, 2), self.rng.uniform(-0.3, 0.3)]
             place = [self.rng.uniform(-0.10, 0.0), self.rng.uniform(-0.11, 0.01)]
@@ -99,7 +99,7 @@ class Setup:
             if pixels is not None:
                 said = X_BT.copy()
                 said[:3, 3] += self.rng.normal(0.0, ARM_M, 3)
-                found.append(Shown(f"pose {len(found)}", said, pixels))
+                found.append(JawObservation(f"pose {len(found)}", said, pixels))
         return found
 
     def gravity(self) -> Gravity:
@@ -155,7 +155,7 @@ def plane_errors(fit: CellFit, setup: Setup) -> dict[str, float]:
 
 
 def opencv_view(
-    views: tuple[BoardView, ...], shown: list[Shown], setup: Setup, method: int
+    views: tuple[BoardView, ...], shown: list[JawObservation], setup: Setup, method: int
 ) -> PlaneView:
     """Map by OpenCV alone: lens, poses of the plate one by one, hand–eye, mean plate in the tool.
 

@@ -30,7 +30,7 @@ FLAT = (10_240.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True)
-class Held:
+class ResourceUse:
     """What a process holds."""
 
     memory_kib: int
@@ -38,15 +38,15 @@ class Held:
     handles: int
 
 
-def held_by(pid: int) -> Held:
+def held_by(pid: int) -> ResourceUse:
     status = dict(
         line.split(":", 1) for line in Path(f"/proc/{pid}/status").read_text().splitlines()
     )
     handles = len(list(Path(f"/proc/{pid}/fd").iterdir()))
-    return Held(int(status["VmRSS"].split()[0]), int(status["Threads"]), handles)
+    return ResourceUse(int(status["VmRSS"].split()[0]), int(status["Threads"]), handles)
 
 
-def slopes(rows: list[Held]) -> tuple[np.ndarray, np.ndarray]:
+def slopes(rows: list[ResourceUse]) -> tuple[np.ndarray, np.ndarray]:
     """(3,) growth per cycle after the first tenth, and its standard error."""
     values = np.array([astuple(r) for r in rows[len(rows) // 10 :]], dtype=float)
     number = np.arange(len(values)) - 0.5 * (len(values) - 1)
@@ -56,7 +56,7 @@ def slopes(rows: list[Held]) -> tuple[np.ndarray, np.ndarray]:
     return slope, np.sqrt((left**2).sum(axis=0) / max(1, len(values) - 2) / spread)
 
 
-def report(name: str, rows: list[Held]) -> bool:
+def report(name: str, rows: list[ResourceUse]) -> bool:
     slope, error = slopes(rows)
     first, last = rows[len(rows) // 10], rows[-1]
     flat = True
@@ -80,8 +80,8 @@ def main() -> int:
     parser.add_argument("--patience-s", type=float, default=0.15, help="with the gripper")
     arguments = parser.parse_args()
     outcomes: Counter[str] = Counter()
-    own: list[Held] = []
-    child: list[Held] = []
+    own: list[ResourceUse] = []
+    child: list[ResourceUse] = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         path = short_cycles(

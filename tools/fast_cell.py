@@ -23,7 +23,7 @@ from cell.plan.choose import Choice, choose
 from cell.plan.passage import Passage, measured_passage
 from cell.plan.paths import executed_motion, identification_path, insertion_path
 from cell.run.early_estimate import simulate_offsets
-from cell.run.findings import Candidates, Filmed
+from cell.run.findings import Candidates, FilmedMotion
 from cell.run.station import Task, Timing
 from cell.settings import Settings
 from cell.simulated.hidden import hidden_cable
@@ -47,7 +47,7 @@ class FastCycle:
     held: Trial
     executed: Trial | None
     identified: Identified | None
-    prospect: Candidates | None
+    candidates: Candidates | None
     choice: Choice | None
     passage: Passage | None
     reason: str | None
@@ -100,7 +100,9 @@ def fast_cycle(
     hand = _logged(down, errors, rng)
     held = _seen(task, hidden, down, t_s, hand, bias, errors, rng)
     start_s = end_s + task.decide_s
-    filmed = Filmed(0.0, (), Trajectory(hand.t_s, hand.x_m, hand.y_m, hand.angle_rad), (), 0.0)
+    filmed = FilmedMotion(
+        0.0, (), Trajectory(hand.t_s, hand.x_m, hand.y_m, hand.angle_rad), (), 0.0
+    )
     identified, expected, choice, reason = None, None, None, None
     try:
         identified = identify(held, task.arc_length_m, task.cable, options=task.identification)

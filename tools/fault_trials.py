@@ -91,7 +91,7 @@ def all_trials() -> list[Trial]:
     return found
 
 
-class Bench:
+class FaultRig:
     """Emulators, real drivers and the cell around them."""
 
     def __init__(self, settings: Settings, emulated: EmulatedCell, runs: Path) -> None:
@@ -167,7 +167,7 @@ class Bench:
         return float(np.linalg.norm(speed[:3]))
 
 
-def run_trial(bench: Bench, trial: Trial) -> None:
+def run_trial(bench: FaultRig, trial: Trial) -> None:
     """One cycle with the fault, the next if that one did not need the device, and one after."""
     trial.begin()
     if trial.step == "connect":
@@ -195,7 +195,7 @@ def run_trial(bench: Bench, trial: Trial) -> None:
         bench.cell.close()
 
 
-def judge(bench: Bench, trial: Trial, result: Result) -> None:
+def judge(bench: FaultRig, trial: Trial, result: Result) -> None:
     assert trial.given_s is not None
     fault = result.fault
     if fault is None:
@@ -334,7 +334,7 @@ def main() -> int:
             folder, arguments.host, arguments.patience_s, own_patience=False, **SHORT
         )
         with EmulatedCell(settings := load_settings(config), seed=1) as emulated:
-            bench = Bench(settings, emulated, folder / "runs")
+            bench = FaultRig(settings, emulated, folder / "runs")
             bench.cycle()
             for number, trial in enumerate(left, 1):
                 run_trial(bench, trial)

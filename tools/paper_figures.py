@@ -97,23 +97,23 @@ def insertion(offset_m: float) -> Motion:
 
 
 @dataclass(frozen=True)
-class Seen:
+class Measured:
     """Markers of one motion in the world, as measured."""
 
     t_s: FloatArray
     xy_m: FloatArray
 
 
-def measure(model: CableModel, motion: Motion, seed: int, arc_length_m: FloatArray) -> Seen:
+def measure(model: CableModel, motion: Motion, seed: int, arc_length_m: FloatArray) -> Measured:
     """What a camera at 200 frames/s sees of it, with noise."""
     t_s = np.arange(0.001, motion.t_s[-1], 0.005)
     clean = simulate(model, motion, t_s, arc_length_m, solver=WORLD)[0]
     noise = np.random.default_rng(seed).normal(0.0, NOISE_M, clean.shape)
-    return Seen(t_s, clean + noise)
+    return Measured(t_s, clean + noise)
 
 
 @cache
-def identified(index: int) -> tuple[Identified, Seen]:
+def identified(index: int) -> tuple[Identified, Measured]:
     """A cable's model from its hold, and what was seen of that."""
     seen = measure(individuals()[index], hold(), index, NODES_M)
     rng = np.random.default_rng([index, 1])

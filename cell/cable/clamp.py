@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cell.cable import layout as at
 from cell.cable import splines
-from cell.cable.effects.base import ActiveEffect, Pose
+from cell.cable.effects.base import ActiveEffect, HandMotion
 from cell.cable.effects.compiled import parameters
 from cell.cable.geometry import Motion
 
@@ -42,7 +42,7 @@ def motions_like(motion: Motion, values: FloatArray) -> list[Motion]:
     return motions
 
 
-def pose_of(motion: Motion, effects: Sequence[ActiveEffect] = ()) -> Pose:
+def pose_of(motion: Motion, effects: Sequence[ActiveEffect] = ()) -> HandMotion:
     """Pose of the gripping point against time, after the effects on the hand in their order."""
     x, y, angle = motion_splines(motion)
 
@@ -50,10 +50,10 @@ def pose_of(motion: Motion, effects: Sequence[ActiveEffect] = ()) -> Pose:
         return x(t), y(t), angle(t)
 
     begin, end = float(motion.t_s[0]), float(motion.t_s[-1])
-    pose = Pose(logged, begin, end)
+    pose = HandMotion(logged, begin, end)
     for active in effects:
         if active.effect.clamp is not None:
-            pose = Pose(active.effect.clamp(pose, parameters(active)), begin, end)
+            pose = HandMotion(active.effect.clamp(pose, parameters(active)), begin, end)
     return pose
 
 

@@ -69,7 +69,7 @@ def advance(S: FloatArray, lanes: int, n: int, step: FloatArray) -> None:
 
 
 @compiled
-def wild(S: FloatArray, lanes: int, n: int) -> bool:
+def diverged(S: FloatArray, lanes: int, n: int) -> bool:
     """Whether any hinge is bent by half a turn or more, or not finite."""
     worst = 0.0
     for i in range(n + 1):
@@ -168,7 +168,7 @@ def integrate(
             call_moment(
                 moments[e], (S, lanes, n, ADVANCE, h, dq, dv, params, row, memory, memory_rows[e])
             )
-        if (j % _CHECK_EVERY == 0 or j == steps - 1) and wild(S, lanes, n):
+        if (j % _CHECK_EVERY == 0 or j == steps - 1) and diverged(S, lanes, n):
             return j
         while done < when.size and when[done] <= j + 1:
             record(S, lanes, n, h, when[done] - j, out, done)

@@ -15,7 +15,7 @@ from calib.camera import CameraFit, fit_camera, picture_grid
 from calib.cell import CellFit, Gravity, MarksModel, Plate, fit_cell
 from calib.errors import CalibrationError, TooFewError
 from calib.lens import Lens
-from calib.store import Stored
+from calib.store import StoredCalibration
 from calib.thread import find_thread
 from calib.timing import Delay, arm_lag, camera_latency
 from cell.calibration.measure import marks_m, matrix_of, seen_marks
@@ -77,9 +77,9 @@ def _views(
     return views
 
 
-def stored_camera(fit: CameraFit, settings: Settings) -> Stored:
+def stored_camera(fit: CameraFit, settings: Settings) -> StoredCalibration:
     """What is kept of a lens."""
-    return Stored(
+    return StoredCalibration(
         "camera",
         datetime.now(UTC),
         {
@@ -98,7 +98,7 @@ def stored_camera(fit: CameraFit, settings: Settings) -> Stored:
     )
 
 
-def cell_from(shown: ShownCell, camera: Stored, settings: Settings) -> CellFit:
+def cell_from(shown: ShownCell, camera: StoredCalibration, settings: Settings) -> CellFit:
     """Plane, robot, marks and gravity.  Raises CalibrationError."""
     marks = vision_of(settings).marks
     threads = () if shown.thread is None else (find_thread(*shown.thread),)
@@ -121,7 +121,7 @@ def cell_from(shown: ShownCell, camera: Stored, settings: Settings) -> CellFit:
     )
 
 
-def stored_cell(fit: CellFit, settings: Settings) -> Stored:
+def stored_cell(fit: CellFit, settings: Settings) -> StoredCalibration:
     """What is kept of a cell."""
     size = (settings.camera.width_px, settings.camera.height_px)
     spread_m = fit.spread_m(picture_grid(size))
@@ -130,7 +130,7 @@ def stored_cell(fit: CellFit, settings: Settings) -> Stored:
     held_out = np.linalg.norm(fit.held_out_m, axis=1)
     lens = fit.view.lens
     assert lens is not None
-    return Stored(
+    return StoredCalibration(
         "cell",
         datetime.now(UTC),
         {
@@ -177,9 +177,9 @@ def times_from(move: SeenMove) -> Times:
     )
 
 
-def stored_times(times: Times, settings: Settings, frames: int, told: float) -> Stored:
+def stored_times(times: Times, settings: Settings, frames: int, told: float) -> StoredCalibration:
     """What is kept of the delays; `told` is the latency that the driver took off already."""
-    return Stored(
+    return StoredCalibration(
         "time",
         datetime.now(UTC),
         {"frames": frames},
@@ -198,7 +198,7 @@ def stored_times(times: Times, settings: Settings, frames: int, told: float) -> 
 
 
 @dataclass(frozen=True)
-class Today:
+class Drift:
     """How far the cell is beside its calibration; `sentence` and `command` for a person.
 
     moved_m    the marks beside where the stored map has them, the mean
@@ -214,8 +214,8 @@ class Today:
 
 
 def today(
-    shown: ShownCell, cell: Stored, times: Times | None, settings: Settings, config: str
-) -> Today:
+    shown: ShownCell, cell: StoredCalibration, times: Times | None, settings: Settings, config: str
+) -> Drift:
     """Today's error.  Raises CalibrationError: the marks are not found."""
     marks = vision_of(settings).marks
     found = seen_marks(shown.poses, marks)
@@ -239,17 +239,17 @@ def today(
     command = f"cell calibrate cell --config {config}"
     if moved_m > bound_m:
         sentence = f"the camera, or the plate on the jaw, moved by {moved_m * 1e3:.2f} mm"
-        return Today(False, sentence, command, moved_m, left_m, change_s)
+        return Drift(False, sentence, command, moved_m, left_m, change_s)
     if left_m > bound_m:
         sentence = f"the map is wrong by {left_m * 1e3:.2f} mm rms: the camera turned, or its lens"
         command = f"cell calibrate --config {config}"
-        return Today(False, sentence, command, moved_m, left_m, change_s)
+        return Drift(False, sentence, command, moved_m, left_m, change_s)
     if change_s is not None and abs(change_s) > limits.max_time_error_s:
         sentence = f"recalibrate time: the camera's latency changed by {change_s * 1e3:+.2f} ms"
         command = f"cell calibrate time --config {config}"
-        return Today(False, sentence, command, moved_m, left_m, change_s)
+        return Drift(False, sentence, command, moved_m, left_m, change_s)
     sentence = f"good: {np.hypot(moved_m, left_m) * 1e3:.3f} mm beside the stored map"
-    return Today(True, sentence, None, moved_m, left_m, change_s)
+    return Drift(True, sentence, None, moved_m, left_m, change_s)
 
 
 def _only(values: Mapping[str, Any], *names: str) -> dict[str, Any]:

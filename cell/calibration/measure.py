@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from calib.board import Board, BoardView, find_board
 from calib.camera import picture_grid
-from calib.cell import CellFit, Shown
+from calib.cell import CellFit, JawObservation
 from calib.errors import CalibrationError
 from calib.plane import PlaneView
 from calib.plate import find_plate
@@ -166,13 +166,13 @@ def matrix_of(pose: Pose) -> FloatArray:
     return X
 
 
-def seen_marks(shown: Sequence[ShownPose], marks: JawMarks) -> list[Shown]:
+def seen_marks(shown: Sequence[ShownPose], marks: JawMarks) -> list[JawObservation]:
     """The poses in which the marks were found."""
     found = []
     for one in shown:
         pixels = find_plate(one.picture.image, marks_m(marks), marks.radius_m)
         if pixels is not None:
-            found.append(Shown(one.picture.name, matrix_of(one.pose), pixels))
+            found.append(JawObservation(one.picture.name, matrix_of(one.pose), pixels))
     return found
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from calib.board import BoardView
 from calib.camera import CameraFit, picture_grid
 from calib.cell import CellFit
-from calib.store import Stored
+from calib.store import StoredCalibration
 from calib.timing import Delay
 from cell.calibration.conclude import Times
 from cell.calibration.raw import Picture, SeenMove, ShownCell
@@ -37,7 +37,7 @@ img{max-width:100%;border:1px solid #ccc}svg{max-width:100%}
 
 
 def camera_report(
-    stored: Stored,
+    stored: StoredCalibration,
     fit: CameraFit,
     views: Sequence[BoardView],
     pictures: Sequence[Picture],
@@ -88,7 +88,9 @@ def camera_report(
     )  # fmt: skip
 
 
-def cell_report(stored: Stored, fit: CellFit, shown: ShownCell, settings: Settings) -> str:
+def cell_report(
+    stored: StoredCalibration, fit: CellFit, shown: ShownCell, settings: Settings
+) -> str:
     """Page about a cell: error at held-out poses, uncertainty of the map, residuals, plane."""
     e, size = stored.error, (settings.camera.width_px, settings.camera.height_px)
     spread_mm = 1e3 * CIRCLE_95 * fit.spread_m(picture_grid(size))
@@ -135,7 +137,7 @@ def cell_report(stored: Stored, fit: CellFit, shown: ShownCell, settings: Settin
     )
 
 
-def time_report(stored: Stored, times: Times, move: SeenMove) -> str:
+def time_report(stored: StoredCalibration, times: Times, move: SeenMove) -> str:
     """Page about delays."""
 
     def words(delay: Delay) -> str:
@@ -167,7 +169,9 @@ def time_report(stored: Stored, times: Times, move: SeenMove) -> str:
 # --- parts of a page --------------------------------------------------------------------------
 
 
-def _page(title: str, says: str, parts: Sequence[tuple[str, str]], stored: Stored) -> str:
+def _page(
+    title: str, says: str, parts: Sequence[tuple[str, str]], stored: StoredCalibration
+) -> str:
     facts = ", ".join(f"{k} {v}" for k, v in [*stored.how.items(), *stored.devices.items()])
     body = "".join(f"<h2>{html.escape(head)}</h2>{content}" for head, content in parts)
     return (

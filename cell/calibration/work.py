@@ -12,11 +12,11 @@ import numpy as np
 
 from calib.errors import CalibrationError
 from calib.plane import PlaneView
-from calib.store import Stored, load, save
+from calib.store import StoredCalibration, load, save
 from calib.timing import Delay
 from cell.build import guarded_devices, real_devices, twin_devices
 from cell.calibration import conclude, measure, raw
-from cell.calibration.conclude import Today
+from cell.calibration.conclude import Drift
 from cell.calibration.report import camera_report, cell_report, time_report
 from cell.calibration.session import Session, opened
 from cell.calibration.showing import BOARD_VIEWS, Assistant, Person
@@ -27,13 +27,13 @@ from cell.settings import model as given
 from cell.settings.calibrated import Calibrated, typed, view_of_stored
 from cell.settings.translate import vision_of
 from cell.simulated.emulated import EmulatedCell, runs_already
-from cell.simulated.showing import Simulation
+from cell.simulated.showing import SimulatedAssistant
 from cell.simulated.twins import build_twins
 
 Say = Callable[[str], None]
 
 
-class Workshop:
+class CalibrationJob:
     """Devices, settings and files of a calibration, within a `with`.
 
     say, ask  progress for a person; a question that waits for an answer
@@ -60,7 +60,7 @@ class Workshop:
         self._stack = contextlib.ExitStack()
         self._session: Session | None = None
         self._assistant: Assistant = Person(ask)
-        self._made: dict[str, Stored] = {}
+        self._made: dict[str, StoredCalibration] = {}
         self._reports: dict[str, Path] = {}
 
     def __enter__(self) -> Self:
@@ -71,7 +71,7 @@ class Workshop:
 
     # --- parts --------------------------------------------------------------------------------
 
-    def do(self, part: str, source: Path | None = None) -> Stored:
+    def do(self, part: str, source: Path | None = None) -> StoredCalibration:
         """Calibrate `camera`, `cell` or `time`, live or from a folder.
 
         raises  CalibrationError, StoreError, InputError, DeviceError, EmulatorError
@@ -82,7 +82,7 @@ class Workshop:
         self._made[part] = made
         return made
 
-    def _camera(self, source: Path | None) -> Stored:
+    def _camera(self, source: Path | None) -> StoredCalibration:
         if source is None:
             session = self._open()
             pictures = measure.show_board(session, self._assistant, self._board, self._say)
@@ -96,7 +96,7 @@ class Workshop:
         self._report("camera", camera_report(stored, fit, views, pictures, troubles))
         return stored
 
-    def _cell(self, source: Path | None) -> Stored:
+    def _cell(self, source: Path | None) -> StoredCalibration:
         camera = self._before("camera")
         self._check_size(camera)
         if source is None:
@@ -114,7 +114,7 @@ class Workshop:
         self._report("cell", cell_report(stored, fit, shown, self._settings))
         return stored
 
-    def _time(self, source: Path | None) -> Stored:
+    def _time(self, source: Path | None) -> StoredCalibration:
         told_s = 0.0
         if source is None:
             move = self._move(view_of_stored(self._before("cell")))
@@ -126,7 +126,7 @@ class Workshop:
         self._report("time", time_report(stored, times, move))
         return stored
 
-    def check(self) -> Today:
+    def check(self) -> Drift:
         """Today's error against the stored one.  Raises as `do`."""
         cell = self._before("cell")
         latency_s = self._before("time").number("latency_s")
@@ -191,7 +191,7 @@ class Workshop:
         if isinstance(settings.arm, given.SimulatedArm):
             twins = build_twins(settings, self._seed, 0, known)
             devices = twin_devices(twins)
-            self._assistant = Simulation(
+            self._assistant = SimulatedAssistant(
                 settings, self._board, twins.stage, self._seed, BOARD_VIEWS
             )
         else:
@@ -202,7 +202,7 @@ class Workshop:
                         "end `cell emulate`; calibrating starts its own",
                     )
                 emulated = self._stack.enter_context(EmulatedCell(settings, self._seed))
-                self._assistant = Simulation(
+                self._assistant = SimulatedAssistant(
                     settings, self._board, emulated.camera.tell, self._seed, BOARD_VIEWS
                 )
             devices = real_devices(settings, known)
@@ -221,11 +221,11 @@ class Workshop:
         self._say(f"look at {len(filmed.frames)} frames")
         return measure.seen_move(filmed, view, vision_of(self._settings).marks)
 
-    def _before(self, kind: str) -> Stored:
+    def _before(self, kind: str) -> StoredCalibration:
         """A calibration that this one needs."""
         return self._made[kind] if kind in self._made else load(self._folder / f"{kind}.yaml", kind)
 
-    def _check_size(self, camera: Stored) -> None:
+    def _check_size(self, camera: StoredCalibration) -> None:
         size = (self._settings.camera.width_px, self._settings.camera.height_px)
         made = (camera.devices.get("width_px"), camera.devices.get("height_px"))
         if made != size:
@@ -246,7 +246,7 @@ class Workshop:
         self._reports[kind] = path
 
 
-def _words(made: Stored) -> str:
+def _words(made: StoredCalibration) -> str:
     e = made.error
     match made.kind:
         case "camera":

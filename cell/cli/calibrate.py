@@ -14,7 +14,7 @@ import typer
 from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, Config, interrupted_once, refuse
 
 if TYPE_CHECKING:
-    from cell.calibration.work import Workshop
+    from cell.calibration.work import CalibrationJob
 
 app = typer.Typer(
     name="calibrate",
@@ -116,7 +116,7 @@ def _part(part: str, config: Path, source: Path | None, seed: int, as_json: bool
         _end(work, as_json)
 
 
-def _end(work: Workshop, as_json: bool) -> None:
+def _end(work: CalibrationJob, as_json: bool) -> None:
     if as_json:
         print(json.dumps(work.summary(), ensure_ascii=False))
     else:
@@ -126,11 +126,13 @@ def _end(work: Workshop, as_json: bool) -> None:
 
 
 @contextmanager
-def _workshop(config: Path, seed: int, as_json: bool, *, live: bool = True) -> Iterator[Workshop]:
+def _workshop(
+    config: Path, seed: int, as_json: bool, *, live: bool = True
+) -> Iterator[CalibrationJob]:
     """Everything that calibrating needs; what goes wrong is said and ends with 2."""
     from calib.errors import CalibrationError
     from calib.store import StoreError
-    from cell.calibration.work import Workshop
+    from cell.calibration.work import CalibrationJob
     from cell.files.input_error import InputError
     from cell.settings import load_settings
     from drivers.emulators.launch import EmulatorError
@@ -148,7 +150,10 @@ def _workshop(config: Path, seed: int, as_json: bool, *, live: bool = True) -> I
 
     try:
         settings = load_settings(config)
-        with interrupted_once(), Workshop(settings, config, seed, say, ask, live=live) as work:
+        with (
+            interrupted_once(),
+            CalibrationJob(settings, config, seed, say, ask, live=live) as work,
+        ):
             yield work
     except (InputError, CalibrationError, StoreError, EmulatorError, DeviceError) as error:
         refuse(error)

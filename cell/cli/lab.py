@@ -29,7 +29,7 @@ InModel = Annotated[
         "--effect", help="Part of the model: an effect's name, or a file.py with one of your own."
     ),
 ]
-Tried = Annotated[
+EffectOption = Annotated[
     list[str] | None,
     typer.Option(
         "--effect",
@@ -128,7 +128,7 @@ def compare(
         comparison_sentence,
         comparison_table,
         comparisons_table,
-        follows_table,
+        correlations_table,
     )
 
     with refusing(as_json, report, force=force), working("compare"):
@@ -148,14 +148,14 @@ def compare(
             comparison_sentence(comparisons),
             *side_by_side,
             comparison_table(last),
-            follows_table(last),
+            correlations_table(last),
         )
 
 
 @app.command(cls=JsonCommand)
 def diagnose(
     study: StudyFolder,
-    effect: Tried = None,
+    effect: EffectOption = None,
     known: Known = None,
     prior: PriorFile = None,
     config: LineModel = None,
@@ -193,7 +193,7 @@ def diagnose(
         )
         examination = diagnose_study(explorer)
         tables = write_result(to_json(examination.diagnosis), as_json)
-        steps = [explorer.as_believed(), *examination.steps[1:]]
+        steps = [explorer.prior_candidate(), *examination.steps[1:]]
         comparisons = [compare_model(opened, c.fit.model) for c in steps]
         in_model = explorer.space.effects
         todo = advice(
@@ -292,7 +292,7 @@ def suggest(
         Path | None,
         typer.Option("--config", "-c", help="Settings of the cell: its limits and `model`."),
     ] = None,
-    effect: Tried = None,
+    effect: EffectOption = None,
     known: Known = None,
     prior: PriorFile = None,
     as_json: Json = None,

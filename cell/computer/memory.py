@@ -10,7 +10,7 @@ from functools import cache
 _M_ARENA_MAX = -8  # of glibc's mallopt
 
 
-def one_heap() -> None:
+def use_one_arena() -> None:
     """Have threads to come allocate from the heap there is, where the C library is glibc.
 
     It gives every thread an arena of its own, of which fragments stay when the thread has ended;
@@ -20,7 +20,7 @@ def one_heap() -> None:
     _of_libc("mallopt")(_M_ARENA_MAX, 1)
 
 
-def give_back() -> None:
+def release_free_memory() -> None:
     """Collect what nobody needs, and let the C library return its free pages, where it can.
 
     glibc keeps the pages of freed arrays among those still used.

@@ -12,7 +12,7 @@ from multiprocessing import get_context, parent_process
 from typing import ParamSpec, TypeVar
 
 Given = ParamSpec("Given")
-Found = TypeVar("Found")
+Returned = TypeVar("Returned")
 
 #: On a computer with too little to do both, frames are looked at first.
 _NICE = 5
@@ -31,8 +31,8 @@ class SecondProcess(Executor):
         self._pid: Future[int] = Future()
 
     def submit(
-        self, fn: Callable[Given, Found], /, *args: Given.args, **kwargs: Given.kwargs
-    ) -> Future[Found]:
+        self, fn: Callable[Given, Returned], /, *args: Given.args, **kwargs: Given.kwargs
+    ) -> Future[Returned]:
         """See `Executor`; a job whose process is killed raises BrokenExecutor."""
         if self._pool is not None:
             try:

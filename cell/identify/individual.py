@@ -17,8 +17,7 @@ from cell.identify.hand import HandErrors, align_motion, moves_from_s
 from cell.identify.identified import Identified
 from cell.identify.model_class import ModelClass
 from cell.identify.paper import fit_as_paper
-from cell.identify.predicted_frames import PredictedFrames
-from cell.identify.predicted_frames import predict_frames as foresee_frames
+from cell.identify.predicted_frames import PredictedFrames, simulate_frames
 from cell.study.data import Markers, Trial
 
 FloatArray = NDArray[np.float64]
@@ -172,7 +171,7 @@ def predict_frames(
     t_s         (T,) of all frames, those to come included
     raises      what the engine raises
     """
-    return foresee_frames(
+    return simulate_frames(
         trial,
         t_s,
         arc_length_m[arc_length_m > 0.0],

@@ -167,7 +167,7 @@ class ParameterSpace:
             tuple(active),
         )
 
-    def beside(self, q: FloatArray) -> FloatArray:
+    def forward_difference_points(self, q: FloatArray) -> FloatArray:
         """(1 + p, p) a point and its neighbours for forward differences, none beyond `high`."""
         return np.vstack(
             [q, q + np.diag(np.where(q + self.step <= self.high, self.step, -self.step))]

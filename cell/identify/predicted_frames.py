@@ -55,10 +55,10 @@ class PredictedFrames:
         return PredictedFrames(trial.grip, trial.markers.t_s, self.lanes, markers_m, others_m)
 
 
-def _late_s(t_s: FloatArray, foreseen_s: FloatArray) -> FloatArray | None:
-    if t_s.shape != foreseen_s.shape or np.abs(t_s - foreseen_s).max() > MOST_OFF_S:
+def _late_s(t_s: FloatArray, predicted_s: FloatArray) -> FloatArray | None:
+    if t_s.shape != predicted_s.shape or np.abs(t_s - predicted_s).max() > MOST_OFF_S:
         return None
-    return t_s - foreseen_s
+    return t_s - predicted_s
 
 
 def _same_motion(motion: Motion, predicted: Motion) -> bool:
@@ -69,7 +69,7 @@ def _same_motion(motion: Motion, predicted: Motion) -> bool:
     return True
 
 
-def held_on(motion: Motion, until_s: float) -> Motion:
+def extended_at_rest(motion: Motion, until_s: float) -> Motion:
     """A log that goes on at rest: its end, back and forth, so that its noise goes on as well."""
     interval_s = float(motion.t_s[-1] - motion.t_s[0]) / (len(motion.t_s) - 1)
     more = int(np.ceil((until_s - float(motion.t_s[-1])) / interval_s))
@@ -88,7 +88,7 @@ def held_on(motion: Motion, until_s: float) -> Motion:
     )
 
 
-def predict_frames(
+def simulate_frames(
     trial: Trial,
     t_s: FloatArray,
     arc_length_m: FloatArray,
@@ -106,8 +106,8 @@ def predict_frames(
     mean          (p,) fit coordinates of the cable as it seems now
     raises        what the engine raises
     """
-    grip = held_on(trial.grip, float(t_s[-1]))
-    lanes = space.beside(mean)
+    grip = extended_at_rest(trial.grip, float(t_s[-1]))
+    lanes = space.forward_difference_points(mean)
     others = likely_motions(grip, hand)
     models = [space.model(q) for q in lanes]
     markers_m = simulate(

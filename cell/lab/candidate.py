@@ -13,7 +13,7 @@ import numpy as np
 from cell.files.atomic import write_whole
 from cell.files.yaml_document import yaml_text
 from cell.identify.model_class import source_of
-from cell.lab.gates import Forecast, Gate
+from cell.lab.gates import ForecastPair, Gate
 from cell.lab.learn import Lesson
 from cell.settings.model import Model
 from cell.settings.promotion import FORMAT
@@ -24,7 +24,7 @@ def write_candidate(
     path: Path,
     lesson: Lesson,
     judged: Sequence[Gate],
-    paired: Sequence[Forecast],
+    paired: Sequence[ForecastPair],
     present: Model,
 ) -> None:
     """Write what was learned; `read_candidate` reads it."""

@@ -14,7 +14,7 @@ from cell.cable.model import CableModel
 from cell.lab.fitting import best_delay
 from cell.lab.noise import NoiseUnknownError, noise_floor
 from cell.lab.prepared import PreparedStudy, is_released
-from cell.lab.where import Where, nowhere, overall, where
+from cell.lab.trial_residual import TrialResidual, overall, trial_residual, unsimulated_trial
 from cell.study.data import Markers, Study, Trial
 
 FloatArray = NDArray[np.float64]
@@ -46,7 +46,7 @@ class Comparison:
     heldout_rms_m: float
     predicted_m: dict[str, FloatArray]
     cable_m: dict[str, FloatArray]
-    where: tuple[Where, ...]
+    where: tuple[TrialResidual, ...]
     noise_at_rest_m: float = float("nan")
     model: str = "model"
     effects: tuple[str, ...] = ()
@@ -99,7 +99,7 @@ class Comparison:
                         "noise_m2_per_hz": w.spectrum.noise.tolist(),
                     },
                     "whiteness_p_value": _number(w.whiteness_p_value),
-                    "follows": [asdict(f) for f in w.follows],
+                    "follows": [asdict(f) for f in w.correlations],
                 }
                 for w in self.where
             ],
@@ -119,12 +119,14 @@ def compare_model(study: Study, model: CableModel, name: str = "model") -> Compa
         points, shapes = everywhere(prepared, trial, [model], delay)
         predicted[trial.name], cable[trial.name] = points[0], shapes[0]
         if not np.isfinite(points).all():
-            found.append(nowhere(trial, study.arc_length_m, prepared.floor.noise))
+            found.append(unsimulated_trial(trial, study.arc_length_m, prepared.floor.noise))
             continue
         # rows are (markers, axes, times); unseen values are exactly zero there
         white = prepared.white(trial, points)[0].reshape(-1, 2, len(trial.markers.t_s))
         white = np.where(np.isfinite(trial.markers.xy_m), np.moveaxis(white, 2, 0), np.nan)
-        found.append(where(trial, points[0], white, study.arc_length_m, prepared.floor.noise))
+        found.append(
+            trial_residual(trial, points[0], white, study.arc_length_m, prepared.floor.noise)
+        )
 
     def error(role: str) -> float:
         chosen = [t for t in study.trials if t.role == role]

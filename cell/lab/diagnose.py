@@ -14,10 +14,10 @@ from cell.lab.estimate import Estimate, estimate
 from cell.lab.explore import Candidate, Explorer, Gain
 from cell.lab.leftover import leftover, removed_share
 from cell.lab.partial import Partial, explain_partly, nearest, tied_so_far, what_is_left
-from cell.lab.results import Diagnosis, Found, Ranked, Status, Verdict
+from cell.lab.results import Diagnosis, MissingEffect, RankedEffect, Status, Verdict
 from cell.lab.rules import DEFAULT_RULES, Rules
 from cell.lab.score import holm
-from cell.lab.screen import Screened
+from cell.lab.screen import ScreenedEffect
 from cell.lab.verdict import (
     above_noise,
     added_effect,
@@ -41,7 +41,7 @@ class Examination:
 
     diagnosis: Diagnosis
     steps: tuple[Candidate, ...]
-    screened: tuple[Screened, ...]
+    screened: tuple[ScreenedEffect, ...]
     singles: tuple[Candidate, ...]
     accepted: Candidate
     partial: tuple[Candidate, ...] = ()
@@ -72,7 +72,7 @@ def diagnose(explorer: Explorer, rules: Rules = DEFAULT_RULES) -> Examination:
     rivals = {n for names in (*tied.values(), *also.values()) for n in names}
     diagnosis = Diagnosis(
         noise_m=explorer.prepared.floor.noise.std_m,
-        baseline=errors_of(base if verdict == "complete" else explorer.as_believed()),
+        baseline=errors_of(base if verdict == "complete" else explorer.prior_candidate()),
         verdict=verdict,
         missing=_all_found(explorer, steps, tied, len(screened)),
         ranking=_ranking(explorer, base, steps[-1], singles, rivals, rules),
@@ -207,7 +207,7 @@ def _all_found(
     steps: Sequence[Candidate],
     tied: dict[str, tuple[str, ...]],
     library: int,
-) -> tuple[Found, ...]:
+) -> tuple[MissingEffect, ...]:
     """What each step after the first has added."""
     if len(steps) == 1:
         return ()
@@ -230,13 +230,13 @@ def _found(
     tied: dict[str, tuple[str, ...]],
     library: int,
     final: Estimate,
-) -> Found:
+) -> MissingEffect:
     effect = added_effect(small, large)
     gain = explorer.gain(small, large)
     p_value = gain.p_value
     if above_noise(explorer, large) > DEFAULT_RULES.misfit:
         p_value = max(p_value, chance_of(explorer, small, large))
-    return Found(
+    return MissingEffect(
         effect=effect.name,
         tied_with=tied.get(effect.name, ()),
         p_value=min(1.0, p_value * (library - len(small.effects))),
@@ -253,7 +253,7 @@ def _ranking(
     singles: Sequence[Candidate],
     rivals: set[str],
     rules: Rules,
-) -> tuple[Ranked, ...]:
+) -> tuple[RankedEffect, ...]:
     """All effects, by the evidence of adding each alone to the baseline."""
     refits = {c.effects[-1].name: c for c in singles}
     rows = []
@@ -277,11 +277,11 @@ def _ranking(
             status = "inspect"
         else:
             status = "absent" if _too_small(at_end[name]) else "cannot_tell"
-        ranked.append(Ranked(name, float(score), p_value, status))
+        ranked.append(RankedEffect(name, float(score), p_value, status))
     return tuple(ranked)
 
 
-def _too_small(screened: Screened) -> bool:
+def _too_small(screened: ScreenedEffect) -> bool:
     """Whether an effect of typical size would have been seen: every amplitude is well below it."""
     score = screened.score
     reach = np.abs(score.amplitude) + 1.96 * score.std

@@ -6,7 +6,7 @@ import numpy as np
 
 from cell.lab.explore import Candidate, Explorer
 from cell.lab.fitting import Fit, fit_trials
-from cell.lab.results import Warned
+from cell.lab.results import Doubt
 
 #: A model that leaves this share of what the markers move (rms) is no model of the cable.
 HOPELESS_SHARE = 0.5
@@ -14,7 +14,7 @@ HOPELESS_SHARE = 0.5
 BEYOND_NOISE = 3.0
 
 
-def fit_doubts(explorer: Explorer, candidate: Candidate) -> tuple[Warned, ...]:
+def fit_doubts(explorer: Explorer, candidate: Candidate) -> tuple[Doubt, ...]:
     """Of a fitted model: hopeless, far beyond the noise, at a bound, or that it diverges."""
     fit, floor = candidate.fit, explorer.prepared.floor
     found = []
@@ -22,7 +22,7 @@ def fit_doubts(explorer: Explorer, candidate: Candidate) -> tuple[Warned, ...]:
     worst_m = max(fit.rms_m, candidate.heldout.rms_m if candidate.heldout else 0.0)
     if fit.rms_m > HOPELESS_SHARE * moved_m:
         found.append(
-            Warned(
+            Doubt(
                 "hopeless",
                 f"the fit misses {fit.rms_m * 1e3:.3g} mm of markers that move by "
                 f"{moved_m * 1e3:.3g} mm (rms): its parameters mean nothing; check the study's "
@@ -31,14 +31,14 @@ def fit_doubts(explorer: Explorer, candidate: Candidate) -> tuple[Warned, ...]:
         )
     elif np.isfinite(worst_m) and worst_m > BEYOND_NOISE * floor.noise.std_m:
         found.append(
-            Warned(
+            Doubt(
                 "beyond_noise",
                 f"the model misses {worst_m * 1e3:.3g} mm, {worst_m / floor.noise.std_m:.0f} times "
                 "the noise: it lacks something; `cell diagnose STUDY` says what",
             )
         )
     found += [
-        Warned(
+        Doubt(
             "at_bound",
             f"{name} is at its bound, {value:.4g} {unit}: an answer that the limit gave, not the "
             "measurement",
@@ -47,7 +47,7 @@ def fit_doubts(explorer: Explorer, candidate: Candidate) -> tuple[Warned, ...]:
     ]
     if candidate.heldout is not None:
         found += [
-            Warned(
+            Doubt(
                 "diverges",
                 f"the model cannot be simulated in trial {name}, which it was not fitted to",
             )
@@ -59,7 +59,7 @@ def fit_doubts(explorer: Explorer, candidate: Candidate) -> tuple[Warned, ...]:
 
 def doubts(
     explorer: Explorer, whole: Explorer, final: Candidate, cut_short: bool
-) -> tuple[Warned, ...]:
+) -> tuple[Doubt, ...]:
     """Of a diagnosis: of its final model, and whether the search for more was cut short.
 
     whole  what the final model was fitted with
@@ -68,7 +68,7 @@ def doubts(
     if cut_short:
         simulated_s = explorer.prepared.work.simulated_s
         found += (
-            Warned(
+            Doubt(
                 "cut_short",
                 f"the search for further effects ended after {simulated_s:.0f} s of motion had "
                 "been simulated",

@@ -28,7 +28,7 @@ from cell.lab.fitting import (
 )
 from cell.lab.prepared import PreparedStudy
 from cell.lab.score import boundary_p_value, delta_bic
-from cell.lab.screen import Screened, is_shape, screen
+from cell.lab.screen import ScreenedEffect, is_shape, screen
 from cell.study.data import Trial
 
 FloatArray = NDArray[np.float64]
@@ -63,7 +63,7 @@ class Progress(Protocol):
         """Must return at once."""
 
 
-def unheard(text: str, done: int = 0, total: int = 0) -> None:
+def no_progress(text: str, done: int = 0, total: int = 0) -> None:
     """Progress that nobody watches."""
 
 
@@ -110,12 +110,12 @@ class Explorer:
     prepared: PreparedStudy
     space: ParameterSpace
     library: Mapping[str, type[Effect]]
-    progress: Progress = unheard
-    believed: FloatArray | None = None
+    progress: Progress = no_progress
+    prior_q: FloatArray | None = None
     _known: dict[frozenset[str], Candidate] = field(default_factory=dict)
-    _screens: dict[frozenset[str], list[Screened]] = field(default_factory=dict)
-    _calm: Fit | None = None
-    _as_believed: Candidate | None = None
+    _screens: dict[frozenset[str], list[ScreenedEffect]] = field(default_factory=dict)
+    _tempered: Fit | None = None
+    _prior_candidate: Candidate | None = None
 
     def baseline(self) -> Candidate:
         """The model with no effects beyond those that `space` brings along."""
@@ -127,26 +127,26 @@ class Explorer:
             if fit.chi2 > MISFIT * count:
                 # A model that lacks something puts it into EI(s); the prior keeps it plausible.
                 temper = TEMPER * float(np.sqrt(fit.chi2 / count))
-                calm = fit_model(self.prepared, self.space, start, temper=temper, options=REFIT)
-                self._calm = calm
+                tempered = fit_model(self.prepared, self.space, start, temper=temper, options=REFIT)
+                self._tempered = tempered
             self._known[key] = self._weigh(self.space.effects, fit)
         return self._known[key]
 
-    def as_believed(self) -> Candidate:
+    def prior_candidate(self) -> Candidate:
         """The earlier individual's model as it is; the baseline if there is none."""
-        if self.believed is None:
+        if self.prior_q is None:
             return self.baseline()
-        if self._as_believed is None:
-            space = pinned(self.space, self.believed)
-            fit = fit_model(self.prepared, space, self.believed, options=REFIT)
-            self._as_believed = self._weigh(self.space.effects, fit)
-        return self._as_believed
+        if self._prior_candidate is None:
+            space = pinned(self.space, self.prior_q)
+            fit = fit_model(self.prepared, space, self.prior_q, options=REFIT)
+            self._prior_candidate = self._weigh(self.space.effects, fit)
+        return self._prior_candidate
 
     def known(self) -> tuple[Candidate, ...]:
         """Every candidate so far."""
         return tuple(self._known.values())
 
-    def screened(self, base: Candidate) -> list[Screened]:
+    def screened(self, base: Candidate) -> list[ScreenedEffect]:
         """Score tests of the whole library against a candidate, likeliest first."""
         if base.names not in self._screens:
             others = [e for n, e in self.library.items() if n not in base.names]
@@ -163,16 +163,18 @@ class Explorer:
         """Trials that the models are fitted to."""
         return fit_trials(self.prepared)
 
-    def _screened_calmly(self, base: Candidate, effects: Sequence[type[Effect]]) -> list[Screened]:
+    def _screened_elsewhere(
+        self, base: Candidate, effects: Sequence[type[Effect]]
+    ) -> list[ScreenedEffect]:
         """The same from the tempered baseline and from what was believed of the cable.
 
         Where the best baseline has been bent to imitate an effect, its slopes mislead.
         """
         if base is not self.baseline():
             return []
-        found = [] if self._calm is None else screen(self.prepared, self._calm, effects)
-        if self.believed is not None:
-            found += screen(self.prepared, self.as_believed().fit, effects)
+        found = [] if self._tempered is None else screen(self.prepared, self._tempered, effects)
+        if self.prior_q is not None:
+            found += screen(self.prepared, self.prior_candidate().fit, effects)
         return found
 
     def add(self, base: Candidate, effects: Sequence[type[Effect]]) -> list[Candidate]:
@@ -181,7 +183,7 @@ class Explorer:
         An effect with which the cable cannot be simulated from any start is left out.
         """
         guesses: dict[str, list[FloatArray]] = {}
-        for screened in (*self.screened(base), *self._screened_calmly(base, effects)):
+        for screened in (*self.screened(base), *self._screened_elsewhere(base, effects)):
             guesses.setdefault(screened.effect.name, []).extend(screened.starts)
 
         def one(effect: type[Effect]) -> Candidate | None:
@@ -257,13 +259,13 @@ class Explorer:
             return self._known[key]
         space = space_with(base.fit.space, effects)
         origins = [base.fit.q]
-        if self._calm is not None and base is self.baseline():
-            origins.append(self._calm.q)
-        if self.believed is not None:
-            origins.append(np.concatenate([self.believed, base.fit.q[len(self.believed) :]]))
+        if self._tempered is not None and base is self.baseline():
+            origins.append(self._tempered.q)
+        if self.prior_q is not None:
+            origins.append(np.concatenate([self.prior_q, base.fit.q[len(self.prior_q) :]]))
         best: Fit | None = None
         # An earlier individual is far from one with, say, a load: there slopes say little.
-        values = list(guesses) if self.believed is None else _scaled(effect, guesses)
+        values = list(guesses) if self.prior_q is None else _scaled(effect, guesses)
         shapes = int(np.prod([len(p.starts) for p in effect.parameters if is_shape(p)]))
         placed = shapes > MOST_SHAPES
         for origin in origins[-1:] if placed else origins:

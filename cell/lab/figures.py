@@ -14,7 +14,7 @@ from scipy import stats
 
 from cell.lab.compare import Comparison
 from cell.lab.results import Diagnosis
-from cell.lab.where import PHASES, distance, largest, phase_of
+from cell.lab.trial_residual import PHASES, distance, largest, phase_of
 
 FloatArray = NDArray[np.float64]
 

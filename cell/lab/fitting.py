@@ -16,7 +16,7 @@ from cell.identify.gauss_newton import Solution
 from cell.identify.noise import Whitener
 from cell.identify.parameters import ParameterSpace, Prior
 from cell.lab.prepared import RELEASE_LIMIT_S, RELEASE_STD_S, PreparedStudy, is_released
-from cell.lab.where import overall
+from cell.lab.trial_residual import overall
 from cell.study.data import Trial
 
 FloatArray = NDArray[np.float64]

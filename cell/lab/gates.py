@@ -17,7 +17,7 @@ from cell.cable.statics import UnsettledError
 from cell.identify.individual import CableRejectedError, IdentifyOptions, identify
 from cell.identify.model_class import ModelClass
 from cell.lab.cycles import RecordedCycle
-from cell.lab.learn import Lesson, Tried
+from cell.lab.learn import EffectFit, Lesson
 from cell.plan.destination import Destination
 from cell.plan.passage import measured_passage
 from cell.study.data import Markers, Trial
@@ -40,7 +40,7 @@ IDENTIFIABLE = 3.0
 
 
 @dataclass(frozen=True)
-class Forecast:
+class ForecastPair:
     """One recorded motion, forecast by both models from what was seen of that cable before.
 
     of       an execution, forecast from that cycle's own hold; of a cable that was rejected the
@@ -73,7 +73,7 @@ def forecasts(
     cable: Cable,
     options: IdentifyOptions,
     destination: Destination,
-) -> list[Forecast]:
+) -> list[ForecastPair]:
     """Every recorded execution of the lesson, and holds without one, out of sample."""
     assert lesson.best is not None
     found = []
@@ -86,11 +86,13 @@ def forecasts(
         of: Literal["execution", "rest of the hold"] = (
             "rest of the hold" if cycle.executed is None else "execution"
         )
-        found.append(Forecast(cycle.name, before[0], after[0], before[1], after[1], of))
+        found.append(ForecastPair(cycle.name, before[0], after[0], before[1], after[1], of))
     return found
 
 
-def with_effect(kind: ModelClass, tried: Tried, theta: FloatArray, lesson: Lesson) -> ModelClass:
+def with_effect(
+    kind: ModelClass, tried: EffectFit, theta: FloatArray, lesson: Lesson
+) -> ModelClass:
     """The model class with an effect at theta: as uncertain as it is, and as cables differ."""
     covariance = tried.fit.covariance.copy()
     if lesson.spread is not None:
@@ -153,7 +155,7 @@ def _parted(held: Trial) -> tuple[Trial, Trial]:
     )
 
 
-def gates(lesson: Lesson, paired: Sequence[Forecast], destination: Destination) -> list[Gate]:
+def gates(lesson: Lesson, paired: Sequence[ForecastPair], destination: Destination) -> list[Gate]:
     """All conditions, each with what was found."""
     assert lesson.best is not None
     before = np.array([f.present_m for f in paired])
@@ -199,14 +201,14 @@ def _passing(before: FloatArray, after: FloatArray, destination: Destination) ->
     return Gate("as many would have passed", counts[1] >= counts[0], found)
 
 
-def _inside(tried: Tried) -> Gate:
+def _inside(tried: EffectFit) -> Gate:
     fit = tried.fit
     low, high = fit.space.low[fit.common], fit.space.high[fit.common]
     at = [n for n, v, a, b in zip(tried.names, fit.theta, low, high, strict=True) if not a < v < b]
     return Gate("inside physical bounds", not at, ", ".join(at) + " at a bound" if at else "all")
 
 
-def _identifiable(tried: Tried) -> Gate:
+def _identifiable(tried: EffectFit) -> Gate:
     """Whether every amplitude stands out of its uncertainty."""
     fit, std = tried.fit, np.sqrt(np.diag(tried.fit.covariance))
     sizes = []

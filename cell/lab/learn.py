@@ -18,7 +18,7 @@ from cell.lab.cycles import RecordedCycle
 from cell.lab.fitting import Fit
 from cell.lab.prepared import PreparedStudy
 from cell.lab.score import holm
-from cell.lab.screen import Screened, screen
+from cell.lab.screen import ScreenedEffect, screen
 from cell.lab.shared import SharedFit, Spread, fit_shared, prepared_cycle
 
 FloatArray = NDArray[np.float64]
@@ -40,7 +40,7 @@ Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Tried:
+class EffectFit:
     """An effect fitted to several cables, its parameters shared.
 
     fall     of χ² over the residuals' inflation
@@ -87,8 +87,8 @@ class Lesson:
 
     cycles: tuple[RecordedCycle, ...]
     baseline: SharedFit
-    ranking: tuple[Tried, ...]
-    best: Tried | None
+    ranking: tuple[EffectFit, ...]
+    best: EffectFit | None
     tied: tuple[str, ...]
     spread: Spread | None
     votes: tuple[Vote, ...]
@@ -171,10 +171,10 @@ def _refitted(
     prepared: Sequence[PreparedStudy],
     base: ParameterSpace,
     alone: Sequence[SharedFit],
-    screens: Sequence[Sequence[Screened]],
+    screens: Sequence[Sequence[ScreenedEffect]],
     library: int,
     progress: Progress,
-) -> list[Tried]:
+) -> list[EffectFit]:
     """The likeliest effects, fitted to all these cables at once, the best first."""
     score: dict[str, float] = {}
     for screened in screens:
@@ -202,7 +202,7 @@ def _refitted(
     ]
     adjusted = holm(p + [1.0] * (library - len(p)))[: len(p)]
     tried = [
-        Tried(effect, fit, float(fall), float(value))
+        EffectFit(effect, fit, float(fall), float(value))
         for (effect, fit), fall, value in zip(fits, falls, adjusted, strict=True)
     ]
     return sorted(tried, key=lambda t: -t.fall)
@@ -249,8 +249,8 @@ def _best_start(
 
 
 def _on_all(
-    prepared: Sequence[PreparedStudy], base: ParameterSpace, baseline: SharedFit, best: Tried
-) -> Tried:
+    prepared: Sequence[PreparedStudy], base: ParameterSpace, baseline: SharedFit, best: EffectFit
+) -> EffectFit:
     q = baseline.q.copy()
     q[: len(best.fit.q)] = best.fit.q
     fit = fit_shared(prepared, base, q, [best.effect], _natural(best.fit))

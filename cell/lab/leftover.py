@@ -12,7 +12,7 @@ from cell.lab.explore import Candidate
 from cell.lab.fitting import fit_trials
 from cell.lab.prepared import PreparedStudy
 from cell.lab.results import Peak
-from cell.lab.where import TIME_BINS, rms, spectrum
+from cell.lab.trial_residual import TIME_BINS, rms, spectrum
 from cell.study.data import Study
 
 FloatArray = NDArray[np.float64]

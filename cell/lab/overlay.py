@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
 from cell.lab.figures import NOISE, SEEN, Series, laid_out, listed
-from cell.lab.where import across_tip, beside, distance, largest
+from cell.lab.trial_residual import across_tip, displacement, distance, largest
 
 FloatArray = NDArray[np.float64]
 
@@ -43,12 +43,12 @@ def overlay(series: Sequence[Series], number: int) -> go.Figure:
     )
     shown = np.unique(np.linspace(0, len(t_s) - 1, SLIDER_FRAMES).astype(int))
     across = across_tip(trial, comparison.predicted_m[trial.name])
-    errors = [np.sum(beside(seen, m)[:, 0] * across, axis=1) for m in models]
+    errors = [np.sum(displacement(seen, m)[:, 0] * across, axis=1) for m in models]
     _tip_panels(figure, series, t_s, seen, models, errors)
 
     def at(k: int) -> list[dict[str, Any]]:
         """What the slider moves: the cable, its errors drawn larger, and two cursors."""
-        drawn = models[0] + beside(seen, models[0])
+        drawn = models[0] + displacement(seen, models[0])
         shapes = [_points(drawn[k]), *(_points(c[k]) for c in cables)]
         whiskers = [_whiskers(seen[k], m[k], larger) for m in models]
         x = [round(float(t_s[k]), 4)] * 2
@@ -166,7 +166,7 @@ def _larger(error: float, length: float) -> int:
 
 def _whiskers(seen: FloatArray, model: FloatArray, larger: int) -> dict[str, Any]:
     """From every marker towards where the model has it, so many times farther."""
-    away = beside(seen, model)
+    away = displacement(seen, model)
     seen = model + away
     ends = seen - larger * away
     gaps = np.full_like(seen, np.nan)

@@ -18,7 +18,7 @@ from cell.identify.noise import Noise
 from cell.lab.explore import Candidate, Explorer
 from cell.lab.leftover import leftover, peak, removed_share
 from cell.lab.prepared import PreparedStudy
-from cell.lab.results import Left, Nearest
+from cell.lab.results import Nearest, RemainingError
 from cell.lab.rules import Rules
 from cell.lab.score import holm
 from cell.lab.verdict import added_effect, chance, close_rivals, errors_of
@@ -52,9 +52,7 @@ def explain_partly(
     study = explorer.prepared.study
     together = replace(study, trials=tuple(replace(t, role="fit") for t in study.trials))
     weighed = PreparedStudy.of(together, misfit=_own_error(explorer, tried), solver=COARSE)
-    whole = Explorer(
-        weighed, explorer.space, explorer.library, explorer.progress, explorer.believed
-    )
+    whole = Explorer(weighed, explorer.space, explorer.library, explorer.progress, explorer.prior_q)
     base = whole.baseline()
     singles = whole.add(base, whole.worth_refitting(base, rules.best))
     steps, options = [base], singles
@@ -136,12 +134,12 @@ def nearest(partial: Partial, tried: Sequence[Candidate], rules: Rules) -> tuple
     )
 
 
-def what_is_left(explorer: Explorer, base: Candidate, final: Candidate) -> Left:
+def what_is_left(explorer: Explorer, base: Candidate, final: Candidate) -> RemainingError:
     """How much a candidate leaves, of what the baseline missed, and where."""
     prepared = explorer.prepared
     noise_m = prepared.floor.noise.std_m
     before, after = leftover(prepared, base), leftover(prepared, final)
-    return Left(
+    return RemainingError(
         rms_m=after.rms_m,
         over_noise=after.rms_m / noise_m,
         explained_share=removed_share(noise_m, before, after),

@@ -34,7 +34,7 @@ from cell.lab.tables import (
     percent,
     sentence,
 )
-from cell.lab.where import Where
+from cell.lab.trial_residual import TrialResidual
 from cell.lab.wording import left_in_words, noise_in_words
 
 #: Signals that a residual goes with, listed if the correlation is at least this.
@@ -215,10 +215,10 @@ def _where(series: Sequence[Series]) -> list[str]:
     ]
 
 
-def _goes_with(where: Where) -> str:
+def _goes_with(where: TrialResidual) -> str:
     found = [
         f"{f.signal} ({f.correlation:+.2f}{'*' if f.p_value < NOTICEABLE else ''})"
-        for f in where.follows
+        for f in where.correlations
         if abs(f.correlation) >= LEAST_CORRELATION
     ]
     return ", ".join(found[:2]) or "–"

@@ -35,7 +35,7 @@ class Errors:
 
 
 @dataclass(frozen=True)
-class Found:
+class MissingEffect:
     """An effect the model lacks, in the order of adding.
 
     tied_with      effects that these motions cannot tell from it
@@ -70,7 +70,7 @@ class Peak:
 
 
 @dataclass(frozen=True)
-class Left:
+class RemainingError:
     """What the final model leaves, all trials together.
 
     over_noise       rms over that of the measurement
@@ -99,7 +99,7 @@ class Nearest:
 
 
 @dataclass(frozen=True)
-class Warned:
+class Doubt:
     """Something that makes a result doubtful: a `code` for programs, a `message` for people."""
 
     code: str
@@ -107,7 +107,7 @@ class Warned:
 
 
 @dataclass(frozen=True)
-class Ranked:
+class RankedEffect:
     """How an effect fared.  `score`: χ² it explains on the fit trials beyond the baseline."""
 
     effect: str
@@ -129,12 +129,12 @@ class Diagnosis:
     noise_m: float
     baseline: Errors
     verdict: Verdict
-    missing: tuple[Found, ...] = ()
-    ranking: tuple[Ranked, ...] = field(default=())
-    left: Left | None = None
-    partial: tuple[Found, ...] = ()
+    missing: tuple[MissingEffect, ...] = ()
+    ranking: tuple[RankedEffect, ...] = field(default=())
+    left: RemainingError | None = None
+    partial: tuple[MissingEffect, ...] = ()
     nearest: tuple[Nearest, ...] = ()
-    warnings: tuple[Warned, ...] = ()
+    warnings: tuple[Doubt, ...] = ()
 
 
 def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
@@ -170,7 +170,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
     }
 
 
-def _found(found: Found) -> dict[str, Any]:
+def _found(found: MissingEffect) -> dict[str, Any]:
     return {
         "effect": found.effect,
         "tied_with": list(found.tied_with),
@@ -190,7 +190,7 @@ def _found(found: Found) -> dict[str, Any]:
     }
 
 
-def _left(left: Left) -> dict[str, Any]:
+def _left(left: RemainingError) -> dict[str, Any]:
     return {
         "rms_m": _number(left.rms_m),
         "over_noise": _number(left.over_noise),

@@ -86,14 +86,14 @@ def score_test(
     left = nuisance.remove(sensitivity)
     raw = np.linalg.norm(sensitivity, axis=2)
     norm = np.linalg.norm(left, axis=2)
-    tried: list[_Tried] = []
+    tried: list[_ShapeScore] = []
     usable = norm > 1e-6 * np.maximum(raw, 1e-300)
     for shape in np.flatnonzero(usable.any(axis=1)):
         rows = left[shape]
         amplitude = np.linalg.lstsq(rows.T, nuisance.residual, rcond=1e-8)[0]
         statistic = float(amplitude @ (rows @ nuisance.residual))
         signed = -statistic if one_sided and amplitude[0] < 0.0 else statistic
-        tried.append(_Tried(signed, int(shape), amplitude, amplitude @ rows))
+        tried.append(_ShapeScore(signed, int(shape), amplitude, amplitude @ rows))
     if not tried:
         return Score(0.0, freedom, np.zeros(freedom), np.full(freedom, np.inf), 0, 1.0, 0.0)
     tried.sort(key=lambda t: -t.signed)
@@ -117,16 +117,16 @@ def score_test(
 
 
 @dataclass(frozen=True, eq=False)
-class _Tried:
+class _ShapeScore:
     signed: float
     shape: int
     amplitude: FloatArray
     explained: FloatArray
 
 
-def _distinct(tried: list[_Tried]) -> list[_Tried]:
+def _distinct(tried: list[_ShapeScore]) -> list[_ShapeScore]:
     """The best shapes of which none explains nearly what a better one does."""
-    kept: list[_Tried] = []
+    kept: list[_ShapeScore] = []
     units: list[FloatArray] = []
     for one in tried:
         size = float(np.linalg.norm(one.explained))

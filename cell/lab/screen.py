@@ -26,7 +26,7 @@ TRIES = 6
 
 
 @dataclass(frozen=True, eq=False)
-class Screened:
+class ScreenedEffect:
     """An effect's score test, and parameter values from which refits should start, best first."""
 
     effect: type[Effect]
@@ -34,7 +34,9 @@ class Screened:
     starts: tuple[FloatArray, ...]
 
 
-def screen(prepared: PreparedStudy, fit: Fit, effects: Sequence[type[Effect]]) -> list[Screened]:
+def screen(
+    prepared: PreparedStudy, fit: Fit, effects: Sequence[type[Effect]]
+) -> list[ScreenedEffect]:
     """Score tests of effects against a fit, the likeliest first.
 
     All effects, at every guess of their shape parameters, go into one batch per trial.
@@ -65,7 +67,7 @@ def screen(prepared: PreparedStudy, fit: Fit, effects: Sequence[type[Effect]]) -
             _start(effect, guesses[mine[shape * grouped.shape[1]]], amplitude)
             for shape, amplitude in ((score.shape, score.amplitude), *score.others)
         )
-        found.append(Screened(effect, score, starts))
+        found.append(ScreenedEffect(effect, score, starts))
     return sorted(found, key=lambda s: (s.score.p_value, -s.score.statistic))
 
 

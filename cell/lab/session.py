@@ -16,7 +16,7 @@ from cell.identify.identified import Identified
 from cell.identify.model_class import ModelClass, effect_from, known_effects
 from cell.identify.noise import Noise, still_frames
 from cell.identify.parameters import ParameterSpace
-from cell.lab.explore import Candidate, Explorer, Progress, unheard
+from cell.lab.explore import Candidate, Explorer, Progress, no_progress
 from cell.lab.fitting import pinned, space_with
 from cell.lab.individual import (
     check_same_kind,
@@ -145,7 +145,7 @@ def explorer_of(
     study: Study,
     selection: EffectSelection,
     prior: tuple[Path, Identified] | None = None,
-    progress: Progress = unheard,
+    progress: Progress = no_progress,
     kind: ModelClass = ModelClass(),  # noqa: B008
 ) -> Explorer:
     """The study made ready, with an earlier individual's model as prior if there is one.
@@ -165,8 +165,8 @@ def explorer_of(
         )
     effects = [*space.effects, *(e for e in selection.in_model if e not in space.effects)]
     full = space_with(space, effects)
-    believed = None if prior is None else full.mean
-    return Explorer(prepared, full, selection.candidates, progress, believed)
+    prior_q = None if prior is None else full.mean
+    return Explorer(prepared, full, selection.candidates, progress, prior_q)
 
 
 def read_kind(config: Path | None) -> ModelClass:

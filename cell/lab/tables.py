@@ -16,7 +16,7 @@ from cell.lab.advice import STATUSES, VERDICTS, Step
 from cell.lab.compare import Comparison
 from cell.lab.explore import Candidate
 from cell.lab.prepared import PreparedStudy
-from cell.lab.results import Diagnosis, Warned
+from cell.lab.results import Diagnosis, Doubt
 from cell.lab.wording import noise_like, peak_in_words, place_in_words, plain, short, unexplained
 
 if TYPE_CHECKING:
@@ -165,7 +165,7 @@ def model_table(model: Identified) -> Table:
     return table
 
 
-def warning_lines(warnings: Sequence[Warned]) -> list[str]:
+def warning_lines(warnings: Sequence[Doubt]) -> list[str]:
     """One line each, for the top of what is printed."""
     return [f"Warning: {w.message}." for w in warnings]
 
@@ -242,14 +242,14 @@ def comparison_table(comparison: Comparison) -> Table:
     return table
 
 
-def follows_table(comparison: Comparison) -> Table:
+def correlations_table(comparison: Comparison) -> Table:
     """What the tip's residual goes with."""
     table = Table(title="Correlation of the tip's residual", box=SIMPLE_HEAD)
-    names = sorted({f.signal for w in comparison.where for f in w.follows})
+    names = sorted({f.signal for w in comparison.where for f in w.correlations})
     for column in ("trial", *names):
         table.add_column(column, justify="left" if column == "trial" else "right")
     for w in comparison.where:
-        found = {f.signal: f for f in w.follows}
+        found = {f.signal: f for f in w.correlations}
         cells = [
             f"{found[n].correlation:+.2f}{'*' if found[n].p_value < 0.01 else ''}"
             if n in found

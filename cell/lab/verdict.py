@@ -37,7 +37,7 @@ def explains(explorer: Explorer, base: Candidate, final: Candidate, rules: Rules
     if _at_measurement_noise(explorer, final, rules):
         return True
     prepared = explorer.prepared
-    before = leftover(prepared, explorer.as_believed())
+    before = leftover(prepared, explorer.prior_candidate())
     share = removed_share(prepared.floor.noise.std_m, before, leftover(prepared, final))
     return final is not base and share > rules.most_share
 

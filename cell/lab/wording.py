@@ -6,8 +6,8 @@ import numpy as np
 
 from cell.lab.compare import NOTICEABLE, Comparison
 from cell.lab.prepared import ERRS
-from cell.lab.results import Diagnosis, Found, Peak
-from cell.lab.where import Where
+from cell.lab.results import Diagnosis, MissingEffect, Peak
+from cell.lab.trial_residual import TrialResidual
 
 
 def unexplained(diagnosis: Diagnosis, misses: str, noise_name: str = "camera noise") -> str:
@@ -42,7 +42,7 @@ def _near(diagnosis: Diagnosis) -> list[str]:
     ]
 
 
-def _class(found: Found) -> str:
+def _class(found: MissingEffect) -> str:
     """An effect and those that cannot be told from it."""
     return " or ".join(plain(n) for n in (found.effect, *found.tied_with))
 
@@ -65,7 +65,7 @@ def noise_like(noise_mm: float, final: Comparison | None) -> str:
     return said if not patterns else f"{said}; {seen}"
 
 
-def left_in_words(where: Where, comparison: Comparison) -> str:
+def left_in_words(where: TrialResidual, comparison: Comparison) -> str:
     """What a model leaves of a trial: noise, a pattern that is no larger, or more."""
     white = not where.whiteness_p_value < NOTICEABLE
     if where.rms_m > ERRS * comparison.noise_m:

@@ -80,7 +80,7 @@ class OffsetForecast:
     margin_std_m: float
 
     @property
-    def miss_m(self) -> float:
+    def shortfall_m(self) -> float:
         """By how much the most probable tip path misses, m; 0 if it passes."""
         return max(0.0, -self.margin_m)
 
@@ -126,10 +126,10 @@ def forecast(
     t_s = np.arange(0.0, end_s + options.interval_s, options.interval_s)
     space, mean = identified.space, identified.mean
     tip_at_m = np.array([space.cable.free_length_m])
-    lanes = space.beside(mean)
+    lanes = space.forward_difference_points(mean)
     models = [space.model(q) for q in lanes]
     tip_m = simulate(models[0], motions, t_s, tip_at_m, solver=solver)[:, :, 0]
-    beside_m = simulate(
+    nearby_m = simulate(
         models * len(motions),
         [motion for motion in motions for _ in models],
         t_s,
@@ -137,7 +137,7 @@ def forecast(
         solver=replace(solver, step_s=SLOPES_COARSER * solver.step_s),
     ).reshape(len(motions), len(models), len(t_s), 2)
     step = np.diag(lanes[1:] - mean)
-    slopes = (beside_m[:, 1:] - beside_m[:, :1]) / step[:, None, None]
+    slopes = (nearby_m[:, 1:] - nearby_m[:, :1]) / step[:, None, None]
     return Forecast(offsets_m, t_s, mean, tip_m, np.moveaxis(slopes, 1, -1))
 
 

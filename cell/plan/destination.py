@@ -49,7 +49,7 @@ class Destination:
         margins: FloatArray = _margins(paths, *box)
         return margins.reshape(tip_m.shape[:-2])
 
-    def miss_m(self, tip_m: FloatArray) -> FloatArray:
+    def shortfall_m(self, tip_m: FloatArray) -> FloatArray:
         """(…) how far the tip misses the passage, m; 0 where it passes.  See `margin_m`."""
         return np.maximum(-self.margin_m(tip_m), 0.0)
 

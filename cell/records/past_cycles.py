@@ -17,7 +17,7 @@ _NAME = re.compile(r"(\d{8}T\d{6}\.\d{3})-(\d+)")
 
 
 @dataclass(frozen=True)
-class Past:
+class PastCycle:
     """A cycle that was.
 
     outcome             as in its result; "running or killed" without one; "unreadable"
@@ -44,7 +44,7 @@ class Past:
         }
 
 
-def history(runs: Path) -> tuple[Past, ...]:
+def history(runs: Path) -> tuple[PastCycle, ...]:
     """All cycles that left a folder in `runs`, the newest last.
 
     Folders of another kind are left out; a cycle whose files are broken is said to be unreadable.
@@ -66,15 +66,15 @@ def newest(runs: Path) -> Path:
     return past[-1].folder
 
 
-def _past(folder: Path, name: re.Match[str]) -> Past:
+def _past(folder: Path, name: re.Match[str]) -> PastCycle:
     started, cycle = datetime.strptime(name[1], "%Y%m%dT%H%M%S.%f"), int(name[2])
     try:
         state, result = _read(folder / "state.json"), _read(folder / "result.json")
         assert state is None or state["format"] == FORMAT
     except (OSError, ValueError, KeyError, AssertionError):
-        return Past(folder, started, cycle, "unreadable")
+        return PastCycle(folder, started, cycle, "unreadable")
     known = result or {}
-    return Past(
+    return PastCycle(
         folder,
         started,
         cycle,

@@ -7,7 +7,7 @@ from dataclasses import replace
 from cell.identify.individual import CableRejectedError, identify
 from cell.records.result import Outcome
 from cell.run.agreement import agreement
-from cell.run.findings import Findings, known
+from cell.run.findings import Findings, required
 from cell.run.pictures import dry_run_pictures, held_pictures, measured_pictures, passage_pictures
 from cell.run.station import Station
 
@@ -19,12 +19,12 @@ def after_insertion(station: Station, findings: Findings) -> Findings:
     was, which stays if the fit finds nothing better.
     """
     task, trial = station.task, findings.trials[0]
-    identified = known(findings.identified)
+    identified = required(findings.identified)
     passage = passage_pictures(
-        known(findings.executed),
-        known(findings.candidates),
-        known(findings.choice),
-        known(findings.passage),
+        required(findings.executed),
+        required(findings.candidates),
+        required(findings.choice),
+        required(findings.passage),
         task,
     )
     findings = _with_held_pictures(station, findings).with_pictures(passage)
@@ -46,7 +46,7 @@ def after_release(station: Station, findings: Findings) -> Findings:
 
 def after_measurement(station: Station, findings: Findings) -> Findings:
     """Pictures of a measuring motion."""
-    return findings.with_pictures(measured_pictures(known(findings.held), station.task))
+    return findings.with_pictures(measured_pictures(required(findings.held), station.task))
 
 
 def after_dry_run(station: Station, findings: Findings) -> Findings:
@@ -67,6 +67,6 @@ def after_dry_run(station: Station, findings: Findings) -> Findings:
 
 def _with_held_pictures(station: Station, findings: Findings) -> Findings:
     pictures = held_pictures(
-        known(findings.held), findings.trials[0], known(findings.identified), station.task
+        required(findings.held), findings.trials[0], required(findings.identified), station.task
     )
     return findings.with_pictures(pictures)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from cell.records.result import Check
-from cell.run.findings import Followed
+from cell.run.findings import RehearsedMotion
 from drivers.interfaces import Trajectory
 from drivers.servo import servo_response
 
@@ -35,7 +35,7 @@ _VIEW = "correct camera.view, or arm.plane_…"
 
 
 def agreement(
-    followed: Sequence[Followed], *, lag_s: float, frame_rate_hz: float
+    followed: Sequence[RehearsedMotion], *, lag_s: float, frame_rate_hz: float
 ) -> tuple[Check, ...]:
     """What the motions of a dry run say of arm and camera.
 
@@ -52,10 +52,10 @@ def agreement(
     )
 
 
-def _arm(filmed: Sequence[Followed], lag_s: float) -> list[Check]:
+def _arm(filmed: Sequence[RehearsedMotion], lag_s: float) -> list[Check]:
     """Lag of the arm behind its commands, and how far it then is beside its path."""
 
-    def beside(lag_s: float) -> FloatArray:
+    def left_over(lag_s: float) -> FloatArray:
         parts = []
         for one in filmed:
             hand, begun = one.hand, one.path
@@ -66,7 +66,7 @@ def _arm(filmed: Sequence[Followed], lag_s: float) -> list[Check]:
             parts.append(np.hypot(hand.x_m - x_m, hand.y_m - y_m))
         return np.concatenate(parts)
 
-    found_s = _least(lambda s: float(np.mean(beside(s) ** 2)), 0.0, LONGEST_DELAY_S)
+    found_s = _least(lambda s: float(np.mean(left_over(s) ** 2)), 0.0, LONGEST_DELAY_S)
     return [
         Check(
             "arm: lag",
@@ -78,7 +78,7 @@ def _arm(filmed: Sequence[Followed], lag_s: float) -> list[Check]:
         ),
         Check(
             "arm: beside its path",
-            float(beside(found_s).max()),
+            float(left_over(found_s).max()),
             "m",
             high=PATH_TOLERANCE_M,
             remedy="check payload, mounting, arm.gain and arm.lookahead_s",
@@ -86,7 +86,7 @@ def _arm(filmed: Sequence[Followed], lag_s: float) -> list[Check]:
     ]
 
 
-def _frames(filmed: Sequence[Followed], frame_rate_hz: float) -> list[Check]:
+def _frames(filmed: Sequence[RehearsedMotion], frame_rate_hz: float) -> list[Check]:
     films = [f.film for f in filmed if f.film is not None]
     steps_s = np.concatenate([np.diff(film.frame_s) for film in films])
     found = np.concatenate([np.isfinite(film.jaw_m[:, 0]) for film in films])
@@ -111,7 +111,7 @@ def _frames(filmed: Sequence[Followed], frame_rate_hz: float) -> list[Check]:
     ]
 
 
-def _camera(filmed: Sequence[Followed]) -> list[Check]:
+def _camera(filmed: Sequence[RehearsedMotion]) -> list[Check]:
     """The jaw as the camera sees it against the jaw as the arm reports it.
 
     seen = shift + scale · turned(reported a delay earlier): for each delay the rest is linear in
@@ -173,7 +173,7 @@ def _camera(filmed: Sequence[Followed]) -> list[Check]:
     ]
 
 
-def _seen_jaw(followed: Followed) -> tuple[FloatArray, NDArray[np.complex128], Trajectory]:
+def _seen_jaw(followed: RehearsedMotion) -> tuple[FloatArray, NDArray[np.complex128], Trajectory]:
     """Times and places, x + iy, at which the jaw was found; and the arm's own."""
     film = followed.film
     assert film is not None

@@ -13,7 +13,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from cell.computer.memory import give_back
+from cell.computer.memory import release_free_memory
 from cell.records.folder import Record, RecordError
 from cell.records.result import Fault, Outcome, Result
 from cell.run import steps
@@ -153,7 +153,7 @@ class Cell:
             result = self._unrecorded(progress, result, error)
         _LOG.info("cycle %d: %s in %s", number, result.outcome.value, record.folder)
         del progress  # and its pictures
-        give_back()
+        release_free_memory()
         return result
 
     def _end(self, progress: Progress, error: BaseException) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.records.result import Check
-from cell.run.findings import Film, Findings, Followed
+from cell.run.findings import Findings, JawFilm, RehearsedMotion
 from cell.run.movements import Movement
 from cell.run.station import Station
 from cell.run.steps import allowed_paths
@@ -75,7 +75,7 @@ def follow(movement: Movement, station: Station, findings: Findings) -> Findings
     wait_until(station, began_s + lasts_s)
     await_rest(station)
     hand = arm.log(before_s, clock.now_s())
-    made = Followed(movement.name, path, began_s, hand, film)
+    made = RehearsedMotion(movement.name, path, began_s, hand, film)
     return replace(findings, followed=(*findings.followed, made))
 
 
@@ -83,7 +83,7 @@ def _with_checks(findings: Findings, *checks: Check) -> Findings:
     return replace(findings, checks=(*findings.checks, *checks))
 
 
-def _watch(station: Station, look_every: int) -> Film:
+def _watch(station: Station, look_every: int) -> JawFilm:
     """See a recording to its end, looking for the jaw in some of its frames."""
     task, camera = station.task, station.devices.camera
     frame_s: list[float] = []
@@ -101,4 +101,4 @@ def _watch(station: Station, look_every: int) -> Film:
             looked_s.append(frame.t_s)
             jaw_m.append(np.full(2, np.nan) if near is None else near)
     first, last = pictures
-    return Film(np.array(frame_s), np.array(looked_s), np.array(jaw_m), (first, last))
+    return JawFilm(np.array(frame_s), np.array(looked_s), np.array(jaw_m), (first, last))

@@ -18,14 +18,14 @@ from cell.plan.choose import forecast
 from cell.plan.paths import executed_motion, insertion_path
 from cell.run.commands import Commands
 from cell.run.filming import filmed_so_far
-from cell.run.findings import Candidates, EarlyEstimate, Filmed, Filming
+from cell.run.findings import Candidates, EarlyEstimate, FilmedMotion, Filming
 from cell.run.station import Station, Task, Timing
 from cell.run.trials import hand_offset_m_rad, held_trial, moved
 from cell.run.waiting import POLL_S
 from cell.study.data import Trial
 from cell.vision.sighting import Sighting
 
-Found = TypeVar("Found")
+Value = TypeVar("Value")
 
 #: Shares of the hold after which the computer takes the frames so far: at first to find out which
 #: cable this is, from scratch; then, starting there, for nearly the last word, and to simulate
@@ -38,10 +38,10 @@ LONGEST_S = 5.0
 
 
 class EarlyEstimator:
-    """Has somebody compute from the first frames of a hold while the others come.
+    """Identifies a cable from the first frames of a hold, in the second process, as others come.
 
-    Which frames that are depends on their own times alone, and what is found is waited for: the
-    result is the same however busy the computer is.
+    Which frames those are depends on their own times alone, and the result is waited for: it is
+    the same however busy the computer is.
     """
 
     def __init__(self, station: Station, filming: Filming) -> None:
@@ -50,18 +50,18 @@ class EarlyEstimator:
         self._first: Future[Identified | None] | None = None
         self._second: Future[EarlyEstimate | None] | None = None
 
-    def look(self, sightings: list[Sighting]) -> None:
-        """Take the frames so far if it is time to; the second time what was found is waited for."""
+    def update(self, sightings: list[Sighting]) -> None:
+        """Start a computation if enough frames have come; the second one waits for the first."""
         hold_s = self._filming.end_s - self._filming.rest_s
         share = (sightings[-1].t_s - self._filming.rest_s) / hold_s
         station = self._station
         if self._first is None and share >= SHARES[0]:
             self._first = station.computer.submit(
-                _find, station.task, filmed_so_far(station, self._filming, sightings)
+                _identify_so_far, station.task, filmed_so_far(station, self._filming, sightings)
             )
         elif self._first is not None and self._second is None and share >= SHARES[1]:
             self._second = station.computer.submit(
-                _look_ahead,
+                _estimate,
                 station.task,
                 station.timing,
                 replace(self._filming, sightings=(), pictures=()),
@@ -69,12 +69,12 @@ class EarlyEstimator:
                 _result(self._first, station.commands),
             )
 
-    def found(self) -> EarlyEstimate | None:
-        """What was computed, waiting for it; None if the first frames were not enough."""
+    def result(self) -> EarlyEstimate | None:
+        """The early estimate, waiting for it; None if the first frames were not enough."""
         return None if self._second is None else _result(self._second, self._station.commands)
 
     def close(self) -> None:
-        """Begin nothing more."""
+        """Cancel what has not begun."""
         for job in (self._first, self._second):
             if job is not None:
                 job.cancel()
@@ -83,7 +83,7 @@ class EarlyEstimator:
 def simulate_offsets(
     task: Task,
     timing: Timing,
-    filmed: Filmed,
+    filmed: FilmedMotion,
     trial: Trial,
     identified: Identified,
     start_s: float,
@@ -118,7 +118,7 @@ def simulate_offsets(
     return Candidates(start_s, paths, expected)
 
 
-def _result(job: Future[Found], commands: Commands) -> Found | None:
+def _result(job: Future[Value], commands: Commands) -> Value | None:
     """What a job found; None if its process was killed or hangs, which only costs time.
 
     raises  InterruptedByCommandError
@@ -135,7 +135,9 @@ def _result(job: Future[Found], commands: Commands) -> Found | None:
     return None
 
 
-def _find(task: Task, so_far: Filmed, previous: Identified | None = None) -> Identified | None:
+def _identify_so_far(
+    task: Task, so_far: FilmedMotion, previous: Identified | None = None
+) -> Identified | None:
     """The cable as it seems from the frames so far; None if they are not enough.
 
     How sure that is does not matter yet, so the hand's errors are left out.
@@ -150,10 +152,10 @@ def _find(task: Task, so_far: Filmed, previous: Identified | None = None) -> Ide
         return None
 
 
-def _look_ahead(
-    task: Task, timing: Timing, filming: Filming, so_far: Filmed, first: Identified | None
+def _estimate(
+    task: Task, timing: Timing, filming: Filming, so_far: FilmedMotion, first: Identified | None
 ) -> EarlyEstimate | None:
-    identified = _find(task, so_far, first)
+    identified = _identify_so_far(task, so_far, first)
     if identified is None:
         return None
     trial = held_trial(so_far)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from cell.run.findings import Filmed, Filming
+from cell.run.findings import FilmedMotion, Filming
 from cell.run.station import Station
 from cell.run.waiting import check_arm, check_grip, wait_until
 from cell.vision.detect import detect
@@ -30,12 +30,17 @@ def film(
     camera.start(frame_count)
     start_s = begin_s + still_s
     arm.follow(path, start_s)  # told at once: nothing that takes long can then delay the motion
-    eyes = _Eyes(station, keep_every)
+    reader = _FrameReader(station, keep_every)
     rest_s = start_s + moving_s
-    eyes.see(rest_s)
+    reader.read_until(rest_s)
     wait_until(station, rest_s)
     return Filming(
-        begin_s, rest_s, rest_s + hold_s, frame_count, tuple(eyes.sightings), tuple(eyes.pictures)
+        begin_s,
+        rest_s,
+        rest_s + hold_s,
+        frame_count,
+        tuple(reader.sightings),
+        tuple(reader.pictures),
     )
 
 
@@ -44,34 +49,36 @@ def capture(
     filming: Filming,
     keep_every: int,
     after_each: Callable[[list[Sighting]], None] = lambda sightings: None,
-) -> Filmed:
+) -> FilmedMotion:
     """See the filming to its end, and make sure that the arm is ready and the cable still held.
 
     after_each  is told of every sighting, and those before it, as it comes
     raises      CameraError, StoppedError, GripError
     """
-    eyes = _Eyes(station, keep_every, filming)
-    taken_at_s = eyes.see(np.inf, after_each)
-    if len(eyes.sightings) < filming.frame_count:
+    reader = _FrameReader(station, keep_every, filming)
+    taken_at_s = reader.read_until(np.inf, after_each)
+    if len(reader.sightings) < filming.frame_count:
         raise CameraError(
             station.devices.camera.name,
-            f"only {len(eyes.sightings)} of {filming.frame_count} frames came",
+            f"only {len(reader.sightings)} of {filming.frame_count} frames came",
             "check cable, load and frame rate of the camera",
         )
     check_arm(station)
     check_grip(station)
     hand = station.devices.arm.log(filming.begin_s, station.devices.clock.now_s())
-    return Filmed(filming.begin_s, tuple(eyes.sightings), hand, tuple(eyes.pictures), taken_at_s)
+    return FilmedMotion(
+        filming.begin_s, tuple(reader.sightings), hand, tuple(reader.pictures), taken_at_s
+    )
 
 
-def filmed_so_far(station: Station, filming: Filming, sightings: list[Sighting]) -> Filmed:
+def filmed_so_far(station: Station, filming: Filming, sightings: list[Sighting]) -> FilmedMotion:
     """The first frames of a filming, without pictures, while the others come."""
     hand = station.devices.arm.log(filming.begin_s, sightings[-1].t_s)
-    return Filmed(filming.begin_s, tuple(sightings), hand, (), time.perf_counter())
+    return FilmedMotion(filming.begin_s, tuple(sightings), hand, (), time.perf_counter())
 
 
-class _Eyes:
-    """What was seen of a recording so far."""
+class _FrameReader:
+    """Reads the frames of a recording and finds the cable in each; keeps what was seen so far."""
 
     def __init__(self, station: Station, keep_every: int, filming: Filming | None = None) -> None:
         self._station = station
@@ -79,7 +86,7 @@ class _Eyes:
         self.sightings: list[Sighting] = [] if filming is None else list(filming.sightings)
         self.pictures: list[Frame] = [] if filming is None else list(filming.pictures)
 
-    def see(
+    def read_until(
         self,
         until_s: float,
         after_each: Callable[[list[Sighting]], None] = lambda sightings: None,

@@ -62,7 +62,7 @@ class EarlyEstimate:
 
 
 @dataclass(frozen=True)
-class Filmed:
+class FilmedMotion:
     """A motion that was filmed, on the cell's clock.
 
     begin_s     when filming began
@@ -82,7 +82,7 @@ class Filmed:
 
 
 @dataclass(frozen=True, eq=False)
-class Film:
+class JawFilm:
     """What the camera saw of a motion.
 
     frame_s     (n,) times of all frames
@@ -98,7 +98,7 @@ class Film:
 
 
 @dataclass(frozen=True, eq=False)
-class Followed:
+class RehearsedMotion:
     """A motion that was made, on the cell's clock.
 
     began_s  when the arm was told to start
@@ -110,7 +110,7 @@ class Followed:
     path: Trajectory
     began_s: float
     hand: Trajectory
-    film: Film | None
+    film: JawFilm | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +135,7 @@ class Findings:
     """
 
     filming: Filming | None = None
-    held: Filmed | None = None
+    held: FilmedMotion | None = None
     trials: tuple[Trial, ...] = ()
     identified: Identified | None = None
     lead_s: float | None = None
@@ -144,9 +144,9 @@ class Findings:
     choice: Choice | None = None
     wait_s: float | None = None
     offset_m: float | None = None
-    executed: Filmed | None = None
+    executed: FilmedMotion | None = None
     passage: Passage | None = None
-    followed: tuple[Followed, ...] = ()
+    followed: tuple[RehearsedMotion, ...] = ()
     speed: float | None = None
     checks: tuple[Check, ...] = ()
     outcome: Outcome | None = None
@@ -172,7 +172,7 @@ class Findings:
         return replace(self, pictures={**self.pictures, **pictures})
 
 
-def known(value: Value | None) -> Value:
+def required(value: Value | None) -> Value:
     """A finding of an earlier step.
 
     raises  LookupError: no step before this one has found it; the plan's order is wrong

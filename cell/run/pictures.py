@@ -13,7 +13,7 @@ from cell.identify.identified import Identified
 from cell.plan.choose import Choice
 from cell.plan.destination import Destination
 from cell.plan.passage import Passage
-from cell.run.findings import Candidates, Filmed, Followed
+from cell.run.findings import Candidates, FilmedMotion, RehearsedMotion
 from cell.run.station import Task
 from cell.study.data import Trial
 from cell.vision.annotation import (
@@ -42,7 +42,7 @@ _JAW_AXIS = ("axis of the jaw", JAW)
 
 
 def held_pictures(
-    filmed: Filmed, trial: Trial, identified: Identified, task: Task
+    filmed: FilmedMotion, trial: Trial, identified: Identified, task: Task
 ) -> dict[str, Image]:
     """The hold: at rest before, in the widest swing, and at its end; with the model's nodes."""
     chosen = _chosen(filmed)
@@ -60,7 +60,7 @@ def held_pictures(
     return images
 
 
-def measured_pictures(filmed: Filmed, task: Task) -> dict[str, Image]:
+def measured_pictures(filmed: FilmedMotion, task: Task) -> dict[str, Image]:
     """A measuring motion: at rest before, with the tip lowest, and at its end; what was seen."""
     return {
         f"measure_{name}": _finished(
@@ -76,7 +76,7 @@ def measured_pictures(filmed: Filmed, task: Task) -> dict[str, Image]:
 
 
 def passage_pictures(
-    filmed: Filmed, candidates: Candidates, choice: Choice, passage: Passage, task: Task
+    filmed: FilmedMotion, candidates: Candidates, choice: Choice, passage: Passage, task: Task
 ) -> dict[str, Image]:
     """The execution near the passage: destination, predicted and measured path of the tip.
 
@@ -120,7 +120,7 @@ def metres_per_pixel(task: Task) -> float:
     return 1.0 / float(pixels_per_metre(task.view, task.view.to_pixels(at_m)))
 
 
-def dry_run_pictures(followed: Sequence[Followed], task: Task) -> dict[str, Image]:
+def dry_run_pictures(followed: Sequence[RehearsedMotion], task: Task) -> dict[str, Image]:
     """First and last frame of each motion that was filmed: where arm and camera see the hand.
 
     Orange, upright cross: the gripping point by the arm, with its way.  Green, slanting: by the
@@ -192,7 +192,7 @@ def _cross(
             _draw(image, task, np.array([at_m - arm_m, at_m + arm_m]), colour)
 
 
-def _chosen(filmed: Filmed) -> dict[str, int]:
+def _chosen(filmed: FilmedMotion) -> dict[str, int]:
     """Which of the pictures kept show the cable at rest, with its tip lowest, and at the end."""
     tip_y_m = np.array([filmed.sightings[p.index].nodes_m[0, 1] for p in filmed.pictures])
     lowest = int(np.nanargmin(tip_y_m)) if np.isfinite(tip_y_m).any() else 0

@@ -10,7 +10,7 @@ from cell.identify.identified import Identified
 from cell.plan.passage import height_at_mouth_m
 from cell.records.folder import Record
 from cell.records.result import Fault, Outcome, Result
-from cell.run.findings import Findings, known
+from cell.run.findings import Findings, required
 from cell.run.station import Station
 from cell.run.trials import study_of
 from cell.run.watch import Watch
@@ -62,7 +62,7 @@ class Progress:
         passage = f.passage
         return Result(
             cycle=self.number,
-            outcome=Outcome.FAILED if self.fault is not None else known(f.outcome),
+            outcome=Outcome.FAILED if self.fault is not None else required(f.outcome),
             folder=str(self.record.folder),
             offset_m=f.offset_m,
             predicted_miss_m=_finite(predicted_miss_m),

@@ -23,13 +23,13 @@ from cell.plan.paths import MotionLimits, identification_path, path_to
 from cell.records.result import Outcome
 from cell.run.early_estimate import EarlyEstimator, simulate_offsets
 from cell.run.filming import capture, film
-from cell.run.findings import Filming, Findings, known
+from cell.run.findings import Filming, Findings, required
 from cell.run.movements import APPROACH_SLOWER, Movement, Movements, paths_from
 from cell.run.station import Devices, Station
 from cell.run.trials import executed_trial, held_trial
 from cell.run.waiting import AHEAD_S, POLL_S, REST_TIMEOUT_S, await_rest, check_arm, wait_until
 from cell.run.warm_up import warm_up as warm_up_engine
-from cell.run.warm_up import warm_up_eyes
+from cell.run.warm_up import warm_up_vision
 from drivers.interfaces import (
     ArmMode,
     DeviceError,
@@ -111,7 +111,7 @@ def warm_up(station: Station, findings: Findings) -> Findings:
     """Have everything compiled and loaded where it will be needed.  Raises DeviceLostError."""
     cable, kind = station.task.cable, station.task.identification.kind
     warm_up_engine(cable, kind)
-    warm_up_eyes(station.task.vision)
+    warm_up_vision(station.task.vision)
     try:
         station.computer.submit(warm_up_engine, cable, kind).result()
     except BrokenExecutor as error:
@@ -205,13 +205,13 @@ def hold_and_capture(station: Station, findings: Findings) -> Findings:
 
     The second process computes from the first frames, so that little is left after the last one.
     """
-    filming = known(findings.filming)
-    ahead = EarlyEstimator(station, filming)
+    filming = required(findings.filming)
+    estimator = EarlyEstimator(station, filming)
     try:
-        filmed = capture(station, filming, KEEP_EVERY_HELD, ahead.look)
-        held = replace(filmed, early=ahead.found())
+        filmed = capture(station, filming, KEEP_EVERY_HELD, estimator.update)
+        held = replace(filmed, early=estimator.result())
     finally:
-        ahead.close()
+        estimator.close()
     return replace(
         findings,
         held=held,
@@ -223,7 +223,7 @@ def hold_and_capture(station: Station, findings: Findings) -> Findings:
 
 def identify(station: Station, findings: Findings) -> Findings:
     """This cable's parameters, or why it is rejected."""
-    task, early = station.task, known(findings.held).early
+    task, early = station.task, required(findings.held).early
     try:
         identified = identify_cable(
             findings.trials[0],
@@ -240,7 +240,7 @@ def identify(station: Station, findings: Findings) -> Findings:
 
 def simulate(station: Station, findings: Findings) -> Findings:
     """What every offset would do, `lead_s` from now, or as simulated early if that still holds."""
-    held, identified = known(findings.held), known(findings.identified)
+    held, identified = required(findings.held), required(findings.identified)
     now_s = station.devices.clock.now_s()
     early = held.early
     if early is not None and not is_past(station, early.candidates.start_s):
@@ -254,7 +254,7 @@ def simulate(station: Station, findings: Findings) -> Findings:
         held,
         findings.trials[0],
         identified,
-        now_s + known(findings.lead_s),
+        now_s + required(findings.lead_s),
     )
     return replace(findings, candidates=candidates)
 
@@ -263,12 +263,12 @@ def choose(station: Station, findings: Findings) -> Findings:
     """The offset that passes most probably, or why none does."""
     task = station.task
     choice = choose_offset(
-        known(findings.candidates).forecast,
-        known(findings.identified),
+        required(findings.candidates).forecast,
+        required(findings.identified),
         task.destination,
         task.choice,
     )
-    wait_s = time.perf_counter() - known(findings.waiting_since_s)
+    wait_s = time.perf_counter() - required(findings.waiting_since_s)
     findings = replace(findings, choice=choice, wait_s=wait_s)
     return findings if choice.reason is None else findings.reject(choice.reason)
 
@@ -283,9 +283,9 @@ def review_choice(station: Station, findings: Findings, paused: bool) -> Finding
         findings = replace(findings, waiting_since_s=time.perf_counter())
     if findings.rejected:
         return findings
-    if not paused and not is_past(station, known(findings.candidates).start_s):
-        return replace(findings, offset_m=known(findings.choice).best.offset_m)
-    lead_s = known(findings.lead_s)
+    if not paused and not is_past(station, required(findings.candidates).start_s):
+        return replace(findings, offset_m=required(findings.choice).best.offset_m)
+    lead_s = required(findings.lead_s)
     if paused:
         return findings
     if lead_s > LONGEST_LEAD_S:
@@ -300,7 +300,7 @@ def review_choice(station: Station, findings: Findings, paused: bool) -> Finding
 def execute(station: Station, findings: Findings) -> Findings:
     """Follow the chosen path from its planned moment on; film it until the hand has settled."""
     task, arm, camera = station.task, station.devices.arm, station.devices.camera
-    candidates, choice = known(findings.candidates), known(findings.choice)
+    candidates, choice = required(findings.candidates), required(findings.choice)
     path, start_s = candidates.paths[choice.table.index(choice.best)], candidates.start_s
     duration_s = float(path.t_s[-1]) + arm.lag_s + task.settle_s
     frame_count = int(np.ceil(duration_s * camera.frame_rate_hz))
@@ -311,18 +311,18 @@ def execute(station: Station, findings: Findings) -> Findings:
     filming = Filming(start_s, end_s - task.settle_s, end_s, frame_count)
     executed = capture(station, filming, KEEP_EVERY_MOVING)
     (trial,) = findings.trials
-    trials = (trial, executed_trial(trial, known(findings.held), executed))
+    trials = (trial, executed_trial(trial, required(findings.held), executed))
     return replace(findings, executed=executed, trials=trials)
 
 
 def verify(station: Station, findings: Findings) -> Findings:
     """Whether the tip was seen to pass the destination, and how far the forecast was off."""
-    executed, choice = known(findings.executed), known(findings.choice)
+    executed, choice = required(findings.executed), required(findings.choice)
     passage = measured_passage(
         station.task.destination,
         np.array([s.t_s for s in executed.sightings]),
         np.array([s.nodes_m[0] for s in executed.sightings]),
-        known(findings.candidates).start_s + choice.t_s,
+        required(findings.candidates).start_s + choice.t_s,
         choice.tip_m,
     )
     outcome = Outcome.INSERTED if passage.passed else Outcome.MISSED

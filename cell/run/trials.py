@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from cell.cable.geometry import Motion
 from cell.identify.individual import hold_trial
 from cell.identify.noise import estimate_noise, still_frames
-from cell.run.findings import Filmed
+from cell.run.findings import FilmedMotion
 from cell.run.station import Task
 from cell.study.data import Markers, Study, Trial
 from cell.vision.marks import pixels_per_metre
@@ -24,7 +24,7 @@ FloatArray = NDArray[np.float64]
 NODE_ERROR_PX = 0.1
 
 
-def held_trial(filmed: Filmed) -> Trial:
+def held_trial(filmed: FilmedMotion) -> Trial:
     """The hold as a trial, time counted from the first frame; the hand where the camera saw it."""
     sightings, hand, zero_s = filmed.sightings, filmed.hand, filmed.begin_s
     return hold_trial(
@@ -36,7 +36,7 @@ def held_trial(filmed: Filmed) -> Trial:
     )
 
 
-def executed_trial(held: Trial, before: Filmed, after: Filmed) -> Trial:
+def executed_trial(held: Trial, before: FilmedMotion, after: FilmedMotion) -> Trial:
     """The execution as a trial: it begins in equilibrium, hence with the hand's motion before."""
     beside = hand_offset_m_rad(before.hand, held.grip)
     zero_s = before.begin_s

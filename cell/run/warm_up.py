@@ -51,7 +51,7 @@ def warm_up(cable: Cable, kind: ModelClass = ModelClass()) -> None:  # noqa: B00
     choose(expected, identified, hole)
 
 
-def warm_up_eyes(options: VisionOptions) -> None:
+def warm_up_vision(options: VisionOptions) -> None:
     """Look at a made-up picture, and at one after it."""
     image, view = made_up_picture(options)
     list(detect_all([(0.0, image), (0.01, image)], view, options))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from calib.lens import Lens
 from calib.plane import PlaneView
-from calib.store import Stored, StoreError, load
+from calib.store import StoredCalibration, StoreError, load
 from cell.files.input_error import InputError, Problem
 from cell.settings import model as given
 from cell.settings.model import Settings
@@ -66,7 +66,7 @@ def calibrated(settings: Settings, config: Path, now: datetime | None = None) ->
     now = datetime.now(UTC) if now is None else now
     wanted, folder = settings.calibration, settings.calibration.folder
     problems: list[Problem] = []
-    found: dict[str, Stored] = {}
+    found: dict[str, StoredCalibration] = {}
     if not any((folder / f"{kind}.yaml").exists() for kind in _HOLDS_FOR):
         message = f"this cell is not calibrated yet: {folder} has nothing; run `cell calibrate "
         raise InputError([Problem(config, 1, None, "calibration", f"{message}--config {config}`")])
@@ -117,13 +117,13 @@ def typed(settings: Settings) -> Calibrated:
     )
 
 
-def view_of_stored(cell: Stored) -> PlaneView:
+def view_of_stored(cell: StoredCalibration) -> PlaneView:
     """The map of a stored calibration.  Raises StoreError."""
     return PlaneView(cell.array("homography", (3, 3)), Lens.of(cell.array("lens", (9,))))
 
 
 def _complaint(
-    stored: Stored, wanted: given.Calibration, settings: Settings, now: datetime
+    stored: StoredCalibration, wanted: given.Calibration, settings: Settings, now: datetime
 ) -> str | None:
     """Why a calibration may not be used; None = it may."""
     here = devices_of(settings)

@@ -9,7 +9,7 @@ from cell.cable.effects import Effect, EffectError, file_sha256
 from cell.files.input_error import Problem, did_you_mean
 from cell.files.yaml_document import Document, Key
 from cell.identify.model_class import effect_from, known_effects
-from cell.settings.model import Known, Model, ModelEffect, Settings
+from cell.settings.model import KnownParameter, Model, ModelEffect, Settings
 from cell.settings.translate import cable_of, model_class_of
 
 _KEY: Key = ("model", "effects")
@@ -81,7 +81,7 @@ def _parameter_problems(
         if key not in parameters:
             guess = did_you_mean(key, list(parameters))
             yield document.problem((*place, key), f"{effect.name} has no such parameter{guess}")
-        elif isinstance(stated, Known):
+        elif isinstance(stated, KnownParameter):
             p = parameters[key]
             if not p.low <= stated.fixed <= p.high:
                 message = f"{stated.fixed:g} {p.unit}: must be {p.low:g} … {p.high:g}"
@@ -101,7 +101,7 @@ def _parameters(model: Model, found: dict[str, type[Effect]]) -> list[tuple[str,
 
 def _is_known(model: Model, effect: str, parameter: str) -> bool:
     return any(
-        isinstance(entry.parameters.get(parameter), Known)
+        isinstance(entry.parameters.get(parameter), KnownParameter)
         for entry in model.effects
         if effect_from(entry.effect).name == effect
     )

@@ -58,7 +58,7 @@ class Destination(_Section):
     """From the lower to the upper edge."""
 
 
-class Pose(_Section):
+class HandPose(_Section):
     """Pose of the gripping point in the cell's plane."""
 
     x_m: Place = 0.0
@@ -92,9 +92,9 @@ class Briskness(_Section):
 class Motion(_Section):
     """What the hand does in a cycle."""
 
-    home: Pose = Pose()
+    home: HandPose = HandPose()
     """Where a cable is grasped."""
-    aside: Pose = Pose(x_m=0.015, y_m=-0.05)
+    aside: HandPose = HandPose(x_m=0.015, y_m=-0.05)
     """Where a rejected cable is let go."""
     calm_s: Wait = 0.5
     """After grasping, until the cable rests."""
@@ -145,7 +145,7 @@ class Choice(_Section):
     """Least probability that the tip passes the destination; below it the cable is rejected."""
 
 
-class Known(_Section):
+class KnownParameter(_Section):
     """A parameter of an effect that is known."""
 
     fixed: Finite
@@ -165,7 +165,8 @@ class ModelEffect(_Section):
     parameters: dict[
         str,
         Annotated[
-            Annotated[Known, Tag("known")] | Annotated[Literal["prior", "fitted"], Tag("word")],
+            Annotated[KnownParameter, Tag("known")]
+            | Annotated[Literal["prior", "fitted"], Tag("word")],
             Discriminator(lambda given: "word" if isinstance(given, str) else "known"),
         ],
     ] = {}

@@ -21,7 +21,7 @@ _KEY = "model"
 
 
 @dataclass(frozen=True)
-class Candidate:
+class CandidateModel:
     """A model that was learned, before the line uses it.
 
     model     the section, as it will be written
@@ -35,7 +35,7 @@ class Candidate:
     failed: dict[str, str]
 
 
-def read_candidate(path: Path) -> Candidate:
+def read_candidate(path: Path) -> CandidateModel:
     """A candidate's file.  Raises InputError: it is none, or was changed and is wrong now."""
     document = read_yaml(path)
     data = document.data
@@ -53,10 +53,10 @@ def read_candidate(path: Path) -> Candidate:
         path, data["model"], {k[1:]: v for k, v in document.places.items() if k[:1] == ("model",)}
     )
     failed = {g["gate"]: g["found"] for g in data["gates"] if not g["passed"]}
-    return Candidate(path, validate(nested, Model), str(data["beside"]), failed)
+    return CandidateModel(path, validate(nested, Model), str(data["beside"]), failed)
 
 
-def promote(candidate: Candidate, config: Path) -> Path:
+def promote(candidate: CandidateModel, config: Path) -> Path:
     """Make the candidate's model that of the settings.
 
     The settings as they were go to the history first; then the file is replaced whole, so that

@@ -23,7 +23,7 @@ def cable_of(settings: Settings) -> Cable:
     return Cable(**settings.cable.model_dump())
 
 
-def pose_of(pose: given.Pose) -> Pose:
+def pose_of(pose: given.HandPose) -> Pose:
     """Pose of the gripping point in the cell's plane."""
     return Pose(pose.x_m, pose.y_m, pose.angle_rad)
 

@@ -45,19 +45,19 @@ _LOADING, _POSE_S, _TREMBLING_M = 32, 2e-3, 2e-5
 
 
 @dataclass(frozen=True)
-class HiddenCable:
+class HiddenCableFactory:
     """Makes the `number`-th cable, in whatever process it is needed; picklable."""
 
     settings: Settings
     seed: int
     number: int
 
-    def __call__(self) -> Swinging:
+    def __call__(self) -> EmulatedCable:
         """The cable at rest in the jaws."""
-        return Swinging(self.settings, self.seed, self.number)
+        return EmulatedCable(self.settings, self.seed, self.number)
 
 
-class Swinging:
+class EmulatedCable:
     """A hidden cable as an emulated camera wants it."""
 
     def __init__(self, settings: Settings, seed: int, number: int) -> None:
@@ -76,7 +76,7 @@ class CellScene:
     """Makes the scene in the camera's process, with the cables' code loaded; picklable."""
 
     arm: ArmScene
-    first: HiddenCable
+    first: HiddenCableFactory
 
     def __call__(self) -> LiveScene:
         """Raises RuntimeError: the emulated arm does not run."""
@@ -84,7 +84,7 @@ class CellScene:
         return self.arm()
 
 
-def load_code(cable: Swinging) -> None:
+def load_code(cable: EmulatedCable) -> None:
     """Hold a cable at rest, then in a trembling hand, whose poses are smoothed.
 
     What would be compiled while the camera films holds its pictures up for half a second.
@@ -112,7 +112,7 @@ class EmulatedCell:
         arm = settings.arm
         self.controller = EmulatedController(arm.host, model=arm.model, start_rad=_start(settings))
         self.gripper = GripperProcess(Path(settings.gripper.port), settings.gripper.address)
-        self.camera = EmulatedCamera(*_camera(settings, HiddenCable(settings, seed, 1)))
+        self.camera = EmulatedCamera(*_camera(settings, HiddenCableFactory(settings, seed, 1)))
         self.cables = 0
 
     def __enter__(self) -> Self:
@@ -147,7 +147,7 @@ class EmulatedCell:
                 if self.gripper.look().held is not held:
                     held = not held
                     self.cables += held
-                    cable = HiddenCable(self._settings, self._seed, self.cables)
+                    cable = HiddenCableFactory(self._settings, self._seed, self.cables)
                     self.camera.tell(cable if held else None)
 
 
@@ -178,7 +178,7 @@ def _start(settings: Settings) -> FloatArray:
 
 
 def _camera(
-    settings: Settings, first: HiddenCable
+    settings: Settings, first: HiddenCableFactory
 ) -> tuple[CellScene, CameraEmulatorOptions, tuple[str, int]]:
     """What an `EmulatedCamera` is made of."""
     arm, camera, emulated = settings.arm, settings.camera, settings.emulated

@@ -15,7 +15,7 @@ from drivers.sim.camera import Staging
 _DEPTH_M = 0.08
 
 
-class Simulation:
+class SimulatedAssistant:
     """Shows to the camera of a cell that is not real; tells it by `stage`."""
 
     def __init__(

@@ -12,14 +12,14 @@ from rich.table import Table
 from rich.text import Text
 
 from cell.records.folder import Recorded
-from cell.records.past_cycles import Past
+from cell.records.past_cycles import PastCycle
 from cell.terminal.console import checks_table, results_table, seconds_table, troubles
 
 #: Outcomes of which the step is worth saying.
 _IN_STEP = ("failed", "running or killed")
 
 
-def history_table(past: Sequence[Past]) -> Table:
+def history_table(past: Sequence[PastCycle]) -> Table:
     """One row per cycle; lengths in mm."""
     table = Table(title="cycles (lengths in mm)", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for heading in ("folder", "outcome", "offset", "forecast\nerror", "pictures"):

@@ -192,7 +192,7 @@ def choose_penalty(
     stretches: int,
     start_direction: FloatArray | None = None,
 ) -> float:
-    """Penalty of `fit_curve` that foretells left-out stretches of (N, 2) points best.
+    """Penalty of `fit_curve` that predicts left-out stretches of (N, 2) points best.
 
     Whole stretches are left out, not points, because the unevenness of a real line is correlated
     along it: leaving out single points would call it shape.

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.plane import PlaneView
-from cell.vision.look import Look, Memory, look_at, look_memory
-from cell.vision.marks import JawMarks, both_ways, disc_marks
+from cell.vision.frame_nodes import Appearance, FrameMemory, frame_memory, nodes_in_frame
+from cell.vision.marks import JawMarks, compiled_view, disc_marks
 from cell.vision.ridge import Picture
 from cell.vision.sighting import UNSEEN, Sighting
-from cell.vision.trace import cable_look
+from cell.vision.trace import cable_appearance
 
 FloatArray = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -77,8 +77,13 @@ def detect(
         near = (x_m, y_m, previous.clamp_angle_rad)
     picture = Picture.of(image, background, 1 if options.cable_is == "light" else -1)
     nodes_m = np.empty((options.nodes, 2))
-    found = look_at(
-        picture, both_ways(view), _look(options), _memory(image.shape, options), near, nodes_m
+    found = nodes_in_frame(
+        picture,
+        compiled_view(view),
+        _appearance(options),
+        _memory(image.shape, options),
+        near,
+        nodes_m,
     )
     return Sighting(
         t_s,
@@ -105,19 +110,19 @@ def detect_all(
 
 
 @lru_cache(maxsize=8)
-def _look(options: VisionOptions) -> Look:
-    return Look(
+def _appearance(options: VisionOptions) -> Appearance:
+    return Appearance(
         disc_marks(options.marks),
-        cable_look(options.min_contrast, options.line_width_px),
+        cable_appearance(options.min_contrast, options.line_width_px),
         float(options.free_length_m),
         float(options.length_tolerance_m),
     )
 
 
-def _memory(shape: tuple[int, int], options: VisionOptions) -> Memory:
+def _memory(shape: tuple[int, int], options: VisionOptions) -> FrameMemory:
     """Memory for pictures of one size, a thread's own."""
     if getattr(_OF_THREAD, "key", None) != (shape, options):
-        _OF_THREAD.memory = look_memory(shape, _look(options))
+        _OF_THREAD.memory = frame_memory(shape, _appearance(options))
         _OF_THREAD.key = (shape, options)
-    memory: Memory = _OF_THREAD.memory
+    memory: FrameMemory = _OF_THREAD.memory
     return memory

@@ -55,7 +55,7 @@ class DiscMemory(NamedTuple):
     pair: NDArray[np.int64]
 
 
-class Pose(NamedTuple):
+class BodyPose(NamedTuple):
     """Place and angle of the body's frame in the plane, marks used (0 = not found), rms misfit."""
 
     x_m: float
@@ -116,7 +116,7 @@ def scale_at(view, u, v):  # type: ignore[no-untyped-def]
 
 @compiled
 def find_body(image, view, marks, memory, near, reach):  # type: ignore[no-untyped-def]
-    """`Pose` of a body by its marks.
+    """`BodyPose` of a body by its marks.
 
     near     place and angle at which it was; looked for around it first unless nan.  Angle nan =
              it may have turned
@@ -169,7 +169,7 @@ def _around(view, marks, near, reach):  # type: ignore[no-untyped-def]
 
 @compiled
 def _find(image, box, view, marks, memory):  # type: ignore[no-untyped-def]
-    """`Pose` by what a box (left, top, right, bottom) of a picture shows."""
+    """`BodyPose` by what a box (left, top, right, bottom) of a picture shows."""
     left, top, right, bottom = box
     radius = marks.radius_m * scale_at(view, 0.5 * (left + right), 0.5 * (top + bottom))
     part = image[top:bottom, left:right]
@@ -177,7 +177,7 @@ def _find(image, box, view, marks, memory):  # type: ignore[no-untyped-def]
     coarse = memory.coarse[: part.shape[0] // shrink, : part.shape[1] // shrink]
     light = memory.light[: coarse.shape[0], : coarse.shape[1]]
     if coarse.size == 0:
-        return Pose(np.nan, np.nan, np.nan, 0, np.nan)
+        return BodyPose(np.nan, np.nan, np.nan, 0, np.nan)
     _block_means(part, shrink, memory.sums, coarse)
     _lighter(coarse, int(np.ceil(2.5 * radius / shrink)), memory.sums, light)
     count = _discs(part, light, shrink, radius, memory)
@@ -316,7 +316,7 @@ def _centroid(part, column, row, radius):  # type: ignore[no-untyped-def]
 def _rigid_match(points, marks, memory):  # type: ignore[no-untyped-def]
     """Best rigid fit of the marks to (N, 2) points in the plane, at least 3 of them agreeing."""
     centres, tolerance = marks.centres_m, marks.tolerance_m
-    found = Pose(np.nan, np.nan, np.nan, 0, np.nan)
+    found = BodyPose(np.nan, np.nan, np.nan, 0, np.nan)
     for a in range(len(centres)):
         for b in range(a + 1, len(centres)):
             distance = hypot(centres[b, 0] - centres[a, 0], centres[b, 1] - centres[a, 1])
@@ -366,7 +366,7 @@ def _nearest(centres, points, pose, most, nearest):  # type: ignore[no-untyped-d
 
 @compiled
 def _rigid_fit(centres, points, nearest):  # type: ignore[no-untyped-def]
-    """`Pose` that brings the marks to their points (index `nearest`, −1 = none), least squares."""
+    """`BodyPose` that brings the marks to their points (`nearest`, −1 = none), least squares."""
     used = 0
     mx, my, px, py = 0.0, 0.0, 0.0, 0.0
     for m in range(len(centres)):
@@ -393,4 +393,4 @@ def _rigid_fit(centres, points, nearest):  # type: ignore[no-untyped-def]
             ex = x + c * centres[m, 0] - s * centres[m, 1] - points[nearest[m], 0]
             ey = y + s * centres[m, 0] + c * centres[m, 1] - points[nearest[m], 1]
             squares += ex * ex + ey * ey
-    return Pose(x, y, angle, used, np.sqrt(squares / used))
+    return BodyPose(x, y, angle, used, np.sqrt(squares / used))

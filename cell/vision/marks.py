@@ -80,7 +80,9 @@ def find_jaw(
     place = (np.nan, np.nan) if near is None else (float(near[0]), float(near[1]))
     turn, reach_m = (np.nan, _ANY_TURN_M) if near_rad is None else (float(near_rad), NEXT_FRAME_M)
     memory = disc_memory(image.shape, len(marks.centres_m))
-    found = find_body(image, both_ways(view), disc_marks(marks), memory, (*place, turn), reach_m)
+    found = find_body(
+        image, compiled_view(view), disc_marks(marks), memory, (*place, turn), reach_m
+    )
     if not found.marks:
         return None
     return JawPose(np.array([found.x_m, found.y_m]), found.angle_rad, found.marks, found.rms_m)
@@ -93,7 +95,7 @@ def disc_marks(marks: JawMarks) -> Marks:
     return Marks(centres, float(marks.radius_m), float(marks.tolerance_m))
 
 
-def both_ways(view: PlaneView) -> View:
+def compiled_view(view: PlaneView) -> View:
     """A view as the compiled functions take it."""
     maps = np.stack([np.asarray(view.homography, dtype=np.float64), view.inverse])
     if view.lens is None:

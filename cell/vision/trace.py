@@ -56,7 +56,7 @@ _NO_CABLE = UNSEEN.index(Unseen.NO_CABLE)
 _LEAVES_PICTURE = UNSEEN.index(Unseen.LEAVES_PICTURE)
 
 
-class CableLook(NamedTuple):
+class CableAppearance(NamedTuple):
     """What a cable looks like: least contrast at its start, grey levels, and its profile.
 
     at_tip  profile where it is looked for how far along the cable goes
@@ -106,9 +106,9 @@ class Traced(NamedTuple):
     signal_to_noise: float
 
 
-def cable_look(min_contrast: float, width_px: float) -> CableLook:
-    """See `CableLook`; width_px is the standard deviation of the cable's profile."""
-    return CableLook(float(min_contrast), profile_fit(width_px), profile_fit(1.2 * width_px))
+def cable_appearance(min_contrast: float, width_px: float) -> CableAppearance:
+    """See `CableAppearance`; width_px is the standard deviation of the cable's profile."""
+    return CableAppearance(float(min_contrast), profile_fit(width_px), profile_fit(1.2 * width_px))
 
 
 def trace_memory(diagonal_px: float) -> TraceMemory:
@@ -130,7 +130,7 @@ def trace_memory(diagonal_px: float) -> TraceMemory:
 def trace_cable(picture, look, memory, grip, outward, length):  # type: ignore[no-untyped-def]
     """Trace of the cable that leaves the gripping point about along `outward` (column, row each).
 
-    look     of the cable, see `CableLook`
+    look     of the cable, see `CableAppearance`
     memory   see `TraceMemory`; the cable's curve is left in it
     length   expected, px
     returns  a `Traced`, its code among: NO_CABLE (also when too little of it is seen),

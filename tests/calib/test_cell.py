@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calib.camera import fit_camera
-from calib.cell import Gravity, Plate, Shown, fit_cell
+from calib.cell import Gravity, JawObservation, Plate, fit_cell
 from calib.errors import MisfitError, OneSidedError, TooFewError, WrongScaleError
 from calib.plane import PlaneView
 from calib.projection import pose
@@ -59,7 +59,7 @@ class Truth:
             wrong[:3, 3] += rng.normal(0, arm_m, 3) * ([1, 1, 0] if self.in_plane else 1)
             points = (flat @ (X_PB @ wrong @ self.X_TM).T)[:, :3]
             pixels = self.eye.to_pixels(points) + rng.normal(0, noise_px, (4, 2))
-            out.append(Shown(f"pose {k}", X_BT, pixels))
+            out.append(JawObservation(f"pose {k}", X_BT, pixels))
         return out
 
     def gravity(self, rng, spread_rad=0.002):

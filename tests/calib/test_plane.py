@@ -55,7 +55,7 @@ def test_four_points_fit_exactly_and_say_nothing_about_the_error():
     assert np.isnan(fit.held_out_rms_m)
 
 
-def test_the_held_out_error_foretells_the_error_elsewhere():
+def test_the_held_out_error_predicts_the_error_elsewhere():
     rng = np.random.default_rng(0)
     elsewhere = rng.uniform([50, 40], [1230, 980], (200, 2))
     said, true = [], []

@@ -7,13 +7,13 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 import pytest
 
-from calib.store import Stored, StoreError, load, save
+from calib.store import StoredCalibration, StoreError, load, save
 
 MADE = datetime(2026, 3, 14, 9, 26, 53, tzinfo=UTC)
 
 
-def stored() -> Stored:
-    return Stored(
+def stored() -> StoredCalibration:
+    return StoredCalibration(
         "cell",
         MADE,
         {"poses": 30},

@@ -27,7 +27,7 @@ class ManualClock:
         self.t_s += duration_s
 
 
-class Bench:
+class StreamRig:
     """A camera whose pictures come when the test says so."""
 
     def __init__(self, **options) -> None:
@@ -92,8 +92,8 @@ class Bench:
 def make():
     benches = []
 
-    def build(**options) -> Bench:
-        benches.append(Bench(**options))
+    def build(**options) -> StreamRig:
+        benches.append(StreamRig(**options))
         return benches[-1]
 
     yield build
@@ -101,7 +101,7 @@ def make():
         bench.close_camera()
 
 
-def first_s(bench: Bench) -> float:
+def first_s(bench: StreamRig) -> float:
     """Exposure of the first picture after now."""
     return bench.clock.t_s + 0.25 * PERIOD_S
 
@@ -279,7 +279,7 @@ def test_a_camera_that_sends_nothing_does_not_connect(make) -> None:
 
 def test_opening_that_hangs_is_given_up_and_released_when_it_returns() -> None:
     clock, let_go = ManualClock(), threading.Event()
-    bench = Bench()
+    bench = StreamRig()
 
     def hang():
         let_go.wait(5.0)

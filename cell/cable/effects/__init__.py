@@ -6,9 +6,9 @@ from cell.cable.effects.base import (
     CableData,
     Effect,
     EffectFile,
+    HandMotion,
     Parameter,
     Place,
-    Pose,
 )
 from cell.cable.effects.library import file_sha256, library, load_effect, unscreened
 from cell.cable.effects.refused import EffectError
@@ -20,9 +20,9 @@ __all__ = [
     "Effect",
     "EffectError",
     "EffectFile",
+    "HandMotion",
     "Parameter",
     "Place",
-    "Pose",
     "file_sha256",
     "library",
     "load_effect",

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from cell.cable.effects.base import Bend, CableData, Effect, Parameter, Place, Pose
+from cell.cable.effects.base import Bend, CableData, Effect, HandMotion, Parameter, Place
 from cell.cable.effects.refused import EffectError
 
 #: Arguments of every hook.
@@ -166,7 +166,7 @@ def _try(effect: type[Effect], hook: str, p: Any, path: Path) -> None:
     elif hook == "rest_curvature":
         _array(effect, hook, (5,), path, _CABLE, np.linspace(0.0, 0.1, 5), p)
     elif hook == "clamp":
-        pose = Pose(lambda t: (0.01 * t, -0.05 * np.tanh(9.0 * t - 2.0), 0.0 * t), 0.0, 0.6)
+        pose = HandMotion(lambda t: (0.01 * t, -0.05 * np.tanh(9.0 * t - 2.0), 0.0 * t), 0.0, 0.6)
         moved = _call(effect, hook, path, pose, p)
         if not callable(moved):
             _refuse(effect, hook, path, f"returned {moved!r}: must be a function of time")

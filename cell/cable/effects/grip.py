@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from cell.cable.effects.base import CableData, Effect, FloatArray, Parameter, Pose
+from cell.cable.effects.base import CableData, Effect, FloatArray, HandMotion, Parameter
 
 
 class TipMass(Effect):
@@ -26,7 +26,7 @@ class GripAngle(Effect):
     parameters = (Parameter("angle_rad", "rad", -0.5, 0.5, 0.0, (0.02, -0.02)),)
 
     @staticmethod
-    def clamp(pose: Pose, p: Any) -> Any:
+    def clamp(pose: HandMotion, p: Any) -> Any:
         """True pose against time."""
 
         def askew(t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

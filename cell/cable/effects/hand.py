@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from cell.cable.effects.base import Effect, FloatArray, Parameter, Pose
+from cell.cable.effects.base import Effect, FloatArray, HandMotion, Parameter
 
 #: The hand is still below this share of the log's highest speed.  It rests for good a little later:
 #: a motion ends with its speed falling as the square of the time left, which two speeds tell.
@@ -21,7 +21,7 @@ class RobotLag(Effect):
     parameters = (Parameter("delay_s", "s", -0.1, 0.1, 0.0, (0.005, -0.005)),)
 
     @staticmethod
-    def clamp(pose: Pose, p: Any) -> Any:
+    def clamp(pose: HandMotion, p: Any) -> Any:
         """True pose against time."""
         return lambda t: pose(t - p.delay_s)
 
@@ -42,7 +42,7 @@ class RobotRinging(Effect):
     )
 
     @staticmethod
-    def clamp(pose: Pose, p: Any) -> Any:
+    def clamp(pose: HandMotion, p: Any) -> Any:
         """True pose against time."""
         stops = _stops(pose)
         omega = 2.0 * np.pi * p.frequency_hz
@@ -58,7 +58,7 @@ class RobotRinging(Effect):
         return ringing
 
 
-def _stops(pose: Pose) -> list[tuple[float, float, float]]:
+def _stops(pose: HandMotion) -> list[tuple[float, float, float]]:
     """Time of every stop and unit vector of the motion before it."""
     t = np.arange(pose.start_s, pose.end_s + 2.0 * _LOOK_S, _LOOK_S)
     x, y, _ = pose(t)

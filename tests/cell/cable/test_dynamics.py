@@ -144,10 +144,10 @@ def test_absurd_solvers_are_refused(bad):
 
 
 def test_divergence_is_named_and_gives_no_numbers(cable, arc, jerk):
-    wild = Motion(jerk.t_s, jerk.x_m, 400.0 * jerk.y_m, jerk.angle_rad)
+    far_too_fast = Motion(jerk.t_s, jerk.x_m, 400.0 * jerk.y_m, jerk.angle_rad)
     batch = [CableModel(cable, ei, viscosity_n_m2_s=1e-7) for ei in (3e-5, 1e-9)]
     with pytest.raises(DivergedError, match=r"lane 1 diverged at t = .* shorter step") as caught:
-        simulate(batch, [jerk, wild], TIMES, arc, solver=Solver(20, 5e-3))
+        simulate(batch, [jerk, far_too_fast], TIMES, arc, solver=Solver(20, 5e-3))
     assert caught.value.lane == 1
 
 

@@ -77,9 +77,9 @@ def test_an_effect_that_looks_at_other_times_is_refused(name) -> None:
 
 
 def test_divergence_is_named() -> None:
-    wild = Solver(40, 0.05)
+    too_coarse = Solver(40, 0.05)
     with pytest.raises(DivergedError, match="diverged at t = "):
-        cable = SwingingCable(model(), ARC_M, wild)
+        cable = SwingingCable(model(), ARC_M, too_coarse)
         hand = 40.0 * poses()
         for k in range(0, len(T_S), 50):
             cable.advance(T_S[k : k + 50], hand[k : k + 50])

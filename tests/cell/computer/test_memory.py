@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cell.computer.memory import give_back
+from cell.computer.memory import release_free_memory
 
 
 def held_mib() -> float:
@@ -21,7 +21,7 @@ def test_freed_arrays_are_given_back_although_others_lie_between_them() -> None:
     kept = arrays[::50]
     before = held_mib()
     del arrays
-    give_back()
+    release_free_memory()
     assert len(kept) == 40
     assert held_mib() < before - 100.0
 
@@ -29,14 +29,14 @@ def test_freed_arrays_are_given_back_although_others_lie_between_them() -> None:
 COUNT_ARENAS = """
 import threading
 from pathlib import Path
-from cell.computer.memory import one_heap
+from cell.computer.memory import use_one_arena
 
 def arenas():  # the C library lays each at a multiple of 64 MiB
     starts = (l.split("-")[0] for l in Path("/proc/self/maps").read_text().splitlines())
     return sum(int(start, 16) % 2**26 == 0 for start in starts)
 
 if {one}:
-    one_heap()
+    use_one_arena()
 before, enough = arenas(), threading.Barrier(9)
 def work():
     kept = bytes(2000), [None] * 1000

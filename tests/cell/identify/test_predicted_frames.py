@@ -11,7 +11,7 @@ from cell.cable.model import CableModel
 from cell.identify import fit as fitting
 from cell.identify.identified import Identified
 from cell.identify.individual import identify, predict_frames
-from cell.identify.predicted_frames import PredictedFrames, held_on
+from cell.identify.predicted_frames import PredictedFrames, extended_at_rest
 from cell.study.data import Markers, Trial
 
 NODES_M = node_arc_lengths(0.1)
@@ -155,11 +155,11 @@ def test_a_log_is_held_on_at_rest_with_its_noise() -> None:
     t_s = np.arange(0.0, 0.8, 0.002)
     noise = np.random.default_rng(3).normal(0.0, 1e-5, len(t_s))
     y_m = -0.05 * np.clip(t_s / 0.4, 0.0, 1.0) + noise
-    held = held_on(Motion(t_s, np.zeros_like(t_s), y_m, np.zeros_like(t_s)), 2.0)
+    held = extended_at_rest(Motion(t_s, np.zeros_like(t_s), y_m, np.zeros_like(t_s)), 2.0)
     assert held.t_s[-1] >= 2.0
     np.testing.assert_allclose(np.diff(held.t_s), 0.002)
     np.testing.assert_array_equal(held.y_m[: len(t_s)], y_m)
     after = held.y_m[len(t_s) :]
     assert np.mean(after) == pytest.approx(-0.05, abs=2e-6)
     assert np.std(after) == pytest.approx(1e-5, rel=0.15)
-    assert held_on(held, 1.0) is held
+    assert extended_at_rest(held, 1.0) is held

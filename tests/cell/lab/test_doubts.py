@@ -73,12 +73,12 @@ def test_a_held_out_trial_that_diverges_is_a_finding_not_an_end(loaded, tmp_path
     )
     seen = np.full_like(last.markers.xy_m, np.nan)
     seen[:20] = last.markers.xy_m[:20]
-    wild = replace(last, grip=shaken, markers=replace(last.markers, xy_m=seen))
-    write_study(replace(loaded, trials=(*loaded.trials[:-1], wild)), tmp_path / "wild")
-    model, said = fitted(tmp_path / "wild", tmp_path)
+    shaken_trial = replace(last, grip=shaken, markers=replace(last.markers, xy_m=seen))
+    write_study(replace(loaded, trials=(*loaded.trials[:-1], shaken_trial)), tmp_path / "shaken")
+    model, said = fitted(tmp_path / "shaken", tmp_path)
     assert "diverges" in {w["code"] for w in model["warnings"]}, said
     out, page = tmp_path / "c.json", tmp_path / "c.html"
-    given = ["compare", str(tmp_path / "wild"), "--model", str(tmp_path / "model.json")]
+    given = ["compare", str(tmp_path / "shaken"), "--model", str(tmp_path / "model.json")]
     done = run(app, [*given, "--json", str(out), "--report", str(page)])
     assert done.exit_code == 0, done.output
     assert json.loads(out.read_text())["heldout_rms_m"] is None

@@ -53,8 +53,8 @@ def test_a_held_out_trial_that_the_model_cannot_follow_is_impossible_not_nan(mak
     last = study.trials[-1]
     t_s = last.grip.t_s
     thrown = Motion(t_s, 40.0 * np.sin(60.0 * t_s), last.grip.y_m, 30.0 * np.sin(40.0 * t_s))
-    wild = replace(study, trials=(*study.trials[:-1], replace(last, grip=thrown)))
-    weighed = heldout(replace(prepared, study=wild), fit)
+    thrown_off = replace(study, trials=(*study.trials[:-1], replace(last, grip=thrown)))
+    weighed = heldout(replace(prepared, study=thrown_off), fit)
     assert weighed is not None
     assert weighed.log_likelihood == -np.inf
     assert weighed.rms_m == np.inf

@@ -16,7 +16,7 @@ from cell.files.yaml_document import yaml_text
 from cell.identify.individual import identify
 from cell.lab.candidate import section, write_candidate
 from cell.lab.cycles import RecordedCycle, read_cycles
-from cell.lab.gates import Forecast, forecasts, gates
+from cell.lab.gates import ForecastPair, forecasts, gates
 from cell.lab.learn import Lesson, learn
 from cell.lab.session import explorer_of, read_kind, select_effects
 from cell.lab.shared import Spread
@@ -131,11 +131,11 @@ def test_the_lab_starts_from_the_lines_model(lesson: Lesson, tmp_path: Path) -> 
 
 def test_a_forecast_that_is_no_better_is_stopped_at_the_gate(lesson: Lesson) -> None:
     task = cell_task(SETTINGS)
-    same = [Forecast(str(i), 2e-4, 2e-4, 1.0, 1.0) for i in range(6)]
-    worse = [*same[:5], Forecast("5", 2e-4, 4e-4, 1.0, 1.0)]
-    few = [Forecast("0", 2e-4, 1e-4, 1.0, 1.0)]
+    same = [ForecastPair(str(i), 2e-4, 2e-4, 1.0, 1.0) for i in range(6)]
+    worse = [*same[:5], ForecastPair("5", 2e-4, 4e-4, 1.0, 1.0)]
+    few = [ForecastPair("0", 2e-4, 1e-4, 1.0, 1.0)]
 
-    def failed(paired: list[Forecast]) -> set[str]:
+    def failed(paired: list[ForecastPair]) -> set[str]:
         return {g.name for g in gates(lesson, paired, task.destination) if not g.passed}
 
     assert failed(same) == {"forecasts unseen cables better"}

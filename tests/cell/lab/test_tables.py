@@ -11,13 +11,13 @@ from cell.lab.advice import Paths, advice
 from cell.lab.compare import compare_model
 from cell.lab.explore import Explorer
 from cell.lab.prepared import PreparedStudy
-from cell.lab.results import Diagnosis, Errors, Found
+from cell.lab.results import Diagnosis, Errors, MissingEffect
 from cell.lab.tables import sentence, steps_text
 from cell.lab.wording import left_in_words, noise_in_words
 
 
 def diagnosis(verdict, *names, tied=(), noise_m=1e-4, after_m=1e-4):
-    missing = tuple(Found(n, tied, 1e-9, 90.0, {}, Errors(after_m, after_m)) for n in names)
+    missing = tuple(MissingEffect(n, tied, 1e-9, 90.0, {}, Errors(after_m, after_m)) for n in names)
     return Diagnosis(noise_m, Errors(9e-4, 9e-4), verdict, missing)
 
 

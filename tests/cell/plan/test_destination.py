@@ -35,7 +35,7 @@ def test_margin_by_hand(points_mm, margin_mm: float) -> None:
 
 def test_miss_is_zero_where_it_passes() -> None:
     paths = np.stack([path((20, 1), (-5, 1)), path((20, 5), (-5, 5))])
-    np.testing.assert_allclose(HOLE.miss_m(paths), [0.0, 2e-3])
+    np.testing.assert_allclose(HOLE.shortfall_m(paths), [0.0, 2e-3])
 
 
 @given(st.floats(-0.01, 0.01), st.floats(-0.01, 0.01), st.integers(2, 40))

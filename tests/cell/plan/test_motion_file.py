@@ -9,7 +9,7 @@ import pytest
 from cell.files.input_error import InputError
 from cell.plan.motion_file import load_motion
 from cell.settings import Settings, load_settings
-from cell.settings.model import Pose as HomePose
+from cell.settings.model import HandPose
 from drivers.interfaces import Pose
 
 CONFIG = Path(__file__).parents[3] / "config" / "fake.yaml"
@@ -38,7 +38,7 @@ def written(tmp_path: Path, text: str, name: str = "tilted.yaml") -> Path:
 
 
 def test_places_count_from_home_and_angles_from_level(settings: Settings, tmp_path: Path) -> None:
-    home = HomePose(x_m=0.01, y_m=-0.01, angle_rad=0.02)
+    home = HandPose(x_m=0.01, y_m=-0.01, angle_rad=0.02)
     moved = settings.motion.model_copy(update={"home": home})
     it = load_motion(written(tmp_path, RIGHT), settings.model_copy(update={"motion": moved}))
     assert it.name == "tilted"

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from cell.plan.paths import MotionLimits, identification_path, insertion_path
 from cell.records.result import Check
 from cell.run.agreement import agreement
-from cell.run.findings import Film, Followed
+from cell.run.findings import JawFilm, RehearsedMotion
 from drivers.interfaces import Frame, Pose, Trajectory
 from drivers.servo import servo_response
 
@@ -31,7 +31,7 @@ def made(
     bent: float = 0.0,
     unseen: float = 0.0,
     frame_hz: float = FRAME_HZ,
-) -> Followed:
+) -> RehearsedMotion:
     """A motion as an arm and a camera with these faults would have made it."""
     told = Trajectory(path.t_s + began_s, path.x_m, path.y_m, path.angle_rad)
     true = servo_response(told, lag_s)
@@ -52,7 +52,9 @@ def made(
     jaw_m = np.column_stack([seen.real, seen.imag])
     jaw_m[rng.random(len(jaw_m)) < unseen] = np.nan
     frame = Frame(0, 0.0, np.zeros((4, 4), dtype=np.uint8))
-    return Followed("leg", path, began_s, hand, Film(frame_s, frame_s, jaw_m, (frame, frame)))
+    return RehearsedMotion(
+        "leg", path, began_s, hand, JawFilm(frame_s, frame_s, jaw_m, (frame, frame))
+    )
 
 
 def checks(speed: float = 1.0, seed: int = 1, **faults: complex) -> dict[str, Check]:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from cell.plan.measuring import Measuring, Move
-from cell.run.findings import Findings, known
+from cell.run.findings import Findings, required
 from cell.run.plans import INSERTING, Plan, Repeat, measuring
 from drivers.interfaces import Pose
 
@@ -45,4 +45,4 @@ def test_steps_that_are_repeated_are_in_the_table_where_they_are_done_first() ->
 
 def test_a_step_that_comes_too_early_is_a_mistake_of_the_plan() -> None:
     with pytest.raises(LookupError, match="no step before it"):
-        known(Findings().held)
+        required(Findings().held)

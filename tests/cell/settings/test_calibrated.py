@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.store import Stored, save
+from calib.store import StoredCalibration, save
 from cell.files.input_error import InputError
 from cell.settings import load_settings
 from cell.settings.calibrated import CIRCLE_95, calibrated, devices_of
@@ -32,17 +32,17 @@ def config_of(tmp_path: Path, *, calibration: str | None = None, view: bool = Fa
     return path
 
 
-def files_for(settings) -> dict[str, Stored]:
+def files_for(settings) -> dict[str, StoredCalibration]:
     devices = devices_of(settings)
     common = {"made": NOW - timedelta(hours=2), "how": {}, "devices": devices}
     lens = [2600.0, 2600.0, 639.5, 511.5, -0.1, 0.0, 0.0, 0.0, 0.0]
     map_m = [[2e-4, 0.0, -0.2], [0.0, -2e-4, 0.03], [0.0, 0.0, 1.0]]
     return {
-        "camera": Stored("camera", error={}, result={"lens": lens}, **common),
-        "cell": Stored(
+        "camera": StoredCalibration("camera", error={}, result={"lens": lens}, **common),
+        "cell": StoredCalibration(
             "cell", error={"map_95_m": 3e-5}, result={"homography": map_m, "lens": lens}, **common
         ),
-        "time": Stored(
+        "time": StoredCalibration(
             "time",
             error={"latency_95_s": 1e-4, "lag_95_s": 2e-4},
             result={"latency_s": 0.02, "lag_s": 0.034},

@@ -10,11 +10,11 @@ CONFIG = Path(__file__).parents[3] / "config" / "emulated.yaml"
 A_SWING = """
 from pathlib import Path
 import numpy as np
-from cell.simulated.emulated import HiddenCable, load_code
+from cell.simulated.emulated import HiddenCableFactory, load_code
 from cell.settings import load_settings
 from drivers.interfaces import Trajectory
 
-cable = HiddenCable(load_settings(Path(sys.argv[1])), 1, 1)
+cable = HiddenCableFactory(load_settings(Path(sys.argv[1])), 1, 1)
 load_code(cable())
 early = compiled()
 assert early

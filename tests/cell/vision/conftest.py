@@ -13,7 +13,7 @@ from drivers.sim.render import STILL, Rates, RenderOptions, empty_scene, render
 
 
 @dataclass(frozen=True)
-class Held:
+class HeldCable:
     """A cable whose angle and curvature against arc length are known exactly."""
 
     grip: tuple[float, float, float]
@@ -36,7 +36,7 @@ class Held:
 
 def held_cable(
     grip: tuple[float, float, float], curvature: Callable, length_m: float = 0.1
-) -> Held:
+) -> HeldCable:
     """Integrate θ(s) = angle + ∫κ from the grip; `curvature` of s / length, 1/m."""
     s = np.linspace(0.0, length_m, 401)
     kappa = curvature(s / length_m)
@@ -46,10 +46,10 @@ def held_cable(
 
     theta = grip[2] + integral(kappa)
     line = np.stack([-integral(np.cos(theta)), -integral(np.sin(theta))], axis=1)
-    return Held(grip, (line + np.array(grip[:2]))[::-1].copy(), length_m)
+    return HeldCable(grip, (line + np.array(grip[:2]))[::-1].copy(), length_m)
 
 
-def random_cable(rng: np.random.Generator) -> Held:
+def random_cable(rng: np.random.Generator) -> HeldCable:
     """Clamp angle ± 60°, droop as of a heavy elastica, and swing with one to three S-bends."""
     a = rng.normal(0.0, [6.0, 6.0, 5.0, 3.0])
 
@@ -84,7 +84,7 @@ def make_random_cable():
 def photograph_of(view):
     """Picture of a held cable; `swing` adds motion blur, metres per second at the tip."""
 
-    def take(held: Held, options=None, seed=0, swing=0.0, **faults):
+    def take(held: HeldCable, options=None, seed=0, swing=0.0, **faults):
         options = options or RenderOptions()
         share = np.linspace(1.0, 0.0, len(held.line_m))
         moving = np.stack([0.1 + 0.0 * share, 0.1 + swing * share**2], axis=1) * (swing != 0.0)

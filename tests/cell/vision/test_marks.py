@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from calib.lens import Lens
 from calib.plane import PlaneView
 from cell.vision.discs import to_pixels, to_plane
-from cell.vision.marks import JawMarks, both_ways, find_jaw, pixels_per_metre
+from cell.vision.marks import JawMarks, compiled_view, find_jaw, pixels_per_metre
 from drivers.sim.render import JAW_MARKS_M, RenderOptions, render
 
 VIEW = PlaneView.from_scale(2e-4, 640.0, 512.0)
@@ -103,9 +103,9 @@ def test_the_compiled_view_is_that_of_the_calibration(lens):
         np.array([[2.0e-4, 1.0e-5, -0.13], [8.0e-6, -2.1e-4, 0.105], [3.0e-5, -4.0e-5, 1.0]]), lens
     )
     pixels = np.random.default_rng(6).uniform([0.0, 0.0], [1280.0, 1024.0], (50, 2))
-    places = np.array([to_plane(both_ways(view), u, v) for u, v in pixels])
+    places = np.array([to_plane(compiled_view(view), u, v) for u, v in pixels])
     assert places == pytest.approx(view.to_plane(pixels), abs=1e-12)
-    back = np.array([to_pixels(both_ways(view), x, y) for x, y in places])
+    back = np.array([to_pixels(compiled_view(view), x, y) for x, y in places])
     assert back == pytest.approx(pixels, abs=1e-7)
 
 

@@ -17,7 +17,7 @@ from drivers.ur_kinematics import pose_of
 DT = 0.002
 
 
-class Bench:
+class ScriptRun:
     def __init__(self, offset: int = 0) -> None:
         self.offset, self.registers, self.joints = offset, Registers(), Joints()
         self.seen: list[tuple] = []
@@ -51,8 +51,8 @@ class Bench:
 
 
 @pytest.fixture(params=[0, 24])
-def bench(request) -> Bench:
-    return Bench(request.param)
+def bench(request) -> ScriptRun:
+    return ScriptRun(request.param)
 
 
 def test_handshake_of_a_regular_command(bench) -> None:
@@ -105,7 +105,7 @@ def test_a_servo_goes_on_when_its_command_is_cleared_and_ends_with_servo_stop(be
 
 def test_a_stale_servo_command_moves_a_new_program_too() -> None:
     """Hardware trap 4: the register still holds the old command after an upload."""
-    bench = Bench()
+    bench = ScriptRun()
     goal = bench.joints.tool()
     goal[2, 3] -= 0.05
     bench.command(24, *pose_of(goal), 0.0, 0.0, 0.002, 0.03, 300.0)

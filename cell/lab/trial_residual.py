@@ -1,4 +1,4 @@
-"""Where a model fails: residuals by time, place, phase and frequency, and what they follow."""
+"""A trial's residual by time, place, phase and frequency, and the signals it correlates with."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Spectrum:
 
 
 @dataclass(frozen=True)
-class Follows:
+class Correlation:
     """How much of the tip's residual goes with a signal: correlation and its two-sided p-value."""
 
     signal: str
@@ -52,13 +52,13 @@ class Follows:
 
 
 @dataclass(frozen=True)
-class Where:
-    """Where one trial's residual is.
+class TrialResidual:
+    """Size of one trial's residual by time, place, phase and frequency.
 
     by_time     over `TIME_BINS` equal spans; by_arc_length over markers; by_phase over `PHASES`
     tip_m       (TIME_BINS,) largest distance between tip seen and predicted, m
     whiteness   p-value of Ljung and Box over all markers: small = the residual has a pattern
-    follows     strongest first
+    correlations   of the tip's residual with signals, strongest first
     """
 
     trial: str
@@ -68,16 +68,16 @@ class Where:
     by_phase: dict[str, float]
     spectrum: Spectrum
     whiteness_p_value: float
-    follows: tuple[Follows, ...]
+    correlations: tuple[Correlation, ...]
 
 
-def where(
+def trial_residual(
     trial: Trial,
     predicted_m: FloatArray,
     white: FloatArray,
     arc_length_m: FloatArray,
     noise: Noise,
-) -> Where:
+) -> TrialResidual:
     """Residual statistics of a trial.
 
     predicted_m  (times, markers, 2), m
@@ -89,7 +89,7 @@ def where(
     bins = np.clip(np.searchsorted(edges, t_s, "right") - 1, 0, len(edges) - 2)
     by_time = [rms(residual[bins == b]) for b in range(len(edges) - 1)]
     names = phase_of(trial)
-    return Where(
+    return TrialResidual(
         trial=trial.name,
         rms_m=rms(residual),
         by_time=Profile(0.5 * (edges[1:] + edges[:-1]), np.array(by_time)),
@@ -99,17 +99,17 @@ def where(
         by_phase={p: rms(residual[names == p]) for p in PHASES},
         spectrum=spectrum(t_s, residual, noise),
         whiteness_p_value=ljung_box(white.reshape(len(t_s), -1)),
-        follows=follows(trial, predicted_m, white),
+        correlations=correlations(trial, predicted_m, white),
     )
 
 
-def nowhere(trial: Trial, arc_length_m: FloatArray, noise: Noise) -> Where:
+def unsimulated_trial(trial: Trial, arc_length_m: FloatArray, noise: Noise) -> TrialResidual:
     """Of a trial that the model cannot be simulated in: an infinite error, and no place for it."""
     t_s, markers = trial.markers.t_s, len(arc_length_m)
     blank = spectrum(t_s, np.full((len(t_s), markers, 2), np.nan), noise)
     bins = min(TIME_BINS, len(t_s))
     edges = np.linspace(t_s[0], t_s[-1], bins + 1)
-    return Where(
+    return TrialResidual(
         trial=trial.name,
         rms_m=float("inf"),
         by_time=Profile(0.5 * (edges[1:] + edges[:-1]), np.full(bins, np.nan)),
@@ -117,11 +117,11 @@ def nowhere(trial: Trial, arc_length_m: FloatArray, noise: Noise) -> Where:
         by_phase=dict.fromkeys(PHASES, float("nan")),
         spectrum=blank,
         whiteness_p_value=float("nan"),
-        follows=(),
+        correlations=(),
     )
 
 
-def beside(seen: FloatArray, model: FloatArray) -> FloatArray:
+def displacement(seen: FloatArray, model: FloatArray) -> FloatArray:
     """(…, 2) from model to what was seen: along one coordinate alone where the other was not."""
     away = seen - model
     lost = np.isnan(away)
@@ -129,8 +129,8 @@ def beside(seen: FloatArray, model: FloatArray) -> FloatArray:
 
 
 def distance(seen: FloatArray, model: FloatArray) -> FloatArray:
-    """(…) of `beside`, nan where neither coordinate was seen."""
-    return np.asarray(np.linalg.norm(beside(seen, model), axis=-1))
+    """(…) of `displacement`, nan where neither coordinate was seen."""
+    return np.asarray(np.linalg.norm(displacement(seen, model), axis=-1))
 
 
 def largest(values: FloatArray) -> float:
@@ -209,7 +209,9 @@ def ljung_box(white: FloatArray, lags: int = LAGS) -> float:
     return float(stats.chi2.sf(statistic, freedom)) if freedom else float("nan")
 
 
-def follows(trial: Trial, predicted_m: FloatArray, white: FloatArray) -> tuple[Follows, ...]:
+def correlations(
+    trial: Trial, predicted_m: FloatArray, white: FloatArray
+) -> tuple[Correlation, ...]:
     """Which signals the residual of the outermost marker goes with, strongest first.
 
     The whitened residual along the cable's normal is correlated with each signal at that marker;
@@ -236,7 +238,7 @@ def follows(trial: Trial, predicted_m: FloatArray, white: FloatArray) -> tuple[F
     seen = np.isfinite(white[:, 0])
     error = np.sum(np.where(seen, white[:, 0], 0.0) * normal, axis=1)
     error = np.where(seen.any(axis=1), error, np.nan)
-    found = [Follows(name, *_correlation(error, values)) for name, values in signals.items()]
+    found = [Correlation(name, *_correlation(error, values)) for name, values in signals.items()]
     return tuple(sorted(found, key=lambda f: -abs(f.correlation)))
 
 

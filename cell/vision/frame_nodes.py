@@ -21,7 +21,7 @@ from cell.vision.marks import NEXT_FRAME_M
 from cell.vision.second_line import another_line
 from cell.vision.sighting import UNSEEN, Unseen
 from cell.vision.spline import at
-from cell.vision.trace import DENSE, SEEN, CableLook, TraceMemory, trace_cable, trace_memory
+from cell.vision.trace import DENSE, SEEN, CableAppearance, TraceMemory, trace_cable, trace_memory
 
 FloatArray = NDArray[np.float64]
 
@@ -34,16 +34,16 @@ _SATURATED = UNSEEN.index(Unseen.SATURATED)
 _EMPTY = UNSEEN.index(Unseen.EMPTY)
 
 
-class Look(NamedTuple):
+class Appearance(NamedTuple):
     """What jaw and cable look like; see `VisionOptions`."""
 
     marks: Marks
-    cable: CableLook
+    cable: CableAppearance
     free_length_m: float
     length_tolerance_m: float
 
 
-class Memory(NamedTuple):
+class FrameMemory(NamedTuple):
     """What is written while a picture is looked at; a thread needs its own."""
 
     discs: DiscMemory
@@ -52,7 +52,7 @@ class Memory(NamedTuple):
     arc_length_m: FloatArray
 
 
-class Found(NamedTuple):
+class FrameResult(NamedTuple):
     """Why there are no nodes (place in `UNSEEN`, −1 = there are), the jaw, quality and length."""
 
     code: int
@@ -63,9 +63,9 @@ class Found(NamedTuple):
     length_m: float
 
 
-def look_memory(shape: tuple[int, int], look: Look) -> Memory:
+def frame_memory(shape: tuple[int, int], look: Appearance) -> FrameMemory:
     """Memory for pictures (H, W)."""
-    return Memory(
+    return FrameMemory(
         disc_memory(shape, len(look.marks.centres_m)),
         trace_memory(float(np.hypot(*shape))),
         np.empty(256, np.int64),
@@ -74,22 +74,22 @@ def look_memory(shape: tuple[int, int], look: Look) -> Memory:
 
 
 @compiled
-def look_at(picture, view, look, memory, near, nodes):  # type: ignore[no-untyped-def]
+def nodes_in_frame(picture, view, look, memory, near, nodes):  # type: ignore[no-untyped-def]
     """What one picture says of jaw and cable.
 
     picture  see `Picture`
     view     see `View`
     near     place, m, and angle of the jaw in the frame before; nan = unknown
     nodes    (N, 2) are written, tip first, m; nan where unseen
-    returns  a `Found`
+    returns  a `FrameResult`
     """
     _nothing(nodes)
     code = _unusable(picture.image, memory.histogram)
     if code >= 0:
-        return Found(code, np.nan, np.nan, np.nan, 0.0, np.nan)
+        return FrameResult(code, np.nan, np.nan, np.nan, 0.0, np.nan)
     jaw = find_body(picture.image, view, look.marks, memory.discs, near, NEXT_FRAME_M)
     if jaw.marks == 0:
-        return Found(_NO_JAW, np.nan, np.nan, np.nan, 0.0, np.nan)
+        return FrameResult(_NO_JAW, np.nan, np.nan, np.nan, 0.0, np.nan)
     x, y, angle = jaw.x_m, jaw.y_m, jaw.angle_rad
     grip = to_pixels(view, x, y)
     length = look.free_length_m * scale_at(view, grip[0], grip[1])
@@ -98,7 +98,7 @@ def look_at(picture, view, look, memory, near, nodes):  # type: ignore[no-untype
     outward = ((ahead[0] - grip[0]) / norm, (ahead[1] - grip[1]) / norm)
     trace = trace_cable(picture, look.cable, memory.trace, grip, outward, length)
     if trace.code != SEEN:
-        return Found(trace.code, x, y, angle, 0.0, np.nan)
+        return FrameResult(trace.code, x, y, angle, 0.0, np.nan)
     length_m = _in_plane(view, memory, nodes)
     off = abs(length_m - look.free_length_m) / look.length_tolerance_m
     code = -1
@@ -108,10 +108,10 @@ def look_at(picture, view, look, memory, near, nodes):  # type: ignore[no-untype
         code = _TWO_CABLES
     if code >= 0:
         _nothing(nodes)
-        return Found(code, x, y, angle, 0.0, length_m)
+        return FrameResult(code, x, y, angle, 0.0, length_m)
     quality = trace.seen_share * min(1.0, trace.signal_to_noise / 5.0)
     quality *= np.exp(-((trace.misfit_px / 0.5) ** 2) - 0.5 * off * off)
-    return Found(-1, x, y, angle, quality, length_m)
+    return FrameResult(-1, x, y, angle, quality, length_m)
 
 
 @inline
