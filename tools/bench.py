@@ -24,6 +24,7 @@ from cell.cable.geometry import Cable, Motion
 from cell.cable.model import CableModel
 from cell.cable.statics import settle
 from cell.cable.stepping import integrate
+from cell.identify.differences import difference_points
 from cell.identify.parameters import ParameterSpace, Prior
 
 CABLE = Cable(0.1, 0.0074, 0.016, 1e-4)
@@ -292,7 +293,7 @@ def gauss_newton_pass() -> None:
         prior = Prior(knots=len(model.rigidity_n_m2))
         space = ParameterSpace.of(CABLE, effects=kinds, prior=prior)
         q = space.coordinates(np.array([*model.rigidity_n_m2, 1.1, 1e-7, *values]))
-        lanes = space.forward_difference_points(q)
+        lanes = difference_points(q, space.difference_steps(q))
 
         def one_pass(
             space: ParameterSpace = space,

@@ -10,7 +10,6 @@ import time
 from dataclasses import dataclass
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
-from types import TracebackType
 
 import numpy as np
 
@@ -54,12 +53,7 @@ class StallProbe:
         self._here.recv()  # it has begun
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._here.close()
         self._process.join()
 

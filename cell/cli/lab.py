@@ -15,6 +15,8 @@ from cell.cli.shared import BAD_INPUT, group, tell_notes
 from cell.files.overwriting import check_new_study, check_output
 
 if TYPE_CHECKING:
+    from cell.lab.explore import Explorer, Progress
+    from cell.lab.session import EffectSelection
     from cell.study.data import Study
     from cell.terminal.progress import ProgressLine
 
@@ -85,13 +87,7 @@ def fit(
 
     with refusing(out, as_json, force=force), working("fit") as progress:
         selection = session.select_effects(effect or [])
-        explorer = session.explorer_of(
-            _opened(study),
-            selection,
-            session.read_prior(prior, selection.own),
-            progress,
-            session.read_kind(config),
-        )
+        explorer = _explorer(_opened(study), selection, prior, progress, config)
         model, candidate = session.fit_study(explorer)
         warnings = fit_doubts(explorer, candidate)
         written = model.to_dict() | {"warnings": [vars(w) for w in warnings]}
@@ -184,13 +180,7 @@ def diagnose(
     with refusing(as_json, report, force=force), working("diagnose") as progress:
         selection = session.select_for_diagnosis(effect or [], known or [])
         opened = _opened(study)
-        explorer = session.explorer_of(
-            opened,
-            selection,
-            session.read_prior(prior, selection.own),
-            progress,
-            session.read_kind(config),
-        )
+        explorer = _explorer(opened, selection, prior, progress, config)
         examination = diagnose_study(explorer)
         tables = write_result(to_json(examination.diagnosis), as_json)
         steps = [explorer.prior_candidate(), *examination.steps[1:]]
@@ -259,12 +249,7 @@ def discover(
     with refusing(out, as_json, force=force), working("discover") as progress:
         effect_name(out)
         selection = session.select_effects(effect or [])
-        explorer = session.explorer_of(
-            _opened(study),
-            selection,
-            session.read_prior(prior, selection.own),
-            progress,
-        )
+        explorer = _explorer(_opened(study), selection, prior, progress)
         discovery = discover_effect(explorer, out)
         tables = write_result(discovery.to_json(), as_json)
     known = explorer.space.effects
@@ -308,13 +293,7 @@ def suggest(
     with refusing(out, as_json, force=force), working("suggest") as progress:
         surroundings = Surroundings.read(config)
         selection = session.select_for_diagnosis(effect or [], known or [])
-        explorer = session.explorer_of(
-            _opened(study),
-            selection,
-            session.read_prior(prior, selection.own),
-            progress,
-            session.read_kind(config),
-        )
+        explorer = _explorer(_opened(study), selection, prior, progress, config)
         suggestion = suggest_motion(explorer, diagnose_study(explorer), surroundings)
         if out:
             write_motion(suggestion, out)
@@ -359,6 +338,25 @@ def refusing(*outputs: Path | None, force: bool = False) -> Iterator[None]:
     except (InputError, EffectError, NoiseUnknownError, FileNotFoundError, ValueError) as error:
         print(error, file=sys.stderr)
         raise typer.Exit(BAD_INPUT) from error
+
+
+def _explorer(
+    study: Study,
+    selection: EffectSelection,
+    prior: Path | None,
+    progress: Progress,
+    config: Path | None = None,
+) -> Explorer:
+    """The study made ready, with the model files and settings that the command line names."""
+    from cell.lab import session
+
+    return session.explorer_of(
+        study,
+        selection,
+        session.read_prior(prior, selection.own),
+        progress,
+        session.read_kind(config),
+    )
 
 
 def _opened(folder: Path) -> Study:

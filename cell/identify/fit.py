@@ -231,14 +231,24 @@ def still_noise(
 
 
 def predict(
-    trial: Trial, models: Sequence[CableModel], arc_length_m: FloatArray, solver: Solver
+    trial: Trial,
+    models: Sequence[CableModel],
+    arc_length_m: FloatArray,
+    solver: Solver,
+    delay_s: float = 0.0,
+    impossible: float = np.inf,
 ) -> FloatArray:
-    """(lanes, T, markers, 2) where models put the markers of a trial, m; inf if they cannot."""
+    """(lanes, T, markers, 2) where models put the markers of a trial, m.
+
+    A lane that cannot be simulated does not spoil the others.
+    delay_s     by which the markers' times are late
+    impossible  value of a lane that cannot be simulated
+    """
     try:
         return simulate(
             models,
             trial.grip,
-            trial.markers.t_s,
+            trial.markers.t_s - delay_s,
             arc_length_m,
             solver=solver,
             start=trial.start,
@@ -246,10 +256,14 @@ def predict(
         )
     except (DivergedError, UnsettledError):
         if len(models) == 1:
-            return np.full((1, *trial.markers.xy_m.shape), np.inf)
+            return np.full((1, *trial.markers.xy_m.shape), impossible)
         half = len(models) // 2
-        halves = models[:half], models[half:]
-        return np.concatenate([predict(trial, part, arc_length_m, solver) for part in halves])
+        return np.concatenate(
+            [
+                predict(trial, part, arc_length_m, solver, delay_s, impossible)
+                for part in (models[:half], models[half:])
+            ]
+        )
 
 
 def variance_inflation(

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
+from cell.identify.differences import difference_points, one_sided_steps
+
 FloatArray = NDArray[np.float64]
 
 #: Residuals of many parameter vectors at once: (lanes, p) → (lanes, rows), white, of unit size.
@@ -144,8 +146,8 @@ def minimise(problem: Problem, start: FloatArray, options: Options = Options()) 
 
 def _linearise(problem: Problem, q: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Residual (rows,) and Jacobian (rows, p) at q; not finite where it cannot be simulated."""
-    step = np.where(q + problem.step <= problem.high, problem.step, -problem.step)
-    lanes = problem.residuals(np.vstack([q, q + np.diag(step)]))
+    step = one_sided_steps(q, problem.step, problem.high)
+    lanes = problem.residuals(difference_points(q, step))
     if not np.all(np.isfinite(lanes)):
         return lanes[0], np.full((lanes.shape[1], len(q)), np.nan)
     return lanes[0], (lanes[1:] - lanes[0]).T / step

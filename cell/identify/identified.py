@@ -14,6 +14,7 @@ from scipy.stats import norm
 from cell.cable.effects.base import Effect
 from cell.cable.geometry import Cable
 from cell.cable.model import CableModel, knot_basis
+from cell.identify.gaussian import covariance_root
 from cell.identify.noise import Noise
 from cell.identify.parameters import ParameterSpace, Prior
 
@@ -82,9 +83,7 @@ class Identified:
     @cached_property
     def root(self) -> FloatArray:
         """(p, p) R with R Rᵀ = covariance, columns in order of falling size."""
-        values, vectors = np.linalg.eigh(self.covariance)
-        root = vectors * np.sqrt(np.maximum(values, 0.0))
-        return np.ascontiguousarray(root[:, ::-1])
+        return np.ascontiguousarray(covariance_root(self.covariance)[:, ::-1])
 
     def models(self, deviates: FloatArray) -> list[CableModel]:
         """Models at standard normal deviates (lanes, p) of the parameters' distribution."""

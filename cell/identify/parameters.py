@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from cell.cable.effects.base import Effect
 from cell.cable.geometry import GRAVITY_M_PER_S2, Cable
 from cell.cable.model import CableModel
+from cell.identify.differences import one_sided_steps
 
 FloatArray = NDArray[np.float64]
 
@@ -167,11 +168,9 @@ class ParameterSpace:
             tuple(active),
         )
 
-    def forward_difference_points(self, q: FloatArray) -> FloatArray:
-        """(1 + p, p) a point and its neighbours for forward differences, none beyond `high`."""
-        return np.vstack(
-            [q, q + np.diag(np.where(q + self.step <= self.high, self.step, -self.step))]
-        )
+    def difference_steps(self, q: FloatArray) -> FloatArray:
+        """(p,) steps from q for one-sided finite differences within the bounds."""
+        return one_sided_steps(q, self.step, self.high)
 
     def start(self, rigidity_n_m2: float) -> FloatArray:
         """(p,) a cable of the prior's shape, exponent and damping, as stiff as this in the middle.

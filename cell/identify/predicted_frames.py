@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from cell.cable.dynamics import Solver, simulate
 from cell.cable.geometry import Motion
+from cell.identify.differences import difference_points
 from cell.identify.hand import STILL_WITHIN_M, STILL_WITHIN_RAD, HandErrors, likely_motions
 from cell.identify.parameters import ParameterSpace
 from cell.study.data import Trial
@@ -107,7 +108,7 @@ def simulate_frames(
     raises        what the engine raises
     """
     grip = extended_at_rest(trial.grip, float(t_s[-1]))
-    lanes = space.forward_difference_points(mean)
+    lanes = difference_points(mean, space.difference_steps(mean))
     others = likely_motions(grip, hand)
     models = [space.model(q) for q in lanes]
     markers_m = simulate(

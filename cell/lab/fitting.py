@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 from cell.cable.effects.base import Effect
 from cell.cable.model import CableModel
 from cell.identify import gauss_newton
+from cell.identify.differences import difference_points
 from cell.identify.gauss_newton import Solution
+from cell.identify.gaussian import covariance_root, marginal_chi2
 from cell.identify.noise import Whitener
 from cell.identify.parameters import ParameterSpace, Prior
 from cell.lab.prepared import RELEASE_LIMIT_S, RELEASE_STD_S, PreparedStudy, is_released
@@ -162,12 +164,13 @@ def heldout(prepared: PreparedStudy, fit: Fit) -> Heldout | None:
     if not trials:
         return None
     space, p = fit.space, len(fit.q)
-    bent = np.where(fit.q + space.step <= space.high, space.step, -space.step)
+    steps = space.difference_steps(fit.q)
+    neighbours = [space.model(q) for q in difference_points(fit.q, steps)[1:]]
     predicted: dict[str, FloatArray] = {}
     rows, slopes, extra = [], [], []
     for trial in trials:
         delay = best_delay(prepared, fit.model, trial) if is_released(trial) else 0.0
-        lanes = [fit.model, *(space.model(fit.q + np.eye(p)[i] * bent[i]) for i in range(p))]
+        lanes = [fit.model, *neighbours]
         delays = np.full(p + 1, delay)
         if is_released(trial):
             lanes.append(fit.model)
@@ -176,7 +179,7 @@ def heldout(prepared: PreparedStudy, fit: Fit) -> Heldout | None:
         white = prepared.white(trial, points)
         predicted[trial.name] = points[0]
         rows.append(white[0])
-        slopes.append((white[1 : p + 1] - white[0]).T / bent)
+        slopes.append((white[1 : p + 1] - white[0]).T / steps)
         extra.append((white[p + 1 :] - white[0]).T / _DELAY_STEP_S)
     errors = {t.name: t.markers.xy_m - predicted[t.name] for t in trials}
     residual = np.concatenate(rows)
@@ -192,14 +195,13 @@ def heldout(prepared: PreparedStudy, fit: Fit) -> Heldout | None:
             log_likelihood=-np.inf,
             predicted_m=predicted,
         )
-    root = _root(fit.covariance)
-    spread = sensitivity @ root
+    spread = sensitivity @ covariance_root(fit.covariance)
     for i, block in enumerate(extra):
         column = np.zeros((len(residual), block.shape[1]))
         first = sum(len(r) for r in rows[:i])
         column[first : first + len(rows[i])] = block * RELEASE_STD_S
         spread = np.hstack([spread, column])
-    chi2, log_det = _marginal(residual, spread)
+    chi2, log_det = marginal_chi2(residual, spread)
     splits = np.cumsum([len(r) for r in rows])[:-1]
     smooth = [
         _smooth_part(prepared.whiteners[trial.name], part)
@@ -208,7 +210,7 @@ def heldout(prepared: PreparedStudy, fit: Fit) -> Heldout | None:
         )
     ]
     coarse = np.concatenate(smooth)
-    smooth_chi2, _ = _marginal(coarse[:, 0], coarse[:, 1:])
+    smooth_chi2, _ = marginal_chi2(coarse[:, 0], coarse[:, 1:])
     return Heldout(
         rms_m=overall(list(errors.values())),
         by_trial_m={name: overall([e]) for name, e in errors.items()},
@@ -219,14 +221,6 @@ def heldout(prepared: PreparedStudy, fit: Fit) -> Heldout | None:
         log_likelihood=-0.5 * (chi2 + log_det),
         predicted_m=predicted,
     )
-
-
-def _marginal(residual: FloatArray, spread: FloatArray) -> tuple[float, float]:
-    """χ² of residuals (n,) of covariance I + spread·spreadᵀ, and ln of its determinant."""
-    inner = np.eye(spread.shape[1]) + spread.T @ spread
-    against = spread.T @ residual
-    chi2 = float(residual @ residual - against @ np.linalg.solve(inner, against))
-    return chi2, float(np.linalg.slogdet(inner)[1])
 
 
 def _smooth_part(whitener: Whitener, white: FloatArray) -> FloatArray:
@@ -328,8 +322,3 @@ def best_delay(prepared: PreparedStudy, model: CableModel, trial: Trial) -> floa
         return float(gauss_newton.minimise(problem, np.zeros(1)).q[0])
     except ValueError:
         return 0.0
-
-
-def _root(covariance: FloatArray) -> FloatArray:
-    values, vectors = np.linalg.eigh(covariance)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.cable.dynamics import DivergedError, Solver, simulate
+from cell.cable.dynamics import Solver
 from cell.cable.model import CableModel
-from cell.cable.statics import UnsettledError
+from cell.identify.fit import predict
 from cell.identify.noise import Noise, Whitener, still_frames
 from cell.lab.noise import Floor, noise_floor
 from cell.study.data import Markers, Study, Trial
@@ -83,27 +83,15 @@ class PreparedStudy:
         out = np.empty((len(models), *trial.markers.xy_m.shape))
         for delay in np.unique(delays):
             lanes = np.flatnonzero(delays == delay)
-            out[lanes] = self._run(trial, [models[int(i)] for i in lanes], float(delay))
-        return out
-
-    def _run(self, trial: Trial, models: list[CableModel], delay_s: float) -> FloatArray:
-        """As `simulate`; a lane that cannot be simulated is nan and does not spoil the others."""
-        try:
-            return simulate(
-                models,
-                [trial.grip],
-                trial.markers.t_s - delay_s,
+            out[lanes] = predict(
+                trial,
+                [models[int(i)] for i in lanes],
                 self.study.arc_length_m,
-                solver=self.solver,
-                start=trial.start,
-                release_s=trial.release_s,
+                self.solver,
+                float(delay),
+                impossible=np.nan,
             )
-        except (DivergedError, UnsettledError):
-            if len(models) == 1:
-                return np.full((1, *trial.markers.xy_m.shape), np.nan)
-            half = len(models) // 2
-            halves = models[:half], models[half:]
-            return np.concatenate([self._run(trial, part, delay_s) for part in halves])
+        return out
 
     def white(self, trial: Trial, predicted_m: FloatArray) -> FloatArray:
         """(lanes, rows) whitened residuals of predictions (lanes, times, markers, 2)."""

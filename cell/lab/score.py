@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from cell.identify.gaussian import covariance_root
+
 FloatArray = NDArray[np.float64]
 
 #: Draws behind the p-value of a maximum over shapes; below a few of them Bonferroni is used.
@@ -148,8 +150,7 @@ def _p_of_maximum(z: float, correlation: FloatArray, one_sided: bool, seed: int)
     bound = min(1.0, count * single)
     if bound * DRAWS < MIN_EXCEEDING:
         return bound
-    values, vectors = np.linalg.eigh(correlation)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    root = covariance_root(correlation)
     draws = np.random.default_rng(seed).standard_normal((DRAWS, count)) @ root.T
     largest = (draws if one_sided else np.abs(draws)).max(axis=1)
     return float(np.clip((1 + np.sum(largest >= z)) / (DRAWS + 1), single, bound))

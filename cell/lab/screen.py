@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from cell.cable.effects.base import ActiveEffect, Effect, Parameter
 from cell.cable.model import CableModel
+from cell.identify.gaussian import covariance_root
 from cell.lab.fitting import Fit, fit_trials
 from cell.lab.prepared import PreparedStudy
 from cell.lab.score import Nuisance, Score, score_test
@@ -158,8 +159,7 @@ def _nuisance(fit: Fit) -> Nuisance:
     p, rows = len(fit.q), len(fit.solution.q)
     precision = np.zeros((rows, rows))
     precision[:p, :p] = fit.space.precision
-    values, vectors = np.linalg.eigh(precision)
-    root = (vectors * np.sqrt(np.maximum(values, 0.0))).T
+    root = covariance_root(precision).T
     away = np.concatenate([fit.q - fit.space.mean, np.zeros(rows - p)])
     residual = np.concatenate([fit.solution.residual, root @ away])
     return Nuisance.of(residual, np.vstack([fit.solution.jacobian, root]))

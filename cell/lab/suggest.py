@@ -21,6 +21,8 @@ from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
 from cell.files.atomic import write_whole
 from cell.files.yaml_document import yaml_text
+from cell.identify.differences import difference_points
+from cell.identify.gaussian import covariance_root, marginal_chi2
 from cell.identify.noise import Whitener
 from cell.lab.compare import everywhere
 from cell.lab.diagnose import Examination
@@ -332,11 +334,10 @@ def _open(
              standard deviation, (times, points, 2), m
     """
     space, q = candidate.fit.space, candidate.fit.q
-    step = np.where(q + space.step <= space.high, space.step, -space.step)
-    lanes = [space.model(q), *(space.model(q + row) for row in np.diag(step))]
+    step = space.difference_steps(q)
+    lanes = [space.model(row) for row in difference_points(q, step)]
     markers, cable = _simulated(prepared, lanes, stroke, surroundings)
-    values, vectors = np.linalg.eigh(candidate.fit.covariance)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    root = covariance_root(candidate.fit.covariance)
     rows = Whitener(np.zeros(markers.shape[1:]), prepared.noise)(markers)
     open_rows = ((rows[1:] - rows[0]).T / step) @ root
     moves = np.tensordot(root.T / step, cable[1:] - cable[0], axes=1)
@@ -347,11 +348,7 @@ def _separation(
     first: tuple[FloatArray, FloatArray], second: tuple[FloatArray, FloatArray]
 ) -> float:
     """χ² between two candidates that neither's open directions can remove."""
-    apart = first[0] - second[0]
-    span = np.hstack([first[1], second[1]])
-    against = span.T @ apart
-    inner = np.eye(span.shape[1]) + span.T @ span
-    return float(apart @ apart - against @ np.linalg.solve(inner, against))
+    return marginal_chi2(first[0] - second[0], np.hstack([first[1], second[1]]))[0]
 
 
 def _label(candidate: Candidate) -> str:

@@ -12,6 +12,7 @@ from scipy.stats import norm, qmc
 
 from cell.cable.dynamics import Solver, simulate
 from cell.cable.geometry import Motion
+from cell.identify.differences import difference_points
 from cell.identify.identified import Identified
 from cell.plan.destination import Destination
 
@@ -126,7 +127,7 @@ def forecast(
     t_s = np.arange(0.0, end_s + options.interval_s, options.interval_s)
     space, mean = identified.space, identified.mean
     tip_at_m = np.array([space.cable.free_length_m])
-    lanes = space.forward_difference_points(mean)
+    lanes = difference_points(mean, space.difference_steps(mean))
     models = [space.model(q) for q in lanes]
     tip_m = simulate(models[0], motions, t_s, tip_at_m, solver=solver)[:, :, 0]
     nearby_m = simulate(

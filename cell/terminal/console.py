@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from statistics import median
-from types import TracebackType
 from typing import Literal
 
 from rich.box import SIMPLE_HEAD
@@ -104,12 +103,7 @@ class RunProgress:
         """What is said off a terminal."""
         return f"run: {self._stage.line(self._started_s, self._now_s())}"
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._progress.stop()
         if self._ticker is not None:
             self._ticker.close()

@@ -9,7 +9,6 @@ import termios
 import threading
 import tty
 from collections.abc import Callable
-from types import TracebackType
 from typing import Any
 
 #: How often it is looked whether the terminal is ours again, s.
@@ -46,12 +45,7 @@ class Keyboard:
             self._former = None  # standard input is no terminal, or closed
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._over.set()
         if self._former is not None:
             self._thread.join()

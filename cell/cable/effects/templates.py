@@ -108,6 +108,13 @@ def evolve(before, after, rigidity, arc, duration, {z}cable, p):
     return ({new})
 """
 
+# What every mode reads of a hinge and its lane.
+_HINGE = """                per_length = R[w + PER_LENGTH * LANES]
+                rigidity = R[w + RIGIDITY * LANES]
+                arc = R[w + ARC_HINGE * LANES]
+                cable = CableData(P[w], P[w + LANES], P[w + 2 * LANES], P[w + 3 * LANES])
+                p = Values({values})"""
+
 _MOMENT_LOOP = """
 
 @inline
@@ -130,11 +137,7 @@ def loop(S, lanes, n, mode, duration, dq, dv, P, row, Z, memory_row):
         M = Z[(memory_row * (n + 1) + i) * LANES :]
         if mode == REST:
             for w in range(lanes):
-                per_length = R[w + PER_LENGTH * LANES]
-                rigidity = R[w + RIGIDITY * LANES]
-                arc = R[w + ARC_HINGE * LANES]
-                cable = CableData(P[w], P[w + LANES], P[w + 2 * LANES], P[w + 3 * LANES])
-                p = Values({values})
+{hinge}
                 curvature = R[w + BEND_C * LANES] * per_length
                 here = still(curvature, rigidity, arc, cable, p)
                 above = still(curvature + NUDGE, rigidity, arc, cable, p)
@@ -146,11 +149,7 @@ def loop(S, lanes, n, mode, duration, dq, dv, P, row, Z, memory_row):
 {advance}
         else:
             for w in range(lanes):
-                per_length = R[w + PER_LENGTH * LANES]
-                rigidity = R[w + RIGIDITY * LANES]
-                arc = R[w + ARC_HINGE * LANES]
-                cable = CableData(P[w], P[w + LANES], P[w + 2 * LANES], P[w + 3 * LANES])
-                p = Values({values})
+{hinge}
                 before = R[w + BEND_0 * LANES] * per_length
                 curvature = R[w + BEND_C * LANES] * per_length
                 rate = R[w + RATE_C * LANES] * per_length
@@ -168,11 +167,7 @@ def loop(S, lanes, n, mode, duration, dq, dv, P, row, Z, memory_row):
 """
 
 _ADVANCE = """            for w in range(lanes):
-                per_length = R[w + PER_LENGTH * LANES]
-                rigidity = R[w + RIGIDITY * LANES]
-                arc = R[w + ARC_HINGE * LANES]
-                cable = CableData(P[w], P[w + LANES], P[w + 2 * LANES], P[w + 3 * LANES])
-                p = Values({values})
+{hinge}
                 before = R[w + BEND_0 * LANES] * per_length
                 after = R[w + BEND * LANES] * per_length
 {load}
@@ -189,7 +184,7 @@ def moment_source(name: str, fields: tuple[str, ...], memory: tuple[str, ...], r
     """Module with the loop of a bending moment; expects EFFECT in its globals."""
     count = len(memory)
     z = "".join(f"z{j}, " for j in range(count))
-    values = _values(fields)
+    hinge = _HINGE.format(values=_values(fields))
     text = _MOMENT_HEAD.format(name=name, fields=fields, memory=memory, z=z)
     if count:
         lines = []
@@ -219,14 +214,14 @@ def moment_source(name: str, fields: tuple[str, ...], memory: tuple[str, ...], r
     load = each("z{j} = M[{at}]")
     store = each("M[{at}] = z{j}")
     if count:
-        advance = _ADVANCE.format(values=values, load=load, store=store, z=z)
+        advance = _ADVANCE.format(hinge=hinge, load=load, store=store, z=z)
         evolved = f"    {z}= evolve(before, curvature, rigidity, arc, duration, {z}cable, p)"
         at_rest = f"    {z}= rest(curvature, rigidity, arc, cable, p)"
         store_rest = f"                {z}= rest(curvature, rigidity, arc, cable, p)\n{store}"
     else:
         advance, evolved, at_rest, store_rest = "            pass", "", "", ""
     return text + _MOMENT_LOOP.format(
-        values=values,
+        hinge=hinge,
         z=z,
         load=load,
         advance=advance,

@@ -1,0 +1,29 @@
+"""Gaussian distributions: the root of a covariance, and the χ² of correlated residuals."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+def covariance_root(covariance: FloatArray) -> FloatArray:
+    """(p, p) R with R Rᵀ = covariance, by its eigenvectors, columns in order of rising size.
+
+    covariance  (p, p) symmetric; eigenvalues below 0, which are rounding errors, count as 0
+    """
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def marginal_chi2(residual: FloatArray, spread: FloatArray) -> tuple[float, float]:
+    """χ² of residuals (n,) of covariance I + spread·spreadᵀ, and ln of its determinant.
+
+    spread  (n, k) what k standard normal unknowns add to the residuals
+    source  Woodbury's identity and the matrix determinant lemma: k × k instead of n × n
+    """
+    inner = np.eye(spread.shape[1]) + spread.T @ spread
+    against = spread.T @ residual
+    chi2 = float(residual @ residual - against @ np.linalg.solve(inner, against))
+    return chi2, float(np.linalg.slogdet(inner)[1])
