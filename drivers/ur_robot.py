@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.interfaces import ArmMode
+from drivers.priority import own_threads, poll_gently
 
 _PLAYING = 2  # runtime state
 _RUNNING = 7  # robot mode: powered, brakes released
@@ -26,6 +27,8 @@ _OUTPUTS = [
     "speed_scaling",
     "target_speed_fraction",
 ]
+#: By how much later than it could a state may be read: its arrival is awaited for 0.8 ms.
+_POLLING_SLACK_S = 4e-4
 _STANDSTILL_M = 2e-4
 _STANDSTILL_S = 0.1
 _PROGRAM_S = 5.0
@@ -74,6 +77,7 @@ class Robot:
             raise RefusedError(f"ur-rtde cannot be loaded ({error})", _NO_LIBRARY) from error
 
         before_threads()
+        before = own_threads()
         self._options = options
         self._remote, self._remote_asked_s = True, -np.inf
         self._dashboard = dashboard_client.DashboardClient(options.host)
@@ -84,6 +88,7 @@ class Robot:
         )
         self._check_can_start()
         self.control = rtde_control.RTDEControlInterface(options.host, 1.0 / options.period_s)
+        poll_gently(own_threads() - before, _POLLING_SLACK_S)
         self._prepare()
 
     def speed(self, moving: bool) -> float:

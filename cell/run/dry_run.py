@@ -8,12 +8,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.computer.memory import freeze_loaded_objects
 from cell.records.result import Check
 from cell.run.findings import Findings, JawFilm, RehearsedMotion
 from cell.run.movements import Movement
 from cell.run.station import Station
 from cell.run.steps import allowed_paths
 from cell.run.waiting import AHEAD_S, await_rest, wait_until
+from cell.run.warm_up import warm_up_eyes
 from cell.vision.marks import find_jaw
 from drivers.interfaces import Frame, GripError
 
@@ -24,6 +26,13 @@ FloatArray = NDArray[np.float64]
 AHEAD_SHARE = 0.03
 #: The jaw is looked for in about so many frames of a motion.
 LOOKS = 300
+
+
+def warm_up(station: Station, findings: Findings) -> Findings:
+    """Have what looks at pictures compiled and loaded before any are to be looked at."""
+    warm_up_eyes(station.task.vision)
+    freeze_loaded_objects()
+    return findings
 
 
 def reset(station: Station, findings: Findings) -> Findings:

@@ -98,8 +98,8 @@ class Plan:
 
 # --- the table ----------------------------------------------------------------------------------
 
-CONNECT = Step("connect", steps.connect, once=True)
 WARM_UP = Step("warm_up", steps.warm_up, computes=True, once=True)
+CONNECT = Step("connect", steps.connect, once=True)
 CHECK_PATHS = Step("check_paths", partial(steps.check_paths, inserting_movements), once=True)
 RESET = Step("reset", steps.reset)
 START = Step("start", steps.check_ready)
@@ -120,7 +120,7 @@ RELEASE = Step("release", steps.release, after=after_release, may_pause=True, wi
 INSERTING = Plan(
     aim=Outcome.INSERTED,
     movements=inserting_movements,
-    resetting=(CONNECT, WARM_UP, CHECK_PATHS, RESET),
+    resetting=(WARM_UP, CONNECT, CHECK_PATHS, RESET),
     starting=(START,),
     execute=(
         GRASP,
@@ -145,7 +145,7 @@ def measuring(motion: Measuring) -> Plan:
         INSERTING,
         aim=Outcome.MEASURED,
         movements=moves,
-        resetting=(CONNECT, WARM_UP, check, RESET),
+        resetting=(WARM_UP, CONNECT, check, RESET),
         execute=(
             GRASP,
             Step("approach", approach, holding=True, may_pause=True),
@@ -168,7 +168,11 @@ def rehearsing(plan: Plan, task: Task, rate_hz: float, speed: float) -> Plan:
     return replace(
         plan,
         aim=Outcome.REHEARSED,
-        resetting=(CONNECT, replace(RESET, act=dry_run.reset)),
+        resetting=(
+            replace(WARM_UP, act=dry_run.warm_up, once=False),
+            CONNECT,
+            replace(RESET, act=dry_run.reset),
+        ),
         execute=(
             replace(CHECK_PATHS, act=partial(dry_run.check_paths, moves), once=False),
             *follow,

@@ -14,6 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from cell.computer.memory import freeze_loaded_objects
 from cell.identify.individual import CableRejectedError
 from cell.identify.individual import identify as identify_cable
 from cell.plan.choose import choose as choose_offset
@@ -108,7 +109,10 @@ def connect(station: Station, findings: Findings) -> Findings:
 
 
 def warm_up(station: Station, findings: Findings) -> Findings:
-    """Have everything compiled and loaded where it will be needed.  Raises DeviceLostError."""
+    """Have everything compiled and loaded where it will be needed.  Raises DeviceLostError.
+
+    It keeps the computer busy for seconds, so no device should be connected yet.
+    """
     cable, kind = station.task.cable, station.task.identification.kind
     warm_up_engine(cable, kind)
     warm_up_vision(station.task.vision)
@@ -120,6 +124,7 @@ def warm_up(station: Station, findings: Findings) -> Findings:
             "the process that computes ahead ended as it began",
             "free memory; a script of your own must begin under `if __name__ == '__main__':`",
         ) from error
+    freeze_loaded_objects()
     return findings
 
 

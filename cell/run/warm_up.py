@@ -17,6 +17,7 @@ from cell.plan.choose import choose, forecast
 from cell.plan.destination import Destination
 from cell.plan.paths import MotionLimits, executed_motion, identification_path, insertion_path
 from cell.vision.detect import VisionOptions, detect_all
+from cell.vision.marks import find_jaw
 from drivers.interfaces import Pose
 
 _NOISE_M = 2e-5
@@ -55,6 +56,7 @@ def warm_up_vision(options: VisionOptions) -> None:
     """Look at a made-up picture, and at one after it."""
     image, view = made_up_picture(options)
     list(detect_all([(0.0, image), (0.01, image)], view, options))
+    find_jaw(image, view, options.marks)
 
 
 def made_up_picture(options: VisionOptions) -> tuple[NDArray[np.uint8], PlaneView]:

@@ -136,7 +136,7 @@ class Controller:
                 self._coasting = None
         else:
             self.joints.rest()
-        if float(np.max(np.abs(self.joints.qd_rad_per_s))) > 1e-4:
+        if self.joints.fastest_rad_per_s > 1e-4:
             self.last_moved_s = time.monotonic()
 
     def miss(self, cycles: int) -> None:
@@ -152,7 +152,7 @@ class Controller:
         except ScriptError as error:
             self.end_program(f"runtime error: {error}")
             return
-        fastest = float(np.max(np.abs(self.joints.qd_rad_per_s)))
+        fastest = self.joints.fastest_rad_per_s
         if fastest > self.options.model.max_joint_speed_rad_per_s * 1.05:
             self.protective_stop(f"a joint turns at {fastest:.2f} rad/s")
         watchdog = self._watchdog

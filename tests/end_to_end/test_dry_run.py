@@ -111,7 +111,7 @@ def test_the_jaws_stay_as_they_are_and_no_cable_is_taken(live: Live) -> None:
     assert result.outcome is Outcome.REHEARSED
     assert it.twins.world.waiting == 1
     once = ("go_down", "go_in", "go_aside", "go_home")
-    before = ("connect", "reset", "start", "check_paths", "go_home")
+    before = ("warm_up", "connect", "reset", "start", "check_paths", "go_home")
     assert it.steps == [*before, *once, *once, "go_home"]
     home = it.twins.world.hand_pose()
     assert (home.x_m, home.y_m) == pytest.approx((0.0, 0.0), abs=2e-4)

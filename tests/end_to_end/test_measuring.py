@@ -60,7 +60,7 @@ def test_the_motion_is_filmed_and_the_cable_is_let_go_at_home(
     result = it.cell.run_cycle(1, measuring(tilted))
     assert result.outcome is Outcome.MEASURED
     assert it.steps == [
-        *("connect", "warm_up", "check_paths", "reset", "start"),
+        *("warm_up", "connect", "check_paths", "reset", "start"),
         *("grasp", "approach", "measure", "go_back", "release", "go_home"),
     ]
     assert it.cell.machine.state is CellState.COMPLETE

@@ -29,6 +29,12 @@ def test_what_is_held_is_let_go_and_the_hand_goes_home_with_a_rejected_cable_too
     assert anyway[-2:] == ["release", "go_home"]
 
 
+@pytest.mark.parametrize("plan", [INSERTING, measuring(MOTION)])
+def test_what_keeps_the_computer_busy_is_done_before_any_device_is_connected(plan: Plan) -> None:
+    """A camera whose pictures nobody takes for a second is lost."""
+    assert plan.names[:2] == ("warm_up", "connect")
+
+
 def test_steps_with_the_same_name_are_one_row() -> None:
     plan = replace(INSERTING, starting=(*INSERTING.starting, *INSERTING.completing))
     assert plan.names.count("go_home") == 1

@@ -49,6 +49,7 @@ ONE_CYCLE = """
 from pathlib import Path
 from cell.build import cell_with, twin_devices
 from cell.simulated.twins import build_twins
+from cell.run.plans import INSERTING
 from cell.settings import load_settings
 
 early = set()
@@ -57,11 +58,19 @@ twins = build_twins(settings, 1, 1)
 if __name__ == "__main__":
     on_step = lambda number, step: early.update(compiled()) if step == "reset" else None
     cell = cell_with(settings, twin_devices(twins), Path(sys.argv[2]), on_step)
-    print(cell.run_cycle(1).outcome.value, *sorted(compiled() - early), sep="\\n")
+    plan = {plan}
+    print(cell.run_cycle(1, plan).outcome.value, *sorted(compiled() - early), sep="\\n")
 """
 
 
-def test_nothing_is_compiled_while_a_cable_hangs_in_the_jaws(
-    knowing_what_is_compiled: Callable[..., list[str]], tmp_path: Path
+@pytest.mark.parametrize(
+    ("plan", "outcome"),
+    [("INSERTING", "inserted"), ("cell.rehearsal(INSERTING, 1.0)", "rehearsed")],
+    ids=["cycle", "dry run"],
+)
+def test_nothing_is_compiled_while_the_cell_moves(
+    knowing_what_is_compiled: Callable[..., list[str]], tmp_path: Path, plan: str, outcome: str
 ) -> None:
-    assert knowing_what_is_compiled(ONE_CYCLE, CONFIG, tmp_path) == ["inserted"]
+    """Loading it takes 0.5 s, in which no picture is taken and no command is given in time."""
+    script = ONE_CYCLE.replace("{plan}", plan)
+    assert knowing_what_is_compiled(script, CONFIG, tmp_path) == [outcome]
