@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from cell.cable.dynamics import Solver, simulate
 from cell.cable.geometry import Cable, Motion
+from cell.cable.model import CableModel
 
 HARDWARE = "hardware"
 #: Rooms of tests in which devices run in real time, as do tests that want to run alone.  A busy
@@ -37,6 +40,23 @@ def jerk() -> Motion:
     t = np.arange(0.0, 0.8, 0.002)
     x = np.clip((t - 0.1) / 0.3, 0.0, 1.0)
     return Motion(t, 0 * t, -0.05 * x**3 * (10 - 15 * x + 6 * x**2), 0 * t)
+
+
+@pytest.fixture
+def at_rest() -> Callable[..., np.ndarray]:
+    """(markers, 2) shape of a cable held still at a clamp angle, relative to its gripping point."""
+
+    def shape(
+        model: CableModel,
+        arc_length_m: np.ndarray,
+        angle_rad: float = 0.0,
+        segments: int | None = None,
+    ) -> np.ndarray:
+        still = Motion(np.array([0.0, 1.0]), np.zeros(2), np.zeros(2), np.full(2, angle_rad))
+        solver = Solver() if segments is None else Solver(segments=segments)
+        return simulate(model, still, np.zeros(1), arc_length_m, solver=solver)[0, 0]
+
+    return shape
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

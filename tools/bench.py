@@ -8,201 +8,31 @@ hinges corrected; its integrator and step are searched for the fastest within th
 from __future__ import annotations
 
 import argparse
-import gc
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
+from bench_task import (
+    ALLOWED_M,
+    ARC,
+    CABLE,
+    DURATION_S,
+    MODEL,
+    MOTIONS,
+    TIMES,
+    best_of,
+    tip_error,
+)
 
 from cell.cable import layout as at
 from cell.cable.assembly import assemble
 from cell.cable.dynamics import Solver, generalised_alpha, simulate, threads
 from cell.cable.effects import air as air_family
 from cell.cable.effects import library, load_effect
-from cell.cable.geometry import Cable, Motion
 from cell.cable.model import CableModel
 from cell.cable.statics import settle
 from cell.cable.stepping import integrate
 from cell.identify.differences import difference_points
 from cell.identify.parameters import ParameterSpace, Prior
-
-CABLE = Cable(0.1, 0.0074, 0.016, 1e-4)
-MODEL = CableModel(CABLE, 3e-5, 1.0, 1e-7)
-ARC = np.linspace(0.1, 0.0, 11)
-ALLOWED_M = 5e-5
-DURATION_S = 2.0
-TIMES = np.arange(0.0, DURATION_S, 0.005)
-
-
-def least_jerk(t: np.ndarray, start_s: float, duration_s: float) -> np.ndarray:
-    x = np.clip((t - start_s) / duration_s, 0.0, 1.0)
-    return x**3 * (10 - 15 * x + 6 * x**2)
-
-
-def offset_motion(offset_m: float) -> Motion:
-    """Down by the offset, then 50 mm to the left."""
-    t = np.arange(0.0, 1.0, 0.002)
-    down, left = least_jerk(t, 0.05, 0.25), least_jerk(t, 0.4, 0.3)
-    return Motion(t, -0.05 * left, -offset_m * down, 0 * t)
-
-
-MOTIONS = [offset_motion(0.002 * k) for k in range(21)]
-
-
-def best_of(
-    *functions: Callable[[], object],
-    rounds: int = 9,
-    clock: Callable[[], float] = time.perf_counter,
-) -> list[float]:
-    """Shortest time of each, s; taken in turns, so that a busy machine hits all alike."""
-    shortest = [np.inf] * len(functions)
-    gc.disable()
-    for _ in range(rounds):
-        for k, function in enumerate(functions):
-            start = clock()
-            function()
-            shortest[k] = min(shortest[k], clock() - start)
-    gc.enable()
-    return shortest
-
-
-def tip_error(tips: np.ndarray, exact: np.ndarray) -> float:
-    """Root mean square distance over all offsets and times, m."""
-    return float(np.sqrt(np.mean(np.sum((tips - exact) ** 2, axis=-1))))
-
-
-# --- MuJoCo -------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Peer:
-    """A MuJoCo chain with a heavy base on two slides that carries it along the path."""
-
-    segments: int
-    integrator: str
-    step_s: float
-
-    def prepare(self) -> None:
-        import mujoco
-
-        mujoco.set_mju_user_warning(lambda message: None)  # unstable settings are part of a search
-        n = self.segments
-        (block,) = assemble([MODEL], n, 0.0)
-        settle(block, np.zeros(at.BASE_FIELDS * at.LANES))
-        fields = block.state.reshape(n + 1, at.FIELDS, at.LANES)[:, :, 0]
-        base_mass, rho = 1e3, CABLE.line_density_kg_per_m
-        opened, reach = "", fields[0, at.LENGTH]
-        for i in range(1, n + 1):
-            length = fields[i, at.LENGTH]
-            mass = rho * length
-            inertia = mass * length**2 / 12
-            per = fields[i, at.PER_LENGTH]
-            opened += (
-                f'<body pos="{-reach} 0 0"><joint type="hinge" axis="0 -1 0" '
-                f'stiffness="{fields[i, at.RIGIDITY] * per}" '
-                f'damping="{fields[i, at.VISCOSITY] * per}"/>'
-                f'<inertial pos="{-length / 2} 0 0" mass="{mass}" '
-                f'diaginertia="{inertia / 100} {inertia} {inertia}"/>'
-            )
-            reach = length
-        xml = (
-            '<mujoco><compiler boundmass="0" boundinertia="0" balanceinertia="true"/>'
-            f'<option integrator="{self.integrator}" timestep="{self.step_s}">'
-            '<flag contact="disable" constraint="disable"/></option><worldbody>'
-            '<body gravcomp="1"><joint name="x" type="slide" axis="1 0 0"/>'
-            '<joint name="y" type="slide" axis="0 0 1"/>'
-            f'<inertial pos="0 0 0" mass="{base_mass}" diaginertia="1 1 1"/>{opened}'
-            f"{'</body>' * n}</body></worldbody>"
-            '<actuator><motor joint="x"/><motor joint="y"/></actuator></mujoco>'
-        )
-        model = mujoco.MjModel.from_xml_string(xml)
-        steps = round(DURATION_S / self.step_s)
-        edges = self.step_s * np.arange(steps + 1)
-        control = np.empty((len(MOTIONS), steps, 2))
-        from cell.cable.clamp import motion_splines
-
-        for k, motion in enumerate(MOTIONS):
-            for c in range(2):
-                control[k, :, c] = base_mass * np.diff(motion_splines(motion)[c](edges, 1))
-        control /= self.step_s
-        data = mujoco.MjData(model)
-        data.qpos[2:] = fields[1:, at.BEND]
-        size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)
-        initial = np.empty(size)
-        mujoco.mj_getState(model, data, initial, mujoco.mjtState.mjSTATE_FULLPHYSICS)
-        lengths = fields[:, at.LENGTH]
-        object.__setattr__(self, "_ready", (model, initial, control, lengths))
-
-    def runner(self, every: int = 1) -> tuple[Callable[[], np.ndarray], object]:
-        """Run every so many offsets; and what must be closed afterwards."""
-        import mujoco
-        from mujoco import rollout
-
-        model, initial, control, _ = self._ready  # type: ignore[attr-defined]
-        count = threads()
-        data = [mujoco.MjData(model) for _ in range(count)]
-        pool = rollout.Rollout(nthread=count)
-        chosen = np.ascontiguousarray(control[::every])
-        starts = np.tile(initial, (len(chosen), 1))
-        models = [model] * len(chosen)
-
-        def run() -> np.ndarray:
-            state, _ = pool.rollout(models, data, starts, chosen)
-            return np.asarray(state)
-
-        return run, pool
-
-    def tips(self, state: np.ndarray, offsets: int = 1) -> np.ndarray:
-        """(offsets, times, 2) at TIMES[1:], of every so many; the path's own base is used."""
-        lengths = self._ready[3]  # type: ignore[attr-defined]
-        n = self.segments
-        every = round(TIMES[1] / self.step_s)
-        bends = state[:, every - 1 :: every, 3 : 3 + n][:, : TIMES.size - 1]
-        angles = np.concatenate([np.zeros((*bends.shape[:2], 1)), np.cumsum(bends, 2)], axis=2)
-        tip = -np.stack([np.cos(angles) @ lengths, np.sin(angles) @ lengths], axis=2)
-        from cell.cable.clamp import motion_splines
-
-        grip = [[s(TIMES[1:]) for s in motion_splines(m)[:2]] for m in MOTIONS[::offsets]]
-        return np.asarray(tip + np.swapaxes(np.array(grip), 1, 2))
-
-
-def fastest_peer(exact: np.ndarray, meshes: tuple[int, ...]) -> tuple[Peer, float, float]:
-    """The fastest MuJoCo within the error allowed: mesh, integrator and step are searched."""
-    found: list[tuple[float, float, Peer]] = []
-    print(f"  {'MuJoCo: segments':>18} {'integrator':>13} {'step ms':>8} {'tip µm':>8} {'ms':>8}")
-    for n in meshes:
-        for integrator in ("implicitfast", "Euler", "RK4"):
-            for step in (2.5e-3, 1.25e-3, 1e-3, 6.25e-4, 5e-4, 2.5e-4, 1e-4, 5e-5):
-                peer = Peer(n, integrator, step)
-                peer.prepare()
-                few, pool = peer.runner(every=10)
-                start = time.perf_counter()
-                state = few()
-                seconds = 7.0 * (time.perf_counter() - start)
-                slower = seconds > 3.0 * min((f[0] for f in found), default=np.inf)
-                with np.errstate(all="ignore"):
-                    error = tip_error(peer.tips(state, 10), exact[::10, 1:])
-                good = np.isfinite(error) and error <= ALLOWED_M
-                pool.close()  # type: ignore[attr-defined]
-                if good and not slower:
-                    run, pool = peer.runner()
-                    error = tip_error(peer.tips(run()), exact[:, 1:])
-                    (seconds,) = best_of(run, rounds=2)
-                    pool.close()  # type: ignore[attr-defined]
-                    if error > ALLOWED_M:
-                        continue
-                    found.append((seconds, error, peer))
-                    print(
-                        f"  {n:18d} {integrator:>13} {step * 1e3:8.3f} {error * 1e6:8.1f} "
-                        f"{seconds * 1e3:8.1f}"
-                    )
-                if good or slower:
-                    break
-    if not found:
-        raise SystemExit("MuJoCo reached the error allowed with none of the settings tried")
-    seconds, error, peer = min(found, key=lambda f: f[0])
-    return peer, error, seconds
 
 
 def our_solver(exact: np.ndarray, segments: int | None) -> tuple[Solver, float]:
@@ -222,6 +52,8 @@ def our_solver(exact: np.ndarray, segments: int | None) -> tuple[Solver, float]:
 
 
 def against_mujoco() -> None:
+    from bench_mujoco import fastest_peer  # needs mujoco
+
     exact = simulate(MODEL, MOTIONS, TIMES, ARC[:1], solver=Solver(160, 1e-4))[:, :, 0]
     print(f"\n21 offsets, {DURATION_S:g} s each, {threads()} threads, both within 50 µm rms")
     for segments, meshes in ((None, (8, 10, 12)), (40, (40,))):
@@ -330,7 +162,9 @@ def plug_in() -> None:
         print(f"  checked and compiled in {time.perf_counter() - start:.2f} s")
         runs = []
         for effect in (mine, library()["air_drag"]):
-            model = CableModel(CABLE, 3e-5, 1.0, 1e-7, effects=(effect.active(drag_coefficient=2),))
+            model = CableModel.uniform(
+                CABLE, 3e-5, 1.0, 1e-7, effects=(effect.active(drag_coefficient=2),)
+            )
             runs.append(lambda m=model: simulate(m, MOTIONS, TIMES, ARC))
             runs[-1]()
         user, own = best_of(*runs)
@@ -347,7 +181,7 @@ def start_up() -> None:
         "from cell.cable.geometry import Cable, Motion\n"
         "from cell.cable.model import CableModel\n"
         "z = np.zeros(3)\n"
-        "m = CableModel(Cable(0.1, 0.0074, 0.016, 1e-4), 3e-5)\n"
+        "m = CableModel.uniform(Cable(0.1, 0.0074, 0.016, 1e-4), 3e-5)\n"
         "simulate(m, Motion(np.arange(3.0), z, z, z), np.array([0.0, 2.0]), np.array([0.1]))\n"
     )
     print("\na second process, from start to its first 2 s of simulated time")

@@ -88,7 +88,7 @@ class _Watcher:
         self._camera.start(PORTION)
         while (frame := self._camera.read()) is not None:
             self._previous = detect(
-                frame.image, frame.t_s, self._plane, self._options, None, self._previous
+                frame.image, frame.t_s, self._plane, self._options, self._previous
             )
             self.frames += 1
             self.unseen += not self._previous.seen

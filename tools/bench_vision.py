@@ -16,7 +16,7 @@ import numpy as np
 
 from calib.plane import PlaneView
 from cell.vision.detect import VisionOptions, detect, detect_all
-from drivers.sim.render import Rates, RenderOptions, empty_scene, render
+from drivers.sim.render import Rates, RenderOptions, render
 
 
 def swing(frames: int):
@@ -55,27 +55,24 @@ def main() -> None:
         images.append(render(line, grip, view.homography, scene, rng, rates=Rates(speed, still)))
     print(f"rendered     {count / (time.process_time() - start):7.0f} frames/s (first compiles)")
     times = 0.005 * np.arange(count)
-    background = empty_scene(scene)
-    detect(images[0], 0.0, view, options, background)  # compile
-    cases = {"tracked": None, "tracked, background": background}
-    for name, behind in cases.items():
-        start = time.process_time()
-        sightings = list(detect_all(zip(times, images, strict=True), view, options, behind))
-        took = time.process_time() - start
-        error = [
-            across(sighting.nodes_m, line)
-            for sighting, line in zip(sightings, lines, strict=True)
-            if sighting.seen
-        ]
-        rms_mm = 1e3 * float(np.sqrt(np.mean(np.square(error))))
-        print(
-            f"{name:20s} {count / took:5.0f} frames/s, {len(error)} of {count} seen,"
-            f" rms across {rms_mm:.4f} mm"
-        )
+    detect(images[0], 0.0, view, options)  # compile
+    start = time.process_time()
+    sightings = list(detect_all(zip(times, images, strict=True), view, options))
+    took = time.process_time() - start
+    error = [
+        across(sighting.nodes_m, line)
+        for sighting, line in zip(sightings, lines, strict=True)
+        if sighting.seen
+    ]
+    rms_mm = 1e3 * float(np.sqrt(np.mean(np.square(error))))
+    print(
+        f"tracked      {count / took:7.0f} frames/s, {len(error)} of {count} seen, "
+        f"rms across {rms_mm:.4f} mm"
+    )
     start = time.process_time()
     for t_s, image in zip(times, images, strict=True):
         detect(image, t_s, view, options)
-    print(f"{'from cold':20s} {count / (time.process_time() - start):5.0f} frames/s")
+    print(f"from cold    {count / (time.process_time() - start):7.0f} frames/s")
 
 
 def across(nodes: np.ndarray, line: np.ndarray) -> np.ndarray:

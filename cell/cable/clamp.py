@@ -11,7 +11,7 @@ from cell.cable import layout as at
 from cell.cable import splines
 from cell.cable.effects.base import ActiveEffect, HandMotion
 from cell.cable.effects.compiled import parameters
-from cell.cable.geometry import Motion
+from cell.cable.geometry import Motion, SmoothedMotion
 
 FloatArray = NDArray[np.float64]
 
@@ -19,32 +19,21 @@ FloatArray = NDArray[np.float64]
 _INSTANT = 1e-5
 
 
-def motion_splines(motion: Motion) -> tuple[splines.Spline, splines.Spline, splines.Spline]:
-    """x, y and angle as C² functions of time, free of the log's noise; kept with the motion."""
-    kept = vars(motion).get("_splines")
-    if kept is None:
-        kept = tuple(splines.fit(motion.t_s, v) for v in (motion.x_m, motion.y_m, motion.angle_rad))
-        vars(motion)["_splines"] = kept
-    return kept
-
-
 def motions_like(motion: Motion, values: FloatArray) -> list[Motion]:
     """Motions logged at the same times with other values (motions, 3, T): x, y, angle.
 
     As much is taken for noise in them as in `motion`.
     """
-    splines_of = [
-        splines.refit(spline, values[:, axis]) for axis, spline in enumerate(motion_splines(motion))
+    by_axis = [splines.refit(spline, values[:, axis]) for axis, spline in enumerate(motion.splines)]
+    return [
+        SmoothedMotion(motion.t_s, *logged, smoothed=(x, y, angle))
+        for logged, x, y, angle in zip(values, *by_axis, strict=True)
     ]
-    motions = [Motion(motion.t_s, *logged) for logged in values]
-    for number, like in enumerate(motions):
-        vars(like)["_splines"] = tuple(axis[number] for axis in splines_of)
-    return motions
 
 
 def pose_of(motion: Motion, effects: Sequence[ActiveEffect] = ()) -> HandMotion:
     """Pose of the gripping point against time, after the effects on the hand in their order."""
-    x, y, angle = motion_splines(motion)
+    x, y, angle = motion.splines
 
     def logged(t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         return x(t), y(t), angle(t)
@@ -80,7 +69,7 @@ def base_rows(
         (at.BASE_ANGLE, at.BASE_SPIN, at.BASE_AA),
     )
     if not any(a.effect.clamp is not None for a in effects):
-        for spline, (value, rate, change) in zip(motion_splines(motion), places, strict=True):
+        for spline, (value, rate, change) in zip(motion.splines, places, strict=True):
             if spline.constant:
                 rows[:, value] = spline.value[0]
                 continue

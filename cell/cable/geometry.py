@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+if TYPE_CHECKING:
+    from cell.cable.splines import Spline
+
 FloatArray = NDArray[np.float64]
+MotionSplines: TypeAlias = "tuple[Spline, Spline, Spline]"
 
 #: Densities of anything that is sold as a cable, from foam to gold, kg/m³.
 PLAUSIBLE_DENSITY_KG_PER_M3 = (20.0, 25_000.0)
@@ -51,6 +57,7 @@ class Motion:
     """Pose of the gripping point against time: arrays of shape (T,), T ≥ 2, t increasing.
 
     `angle_rad` is the clamp angle θ_n: 0 = level, positive = pointing down.
+    raises  ValueError: not arrays of 64-bit floats, of unequal shapes, not finite, not increasing
     """
 
     t_s: FloatArray
@@ -60,14 +67,35 @@ class Motion:
 
     def __post_init__(self) -> None:
         for name in ("t_s", "x_m", "y_m", "angle_rad"):
-            value = np.asarray(getattr(self, name), dtype=np.float64)
-            object.__setattr__(self, name, value)
+            value = getattr(self, name)
+            if not isinstance(value, np.ndarray) or value.dtype != np.float64:
+                raise ValueError(f"motion.{name} is no array of 64-bit floats")
             if value.ndim != 1 or value.shape != np.shape(self.t_s):
                 raise ValueError(f"motion.{name} has shape {value.shape}, t_s {self.t_s.shape}")
             if not np.all(np.isfinite(value)):
                 raise ValueError(f"motion.{name}[{int(np.argmin(np.isfinite(value)))}] not finite")
         if len(self.t_s) < 2 or np.any(np.diff(self.t_s) <= 0.0):
             raise ValueError("motion.t_s needs at least 2 times, strictly increasing")
+
+    @cached_property
+    def splines(self) -> MotionSplines:
+        """x, y and angle as C² functions of time, free of the log's noise."""
+        from cell.cable.splines import fit  # compiled, which settings have no need of
+
+        x, y, angle = (fit(self.t_s, v) for v in (self.x_m, self.y_m, self.angle_rad))
+        return x, y, angle
+
+
+@dataclass(frozen=True)
+class SmoothedMotion(Motion):
+    """A motion whose splines are given, because the noise in its log is known from another's."""
+
+    smoothed: MotionSplines = field(kw_only=True, repr=False, compare=False)
+
+    @cached_property
+    def splines(self) -> MotionSplines:
+        """The splines that were given."""
+        return self.smoothed
 
 
 def node_arc_lengths(free_length_m: float, nodes: int = 11) -> FloatArray:

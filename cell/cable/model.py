@@ -43,11 +43,11 @@ class CableModel:
     effects: tuple[ActiveEffect, ...] = ()
 
     def __post_init__(self) -> None:
-        rigidity = np.atleast_1d(np.asarray(self.rigidity_n_m2, dtype=np.float64))
-        object.__setattr__(self, "rigidity_n_m2", rigidity)
-        object.__setattr__(self, "effects", tuple(self.effects))
-        if rigidity.ndim != 1 or rigidity.size == 0:
-            raise ValueError(f"model.rigidity_n_m2 has shape {rigidity.shape}, needs (k,), k ≥ 1")
+        rigidity = self.rigidity_n_m2
+        if np.ndim(rigidity) != 1 or np.size(rigidity) == 0:
+            raise ValueError(
+                f"model.rigidity_n_m2 has shape {np.shape(rigidity)}, needs (k,), k ≥ 1"
+            )
         if not (rigidity.min() > 0.0 and rigidity.max() < np.inf):
             i = int(np.argmin(np.isfinite(rigidity) & (rigidity > 0.0)))
             raise ValueError(f"model.rigidity_n_m2[{i}] = {rigidity[i]}: must be finite and > 0")
@@ -62,6 +62,19 @@ class CableModel:
         names = [a.effect.name for a in self.effects]
         if len(set(names)) != len(names):
             raise ValueError(f"model.effects names an effect twice: {names}")
+
+    @staticmethod
+    def uniform(
+        cable: Cable,
+        rigidity_n_m2: float,
+        exponent: float = 1.0,
+        viscosity_n_m2_s: float = 0.0,
+        gravity_m_per_s2: tuple[float, float] = GRAVITY_M_PER_S2,
+        effects: tuple[ActiveEffect, ...] = (),
+    ) -> CableModel:
+        """A cable whose EI is the same everywhere."""
+        everywhere = np.array([rigidity_n_m2], dtype=np.float64)
+        return CableModel(cable, everywhere, exponent, viscosity_n_m2_s, gravity_m_per_s2, effects)
 
     def rigidity_at(self, arc_length_m: ArrayLike) -> FloatArray:
         """EI(s), N·m², at arc lengths from the gripping point; constant beyond the ends."""

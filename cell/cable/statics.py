@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.cable.assembly import DEFAULT_SEGMENTS, Block, assemble, marker_weights
+from cell.cable.assembly import Block
 from cell.cable.compiling import compiled
 from cell.cable.effects.pointer import REST, call_force, call_moment
 from cell.cable.kernel import bending, kinematics
 from cell.cable.layout import (
-    BASE_ANGLE,
-    BASE_FIELDS,
     BEND,
     BEND_C,
     BODY,
@@ -33,8 +30,6 @@ from cell.cable.layout import (
     WEIGHT,
     WEIGHT_1,
 )
-from cell.cable.model import CableModel
-from cell.cable.stepping import nodes
 
 FloatArray = NDArray[np.float64]
 
@@ -184,39 +179,3 @@ def settle(block: Block, base: FloatArray) -> None:
             f"lane {number}: no static equilibrium found; the cable may be too soft for its "
             "weight, or an effect's force may grow without bound"
         )
-
-
-def equilibrium(
-    models: CableModel | Sequence[CableModel],
-    arc_length_m: FloatArray,
-    clamp_angle_rad: float | FloatArray = 0.0,
-    *,
-    segments: int = DEFAULT_SEGMENTS,
-) -> FloatArray:
-    """Shape of held cables at rest, seen from their gripping points.
-
-    models           one, or (lanes,)
-    arc_length_m     (markers,) from the gripping point
-    clamp_angle_rad  one, or (lanes,); 0 = level, positive = pointing down
-    returns          (lanes, markers, 2) x, y relative to the gripping point, m
-    raises           ValueError: marker beyond the cable; UnsettledError
-    """
-    batch = [models] if isinstance(models, CableModel) else list(models)
-    angles = np.broadcast_to(np.asarray(clamp_angle_rad, dtype=np.float64), (len(batch),))
-    if not np.all(np.isfinite(angles)):
-        raise ValueError("clamp_angle_rad is not finite")
-    cell, weights = marker_weights(batch, arc_length_m, segments)
-    result = np.empty((len(batch), len(cell), 2))
-    for block in assemble(batch, segments, 0.0):
-        w = len(block.lanes)
-        base = np.zeros((1, BASE_FIELDS, LANES))
-        base[0, BASE_ANGLE, :] = angles[block.lanes[0]]
-        base[0, BASE_ANGLE, :w] = angles[list(block.lanes)]
-        settle(block, base.ravel())
-        bends = block.state.reshape(segments + 1, -1, LANES)[:, BEND].copy().ravel()
-        clamp = np.zeros((1, 3, LANES))
-        clamp[0, 2] = base[0, BASE_ANGLE]
-        out = np.empty((block.width, 1, len(cell), 2))
-        nodes(bends, block.width, segments, block.lengths, clamp.ravel(), cell, weights, out)
-        result[list(block.lanes)] = out[:w, 0]
-    return result

@@ -12,12 +12,13 @@ from cell.cable.dynamics import DivergedError, Solver, simulate
 from cell.cable.model import CableModel
 from cell.cable.statics import UnsettledError
 from cell.identify import gauss_newton
-from cell.identify.hand import HandErrors, likely_motions, moves_from_s
+from cell.identify.hand import HandErrors, likely_motions
 from cell.identify.identified import Identified
 from cell.identify.noise import Noise, Whitener, across, estimate_noise, still_frames
 from cell.identify.parameters import ParameterSpace
 from cell.identify.predicted_frames import PredictedFrames
 from cell.study.data import Markers, Trial
+from cell.study.still import moves_from_s
 
 FloatArray = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""The hand's measured motion: where the camera saw it, when it begins, how far it may be wrong."""
+"""The hand's measured motion: where the camera saw it, and how far it may be wrong."""
 
 from __future__ import annotations
 
@@ -7,14 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.cable.clamp import motion_splines, motions_like
+from cell.cable.clamp import motions_like
 from cell.cable.geometry import Motion
 
 FloatArray = NDArray[np.float64]
-
-#: A hand this close to where it began has not moved yet.
-STILL_WITHIN_M = 1e-4
-STILL_WITHIN_RAD = 2e-3
 
 
 def align_motion(
@@ -40,19 +36,6 @@ def align_motion(
     return Motion(motion.t_s, *shifted)
 
 
-def moves_from_s(motion: Motion) -> float:
-    """Time at which the hand first leaves where it began, s; `inf` if it never does."""
-    first = slice(0, max(1, min(10, len(motion.t_s) // 10)))
-    away = np.zeros(len(motion.t_s), dtype=bool)
-    for value, limit in (
-        (motion.x_m, STILL_WITHIN_M),
-        (motion.y_m, STILL_WITHIN_M),
-        (motion.angle_rad, STILL_WITHIN_RAD),
-    ):
-        away |= np.abs(value - np.median(value[first])) > limit
-    return float(motion.t_s[away.argmax()]) if away.any() else float("inf")
-
-
 @dataclass(frozen=True)
 class HandErrors:
     """Uncertainty of the hand's motion beyond the noise found in its log.
@@ -74,7 +57,7 @@ def likely_motions(motion: Motion, errors: HandErrors) -> list[Motion]:
     source  parametric bootstrap: the noise that the engine's splines find in the log and take out,
             drawn anew, for them to take out again, as much as in the log
     """
-    splines = motion_splines(motion)
+    splines = motion.splines
     smooth = [spline(motion.t_s) for spline in splines]
     offsets = (errors.offset_m, errors.offset_m, errors.offset_rad)
     drawn = np.empty((errors.samples, len(splines), len(motion.t_s)))

@@ -10,16 +10,15 @@ from numpy.typing import NDArray
 from cell.cable.dynamics import Solver, simulate
 from cell.cable.geometry import Motion
 from cell.identify.differences import difference_points
-from cell.identify.hand import STILL_WITHIN_M, STILL_WITHIN_RAD, HandErrors, likely_motions
+from cell.identify.hand import HandErrors, likely_motions
 from cell.identify.parameters import ParameterSpace
 from cell.study.data import Trial
+from cell.study.still import STILL
 
 FloatArray = NDArray[np.float64]
 
 #: A frame that comes further than this from its time is not the one that was predicted, s.
 MOST_OFF_S = 1e-3
-
-_STILL_WITHIN = {"x_m": STILL_WITHIN_M, "y_m": STILL_WITHIN_M, "angle_rad": STILL_WITHIN_RAD}
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +62,7 @@ def _late_s(t_s: FloatArray, predicted_s: FloatArray) -> FloatArray | None:
 
 
 def _same_motion(motion: Motion, predicted: Motion) -> bool:
-    for name, limit in _STILL_WITHIN.items():
+    for name, limit in STILL.by_axis().items():
         expected = np.interp(motion.t_s, predicted.t_s, getattr(predicted, name))
         if np.abs(getattr(motion, name) - expected).max() > limit:
             return False
@@ -77,7 +76,7 @@ def extended_at_rest(motion: Motion, until_s: float) -> Motion:
     if more <= 0:
         return motion
     moved = np.zeros(len(motion.t_s), dtype=bool)
-    for name, limit in _STILL_WITHIN.items():
+    for name, limit in STILL.by_axis().items():
         value = getattr(motion, name)
         moved |= np.abs(value - np.median(value[-10:])) > limit
     count = int(np.argmax(moved[::-1])) if moved.any() else len(moved)

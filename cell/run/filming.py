@@ -105,9 +105,7 @@ class _FrameReader:
             taken_at_s = time.perf_counter() - (clock.now_s() - frame.t_s)
             commands.check()
             previous = self.sightings[-1] if self.sightings else None
-            self.sightings.append(
-                detect(frame.image, frame.t_s, task.view, task.vision, None, previous)
-            )
+            self.sightings.append(detect(frame.image, frame.t_s, task.view, task.vision, previous))
             if frame.index % self._keep_every == 0:
                 self.pictures.append(frame)
             after_each(self.sightings)

@@ -49,18 +49,6 @@ class Event(StrEnum):
     DONE = "done"
 
 
-#: States in which the cell stands still and waits for a command.
-WAITING = frozenset(
-    {
-        CellState.IDLE,
-        CellState.COMPLETE,
-        CellState.HELD,
-        CellState.SUSPENDED,
-        CellState.STOPPED,
-        CellState.ABORTED,
-    }
-)
-
 _WORKING = ["idle", "starting", "execute", "completing", "complete", "resetting"]
 _PAUSING = ["holding", "held", "unholding", "suspending", "suspended", "unsuspending"]
 

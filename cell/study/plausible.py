@@ -11,14 +11,13 @@ from numpy.typing import NDArray
 
 from cell.cable.geometry import Cable, Motion
 from cell.study.data import Trial
+from cell.study.still import ROUGHLY_STILL, moves_from_s
 
 FloatArray = NDArray[np.float64]
 Gravity = tuple[float, float]
 
 #: Room for noise, a slipping grip and a camera whose scale is off, as a share of the free length.
 SLACK = 0.1
-#: The hand has moved when it is farther than this from where it began, m and rad.
-STILL_M, STILL_RAD = 1e-3, 0.01
 #: Of a clamp steeper than this nobody can say to which side the cable leaves it, rad.
 SIDEWAYS_RAD = np.pi / 3
 #: A cable that hangs swings about like a rod of its length, in 5.1 √(L/g), or as a bead at the end
@@ -80,9 +79,7 @@ def _from_grip(trial: Trial) -> FloatArray:
 
 def _still(grip: Motion, t_s: FloatArray) -> NDArray[np.bool_]:
     """(T,) frames before the hand moves."""
-    moved = np.hypot(grip.x_m - grip.x_m[0], grip.y_m - grip.y_m[0]) > STILL_M
-    moved |= np.abs(grip.angle_rad - grip.angle_rad[0]) > STILL_RAD
-    return t_s < (grip.t_s[np.argmax(moved)] if moved.any() else np.inf)
+    return t_s < moves_from_s(grip, ROUGHLY_STILL)
 
 
 def _too_far(arcs: FloatArray, free_length_m: float, from_grip: FloatArray) -> str | None:

@@ -56,26 +56,22 @@ def detect(
     t_s: float,
     view: PlaneView,
     options: VisionOptions,
-    background: Image | None = None,
     previous: Sighting | None = None,
 ) -> Sighting:
     """What one frame says of the cable.
 
     image        (H, W) grey levels
-    background   (H, W) the scene without jaw and cable; takes static lines and texture off
     previous     that of the frame before: the jaw is looked for there first; only saves time
     returns      a sighting; `unseen` names the reason if there are no nodes.  Does not guess.
-    raises       ValueError: the image is not (H, W) uint8, or the background has another shape
+    raises       ValueError: the image is not (H, W) uint8
     """
     if image.ndim != 2 or image.dtype != np.uint8 or not image.size:
         raise ValueError(f"image is {image.shape} {image.dtype}; needs (H, W) uint8")
-    if background is not None and background.shape != image.shape:
-        raise ValueError(f"background is {background.shape}, image {image.shape}")
     near = (np.nan, np.nan, np.nan)
     if previous is not None:
         x_m, y_m = previous.grip_m.tolist()
         near = (x_m, y_m, previous.clamp_angle_rad)
-    picture = Picture.of(image, background, 1 if options.cable_is == "light" else -1)
+    picture = Picture.of(image, 1 if options.cable_is == "light" else -1)
     nodes_m = np.empty((options.nodes, 2))
     found = nodes_in_frame(
         picture,
@@ -100,12 +96,11 @@ def detect_all(
     frames: Iterable[tuple[float, Image]],
     view: PlaneView,
     options: VisionOptions,
-    background: Image | None = None,
 ) -> Iterator[Sighting]:
     """One sighting per (time, image), in order, each looked for around the one before."""
     previous: Sighting | None = None
     for t_s, image in frames:
-        previous = detect(image, t_s, view, options, background, previous)
+        previous = detect(image, t_s, view, options, previous)
         yield previous
 
 

@@ -98,7 +98,7 @@ def _coarse(image: Image, coarsening: int) -> Image:
 
 def _follow_strip(coarse: Image, gap_px: float) -> FloatArray:
     """(N, 2) points along the strip that leaves the left edge of a coarse picture."""
-    picture, scratch = Picture.of(coarse, None, 1), new_scratch()
+    picture, scratch = Picture.of(coarse, 1), new_scratch()
     at_edge = coarse[:, 1:6].mean(axis=1)
     row = float(np.argmax(np.convolve(at_edge, np.ones(3), mode="same")))
     u, v, du, dv, contrast = find_start(picture, (0.0, row), (1.0, 0.0), 3.0, 0.8, scratch)

@@ -31,24 +31,17 @@ class End(IntEnum):
 class Picture(NamedTuple):
     """What a line is looked for in.
 
-    image       (H, W) grey levels
-    background  (H, W) the same scene without the line
-    subtract    whether the background is taken off
-    sign        +1 = the line is lighter than its surroundings, −1 = darker
+    image  (H, W) grey levels
+    sign   +1 = the line is lighter than its surroundings, −1 = darker
     """
 
     image: Image
-    background: Image
-    subtract: bool
     sign: float
 
     @classmethod
-    def of(cls, image: Image, background: Image | None, sign: int) -> Picture:
-        """A picture with or without a background; copied only where it is not contiguous."""
-        image = np.require(image, requirements=["C", "W"])
-        if background is None:
-            return cls(image, image, False, float(sign))
-        return cls(image, np.require(background, requirements=["C", "W"]), True, float(sign))
+    def of(cls, image: Image, sign: int) -> Picture:
+        """A picture; copied only where it is not contiguous."""
+        return cls(np.require(image, requirements=["C", "W"]), float(sign))
 
 
 class Start(NamedTuple):
@@ -105,13 +98,7 @@ def _level(picture, u, v):  # type: ignore[no-untyped-def]
     image = picture.image
     upper = image[j, i] + a * (np.int32(image[j, i + 1]) - np.int32(image[j, i]))
     lower = image[j + 1, i] + a * (np.int32(image[j + 1, i + 1]) - np.int32(image[j + 1, i]))
-    value = upper + b * (lower - upper)
-    if picture.subtract:
-        image = picture.background
-        upper = image[j, i] + a * (np.int32(image[j, i + 1]) - np.int32(image[j, i]))
-        lower = image[j + 1, i] + a * (np.int32(image[j + 1, i + 1]) - np.int32(image[j + 1, i]))
-        value -= upper + b * (lower - upper)
-    return picture.sign * value
+    return picture.sign * (upper + b * (lower - upper))
 
 
 @compiled

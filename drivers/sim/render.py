@@ -165,13 +165,6 @@ def render(
     return image
 
 
-def empty_scene(options: RenderOptions) -> Image:
-    """(height_px, width_px) the picture without jaw, cable or noise: what a background image is."""
-    levels = np.clip(np.rint(_background(options) * options.exposure), 0, 255)
-    image: Image = levels.astype(np.uint8)
-    return image
-
-
 # --- light ------------------------------------------------------------------------------------
 
 

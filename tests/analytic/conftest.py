@@ -7,7 +7,7 @@ import pytest
 
 from cell.cable import layout as at
 from cell.cable.assembly import assemble
-from cell.cable.clamp import base_rows, motion_splines
+from cell.cable.clamp import base_rows
 from cell.cable.dynamics import generalised_alpha
 from cell.cable.geometry import Cable
 from cell.cable.kernel import bending, kinematics, solve
@@ -105,7 +105,7 @@ def swing_links(stiffness, damping, mass, first, second, length, motion, times, 
     and ∫dm, ∫s dm, ∫s² dm of the link; starts straight and at rest at the first time.
     """
     n = len(mass)
-    (block,) = assemble([CableModel(Cable(n * length, 0.01, 0.01, 1e-4), 1.0)], n, 0.0)
+    (block,) = assemble([CableModel.uniform(Cable(n * length, 0.01, 0.01, 1e-4), 1.0)], n, 0.0)
     fields = block.state.reshape(n + 1, at.FIELDS, at.LANES)
     fields[0, [at.LENGTH, at.MASS, at.MASS_1, at.MASS_2, at.WEIGHT, at.WEIGHT_1]] = 0.0
     links = fields[1:].swapaxes(0, 1)
@@ -130,7 +130,7 @@ def swing_links(stiffness, damping, mass, first, second, length, motion, times, 
         (times - times[0]) / step, out,
     )  # fmt: skip
     assert bad == -1
-    x, y, angle = (s(times) for s in motion_splines(motion))
+    x, y, angle = (s(times) for s in motion.splines)
     angles = angle[:, None] + np.cumsum(out.reshape(len(times), n + 1, at.LANES)[:, :, 0], axis=1)
     links_xy = -length * np.stack([np.cos(angles[:, 1:]), np.sin(angles[:, 1:])], axis=2)
     grip = np.stack([x, y], axis=1)[:, None]

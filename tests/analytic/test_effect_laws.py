@@ -25,7 +25,7 @@ def test_towed_strip_bends_like_a_cantilever_under_its_drag(cable):
     drag, speed = 2.0, 0.3
     load = 0.5 * AIR_DENSITY_KG_PER_M3 * drag * cable.width_m * speed**2
     expected = load * cable.free_length_m**4 / (8 * RIGIDITY)
-    model = CableModel(
+    model = CableModel.uniform(
         cable,
         RIGIDITY,
         viscosity_n_m2_s=2e-6,
@@ -156,7 +156,7 @@ def test_a_start_off_by_a_hair_stays_a_hair_off(cable, arc, jerk, name):
     effect = EFFECTS[name]
     active = effect.active(**{p.name: p.starts[0] for p in effect.parameters})
     models = [
-        CableModel(cable, 3e-5 * (1.0 + hair), viscosity_n_m2_s=1e-7, effects=(active,))
+        CableModel.uniform(cable, 3e-5 * (1.0 + hair), viscosity_n_m2_s=1e-7, effects=(active,))
         for hair in (0.0, 1e-12)
     ]
     a, b = simulate(models, jerk, np.arange(0.0, 1.5, 0.05), arc, solver=Solver(60, 4e-4))

@@ -36,7 +36,7 @@ def test_energy_is_conserved_without_damping(cable, chain, exponent):
 
 
 def test_viscosity_takes_energy_all_the_time(cable, chain):
-    c = chain(CableModel(cable, 3e-5, viscosity_n_m2_s=2e-7))
+    c = chain(CableModel.uniform(cable, 3e-5, viscosity_n_m2_s=2e-7))
     energies = [c.energy()]
     for _ in range(100):
         c.run(20)

@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cell.cable.clamp import motion_splines
 from cell.cable.compiling import compiled
 from cell.cable.geometry import GRAVITY_M_PER_S2, Motion
 
@@ -41,7 +40,7 @@ def mujoco_tip(motion, times, step):
         f"<worldbody>{opened}{tip}{'</body>' * N}</worldbody></mujoco>"
     )
     data = mujoco.MjData(model)
-    splines = motion_splines(motion)
+    splines = motion.splines
     steps = round((times[-1] - times[0]) / step)
     middle = times[0] + step * (np.arange(steps) + 0.5)
     x, y = ((s(middle + step / 2, 1) - s(middle - step / 2, 1)) / step for s in splines[:2])
@@ -101,7 +100,7 @@ def simulate_particles(
     returns  (times, n + 1, 2), m
     raises   ValueError: it blew up, which means that the step is too long for the springs
     """
-    x, y, angle = motion_splines(motion)
+    x, y, angle = motion.splines
     times = np.asarray(times_s, dtype=np.float64)
     out = np.empty((times.size, *nodes_m.shape))
     out[0] = nodes_m

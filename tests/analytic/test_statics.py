@@ -9,7 +9,6 @@ from cell.cable.model import (
     REGULAR_CURVATURE_1_PER_M,
     CableModel,
 )
-from cell.cable.statics import equilibrium
 
 
 def heavy_elastica(model, clamp_angle):
@@ -59,15 +58,15 @@ def heavy_elastica(model, clamp_angle):
         ([3e-5], 0.8, 0.0),
     ],
 )
-def test_heavy_elastica(cable, arc, rigidity, exponent, angle):
+def test_heavy_elastica(cable, arc, at_rest, rigidity, exponent, angle):
     model = CableModel(cable, np.array(rigidity), exponent)
     exact = heavy_elastica(model, angle)(arc)
-    coarse = equilibrium(model, arc, angle)[0]
-    fine = equilibrium(model, arc, angle, segments=240)[0]
+    coarse = at_rest(model, arc, angle)
+    fine = at_rest(model, arc, angle, segments=240)
     assert np.abs(coarse - exact).max() < 2e-5
     assert np.abs(fine - exact).max() < 4e-7
 
 
-def test_hanging_straight_down_is_an_equilibrium(cable, arc):
-    shape = equilibrium(CableModel(cable, 3e-5), arc, np.pi / 2)[0]
+def test_hanging_straight_down_is_an_equilibrium(cable, arc, at_rest):
+    shape = at_rest(CableModel.uniform(cable, 3e-5), arc, np.pi / 2)
     assert shape == pytest.approx(np.stack([0 * arc, -arc], axis=1), abs=1e-9)

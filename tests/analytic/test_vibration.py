@@ -28,7 +28,7 @@ def two_frequencies(t, signal, guess):
 
 def released(cable, angle, gravity):
     """Displacements of tip and of the point 0.6 L after letting go a straight beam."""
-    model = CableModel(cable, EI, gravity_m_per_s2=gravity)
+    model = CableModel.uniform(cable, EI, gravity_m_per_s2=gravity)
     t = np.arange(0.0, 1.5, 1e-3)
     still = Motion(np.array([0.0, 1.0]), np.zeros(2), np.zeros(2), np.full(2, angle))
     xy = simulate(model, still, t, np.array([LENGTH]), solver=FINE, start="straight", release_s=0.0)

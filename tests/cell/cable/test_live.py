@@ -41,7 +41,7 @@ def at_once() -> np.ndarray:
 
 def model(**effects: dict[str, float]) -> CableModel:
     known = library()
-    return CableModel(
+    return CableModel.uniform(
         CABLE,
         3e-5,
         1.05,

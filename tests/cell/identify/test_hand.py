@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from cell.cable.clamp import motion_splines
 from cell.cable.geometry import Motion
-from cell.identify.hand import HandErrors, likely_motions, moves_from_s
+from cell.identify.hand import HandErrors, likely_motions
+from cell.study.still import moves_from_s
 
 T_S = np.arange(0.0, 1.5, 0.002)
 
@@ -25,9 +25,9 @@ def log() -> Motion:
 def test_likely_motions_differ_by_what_the_log_does_not_tell(log: Motion) -> None:
     others = likely_motions(log, HandErrors(samples=20, offset_rad=1e-3))
     moving = (T_S > 0.25) & (T_S < 0.45)
-    smooth = [motion_splines(m)[1](T_S[moving]) for m in others]
+    smooth = [m.splines[1](T_S[moving]) for m in others]
     spread = np.std(smooth - np.mean(smooth, axis=0))
-    error = np.std(motion_splines(log)[1](T_S[moving]) - stroke()[moving])
+    error = np.std(log.splines[1](T_S[moving]) - stroke()[moving])
     assert spread == pytest.approx(error, rel=0.6)
     assert np.std([m.angle_rad[0] for m in others]) == pytest.approx(1e-3, rel=0.5)
     assert likely_motions(log, HandErrors(samples=0)) == []

@@ -26,7 +26,7 @@ def test_every_kind_of_term_becomes_an_effect_that_acts(name, tmp_path, make_stu
     tip = np.array([0.1])
     strong = {n.name: n.starts[0] for n in term.numbers if n.amplitude}
     off, on = (
-        simulate(CableModel(cable, [2.5e-5], 1.0, 1e-7, effects=(e,)), motion, t, tip)[0]
+        simulate(CableModel.uniform(cable, 2.5e-5, 1.0, 1e-7, effects=(e,)), motion, t, tip)[0]
         for e in (effect.active(), effect.active(**strong))
     )
     assert np.abs(on - off).max() > 1e-5

@@ -6,7 +6,17 @@ import threading
 
 import pytest
 
-from cell.run.machine import TRANSITIONS, WAITING, CellState, Event, EventRefusedError, Machine
+from cell.run.machine import TRANSITIONS, CellState, Event, EventRefusedError, Machine
+
+#: States that wait for a command; the others end by themselves.
+WAITING = {
+    CellState.IDLE,
+    CellState.COMPLETE,
+    CellState.HELD,
+    CellState.SUSPENDED,
+    CellState.STOPPED,
+    CellState.ABORTED,
+}
 
 
 class Stopwatch:

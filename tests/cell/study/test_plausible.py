@@ -27,7 +27,7 @@ def swung() -> Study:
     grip = Motion(t, 0.3 + 0 * t, 0.2 - 0.05 * x**3 * (10 - 15 * x + 6 * x**2), 0.1 + 0 * t)
     arcs = np.linspace(0.1, 0.0, 6)
     cable = Cable(0.1, 0.0074, 0.016, 1e-4)
-    model = CableModel(cable, 3e-5, viscosity_n_m2_s=1e-7)
+    model = CableModel.uniform(cable, 3e-5, viscosity_n_m2_s=1e-7)
     xy_m = simulate(model, grip, t, arcs)[0]
     xy_m = xy_m + np.random.default_rng(1).normal(0.0, 1e-4, xy_m.shape)
     return Study("s", cable, arcs, (Trial("a", "fit", "equilibrium", grip, Markers(t, xy_m)),))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calib.plane import PlaneView
-from drivers.sim.render import STILL, Rates, RenderOptions, empty_scene, render
+from drivers.sim.render import STILL, Rates, RenderOptions, render
 
 
 @dataclass(frozen=True)
@@ -99,8 +99,3 @@ def photograph_of(view):
         )
 
     return take
-
-
-@pytest.fixture(scope="session")
-def background():
-    return empty_scene(RenderOptions())

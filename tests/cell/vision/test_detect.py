@@ -11,7 +11,7 @@ import pytest
 from calib.plane import PlaneView
 from cell.vision.detect import VisionOptions, detect, detect_all
 from cell.vision.sighting import Unseen
-from drivers.sim.render import LIGHT_ON_DARK, RenderOptions, empty_scene
+from drivers.sim.render import LIGHT_ON_DARK, RenderOptions
 
 OPTIONS = VisionOptions(free_length_m=0.1)
 SCENES = {
@@ -56,20 +56,6 @@ def test_nodes_are_within_a_twentieth_of_a_millimetre(
     assert abs(np.mean(lengths)) < 0.1e-3  # noise does not lengthen the cable
 
 
-def test_a_background_picture_makes_the_tip_sharper(view, make_random_cable, photograph_of):
-    scene = RenderOptions(texture_level=6.0)
-    rng = np.random.default_rng(5)
-    without, given = [], []
-    for seed in range(12):
-        held = make_random_cable(rng)
-        image = photograph_of(held, scene, seed)
-        for found, background in ((without, None), (given, empty_scene(scene))):
-            sighting = detect(image, 0.0, view, OPTIONS, background)
-            assert sighting.seen
-            found.append(sighting.length_m - held.length_m)
-    assert rms(given) < 0.7 * rms(without)
-
-
 def test_a_tilted_camera_sees_the_same_nodes(make_random_cable, photograph_of):
     tilted = PlaneView(
         np.array([[2.0e-4, 1.0e-5, -0.13], [8.0e-6, -2.1e-4, 0.105], [3.0e-5, -4.0e-5, 1.0]])
@@ -93,21 +79,18 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("reason", FAULTS)
-def test_a_bad_picture_is_named_and_gives_no_nodes(
-    reason, view, background, make_random_cable, photograph_of
-):
+def test_a_bad_picture_is_named_and_gives_no_nodes(reason, view, make_random_cable, photograph_of):
     faults, changes = FAULTS[reason]
     rng = np.random.default_rng(3)
     for seed in range(6):
         held = make_random_cable(rng)
         image = photograph_of(held, RenderOptions(**changes), seed, **faults)
-        for behind in (None, background):
-            sighting = detect(image, 0.0, view, OPTIONS, behind)
-            assert sighting.unseen is reason
-            assert np.all(np.isnan(sighting.nodes_m))
-            assert sighting.nodes_m.shape == (11, 2)
-            assert sighting.quality == 0.0
-            assert np.isnan(sighting.clamp_angle_rad) == (reason is not Unseen.NO_CABLE)
+        sighting = detect(image, 0.0, view, OPTIONS)
+        assert sighting.unseen is reason
+        assert np.all(np.isnan(sighting.nodes_m))
+        assert sighting.nodes_m.shape == (11, 2)
+        assert sighting.quality == 0.0
+        assert np.isnan(sighting.clamp_angle_rad) == (reason is not Unseen.NO_CABLE)
 
 
 def droop(u):
@@ -174,12 +157,10 @@ def test_threads_do_not_disturb_each_other(view, make_random_cable, photograph_o
             assert [sighting.nodes_m.tolist() for sighting in found] == alone
 
 
-def test_bad_input_is_named(view, background):
+def test_bad_input_is_named(view):
     with pytest.raises(ValueError, match=r"image is \(4, 4, 3\) uint8"):
         detect(np.zeros((4, 4, 3), np.uint8), 0.0, view, OPTIONS)
     with pytest.raises(ValueError, match=r"image is \(0, 4\) uint8"):
         detect(np.zeros((0, 4), np.uint8), 0.0, view, OPTIONS)
-    with pytest.raises(ValueError, match="background is"):
-        detect(np.zeros((8, 8), np.uint8), 0.0, view, OPTIONS, background)
     with pytest.raises(ValueError, match=r"free_length_m = 0.0"):
         VisionOptions(free_length_m=0.0)

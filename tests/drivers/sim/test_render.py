@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.sim.render import LIGHT_ON_DARK, Rates, RenderOptions, empty_scene, render
+from drivers.sim.render import LIGHT_ON_DARK, Rates, RenderOptions, render
 
 MM_PER_PX = 0.2
 HOMOGRAPHY = np.array([[2e-4, 0.0, -0.2], [0.0, -2e-4, 0.1], [0.0, 0.0, 1.0]])
@@ -120,8 +120,11 @@ def test_faults_change_the_picture_as_they_say(options):
     assert render(line, grip, HOMOGRAPHY, replace(options, exposure=0.0), rng).max() <= 8
     overexposed = render(line, grip, HOMOGRAPHY, replace(options, exposure=20.0), rng)
     assert (overexposed == 255).mean() > 0.5
-    empty = render(None, None, HOMOGRAPHY, quiet, rng)
-    assert np.abs(empty.astype(int) - empty_scene(quiet)).max() <= 1
+    held, empty = (
+        render(*shown, HOMOGRAPHY, quiet, rng).astype(int) for shown in ((line, grip), (None, None))
+    )
+    assert abs(held - empty)[row, column + 30] > 5, "jaw and cable are gone"
+    assert abs(held - empty)[:100].max() <= 1, "the rest is as it was"
 
 
 def test_bad_shapes_and_values_are_named():

@@ -11,7 +11,6 @@ from cell.cable.effects import library, load_effect, unscreened
 from cell.cable.effects.check import check
 from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
-from cell.cable.statics import equilibrium
 
 NAMES = [
     "air_drag",
@@ -133,10 +132,10 @@ def test_from_rest_lag_of_the_hand_and_latency_of_the_camera_look_alike(cable, j
     assert np.abs(lag - latency).max() < 2e-6
 
 
-def test_compliance_turns_the_clamp_by_the_moment(cable, arc):
+def test_compliance_turns_the_clamp_by_the_moment(cable, at_rest):
     soft = EFFECTS["grip_compliance"].active(rad_per_n_m=50.0)
-    model = CableModel(cable, 3e-5, effects=(soft,))
-    shape = equilibrium(model, np.linspace(0.0, 0.1, 2001), segments=200)[0]
+    model = CableModel.uniform(cable, 3e-5, effects=(soft,))
+    shape = at_rest(model, np.linspace(0.0, 0.1, 2001), segments=200)
     x = shape[:, 0]
     moment = 0.0074 * 9.81 * np.trapezoid(-x, np.linspace(0.0, 0.1, 2001))
     angle = np.arctan2(-shape[1, 1], -shape[1, 0])

@@ -36,8 +36,10 @@ def test_the_documented_example_runs(tmp_path, monkeypatch):
     names: dict = {}
     exec(compile(use, "docs/effects.md", "exec"), names)
     model, still = names["model"], names["still"]
-    plain = CableModel(model.cable, 3e-5, viscosity_n_m2_s=1e-7)
-    off = CableModel(model.cable, 3e-5, viscosity_n_m2_s=1e-7, effects=(names["magnet"].active(),))
+    plain = CableModel.uniform(model.cable, 3e-5, viscosity_n_m2_s=1e-7)
+    off = CableModel.uniform(
+        model.cable, 3e-5, viscosity_n_m2_s=1e-7, effects=(names["magnet"].active(),)
+    )
     times, arc = np.array([0.0, 0.5]), np.array([0.05, 0.1])
     without = simulate([plain, off], still, times, arc)
     assert without[0] == pytest.approx(without[1], abs=1e-12)
@@ -48,7 +50,7 @@ def test_changing_a_value_compiles_nothing(tmp_path, cable, arc, jerk):
     effect = load_effect(written(tmp_path, FORCE + "        return -p.size*at.vx, 0.0\n"))
     loops = loops_of(effect)
     for size in (0.1, 0.2):
-        model = CableModel(cable, 3e-5, effects=(effect.active(size=size),))
+        model = CableModel.uniform(cable, 3e-5, effects=(effect.active(size=size),))
         simulate(model, jerk, np.array([0.0, 0.2]), arc)
     assert loops_of(effect) is loops
     (module,) = loops.alive
@@ -60,7 +62,7 @@ def test_an_edited_file_is_compiled_anew(tmp_path, cable, arc, jerk):
     for factor in (1.0, 2.0):
         text = FORCE + f"        return 0.0, -{factor}*p.size\n"
         effect = load_effect(written(tmp_path, text))
-        model = CableModel(cable, 3e-5, effects=(effect.active(size=0.01),))
+        model = CableModel.uniform(cable, 3e-5, effects=(effect.active(size=0.01),))
         tips.append(simulate(model, jerk, np.array([0.0]), arc)[0, 0, -1, 1])
     assert tips[1] < tips[0] - 1e-4
 
@@ -73,7 +75,7 @@ def test_an_exception_while_running_is_not_swallowed(tmp_path, cable, arc, jerk)
     )
     effect = load_effect(written(tmp_path, text))
     away = type(jerk)(jerk.t_s, jerk.x_m + 31.0, jerk.y_m, jerk.angle_rad)
-    model = CableModel(cable, 3e-5, effects=(effect.active(size=0.1),))
+    model = CableModel.uniform(cable, 3e-5, effects=(effect.active(size=0.1),))
     with pytest.raises(ValueError, match="beyond the wall"):
         simulate(model, away, np.array([0.0, 0.1]), arc)
 
