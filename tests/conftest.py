@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, settings
 
 from cell.cable.dynamics import Solver, simulate
 from cell.cable.geometry import Cable, Motion
@@ -16,6 +17,13 @@ HARDWARE = "hardware"
 #: Rooms of tests in which devices run in real time, as do tests that want to run alone.  A busy
 #: computer can upset these, and only these are tried again.
 REAL_TIME = ("drivers/conformance", "drivers/emulators", "drivers/test_ur")
+
+
+# how long an example takes is this computer's affair, not the code's
+settings.register_profile(
+    "untimed", deadline=None, suppress_health_check=[HealthCheck.too_slow], print_blob=True
+)
+settings.load_profile("untimed")
 
 
 @pytest.fixture(autouse=True)
