@@ -17,7 +17,7 @@ from cell.plan.paths import MotionLimits
 from cell.run.cycle import Cell
 from cell.run.station import Devices, Task
 from cell.settings import Settings
-from cell.settings import model as given
+from cell.settings import devices as given
 from cell.settings.calibrated import Calibrated, typed
 from cell.settings.translate import (
     cable_of,

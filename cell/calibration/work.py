@@ -23,7 +23,7 @@ from cell.calibration.showing import BOARD_VIEWS, Assistant, Person
 from cell.files.atomic import write_whole
 from cell.files.input_error import InputError, Problem
 from cell.settings import Settings
-from cell.settings import model as given
+from cell.settings import devices as given
 from cell.settings.calibrated import Calibrated, typed, view_of_stored
 from cell.settings.translate import vision_of
 from cell.simulated.emulated import EmulatedCell, runs_already

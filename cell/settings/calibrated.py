@@ -15,8 +15,8 @@ from calib.lens import Lens
 from calib.plane import PlaneView
 from calib.store import StoredCalibration, StoreError, load
 from cell.files.input_error import InputError, Problem
-from cell.settings import model as given
-from cell.settings.model import Settings
+from cell.settings.devices import UrArm
+from cell.settings.model import Calibration, Settings
 
 FloatArray = NDArray[np.float64]
 
@@ -49,8 +49,8 @@ def devices_of(settings: Settings) -> Mapping[str, Any]:
         "camera": f"{camera.kind} {camera_name}" if camera_name is not None else camera.kind,
         "width_px": camera.width_px,
         "height_px": camera.height_px,
-        "arm": f"{arm.kind} {arm.host}" if isinstance(arm, given.UrArm) else arm.kind,
-        "lookahead_s": arm.lookahead_s if isinstance(arm, given.UrArm) else None,
+        "arm": f"{arm.kind} {arm.host}" if isinstance(arm, UrArm) else arm.kind,
+        "lookahead_s": arm.lookahead_s if isinstance(arm, UrArm) else None,
     }
 
 
@@ -123,7 +123,7 @@ def view_of_stored(cell: StoredCalibration) -> PlaneView:
 
 
 def _complaint(
-    stored: StoredCalibration, wanted: given.Calibration, settings: Settings, now: datetime
+    stored: StoredCalibration, wanted: Calibration, settings: Settings, now: datetime
 ) -> str | None:
     """Why a calibration may not be used; None = it may."""
     here = devices_of(settings)

@@ -11,7 +11,8 @@ import numpy as np
 from cell.cable.geometry import Cable
 from cell.files.input_error import InputError, Problem, did_you_mean
 from cell.files.yaml_document import Document, Key, read_yaml, validate
-from cell.settings.model import OpenCvCamera, SerialGripper, Settings, UrArm
+from cell.settings.devices import OpenCvCamera, SerialGripper, UrArm
+from cell.settings.model import Settings
 
 #: Frames of a swing; one is identified from some hundred.
 MAX_FRAMES = 5_000

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from cell.cable.dynamics import Solver
 from cell.cable.live import SwingingCable
 from cell.settings import Settings
-from cell.settings import model as given
+from cell.settings import devices as given
 from cell.settings.check import STREAM
 from cell.simulated.hidden import hidden_cable
 from cell.simulated.twins import camera_twin

@@ -7,9 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cell.settings import Settings
-from cell.settings import model as given
+from cell.settings import devices as given
 from cell.settings.calibrated import Calibrated, typed
+from cell.settings.model import JawPlate
 from cell.settings.translate import pose_of
+from cell.settings.world import Emulated
 from cell.simulated.hidden import cable_shape, hidden_cable
 from drivers.files import FilesCamera
 from drivers.sim.arm import ArmTwinOptions, SimArm
@@ -79,7 +81,7 @@ def _simulated_camera(
 
 
 def camera_twin(
-    settings: Settings, look: given.SimulatedCamera | given.Emulated, seed: int
+    settings: Settings, look: given.SimulatedCamera | Emulated, seed: int
 ) -> CameraTwinOptions:
     """Pictures as the camera of the settings takes them; `look` tells how good they are."""
     camera = settings.camera
@@ -117,7 +119,7 @@ def _sight(settings: Settings) -> Sight:
     )
 
 
-def _plate_m(jaw: given.JawPlate) -> tuple[float, float, float, float]:
+def _plate_m(jaw: JawPlate) -> tuple[float, float, float, float]:
     """A plate around the discs and the gripping point: x and y from, x and y to, m."""
     low, high = np.min(jaw.discs_m, axis=0), np.max(jaw.discs_m, axis=0)
     edges = (

@@ -11,7 +11,7 @@ import yaml
 
 from cell.files.input_error import InputError
 from cell.settings import Settings, load_settings
-from cell.settings.model import SimulatedCamera
+from cell.settings.devices import SimulatedCamera
 from cell.settings.translate import vision_of
 from cell.simulated.twins import camera_twin
 from cell.vision.detect import VisionOptions

@@ -1,0 +1,136 @@
+"""What the settings may say of the devices: arm, camera and gripper, simulated or real."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from cell.settings.section import Finite, NotNegative, Positive, Range, Section
+
+
+class SimulatedArm(Section):
+    """Twin of an arm in the simulated world."""
+
+    kind: Literal["sim"]
+    rate_hz: Annotated[float, Field(ge=50.0, le=1000.0)] = 500.0
+    lag_s: Annotated[float, Field(ge=0.0, le=0.3)] = 0.03
+    """How late it follows."""
+    noise_m: NotNegative = 10e-6
+    """Standard deviation of a measured coordinate."""
+
+
+class UrArm(Section):
+    """Universal Robots arm over RTDE."""
+
+    kind: Literal["ur"]
+    host: Annotated[str, Field(min_length=1)]
+    """Address of the controller."""
+    model: Literal["UR3e", "UR5e", "UR10e"] = "UR5e"
+    tcp: tuple[Finite, Finite, Finite, Finite, Finite, Finite] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    """Gripping point on the flange: x, y, z in m and rotation vector in rad.  Its x and y axes are
+    the plane's when the clamp is level."""
+    rate_hz: Annotated[float, Field(ge=50.0, le=500.0)] = 500.0
+    lookahead_s: Annotated[float, Field(ge=0.03, le=0.2)] = 0.03
+    gain: Annotated[float, Field(ge=100.0, le=2000.0)] = 300.0
+    lag_s: Annotated[float, Field(ge=0.0, le=0.3)] = 0.034
+    """Measured with this lookahead."""
+    plane_origin_m: tuple[Finite, Finite, Finite]
+    """Origin of the cell's plane, in the robot's base frame."""
+    plane_x_axis: tuple[Finite, Finite, Finite]
+    """Direction of the plane's x axis (away from the destination), in the base frame."""
+    plane_y_axis: tuple[Finite, Finite, Finite] = (0.0, 0.0, 1.0)
+    """Direction of the plane's y axis (up), in the base frame."""
+
+
+class View(Section):
+    """Where the camera's pixels lie in the cell's plane, the camera being square to it."""
+
+    metres_per_pixel: Annotated[float, Field(gt=0.0, le=0.01)]
+    origin_column_px: Finite
+    """Column of the picture in which the plane's origin is seen."""
+    origin_row_px: Finite
+
+
+class _Camera(Section):
+    width_px: Annotated[int, Field(ge=64, le=10_000)] = 1280
+    height_px: Annotated[int, Field(ge=64, le=10_000)] = 1024
+    frame_rate_hz: Annotated[float, Field(ge=10.0, le=2000.0)] = 200.0
+    view: View | None = None
+    """Typed by hand, for a cell that is not calibrated; null = from the section `calibration`."""
+
+
+class SimulatedCamera(_Camera):
+    """Twin of a camera: renders the simulated world."""
+
+    kind: Literal["sim"]
+    exposure_s: NotNegative = 0.0005
+    lens_blur_px: NotNegative = 0.6
+    read_noise: NotNegative = 1.0
+    """Standard deviation, grey levels."""
+
+
+class _RealCamera(_Camera):
+    latency_s: Annotated[float, Field(ge=0.0, le=0.5)] = 0.0
+    """From the middle of an exposure to the arrival of its picture, at best; measured."""
+    lost_after_s: Annotated[float, Field(ge=0.01, le=5.0)] = 0.055
+    """Silence that counts as a lost camera, and stops the arm."""
+
+
+class OpenCvCamera(_RealCamera):
+    """Camera of the operating system (UVC), through OpenCV."""
+
+    kind: Literal["opencv"]
+    device: Annotated[int, Field(ge=0)] | str = 0
+    """Number or path of the device, or the URL of a stream."""
+    exposure_s: Positive | None = 0.0005
+    """Set and read back; null = as it is, as with a stream."""
+    fourcc: Annotated[str, Field(min_length=4, max_length=4)] | None = None
+    """Pixel format, e.g. GREY or YUYV; null = as it is."""
+    stamps: Literal["device", "arrival"] = "device"
+    """Whose time stamps are believed: the device's, or the moment at which a picture arrives."""
+
+
+class GenicamCamera(_RealCamera):
+    """Industrial camera through its GenTL producer."""
+
+    kind: Literal["genicam"]
+    producer: Path
+    """The vendor's .cti file."""
+    serial_number: str | None = None
+    """Null = the only camera there is."""
+    exposure_s: Positive | None = 0.0005
+
+
+class FilesCamera(_Camera):
+    """Replays pictures from a folder."""
+
+    kind: Literal["files"]
+    folder: Path
+
+
+class _Gripper(Section):
+    force_n: Annotated[float, Field(gt=0.0, le=235.0)]
+    """Closing force."""
+    force_limits_n: Range = (1.0, 40.0)
+    """Least that holds the cable and most that does not crush it."""
+
+
+class SimulatedGripper(_Gripper):
+    """Twin of a gripper in the simulated world."""
+
+    kind: Literal["sim"]
+
+
+class SerialGripper(_Gripper):
+    """Robotiq-type gripper (2F-85), Modbus RTU on a serial line."""
+
+    kind: Literal["serial"]
+    force_n: Annotated[float, Field(ge=20.0, le=235.0)]
+    """Closing force: it can do no less and no more."""
+    port: Annotated[str, Field(min_length=1)]
+    address: Annotated[int, Field(ge=1, le=247)] = 9
+    baud: Annotated[int, Field(ge=1200)] = 115_200
+    reply_s: Annotated[float, Field(ge=0.005, le=1.0)] = 0.035
+    """Time that an answer may take; two missing in a row are a lost gripper, and stop the arm."""

@@ -1,0 +1,38 @@
+"""What sections of the settings are made of: their base, and numbers with their ranges."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Fraction = Annotated[float, Field(gt=0.0, lt=1.0)]
+
+
+def increasing(pair: tuple[float, float]) -> tuple[float, float]:
+    """The range itself.  Raises ValueError: it is none."""
+    if not pair[0] < pair[1]:
+        raise ValueError(f"[{pair[0]:g}, {pair[1]:g}] is not a range; give [lower, upper]")
+    return pair
+
+
+Range = Annotated[tuple[Finite, Finite], AfterValidator(increasing)]
+
+#: Coordinates in the cell's plane, m; distances and durations of a motion, m and s.
+Place = Annotated[float, Field(ge=-10.0, le=10.0)]
+Distance = Annotated[float, Field(gt=0.0, le=1.0)]
+Duration = Annotated[float, Field(gt=0.0, le=30.0)]
+Wait = Annotated[float, Field(ge=0.0, le=30.0)]
+Angle = Annotated[float, Field(ge=-np.pi, le=np.pi)]
+PlaceRange = Annotated[tuple[Place, Place], AfterValidator(increasing)]
+PositiveRange = Annotated[tuple[Positive, Positive], AfterValidator(increasing)]
+
+
+class Section(BaseModel):
+    """A section of the settings: immutable, nothing in it but what it names."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)

@@ -1,0 +1,73 @@
+"""What the settings may say of a cell that is not real: hidden cables and camera, emulators."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from cell.settings.section import Finite, NotNegative, PositiveRange, Section
+
+
+class HiddenCamera(Section):
+    """Where the camera of a simulated or emulated cell really stands, and what its lens is."""
+
+    metres_per_pixel: Annotated[float, Field(gt=0.0, le=0.01)]
+    """Across the line of sight, in the middle of the picture."""
+    origin_column_px: Finite
+    """Where a camera square to the plane would see its origin."""
+    origin_row_px: Finite
+    focal_px: Annotated[float, Field(ge=100.0, le=100_000.0)] = 2600.0
+    tilt_rad: Annotated[float, Field(ge=-0.7, le=0.7)] = 0.0
+    """Turn about the plane's x axis: positive = it looks down."""
+    pan_rad: Annotated[float, Field(ge=-0.7, le=0.7)] = 0.0
+    roll_rad: Annotated[float, Field(ge=-0.7, le=0.7)] = 0.0
+    k1: Annotated[float, Field(ge=-0.5, le=0.5)] = 0.0
+    """Distortion, with k2, p1 and p2 as in OpenCV."""
+    k2: Annotated[float, Field(ge=-0.5, le=0.5)] = 0.0
+    p1: Annotated[float, Field(ge=-0.01, le=0.01)] = 0.0
+    p2: Annotated[float, Field(ge=-0.01, le=0.01)] = 0.0
+    stamps_late_s: Annotated[float, Field(ge=0.0, le=0.5)] = 0.0
+    """Of a simulated camera: its frames say that they were exposed that much later."""
+
+
+class World(Section):
+    """The simulated cables: what the cell must find out and never reads."""
+
+    camera: HiddenCamera | None = None
+    """null = it stands as `camera.view` says."""
+    arm_lag_s: Annotated[float, Field(ge=0.0, le=0.3)] | None = None
+    """How late a simulated arm really follows; null = as `arm.lag_s` says."""
+
+    rigidity_n_m2: PositiveRange = (1.5e-5, 5e-5)
+    """Flexural rigidity of an individual is drawn from this range, evenly in its logarithm."""
+    rigidity_variation: Annotated[float, Field(ge=0.0, le=0.5)] = 0.15
+    """Relative amplitude of its variation along the cable."""
+    exponent: PositiveRange = (0.95, 1.05)
+    """Bending exponent N."""
+    damping_ratio: PositiveRange = (0.02, 0.06)
+    """Of the first swing mode, from which the viscosity follows."""
+    effects: dict[str, dict[str, Finite]] = Field(default={})
+    """Physics that the model lacks: names of effects with their parameters, e.g.
+    `air_drag: {drag_coefficient: 2.0}`."""
+    segments: Annotated[int, Field(ge=60, le=400)] = 80
+    """Of the simulated cable; more than the model has."""
+    real_time_factor: Annotated[float, Field(ge=0.1, le=10.0)] | None = None
+    """null = as fast as the computer can; 1 = at the speed of reality, in which the reported wait
+    for the computer is that of a real cell."""
+
+
+class Emulated(Section):
+    """Emulators of all three devices, at the addresses that the devices' own sections name.
+
+    They speak the devices' protocols, so that the cell's real drivers work with them; `cell run`
+    starts them unless `cell emulate` did.  The cables are those of `world`.
+    """
+
+    exposure_s: NotNegative = 0.0005
+    """Of the emulated camera."""
+    readout_s: Annotated[float, Field(ge=0.008, le=0.1)] = 0.012
+    """From the middle of an exposure until the picture leaves the emulated camera."""
+    lens_blur_px: NotNegative = 0.6
+    read_noise: NotNegative = 1.0
+    """Standard deviation, grey levels."""
