@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable import layout as at
+from cell.cable.effects.base import Effect
 from cell.cable.effects.compiled import Hooks, cable_data, hooks_of, parameters
+from cell.cable.effects.own import with_compiled_hooks
 from cell.cable.model import CableModel, knot_basis
 
 FloatArray = NDArray[np.float64]
@@ -28,6 +30,7 @@ class Block:
     state      flat, see `layout`
     lengths    (LANES,) length of a segment, m
     effects    last-but-one argument of the compiled functions
+    own        effects of a user whose hooks these call
     """
 
     lanes: tuple[int, ...]
@@ -38,6 +41,7 @@ class Block:
     nonlinear: bool
     passes: int
     effects: tuple[Any, ...]
+    own: tuple[type[Effect], ...]
 
 
 def assemble(
@@ -119,6 +123,7 @@ def _block(
         bool(np.any(power != 0.0)),
         hooks.passes,
         hooks.arguments(models, n, start_s),
+        with_compiled_hooks(a.effect for a in models[0].effects),
     )
 
 

@@ -16,6 +16,7 @@ from cell.cable import camera
 from cell.cable import layout as at
 from cell.cable.assembly import DEFAULT_SEGMENTS, Block, assemble, marker_weights
 from cell.cable.clamp import base_rows, pose_of
+from cell.cable.effects.own import run_engine
 from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
 from cell.cable.statics import settle
@@ -246,7 +247,9 @@ def _run(
     bends = np.empty((times.size, n + 1, at.LANES))
     bends[~moving] = block.state.reshape(n + 1, at.FIELDS, at.LANES)[:, at.BEND]
     swing = np.empty((int(np.count_nonzero(moving)), n + 1, at.LANES))
-    bad = integrate(
+    bad = run_engine(
+        integrate,
+        block.own,
         block.state,
         block.width,
         n,

@@ -11,6 +11,7 @@ from cell.cable.assembly import assemble, marker_weights
 from cell.cable.clamp import base_rows, pose_of
 from cell.cable.dynamics import DivergedError, Solver, generalised_alpha, interleave
 from cell.cable.effects.base import Effect
+from cell.cable.effects.own import run_engine
 from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
 from cell.cable.statics import settle
@@ -122,7 +123,9 @@ class SwingingCable:
         coefficients = generalised_alpha(step_s, solver.damping)
         base = base_rows(motion, (), begin_s, step_s, steps, float(coefficients[12]))
         swung = np.empty((int(np.count_nonzero(~rested)), block.segments + 1, at.LANES))
-        bad = integrate(
+        bad = run_engine(
+            integrate,
+            block.own,
             state,
             block.width,
             block.segments,

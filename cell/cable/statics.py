@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from cell.cable.assembly import Block
 from cell.cable.compiling import compiled
+from cell.cable.effects.own import run_engine
 from cell.cable.effects.pointer import REST, call_force, call_moment
 from cell.cable.kernel import bending, kinematics
 from cell.cable.layout import (
@@ -172,7 +173,16 @@ def settle(block: Block, base: FloatArray) -> None:
 
     raises  UnsettledError
     """
-    lane = balance(block.state, block.width, block.segments, base, block.nonlinear, block.effects)
+    lane = run_engine(
+        balance,
+        block.own,
+        block.state,
+        block.width,
+        block.segments,
+        base,
+        block.nonlinear,
+        block.effects,
+    )
     if lane >= 0:
         number = block.lanes[lane] if lane < len(block.lanes) else block.lanes[0]
         raise UnsettledError(

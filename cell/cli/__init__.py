@@ -5,13 +5,18 @@ Heavy imports wait until a command needs them, so that help is quick.
 
 from __future__ import annotations
 
+import sys
 from typing import Annotated
 
 import typer
 
 from cell.cli import calibrate, lab, line, records, run, settings
 from cell.cli.streams import usable_streams
+from cell.computer.watched import go_on_watched
 from cell.terminal.logs import about, to_terminal
+
+#: Commands that run a user's own effects at length; another process watches that they end.
+WATCHED = ("fit", "compare", "diagnose", "discover", "suggest", "identify", "learn")
 
 app = typer.Typer(
     name="cell",
@@ -51,5 +56,7 @@ def options(
 
 def main() -> None:
     """Entry point of the console script."""
+    if next((word for word in sys.argv[1:] if not word.startswith("-")), "") in WATCHED:
+        go_on_watched()
     with usable_streams():
         app()

@@ -133,7 +133,10 @@ def spliced(path: Path, text: str, section: str) -> str:
     lines = text.splitlines(keepends=True)
     found = _lines(path, text)
     if found is not None:
-        return "".join([*lines[: found[0]], section, *lines[found[1] :]])
+        before, after = lines[: found[0]], lines[found[1] :]
+        if not section and not after and before and not before[-1].strip():
+            before.pop()  # the blank line with which a section is added at the end
+        return "".join([*before, section, *after])
     if not section:
         return text
     whole = text if text.endswith(("\n", "\r")) else text + ends

@@ -44,8 +44,8 @@ _CABLE = CableData(0.016, 1e-4, 0.0074, 0.1)
 #: Told what is tried next, its line, and the seconds of computing that it may take.
 Doing = Callable[[str, int, int], None]
 
-#: Computing that trying a hook may take, s; it takes microseconds.
-HOOK_S = 4
+#: Time that trying a hook may take, s of the clock; it takes microseconds.
+HOOK_S = 5
 #: States of a swing at which a hook is called once more.
 STATES = 4000
 

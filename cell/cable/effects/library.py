@@ -12,15 +12,14 @@ from types import ModuleType
 
 from cell.cable.effects import air, bending, camera, grip, hand, lens, plastic
 from cell.cable.effects.base import Effect, EffectFile
-from cell.cable.effects.check import Doing, check, visit_many_states
+from cell.cable.effects.check import HOOK_S, HOOKS, Doing, check, visit_many_states
 from cell.cable.effects.compiled import loops_of, proof_of
+from cell.cable.effects.own import first_line, watch_hooks
 from cell.cable.effects.refused import EffectError
 from cell.cable.effects.trial import COMPILING_S, try_effect
 
 #: A law fits on a page.
 MAX_BYTES = 100_000
-#: Computing that calling the hooks at many states may take, s; it takes well under one.
-SWING_S = 8
 
 _FAMILIES = (air, bending, grip, hand, camera)
 _RARE = (plastic, lens)
@@ -62,7 +61,7 @@ def _tried(file: Path, doing: Doing) -> None:
     effect = _loaded(file, doing)
     if effect.force is None and effect.moment is None:
         return
-    doing(f"{effect.name}: a hook, in some state of a swing,", _first_line(effect), SWING_S)
+    doing(f"{effect.name}: a hook, in some state of a swing,", first_line(effect), HOOK_S)
     visit_many_states(effect)
 
 
@@ -101,10 +100,11 @@ def _loaded(file: Path, doing: Doing) -> type[Effect]:
     effect.file = EffectFile(file, sha256)
     try:
         if effect.force is not None or effect.moment is not None:
-            doing(f"{effect.name}: compiling its hooks", _first_line(effect), COMPILING_S)
+            doing(f"{effect.name}: compiling its hooks", first_line(effect), COMPILING_S)
         loops_of(effect)
     except Exception as error:  # numba raises much that is no NumbaError
         raise EffectError(file, _line_of(error, file, effect), _short(error)) from error
+    watch_hooks(effect, HOOKS)
     return effect
 
 
@@ -123,15 +123,10 @@ def _effects_in(module: ModuleType) -> list[type[Effect]]:
     ]
 
 
-def _first_line(effect: type[Effect]) -> int:
-    hooks = (effect.force, effect.moment, effect.memory_rate, effect.memory_at_rest)
-    return min(h.__code__.co_firstlineno for h in hooks if h is not None)
-
-
 def _line_of(error: Exception, file: Path, effect: type[Effect]) -> int:
     """Line of the effect's file that numba names last, the innermost; else that of a hook."""
     named = re.findall(rf'{re.escape(str(file))}"?,? (?:line |\()(\d+)', str(error))
-    return int(named[-1]) if named else _first_line(effect)
+    return int(named[-1]) if named else first_line(effect)
 
 
 def _short(error: Exception) -> str:

@@ -9,18 +9,17 @@ from __future__ import annotations
 import contextlib
 import multiprocessing
 import resource
+import signal
 from collections.abc import Callable
 from multiprocessing.connection import Connection
 from pathlib import Path
 
 from cell.cable.effects.refused import EffectError
 
-#: Computing that one step of the trial may take, s: a hook takes microseconds.
-STEP_S = 4
-#: The same of compiling the hooks.
-COMPILING_S = 60
-#: Time in which a step must end even if it only sleeps, s.
-PATIENCE_S = 120.0
+#: Time that one step of the trial may take, s of the clock: a hook takes microseconds.
+STEP_S = 5
+#: The same of compiling the hooks; and of the process's own beginning.
+COMPILING_S = 120
 #: Memory that it may take, bytes; numba's libraries are mapped into most of it.
 MEMORY_BYTES = 6 * 1024**3
 
@@ -36,47 +35,44 @@ def try_effect(file: Path, load: Callable[[Path, Callable[[str, int, int], None]
     process = context.Process(target=_try, args=(file, load, sender), daemon=True)
     process.start()
     sender.close()
-    what, line = "its module", 1
-    cause = f"does not end within {PATIENCE_S:g} s"
+    what, line, patience_s = "its module", 1, COMPILING_S
+    cause = "takes more than {} s, as a loop without end does: mend that"
     try:
-        while receiver.poll(PATIENCE_S):
-            kind, text, at = receiver.recv()
+        while receiver.poll(patience_s):
+            kind, text, at, patience_s = receiver.recv()
             if kind == "right":
                 return
             if kind == "refused":
                 raise EffectError(file, at, text)
             what, line = text, at
     except EOFError:
-        process.join()
-        cause = "takes too long, as a loop without end does, or ends the process: mend that"
+        cause = "ends the process: mend that"
     finally:
         process.kill()
         process.join()
         receiver.close()
-    raise EffectError(file, line, f"{what} {cause}")
+    raise EffectError(file, line, f"{what} {cause.format(patience_s)}")
 
 
 def _try(
     file: Path, load: Callable[[Path, Callable[[str, int, int], None]], None], to: Connection
 ) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # who listens ends this process
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, resource.RLIM_INFINITY))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
     def doing(what: str, line: int, seconds: int) -> None:
-        """Tell it, and have the system end this process if it computes for longer."""
-        used = resource.getrusage(resource.RUSAGE_SELF)
-        limit = int(used.ru_utime + used.ru_stime) + 1 + seconds
-        resource.setrlimit(resource.RLIMIT_CPU, (limit, resource.RLIM_INFINITY))
-        to.send(("doing", what, line))
+        """Tell it; who listens ends this process when the seconds are over."""
+        to.send(("doing", what, line, seconds))
 
     try:
         doing("its module", 1, STEP_S)
         load(file, doing)
-        to.send(("right", "", 0))
+        to.send(("right", "", 0, 0))
     except EffectError as error:
-        to.send(("refused", error.cause, error.line))
+        to.send(("refused", error.cause, error.line, 0))
     except MemoryError:
-        to.send(("refused", f"takes more than {MEMORY_BYTES / 1024**3:g} GiB", 1))
+        to.send(("refused", f"takes more than {MEMORY_BYTES / 1024**3:g} GiB", 1, 0))
     finally:
         with contextlib.suppress(OSError):
             to.close()

@@ -1,0 +1,87 @@
+"""A user's own effect at work: whoever runs its hooks says so, and what they raise gets a place."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import traceback
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from numba import typeof
+
+from cell.cable.effects.base import Effect
+from cell.cable.effects.refused import EffectError
+from cell.computer.watched import must_end
+
+#: Hooks that run in every step, compiled.
+COMPILED = ("force", "moment", "memory_rate", "memory_at_rest")
+
+
+def with_compiled_hooks(effects: Iterable[type[Effect]]) -> tuple[type[Effect], ...]:
+    """Those of a user that have hooks which are compiled."""
+    return tuple(e for e in effects if e.file is not None and (e.force or e.moment))
+
+
+def run_engine(function: Any, own: tuple[type[Effect], ...], *args: Any) -> Any:
+    """Result of a compiled function that calls compiled hooks, also those of a user's effects.
+
+    raises  EffectError: what a hook raised
+    """
+    if not own:
+        return function(*args)
+    if not function.signatures:  # compiling takes as long as it takes
+        function.compile(tuple(typeof(a) for a in args))
+    with _at_work(own, "a compiled hook"):
+        return function(*args)
+
+
+def watch_hooks(effect: type[Effect], hooks: Iterable[str]) -> None:
+    """Have the hooks of a user's effect that are not compiled say when they are at work."""
+    for hook in hooks:
+        function = getattr(effect, hook)
+        if function is not None and hook not in COMPILED:
+            setattr(effect, hook, staticmethod(_watched(effect, hook, function)))
+
+
+def first_line(effect: type[Effect]) -> int:
+    """Line of the effect's file where its first compiled hook begins."""
+    hooks = (getattr(effect, name) for name in COMPILED)
+    return min(h.__code__.co_firstlineno for h in hooks if h is not None)
+
+
+def _watched(effect: type[Effect], hook: str, function: Callable[..., Any]) -> Callable[..., Any]:
+    @functools.wraps(function)
+    def watched(*args: Any) -> Any:
+        with _at_work((effect,), hook):
+            result = function(*args)
+        return _watched(effect, hook, result) if callable(result) else result
+
+    return watched
+
+
+@contextmanager
+def _at_work(own: tuple[type[Effect], ...], hook: str) -> Iterator[None]:
+    """While hooks of a user's effects run; what they raise is an EffectError with its line."""
+    effect = own[0]
+    assert effect.file is not None
+    path = effect.file.path
+    compiled = hook not in vars(Effect)
+    hooked = None if compiled else inspect.unwrap(getattr(effect, hook))
+    line = first_line(effect) if hooked is None else hooked.__code__.co_firstlineno
+    which = " or ".join(f"{e.name} ({e.file.path})" for e in own[1:] if e.file is not None)
+    what = f"{effect.name}: {hook}" if compiled else f"{effect.name}.{hook}"
+    if which:
+        what += f", or one of {which},"
+    with must_end(f"{path}:{line}: {what}"):
+        try:
+            yield
+        except EffectError:
+            raise
+        except Exception as error:
+            frames = traceback.extract_tb(error.__traceback__)
+            lines = [f.lineno for f in frames if Path(f.filename) == path]
+            cause = f"{what}: {type(error).__name__}: {error}"
+            raise EffectError(path, (lines[-1] if lines else line) or line, cause) from error

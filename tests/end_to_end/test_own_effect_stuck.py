@@ -1,0 +1,96 @@
+"""An effect of one's own that gets stuck, or fails, only in a fit is named by the command."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cell.cable.dynamics import simulate
+from cell.cable.geometry import Cable, Motion
+from cell.cable.model import CableModel
+from cell.study.data import Markers, Study, Trial
+from cell.study.folder import write_study
+
+PROGRAM = """
+import sys
+from cell.computer import watched
+watched.PATIENCE_S = 2.0
+from cell.cli import main
+sys.argv = ["cell", *sys.argv[1:]]
+main()
+"""
+
+HEAD = '''"""Mine."""
+from cell.cable.effects import Effect, Parameter
+
+calls = []
+
+class Mine(Effect):
+    """Fails late."""
+
+    name = "mine"
+    parameters = (Parameter("size", "1", 0.0, 0.01, default=0.0, starts=(1e-4,)),)
+
+'''
+LATE = "abs(at.time - 0.5) < 1e-3 and abs(at.arc_length - 0.05) < 4e-3 and at.tx < -0.2"
+COMPILED = HEAD + (
+    "    def force(cable, at, p):\n"
+    "        k = 0.0\n"
+    f"        while {LATE} and k > -1.0:\n"
+    "            k += 1.0\n"
+    "        return 0.0, p.size * at.vx\n"
+)
+IN_PYTHON = HEAD + (
+    "    def extra_length(cable, p):\n"
+    "        calls.append(0)\n"
+    "        while len(calls) > 30:\n"
+    "            pass\n"
+    "        return p.size\n"
+)
+IN_C = IN_PYTHON.replace("while len", "if len").replace("pass\n", "sum(range(10**13))\n")
+RAISES = COMPILED.replace("while", "if").replace("k += 1.0", "raise KeyError('deep')")
+RAISES_IN_PYTHON = IN_PYTHON.replace("while", "if").replace("pass\n", "raise KeyError('deep')\n")
+ENDS = "takes more than 2 s, as a loop without end does: mend that"
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("studies") / "small"
+    t = np.arange(0.0, 0.9, 0.02)
+    x = np.clip((t - 0.2) / 0.2, 0.0, 1.0)
+    grip = Motion(t, 0 * t, -0.05 * x**3 * (10 - 15 * x + 6 * x**2), 0 * t)
+    cable, arcs = Cable(0.1, 0.0074, 0.016, 1e-4), np.linspace(0.1, 0.0, 3)
+    xy_m = simulate(CableModel(cable, np.array(3e-5), viscosity_n_m2_s=1e-7), grip, t, arcs)[0]
+    xy_m = xy_m + np.random.default_rng(1).normal(0.0, 1e-4, xy_m.shape)
+    write_study(
+        Study("s", cable, arcs, (Trial("a", "fit", "equilibrium", grip, Markers(t, xy_m)),)),
+        folder,
+    )
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "said"),
+    [
+        (COMPILED, 12, f"mine: a compiled hook {ENDS}"),
+        (IN_PYTHON, 12, f"mine.extra_length {ENDS}"),
+        (IN_C, 12, f"mine.extra_length {ENDS}"),
+        (RAISES, 15, "mine: a compiled hook: KeyError: 'deep'"),
+        (RAISES_IN_PYTHON, 15, "mine.extra_length: KeyError: 'deep'"),
+    ],
+    ids=["compiled", "python", "in C", "raises compiled", "raises in Python"],
+)
+def test_the_command_ends_and_names_effect_file_and_line(
+    study: Path, tmp_path: Path, text: str, line: int, said: str
+) -> None:
+    path, out = tmp_path / "mine.py", tmp_path / "model.json"
+    path.write_text(text)
+    command = [sys.executable, "-c", PROGRAM, "fit", study, "--effect", path, "-o", out]
+    done = subprocess.run(
+        [str(c) for c in command], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert done.returncode == 2
+    assert done.stderr.splitlines()[-1] == f"{path}:{line}: {said}"
+    assert not out.exists()
