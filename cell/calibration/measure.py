@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from itertools import product
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,14 @@ from cell.vision.marks import JawMarks, find_jaw
 from drivers.interfaces import Pose, Trajectory
 
 FloatArray = NDArray[np.float64]
-Say = Callable[[str], None]
+
+
+class Say(Protocol):
+    """Tells a person what is done: `done` of `total` pieces lie behind; 0 of 0 = not counted."""
+
+    def __call__(self, text: str, done: int = 0, total: int = 0) -> None:
+        """Must return at once."""
+
 
 #: Poses shown before anything is known, chosen then, and held out of the fit.
 FIRST_POSES, CHOSEN_POSES, HELD_OUT_POSES = 9, 15, 6
@@ -57,7 +65,7 @@ def show_board(session: Session, assistant: Assistant, board: Board, say: Say) -
         if view is not None:
             views.append(view)
         seen = 0 if view is None else len(view.ids)
-        say(f"view {number} of {BOARD_VIEWS}: {seen} of {len(board.corners_m)} corners")
+        say(f"view {number}: {seen} of {len(board.corners_m)} corners", number, BOARD_VIEWS)
     assistant.clear()
     return pictures
 
@@ -96,7 +104,7 @@ def show_hand(
         rest = session.rest_at(goal)
         name = f"pose_{len(poses) + 1:02d}.png"
         poses.append(ShownPose(role, rest.pose, Picture(name, rest.image)))
-        say(f"pose {len(poses)} of {total}")
+        say(f"pose {len(poses)}", len(poses), total)
 
     for goal in first_poses(settings):
         show(goal, "fit")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
@@ -17,6 +18,7 @@ from calib.timing import Delay
 from cell.build import guarded_devices, real_devices, twin_devices
 from cell.calibration import conclude, measure, raw
 from cell.calibration.conclude import Drift
+from cell.calibration.measure import Say
 from cell.calibration.report import camera_report, cell_report, time_report
 from cell.calibration.session import Session, opened
 from cell.calibration.showing import BOARD_VIEWS, Assistant, Person
@@ -30,7 +32,7 @@ from cell.simulated.emulated import EmulatedCell, runs_already
 from cell.simulated.showing import SimulatedAssistant
 from cell.simulated.twins import build_twins
 
-Say = Callable[[str], None]
+_LOG = logging.getLogger(__name__)
 
 
 class CalibrationJob:
@@ -80,6 +82,7 @@ class CalibrationJob:
         made = {"camera": self._camera, "cell": self._cell, "time": self._time}[part](source)
         save(self._folder / f"{part}.yaml", made)
         self._made[part] = made
+        _LOG.info("%s: %s, kept in %s", part, _words(made), self._folder / f"{part}.yaml")
         return made
 
     def _camera(self, source: Path | None) -> StoredCalibration:

@@ -5,7 +5,10 @@ Heavy imports wait until a command needs them, so that help is quick.
 
 from __future__ import annotations
 
+import logging
+import shlex
 import sys
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -13,7 +16,7 @@ import typer
 from cell.cli import calibrate, lab, line, records, run, settings
 from cell.cli.streams import usable_streams
 from cell.computer.watched import go_on_watched
-from cell.terminal.logs import about, to_terminal
+from cell.terminal.logs import about, to_file, to_terminal
 
 #: Commands that run a user's own effects at length; another process watches that they end.
 WATCHED = ("fit", "compare", "diagnose", "discover", "suggest", "identify", "learn")
@@ -49,9 +52,15 @@ def options(
     verbose: Annotated[
         bool, typer.Option("--verbose", "-v", help="Print the log on the error stream.")
     ] = False,
+    log: Annotated[
+        Path | None, typer.Option(help="Append the log to this file; it rotates at 2 MB.")
+    ] = None,
 ) -> None:
     """Grips bendable cables, identifies each from pictures of its swing, and inserts it."""
     to_terminal(verbose=verbose)
+    if log is not None:
+        to_file(log)
+    logging.getLogger(__name__).info("cell %s", shlex.join(sys.argv[1:]))
 
 
 def main() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import logging
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,10 +11,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cell.cli.lab import working
+from cell.cli.result_json import STDOUT, write_result
 from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, Config, interrupted_once, refuse
 
 if TYPE_CHECKING:
     from cell.calibration.work import CalibrationJob
+
+_LOG = logging.getLogger(__name__)
 
 app = typer.Typer(
     name="calibrate",
@@ -57,19 +61,34 @@ def everything(
 
 
 @app.command()
-def camera(config: Config, source: Source = None, seed: Seed = 1, as_json: AsJson = False) -> None:
+def camera(
+    config: Config,
+    source: Source = None,
+    seed: Seed = 1,
+    as_json: AsJson = False,
+) -> None:
     """Find the lens from pictures of the board, live or from a folder."""
     _part("camera", config, source, seed, as_json)
 
 
 @app.command()
-def cell(config: Config, source: Source = None, seed: Seed = 1, as_json: AsJson = False) -> None:
+def cell(
+    config: Config,
+    source: Source = None,
+    seed: Seed = 1,
+    as_json: AsJson = False,
+) -> None:
     """Find where pixels lie in the cell's plane: the hand shows its plate; needs the lens."""
     _part("cell", config, source, seed, as_json)
 
 
 @app.command("time")
-def time_(config: Config, source: Source = None, seed: Seed = 1, as_json: AsJson = False) -> None:
+def time_(
+    config: Config,
+    source: Source = None,
+    seed: Seed = 1,
+    as_json: AsJson = False,
+) -> None:
     """Find latency of the camera and lag of the arm, from one motion; needs the cell."""
     _part("time", config, source, seed, as_json)
 
@@ -82,9 +101,7 @@ def check(config: Config, seed: Seed = 1, as_json: AsJson = False) -> None:
     """
     with _workshop(config, seed, as_json) as work:
         found = work.check()
-        if as_json:
-            print(json.dumps(vars(found), ensure_ascii=False))
-        else:
+        if write_result(vars(found), STDOUT if as_json else None):
             print(found.sentence + ("" if found.command is None else f"; run `{found.command}`"))
         raise typer.Exit(ALL_DONE if found.good else NOT_ALL_DONE)
 
@@ -117,9 +134,7 @@ def _part(part: str, config: Path, source: Path | None, seed: int, as_json: bool
 
 
 def _end(work: CalibrationJob, as_json: bool) -> None:
-    if as_json:
-        print(json.dumps(work.summary(), ensure_ascii=False))
-    else:
+    if write_result(work.summary(), STDOUT if as_json else None):
         for line in work.lines():
             print(line)
     raise typer.Exit(ALL_DONE if work.good_enough() else NOT_ALL_DONE)
@@ -135,23 +150,33 @@ def _workshop(
     from cell.calibration.work import CalibrationJob
     from cell.files.input_error import InputError
     from cell.settings import load_settings
+    from cell.terminal.logs import to_file
     from drivers.emulators.launch import EmulatorError
     from drivers.interfaces import DeviceError
 
-    def say(words: str) -> None:
-        print(words, file=sys.stderr, flush=True)
+    progress = working("calibrate")
+
+    def say(text: str, done: int = 0, total: int = 0) -> None:
+        """Kept as a line, and under way until the next one."""
+        _LOG.info("%s", text)
+        print(f"{text}, {done} of {total}" if total else text, file=sys.stderr, flush=True)
+        progress(text, done, total)
 
     def ask(words: str) -> str:
         if as_json or not sys.stdin.isatty():
             raise CalibrationError(
                 f"somebody must act: {words}", "run it at a terminal, or with --from a folder"
             )
-        return input(words + " ")
+        with progress.paused():
+            return input(words + " ")
 
     try:
         settings = load_settings(config)
+        if settings.calibration is not None:
+            to_file(settings.calibration.folder / "calibration.log")
         with (
             interrupted_once(),
+            progress,
             CalibrationJob(settings, config, seed, say, ask, live=live) as work,
         ):
             yield work

@@ -15,6 +15,7 @@ from cell.cli.shared import BAD_INPUT, group, tell_notes
 from cell.files.overwriting import check_new_study, check_output
 
 if TYPE_CHECKING:
+    from cell.lab.compare import Comparison
     from cell.lab.explore import Explorer, Progress
     from cell.lab.session import EffectSelection
     from cell.study.data import Study
@@ -51,15 +52,7 @@ LineModel = Annotated[
     typer.Option("--config", "-c", help="Settings of a cell: its `model` is where one starts."),
 ]
 ResultFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--json",
-        "-o",
-        "--out",
-        help="--json prints the result as JSON instead of tables, -o FILE writes it. "
-        "(--json FILE, the older form, writes.)",
-        show_default=False,
-    ),
+    Path | None, typer.Option("-o", "--out", help="Write the result here, as JSON.")
 ]
 ReportFile = Annotated[
     Path | None, typer.Option("--report", help="Write a self-contained HTML report here.")
@@ -108,7 +101,8 @@ def compare(
         list[str] | None,
         typer.Option("--effect", help="The file.py of an effect of the model, if it has moved."),
     ] = None,
-    as_json: ResultFile = None,
+    out: ResultFile = None,
+    as_json: Json = None,
     report: ReportFile = None,
     force: Force = False,
 ) -> None:
@@ -127,14 +121,14 @@ def compare(
         correlations_table,
     )
 
-    with refusing(as_json, report, force=force), working("compare"):
+    with refusing(out, as_json, report, force=force), working("compare") as progress:
         opened = _opened(study)
         individuals = session.read_models(model, opened.cable, effect or [])
-        comparisons = [
-            compare_model(opened, m.model, name)
-            for m, name in zip(individuals, model_names(model), strict=True)
-        ]
-        tables = write_result(comparisons_json(comparisons), as_json)
+        comparisons: list[Comparison] = []
+        for m, name in zip(individuals, model_names(model), strict=True):
+            progress(f"comparing {name}", len(comparisons), len(individuals))
+            comparisons.append(compare_model(opened, m.model, name))
+        tables = write_result(comparisons_json(comparisons), out, as_json)
         if report:
             write_page(comparison_page(comparisons), report)
     if tables:
@@ -155,7 +149,8 @@ def diagnose(
     known: Known = None,
     prior: PriorFile = None,
     config: LineModel = None,
-    as_json: ResultFile = None,
+    out: ResultFile = None,
+    as_json: Json = None,
     report: ReportFile = None,
     force: Force = False,
 ) -> None:
@@ -177,12 +172,11 @@ def diagnose(
         waterfall_table,
     )
 
-    with refusing(as_json, report, force=force), working("diagnose") as progress:
+    with refusing(out, as_json, report, force=force), working("diagnose") as progress:
         selection = session.select_for_diagnosis(effect or [], known or [])
         opened = _opened(study)
         explorer = _explorer(opened, selection, prior, progress, config)
         examination = diagnose_study(explorer)
-        tables = write_result(to_json(examination.diagnosis), as_json)
         steps = [explorer.prior_candidate(), *examination.steps[1:]]
         comparisons = [compare_model(opened, c.fit.model) for c in steps]
         in_model = explorer.space.effects
@@ -192,6 +186,7 @@ def diagnose(
             known=tuple(e.name for e in in_model),
             accepted=tuple(e.name for e in examination.accepted.effects if e not in in_model),
         )
+        tables = write_result(to_json(examination.diagnosis), out, as_json)
         if report:
             model = identified(explorer.prepared, examination.steps[-1].fit)
             write_page(diagnosis_page(examination, comparisons, model, todo), report)
@@ -214,17 +209,18 @@ def effects(
     effect: Annotated[
         list[str] | None, typer.Option("--effect", help="A file.py to check and list as well.")
     ] = None,
-    as_json: ResultFile = None,
+    out: ResultFile = None,
+    as_json: Json = None,
     force: Force = False,
 ) -> None:
     """List the effects that a model may be given: laws, parameters, units and limits."""
     from cell.lab import session
     from cell.lab.tables import describe_effects, effects_table
 
-    with refusing(as_json, force=force):
+    with refusing(out, as_json, force=force):
         library = session.select_effects([], effect or []).candidates
         tables = write_result(
-            {"format": "cable-effects/1", "effects": describe_effects(library)}, as_json
+            {"format": "cable-effects/1", "effects": describe_effects(library)}, out, as_json
         )
     if tables:
         show(effects_table(library))
@@ -312,7 +308,7 @@ def study(
     from cell.lab.gather import gather
     from cell.study.folder import write_study
 
-    with refusing():
+    with refusing(), working("study"):
         check_new_study(out, force=force)
         gathered = gather(runs, out.name)
         write_study(gathered, out)

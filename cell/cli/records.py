@@ -9,6 +9,8 @@ from typing import Annotated, Any
 
 import typer
 
+from cell.cli.lab import Force, refusing, working
+from cell.cli.result_json import Json, JsonCommand, write_result
 from cell.cli.shared import NOT_ALL_DONE, group, refuse, tell_notes
 
 app = group()
@@ -87,14 +89,18 @@ def show(
             typer.launch(str(image))
 
 
-@app.command()
+@app.command(cls=JsonCommand)
 def identify(
     folder: Annotated[Path, typer.Argument(help="A cycle's folder, or any study.")],
     config: Annotated[
         Path | None,
         typer.Option("--config", "-c", help="Settings whose `model` is used; default: recorded."),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="The model as JSON.")] = False,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="Write the model here, for --prior.")
+    ] = None,
+    as_json: Json = None,
+    force: Force = False,
     effect: Annotated[
         list[str] | None,
         typer.Option(
@@ -120,7 +126,7 @@ def identify(
     from cell.terminal.fitting import show as print_parts
 
     recorded = (folder / "state.json").exists()
-    try:
+    with refusing(out, as_json, force=force), working("identify") as progress:
         effects = select_effects(effect or []).in_model
         study = read_study(study_folder(folder))
         tell_notes(study)
@@ -130,21 +136,22 @@ def identify(
             options = identification_of(load_settings(settings))
         options = with_effects(options, effects)
         if not study.role("fit"):
-            raise InputError([Problem(folder, 1, None, "", "no trial has the role `fit`")])
-        identified = identify_cable(
-            study.role("fit")[0],
-            study.arc_length_m,
-            study.cable,
-            gravity_m_per_s2=study.gravity_m_per_s2,
-            options=options,
-        )
-    except (ValueError, FileNotFoundError) as error:
-        refuse(error)
-    except CableRejectedError as error:
-        print(f"{folder}: cable rejected: {error}", file=sys.stderr)
-        raise typer.Exit(NOT_ALL_DONE) from error
-    if as_json:
-        print(json.dumps(identified.to_dict(), ensure_ascii=False))
+            message = "no trial has `role: fit`; mark the one to identify the cable from"
+            raise InputError([Problem(folder, 1, None, "trials", message)])
+        progress("fitting the model")
+        try:
+            identified = identify_cable(
+                study.role("fit")[0],
+                study.arc_length_m,
+                study.cable,
+                gravity_m_per_s2=study.gravity_m_per_s2,
+                options=options,
+            )
+        except CableRejectedError as error:
+            print(f"{folder}: cable rejected: {error}", file=sys.stderr)
+            raise typer.Exit(NOT_ALL_DONE) from error
+        tables = write_result(identified.to_dict(), out, as_json)
+    if not tables:
         return
     print_parts(Console(), parameters_table(identified))
     stated = ""

@@ -22,14 +22,19 @@ def init(
     real: Annotated[
         bool, typer.Option("--real", help="A real cell: UR arm, industrial camera, gripper.")
     ] = False,
+    emulated: Annotated[
+        bool,
+        typer.Option("--emulated", help="The real drivers against devices that are emulated."),
+    ] = False,
     yes: Annotated[
         bool, typer.Option("--yes", "-y", help="Ask nothing: defaults, to be edited in the file.")
     ] = False,
 ) -> None:
     """Write a settings file in which every entry is explained, from a few questions.
 
-    Without a terminal nothing is asked, and the defaults are written: those of a simulated cell
-    run as they are, those of a real one (--real) are examples to be measured and replaced.
+    Without a terminal nothing is asked, and the defaults are written: those of a simulated and of
+    an emulated cell (--emulated) run as they are, those of a real one (--real) are examples to be
+    measured and replaced.
 
     Ends with 0, or 2 if the file is there already or an answer is wrong.
     """
@@ -43,7 +48,9 @@ def init(
 
     if out.exists():
         refuse(ValueError(f"{out}: is there already; give another file with -o, or move it away"))
-    kind: CellKind = "real" if real else "simulated"
+    if real and emulated:
+        refuse(ValueError("--real and --emulated: give one of them"))
+    kind: CellKind = "real" if real else "emulated" if emulated else "simulated"
     answers: dict[tuple[str, ...], Any] = {}
     if not yes and _person_is_there():
         for question in questions(kind):

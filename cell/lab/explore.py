@@ -57,7 +57,10 @@ SEARCH = Options(tolerance=0.3, most_passes=10, least_gain=1e-3)
 
 
 class Progress(Protocol):
-    """Is told what is being done: `done` of `total` pieces lie behind; 0 of 0 = not counted."""
+    """Is told what is being done: `done` of `total` pieces lie behind; 0 of 0 = not counted.
+
+    Any thread may tell it.
+    """
 
     def __call__(self, text: str, done: int = 0, total: int = 0) -> None:
         """Must return at once."""
@@ -121,8 +124,12 @@ class Explorer:
         """The model with no effects beyond those that `space` brings along."""
         key = frozenset(e.name for e in self.space.effects)
         if key not in self._known:
+            names = ", ".join(e.name for e in self.space.effects) or "no effects"
+            self.progress(f"looking where to begin with {names}", 0, 3)
             start = cold_start(self.prepared, self.space)
+            self.progress(f"fitting the model with {names}", 1, 3)
             fit = fit_model(self.prepared, self.space, start, options=POLISH)
+            self.progress(f"weighing the model with {names}", 2, 3)
             count = self.prepared.count(fit_trials(self.prepared))
             if fit.chi2 > MISFIT * count:
                 # A model that lacks something puts it into EI(s); the prior keeps it plausible.
@@ -186,16 +193,16 @@ class Explorer:
         for screened in (*self.screened(base), *self._screened_elsewhere(base, effects)):
             guesses.setdefault(screened.effect.name, []).extend(screened.starts)
 
-        def one(effect: type[Effect]) -> Candidate | None:
-            return self._extend(base, effect, guesses[effect.name])
+        done = itertools.count(1)
 
+        def one(effect: type[Effect]) -> Candidate | None:
+            candidate = self._extend(base, effect, guesses[effect.name])
+            self.progress(f"refitted with {effect.name}", next(done), len(effects))
+            return candidate
+
+        self.progress("refitting with one effect more", 0, len(effects))
         with ThreadPoolExecutor(threads()) as pool:
-            found = []
-            refits = zip(effects, pool.map(one, effects), strict=True)
-            for done, (effect, candidate) in enumerate(refits, start=1):
-                self.progress(f"refitted with {effect.name}", done, len(effects))
-                if candidate is not None:
-                    found.append(candidate)
+            found = [c for c in pool.map(one, effects) if c is not None]
             best = sorted(found, key=lambda c: -c.evidence)[:POLISHED]
             better = {c.names: p for c, p in zip(best, pool.map(self._polished, best), strict=True)}
         return [better.get(c.names, c) for c in found]

@@ -241,6 +241,7 @@ def fit_study(explorer: Explorer) -> tuple[Identified, Candidate]:
         PreparedStudy.of(prepared.study, misfit=left, solver=prepared.solver),
         explorer.space,
         explorer.library,
+        explorer.progress,
     )
     candidate = coarser.baseline()
     return identified(coarser.prepared, candidate.fit), candidate

@@ -1,4 +1,4 @@
-"""Settings to start from: a simulated cell, and a real one to be measured and filled in."""
+"""Settings to start from: a simulated cell, an emulated one, and a real one to be measured."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from copy import deepcopy
 from dataclasses import dataclass
 from typing import Any, Literal
 
-CellKind = Literal["simulated", "real"]
+CellKind = Literal["simulated", "emulated", "real"]
 
 _COMMON: dict[str, Any] = {
     "cable": {
@@ -36,6 +36,45 @@ STARTING: Mapping[CellKind, Mapping[str, Any]] = {
         "camera": {"kind": "sim", "view": _VIEW},
         "gripper": {"kind": "sim", "force_n": 20.0},
         "world": {},
+    },
+    "emulated": _COMMON
+    | {
+        "motion": {
+            "still_s": 0.4,
+            "decide_s": 0.7,
+        },  # frames at rest; a computer shared with emulators
+        "arm": {
+            "kind": "ur",
+            "host": "127.0.0.2",
+            "model": "UR5e",
+            "tcp": [0.0, 0.0, 0.160, 0.0, 2.221441, -2.221441],
+            "lag_s": 0.0305,
+            "plane_origin_m": [-0.490, -0.133, 0.330],
+            "plane_x_axis": [0.0, -1.0, 0.0],
+        },
+        "camera": {
+            "kind": "opencv",
+            "device": "tcp://127.0.0.2:5600",
+            "width_px": 800,
+            "height_px": 640,
+            "frame_rate_hz": 60.0,
+            "exposure_s": None,
+            "latency_s": 0.012,
+            "lost_after_s": 0.3,
+            "view": {
+                "metres_per_pixel": 0.00032,
+                "origin_column_px": 625.0,
+                "origin_row_px": 93.75,
+            },
+        },
+        "gripper": {
+            "kind": "serial",
+            "port": "/tmp/cable-cell-gripper",
+            "force_n": 20.0,
+            "reply_s": 0.15,
+        },
+        "world": {"segments": 60},
+        "emulated": {},
     },
     "real": _COMMON
     | {

@@ -5,7 +5,8 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 from rich.console import Console
@@ -105,6 +106,15 @@ class ProgressLine:
     def line(self) -> str:
         """What would be shown now."""
         return f"{self._command}: {self._stage.line(self._started_s, self._now_s())}"
+
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """While a person is asked the line is not shown."""
+        if self._status is not None:
+            self._status.stop()
+        yield
+        if self._status is not None:
+            self._status.start()
 
     def __enter__(self) -> ProgressLine:
         if self._console.is_terminal:

@@ -33,7 +33,7 @@ def run_engine(function: Any, own: tuple[type[Effect], ...], *args: Any) -> Any:
     if not own:
         return function(*args)
     if not function.signatures:  # compiling takes as long as it takes
-        function.compile(tuple(typeof(a) for a in args))
+        function.compile(tuple(typeof(a) for a in args))  # type: ignore[no-untyped-call]
     with _at_work(own, "a compiled hook"):
         return function(*args)
 
@@ -49,7 +49,7 @@ def watch_hooks(effect: type[Effect], hooks: Iterable[str]) -> None:
 def first_line(effect: type[Effect]) -> int:
     """Line of the effect's file where its first compiled hook begins."""
     hooks = (getattr(effect, name) for name in COMPILED)
-    return min(h.__code__.co_firstlineno for h in hooks if h is not None)
+    return min(int(h.__code__.co_firstlineno) for h in hooks if h is not None)
 
 
 def _watched(effect: type[Effect], hook: str, function: Callable[..., Any]) -> Callable[..., Any]:

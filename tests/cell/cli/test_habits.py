@@ -31,7 +31,7 @@ def test_shells_can_complete() -> None:
     assert done.stdout.split() == ["diagnose"]
 
 
-@pytest.mark.parametrize("real", [[], ["--real"]])
+@pytest.mark.parametrize("real", [[], ["--emulated"], ["--real"]])
 def test_init_asks_nothing_without_a_terminal_and_the_file_checks(real, tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     done = cell("init", "-o", path, *real)
