@@ -1,7 +1,6 @@
 """Where pixels lie in the cell's plane: one joint fit of lens, camera, robot, jaw and gravity.
 
-Frames: B the robot's base, T its tool as the arm reports it, M the marks on the jaw (origin at the
-gripping point, x away from the cable, y up), C the camera, P the cell's plane.
+Frames are those of `calib.jaw_marks`; P is the cell's plane.
 """
 
 from __future__ import annotations
@@ -14,9 +13,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import MisfitError, OneSidedError, TooFewError, WrongScaleError
+from calib.jaw_marks import (
+    CAMERA,
+    COUNT,
+    GRAVITY,
+    LENS,
+    MARK,
+    SCALE,
+    Gravity,
+    JawObservation,
+    MarksModel,
+    Plate,
+    centred,
+    sideways,
+)
 from calib.lens import Lens
 from calib.plane import PlaneView
-from calib.projection import pose, project, rotation
+from calib.projection import pose
 from calib.robust import PriorKnowledge, RobustFit, robust_fit
 
 FloatArray = NDArray[np.float64]
@@ -30,47 +43,6 @@ _SCALE_SPREAD, MOST_SCALE_ERROR = 0.05, 0.005
 MOST_NOISE_PX = 0.6
 #: The same of all marks of a pose together: what an arm may be wrong by, as the camera sees it.
 MOST_ARM_NOISE_PX = 1.5
-_STEP = 1e-6
-# places of the parameters
-_LENS, _CAMERA, _MARK, _SCALE, _GRAVITY = (
-    slice(0, 9),
-    slice(9, 15),
-    slice(15, 21),
-    21,
-    slice(22, 24),
-)
-_COUNT = 24
-
-
-@dataclass(frozen=True, eq=False)
-class Plate:
-    """Light discs on the jaw: (M, 2) centres in the frame M, and their radius, m."""
-
-    marks_m: FloatArray
-    radius_m: float = 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class JawObservation:
-    """The jaw's marks at rest: where the arm says the tool is, X_BT (4, 4), and (M, 2) pixels."""
-
-    name: str
-    X_BT: FloatArray
-    pixels: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
-class Gravity:
-    """What is known of gravity.
-
-    up       (3,) unit vector against gravity in the base frame, as mounted
-    spread_rad how far the base may be from that: standard deviation
-    threads    (N, 2) pixels along plumb lines, one array each
-    """
-
-    up: FloatArray
-    spread_rad: float
-    threads: tuple[FloatArray, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +104,7 @@ class CellFit:
         """Roll of the camera against gravity, rad, clockwise in the picture; and its deviation."""
 
         def angle(x: FloatArray) -> FloatArray:
-            X_CP = pose(x[_CAMERA]) @ plane_in_base(x, self.home, self.up, self.in_plane)
+            X_CP = pose(x[CAMERA]) @ plane_in_base(x, self.home, self.up, self.in_plane)
             return np.array([camera_roll(X_CP)])
 
         slopes = self._slopes(angle)
@@ -144,8 +116,8 @@ class CellFit:
     def _slopes(self, function) -> FloatArray:  # type: ignore[no-untyped-def]
         columns = []
         sizes = np.sqrt(np.diag(self.covariance))
-        for k in range(_COUNT):
-            step = np.zeros(_COUNT)
+        for k in range(COUNT):
+            step = np.zeros(COUNT)
             step[k] = 0.1 * sizes[k]
             columns.append(
                 (function(self.mean + step) - function(self.mean - step)) / (2 * step[k])
@@ -164,9 +136,9 @@ def plane_in_base(x: FloatArray, home: FloatArray, up: FloatArray, in_plane: boo
     A cable bends in the plane of the jaw's plate, to which gravity is nearly parallel.
     in_plane  its normal is the base's z axis, about which the arm turns; else that of the marks
     """
-    X_BM = home @ pose(x[_MARK])
-    a, b = x[_GRAVITY]
-    side = _sideways(up)
+    X_BM = home @ pose(x[MARK])
+    a, b = x[GRAVITY]
+    side = sideways(up)
     upright = up + a * side[0] + b * side[1]
     z = np.array([0.0, 0.0, 1.0]) if in_plane else X_BM[:3, 2]
     y = upright - (upright @ z) * z
@@ -179,8 +151,8 @@ def plane_in_base(x: FloatArray, home: FloatArray, up: FloatArray, in_plane: boo
 
 def view_of(x: FloatArray, home: FloatArray, up: FloatArray, in_plane: bool) -> PlaneView:
     """Pixel → plane for (24,) lens 9, base in camera 6, marks in tool 6, scale 1, gravity 2."""
-    X_CP = pose(x[_CAMERA]) @ plane_in_base(x, home, up, in_plane)
-    return PlaneView.from_pose(Lens.of(x[_LENS]), X_CP)
+    X_CP = pose(x[CAMERA]) @ plane_in_base(x, home, up, in_plane)
+    return PlaneView.from_pose(Lens.of(x[LENS]), X_CP)
 
 
 def fit_cell(
@@ -216,30 +188,30 @@ def fit_cell(
         plain = MarksModel(shown, marks_m, gravity, 1.0)(fit.mean)[0].reshape(len(shown), -1, 2)
         within, common = _scatter(plain, fit.used)
         start = fit.mean
-        shown = [_centred(one, start, flat, radius_m) for one in seen]
+        shown = [centred(one, start, flat, radius_m) for one in seen]
         together = float(min(1.0, within / np.sqrt(len(marks_m)) / max(common, 1e-9)))
     x = fit.mean
     _check_fit(fit, common, shown)
-    spread = float(np.sqrt(fit.covariance[_SCALE, _SCALE]))
+    spread = float(np.sqrt(fit.covariance[SCALE, SCALE]))
     return CellFit(
         x,
         fit.covariance,
         view_of(x, home, gravity.up, in_plane),
         plane_in_base(x, home, gravity.up, in_plane),
-        pose(x[_MARK]),
-        pose(x[_CAMERA]),
+        pose(x[MARK]),
+        pose(x[CAMERA]),
         within,
         float(np.sqrt(max(0.0, common**2 - within**2 / len(marks_m)))),
         _held_out(
             x,
-            [_centred(o, x, flat, radius_m) for o in held_out],
+            [centred(o, x, flat, radius_m) for o in held_out],
             marks_m,
             home,
             gravity.up,
             in_plane,
         ),
         plain,
-        (1.0 + float(x[_SCALE]), spread),
+        (1.0 + float(x[SCALE]), spread),
         home,
         gravity.up,
         in_plane,
@@ -249,103 +221,17 @@ def fit_cell(
 # --- the fit ----------------------------------------------------------------------------------
 
 
-class MarksModel:
-    """Residuals of all marks, what a pose's marks have in common weighted by `together`."""
-
-    def __init__(
-        self,
-        shown: Sequence[JawObservation],
-        marks_m: FloatArray,
-        gravity: Gravity,
-        together: float,
-    ) -> None:
-        self._hands = np.array([s.X_BT for s in shown])
-        self._seen = np.concatenate([s.pixels for s in shown])
-        self._marks = np.column_stack([marks_m, np.zeros(len(marks_m))])
-        self._gravity = gravity
-        self._together = together
-
-    def __call__(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(S M, 2) residuals, px, and (S M, 2, 24) derivatives."""
-        R_CB, by_camera = rotation(x[9:12])
-        R_TM, by_mark = rotation(x[15:18])
-        R_BT, t_BT = self._hands[:, :3, :3], self._hands[:, :3, 3]
-        sized = (1.0 + x[_SCALE]) * self._marks
-        in_tool = sized @ R_TM.T + x[18:21]
-        in_base = np.einsum("sij,mj->smi", R_BT, in_tool) + t_BT[:, None]
-        flat = in_base.reshape(-1, 3)
-        pixels, by_point, by_lens = project(x[_LENS], flat @ R_CB.T + x[12:15])
-        slopes = np.zeros((len(flat), 2, _COUNT))
-        slopes[:, :, _LENS] = by_lens
-        slopes[:, :, 9:12] = by_point @ np.einsum("ijk,nj->nik", by_camera, flat)
-        slopes[:, :, 12:15] = by_point
-        to_camera = np.einsum("ij,sjk->sik", R_CB, R_BT)
-        from_tool = by_point.reshape(len(self._hands), -1, 2, 3) @ to_camera[:, None]
-        turned = np.einsum("ijk,mj->mik", by_mark, sized)
-        slopes[:, :, 15:18] = (from_tool @ turned).reshape(-1, 2, 3)
-        slopes[:, :, 18:21] = from_tool.reshape(-1, 2, 3)
-        grown = self._marks @ R_TM.T
-        slopes[:, :, _SCALE] = np.einsum("smij,mj->smi", from_tool, grown).reshape(-1, 2)
-        return self._weighted(pixels - self._seen), self._weighted(slopes)
-
-    def _weighted(self, values: FloatArray) -> FloatArray:
-        by_pose = values.reshape(len(self._hands), -1, *values.shape[1:])
-        common = by_pose.mean(axis=1, keepdims=True)
-        return np.asarray((by_pose - (1.0 - self._together) * common).reshape(values.shape))
-
-    def threads(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(K,) by how many deviations plumb lines miss being vertical, and (K, 24) slopes."""
-
-        def off(x: FloatArray) -> FloatArray:
-            lens = Lens.of(x[_LENS])
-            side = _sideways(self._gravity.up)
-            upright = self._gravity.up + x[_GRAVITY] @ side
-            up_camera = pose(x[_CAMERA])[:3, :3] @ (upright / np.linalg.norm(upright))
-            return np.array([_thread_off(t, lens, up_camera) for t in self._gravity.threads])
-
-        base = off(x)
-        slopes = np.empty((len(base), _COUNT))
-        for k in range(_COUNT):
-            step = np.zeros(_COUNT)
-            step[k] = _STEP * max(1.0, abs(x[k]))
-            slopes[:, k] = (off(x + step) - off(x - step)) / (2.0 * step[k])
-        return base, slopes
-
-
-def _thread_off(pixels: FloatArray, lens: Lens, up_camera: FloatArray) -> float:
-    """By how many standard deviations the plane of a thread and the camera misses up_camera."""
-    ideal = lens.ideal(pixels)
-    rays = (ideal - [lens.cx_px, lens.cy_px]) / [lens.fx_px, lens.fy_px]
-    middle = rays.mean(axis=0)
-    _, sizes, axes = np.linalg.svd(rays - middle, full_matrices=False)
-    along = axes[0] * np.sign(axes[0] @ np.array([0.0, 1.0]))
-    normal = np.cross([*middle, 1.0], [*along, 0.0])
-    normal /= np.linalg.norm(normal)
-    scatter = sizes[1] / np.sqrt(max(1, len(pixels) - 2))
-    scatter = max(scatter, 0.02 / lens.fx_px)
-    angle_spread = scatter / sizes[0]
-    return float(normal @ up_camera / angle_spread)
-
-
-def _sideways(up: FloatArray) -> FloatArray:
-    """(2, 3) unit vectors at right angles to `up` and to each other."""
-    other = np.eye(3)[int(np.argmin(np.abs(up)))]
-    a = np.cross(up, other)
-    a /= np.linalg.norm(a)
-    return np.stack([a, np.cross(up, a)])
-
-
 def _known(
     lens: Lens, lens_covariance: FloatArray, gravity: Gravity
 ) -> tuple[FloatArray, FloatArray]:
     """(24,) expected parameters and (24, 24) information about them beforehand."""
-    expected = np.zeros(_COUNT)
-    expected[_LENS] = lens.numbers
-    information = np.zeros((_COUNT, _COUNT))
-    information[_LENS, _LENS] = np.linalg.inv(lens_covariance)
-    information[_MARK, _MARK] = np.diag(1.0 / _MARK_SPREAD**2)
-    information[_SCALE, _SCALE] = 1.0 / _SCALE_SPREAD**2
-    information[_GRAVITY, _GRAVITY] = np.eye(2) / gravity.spread_rad**2
+    expected = np.zeros(COUNT)
+    expected[LENS] = lens.numbers
+    information = np.zeros((COUNT, COUNT))
+    information[LENS, LENS] = np.linalg.inv(lens_covariance)
+    information[MARK, MARK] = np.diag(1.0 / _MARK_SPREAD**2)
+    information[SCALE, SCALE] = 1.0 / _SCALE_SPREAD**2
+    information[GRAVITY, GRAVITY] = np.eye(2) / gravity.spread_rad**2
     return expected, information
 
 
@@ -361,32 +247,10 @@ def _first_guess(shown: Sequence[JawObservation], marks_m: FloatArray, lens: Len
             "no place of the camera explains what it sees",
             "check the marks on the jaw, and that camera and robot stood still",
         )
-    start = np.zeros(_COUNT)
-    start[_LENS] = lens.numbers
-    start[_CAMERA] = np.concatenate([turn.ravel(), shift.ravel()])
+    start = np.zeros(COUNT)
+    start[LENS] = lens.numbers
+    start[CAMERA] = np.concatenate([turn.ravel(), shift.ravel()])
     return start
-
-
-def _centred(
-    one: JawObservation, x: FloatArray, marks: FloatArray, radius_m: float
-) -> JawObservation:
-    """Pixels of the discs' centres, from those of the centroids of their pictures.
-
-    Perspective and distortion put the two a little apart.
-    """
-    angles = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
-    rim = radius_m * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(32)])
-    X_CM = pose(x[_CAMERA]) @ one.X_BT @ pose(x[_MARK])
-    pixels = one.pixels.copy()
-    for k, mark in enumerate((1.0 + x[_SCALE]) * marks):
-        points = np.vstack([mark, mark + rim]) @ X_CM[:3, :3].T + X_CM[:3, 3]
-        centre, *edge = project(x[_LENS], points)[0]
-        a = np.array(edge) - centre
-        b = np.roll(a, -1, axis=0)
-        cross = a[:, 0] * b[:, 1] - b[:, 0] * a[:, 1]
-        if abs(cross.sum()) > 0.0:
-            pixels[k] -= np.sum((a + b) * cross[:, None], axis=0) / (3.0 * cross.sum())
-    return JawObservation(one.name, one.X_BT, pixels)
 
 
 def _scatter(by_pose: FloatArray, used: NDArray[np.bool_]) -> tuple[float, float]:
@@ -415,14 +279,14 @@ def _held_out(
     """(H, 2) m by which marks at other poses are beside where the map has them."""
     if not shown:
         return np.empty((0, 2))
-    X_CP = pose(x[_CAMERA]) @ plane_in_base(x, home, up, in_plane)
+    X_CP = pose(x[CAMERA]) @ plane_in_base(x, home, up, in_plane)
     X_PB = np.linalg.inv(plane_in_base(x, home, up, in_plane))
-    lens = Lens.of(x[_LENS])
-    flat = (1.0 + x[_SCALE]) * np.column_stack([marks_m, np.zeros(len(marks_m))])
+    lens = Lens.of(x[LENS])
+    flat = (1.0 + x[SCALE]) * np.column_stack([marks_m, np.zeros(len(marks_m))])
     in_mark = np.column_stack([flat, np.ones(len(flat))])
     offs = []
     for one in shown:
-        in_plane_m = (in_mark @ (X_PB @ one.X_BT @ pose(x[_MARK])).T)[:, :3]
+        in_plane_m = (in_mark @ (X_PB @ one.X_BT @ pose(x[MARK])).T)[:, :3]
         # the line of sight of each pixel, at the depth at which the mark is
         lifted = X_CP.copy()
         rays = (lens.ideal(one.pixels) - [lens.cx_px, lens.cy_px]) / [lens.fx_px, lens.fy_px]
@@ -455,9 +319,9 @@ def _check_fit(fit: RobustFit, common: float, shown: Sequence[JawObservation]) -
             "check that camera and plate are tight, the plate flat, its marks as described, and "
             "that the hand rested in every picture",
         )
-    if abs(x[_SCALE]) > MOST_SCALE_ERROR:
+    if abs(x[SCALE]) > MOST_SCALE_ERROR:
         raise WrongScaleError(
-            f"the marks on the jaw are {1e2 * x[_SCALE]:+.2f} % larger than stated, measured by "
+            f"the marks on the jaw are {1e2 * x[SCALE]:+.2f} % larger than stated, measured by "
             "the robot's own way",
             "measure their distances and correct them, or check the arm's model",
         )

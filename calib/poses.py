@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.cell import CellFit, Gravity, JawObservation, MarksModel
+from calib.cell import CellFit
+from calib.jaw_marks import Gravity, JawObservation, MarksModel
 
 FloatArray = NDArray[np.float64]
 

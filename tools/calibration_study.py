@@ -20,8 +20,9 @@ import numpy as np
 
 from calib.board import Board, BoardView
 from calib.camera import picture_grid
-from calib.cell import CellFit, Gravity, JawObservation, Plate, camera_roll, fit_cell
+from calib.cell import CellFit, camera_roll, fit_cell
 from calib.errors import CalibrationError
+from calib.jaw_marks import Gravity, JawObservation, Plate
 from calib.lens import Lens
 from calib.plane import PlaneView
 from calib.plate import find_plate

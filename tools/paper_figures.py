@@ -8,8 +8,6 @@ Bendable Cables for Their Insertion".  Drawings without data (1, 4) are left out
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 
 import matplotlib as mpl
@@ -17,113 +15,32 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
-from numpy.typing import NDArray
+from paper_world import (
+    CABLE,
+    MODEL,
+    NODES_M,
+    NOISE_M,
+    STILL_S,
+    TIP_M,
+    WORLD,
+    best_uniform,
+    guided,
+    hold,
+    identified,
+    individuals,
+    insertion,
+    measure,
+    same_shape,
+    trio,
+)
 
-from cell.cable.dynamics import Solver, simulate
-from cell.cable.geometry import Cable, Motion, node_arc_lengths
+from cell.cable.dynamics import simulate
+from cell.cable.geometry import node_arc_lengths
 from cell.cable.model import CableModel
-from cell.identify.identified import Identified
-from cell.identify.individual import identify
-from cell.plan.choose import Choice, choose, forecast
 from cell.plan.destination import Destination
-from cell.plan.paths import MotionLimits, executed_motion, identification_path, insertion_path
-from cell.study.data import Markers, Trial
-from drivers.interfaces import Pose
 
-FloatArray = NDArray[np.float64]
-
-CABLE = Cable(free_length_m=0.1, line_density_kg_per_m=0.0074, width_m=0.016, thickness_m=0.0001)
-WORLD, MODEL = Solver(segments=60, step_s=5e-4), Solver()
-LIMITS = MotionLimits()
-INSERTION = MotionLimits(0.25, 1.5, 25.0)
-NODES_M = node_arc_lengths(0.1)
-TIP_M = NODES_M[:1]
-NOISE_M = 1e-4
-LOWER_M, ADVANCE_M, STILL_S, LAG_S = 0.05, 0.05, 0.2, 0.03
-OFFSETS_M = np.arange(21) * 2e-3
 SEEN, PREDICTED, SIMPLER, HAND = "#1f4e9c", "#d1495b", "#2e8b57", "#555555"
 THREE = ("#1f4e9c", "#d1495b", "#2e8b57")
-
-
-# --- the world ----------------------------------------------------------------------------------
-
-
-@cache
-def individuals() -> tuple[CableModel, ...]:
-    """Eight cables of one datasheet: stiffness, its course along the cable, N and C differ."""
-    rng = np.random.default_rng(8)
-    cables = []
-    for level in np.geomspace(2.4e-5, 3.3e-5, 8):
-        s = np.linspace(0.0, 1.0, 13)
-        waves = sum(
-            rng.normal() / k * np.cos(np.pi * k * s + rng.uniform(0.0, 2.0 * np.pi))
-            for k in (1, 2, 3)
-        )
-        exponent = float(rng.uniform(0.93, 1.07))
-        viscosity = float(level * rng.uniform(3e-3, 6e-3))
-        cables.append(CableModel(CABLE, level * np.exp(0.15 * waves), exponent, viscosity))
-    return tuple(cables)
-
-
-@cache
-def trio() -> tuple[int, int, int]:
-    """The most, a middling and the least drooping of the eight."""
-    tips = [
-        simulate(m, hold(), np.zeros(1), TIP_M, solver=WORLD)[0, 0, 0, 1] for m in individuals()
-    ]
-    order = [int(i) for i in np.argsort(tips)]
-    return order[0], order[3], order[-1]
-
-
-def still_then(path_motion: Motion) -> Motion:
-    """A motion with `STILL_S` of rest before it, from time 0."""
-    t = np.arange(0.0, STILL_S + path_motion.t_s[-1], 0.002)
-    poses = (path_motion.x_m, path_motion.y_m, path_motion.angle_rad)
-    return Motion(t, *(np.interp(t - STILL_S, path_motion.t_s, v) for v in poses))
-
-
-@cache
-def hold() -> Motion:
-    """50 mm down, then held for a second."""
-    path = identification_path(Pose(0.0, 0.0), LOWER_M, LIMITS, 500.0)
-    return still_then(executed_motion(path, LAG_S))
-
-
-@cache
-def insertion(offset_m: float) -> Motion:
-    """Down by the offset, 50 mm left, from rest at the lower place."""
-    path = insertion_path(Pose(0.0, -LOWER_M), offset_m, ADVANCE_M, INSERTION, 500.0)
-    return executed_motion(path, LAG_S, settle_s=0.3)
-
-
-@dataclass(frozen=True)
-class Measured:
-    """Markers of one motion in the world, as measured."""
-
-    t_s: FloatArray
-    xy_m: FloatArray
-
-
-def measure(model: CableModel, motion: Motion, seed: int, arc_length_m: FloatArray) -> Measured:
-    """What a camera at 200 frames/s sees of it, with noise."""
-    t_s = np.arange(0.001, motion.t_s[-1], 0.005)
-    clean = simulate(model, motion, t_s, arc_length_m, solver=WORLD)[0]
-    noise = np.random.default_rng(seed).normal(0.0, NOISE_M, clean.shape)
-    return Measured(t_s, clean + noise)
-
-
-@cache
-def identified(index: int) -> tuple[Identified, Measured]:
-    """A cable's model from its hold, and what was seen of that."""
-    seen = measure(individuals()[index], hold(), index, NODES_M)
-    rng = np.random.default_rng([index, 1])
-    xy = [v + rng.normal(0.0, 1e-5, len(v)) for v in (hold().x_m, hold().y_m)]
-    log = Motion(hold().t_s, *xy, hold().angle_rad)
-    trial = Trial("identify", "fit", "equilibrium", log, Markers(seen.t_s, seen.xy_m))
-    return identify(trial, NODES_M, CABLE), seen
-
-
-# --- the figures --------------------------------------------------------------------------------
 
 
 def figure_2() -> Figure:
@@ -195,7 +112,7 @@ def figure_6() -> Figure:
     index = int(np.argmax([abs(m.exponent - 1.0) for m in individuals()]))
     found, seen = identified(index)
     k = found.space.knots
-    linear = _same_shape(found.model, 1.0)
+    linear = same_shape(found.model, 1.0)
     figure = Figure(figsize=(9.0, 5.2), layout="constrained")
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
     top.plot(seen.t_s, seen.xy_m[:, 0, 1] * 1e3, color=SEEN, lw=2.5, alpha=0.5, label="tip, seen")
@@ -225,7 +142,7 @@ def figure_7() -> Figure:
     figure = Figure(figsize=(9.0, 3.6), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
     for exponent in (0.8, 1.0, 1.2):
-        tip = simulate(_same_shape(base, exponent), hold(), t_s, TIP_M, solver=MODEL)[0, :, 0]
+        tip = simulate(same_shape(base, exponent), hold(), t_s, TIP_M, solver=MODEL)[0, :, 0]
         left.plot(t_s, tip[:, 1] * 1e3, label=f"N = {exponent}")
     for factor in (0.3, 1.0, 3.0):
         viscosity = base.viscosity_n_m2_s * factor
@@ -268,18 +185,6 @@ def figure_8_to_12(offset_m: float) -> Figure:
               ylabel="[mm]", ylim=(0.0, None))  # fmt: skip
     right.legend()
     return figure
-
-
-@cache
-def guided() -> tuple[Destination, dict[int, Choice]]:
-    """One destination for three cables, and what is chosen for each."""
-    hole = Destination(x_min_m=-0.132, x_max_m=-0.128, y_min_m=-0.108, y_max_m=-0.102)
-    motions = [insertion(float(offset)) for offset in OFFSETS_M]
-    choices = {}
-    for index in trio():
-        found, _ = identified(index)
-        choices[index] = choose(forecast(found, OFFSETS_M, motions), found, hole)
-    return hole, choices
 
 
 def figure_13() -> Figure:
@@ -348,25 +253,6 @@ def figure_15() -> Figure:
 
 
 # --- what they share ----------------------------------------------------------------------------
-
-
-def best_uniform(nodes_m: FloatArray) -> CableModel:
-    """The uniform linear cable whose still shape is nearest."""
-    models = [CableModel(CABLE, np.array([r])) for r in np.geomspace(1e-5, 8e-5, 200)]
-    shapes = simulate(models, hold(), np.zeros(1), NODES_M, solver=MODEL)[:, 0]
-    return models[int(np.argmin(np.sum((shapes - nodes_m) ** 2, axis=(1, 2))))]
-
-
-def _same_shape(base: CableModel, exponent: float) -> CableModel:
-    """Another exponent with EI changed so that the still shape stays: EI κ^(N−1) is kept."""
-    s = np.linspace(0.0, 0.1, 21)
-    still = simulate(base, hold(), np.zeros(1), node_arc_lengths(0.1, 201), solver=WORLD)[0, 0]
-    heading = np.unwrap(np.arctan2(*np.diff(still[::-1], axis=0).T[::-1]))
-    middle = np.linspace(0.0, 0.1, 200)[1:]
-    curvature = np.interp(s, middle, np.abs(np.diff(heading)) / np.diff(middle)[0])
-    size = np.sqrt(curvature**2 + 0.1**2) / 10.0
-    rigidity = base.rigidity_at(s) * size ** (base.exponent - exponent)
-    return CableModel(CABLE, rigidity, exponent, base.viscosity_n_m2_s)
 
 
 def mark(axes: Axes, hole: Destination) -> None:

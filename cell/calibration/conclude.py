@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from calib.board import Board, BoardView, find_board
 from calib.camera import CameraFit, fit_camera, picture_grid
-from calib.cell import CellFit, Gravity, MarksModel, Plate, fit_cell
+from calib.cell import CellFit, fit_cell
 from calib.errors import CalibrationError, TooFewError
+from calib.jaw_marks import Gravity, MarksModel, Plate
 from calib.lens import Lens
 from calib.store import StoredCalibration
 from calib.thread import find_thread

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from calib.board import Board, BoardView, find_board
 from calib.camera import picture_grid
-from calib.cell import CellFit, JawObservation
+from calib.cell import CellFit
 from calib.errors import CalibrationError
+from calib.jaw_marks import JawObservation
 from calib.plane import PlaneView
 from calib.plate import find_plate
 from calib.poses import choose_poses, in_picture

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from calib.camera import fit_camera
-from calib.cell import Gravity, JawObservation, Plate, fit_cell
+from calib.cell import fit_cell
 from calib.errors import MisfitError, OneSidedError, TooFewError, WrongScaleError
+from calib.jaw_marks import Gravity, JawObservation, Plate
 from calib.plane import PlaneView
 from calib.projection import pose
 from drivers.sim.render import JAW_MARKS_M

@@ -3,7 +3,6 @@ import pytest
 
 from cell.cable.geometry import Motion
 from cell.identify.hand import HandErrors, likely_motions
-from cell.study.still import moves_from_s
 
 T_S = np.arange(0.0, 1.5, 0.002)
 
@@ -31,11 +30,3 @@ def test_likely_motions_differ_by_what_the_log_does_not_tell(log: Motion) -> Non
     assert spread == pytest.approx(error, rel=0.6)
     assert np.std([m.angle_rad[0] for m in others]) == pytest.approx(1e-3, rel=0.5)
     assert likely_motions(log, HandErrors(samples=0)) == []
-
-
-def test_when_the_hand_first_moves(log: Motion) -> None:
-    assert 0.2 < moves_from_s(log) < 0.26
-    still = Motion(T_S, log.x_m, np.zeros_like(T_S), log.angle_rad)
-    assert moves_from_s(still) == float("inf")
-    turned = Motion(T_S, log.x_m, np.zeros_like(T_S), np.where(T_S < 0.7, 0.0, 0.01))
-    assert moves_from_s(turned) == pytest.approx(0.7)

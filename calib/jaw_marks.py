@@ -1,0 +1,169 @@
+"""The jaw's marks in pictures, as one joint model of lens, camera, robot, jaw and gravity.
+
+Frames: B the robot's base, T its tool as the arm reports it, M the marks on the jaw (origin at the
+gripping point, x away from the cable, y up), C the camera.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.lens import Lens
+from calib.projection import pose, project, rotation
+
+FloatArray = NDArray[np.float64]
+
+#: Step of finite differences, relative for parameters above 1.
+_STEP = 1e-6
+#: Places of the 24 parameters: lens, base in camera, marks in tool, scale of the marks, gravity.
+LENS, CAMERA, MARK, SCALE, GRAVITY = (
+    slice(0, 9),
+    slice(9, 15),
+    slice(15, 21),
+    21,
+    slice(22, 24),
+)
+COUNT = 24
+
+
+@dataclass(frozen=True, eq=False)
+class Plate:
+    """Light discs on the jaw: (M, 2) centres in the frame M, and their radius, m."""
+
+    marks_m: FloatArray
+    radius_m: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class JawObservation:
+    """The jaw's marks at rest: where the arm says the tool is, X_BT (4, 4), and (M, 2) pixels."""
+
+    name: str
+    X_BT: FloatArray
+    pixels: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Gravity:
+    """What is known of gravity.
+
+    up       (3,) unit vector against gravity in the base frame, as mounted
+    spread_rad how far the base may be from that: standard deviation
+    threads    (N, 2) pixels along plumb lines, one array each
+    """
+
+    up: FloatArray
+    spread_rad: float
+    threads: tuple[FloatArray, ...] = ()
+
+
+class MarksModel:
+    """Residuals of all marks, what a pose's marks have in common weighted by `together`."""
+
+    def __init__(
+        self,
+        shown: Sequence[JawObservation],
+        marks_m: FloatArray,
+        gravity: Gravity,
+        together: float,
+    ) -> None:
+        self._hands = np.array([s.X_BT for s in shown])
+        self._seen = np.concatenate([s.pixels for s in shown])
+        self._marks = np.column_stack([marks_m, np.zeros(len(marks_m))])
+        self._gravity = gravity
+        self._together = together
+
+    def __call__(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(S M, 2) residuals, px, and (S M, 2, 24) derivatives."""
+        R_CB, by_camera = rotation(x[9:12])
+        R_TM, by_mark = rotation(x[15:18])
+        R_BT, t_BT = self._hands[:, :3, :3], self._hands[:, :3, 3]
+        sized = (1.0 + x[SCALE]) * self._marks
+        in_tool = sized @ R_TM.T + x[18:21]
+        in_base = np.einsum("sij,mj->smi", R_BT, in_tool) + t_BT[:, None]
+        flat = in_base.reshape(-1, 3)
+        pixels, by_point, by_lens = project(x[LENS], flat @ R_CB.T + x[12:15])
+        slopes = np.zeros((len(flat), 2, COUNT))
+        slopes[:, :, LENS] = by_lens
+        slopes[:, :, 9:12] = by_point @ np.einsum("ijk,nj->nik", by_camera, flat)
+        slopes[:, :, 12:15] = by_point
+        to_camera = np.einsum("ij,sjk->sik", R_CB, R_BT)
+        from_tool = by_point.reshape(len(self._hands), -1, 2, 3) @ to_camera[:, None]
+        turned = np.einsum("ijk,mj->mik", by_mark, sized)
+        slopes[:, :, 15:18] = (from_tool @ turned).reshape(-1, 2, 3)
+        slopes[:, :, 18:21] = from_tool.reshape(-1, 2, 3)
+        grown = self._marks @ R_TM.T
+        slopes[:, :, SCALE] = np.einsum("smij,mj->smi", from_tool, grown).reshape(-1, 2)
+        return self._weighted(pixels - self._seen), self._weighted(slopes)
+
+    def _weighted(self, values: FloatArray) -> FloatArray:
+        by_pose = values.reshape(len(self._hands), -1, *values.shape[1:])
+        common = by_pose.mean(axis=1, keepdims=True)
+        return np.asarray((by_pose - (1.0 - self._together) * common).reshape(values.shape))
+
+    def threads(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(K,) by how many deviations plumb lines miss being vertical, and (K, 24) slopes."""
+
+        def off(x: FloatArray) -> FloatArray:
+            lens = Lens.of(x[LENS])
+            side = sideways(self._gravity.up)
+            upright = self._gravity.up + x[GRAVITY] @ side
+            up_camera = pose(x[CAMERA])[:3, :3] @ (upright / np.linalg.norm(upright))
+            return np.array([_thread_off(t, lens, up_camera) for t in self._gravity.threads])
+
+        base = off(x)
+        slopes = np.empty((len(base), COUNT))
+        for k in range(COUNT):
+            step = np.zeros(COUNT)
+            step[k] = _STEP * max(1.0, abs(x[k]))
+            slopes[:, k] = (off(x + step) - off(x - step)) / (2.0 * step[k])
+        return base, slopes
+
+
+def _thread_off(pixels: FloatArray, lens: Lens, up_camera: FloatArray) -> float:
+    """By how many standard deviations the plane of a thread and the camera misses up_camera."""
+    ideal = lens.ideal(pixels)
+    rays = (ideal - [lens.cx_px, lens.cy_px]) / [lens.fx_px, lens.fy_px]
+    middle = rays.mean(axis=0)
+    _, sizes, axes = np.linalg.svd(rays - middle, full_matrices=False)
+    along = axes[0] * np.sign(axes[0] @ np.array([0.0, 1.0]))
+    normal = np.cross([*middle, 1.0], [*along, 0.0])
+    normal /= np.linalg.norm(normal)
+    scatter = sizes[1] / np.sqrt(max(1, len(pixels) - 2))
+    scatter = max(scatter, 0.02 / lens.fx_px)
+    angle_spread = scatter / sizes[0]
+    return float(normal @ up_camera / angle_spread)
+
+
+def sideways(up: FloatArray) -> FloatArray:
+    """(2, 3) unit vectors at right angles to `up` and to each other."""
+    other = np.eye(3)[int(np.argmin(np.abs(up)))]
+    a = np.cross(up, other)
+    a /= np.linalg.norm(a)
+    return np.stack([a, np.cross(up, a)])
+
+
+def centred(
+    one: JawObservation, x: FloatArray, marks: FloatArray, radius_m: float
+) -> JawObservation:
+    """Pixels of the discs' centres, from those of the centroids of their pictures.
+
+    Perspective and distortion put the two a little apart.
+    """
+    angles = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
+    rim = radius_m * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(32)])
+    X_CM = pose(x[CAMERA]) @ one.X_BT @ pose(x[MARK])
+    pixels = one.pixels.copy()
+    for k, mark in enumerate((1.0 + x[SCALE]) * marks):
+        points = np.vstack([mark, mark + rim]) @ X_CM[:3, :3].T + X_CM[:3, 3]
+        centre, *edge = project(x[LENS], points)[0]
+        a = np.array(edge) - centre
+        b = np.roll(a, -1, axis=0)
+        cross = a[:, 0] * b[:, 1] - b[:, 0] * a[:, 1]
+        if abs(cross.sum()) > 0.0:
+            pixels[k] -= np.sum((a + b) * cross[:, None], axis=0) / (3.0 * cross.sum())
+    return JawObservation(one.name, one.X_BT, pixels)

@@ -1,0 +1,33 @@
+"""Roots and χ² against the dense covariance; steps against the bounds."""
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from cell.identify.differences import difference_points, one_sided_steps
+from cell.identify.gaussian import covariance_root, marginal_chi2
+
+
+def test_the_root_of_a_singular_covariance_gives_it_back():
+    rng = np.random.default_rng(0)
+    spread = rng.normal(size=(5, 3))
+    covariance = spread @ spread.T
+    root = covariance_root(covariance)
+    assert root @ root.T == pytest.approx(covariance, abs=1e-12)
+    assert np.all(np.diff(np.linalg.norm(root, axis=0)) >= -1e-12), "in order of rising size"
+
+
+def test_the_likelihood_is_that_of_the_dense_covariance():
+    rng = np.random.default_rng(1)
+    residual, spread = rng.normal(size=20), 2.0 * rng.normal(size=(20, 4))
+    chi2, log_det = marginal_chi2(residual, spread)
+    dense = multivariate_normal(np.zeros(20), np.eye(20) + spread @ spread.T)
+    expected = dense.logpdf(residual) + 10.0 * np.log(2.0 * np.pi)
+    assert -0.5 * (chi2 + log_det) == pytest.approx(expected, rel=1e-12)
+
+
+def test_a_step_that_would_leave_the_bounds_is_taken_backwards():
+    q, step = np.array([0.0, 0.95, 1.0]), np.full(3, 0.1)
+    steps = one_sided_steps(q, step, np.ones(3))
+    np.testing.assert_array_equal(steps, [0.1, -0.1, -0.1])
+    np.testing.assert_allclose(difference_points(q, steps)[1:] - q, np.diag(steps), atol=1e-15)

@@ -1,0 +1,33 @@
+"""When the hand first moves, by its log."""
+
+import numpy as np
+import pytest
+
+from cell.cable.geometry import Motion
+from cell.study.still import ROUGHLY_STILL, moves_from_s
+
+T_S = np.arange(0.0, 1.5, 0.002)
+
+
+def test_the_first_move_is_found_in_a_noisy_log() -> None:
+    rng = np.random.default_rng(0)
+    x_m, noise_m = 1e-5 * rng.normal(size=(2, len(T_S)))
+    u = np.clip((T_S - 0.2) / 0.3, 0.0, 1.0)
+    down_m = -0.05 * (10.0 * u**3 - 15.0 * u**4 + 6.0 * u**5)
+    level = np.zeros_like(T_S)
+    assert 0.2 < moves_from_s(Motion(T_S, x_m, down_m + noise_m, level)) < 0.26
+    assert moves_from_s(Motion(T_S, x_m, noise_m, level)) == float("inf")
+    turned = Motion(T_S, x_m, noise_m, np.where(T_S < 0.7, 0.0, 0.01))
+    assert moves_from_s(turned) == pytest.approx(0.7)
+
+
+def test_a_rough_log_may_wander_more() -> None:
+    wandering_m = 5e-4 * np.sin(20.0 * T_S)
+    motion = Motion(T_S, wandering_m, 0.0 * T_S, 0.0 * T_S)
+    assert moves_from_s(motion) < 0.05
+    assert moves_from_s(motion, ROUGHLY_STILL) == float("inf")
+
+
+def test_a_log_of_other_numbers_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"motion\.x_m is no array of 64-bit floats"):
+        Motion(T_S, np.zeros(len(T_S), dtype=int), 0.0 * T_S, 0.0 * T_S)
