@@ -22,8 +22,11 @@ from drivers.interfaces import (
     DeviceLostError,
     Frame,
 )
+from drivers.priority import raise_thread
 from drivers.recording import SLOW_REMEDY, ArrivedShot, CaptureOptions, Recording, Shot
 
+#: Before all that computes, behind the arm: a picture that is not taken in time is lost.
+_PRIORITY = 8
 _LEAST_PERIODS = 3.0  # of silence before a camera is lost
 _WAKING_S = 0.002
 _LOST_REMEDY = "check the camera's cable and power, then connect again"
@@ -152,6 +155,7 @@ class _Stream:
     # --- the thread ---------------------------------------------------------------------------
 
     def _run(self) -> None:
+        raise_thread(_PRIORITY)
         try:
             source = self._open_source()
         except DeviceError as error:

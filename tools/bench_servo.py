@@ -14,10 +14,10 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from stalls import StallProbe, Stalls
 
 from calib.plane import PlaneView
 from cell.build import real_devices
+from cell.computer.stalls import StallProbe, Stalls
 from cell.run.warm_up import warm_up_vision
 from cell.settings import load_settings
 from cell.settings.translate import vision_of

@@ -1,4 +1,4 @@
-"""Commands about settings, which move nothing: init, check, schema."""
+"""Commands about settings, which move nothing: init, check, doctor, schema."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from cell.cli.shared import Config, group, refuse
+from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, Config, group, refuse
 
 app = group()
 
@@ -75,6 +75,56 @@ def init(
         print(f"{out}: written, but to be mended first", file=sys.stderr)
         refuse(error)
     print(f"{out}: written; next: cell check --config {out}")
+
+
+@app.command()
+def doctor(
+    config: Annotated[
+        Path | None,
+        typer.Option("--config", "-c", help="Settings of the cell; none = as shipped."),
+    ] = None,
+    seconds: Annotated[
+        float, typer.Option(min=1.0, max=3600.0, help="How long stalls are measured.")
+    ] = 5.0,
+    as_json: Annotated[bool, typer.Option("--json", help="As JSON instead of a table.")] = False,
+) -> None:
+    """Tell whether this computer carries the cell: cores, scheduler, clock, stalls, pictures/s.
+
+    Nothing is connected and nothing moves. Run it while the computer does what it always does.
+
+    Ends with 0 if every condition is met, 1 if not, 2 if the settings are wrong.
+    """
+    from dataclasses import asdict
+
+    from rich.console import Console
+
+    from cell.files.input_error import InputError
+    from cell.run.computer_check import CameraLoad, check_computer
+    from cell.settings import Settings, load_settings
+    from cell.settings.model import FilesCamera
+    from cell.settings.starting import answered
+    from cell.settings.translate import vision_of
+    from cell.terminal.console import conditions_table
+    from cell.terminal.fitting import show
+
+    try:
+        settings = (
+            Settings.model_validate(answered("simulated", {}))
+            if config is None
+            else load_settings(config)
+        )
+    except InputError as error:
+        refuse(error)
+    camera = settings.camera
+    size = (1280, 1024) if isinstance(camera, FilesCamera) else (camera.width_px, camera.height_px)
+    load = CameraLoad(*size, camera.frame_rate_hz, vision_of(settings))
+    found = check_computer(load, seconds, lambda step: print(f"measuring {step}", file=sys.stderr))
+    if as_json:
+        print(json.dumps([asdict(c) for c in found], indent=2, ensure_ascii=False))
+    else:
+        failing = [f"{c.name}: {c.remedy}" for c in found if not c.met]
+        show(Console(), conditions_table(found), "\n".join(failing) or "every condition is met")
+    raise typer.Exit(ALL_DONE if all(c.met for c in found) else NOT_ALL_DONE)
 
 
 @app.command()

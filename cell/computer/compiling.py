@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numba
 from numba import njit
 
 #: Fused multiply-add is allowed, reordering is not: results do not depend on the vector width.
@@ -39,7 +40,11 @@ def compiler(fingerprint: Callable[[], str]) -> Callable[[F], F]:
             dispatcher: Any = njit(cache=True, **options)(function)
         except RuntimeError:  # numba found no folder that it may write to
             return njit(**options)(function)  # type: ignore[no-any-return]
-        dispatcher._cache._cache_file._source_stamp = fingerprint()
+        index = dispatcher._cache._cache_file
+        index._source_stamp = fingerprint()
+        # numba compares the stamp after it has read the rest, which may name types that are gone;
+        # the version comes first
+        index._version = f"{numba.__version__} {index._source_stamp}"
         return dispatcher  # type: ignore[no-any-return]
 
     return compiled

@@ -14,6 +14,7 @@ from rich.table import Table
 
 from cell.identify.identified import Identified
 from cell.records.result import Check, Outcome, Result
+from cell.run.computer_check import Condition
 from cell.run.machine import Event
 from cell.terminal.progress import Stage, Ticker
 
@@ -162,6 +163,14 @@ def checks_table(result: Result) -> Table:
         wanted = _wanted(check)
         verdict = "[green]right[/]" if check.right else "[red]wrong[/]"
         table.add_row(check.what, _shown(check), wanted, verdict if wanted else "")
+    return table
+
+
+def conditions_table(conditions: Sequence[Condition]) -> Table:
+    """What a cell needs of its computer, beside what is there."""
+    table = Table("condition", "here", "needed", "", box=SIMPLE_HEAD)
+    for c in conditions:
+        table.add_row(c.name, c.found, c.needed, "[green]met[/]" if c.met else "[red]not met[/]")
     return table
 
 

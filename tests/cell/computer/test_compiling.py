@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import calib.lens
@@ -30,3 +32,35 @@ def test_code_is_stamped_with_all_sources_of_its_package() -> None:
         for decorate in (compiled, compiler(lambda: "another"))
     ]
     assert stamps == [hash_of(package), "another"]
+
+
+_PROGRAM = """
+from typing import NamedTuple
+from cell.computer.compiling import compiler
+
+class {kind}(NamedTuple):
+    x: float
+
+@compiler(lambda: "{stamp}")
+def twice(point):
+    return 2.0 * point.x
+
+print(twice({kind}(21.0)))
+"""
+
+
+def test_compiled_code_of_an_older_program_is_no_mistake(tmp_path: Path) -> None:
+    """A type that it was compiled for has another name by now."""
+    program = tmp_path / "program.py"
+    said = []
+    for kind, stamp in (("Spot", "old"), ("Place", "new")):
+        program.write_text(_PROGRAM.format(kind=kind, stamp=stamp))
+        command = [
+            sys.executable,
+            "-c",
+            f"import sys; sys.path.insert(0, {str(tmp_path)!r}); import program",
+        ]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        said.append(done.stdout.strip() or done.stderr)
+    assert said == ["42.0", "42.0"]
+    assert list(tmp_path.glob("__pycache__/*.nbi"))

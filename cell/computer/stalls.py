@@ -1,4 +1,4 @@
-"""How long this computer itself keeps a program waiting: the measure beside every time measured.
+"""How long this computer keeps a program waiting: the measure beside every time measured.
 
 A process of its own sleeps a millisecond again and again, and now and then spins for two: what it
 oversleeps is the scheduler's doing, a gap while it spins that of whoever takes the core away.
@@ -12,6 +12,7 @@ from multiprocessing import get_context
 from multiprocessing.connection import Connection
 
 import numpy as np
+from numpy.typing import NDArray
 
 _SLEEP_S = 0.001
 _SPIN_S = 0.002
@@ -22,8 +23,8 @@ _SLEEPS_PER_SPIN = 20  # so that spinning takes a twelfth of a core
 class Stalls:
     """Overslept times, and longest gaps while spinning, s."""
 
-    slept_s: np.ndarray
-    spun_s: np.ndarray
+    slept_s: NDArray[np.float64]
+    spun_s: NDArray[np.float64]
 
     @property
     def longest_s(self) -> float:
@@ -31,7 +32,7 @@ class Stalls:
         return max((float(s.max()) for s in (self.slept_s, self.spun_s) if len(s)), default=0.0)
 
     def __str__(self) -> str:
-        def told(values: np.ndarray) -> str:
+        def told(values: NDArray[np.float64]) -> str:
             if not len(values):
                 return "not measured"
             ms = 1e3 * np.quantile(values, [0.5, 0.99, 1.0])
