@@ -101,7 +101,7 @@ def doctor(
     from cell.files.input_error import InputError
     from cell.run.computer_check import CameraLoad, check_computer
     from cell.settings import Settings, load_settings
-    from cell.settings.model import FilesCamera
+    from cell.settings.devices import FilesCamera
     from cell.settings.starting import answered
     from cell.settings.translate import vision_of
     from cell.terminal.console import conditions_table
