@@ -4,14 +4,13 @@ A trial injects a fault when a step begins (in steps that move: when the arm mov
 the cell stops and names device, step and remedy; the record is closed and says the same; the jaws
 hold what they held; and after the person's repair and acknowledgement the next cycle inserts.
 Then processes of the cell are killed at random moments, and the emulated arm must stand 200 ms
-later.  The table goes to `docs/fault_trials.md`.
+later.  A summary goes to `docs/fault_trials.md`, every trial to the CSV beside it.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import os
 import random
 import tempfile
 import threading
@@ -23,6 +22,7 @@ from typing import Any
 import numpy as np
 from fault_kills import STILL_S, Kill, kill_somebody
 from fault_kinds import KINDS, Kind, Victim
+from fault_table import Row, csv_text, kills_table, load_average, page, percentile, summary
 from short_cycles import short_cycles
 
 from cell.build import cell_with, real_devices
@@ -231,74 +231,22 @@ def judge(bench: FaultRig, trial: Trial, result: Result) -> None:
 # --- all of it ------------------------------------------------------------------------------------
 
 
-def percentile_ms(values_s: list[float], q: float) -> float:
-    return 1e3 * float(np.percentile(values_s, q)) if values_s else float("nan")
-
-
-def summary(trials: list[Trial], kills: list[Kill]) -> list[str]:
-    reactions = [t.reaction_s for t in trials if t.reaction_s is not None]
-    done = [t for t in trials if t.attempts]
-    good = sum(not t.wrong for t in done)
-    again = sum(t.attempts > 1 for t in done)
-    lines = [f"{good} of {len(done)} trials passed, {again} of them not at the first attempt."]
-    if reactions:
-        p99 = percentile_ms(reactions, 99.0)
-        lines.append(
-            f"From fault to stop: median {percentile_ms(reactions, 50.0):.0f} ms, "
-            f"p99 {p99:.0f} ms, largest {1e3 * max(reactions):.0f} ms (bar: p99 ≤ 100 ms)."
+def rows(trials: list[Trial]) -> list[Row]:
+    """What came of the trials that were made."""
+    return [
+        Row(
+            t.kind.device,
+            t.kind.fault,
+            t.step,
+            t.noticed,
+            float("nan") if t.reaction_s is None else 1e3 * t.reaction_s,
+            1e3 * t.moved_on_s,
+            t.attempts,
+            "; ".join(t.wrong),
         )
-    if kills:
-        worst = max(k.moved_on_s for k in kills)
-        moving = sum(k.speed_m_per_s > 0.02 for k in kills)
-        lines.append(
-            f"{len(kills)} kills, {moving} of them of a moving arm: it moved on for at most "
-            f"{1e3 * worst:.0f} ms (bar: 200 ms)."
-        )
-    lines.append(f"Load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores.")
-    return lines
-
-
-def table(trials: list[Trial], kills: list[Kill]) -> str:
-    out = [
-        "# Fault trials",
-        "",
-        "Written by `make fault-trials`: the real drivers against the emulators, a fault in every "
-        "step. In",
-        "steps that move, the fault comes while the arm moves; otherwise when the step begins. "
-        "*Stop* is",
-        "the time from the fault (or, if nobody needed the device then, from the step that did) "
-        "until the",
-        "arm was told to stop; *still* until the emulated arm stood. A trial passes if device, "
-        "step and",
-        "remedy are named, the record says the same, the jaws hold what they held, and after "
-        "repair and",
-        "acknowledgement the next cycle inserts.",
-        "",
-        *summary(trials, kills),
-        "",
-        "| device | fault | in step | noticed in | stop, ms | still, ms | attempts | passed |",
-        "|---|---|---|---|---:|---:|---:|---|",
+        for t in trials
+        if t.attempts
     ]
-    for t in [t for t in trials if t.attempts]:
-        stop = "" if t.reaction_s is None else f"{1e3 * t.reaction_s:.0f}"
-        passed = "yes" if not t.wrong else "**no**: " + "; ".join(t.wrong)
-        out.append(
-            f"| {t.kind.device} | {t.kind.fault} | {t.step} | {t.noticed} | {stop} "
-            f"| {1e3 * t.moved_on_s:.0f} | {t.attempts} | {passed} |"
-        )
-    if kills:
-        out += ["", "## Processes killed", ""]
-        out += ["| killed | times | of a moving arm | moved on, ms, median | largest |"]
-        out += ["|---|---:|---:|---:|---:|"]
-        for victim in dict.fromkeys(k.victim for k in kills):
-            some = [k for k in kills if k.victim == victim]
-            moved = [k.moved_on_s for k in some]
-            moving = sum(k.speed_m_per_s > 0.02 for k in some)
-            out.append(
-                f"| {victim} | {len(some)} | {moving} | {percentile_ms(moved, 50.0):.0f} "
-                f"| {1e3 * max(moved):.0f} |"
-            )
-    return "\n".join(out) + "\n"
 
 
 def main() -> int:
@@ -353,12 +301,14 @@ def main() -> int:
                 victim = ("cell", "child", "both")[number % 3]
                 kills.append(kill_somebody(emulated, config, folder / "runs", victim, rng))
                 print(kills[-1], flush=True)
-    for line in summary(chosen, kills):
-        print(line)
+    made = rows(chosen)
+    said = [*summary(made, kills), load_average()]
+    print("\n".join(said))
     if arguments.output is not None:
-        arguments.output.write_text(table(chosen, kills), encoding="utf-8")
-    reactions = [t.reaction_s for t in chosen if t.reaction_s is not None]
-    slow = bool(reactions) and percentile_ms(reactions, 99.0) > arguments.bar_ms
+        text = page(made, said, kills_table(kills))
+        arguments.output.write_text(text, encoding="utf-8")
+        arguments.output.with_suffix(".csv").write_text(csv_text(made), encoding="utf-8")
+    slow = percentile([r.stop_ms for r in made], 99.0) > arguments.bar_ms
     moved = any(k.moved_on_s > STILL_S for k in kills)
     return int(any(t.wrong for t in chosen) or slow or moved)
 

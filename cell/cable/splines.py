@@ -60,8 +60,7 @@ def fit(t_s: FloatArray, value: FloatArray) -> Spline:
     one with the least expected error of the curve (Mallows' C_p), so a jerk is followed as closely
     as the noise allows; cross-validation, which does not know the noise, now and then follows all
     of it.
-    The penalty is then raised where the curve bends little, so that a hand at rest is still: one
-    penalty for all leaves 20 µm of a 10 µm log's noise at the tip of a cable, this 5 µm.
+    The penalty is then raised where the curve bends little, so that a hand at rest is still.
     Source: Green & Silverman, Nonparametric Regression and Generalized Linear Models, 1994, ch. 2
     (Reinsch's algorithm); Pintore et al., Biometrika 93 (2006) 113, for local penalties.
     """
@@ -91,7 +90,7 @@ def refit(spline: Spline, values: FloatArray) -> list[Spline]:
     """Splines through or near other values (signals, T) of a like curve at the same times.
 
     Noise and penalty are searched anew, but near those of `spline`, and where the curve bends is
-    known from it: a tenth of the work of `fit`.
+    known from it, which is far less work than `fit`.
     """
     t = spline.t_s
     splines = []

@@ -13,9 +13,8 @@ _M_ARENA_MAX = -8  # of glibc's mallopt
 def use_one_arena() -> None:
     """Have threads to come allocate from the heap there is, where the C library is glibc.
 
-    It gives every thread an arena of its own, of which fragments stay when the thread has ended;
-    with those of vision and computation an emulated cell grew by 0.3 to 0.5 MiB in every cycle,
-    and by 0.01 without.
+    It gives every thread an arena of its own, of which fragments stay when the thread has ended,
+    so that a cell grows from cycle to cycle.
     """
     _of_libc("mallopt")(_M_ARENA_MAX, 1)
 
@@ -23,8 +22,8 @@ def use_one_arena() -> None:
 def freeze_loaded_objects() -> None:
     """Take what is loaded by now out of the collector's sight: it is never freed anyway.
 
-    Otherwise each full collection looks at all of it: 150 to 300 ms, in which no other thread of
-    Python runs, and no picture of a camera is taken.
+    Otherwise each full collection looks at all of it; no other thread of Python runs meanwhile, and
+    no picture of a camera is taken.
     """
     gc.collect()
     gc.freeze()

@@ -25,8 +25,7 @@ FloatArray = NDArray[np.float64]
 #: Variance inflation from which a fit is repeated with frames that weigh as much less.
 _MATTERS = 1.3
 #: Where everything is predicted the last step is taken linearly if it is shorter than so many
-#: standard deviations: one of 25 moves a tip by 0.11 mm and is wrong by 0.5 µm.  That the log of
-#: the hand went on otherwise than predicted does more, up to 10 µm.
+#: standard deviations.
 _ONE_STEP = gauss_newton.Options(tolerance=30.0, most_passes=1)
 #: What is tried when a fit does not converge, one after the other; then the nearest is taken.
 _CONTINUED, _RESTARTED = "continued", "restarted"

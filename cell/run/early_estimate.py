@@ -27,13 +27,12 @@ from cell.vision.sighting import Sighting
 
 Value = TypeVar("Value")
 
-#: Shares of the hold after which the computer takes the frames so far: at first to find out which
-#: cable this is, from scratch; then, starting there, for nearly the last word, and to simulate
-#: the frames to come and all offsets.  Between them, and after them, a computer of two cores that
-#: does nothing else needs a quarter of the time that there is.
+#: Shares of the hold after which the cable is identified from the frames so far: at first from
+#: scratch; then, starting there, nearly finally, with a simulation of the frames to come and of all
+#: offsets.  The time after each is several times what it needs.
 SHARES = (0.2, 0.6)
 
-#: Who has not computed it by then does not compute any more, s.
+#: A computation that takes longer has failed, s.
 LONGEST_S = 5.0
 
 
