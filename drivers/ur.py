@@ -8,18 +8,10 @@ controller's own watchdog stops the arm.
 from __future__ import annotations
 
 import contextlib
-import os
-import pickle
-import signal
 import subprocess
-import sys
-import tempfile
 import threading
 import time
 from dataclasses import dataclass
-from multiprocessing import Pipe
-from multiprocessing.connection import Connection
-from typing import BinaryIO
 
 import numpy as np
 
@@ -38,9 +30,10 @@ from drivers.interfaces import (
 from drivers.plane_mount import PlaneMount
 from drivers.ur_child import MODES, ChildOptions
 from drivers.ur_kinematics import MODELS, matrix_of
+from drivers.ur_process import ChildProcess, start_child
 from drivers.ur_reach import check_reach
 from drivers.ur_robot import RobotOptions
-from drivers.ur_shared import COLUMNS, SIZE_BYTES, Column, SharedState, Slot
+from drivers.ur_shared import COLUMNS, Column, Slot
 
 _LOST_REMEDY = ArmMode.LOST.remedy
 _RESET_S = 10.0
@@ -89,36 +82,13 @@ class UrOptions:
             raise ValueError(f"arm.tcp has {len(self.tcp)} numbers, 6 are needed")
 
 
-@dataclass
-class _Child:
-    """A running child process and the two ways to it."""
-
-    process: subprocess.Popen[bytes]
-    connection: Connection
-    shared: SharedState
-    errors: BinaryIO
-
-    def last_words(self) -> str:
-        """Last line that ur-rtde printed."""
-        self.errors.seek(0)
-        lines = self.errors.read().decode(errors="replace").strip().splitlines()
-        return lines[-1].strip() if lines else "no message"
-
-    def end(self) -> None:
-        """Kill what is left of it and give everything back."""
-        self.process.kill()
-        self.process.wait()
-        self.connection.close()
-        self.errors.close()
-
-
 class UrArm:
     """A UR arm.  `stop`, `state` and `log` may be called from any thread."""
 
     def __init__(self, options: UrOptions, name: str = "arm") -> None:
         self.name = name
         self._options = options
-        self._child: _Child | None = None
+        self._child: ChildProcess | None = None
         self._lock = threading.RLock()
         self._stop_reason: str | None = None
         self._paths = 0
@@ -234,7 +204,7 @@ class UrArm:
 
     # --- the child ----------------------------------------------------------------------------
 
-    def _start_child(self) -> _Child:
+    def _start_child(self) -> ChildProcess:
         o = self._options
         robot = RobotOptions(
             host=o.host,
@@ -251,25 +221,9 @@ class UrArm:
             stop_m_per_s2=o.stop_m_per_s2,
             stale_s=o.stale_s,
         )
-        ours, theirs = Pipe()
-        with tempfile.TemporaryFile() as memory:
-            memory.truncate(SIZE_BYTES)
-            shared = SharedState(memory.fileno())
-            errors = tempfile.TemporaryFile()  # noqa: SIM115  # closed with the child
-            numbers = [theirs.fileno(), memory.fileno()]
-            process = subprocess.Popen(
-                [sys.executable, "-m", "drivers.ur_child", *map(str, numbers)],
-                pass_fds=numbers,
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=errors,
-                env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
-            )
-        theirs.close()
-        ours.send_bytes(pickle.dumps(options))
-        return _Child(process, ours, shared, errors)
+        return start_child(options)
 
-    def _await_done(self, child: _Child, seconds: float) -> None:
+    def _await_done(self, child: ChildProcess, seconds: float) -> None:
         try:
             if not child.connection.poll(seconds):
                 raise ConnectError(
@@ -285,14 +239,14 @@ class UrArm:
                 self.name, f"{self._options.host}: {answer[1]}", answer[2] or _LOST_REMEDY
             )
 
-    def _await_first_sample(self, child: _Child) -> None:
+    def _await_first_sample(self, child: ChildProcess) -> None:
         until_s = time.monotonic() + 1.0
         while child.shared.get(Slot.SAMPLES) < 1.0 or child.shared.get(Slot.HEARTBEAT_S) == 0.0:
             if time.monotonic() > until_s or child.process.poll() is not None:
                 raise ConnectError(self.name, "the controller sends no poses", _LOST_REMEDY)
             time.sleep(0.002)
 
-    def _alive(self) -> _Child:
+    def _alive(self) -> ChildProcess:
         """The child, if it and the robot are well.  Raises DeviceLostError."""
         child = self._child
         if child is None:
@@ -300,34 +254,24 @@ class UrArm:
             raise DeviceLostError(self.name, self._lost, remedy)
         silent_s = time.monotonic() - child.shared.get(Slot.HEARTBEAT_S)
         if child.process.poll() is not None:
-            self._lose(child, self._farewell(child))
+            self._lose(child, child.farewell())
         if silent_s > self._options.silent_s:
             self._lose(child, f"the arm's process has been silent for {silent_s:.3f} s")
         return child
 
-    def _farewell(self, child: _Child) -> str:
-        with contextlib.suppress(EOFError, OSError):
-            while child.connection.poll(0):
-                answer = child.connection.recv()
-                if answer[0] == "lost":
-                    return str(answer[1])
-        if child.process.returncode == -signal.SIGXCPU:  # see priority.bound_spinning
-            return "ur-rtde waited for an answer of the controller for too long"
-        return f"the arm's process ended ({child.process.returncode}): {child.last_words()}"
-
-    def _lose(self, child: _Child, cause: str) -> None:
+    def _lose(self, child: ChildProcess, cause: str) -> None:
         self._log = child.shared.samples()
         self._child, self._lost = None, cause
         child.end()
         raise DeviceLostError(self.name, cause, _LOST_REMEDY)
 
-    def _send(self, child: _Child, request: tuple[object, ...]) -> None:
+    def _send(self, child: ChildProcess, request: tuple[object, ...]) -> None:
         try:
             child.connection.send(request)
         except OSError:
-            self._lose(child, self._farewell(child))
+            self._lose(child, child.farewell())
 
-    def _receive(self, child: _Child, seconds: float) -> tuple[str, ...]:
+    def _receive(self, child: ChildProcess, seconds: float) -> tuple[str, ...]:
         try:
             if child.connection.poll(seconds):
                 answer: tuple[str, ...] = child.connection.recv()
@@ -335,18 +279,18 @@ class UrArm:
                     return answer
                 self._lose(child, answer[1])
         except (EOFError, OSError):
-            self._lose(child, self._farewell(child))
+            self._lose(child, child.farewell())
         self._lose(child, f"no answer within {seconds:.1f} s")
         raise AssertionError("_lose raises")
 
     # --- judgement ----------------------------------------------------------------------------
 
-    def _mode(self, child: _Child) -> ArmMode:
+    def _mode(self, child: ChildProcess) -> ArmMode:
         mode = MODES[int(child.shared.get(Slot.MODE))]
         stopped = self._stop_reason is not None or child.shared.get(Slot.SLOWED) != 0.0
         return ArmMode.STOPPED if mode is ArmMode.READY and stopped else mode
 
-    def _cause(self, child: _Child, mode: ArmMode) -> str:
+    def _cause(self, child: ChildProcess, mode: ArmMode) -> str:
         match mode:
             case ArmMode.REDUCED_SPEED:
                 return f"{mode.value}: {child.shared.get(Slot.SPEED):.0%} of the full speed"
@@ -356,11 +300,11 @@ class UrArm:
                 return self._stop_reason or "program ended"
         return mode.value
 
-    def _busy(self, child: _Child) -> bool:
+    def _busy(self, child: ChildProcess) -> bool:
         shared = child.shared
         return shared.get(Slot.PATHS) != self._paths or shared.get(Slot.STREAMING) != 0.0
 
-    def _check_model(self, child: _Child) -> None:
+    def _check_model(self, child: ChildProcess) -> None:
         (sample,) = child.shared.samples(1)
         model = MODELS[self._options.model]
         X_BT = model.forward(sample[Column.Q1_RAD :], matrix_of(np.array(self._options.tcp)))

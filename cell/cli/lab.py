@@ -322,16 +322,12 @@ def refusing(*outputs: Path | None, force: bool = False) -> Iterator[None]:
     outputs  files to be written at the end of a long computation: tried at its beginning
     force    whether they may take the place of what no command wrote
     """
-    from cell.cable.effects import EffectError
-    from cell.files.input_error import InputError
-    from cell.lab.noise import NoiseUnknownError
-
     try:
         for output in outputs:
             if output is not None and output != STDOUT:
                 check_output(output, force=force)
         yield
-    except (InputError, EffectError, NoiseUnknownError, FileNotFoundError, ValueError) as error:
+    except (FileNotFoundError, ValueError) as error:  # InputError, EffectError … among them
         print(error, file=sys.stderr)
         raise typer.Exit(BAD_INPUT) from error
 

@@ -153,7 +153,7 @@ def identify(
         tables = write_result(identified.to_dict(), out, as_json)
     if not tables:
         return
-    print_parts(Console(), parameters_table(identified))
+    print_parts(Console(), parameters_table(identified.to_dict()))
     stated = ""
     if study.noise_std_m is not None:
         stated = f" (of the measurement as the study states it: {study.noise_std_m * 1e3:.3f} mm)"

@@ -81,7 +81,7 @@ def run(
     """
     from cell.build import build_cell
     from cell.files.input_error import InputError
-    from cell.plan.motion_file import load_motion
+    from cell.lab.motion_file import load_motion
     from cell.records.folder import RecordError
     from cell.run.plans import INSERTING, measuring
     from cell.settings import load_settings

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from cell.cable.dynamics import DivergedError, Solver, simulate
 from cell.cable.model import CableModel
 from cell.cable.statics import UnsettledError
+from cell.cable.still import moves_from_s
 from cell.identify import gauss_newton
 from cell.identify.hand import HandErrors, likely_motions
 from cell.identify.identified import Identified
@@ -18,7 +19,6 @@ from cell.identify.noise import Noise, Whitener, across, estimate_noise, still_f
 from cell.identify.parameters import ParameterSpace
 from cell.identify.predicted_frames import PredictedFrames
 from cell.study.data import Markers, Trial
-from cell.study.still import moves_from_s
 
 FloatArray = NDArray[np.float64]
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cell.cable.effects.base import Effect
 from cell.cable.geometry import GRAVITY_M_PER_S2, Cable, Motion
+from cell.cable.still import moves_from_s
 from cell.identify.fit import FitError, FitOptions, fit, still_noise
 from cell.identify.hand import HandErrors, align_motion
 from cell.identify.identified import Identified
@@ -19,7 +20,6 @@ from cell.identify.model_class import ModelClass
 from cell.identify.paper import fit_as_paper
 from cell.identify.predicted_frames import PredictedFrames, simulate_frames
 from cell.study.data import Markers, Trial
-from cell.study.still import moves_from_s
 
 FloatArray = NDArray[np.float64]
 

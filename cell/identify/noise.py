@@ -10,7 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from cell.cable.geometry import Motion
-from cell.study.still import moves_from_s
+from cell.cable.still import moves_from_s
 
 FloatArray = NDArray[np.float64]
 

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from cell.cable.dynamics import Solver, simulate
 from cell.cable.geometry import Motion
+from cell.cable.still import STILL
 from cell.identify.differences import difference_points
 from cell.identify.hand import HandErrors, likely_motions
 from cell.identify.parameters import ParameterSpace
 from cell.study.data import Trial
-from cell.study.still import STILL
 
 FloatArray = NDArray[np.float64]
 

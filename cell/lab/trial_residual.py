@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from scipy import signal, stats
 
 from cell.cable.geometry import Motion
+from cell.cable.still import moves_from_s
 from cell.identify.noise import Noise, still_frames
 from cell.study.data import Trial
-from cell.study.still import moves_from_s
 
 FloatArray = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cell.cable.clamp import pose_of
 from cell.cable.geometry import Motion
-from cell.study.still import moves_from_s
+from cell.cable.still import moves_from_s
 from drivers.interfaces import Pose, Trajectory
 from drivers.servo import servo_response
 

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable.geometry import Cable, Motion
+from cell.cable.still import ROUGHLY_STILL, moves_from_s
 from cell.study.data import Trial
-from cell.study.still import ROUGHLY_STILL, moves_from_s
 
 FloatArray = NDArray[np.float64]
 Gravity = tuple[float, float]

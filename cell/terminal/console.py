@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from statistics import median
-from typing import Literal
+from typing import Any, Literal
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
+from rich.text import Text
 
-from cell.identify.identified import Identified
 from cell.records.result import Check, Outcome, Result
 from cell.run.computer_check import Condition
 from cell.run.machine import Event
@@ -219,16 +219,14 @@ def troubles(results: Sequence[Result]) -> list[str]:
     return lines
 
 
-def parameters_table(identified: Identified) -> Table:
-    """This cable's parameters with their 95 % intervals."""
+def parameters_table(model: Mapping[str, Any]) -> Table:
+    """A cable's parameters with their 95 % intervals; `model` as `Identified.to_dict` gives it."""
     table = Table(title="parameters", box=SIMPLE_HEAD)
     for heading in ("parameter", "value", "95 % from", "to", "unit"):
         table.add_column(heading, justify="left" if heading in ("parameter", "unit") else "right")
-    low, high = identified.interval()
-    for name, value, a, b, unit in zip(
-        identified.space.names, identified.values, low, high, identified.space.units, strict=True
-    ):
-        table.add_row(name, f"{value:.4g}", f"{a:.4g}", f"{b:.4g}", unit)
+    for p in model["parameters"]:
+        numbers = (f"{p[key]:.4g}" for key in ("value", "low", "high"))
+        table.add_row(Text(p["name"]), *numbers, Text(p["unit"]))
     return table
 
 

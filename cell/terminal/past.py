@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from rich.box import SIMPLE_HEAD
 from rich.console import RenderableType
@@ -13,7 +12,13 @@ from rich.text import Text
 
 from cell.records.folder import Recorded
 from cell.records.past_cycles import PastCycle
-from cell.terminal.console import checks_table, results_table, seconds_table, troubles
+from cell.terminal.console import (
+    checks_table,
+    parameters_table,
+    results_table,
+    seconds_table,
+    troubles,
+)
 
 #: Outcomes of which the step is worth saying.
 _IN_STEP = ("failed", "running or killed")
@@ -48,19 +53,8 @@ def record_parts(record: Recorded, pictures: Sequence[Path]) -> list[RenderableT
         table = checks_table(result) if result.checks else results_table([result])
         parts = [table, *troubles([result])]
         if record.model is not None:
-            parts.append(_model_table(record.model))
+            parts.append(parameters_table(record.model))
         parts.append(seconds_table([result], list(result.seconds)))
     study = "study" if record.study is not None else ""
     there = [name for name in (study, *(p.name for p in pictures)) if name]
     return [*parts, *(f"{record.folder / name}" for name in there)]
-
-
-def _model_table(model: Mapping[str, Any]) -> Table:
-    """The parameters of a recorded model with their 95 % intervals."""
-    table = Table(title="parameters", box=SIMPLE_HEAD)
-    for heading in ("parameter", "value", "95 % from", "to", "unit"):
-        table.add_column(heading, justify="left" if heading in ("parameter", "unit") else "right")
-    for p in model["parameters"]:
-        numbers = (f"{p[key]:.4g}" for key in ("value", "low", "high"))
-        table.add_row(Text(p["name"]), *numbers, Text(p["unit"]))
-    return table

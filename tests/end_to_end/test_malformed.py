@@ -26,7 +26,7 @@ from cell.cable.model import CableModel
 from cell.cli import app
 from cell.files.input_error import InputError
 from cell.identify.individual import identify
-from cell.plan.motion_file import load_motion
+from cell.lab.motion_file import load_motion
 from cell.settings import load_settings
 from cell.study.data import Markers, Study, Trial
 from cell.study.folder import write_study

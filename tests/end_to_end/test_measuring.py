@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 
 from cell.cable.dynamics import simulate
 from cell.cli import app
+from cell.lab.motion_file import load_motion
 from cell.plan.measuring import Measuring
-from cell.plan.motion_file import load_motion
 from cell.records.folder import read_record
 from cell.records.result import Outcome
 from cell.run.machine import CellState, Event

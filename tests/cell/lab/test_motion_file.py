@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from cell.files.input_error import InputError
-from cell.plan.motion_file import load_motion
+from cell.lab.motion_file import load_motion
 from cell.settings import Settings, load_settings
 from cell.settings.model import HandPose
 from drivers.interfaces import Pose
