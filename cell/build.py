@@ -40,6 +40,7 @@ from drivers.guard import (
 from drivers.interfaces import Camera
 from drivers.opencv_camera import OpenCvCamera, OpenCvOptions
 from drivers.plane_mount import PlaneMount
+from drivers.priority import take_precedence
 from drivers.recording import CaptureOptions
 from drivers.serial_gripper import SerialGripper, SerialGripperOptions
 from drivers.ur import UrArm, UrOptions
@@ -67,6 +68,7 @@ def build_cell(
     if isinstance(settings.arm, given.SimulatedArm):
         devices = twin_devices(build_twins(settings, seed, cycles, known))
     else:
+        take_precedence()
         devices = real_devices(settings, known)
     return cell_with(settings, devices, runs, on_step, known)
 

@@ -1,6 +1,10 @@
 """How long the robot waits for the computer, over many cycles at the speed of reality.
 
-    python tools/bench_wait.py [--cycles 30] [--seed 1]
+    python tools/bench_wait.py [--cycles 30] [--seed 1] [--burn 1]
+
+Beside every wait stands the longest stall of this computer in that cycle, as another process
+measured it, and the CPU time of the cell: a share of two cores while the hold is filmed, and what
+is left to compute after its last frame.  `--burn` keeps so many cores busy all the time.
 
 A real camera does not need the computer to draw its pictures.  So each cycle is run twice: here
 without pause, which gives the pictures, and then at the speed of reality with these, by a process
@@ -13,6 +17,7 @@ import argparse
 import os
 import tempfile
 import time
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from multiprocessing import get_context
@@ -23,9 +28,12 @@ from typing import Any
 import numpy as np
 
 from cell.build import cell_with, twin_devices
+from cell.computer.stalls import StallProbe
+from cell.run.plans import EXECUTE, HOLD, IDENTIFY
 from cell.settings import Settings, load_settings
 from cell.simulated.twins import build_twins
 from drivers.interfaces import Camera, Frame
+from drivers.priority import take_precedence
 from drivers.sim.clock import SimClock
 
 #: No hand shall hold a cable longer for want of a decision.
@@ -42,13 +50,19 @@ class Wait:
               cell reports it, and the time by which that frame was read later than it could have
               been, which a simulated clock does not see
     behind_s  this time alone
+    hold_cpu  CPU time of the cell's processes during the hold, share of two cores
+    after_cpu_s  the same after the last frame, until the offset was chosen
     load      runnable processes of the machine, mean of the last minute
+    stall_s   longest stall of this computer during the cycle
     """
 
     outcome: str
     wait_s: float
     behind_s: float
+    hold_cpu: float
+    after_cpu_s: float
     load: float
+    stall_s: float = 0.0
 
 
 class Recorder:
@@ -110,22 +124,61 @@ class Player:
 
 def measured(settings: Settings, seed: int, cycles: int, to_parent: Connection) -> None:
     """Run the cycles whose pictures come through the pipe, and send back what they took."""
+    take_precedence()  # as a cell does whose devices are real
     twins = build_twins(settings, seed, cycles)
     player = Player(twins.world.clock, twins.camera.frame_rate_hz)
     devices = replace(twin_devices(twins), camera=player)
     with tempfile.TemporaryDirectory() as runs:
-        cell = cell_with(settings, devices, Path(runs), lambda number, step: None)
+        began: dict[str, tuple[float, float]] = {}
+
+        def on_step(number: int, step: str) -> None:
+            began[step] = time.perf_counter(), cpu_s()
+
+        cell = cell_with(settings, devices, Path(runs), on_step)
         for number in range(1, cycles + 1):
             player.recordings, player.late_s = to_parent.recv(), []
+            began.clear()
             result = cell.run_cycle(number)
             hold = player.late_s[0]
             behind_s = hold[-1] - min(hold)
             waited_s = np.nan if result.wait_s is None else result.wait_s + behind_s
-            to_parent.send(Wait(result.outcome.value, waited_s, behind_s, os.getloadavg()[0]))
+            hold, left = spent(began, HOLD.name, IDENTIFY.name), spent(began, IDENTIFY.name, None)
+            share = hold[1] / (2.0 * hold[0])
+            load = os.getloadavg()[0]
+            to_parent.send(Wait(result.outcome.value, waited_s, behind_s, share, left[1], load))
         cell.close()
 
 
-def waits(cycles: int, seed: int) -> list[Wait]:
+def cpu_s() -> float:
+    """CPU time of this process and its children so far, s."""
+    me = os.getpid()
+    pids = [me, *(int(p) for p in Path(f"/proc/{me}/task/{me}/children").read_text().split())]
+    total_ns = 0
+    for pid in pids:
+        with suppress(OSError):  # it has ended
+            for task in Path(f"/proc/{pid}/task").iterdir():
+                total_ns += int((task / "schedstat").read_text().split()[0])
+    return 1e-9 * total_ns
+
+
+def spent(
+    began: dict[str, tuple[float, float]], step: str, until: str | None
+) -> tuple[float, float]:
+    """Time and CPU time, s, from when a step began until another did; None = the one executed."""
+    after = EXECUTE.name if until is None else until
+    if step not in began or after not in began:
+        return np.nan, np.nan
+    (t0, cpu0), (t1, cpu1) = began[step], began[after]
+    return t1 - t0, cpu1 - cpu0
+
+
+def burn() -> None:
+    """Keep a core busy."""
+    while True:
+        pass
+
+
+def waits(cycles: int, seed: int, burners: int) -> list[Wait]:
     """Every cycle's wait, told as it comes."""
     settings = load_settings(CONFIG)
     real = settings.world.model_copy(update={"real_time_factor": 1.0})
@@ -138,19 +191,25 @@ def waits(cycles: int, seed: int) -> list[Wait]:
     twins = build_twins(settings, seed, cycles)
     recorder = Recorder(twins.camera, twins.world.clock)
     found = []
-    with tempfile.TemporaryDirectory() as runs:
+    for _ in range(burners):
+        context.Process(target=burn, daemon=True).start()
+    with tempfile.TemporaryDirectory() as runs, StallProbe() as probe:
         devices = replace(twin_devices(twins), camera=recorder)
         cell = cell_with(settings, devices, Path(runs), lambda number, step: None)
         for number in range(1, cycles + 1):
             recorder.recordings = []
             cell.run_cycle(number)
+            probe.take()
             here.send(recorder.recordings)
             recorder.recordings = []
-            found.append(here.recv())
+            found.append(replace(here.recv(), stall_s=probe.take().longest_s))
             w = found[-1]
             print(
                 f"  cycle {number:3d}: {w.outcome}, {w.wait_s * 1e3:6.1f} ms, of these vision "
-                f"behind by {w.behind_s * 1e3:5.1f} ms; load {w.load:.1f}",
+                f"behind by {w.behind_s * 1e3:5.1f} ms; "
+                f"computer's stall {w.stall_s * 1e3:5.1f} ms; "
+                f"CPU {w.hold_cpu:.0%} of two cores, {w.after_cpu_s * 1e3:.1f} ms at the end; "
+                f"load {w.load:.1f}",
                 flush=True,
             )
         cell.close()
@@ -161,11 +220,16 @@ def waits(cycles: int, seed: int) -> list[Wait]:
 def summary(found: list[Wait]) -> str:
     """Quantiles and a histogram."""
     ms = 1e3 * np.array([w.wait_s for w in found])
+    own = ms - 1e3 * np.array([w.stall_s for w in found])
     middle, most, worst = np.nanquantile(ms, [0.5, 0.95, 1.0])
     lines = [
         f"  {len(ms)} cycles, load {np.mean([w.load for w in found]):.1f}: median {middle:.1f} ms, "
         f"95 % within {most:.1f} ms, worst {worst:.1f} ms, first {ms[0]:.1f} ms; "
-        f"{np.mean(ms <= MOST_WAITED_MS):.0%} within {MOST_WAITED_MS:g} ms"
+        f"{np.mean(ms <= MOST_WAITED_MS):.0%} within {MOST_WAITED_MS:g} ms",
+        f"  beyond the computer's own stall: median {np.nanmedian(own):.1f} ms, 95 % within "
+        f"{np.nanquantile(own, 0.95):.1f} ms",
+        f"  CPU: {np.nanmedian([w.hold_cpu for w in found]):.0%} of two cores during the hold, "
+        f"{1e3 * np.nanmedian([w.after_cpu_s for w in found]):.1f} ms after the last frame",
     ]
     edges = [0, 10, 20, 30, 40, 50, 75, 100, 200, np.inf]
     for low, high in pairwise(edges):
@@ -179,8 +243,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cycles", type=int, default=30)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--burn", type=int, default=0, metavar="CORES")
     options = parser.parse_args()
-    print(summary(waits(options.cycles, options.seed)))
+    print(summary(waits(options.cycles, options.seed, options.burn)))
 
 
 if __name__ == "__main__":

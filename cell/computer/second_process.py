@@ -15,7 +15,7 @@ Given = ParamSpec("Given")
 Returned = TypeVar("Returned")
 
 #: On a computer with too little to do both, frames are looked at first.
-_NICE = 10
+_NICE = 5
 
 
 class SecondProcess(Executor):

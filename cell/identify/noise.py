@@ -85,15 +85,21 @@ def estimate_noise(still: Sequence[FloatArray]) -> tuple[float, float] | None:
     raw = product / products / variance
     colour = float(np.clip(raw, 0.0, _STRONGEST_COLOUR))
     for _ in range(50):
-        of_mean = _variance_of_mean(colour, length)
-        colour = float(np.clip(raw * (1.0 - of_mean) + of_mean, 0.0, _STRONGEST_COLOUR))
+        of_mean, before = _variance_of_mean(colour, length), colour
+        colour = min(max(raw * (1.0 - of_mean) + of_mean, 0.0), _STRONGEST_COLOUR)
+        if colour == before:
+            break
     return float(np.sqrt(variance / (1.0 - _variance_of_mean(colour, length)))), colour
 
 
 def _variance_of_mean(colour: float, frames: float) -> float:
     """Variance of the mean of an AR(1) series of unit variance."""
-    lags = np.arange(1, max(2, round(frames)))
-    return float((1.0 + 2.0 * np.sum((1.0 - lags / frames) * colour**lags)) / frames)
+    # 1 + 2 Σ (1 − k / frames) colourᵏ over k = 1 … last, by the sums of a geometric series
+    last = max(1, round(frames) - 1)
+    power, rest = colour**last, 1.0 - colour
+    sum_of_powers = colour * (1.0 - power) / rest
+    sum_of_lags = colour * (1.0 - (last + 1) * power + last * colour * power) / rest**2
+    return (1.0 + 2.0 * (sum_of_powers - sum_of_lags / frames)) / frames
 
 
 def across(markers_m: FloatArray) -> FloatArray:
