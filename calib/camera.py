@@ -35,7 +35,7 @@ _GRID = (13, 10)
 
 @dataclass(frozen=True, eq=False)
 class ViewError:
-    """How well one picture agrees with all: corners seen, set aside, and their rms misfit."""
+    """Agreement of one picture with all others: corners seen, set aside, and their rms misfit."""
 
     name: str
     corners: int

@@ -47,7 +47,7 @@ MOST_ARM_NOISE_PX = 1.5
 
 @dataclass(frozen=True, eq=False)
 class CellFit:
-    """Where camera, robot, marks and plane are, and how sure that is.
+    """The fitted places of camera, robot, marks and plane, with covariance.
 
     mean, covariance  of the 24 parameters, see `view_of`
     view              pixel → plane

@@ -49,7 +49,7 @@ class JawObservation:
 
 @dataclass(frozen=True, eq=False)
 class Gravity:
-    """What is known of gravity.
+    """The direction of gravity in the robot's base frame, with its uncertainty.
 
     up       (3,) unit vector against gravity in the base frame, as mounted
     spread_rad how far the base may be from that: standard deviation

@@ -18,7 +18,7 @@ Model = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 
 @dataclass(frozen=True, eq=False)
 class PriorKnowledge:
-    """What is known beside the points.
+    """Gaussian knowledge of the parameters beside that from the points.
 
     expected     (P,) parameters, with (P, P) information (inverse covariance) about them
     further      (P,) → (K,) residuals in standard deviations, and their (K, P) derivatives
@@ -58,7 +58,7 @@ _SMALLEST_GAIN = 1e-9  # of the cost: less is far below any standard deviation
 
 @dataclass(frozen=True, eq=False)
 class RobustFit:
-    """What a robust least-squares fit found.
+    """The result of a robust least-squares fit.
 
     mean        (P,) parameters
     covariance  (P, P) from the points' own scatter and the priors

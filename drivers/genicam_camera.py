@@ -28,7 +28,7 @@ _LARGEST_ID = 65_535
 
 @dataclass(frozen=True)
 class GenicamOptions:
-    """Which camera, and how it is set; every value is read back.
+    """Choice and settings of a camera; every value is read back.
 
     producer       the maker's GenTL producer, *.cti
     serial_number  None = the only camera there is

@@ -38,7 +38,7 @@ _DERIVATIVE_TOLERANCE = 0.01
 
 @dataclass(frozen=True)
 class ArmLimits:
-    """Where the gripping point may be and how it may move there.
+    """Limits of the gripping point's place and motion.
 
     tolerance_m, tolerance_rad  what a pose may exceed its range by: a path that begins where a hand
                                 was measured, at rest on its limit, carries the arm's noise and
@@ -267,7 +267,7 @@ class GuardedGripper:
 
 @dataclass(frozen=True)
 class CameraLimits:
-    """What a recording must keep to be worth looking at.
+    """Limits of a recording's frame times.
 
     period_tolerance  allowed departure of the time between frames from the camera's period, as a
                       fraction of that period

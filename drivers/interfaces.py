@@ -52,7 +52,7 @@ class Trajectory:
 
 
 class ArmMode(StrEnum):
-    """What the robot's controller lets it do now."""
+    """State of the robot's controller: ready, or why it refuses to move."""
 
     READY = "ready"
     STOPPED = "stopped"  # stopped by us, latched until reset()

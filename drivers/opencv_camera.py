@@ -29,7 +29,7 @@ _SETTINGS_REMEDY = "ask for what the camera can do: `v4l2-ctl --list-formats-ext
 
 @dataclass(frozen=True)
 class OpenCvOptions:
-    """Which camera, and how it is set.
+    """Choice and settings of a camera.
 
     device         number or path of a Video4Linux device, or the URL of a stream
     frame_rate_hz  asked for and read back; likewise width_px and height_px

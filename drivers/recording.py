@@ -19,7 +19,7 @@ _MISSING_REMEDY = "check cable and load, or lower the frame rate, then record ag
 
 @dataclass(frozen=True)
 class Shot:
-    """What a source says of one picture.
+    """One picture as a source gives it, with its stamp and number.
 
     image    (H, W) grey levels; None = not asked for
     stamp_s  the camera's own time of the exposure, from any origin; None = it has none
@@ -33,7 +33,7 @@ class Shot:
 
 @dataclass(frozen=True)
 class CaptureOptions:
-    """What is asked of the stream of pictures.
+    """Requirements on a stream of pictures.
 
     latency_s           from the middle of an exposure to the arrival of its picture, at best:
                         exposure, readout and transport.  Measured by calibration each session,

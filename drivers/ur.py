@@ -44,7 +44,7 @@ _MOVING_M_PER_S = 0.001
 
 @dataclass(frozen=True)
 class UrOptions:
-    """How the arm is reached, where the cell's plane is, how it is driven.
+    """Address of a UR arm, its cell plane, and how it is driven.
 
     tcp             pose of the gripping point's frame on the flange: m and rotation vector, rad;
                     its x and y axes are the plane's when the clamp angle is 0

@@ -44,7 +44,7 @@ _FEEDING = 0.1  # of the time in which the controller must hear something
 
 @dataclass(frozen=True)
 class ChildOptions:
-    """What the child needs to know; see `drivers.ur.UrOptions`."""
+    """Options of the child process; see `drivers.ur.UrOptions`."""
 
     robot: RobotOptions
     mount: PlaneMount

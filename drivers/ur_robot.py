@@ -41,7 +41,7 @@ _NO_LIBRARY = (
 
 @dataclass(frozen=True)
 class RobotOptions:
-    """Which robot; see `drivers.ur.UrOptions`."""
+    """Address and versions of a robot; see `drivers.ur.UrOptions`."""
 
     host: str
     tcp: tuple[float, ...]
@@ -51,7 +51,7 @@ class RobotOptions:
 
 
 class RefusedError(Exception):
-    """Something cannot be done now: the cause, and what a person can do."""
+    """A request that cannot be met now: the cause, and what a person can do."""
 
     def __init__(self, cause: str, remedy: str) -> None:
         super().__init__(cause)

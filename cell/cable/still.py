@@ -11,7 +11,7 @@ from cell.cable.geometry import Motion
 
 @dataclass(frozen=True)
 class StillWithin:
-    """How far a still hand's pose may be from where it began: m along either axis, and rad."""
+    """Distance within which a hand is still from where it began: m along either axis, and rad."""
 
     position_m: float
     angle_rad: float

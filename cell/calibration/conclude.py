@@ -200,7 +200,7 @@ def stored_times(times: Times, settings: Settings, frames: int, told: float) -> 
 
 @dataclass(frozen=True)
 class Drift:
-    """How far the cell is beside its calibration; `sentence` and `command` for a person.
+    """Today's distance of the cell from its calibration; `sentence` and `command` for a person.
 
     moved_m    the marks beside where the stored map has them, the mean
     left_m     rms of the rest

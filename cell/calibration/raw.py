@@ -1,4 +1,4 @@
-"""What was shown, moved and filmed for a calibration, kept as a folder and read again."""
+"""Raw measurements of a calibration, as folders: pictures, poses, filmed motions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Who shows the camera what it must see."""
+"""Ways to show the board and the plumb line to the camera: a person does it, or a simulation."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ BOARD_VIEWS = 20
 
 
 class Assistant(Protocol):
-    """Whoever shows things to the camera."""
+    """Interface of what shows the board and the plumb line to the camera."""
 
     def board(self, number: int, hint: str) -> None:
         """The board as the `number`-th view, from 1; `hint` says where it is lacking."""

@@ -30,7 +30,7 @@ def freeze_loaded_objects() -> None:
 
 
 def release_free_memory() -> None:
-    """Collect what nobody needs, and let the C library return its free pages, where it can.
+    """Collect unreachable objects, and let the C library return its free pages, where it can.
 
     glibc keeps the pages of freed arrays among those still used.
     """

@@ -19,7 +19,7 @@ _NICE = 5
 
 
 class SecondProcess(Executor):
-    """One job at a time, in a process of its own, so that nobody waits for Python's lock.
+    """Executor of one job at a time in a process of its own, apart from this one's Python lock.
 
     It begins with the first job, begins anew after it was killed, and ends with this process
     however that ends.  Jobs are functions of a module; they, what they take and what they give

@@ -33,7 +33,7 @@ _CONTINUED, _RESTARTED = "continued", "restarted"
 
 @dataclass(frozen=True)
 class FitOptions:
-    """How a fit goes about it.
+    """Options of a fit.
 
     solver           of the cable engine; its error should be well below the noise
     minimiser        see `gauss_newton`

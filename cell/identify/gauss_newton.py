@@ -41,7 +41,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class Options:
-    """When to stop.
+    """Criteria for ending a minimisation.
 
     tolerance   largest last step, in posterior standard deviations; what is left after it is of
                 second order
@@ -57,7 +57,7 @@ class Options:
 
 @dataclass(frozen=True)
 class Solution:
-    """Where the minimum is and what is known about it.
+    """The minimum, with the linear model and the covariance there.
 
     q           (p,) at the minimum
     residual    (rows,) white residuals there

@@ -43,7 +43,7 @@ class CableRejectedError(Exception):
 
 @dataclass(frozen=True)
 class Acceptance:
-    """What a cable must show to be identified.
+    """Conditions on the frames of a cable that is to be identified.
 
     least_seen        share of the frames after the hand began to move in which it is seen
     least_swing_m     range of the tip's motion relative to the hand
@@ -58,7 +58,7 @@ class Acceptance:
 
 @dataclass(frozen=True)
 class IdentifyOptions:
-    """How cables are identified.
+    """Options of identification.
 
     kind          what all cables have in common
     bias_m        constant error across the cable of every node: vision's and the mesh's
@@ -95,7 +95,7 @@ def hold_trial(
     grip_m: FloatArray,
     clamp_angle_rad: FloatArray,
 ) -> Trial:
-    """What was filmed of a hold, as a trial; the logged motion is moved to where the jaw was seen.
+    """A filmed hold as a trial, the logged motion moved to where the jaw was seen.
 
     grip             logged motion of the hand, on the camera's clock
     t_s              (T,) times of the frames, s

@@ -31,7 +31,7 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class StillShape:
-    """What the paper's statics say of a cable at rest, per hinge i = 0 (tip) … n−1 (grip).
+    """Moments and curvatures of a cable at rest, per hinge i = 0 (tip) … n−1, by the paper.
 
     arc_length_m  (n,) of the hinges, from the gripping point, m
     moment_n_m    (n,) bending moment of what hangs beyond, N·m

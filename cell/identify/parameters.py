@@ -18,7 +18,7 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Prior:
-    """What is believed of a cable before it is measured; sizes relative to its own weight.
+    """Knowledge of a cable before it is measured; sizes relative to its own weight.
 
     knots               of log EI(s), equally spaced
     rigidity_log_std    std of log EI as a whole, about 0.4·ρ g L³ (a cable that droops by a fifth)

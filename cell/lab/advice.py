@@ -29,7 +29,7 @@ STATUSES: dict[Status, str] = {
 
 @dataclass(frozen=True)
 class Step:
-    """Something to do next: why, and the command, if there is one."""
+    """A suggested next step: why, and the command, if there is one."""
 
     why: str
     command: str = ""
@@ -37,7 +37,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Paths:
-    """How things are called on the command line.
+    """Names of study and effect files for the command line.
 
     study    folder as the user gave it
     files    a user's own effects by name: path as the user gave it

@@ -76,7 +76,7 @@ class Comparison:
         return float(min((before.error_m**2 - self.error_m**2) / excess, 1.0))
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data: errors per trial, profiles, whiteness, what the residual goes with."""
+        """Plain data: errors per trial, profiles, whiteness, correlations."""
         roles = {t.name: t.role for t in self.study.trials}
         return {
             "format": "cable-comparison/1",

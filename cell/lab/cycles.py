@@ -21,7 +21,7 @@ SAME = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class RecordedCycle:
-    """What was measured of one cable.
+    """The recorded measurements of one cable.
 
     held      the hold that it was identified from; None = only measured, with motions of its own
     executed  the execution; None = there was none

@@ -67,7 +67,7 @@ class Progress(Protocol):
 
 
 def no_progress(text: str, done: int = 0, total: int = 0) -> None:
-    """Progress that nobody watches."""
+    """A `Progress` that shows nothing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +95,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Gain:
-    """What one more effect brings: fall of χ² on the fit trials, its p-value and BIC; held out."""
+    """Gain by one more effect: fall of χ² on the fit trials, its p-value and BIC; held out."""
 
     delta_chi2: float
     p_value: float

@@ -27,7 +27,7 @@ FloatArray = NDArray[np.float64]
 TRIED_ON, FITTED_TO = 4, 12
 #: Effects of the screen that are refitted, besides those that are not smooth.
 BEST = 4
-#: Starts of a fit are told apart on so many cables, with so many passes.
+#: Starts of a fit are compared on so many cables, with so many passes.
 START_ON, FIRST_PASSES = 1, Options(tolerance=1.0, most_passes=6)
 #: Family-wise, over the library (Holm).
 SIGNIFICANCE = 0.01
@@ -60,7 +60,7 @@ class EffectFit:
 
 @dataclass(frozen=True)
 class Vote:
-    """What one cycle says of an effect.
+    """Evidence of one cycle for or against an effect.
 
     fall    of its own χ² over the inflation: positive speaks for the effect
     value   of its first parameter as this cable alone would have it
@@ -75,7 +75,7 @@ class Vote:
 
 @dataclass(frozen=True, eq=False)
 class Lesson:
-    """What is missing, or that nothing is.
+    """The result of learning from many cables: the missing effect, or that none is missing.
 
     cycles    that were learned from, as in `votes`
     baseline  the present model, fitted to them

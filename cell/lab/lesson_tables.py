@@ -1,4 +1,4 @@
-"""What was learned, for a person: sentences and tables."""
+"""The result of `cell learn` as sentences and tables."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ class _Section(BaseModel):
 
 
 class MotionPose(_Section):
-    """Where the hand is: x and y from the cell's home; the clamp angle itself, 0 = level."""
+    """Pose of the hand: x and y from the cell's home; the clamp angle itself, 0 = level."""
 
     x_m: Finite
     y_m: Finite
@@ -42,7 +42,7 @@ class MotionMove(MotionPose):
 
 
 class MotionFile(_Section):
-    """What `cell suggest` writes and `cell run --motion` executes."""
+    """A measuring motion as a file: `cell suggest` writes it, `cell run --motion` executes it."""
 
     format: Literal["cell-motion/1"]
     purpose: str = ""

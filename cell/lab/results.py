@@ -58,7 +58,7 @@ class MissingEffect:
 
 @dataclass(frozen=True)
 class Peak:
-    """Where a residual is largest: trial, time in it, place on the cable, and its frequency.
+    """Place of the largest residual: trial, time in it, place on the cable, and its frequency.
 
     frequency_hz  at which its power is farthest above the noise's; nan if too short to tell
     """
@@ -71,7 +71,7 @@ class Peak:
 
 @dataclass(frozen=True)
 class RemainingError:
-    """What the final model leaves, all trials together.
+    """The error that the final model leaves, all trials together.
 
     over_noise       rms over that of the measurement
     explained_share  of the baseline's mean square beyond noise that is gone
@@ -100,7 +100,7 @@ class Nearest:
 
 @dataclass(frozen=True)
 class Doubt:
-    """Something that makes a result doubtful: a `code` for programs, a `message` for people."""
+    """A reason to doubt a result: a `code` for programs, a `message` for people."""
 
     code: str
     message: str
@@ -108,7 +108,7 @@ class Doubt:
 
 @dataclass(frozen=True)
 class RankedEffect:
-    """How an effect fared.  `score`: χ² it explains on the fit trials beyond the baseline."""
+    """An effect and its evidence; `score`: χ² that it explains beyond the baseline, fit trials."""
 
     effect: str
     score: float
@@ -118,7 +118,7 @@ class RankedEffect:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Which effect is missing, or that none is, none known fits, or these motions cannot tell.
+    """The missing effect, or that none is missing, none known fits, or these motions cannot tell.
 
     left      what the model with everything in `missing`, or else in `partial`, leaves; the latter
               fitted to all trials

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Rules:
-    """When an effect is believed.
+    """Limits at which an effect is accepted and a model called complete.
 
     significance     family-wise, over the library (Holm), on the fit trials
     heldout_gain     ln of how much likelier the held-out trials must become

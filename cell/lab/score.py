@@ -23,7 +23,7 @@ MOST_SHAPES = 8
 
 @dataclass(frozen=True)
 class Nuisance:
-    """What the parameters already fitted can imitate, as an orthonormal basis.
+    """Space of residuals that the fitted parameters can imitate, as an orthonormal basis.
 
     basis      (values, parameters)
     residual   (values,) whitened residual with that part removed

@@ -124,7 +124,7 @@ class SharedFit:
 
 @dataclass(frozen=True)
 class Spread:
-    """How an amplitude differs between cables.
+    """Spread of an amplitude between cables.
 
     tau      standard deviation between cables beyond what each is uncertain by
     q        Cochran's Q, of so many degrees of freedom; its p-value

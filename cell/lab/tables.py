@@ -243,7 +243,7 @@ def comparison_table(comparison: Comparison) -> Table:
 
 
 def correlations_table(comparison: Comparison) -> Table:
-    """What the tip's residual goes with."""
+    """Correlations of the tip's residual with signals, by trial."""
     table = Table(title="Correlation of the tip's residual", box=SIMPLE_HEAD)
     names = sorted({f.signal for w in comparison.where for f in w.correlations})
     for column in ("trial", *names):

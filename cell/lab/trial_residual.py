@@ -44,7 +44,7 @@ class Spectrum:
 
 @dataclass(frozen=True)
 class Correlation:
-    """How much of the tip's residual goes with a signal: correlation and its two-sided p-value."""
+    """Correlation of the tip's residual with a signal, and its two-sided p-value."""
 
     signal: str
     correlation: float
@@ -212,7 +212,7 @@ def ljung_box(white: FloatArray, lags: int = LAGS) -> float:
 def correlations(
     trial: Trial, predicted_m: FloatArray, white: FloatArray
 ) -> tuple[Correlation, ...]:
-    """Which signals the residual of the outermost marker goes with, strongest first.
+    """Signals that the residual of the outermost marker is correlated with, strongest first.
 
     The whitened residual along the cable's normal is correlated with each signal at that marker;
     its p-value counts only the independent values of the two series (Bartlett 1935).

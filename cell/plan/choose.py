@@ -26,7 +26,7 @@ MISSES = "the model misses this cable's tip"
 
 @dataclass(frozen=True)
 class ChoiceOptions:
-    """How to choose.
+    """Options of the choice of an offset.
 
     samples           of the uncertain parameters, a power of 2
     repeatability_m   standard deviation of the tip's height for reasons that are not the cable's:
@@ -47,7 +47,7 @@ class ChoiceOptions:
 
 @dataclass(frozen=True, eq=False)
 class Forecast:
-    """Where the tip will go for each offset.
+    """Predicted tip paths of all offsets, with their sensitivities.
 
     offsets_m    (O,) m
     t_s          (T,) s, from when the path begins
@@ -73,7 +73,7 @@ class Forecast:
 
 @dataclass(frozen=True)
 class OffsetForecast:
-    """What is expected of one offset: probability of passing, margin (see `Destination`), m."""
+    """Forecast of one offset: probability of passing, margin (see `Destination`), m."""
 
     offset_m: float
     probability: float

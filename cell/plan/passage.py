@@ -1,4 +1,4 @@
-"""What was seen of the tip's passage, and how far the forecast of it was off."""
+"""The tip's measured passage through the destination, and the error of its forecast."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ SAME_ANGLE_RAD = 1e-3
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """What the gripping point may do along either axis of the cell's plane, and when turning."""
+    """Limits of the gripping point's motion along either axis of the plane, and of its turning."""
 
     velocity_m_per_s: float = 0.5
     acceleration_m_per_s2: float = 5.0
@@ -126,7 +126,7 @@ def executed_motion(
 
     start     measured pose at time 0; None = exactly the path's first pose
     settle_s  how long the hand is held still after it has arrived
-    history   measured motion up to now, its times ≤ 0: the cable still remembers it
+    history   measured motion up to now, its times ≤ 0: the cable still swings from it
     raises    ValueError: negative durations, a history that reaches beyond time 0
     """
     if settle_s < 0.0:

@@ -69,7 +69,7 @@ class Record:
         self._write("settings.yaml", yaml_text(settings))
 
     def study(self, study: Study) -> None:
-        """What was measured so far; replaces what was there."""
+        """Write the trials so far as a study; replaces an earlier one."""
         with self._told():
             write_study(study, self.folder / "study")
 
@@ -112,7 +112,7 @@ class Record:
 
 @dataclass(frozen=True)
 class Recorded:
-    """What a folder holds; None = the cycle did not come so far.
+    """The content of a cycle's folder; None = the cycle did not come so far.
 
     closed   whether the cycle ended by itself, with a result, and was not killed
     step     the step in which it ended, or was killed

@@ -27,7 +27,7 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True)
 class Fault:
-    """What went wrong: in which step, which device if any, why, and what a person can do.
+    """A fault: in which step, of which device if any, why, and what a person can do.
 
     cable  where it is now, as the gripper says after the arm has stopped
     """

@@ -1,4 +1,4 @@
-"""What is made of a cycle's findings once nobody waits: pictures, the final fit, a verdict."""
+"""Work on a cycle's findings after a step, when the hand need not wait: pictures, final fit."""
 
 from __future__ import annotations
 

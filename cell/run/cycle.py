@@ -182,7 +182,7 @@ class Cell:
             )
 
     def _unrecorded(self, progress: Progress, result: Result, error: RecordError) -> Result:
-        """The result of a cycle whose record cannot be closed: nobody will find it there."""
+        """The result of a cycle whose record cannot be closed: it is only returned."""
         if result.fault is not None:
             return result
         fault, _ = _fault(progress.step, error)

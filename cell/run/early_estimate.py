@@ -90,7 +90,7 @@ def simulate_offsets(
 ) -> Candidates:
     """Simulate every offset as it would be executed from `start_s` on.
 
-    The cable still swings and remembers the hand's motion before; the hand follows with its known
+    The cable still swings from the hand's motion before; the hand follows with its known
     lag, and is seen by the camera a constant beside where the arm says it is.
 
     start_s  on the cell's clock, s

@@ -20,7 +20,7 @@ def film(
 ) -> Filming:
     """Begin to film the cable at rest, then follow `path`; returns when the hand rests again.
 
-    The cable is looked for in the frames meanwhile, so that the last one finds nobody busy.
+    The cable is looked for in the frames meanwhile, so that none wait when the last one comes.
     keep_every  one frame in so many is kept as a picture
     """
     arm, camera, clock = station.devices.arm, station.devices.camera, station.devices.clock

@@ -42,7 +42,7 @@ class Filming:
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """What each offset would do if its path began at `start_s`: paths in the arm's own frame."""
+    """All offsets simulated as if their paths began at `start_s`; paths in the arm's own frame."""
 
     start_s: float
     paths: tuple[Trajectory, ...]
@@ -51,7 +51,7 @@ class Candidates:
 
 @dataclass(frozen=True, eq=False)
 class EarlyEstimate:
-    """What the first frames of a hold say: nearly the last word, and ready when it is needed.
+    """The cable identified from the first frames of a hold, and what was simulated with it.
 
     predicted   what the frames to come will show, if this is the cable
     """
@@ -83,7 +83,7 @@ class FilmedMotion:
 
 @dataclass(frozen=True, eq=False)
 class JawFilm:
-    """What the camera saw of a motion.
+    """The jaw as the camera saw it during a motion.
 
     frame_s     (n,) times of all frames
     looked_s    (m,) times of those in which the jaw was looked for
@@ -115,7 +115,7 @@ class RehearsedMotion:
 
 @dataclass(frozen=True, eq=False)
 class Findings:
-    """Everything that a cycle has found so far; None = it has not come so far.
+    """The results of a cycle's steps so far; None = it has not come so far.
 
     filming     the motion that is being filmed
     held        the hold after the cable was lowered, or the whole of a measuring motion

@@ -13,7 +13,7 @@ from statemachine.io import create_machine_class_from_definition
 
 
 class CellState(StrEnum):
-    """What the cell is doing.  Held = by a person, Suspended = waiting for up- or downstream."""
+    """State of the cell.  Held = by a person, Suspended = waiting for up- or downstream."""
 
     IDLE = "idle"
     STARTING = "starting"
@@ -35,7 +35,7 @@ class CellState(StrEnum):
 
 
 class Event(StrEnum):
-    """What takes the cell from state to state: commands, and `done` when a state has acted."""
+    """An event that changes the cell's state: commands, and `done` when a state has acted."""
 
     START = "start"
     RESET = "reset"

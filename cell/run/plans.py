@@ -28,7 +28,7 @@ class Step:
 
     name           in the record, in faults and in tables
     act            what it does: returns what is known after it
-    after          what is made of that outside the step's time, when nobody waits for it
+    after          further work on its findings, outside the step's time
     computes       its time is the computer's, not that of the cell's clock
     holding        it begins with a cable between the jaws and ends with it there
     may_pause      the cell can be held or suspended before it

@@ -23,7 +23,7 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Devices:
-    """Everything that moves, sees or holds, and the clock they share."""
+    """Arm, camera, gripper, and the clock they share."""
 
     arm: Arm
     camera: Camera
@@ -33,7 +33,7 @@ class Devices:
 
 @dataclass(frozen=True)
 class Task:
-    """What is to be done with every cable; `model` is the hash of what is assumed of it."""
+    """The task that is done with every cable; `model` is the hash of what is assumed of it."""
 
     cable: Cable
     destination: Destination

@@ -49,7 +49,7 @@ class Watch:
         self._over.set()
 
     def end(self) -> None:
-        """Look no more, and wait until nobody looks."""
+        """Look no more, and wait until all threads have ended."""
         self.cease()
         for thread in self._threads:
             if thread.is_alive():

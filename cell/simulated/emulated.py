@@ -35,7 +35,7 @@ from drivers.ur_kinematics import MODELS, OutOfReachError, matrix_of
 
 FloatArray = NDArray[np.float64]
 
-#: How often somebody looks whether the jaws hold a cable, s.
+#: Interval at which the jaws are asked whether they hold a cable, s.
 _LOOK_S = 0.02
 _ANSWER_S = 0.5
 #: Of the hidden cables, s: 10 µm beside the default step, and quick enough beside a real arm.

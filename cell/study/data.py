@@ -35,7 +35,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class Study:
-    """Everything measured on one cable.
+    """The measurements of one cable.
 
     arc_length_m  (markers,) from the gripping point
     notes         what whoever reads results should know of the measurements, one sentence each

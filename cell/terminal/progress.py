@@ -76,7 +76,7 @@ class Ticker:
 
 
 class ProgressLine:
-    """Where a long computation is: call it as each piece begins; use it as a context.
+    """Progress of a long computation, shown: call it as each piece begins; use it as a context.
 
     The time left is that of the part under way, from the pieces it has behind it.
     """

@@ -26,7 +26,7 @@ _OF_THREAD = local()
 
 @dataclass(frozen=True)
 class VisionOptions:
-    """What the cable and the jaw look like.
+    """The appearance of cable and jaw, and what is measured of them.
 
     free_length_m        from the gripping point to the tip, as the cable was gripped
     length_tolerance_m   a measured length further off means that something else was followed
@@ -58,7 +58,7 @@ def detect(
     options: VisionOptions,
     previous: Sighting | None = None,
 ) -> Sighting:
-    """What one frame says of the cable.
+    """Find jaw and cable in one frame.
 
     image        (H, W) grey levels
     previous     that of the frame before: the jaw is looked for there first; only saves time

@@ -25,7 +25,7 @@ class Marks(NamedTuple):
 
 
 class View(NamedTuple):
-    """Where a pixel lies in the plane; see `PlaneView`.
+    """Mapping from pixels to the plane and back; see `PlaneView`.
 
     maps     (2, 3, 3) homography from homogeneous ideal pixels to the plane in metres, and back
     lens     (9,) its numbers

@@ -35,7 +35,7 @@ _EMPTY = UNSEEN.index(Unseen.EMPTY)
 
 
 class Appearance(NamedTuple):
-    """What jaw and cable look like; see `VisionOptions`."""
+    """The appearance of jaw and cable, as compiled code takes it; see `VisionOptions`."""
 
     marks: Marks
     cable: CableAppearance
@@ -44,7 +44,7 @@ class Appearance(NamedTuple):
 
 
 class FrameMemory(NamedTuple):
-    """What is written while a picture is looked at; a thread needs its own."""
+    """Memory that is written while a picture is looked at; a thread needs its own."""
 
     discs: DiscMemory
     trace: TraceMemory
@@ -75,7 +75,7 @@ def frame_memory(shape: tuple[int, int], look: Appearance) -> FrameMemory:
 
 @compiled
 def nodes_in_frame(picture, view, look, memory, near, nodes):  # type: ignore[no-untyped-def]
-    """What one picture says of jaw and cable.
+    """Find jaw and cable in one picture; writes the nodes.
 
     picture  see `Picture`
     view     see `View`

@@ -30,7 +30,7 @@ class StripNotFoundError(ValueError):
 
 @dataclass(frozen=True)
 class PhotographOptions:
-    """How the photograph was taken.
+    """Scale, edge and polarity of a photograph.
 
     metres_per_pixel  of the photograph
     edge              at which the strip is clamped

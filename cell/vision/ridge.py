@@ -29,7 +29,7 @@ class End(IntEnum):
 
 
 class Picture(NamedTuple):
-    """What a line is looked for in.
+    """A picture in which a line is looked for.
 
     image  (H, W) grey levels
     sign   +1 = the line is lighter than its surroundings, −1 = darker

@@ -1,4 +1,4 @@
-"""What one picture says of the cable."""
+"""The result of looking for the cable in one picture: its nodes, or why there are none."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ _LEAVES_PICTURE = UNSEEN.index(Unseen.LEAVES_PICTURE)
 
 
 class CableAppearance(NamedTuple):
-    """What a cable looks like: least contrast at its start, grey levels, and its profile.
+    """Appearance of a cable: least contrast at its start, grey levels, and its profile.
 
     at_tip  profile where it is looked for how far along the cable goes
     """
@@ -90,7 +90,7 @@ class TraceMemory(NamedTuple):
 
 
 class Traced(NamedTuple):
-    """How sure a cable is.
+    """Result of following a cable: its code, and measures of its quality.
 
     code             −1, or the number of its `Unseen`
     contrast         typical contrast, grey levels

@@ -119,7 +119,7 @@ class EmulatedCamera(EmulatorProcess):
         self.ask("tell", message)
 
     def counts(self) -> StreamCounts:
-        """What was sent so far."""
+        """Counts of the pictures sent and dropped."""
         counts: StreamCounts = self.ask("counts")
         return counts
 

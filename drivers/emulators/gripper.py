@@ -17,7 +17,7 @@ _PRIORITY = 10
 
 @dataclass(frozen=True)
 class JawsSeen:
-    """What somebody who stands beside the gripper sees.
+    """The gripper as seen from outside.
 
     held  a cable is between the closed jaws
     """

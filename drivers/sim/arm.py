@@ -42,7 +42,7 @@ class ArmFaults:
 
 @dataclass(frozen=True)
 class ArmTwinOptions:
-    """How the arm behaves.
+    """Properties of the simulated arm.
 
     lag_s           what the arm says of its lag
     true_lag_s      how late it really is; None = as it says

@@ -42,7 +42,7 @@ class CameraFaults:
 
 @dataclass(frozen=True)
 class CameraTwinOptions:
-    """How the camera stands and works.
+    """Place and properties of the simulated camera.
 
     sight          where it really stands, and its lens: (3, 3) pixel → plane, m; or a `Pinhole`
     picture        what the picture looks like, exposure time included

@@ -37,7 +37,7 @@ class GripperFaults:
 
 @dataclass(frozen=True)
 class GripperTwinOptions:
-    """How the gripper behaves."""
+    """Properties of the simulated gripper."""
 
     open_m: float = 0.085
     cable_thickness_m: float = 0.0001

@@ -40,7 +40,7 @@ _NOISE_SHIFTS = 1 << 19  # starting points within the bank
 
 @dataclass(frozen=True)
 class RenderOptions:
-    """What the picture looks like; grey levels 0 … 255 at exposure 1.
+    """Properties of a rendered picture; grey levels 0 … 255 at exposure 1.
 
     Defaults: a backlit scene, the cable dark.  `LIGHT_ON_DARK` below is the opposite.
     """

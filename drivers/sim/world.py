@@ -33,7 +33,7 @@ class CableShape(Protocol):
 
 @dataclass(frozen=True)
 class View:
-    """What is to be seen at some moments.
+    """Visible poses and cables at some moments.
 
     t_s     (S,) moments, s
     grip    (S, 3) x, y, angle of the gripping point: m, m, rad

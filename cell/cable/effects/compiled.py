@@ -71,7 +71,7 @@ def parameters(active: ActiveEffect) -> Any:
 
 
 class Model(Protocol):
-    """What the hooks of a model's effects are told of it."""
+    """The part of a cable's model that its effects' hooks see."""
 
     @property
     def cable(self) -> Cable:

@@ -31,7 +31,7 @@ def library() -> dict[str, type[Effect]]:
 
 
 def unscreened() -> dict[str, type[Effect]]:
-    """The project's other effects, which are only looked for where somebody has reason to."""
+    """The project's other effects, which are only looked for where they are named."""
     return {e.name: e for module in _RARE for e in _effects_in(module)}
 
 
