@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.compiling import compiled
 from cell.cable.effects.base import FloatArray
 from cell.cable.effects.compiled import cable_data, parameters
 from cell.cable.model import CableModel
@@ -72,23 +73,28 @@ def _shown(
     return points
 
 
+@compiled
 def _at(scene_s: FloatArray, xy: FloatArray, t: FloatArray) -> FloatArray:
     """Cubic interpolation of each marker at its own times (times, markers); held outside.
 
-    nan at a time that is not finite, as a point has that could not be simulated.
+    nan at a time that is nan, as a point has that could not be simulated.
     """
     spacing = scene_s[1] - scene_s[0]
-    place = np.clip((t - scene_s[0]) / spacing, 0.0, scene_s.size - 1.0)
-    whole = np.where(np.isfinite(place), place, 0.0).astype(np.int64)
-    k: NDArray[np.int64] = np.minimum(whole, scene_s.size - 2)
-    u = (place - k)[..., None]
-    marker = np.arange(xy.shape[1])
-
-    def value(j: NDArray[np.int64]) -> FloatArray:
-        return np.asarray(xy[np.clip(j, 0, scene_s.size - 1), marker])
-
-    p0, p1, p2, p3 = value(k - 1), value(k), value(k + 1), value(k + 2)
-    m1, m2 = 0.5 * (p2 - p0), 0.5 * (p3 - p1)
-    return np.asarray(
-        p1 + u * (m1 + u * (3.0 * (p2 - p1) - 2.0 * m1 - m2 + u * (2.0 * (p1 - p2) + m1 + m2)))
-    )
+    last = scene_s.size - 1
+    out = np.empty((t.shape[0], t.shape[1], 2))
+    for i in range(t.shape[0]):
+        for m in range(t.shape[1]):
+            place = (t[i, m] - scene_s[0]) / spacing
+            if math.isnan(place):
+                out[i, m, :] = np.nan
+                continue
+            place = min(max(place, 0.0), float(last))
+            k = min(int(place), last - 1)
+            u = place - k
+            for a in range(2):
+                p0, p1 = xy[max(k - 1, 0), m, a], xy[k, m, a]
+                p2, p3 = xy[k + 1, m, a], xy[min(k + 2, last), m, a]
+                m1, m2 = 0.5 * (p2 - p0), 0.5 * (p3 - p1)
+                cubic = 2.0 * (p1 - p2) + m1 + m2
+                out[i, m, a] = p1 + u * (m1 + u * (3.0 * (p2 - p1) - 2.0 * m1 - m2 + u * cubic))
+    return out

@@ -88,48 +88,96 @@ def simulate(
     returns          (lanes, times, markers, 2) x, y in m
     raises           ValueError: bad input; DivergedError; statics.UnsettledError
     """
+    batch, paths = _lanes(models, motions)
+    times = _checked(times_s)
+    out = np.empty((len(batch), times.size, np.size(arc_length_m), 2))
+    _simulate(batch, paths, [times] * len(batch), arc_length_m, list(out), solver, start, release_s)
+    return out
+
+
+def simulate_each(
+    models: CableModel | Sequence[CableModel],
+    motions: Motion | Sequence[Motion],
+    times_s: Sequence[FloatArray],
+    arc_length_m: FloatArray,
+    *,
+    solver: Solver = DEFAULT_SOLVER,
+    start: Literal["equilibrium", "straight"] = "equilibrium",
+    release_s: float | None = None,
+) -> list[FloatArray]:
+    """Positions of markers of each lane at its own times, (times, markers, 2); as `simulate`.
+
+    All lanes begin when the first of them does, and share one grid of steps.
+    """
+    batch, paths = _lanes(models, motions)
+    times = [_checked(t) for t in times_s]
+    if len(times) != len(batch):
+        raise ValueError(f"times of {len(times)} lanes for {len(batch)}: give one array per lane")
+    out = [np.empty((t.size, np.size(arc_length_m), 2)) for t in times]
+    _simulate(batch, paths, times, arc_length_m, out, solver, start, release_s)
+    return out
+
+
+def _lanes(
+    models: CableModel | Sequence[CableModel], motions: Motion | Sequence[Motion]
+) -> tuple[list[CableModel], list[Motion]]:
+    """One model and one motion per lane.  Raises ValueError: their numbers do not go together."""
     batch = [models] if isinstance(models, CableModel) else list(models)
     paths = [motions] if isinstance(motions, Motion) else list(motions)
     lanes = max(len(batch), len(paths))
     for name, given in (("models", batch), ("motions", paths)):
         if len(given) not in (1, lanes) or not given:
             raise ValueError(f"{len(given)} {name} for {lanes} lanes: give one, or one per lane")
-    batch = batch * (lanes // len(batch))
-    paths = paths * (lanes // len(paths))
+    return batch * (lanes // len(batch)), paths * (lanes // len(paths))
+
+
+def _checked(times_s: FloatArray) -> FloatArray:
     times = np.ascontiguousarray(times_s, dtype=np.float64)
     if times.ndim != 1 or not np.all(np.isfinite(times)) or np.any(np.diff(times) <= 0.0):
         raise ValueError("times_s must be one-dimensional, finite and strictly increasing")
+    return times
+
+
+def _simulate(
+    batch: list[CableModel],
+    paths: list[Motion],
+    times_s: list[FloatArray],
+    arc_length_m: FloatArray,
+    out: list[FloatArray],
+    solver: Solver,
+    start: str,
+    release_s: float | None,
+) -> None:
+    """Write (times, markers, 2) of each lane to `out`."""
     if start not in ("equilibrium", "straight") or (start == "straight") != (release_s is not None):
         raise ValueError(
             f"start = {start!r}, release_s = {release_s}: only 'straight' has a release"
         )
     cell, weights = marker_weights(batch, arc_length_m, solver.segments)
-    result = np.empty((lanes, times.size, len(cell), 2))
-    if times.size == 0:
-        return result
-    begin = (
-        float(release_s)
-        if release_s is not None
-        else min(float(times[0]), *(float(m.t_s[0]) for m in paths))
-    )
-    end = float(times[-1]) + (camera.LOOK_AHEAD_S if camera.shifts_time(batch) else 0.0)
-    steps = max(1, int(np.ceil((end - begin) / solver.step_s - 1e-9)))
-    if steps > _MOST_STEPS:
-        raise ValueError(f"{steps} steps of {solver.step_s} s from {begin} s to {times[-1]} s")
-    grid = _Grid(begin, steps, times, release_s, solver)
+    first = [float(t[0]) for t in times_s if t.size]
+    if not first:
+        return
+    begin = float(min(*first, *(m.t_s[0] for m in paths)) if release_s is None else release_s)
     workers = threads() if solver.threads is None else solver.threads
     blocks = assemble(batch, solver.segments, begin, workers)
-    rows = _rows(paths, batch, grid)
+    grids = [
+        _Grid.of(begin, [times_s[i] for i in b.lanes], batch[b.lanes[0]], release_s, solver)
+        for b in blocks
+    ]
+    rows = _rows(paths, batch, max(grids, key=lambda grid: grid.steps))
 
-    def run(block: Block) -> None:
-        result[list(block.lanes)] = _run(block, grid, rows, paths, batch, cell, weights)
+    def run(block: Block, grid: _Grid) -> None:
+        seen = _run(block, grid, rows, paths, batch, cell, weights)
+        for lane, points in zip(block.lanes, seen, strict=True):
+            times = times_s[lane]
+            shared = len(times) == len(grid.times_s)
+            out[lane][:] = points if shared else points[np.searchsorted(grid.times_s, times)]
 
     if len(blocks) == 1 or workers == 1:
-        for block in blocks:
-            run(block)
+        for block, grid in zip(blocks, grids, strict=True):
+            run(block, grid)
     else:
-        list(_pool(os.getpid(), workers).map(run, blocks))
-    return result
+        list(_pool(os.getpid(), workers).map(run, blocks, grids))
 
 
 def threads() -> int:
@@ -145,11 +193,31 @@ def _pool(process: int, workers: int) -> ThreadPoolExecutor:
 
 @dataclass(frozen=True)
 class _Grid:
+    """Steps of a block, from the beginning that all blocks share, and the times of its pictures."""
+
     begin_s: float
     steps: int
     times_s: FloatArray
     release_s: float | None
     solver: Solver
+
+    @staticmethod
+    def of(
+        begin_s: float,
+        times_s: Sequence[FloatArray],
+        model: CableModel,
+        release_s: float | None,
+        solver: Solver,
+    ) -> _Grid:
+        """Of lanes with these times and models of one kind.  Raises ValueError: too many steps."""
+        alike = all(t is times_s[0] for t in times_s)
+        times = times_s[0] if alike else np.unique(np.concatenate(times_s))
+        last = float(times[-1]) if times.size else begin_s
+        end = last + (camera.LOOK_AHEAD_S if camera.shifts_time([model]) else 0.0)
+        steps = max(1, int(np.ceil((end - begin_s) / solver.step_s - 1e-9)))
+        if steps > _MOST_STEPS:
+            raise ValueError(f"{steps} steps of {solver.step_s} s from {begin_s} s to {last} s")
+        return _Grid(begin_s, steps, times, release_s, solver)
 
     @property
     def end_s(self) -> float:
@@ -212,12 +280,12 @@ def _hand(motion: Motion, model: CableModel) -> tuple[object, ...]:
 
 
 def interleave(rows: Sequence[FloatArray], shape: tuple[int, int]) -> FloatArray:
-    """(shape…, LANES) with lane k from rows[k]; cheap when many lanes share one array."""
+    """(shape…, LANES) with lane k from the first of rows[k]; cheap when lanes share one array."""
     result = np.zeros((*shape, at.LANES))
     if all(r is rows[0] for r in rows):
-        result[:] = rows[0][:, :, None]
+        result[:] = rows[0][: shape[0], :, None]
     else:
-        weave(np.stack(rows), result)
+        weave(np.stack([r[: shape[0]] for r in rows]), result)
     return result
 
 

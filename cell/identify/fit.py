@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.cable.dynamics import DivergedError, Solver, simulate
+from cell.cable.dynamics import DivergedError, Solver, simulate, simulate_each
 from cell.cable.model import CableModel
 from cell.cable.statics import UnsettledError
 from cell.cable.still import moves_from_s
@@ -230,40 +230,48 @@ def still_noise(
     return Noise(*estimate, bias_m, across_only)
 
 
-def predict(
-    trial: Trial,
-    models: Sequence[CableModel],
-    arc_length_m: FloatArray,
-    solver: Solver,
-    delay_s: float = 0.0,
-    impossible: float = np.inf,
-) -> FloatArray:
-    """(lanes, T, markers, 2) where models put the markers of a trial, m.
+@dataclass(frozen=True, eq=False)
+class Lane:
+    """A model on the motion of a trial, seen at `times_s`."""
+
+    trial: Trial
+    model: CableModel
+    times_s: FloatArray
+
+
+def predict_lanes(
+    lanes: Sequence[Lane], arc_length_m: FloatArray, solver: Solver, impossible: float = np.inf
+) -> list[FloatArray]:
+    """(T, markers, 2) per lane: where the markers are, m.  All lanes begin alike.
 
     A lane that cannot be simulated does not spoil the others.
-    delay_s     by which the markers' times are late
     impossible  value of a lane that cannot be simulated
     """
+    trial = lanes[0].trial
     try:
-        return simulate(
-            models,
-            trial.grip,
-            trial.markers.t_s - delay_s,
+        return simulate_each(
+            [lane.model for lane in lanes],
+            [lane.trial.grip for lane in lanes],
+            [lane.times_s for lane in lanes],
             arc_length_m,
             solver=solver,
             start=trial.start,
             release_s=trial.release_s,
         )
     except (DivergedError, UnsettledError):
-        if len(models) == 1:
-            return np.full((1, *trial.markers.xy_m.shape), impossible)
-        half = len(models) // 2
-        return np.concatenate(
-            [
-                predict(trial, part, arc_length_m, solver, delay_s, impossible)
-                for part in (models[:half], models[half:])
-            ]
-        )
+        if len(lanes) == 1:
+            return [np.full((len(lanes[0].times_s), len(arc_length_m), 2), impossible)]
+        half = len(lanes) // 2
+        parts = lanes[:half], lanes[half:]
+        return [p for part in parts for p in predict_lanes(part, arc_length_m, solver, impossible)]
+
+
+def predict(
+    trial: Trial, models: Sequence[CableModel], arc_length_m: FloatArray, solver: Solver
+) -> FloatArray:
+    """(lanes, T, markers, 2) where models put the markers of a trial, m; as `predict_lanes`."""
+    lanes = [Lane(trial, model, trial.markers.t_s) for model in models]
+    return np.stack(predict_lanes(lanes, arc_length_m, solver))
 
 
 def variance_inflation(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,8 @@ _FIRST_DAMPING = 1e-2
 _HOPELESS_DAMPING = 1e8
 #: Mean square of white residuals from which a model errs by more than the noise.
 _ERRS = 2.0
+#: A step is as promised if the objective fell by the promise, give or take this share of it.
+_AS_PROMISED = 0.5
 
 
 @dataclass(frozen=True)
@@ -48,11 +50,15 @@ class Options:
     least_gain  share of the objective by which passes must lower it where the model errs by more
                 than the noise; after two that do not, what more of them would find is far below
                 what the answer could be wrong by
+    updates     steps in a row, at most, after which the Jacobian is only updated by the residuals
+                that they led to, where these were as promised; it pays where one lane costs far
+                less than a batch.  The last Jacobian is never an updated one
     """
 
     tolerance: float = 0.1
     most_passes: int = 25
     least_gain: float = 0.0
+    updates: int = 0
 
 
 @dataclass(frozen=True)
@@ -65,7 +71,7 @@ class Solution:
     covariance  (p, p) of q if the residuals are white noise of unit size
     free        (p,) whether a parameter is inside its bounds
     objective   |r|² plus the prior's term
-    passes      batches simulated
+    passes      places tried, the start included
     converged   whether the last step was within the tolerance
     """
 
@@ -83,74 +89,121 @@ def minimise(problem: Problem, start: FloatArray, options: Options = Options()) 
     """Minimum near `start`.
 
     Every pass simulates a point and its finite differences together, so that an accepted step
-    costs one pass.  The last step, smaller than the tolerance, is taken without another pass:
-    residuals and derivatives are then those of the linear model.
+    costs one pass; with `options.updates` some cost one lane.  The last step, smaller than the
+    tolerance, is taken without another pass: residuals and derivatives are then those of the
+    linear model.
     raises  ValueError: the residuals at `start` are not finite
     source  Madsen, Nielsen & Tingleff 2004, Methods for Non-Linear Least Squares, alg. 3.16, with
             damping relative to the diagonal and 0 at first; bounds by active set
     """
-    q = np.clip(start, problem.low, problem.high)
-    residual, jacobian = _linearise(problem, q)
-    if not (np.all(np.isfinite(residual)) and np.all(np.isfinite(jacobian))):
+    here = _linearise(problem, np.clip(start, problem.low, problem.high))
+    if not here.usable:
         raise ValueError("the model cannot be simulated at the start of the fit")
-    objective = _objective(problem, q, residual)
     damping, growth, passes, converged, idle = 0.0, 2.0, 1, False, 0
     while True:
-        normal = jacobian.T @ jacobian + problem.precision
-        slope = jacobian.T @ residual + problem.precision @ (q - problem.mean)
+        normal = here.jacobian.T @ here.jacobian + problem.precision
+        slope = here.jacobian.T @ here.residual + problem.precision @ (here.q - problem.mean)
         # Damping hides how far it still is along a valley, so nearness is judged without it.
-        step = _bounded_step(problem, q, normal, slope, 0.0)
-        rows = int(np.count_nonzero(residual))
-        scale = max(1.0, float(residual @ residual) / max(1, rows))
-        if float(step @ normal @ step) <= options.tolerance**2 * scale:
-            q, residual, converged = q + step, residual + jacobian @ step, True
+        step = _bounded_step(problem, here.q, normal, slope, 0.0)
+        square = float(here.residual @ here.residual)
+        scale = max(1.0, square / max(1, int(np.count_nonzero(here.residual))))
+        near = float(step @ normal @ step) <= options.tolerance**2 * scale
+        last = passes >= options.most_passes or (idle == 2 and scale > _ERRS)
+        if near or last:
+            computed = _computed(problem, here)
+            if computed is not here:
+                here = computed
+                continue
+            converged = near and not here.updates
+            if converged:
+                residual = here.residual + here.jacobian @ step
+                here = replace(here, q=here.q + step, residual=residual)
             break
-        if passes >= options.most_passes or (idle == 2 and scale > _ERRS):
-            break
-        passes += 1
         if damping > 0.0:
-            step = _bounded_step(problem, q, normal, slope, damping)
-        trial = q + step
-        trial_residual, trial_jacobian = _linearise(problem, trial)
-        trial_objective = _objective(problem, trial, trial_residual)
-        if trial_objective < objective and np.all(np.isfinite(trial_jacobian)):
-            promised = -float(step @ (2.0 * slope + normal @ step))
-            gain = (objective - trial_objective) / promised
-            small = objective - trial_objective < options.least_gain * objective
-            idle = idle + 1 if small else 0
-            q, residual, jacobian, objective = (
-                trial,
-                trial_residual,
-                trial_jacobian,
-                trial_objective,
-            )
+            step = _bounded_step(problem, here.q, normal, slope, damping)
+        passes += 1
+        if here.updates < options.updates:
+            there = _updated(problem, here, step, np.diag(normal))
+        else:
+            there = _linearise(problem, here.q + step)
+        if there.objective < here.objective and there.usable:
+            fall = here.objective - there.objective
+            gain = fall / -float(step @ (2.0 * slope + normal @ step))
+            small = fall < options.least_gain * here.objective
+            if there.updates and (small or abs(gain - 1.0) > _AS_PROMISED):
+                there = _computed(problem, there)
+            if not (small and here.updates):
+                idle = idle + 1 if small else 0
+            here = there
             damping *= max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3)
             growth = 2.0
+        elif here.updates and (computed := _computed(problem, here)) is not here:
+            here = computed
         else:
             damping = max(growth * damping, _FIRST_DAMPING)
             growth *= 2.0
             if damping > _HOPELESS_DAMPING:
                 break
-    free = (q > problem.low) & (q < problem.high)
+    free = (here.q > problem.low) & (here.q < problem.high)
     return Solution(
-        q,
-        residual,
-        jacobian,
+        here.q,
+        here.residual,
+        here.jacobian,
         _covariance(normal, free),
         free,
-        _objective(problem, q, residual),
+        _objective(problem, here.q, here.residual),
         passes,
         converged,
     )
 
 
-def _linearise(problem: Problem, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Residual (rows,) and Jacobian (rows, p) at q; not finite where it cannot be simulated."""
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """Residual (rows,) and Jacobian (rows, p) at q (p,); not finite where it cannot be simulated.
+
+    updates  since the Jacobian was computed
+    """
+
+    q: FloatArray
+    residual: FloatArray
+    jacobian: FloatArray
+    objective: float
+    updates: int = 0
+
+    @property
+    def usable(self) -> bool:
+        """Whether all of it could be simulated."""
+        return bool(np.all(np.isfinite(self.residual)) and np.all(np.isfinite(self.jacobian)))
+
+
+def _linearise(problem: Problem, q: FloatArray) -> _Point:
+    """The point at q, its Jacobian by finite differences."""
     step = one_sided_steps(q, problem.step, problem.high)
     lanes = problem.residuals(difference_points(q, step))
-    if not np.all(np.isfinite(lanes)):
-        return lanes[0], np.full((lanes.shape[1], len(q)), np.nan)
-    return lanes[0], (lanes[1:] - lanes[0]).T / step
+    jacobian = np.full((lanes.shape[1], len(q)), np.nan)
+    if np.all(np.isfinite(lanes)):
+        jacobian = (lanes[1:] - lanes[0]).T / step
+    return _Point(q, lanes[0], jacobian, _objective(problem, q, lanes[0]))
+
+
+def _computed(problem: Problem, point: _Point) -> _Point:
+    """The point with a Jacobian that is not updated, unless none can be computed there."""
+    if not point.updates:
+        return point
+    computed = _linearise(problem, point.q)
+    return computed if computed.usable else point
+
+
+def _updated(problem: Problem, point: _Point, step: FloatArray, weight: FloatArray) -> _Point:
+    """The point a step on: the least change of the Jacobian, in units of weight^-½, explains it.
+
+    source  Broyden, Math. Comp. 19 (1965) 577, "good" method
+    """
+    q = point.q + step
+    residual = problem.residuals(q[None])[0]
+    beyond = residual - point.residual - point.jacobian @ step
+    jacobian = point.jacobian + np.outer(beyond, weight * step / (step @ (weight * step)))
+    return _Point(q, residual, jacobian, _objective(problem, q, residual), point.updates + 1)
 
 
 def _objective(problem: Problem, q: FloatArray, residual: FloatArray) -> float:

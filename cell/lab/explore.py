@@ -49,11 +49,11 @@ MOST_SHAPES = 50
 #: Amplitudes tried, as shares of those that the screen expects.
 SHARES = (2.0, 0.5, 0.25, 0.1)
 #: Passes of a first refit; the best few are then taken to convergence.
-REFIT = Options(tolerance=0.1, most_passes=12, least_gain=1e-3)
-POLISH = Options(tolerance=0.1, most_passes=40, least_gain=1e-3)
+REFIT = Options(tolerance=0.1, most_passes=12, least_gain=1e-3, updates=3)
+POLISH = Options(tolerance=0.1, most_passes=40, least_gain=1e-3, updates=3)
 POLISHED = 3
 #: A place is sought with residuals tempered by this much more.
-SEARCH = Options(tolerance=0.3, most_passes=10, least_gain=1e-3)
+SEARCH = Options(tolerance=0.3, most_passes=10, least_gain=1e-3, updates=3)
 
 
 class Progress(Protocol):
@@ -149,6 +149,11 @@ class Explorer:
             self._prior_candidate = self._weigh(self.space.effects, fit)
         return self._prior_candidate
 
+    @property
+    def _alone(self) -> PreparedStudy:
+        """The study for a fit that runs beside others: on one core."""
+        return self.prepared.on_one_core()
+
     def known(self) -> tuple[Candidate, ...]:
         """Every candidate so far."""
         return tuple(self._known.values())
@@ -212,7 +217,7 @@ class Explorer:
         if candidate.fit.solution.converged:
             return candidate
         fit = fit_model(
-            self.prepared,
+            self._alone,
             candidate.fit.space,
             candidate.fit.q,
             candidate.fit.delay_s,
@@ -289,7 +294,7 @@ class Explorer:
                 promising = list(self._promising(space, np.array(starts), tries))
             for q in promising:
                 try:
-                    fit = fit_model(self.prepared, space, q, base.fit.delay_s, options=REFIT)
+                    fit = fit_model(self._alone, space, q, base.fit.delay_s, options=REFIT)
                 except ValueError:
                     continue
                 if best is None or fit.objective < best.objective:
@@ -312,21 +317,20 @@ class Explorer:
         fits = []
         for q in starts:
             try:
-                fits.append(fit_model(self.prepared, space, q, temper=temper, options=SEARCH))
+                fits.append(fit_model(self._alone, space, q, temper=temper, options=SEARCH))
             except ValueError:
                 continue
         return [f.q for f in sorted(fits, key=lambda f: f.objective)[:PLACES]]
 
     def _promising(self, space: ParameterSpace, starts: FloatArray, count: int) -> FloatArray:
         """The starts (lanes, p) with the least misfit, worth a fit each."""
-        square = np.zeros(len(starts))
-        for trial in fit_trials(self.prepared):
-            square += np.sum(residuals(self.prepared, space, [trial], starts) ** 2, axis=1)
+        trials = fit_trials(self.prepared)
+        square = np.sum(residuals(self._alone, space, trials, starts) ** 2, axis=1)
         order = np.argsort(np.where(np.isfinite(square), square, np.inf), kind="stable")
         return np.asarray(starts[order[:count]])
 
     def _weigh(self, effects: tuple[type[Effect], ...], fit: Fit) -> Candidate:
-        held = heldout(self.prepared, fit)
+        held = heldout(self._alone, fit)
         count = self.prepared.count(fit_trials(self.prepared))
         extra = sum(p.fitted for e in effects for p in e.parameters)
         penalty = -delta_bic(0.0, extra, count, self.prepared.floor.effective_fraction)

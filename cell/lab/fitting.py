@@ -128,10 +128,9 @@ def fit_model(
     )
     q, delays = solution.q[:p], dict(zip(released, map(float, solution.q[p:]), strict=True))
     model = space.model(q)
-    errors = [
-        t.markers.xy_m - prepared.predict(t, [model], np.array([delays.get(t.name, 0.0)]))[0]
-        for t in trials
-    ]
+    late = {name: np.array([delay]) for name, delay in delays.items()}
+    predicted = prepared.predict_all(trials, [model], late)
+    errors = [t.markers.xy_m - points[0] for t, points in zip(trials, predicted, strict=True)]
     chi2 = float(solution.residual @ solution.residual)
     return Fit(space, q, delays, solution, chi2, solution.objective, overall(errors))
 
@@ -146,11 +145,8 @@ def residuals(
     """(lanes, rows) whitened residuals of all trials; q (lanes, p + released)."""
     p = len(space.names)
     models = [space.model(row) for row in q[:, :p]]
-    parts = []
-    for trial in trials:
-        delay = q[:, p + released.index(trial.name)] if trial.name in released else None
-        parts.append(prepared.white(trial, prepared.predict(trial, models, delay)))
-    return np.concatenate(parts, axis=1)
+    delays = {name: q[:, p + i] for i, name in enumerate(released)}
+    return prepared.all_white(trials, models, delays)
 
 
 def heldout(prepared: PreparedStudy, fit: Fit) -> Heldout | None:
@@ -165,22 +161,21 @@ def heldout(prepared: PreparedStudy, fit: Fit) -> Heldout | None:
         return None
     space, p = fit.space, len(fit.q)
     steps = space.difference_steps(fit.q)
-    neighbours = [space.model(q) for q in difference_points(fit.q, steps)[1:]]
+    lanes = [space.model(q) for q in difference_points(fit.q, steps)]
+    released = [t for t in trials if is_released(t)]
+    delays = {t.name: np.full(p + 1, best_delay(prepared, fit.model, t)) for t in released}
+    if released:
+        lanes.append(fit.model)
+        delays = {name: np.append(d, d[0] + _DELAY_STEP_S) for name, d in delays.items()}
     predicted: dict[str, FloatArray] = {}
     rows, slopes, extra = [], [], []
-    for trial in trials:
-        delay = best_delay(prepared, fit.model, trial) if is_released(trial) else 0.0
-        lanes = [fit.model, *neighbours]
-        delays = np.full(p + 1, delay)
-        if is_released(trial):
-            lanes.append(fit.model)
-            delays = np.append(delays, delay + _DELAY_STEP_S)
-        points = prepared.predict(trial, lanes, delays)
+    for trial, points in zip(trials, prepared.predict_all(trials, lanes, delays), strict=True):
         white = prepared.white(trial, points)
         predicted[trial.name] = points[0]
         rows.append(white[0])
         slopes.append((white[1 : p + 1] - white[0]).T / steps)
-        extra.append((white[p + 1 :] - white[0]).T / _DELAY_STEP_S)
+        late = white[p + 1 :] if is_released(trial) else white[:0]
+        extra.append((late - white[0]).T / _DELAY_STEP_S)
     errors = {t.name: t.markers.xy_m - predicted[t.name] for t in trials}
     residual = np.concatenate(rows)
     sensitivity = np.vstack(slopes)

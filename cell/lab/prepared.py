@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cell.cable.dynamics import Solver
 from cell.cable.model import CableModel
-from cell.identify.fit import predict
+from cell.identify.fit import Lane, predict_lanes
 from cell.identify.noise import Noise, Whitener, still_frames
 from cell.lab.noise import Floor, noise_floor
 from cell.study.data import Markers, Study, Trial
@@ -77,25 +77,54 @@ class PreparedStudy:
         delay_s  (lanes,) by which the release of a cable held straight is late; the hand then
                  stands still, so that everything happens later by as much
         """
-        t_s = trial.markers.t_s
-        self.work.add(len(models), float(t_s[-1] - t_s[0]), self.solver)
-        delays = np.zeros(len(models)) if delay_s is None else delay_s
-        out = np.empty((len(models), *trial.markers.xy_m.shape))
-        for delay in np.unique(delays):
-            lanes = np.flatnonzero(delays == delay)
-            out[lanes] = predict(
-                trial,
-                [models[int(i)] for i in lanes],
-                self.study.arc_length_m,
-                self.solver,
-                float(delay),
-                impossible=np.nan,
-            )
-        return out
+        delays = None if delay_s is None else {trial.name: delay_s}
+        return self.predict_all([trial], models, delays)[0]
+
+    def predict_all(
+        self,
+        trials: Sequence[Trial],
+        models: Sequence[CableModel],
+        delay_s: Mapping[str, FloatArray] | None = None,
+    ) -> list[FloatArray]:
+        """The same of several trials; all lanes of those that begin alike go into one batch.
+
+        delay_s  by trial, 0 where none is given
+        """
+        alike: dict[object, list[tuple[str, int, Lane]]] = {}
+        for trial in trials:
+            t_s = trial.markers.t_s
+            self.work.add(len(models), float(t_s[-1] - t_s[0]), self.solver)
+            late = (delay_s or {}).get(trial.name, np.zeros(len(models)))
+            times = {float(d): t_s - d for d in np.unique(late)}
+            for number, (model, d) in enumerate(zip(models, late, strict=True)):
+                lane = Lane(trial, model, times[float(d)])
+                alike.setdefault(_begins(lane), []).append((trial.name, number, lane))
+        out = {t.name: np.empty((len(models), *t.markers.xy_m.shape)) for t in trials}
+        for group in alike.values():
+            lanes = [lane for *_, lane in group]
+            predicted = predict_lanes(lanes, self.study.arc_length_m, self.solver, np.nan)
+            for (name, number, _), points in zip(group, predicted, strict=True):
+                out[name][number] = points
+        return [out[t.name] for t in trials]
+
+    def on_one_core(self) -> PreparedStudy:
+        """The same, simulated without threads of its own: for several fits side by side."""
+        return replace(self, solver=replace(self.solver, threads=1))
 
     def white(self, trial: Trial, predicted_m: FloatArray) -> FloatArray:
         """(lanes, rows) whitened residuals of predictions (lanes, times, markers, 2)."""
         return self.whiteners[trial.name](predicted_m)
+
+    def all_white(
+        self,
+        trials: Sequence[Trial],
+        models: Sequence[CableModel],
+        delay_s: Mapping[str, FloatArray] | None = None,
+    ) -> FloatArray:
+        """(lanes, rows) whitened residuals of what models predict of all the trials."""
+        predicted = self.predict_all(trials, models, delay_s)
+        parts = [self.white(t, points) for t, points in zip(trials, predicted, strict=True)]
+        return np.concatenate(parts, axis=1)
 
     def count(self, trials: Sequence[Trial]) -> int:
         """Coordinates seen in trials."""
@@ -123,6 +152,14 @@ def _placed(trial: Trial, arc_length_m: FloatArray) -> Trial:
     seen = np.isfinite(beside).any(axis=0)
     offset = np.where(seen, np.nanmean(np.where(seen, beside, 0.0), axis=0), 0.0)
     return replace(trial, markers=Markers(t_s, trial.markers.xy_m - offset))
+
+
+def _begins(lane: Lane) -> object:
+    """Equal for lanes whose simulations begin alike: these can share a grid of steps."""
+    trial = lane.trial
+    if trial.release_s is not None:
+        return trial.start, trial.release_s
+    return trial.start, min(float(lane.times_s[0]), float(trial.grip.t_s[0]))
 
 
 def is_released(trial: Trial) -> bool:

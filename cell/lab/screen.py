@@ -99,11 +99,8 @@ def _changes(prepared: PreparedStudy, fit: Fit, guesses: Sequence[_Guess]) -> Fl
     """(guesses, rows) whitened change of the fit trials' markers by each nudge."""
     model = fit.model
     models = [model, *(_with(model, ActiveEffect(g.effect, g.values)) for g in guesses)]
-    parts = []
-    for trial in fit_trials(prepared):
-        delay = np.full(len(models), fit.delay_s.get(trial.name, 0.0))
-        parts.append(prepared.white(trial, prepared.predict(trial, models, delay)))
-    white = np.concatenate(parts, axis=1)
+    delays = {name: np.full(len(models), delay) for name, delay in fit.delay_s.items()}
+    white = prepared.all_white(fit_trials(prepared), models, delays)
     return np.asarray(white[0] - white[1:])
 
 

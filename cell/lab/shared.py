@@ -240,5 +240,4 @@ def fit_shared(
 
 
 def _white(cable: PreparedStudy, models: list[CableModel]) -> FloatArray:
-    parts = [cable.white(t, cable.predict(t, models)) for t in cable.study.trials]
-    return np.concatenate(parts, axis=1)
+    return cable.all_white(cable.study.trials, models)
