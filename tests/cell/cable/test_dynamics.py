@@ -2,11 +2,12 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from cell.cable.dynamics import DivergedError, Solver, simulate
+from cell.cable.dynamics import DivergedError, Solver, simulate, simulate_each
 from cell.cable.effects import library
 from cell.cable.geometry import Cable, Motion
 from cell.cable.model import CableModel
@@ -52,6 +53,26 @@ def test_one_model_many_motions(cable, arc, jerk):
     half = Motion(jerk.t_s, jerk.x_m, 0.5 * jerk.y_m, jerk.angle_rad)
     both = simulate(models(cable, 1)[0], [jerk, half], TIMES, arc)
     assert both[1] == pytest.approx(simulate(models(cable, 1)[0], half, TIMES, arc)[0], abs=1e-13)
+
+
+@pytest.mark.parametrize("effect", [None, "camera_latency"])
+def test_each_lane_has_its_own_motion_and_times(cable, arc, jerk, effect):
+    """Among lanes that end elsewhere, and see other instants, each is as it is alone."""
+    slow = Motion(1.5 * jerk.t_s, jerk.x_m, jerk.y_m, jerk.angle_rad)
+    late = () if effect is None else (library()[effect].active(delay_s=0.004),)
+    batch = [replace(m, effects=late) for m in models(cable, 20)]
+    motions = [jerk if k % 3 else slow for k in range(20)]
+    times = [TIMES[: 20 + k] if k % 2 else TIMES + 0.003 * k for k in range(20)]
+    together = simulate_each(batch, motions, times, arc)
+    for k in (0, 1, 13, 19):
+        alone = simulate(batch[k], motions[k], times[k], arc)[0]
+        assert together[k].shape == alone.shape
+        assert together[k] == pytest.approx(alone, abs=1e-12 if effect is None else 1e-7)
+
+
+def test_times_are_given_for_each_lane(cable, arc, jerk):
+    with pytest.raises(ValueError, match="times of 1 lanes for 2"):
+        simulate_each(models(cable, 2), jerk, [TIMES], arc)
 
 
 def test_starts_at_rest_and_ends_at_rest(cable, arc, jerk, at_rest):

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -45,14 +47,30 @@ def misra(low: float = -np.inf, high: float = np.inf) -> Problem:
     )
 
 
+@pytest.mark.parametrize("updates", [0, 3])
 @pytest.mark.parametrize("start", [(500.0, 1e-4), (250.0, 5e-4), (100.0, 2e-3)])
-def test_nist_certified_values_and_standard_deviations(start: tuple[float, float]) -> None:
-    solution = minimise(misra(), np.log(start), Options(tolerance=1e-4))
+def test_nist_certified_values_and_standard_deviations(
+    start: tuple[float, float], updates: int
+) -> None:
+    solution = minimise(misra(), np.log(start), Options(tolerance=1e-4, updates=updates))
     assert solution.converged
     np.testing.assert_allclose(np.exp(solution.q), CERTIFIED, rtol=1e-5)
     std = np.sqrt(np.diag(solution.covariance)) * CERTIFIED
     np.testing.assert_allclose(std, CERTIFIED_STD, rtol=1e-3)
     assert solution.objective == pytest.approx(12.0, rel=1e-5)  # 14 data, 2 parameters
+
+
+def test_jacobians_that_are_updated_save_most_lanes_and_find_the_same() -> None:
+    counts, found = [], []
+    for updates in (0, 3):
+        lanes: list[int] = []
+        residuals = misra().residuals
+        counted = replace(misra(), residuals=lambda q: lanes.append(len(q)) or residuals(q))  # noqa: B023
+        solution = minimise(counted, np.log([500.0, 1e-4]), Options(1e-4, updates=updates))
+        counts.append(sum(n > 1 for n in lanes))
+        found.append(np.concatenate([solution.q, solution.jacobian.ravel()]))
+    assert counts[1] < counts[0] / 2
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-4)
 
 
 def test_a_bound_is_kept_and_the_rest_is_fitted_beside_it() -> None:
@@ -99,7 +117,8 @@ def test_too_few_passes_is_said() -> None:
     assert not solution.converged
 
 
-def test_far_along_a_narrow_valley_is_not_called_converged() -> None:
+@pytest.mark.parametrize("updates", [0, 3])
+def test_far_along_a_narrow_valley_is_not_called_converged(updates: int) -> None:
     """Rosenbrock's valley, a hundred times narrower than long: damped steps across it are tiny."""
 
     def residuals(lanes: np.ndarray) -> np.ndarray:
@@ -108,6 +127,6 @@ def test_far_along_a_narrow_valley_is_not_called_converged() -> None:
 
     wide = np.full(2, 10.0)
     problem = Problem(residuals, np.zeros(2), np.zeros((2, 2)), np.full(2, 1e-6), -wide, wide)
-    solution = minimise(problem, np.array([-1.2, 1.44]), Options(most_passes=100))
+    solution = minimise(problem, np.array([-1.2, 1.44]), Options(most_passes=100, updates=updates))
     assert solution.converged
     assert solution.q == pytest.approx([1.0, 1.0], abs=1e-4)
