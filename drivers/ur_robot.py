@@ -27,7 +27,7 @@ _OUTPUTS = [
     "speed_scaling",
     "target_speed_fraction",
 ]
-#: By how much later than it could a state may be read: its arrival is awaited for 0.8 ms.
+#: By how much later the client that sends commands may see what the program answers.
 _POLLING_SLACK_S = 4e-4
 _STANDSTILL_M = 2e-4
 _STANDSTILL_S = 0.1
@@ -77,7 +77,6 @@ class Robot:
             raise RefusedError(f"ur-rtde cannot be loaded ({error})", _NO_LIBRARY) from error
 
         before_threads()
-        before = own_threads()
         self._options = options
         self._remote, self._remote_asked_s = True, -np.inf
         self._dashboard = dashboard_client.DashboardClient(options.host)
@@ -87,6 +86,7 @@ class Robot:
             options.host, 1.0 / options.period_s, _OUTPUTS
         )
         self._check_can_start()
+        before = own_threads()
         self.control = rtde_control.RTDEControlInterface(options.host, 1.0 / options.period_s)
         poll_gently(own_threads() - before, _POLLING_SLACK_S)
         self._prepare()
