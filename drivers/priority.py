@@ -73,8 +73,8 @@ def own_threads() -> set[int]:
 def poll_gently(threads: Iterable[int], slack_s: float) -> None:
     """Let threads of this process that only poll wake up together with others, not in real time.
 
-    ur-rtde's two clients each look every 100 µs whether something has come, which costs a good part
-    of a core in real time and little with some slack.
+    A client of ur-rtde looks every 100 µs whether something has come, which costs a good part of a
+    core in real time and little with some slack.
 
     threads  numbers as of `own_threads`; one that has ended by now is passed over
     slack_s  by how much later than asked they may wake up, s
