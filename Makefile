@@ -4,7 +4,7 @@ BIN := $(VENV)/bin
 PYTHON ?= $(firstword $(foreach p,python3.12 python3.11 python3.13 python3,$(shell $(p) -c "import sys; print('$(p)' if (3,11) <= sys.version_info[:2] < (3,14) else '')" 2>/dev/null)))
 CYCLES ?= 3
 
-.PHONY: run test lint types imports tests hardware bench figures learn coverage practice false-alarms confusion fault-trials calibration-study malformed endurance clean help jaw-plate docs
+.PHONY: run test lint types imports compiled tests hardware bench figures learn coverage practice false-alarms confusion fault-trials calibration-study malformed endurance clean help jaw-plate docs
 
 help:            ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
@@ -12,7 +12,14 @@ help:            ## list the targets
 run: $(VENV)/.user   ## three simulated cables through the whole cycle
 	$(BIN)/cell run --config config/fake.yaml --cycles $(CYCLES)
 
-test: lint types imports tests   ## everything that CI checks
+# Matrices are small: a second thread of linear algebra only spins.  Modules are compiled once for
+# all processes, whatever the shell says of bytecode.
+export OPENBLAS_NUM_THREADS = 1
+export PYTHONDONTWRITEBYTECODE =
+
+test: $(VENV)/.dev   ## everything that CI checks
+	$(MAKE) --no-print-directory -j 2 lint types imports compiled
+	$(MAKE) --no-print-directory tests
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .
@@ -23,6 +30,10 @@ types: $(VENV)/.dev
 
 imports: $(VENV)/.dev
 	$(BIN)/lint-imports
+
+compiled: $(VENV)/.dev   # machine code on disk, or each of two test processes would compile it
+	@folder=$$(mktemp -d) && $(BIN)/cell run --config config/fake.yaml --cycles 1 --out $$folder/runs > $$folder/log 2>&1 \
+		|| { cat $$folder/log; rm -rf $$folder; exit 1; }; rm -rf $$folder
 
 tests: $(VENV)/.dev
 	$(BIN)/pytest -n 2 -m 'not xdist_group'
