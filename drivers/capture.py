@@ -7,6 +7,7 @@ wrong with single pictures is in `recording`.
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections import deque
 from collections.abc import Callable
@@ -24,6 +25,8 @@ from drivers.interfaces import (
 )
 from drivers.priority import raise_thread
 from drivers.recording import SLOW_REMEDY, ArrivedShot, CaptureOptions, Recording, Shot
+
+_LOG = logging.getLogger(__name__)
 
 #: Before all that computes, behind the arm: a picture that is not taken in time is lost.
 _PRIORITY = 8
@@ -95,6 +98,7 @@ class StreamingCamera:
             stream.quit(wait_s=0.0)
             raise
         self._stream = stream
+        _LOG.info("%s: connected, pictures at %.1f Hz", self.name, self._rate_hz)
 
     def close(self) -> None:
         """Release the camera; safe to call twice."""
@@ -187,6 +191,7 @@ class _Stream:
             self._changed.notify_all()
 
     def _fail(self, error: DeviceError) -> None:
+        _LOG.warning("%s", error)
         with self._changed:
             self._error = error
             self._changed.notify_all()

@@ -6,6 +6,7 @@ the cable and the tooling from mistakes of the program; it is not a safety funct
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from typing import NoReturn
 
@@ -25,6 +26,8 @@ from drivers.interfaces import (
     Pose,
     Trajectory,
 )
+
+_LOG = logging.getLogger(__name__)
 
 _NOTHING_MOVED = "nothing was moved"
 
@@ -104,6 +107,8 @@ class GuardedArm:
         not_begun = f"this path was not begun; the hand is at {_described(here)}"
         check_path(path, self._limits, self.name, not_begun)
         self._check_start(path, here, not_begun)
+        end = Pose(float(path.x_m[-1]), float(path.y_m[-1]), float(path.angle_rad[-1]))
+        _LOG.info("%s: %.2f s to %s", self.name, path.t_s[-1] - path.t_s[0], _described(end))
         self._arm.follow(path, start_s)
 
     def log(self, start_s: float, end_s: float) -> Trajectory:
@@ -112,6 +117,7 @@ class GuardedArm:
 
     def stop(self, reason: str) -> None:
         """Stop now; latched."""
+        _LOG.warning("%s: stop: %s", self.name, reason)
         self._arm.stop(reason)
 
     def reset(self) -> None:

@@ -10,6 +10,7 @@ further than jaws on a cable.
 
 from __future__ import annotations
 
+import logging
 import termios
 import threading
 from collections.abc import Callable
@@ -30,6 +31,8 @@ from drivers.interfaces import (
 )
 
 T = TypeVar("T")
+
+_LOG = logging.getLogger(__name__)
 
 _COMMAND, _STATUS = 0x3E8, 0x7D0
 _ACTIVATE, _GO_TO = 0x0100, 0x0800
@@ -141,6 +144,7 @@ class SerialGripper:
                 raise ConnectError(
                     self.name, f"no gripper on {options.port}: {cause}", _LOST_REMEDY
                 ) from error
+        _LOG.info("%s: connected on %s", self.name, options.port)
 
     def close(self) -> None:
         """Close the line, leaving the jaws as they are."""
@@ -156,6 +160,7 @@ class SerialGripper:
             raise LimitError(
                 self.name, f"force = {force_n} N, allowed {low}..{high} N", "nothing was moved"
             )
+        _LOG.info("%s: grip with %g N", self.name, force_n)
         state = self._move(255, round(255 * (force_n - low) / (high - low)))
         if not state.holding:
             raise GripError(
@@ -165,6 +170,7 @@ class SerialGripper:
 
     def release(self) -> GripperState:
         """Raises DeviceTimeoutError; DeviceLostError."""
+        _LOG.info("%s: release", self.name)
         return self._move(0, 0)
 
     def state(self) -> GripperState:

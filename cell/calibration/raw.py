@@ -141,11 +141,11 @@ def _rows(path: Path, width: int) -> list[tuple[int, list[str]]]:
             lines = list(csv.reader(file))
     except OSError as error:
         raise InputError(
-            [Problem(path, 1, None, "", f"cannot be read: {error.strerror}")]
+            [Problem(path, 1, None, "", f"cannot be read: {error.strerror}; check the name")]
         ) from error
     for number, row in enumerate(lines, 1):
         if len(row) != width:
-            message = f"has {len(row)} columns, {width} are needed"
+            message = f"has {len(row)} columns, {width} are needed; mend the line or record again"
             raise InputError([Problem(path, number, None, "", message)])
     if len(lines) < 2:
         raise InputError([Problem(path, 1, None, "", "has no rows")])

@@ -118,12 +118,15 @@ def board(
     """Write the board as a PDF to scale, with rulers to check the printout."""
     from calib.board import Board
     from calib.board_pdf import board_pdf
+    from cell.files.atomic import write_whole
+    from cell.files.overwriting import check_output
 
     try:
         wanted = Board(columns, rows, square_mm / 1e3, dictionary=dictionary, legacy=legacy)
+        check_output(out, force=out.suffix.lower() == ".pdf")
     except ValueError as error:
         refuse(error)
-    out.write_bytes(board_pdf(wanted))
+    write_whole(out, board_pdf(wanted))
     print(f"{out}: print at 100 %, measure ten squares, put the result in calibration.square_m")
 
 

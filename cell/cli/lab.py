@@ -328,7 +328,11 @@ def refusing(*outputs: Path | None, force: bool = False) -> Iterator[None]:
                 check_output(output, force=force)
         yield
     except (FileNotFoundError, ValueError) as error:  # InputError, EffectError … among them
-        print(error, file=sys.stderr)
+        missing = isinstance(error, FileNotFoundError) and error.filename is not None
+        print(
+            f"{error.filename}: {error.strerror}; check the name" if missing else error,
+            file=sys.stderr,
+        )
         raise typer.Exit(BAD_INPUT) from error
 
 

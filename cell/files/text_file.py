@@ -37,11 +37,14 @@ def read_text(path: Path, max_bytes: int) -> str:
             path, "cannot be read: is not UTF-8 text; save it as UTF-8", column=1
         ) from error
     except OSError as error:
-        raise InputError.at(path, f"cannot be read: {error.strerror}", column=1) from error
+        raise InputError.at(
+            path, f"cannot be read: {error.strerror}; check the name and who may read it", column=1
+        ) from error
     except ValueError as error:  # a name that no file can have
         if isinstance(error, InputError):
             raise
-        raise InputError.at(path, f"cannot be read: {error}", column=1) from error
+        message = f"cannot be read: {error}; check the name"
+        raise InputError.at(path, message, column=1) from error
 
 
 def read_json_object(path: Path) -> dict[str, Any]:
@@ -50,10 +53,11 @@ def read_json_object(path: Path) -> dict[str, Any]:
     try:
         data = json.loads(text)
     except json.JSONDecodeError as error:
-        message = f"is not JSON: {error.msg}"
+        message = f"is not JSON: {error.msg}; give a file as this program writes it"
         raise InputError.at(path, message, line=error.lineno, column=error.colno) from error
     except RecursionError as error:
-        raise InputError.at(path, "is nested too deeply for what it may hold", column=1) from error
+        message = "is nested too deeply for what it may hold; give a file as this program writes it"
+        raise InputError.at(path, message, column=1) from error
     if not isinstance(data, dict):
         raise InputError.at(path, "must hold one JSON object", column=1)
     return data

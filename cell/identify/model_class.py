@@ -129,7 +129,7 @@ def effect_from(source: str) -> type[Effect]:
         return known_effects()[source]
     file = Path(source).resolve()
     if not file.is_file():
-        raise FileNotFoundError(f"{source}: no such effect file")
+        raise FileNotFoundError(f"{source}: no such effect file; give the path of a Python file")
     return _loaded(file, file_sha256(file))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -28,6 +29,8 @@ from cell.lab.verdict import (
     hopeless_search,
     verdict_of,
 )
+
+_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +58,7 @@ def diagnose(explorer: Explorer, rules: Rules = DEFAULT_RULES) -> Examination:
     evidence, and each is tested again with all others in.
     """
     base = explorer.baseline()
+    _LOG.info("study %s, baseline: %s", explorer.prepared.study.name, _errors_in_words(base))
     screened = explorer.screened(base)
     singles = explorer.add(base, explorer.worth_refitting(base, rules.best))
     current, cut_short = _searched(explorer, base, len(screened), rules)
@@ -69,6 +73,7 @@ def diagnose(explorer: Explorer, rules: Rules = DEFAULT_RULES) -> Examination:
     verdict: Verdict = verdict_of(base, current, tied, rules) if found else "unexplained"
     whole, most = partial.explorer, partial.steps
     also = {e.name: tied_so_far(whole, most[-1], e, rules) for e in _added(whole, most[-1])}
+    _LOG.info("verdict: %s", verdict)
     rivals = {n for names in (*tied.values(), *also.values()) for n in names}
     diagnosis = Diagnosis(
         noise_m=explorer.prepared.floor.noise.std_m,
@@ -82,6 +87,12 @@ def diagnose(explorer: Explorer, rules: Rules = DEFAULT_RULES) -> Examination:
         warnings=doubts(explorer, whole, current if found else most[-1], cut_short),
     )
     return Examination(diagnosis, steps, tuple(screened), tuple(singles), current, most)
+
+
+def _errors_in_words(candidate: Candidate) -> str:
+    held = candidate.heldout
+    beyond = "none held out" if held is None else f"{held.rms_m * 1e3:.4f} mm held out"
+    return f"{candidate.fit.rms_m * 1e3:.4f} mm fitted, {beyond}"
 
 
 def _searched(
@@ -99,6 +110,7 @@ def _searched(
         if better is None:
             break
         current = _pruned(explorer, _exchanged(explorer, better, rules), rules)
+        _LOG.info("with %s: %s", ", ".join(sorted(current.names)), _errors_in_words(current))
     return current, False
 
 

@@ -106,7 +106,8 @@ def discover(explorer: Explorer, out: Path, rules: Rules = ALL_TERMS) -> Discove
         examination = diagnose(search, rules)
     base, found = search.baseline(), examination.accepted
     if found is base:
-        raise NothingFoundError(_why_nothing(examination, base))
+        study = explorer.prepared.study.name
+        raise NothingFoundError(f"study {study}: {_why_nothing(examination, base)}")
     added = [e for e in found.effects if e not in explorer.space.effects]
     settled = estimate(explorer.prepared, found.fit)
     values = {n: i.value for effect in added for n, i in settled.intervals(effect).items()}
@@ -151,7 +152,10 @@ def _why_nothing(examination: Examination, base: Candidate) -> str:
     noise_m = examination.diagnosis.noise_m
     misses = f"it misses {_error(base) * 1e3:.4f} mm, noise is {noise_m * 1e3:.4f} mm"
     if examination.diagnosis.verdict == "complete":
-        return f"the model is complete ({misses}): there is no law to discover; nothing written"
+        return (
+            f"the model is complete ({misses}), use it as it is: there is no law to discover; "
+            "nothing written"
+        )
     nearest = min(examination.singles, key=_error, default=base)
     tried = ""
     if nearest is not base:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,6 +31,8 @@ from cell.settings import load_settings
 from cell.settings.translate import model_class_of
 from cell.study.data import Study, Trial
 from cell.study.folder import read_study, study_folder
+
+_LOG = logging.getLogger(__name__)
 
 #: A uniform clamped strip that droops by δ swings at ω² = 1.545 g/δ (β₁L = 1.8751).
 SWING = 1.545
@@ -234,6 +237,7 @@ def fit_study(explorer: Explorer) -> tuple[Identified, Candidate]:
     """
     candidate = explorer.baseline()
     prepared = explorer.prepared
+    _LOG.info("fitted %s: %.4f mm", prepared.study.name, candidate.fit.rms_m * 1e3)
     if candidate.fit.rms_m <= ERRS * prepared.noise.std_m:
         return identified(prepared, candidate.fit), candidate
     left = Noise(candidate.fit.rms_m)

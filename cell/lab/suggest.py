@@ -172,7 +172,10 @@ def rivals(explorer: Explorer, examination: Examination) -> list[Candidate]:
     """
     diagnosis, final = examination.diagnosis, examination.steps[-1]
     if diagnosis.verdict == "complete":
-        raise ValueError("the model explains these trials to their noise; nothing to tell apart")
+        raise ValueError(
+            f"study {explorer.prepared.study.name}: the model explains these trials to their "
+            "noise, use it as it is; nothing to tell apart"
+        )
     known = {c.names: c for c in (*explorer.known(), *examination.singles, *examination.steps)}
     tied = [
         known[names]
@@ -186,7 +189,10 @@ def rivals(explorer: Explorer, examination: Examination) -> list[Candidate]:
     if diagnosis.missing:
         best = [final, *(c for c in best if not c.names >= final.names)]
     if len(best) < 2:
-        raise ValueError("there is only one candidate; nothing to tell apart")
+        raise ValueError(
+            f"study {explorer.prepared.study.name}: there is only one candidate, give more with "
+            "--effect; nothing to tell apart"
+        )
     return best[: MOST_CANDIDATES if diagnosis.verdict == "cannot_tell" else 2]
 
 

@@ -135,7 +135,10 @@ def read_record(folder: Path) -> Recorded:
     """
     state = _read_json(folder / "state.json")
     if state is None:
-        raise InputError.at(folder / "state.json", "is missing: not a cycle's folder")
+        raise InputError.at(
+            folder / "state.json",
+            "is missing: not a cycle's folder; `cell list` shows those there are",
+        )
     if state.get("format") != FORMAT:
         message = f"format is {state.get('format')!r}, not {FORMAT!r}"
         raise InputError.at(folder / "state.json", message)

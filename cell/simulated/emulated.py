@@ -7,6 +7,7 @@ arm really is, and between the jaws as long as the emulated gripper holds them.
 from __future__ import annotations
 
 import contextlib
+import logging
 import socket
 import threading
 from dataclasses import dataclass
@@ -55,6 +56,9 @@ class HiddenCableFactory:
     def __call__(self) -> EmulatedCable:
         """The cable at rest in the jaws."""
         return EmulatedCable(self.settings, self.seed, self.number)
+
+
+_LOG = logging.getLogger(__name__)
 
 
 class EmulatedCable:
@@ -124,10 +128,12 @@ class EmulatedCell:
             stack.callback(self._watcher.join)
             stack.callback(self._end.set)
             self._stack = stack.pop_all()
+        _LOG.info("emulators started: %s", self.whereabouts().replace("\n", "; "))
         return self
 
     def __exit__(self, *_: object) -> None:
         self._stack.close()
+        _LOG.info("emulators ended")
 
     def whereabouts(self) -> str:
         """Where they listen, and their processes."""
@@ -147,6 +153,8 @@ class EmulatedCell:
                 if self.gripper.look().held is not held:
                     held = not held
                     self.cables += held
+                    what = f"cable {self.cables} is gripped" if held else "the cable is let go"
+                    _LOG.info("emulated jaws: %s", what)
                     cable = HiddenCableFactory(self._settings, self._seed, self.cables)
                     self.camera.tell(cable if held else None)
 

@@ -62,7 +62,7 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     x = np.clip((t - 0.2) / 0.2, 0.0, 1.0)
     grip = Motion(t, 0 * t, -0.05 * x**3 * (10 - 15 * x + 6 * x**2), 0 * t)
     cable, arcs = Cable(0.1, 0.0074, 0.016, 1e-4), np.linspace(0.1, 0.0, 3)
-    xy_m = simulate(CableModel(cable, np.array(3e-5), viscosity_n_m2_s=1e-7), grip, t, arcs)[0]
+    xy_m = simulate(CableModel(cable, np.array([3e-5]), viscosity_n_m2_s=1e-7), grip, t, arcs)[0]
     xy_m = xy_m + np.random.default_rng(1).normal(0.0, 1e-4, xy_m.shape)
     write_study(
         Study("s", cable, arcs, (Trial("a", "fit", "equilibrium", grip, Markers(t, xy_m)),)),

@@ -105,3 +105,11 @@ def test_past_cycles_of_no_folder_end_with_2(tmp_path: Path) -> None:
     for command in (("list", tmp_path / "no"), ("show", "--out", tmp_path), ("show", tmp_path)):
         done = cell(*command)
         assert done.exit_code == 2 and done.stderr and not done.stdout
+
+
+def test_the_log_of_any_command_is_kept(tmp_path: Path) -> None:
+    path = tmp_path / "lab.log"
+    assert cell("--log", path, "effects").exit_code == 0
+    first, second = path.read_text().splitlines()
+    assert "cell 0." in first and first.endswith(f"log of {path}")
+    assert " INFO    cell.cli: cell " in second
