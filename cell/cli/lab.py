@@ -328,11 +328,10 @@ def refusing(*outputs: Path | None, force: bool = False) -> Iterator[None]:
                 check_output(output, force=force)
         yield
     except (FileNotFoundError, ValueError) as error:  # InputError, EffectError … among them
-        missing = isinstance(error, FileNotFoundError) and error.filename is not None
-        print(
-            f"{error.filename}: {error.strerror}; check the name" if missing else error,
-            file=sys.stderr,
-        )
+        if isinstance(error, FileNotFoundError) and error.filename is not None:
+            print(f"{error.filename}: {error.strerror}; check the name", file=sys.stderr)
+        else:
+            print(error, file=sys.stderr)
         raise typer.Exit(BAD_INPUT) from error
 
 
