@@ -51,8 +51,16 @@ LineModel = Annotated[
     Path | None,
     typer.Option("--config", "-c", help="Settings of a cell: its `model` is where one starts."),
 ]
-ResultFile = Annotated[
-    Path | None, typer.Option("-o", "--out", help="Write the result here, as JSON.")
+Results = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--json",
+        "-o",
+        "--out",
+        help="-o FILE writes the result as JSON, --json prints it instead of tables; or both.",
+        show_default=False,
+        metavar="FILE",
+    ),
 ]
 ReportFile = Annotated[
     Path | None, typer.Option("--report", help="Write a self-contained HTML report here.")
@@ -101,8 +109,7 @@ def compare(
         list[str] | None,
         typer.Option("--effect", help="The file.py of an effect of the model, if it has moved."),
     ] = None,
-    out: ResultFile = None,
-    as_json: Json = None,
+    results: Results = None,
     report: ReportFile = None,
     force: Force = False,
 ) -> None:
@@ -121,14 +128,14 @@ def compare(
         correlations_table,
     )
 
-    with refusing(out, as_json, report, force=force), working("compare") as progress:
+    with refusing(*results or [], report, force=force), working("compare") as progress:
         opened = _opened(study)
         individuals = session.read_models(model, opened.cable, effect or [])
         comparisons: list[Comparison] = []
         for m, name in zip(individuals, model_names(model), strict=True):
             progress(f"comparing {name}", len(comparisons), len(individuals))
             comparisons.append(compare_model(opened, m.model, name))
-        tables = write_result(comparisons_json(comparisons), out, as_json)
+        tables = write_result(comparisons_json(comparisons), *results or [])
         if report:
             write_page(comparison_page(comparisons), report)
     if tables:
@@ -149,8 +156,7 @@ def diagnose(
     known: Known = None,
     prior: PriorFile = None,
     config: LineModel = None,
-    out: ResultFile = None,
-    as_json: Json = None,
+    results: Results = None,
     report: ReportFile = None,
     force: Force = False,
 ) -> None:
@@ -172,7 +178,7 @@ def diagnose(
         waterfall_table,
     )
 
-    with refusing(out, as_json, report, force=force), working("diagnose") as progress:
+    with refusing(*results or [], report, force=force), working("diagnose") as progress:
         selection = session.select_for_diagnosis(effect or [], known or [])
         opened = _opened(study)
         explorer = _explorer(opened, selection, prior, progress, config)
@@ -186,7 +192,7 @@ def diagnose(
             known=tuple(e.name for e in in_model),
             accepted=tuple(e.name for e in examination.accepted.effects if e not in in_model),
         )
-        tables = write_result(to_json(examination.diagnosis), out, as_json)
+        tables = write_result(to_json(examination.diagnosis), *results or [])
         if report:
             model = identified(explorer.prepared, examination.steps[-1].fit)
             write_page(diagnosis_page(examination, comparisons, model, todo), report)
@@ -209,19 +215,17 @@ def effects(
     effect: Annotated[
         list[str] | None, typer.Option("--effect", help="A file.py to check and list as well.")
     ] = None,
-    out: ResultFile = None,
-    as_json: Json = None,
+    results: Results = None,
     force: Force = False,
 ) -> None:
     """List the effects that a model may be given: laws, parameters, units and limits."""
     from cell.lab import session
     from cell.lab.tables import describe_effects, effects_table
 
-    with refusing(out, as_json, force=force):
+    with refusing(*results or [], force=force):
         library = session.select_effects([], effect or []).candidates
-        tables = write_result(
-            {"format": "cable-effects/1", "effects": describe_effects(library)}, out, as_json
-        )
+        described = {"format": "cable-effects/1", "effects": describe_effects(library)}
+        tables = write_result(described, *results or [])
     if tables:
         show(effects_table(library))
 
