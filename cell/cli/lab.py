@@ -287,8 +287,8 @@ def suggest(
     from cell.lab import session
     from cell.lab.diagnose import diagnose as diagnose_study
     from cell.lab.suggest import suggest_motion, write_motion
-    from cell.lab.surroundings import Surroundings
     from cell.lab.tables import suggestion_table
+    from cell.settings.surroundings import Surroundings
 
     with refusing(out, as_json, force=force), working("suggest") as progress:
         surroundings = Surroundings.read(config)

@@ -28,8 +28,8 @@ from cell.lab.compare import everywhere
 from cell.lab.diagnose import Examination
 from cell.lab.explore import Candidate, Explorer
 from cell.lab.prepared import PreparedStudy
-from cell.lab.surroundings import Surroundings, Swept
 from cell.plan.measuring import least_duration_s, quintic
+from cell.settings.surroundings import Surroundings, Swept
 from cell.study.data import Markers, Trial
 
 FloatArray = NDArray[np.float64]

@@ -18,9 +18,9 @@ from cell.lab.explore import Explorer
 from cell.lab.motion_file import load_motion
 from cell.lab.prepared import PreparedStudy
 from cell.lab.suggest import DECIDED, _separation, strokes, suggest_motion, write_motion
-from cell.lab.surroundings import CLEARANCE_M, Surroundings, Swept, jaw_points_m
 from cell.plan.measuring import measuring_path
 from cell.settings import load_settings
+from cell.settings.surroundings import CLEARANCE_M, Surroundings, Swept, jaw_points_m
 from cell.settings.translate import cable_of
 from drivers.guard import ArmLimits, check_path
 
