@@ -5,11 +5,8 @@ from __future__ import annotations
 import contextlib
 import gc
 import os
-from collections.abc import Iterable
 from pathlib import Path
 
-#: Of threads that are no longer in real time: the highest there is.
-_BEFORE_ORDINARY_ONES = -20
 _PRECEDENCE = -10
 _SESSION = Path("/proc/self/autogroup")
 
@@ -60,33 +57,6 @@ def take_precedence() -> bool:
     with contextlib.suppress(OSError):
         _SESSION.write_text(str(_PRECEDENCE))
     return True
-
-
-def own_threads() -> set[int]:
-    """System numbers of this process's threads; empty where they cannot be listed."""
-    try:
-        return {int(task.name) for task in Path("/proc/self/task").iterdir()}
-    except OSError:
-        return set()
-
-
-def poll_gently(threads: Iterable[int], slack_s: float) -> None:
-    """Let threads of this process that only poll wake up together with others, not in real time.
-
-    A client of ur-rtde looks every 100 µs whether something has come, which costs a good part of a
-    core in real time and little with some slack.
-
-    threads  numbers as of `own_threads`; one that has ended by now is passed over
-    slack_s  by how much later than asked they may wake up, s
-    Nothing happens where the system has no such thing or does not permit it.
-    """
-    for thread in threads:
-        with contextlib.suppress(AttributeError, OSError):
-            if os.sched_getscheduler(thread) != os.SCHED_OTHER:
-                os.sched_setscheduler(thread, os.SCHED_OTHER, os.sched_param(0))
-                os.setpriority(os.PRIO_PROCESS, thread, _BEFORE_ORDINARY_ONES)
-        with contextlib.suppress(OSError):
-            Path(f"/proc/{thread}/timerslack_ns").write_text(str(round(slack_s * 1e9)))
 
 
 def bound_spinning(seconds: float) -> None:

@@ -39,7 +39,6 @@ _CLOCKS_S = 0.1  # time in which the offset between two clocks is first found
 _EARLY_S, _POLL_S = 1e-4, 5e-5  # before a state is expected, and between two looks for it
 _SETTING_UP_S, _CYCLING_S = 0.5, 0.03  # longest that ur-rtde may spin
 _FAREWELL_S = 2
-_FEEDING = 0.1  # of the time in which the controller must hear something
 
 
 @dataclass(frozen=True)
@@ -78,7 +77,7 @@ class _Child:
         self._last_t_s = -np.inf
         self._period_s = options.robot.period_s
         self._robot = Robot(options.robot, _hurry)
-        self._began_s = self._looked_s = self._fed_s = time.monotonic()
+        self._began_s = self._looked_s = time.monotonic()
 
     def run(self) -> None:
         """Cycle until told to close.  Raises _LostError; EOFError: the parent has gone."""
@@ -96,7 +95,7 @@ class _Child:
             if self._motion is not None:
                 self._stream(self._motion, time.monotonic())
             elif self._mode in (ArmMode.READY, ArmMode.REDUCED_SPEED):
-                self._feed_watchdog(time.monotonic())
+                self._robot.control.kickWatchdog()
             periods = max(1, math.ceil((time.monotonic() - due_s) / self._period_s))
             due_s = self._clock.in_step(due_s + periods * self._period_s)
         self.rest()
@@ -108,12 +107,6 @@ class _Child:
         awaited_s = self._clock.robot_s if learns else self._clock.state_before(due_s)
         while time.monotonic() < due_s and self._robot.receive.getTimestamp() <= awaited_s:
             time.sleep(_POLL_S)
-
-    def _feed_watchdog(self, now_s: float) -> None:
-        """Say that this process lives, ten times as often as the controller wants to hear it."""
-        if now_s - self._fed_s > _FEEDING / self._options.robot.watchdog_hz - 0.5 * self._period_s:
-            self._robot.control.kickWatchdog()
-            self._fed_s = now_s
 
     def rest(self) -> None:
         """Stop the arm and end the program, or end this process where ur-rtde hangs instead."""

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.interfaces import ArmMode
-from drivers.priority import own_threads, poll_gently
 
 _PLAYING = 2  # runtime state
 _RUNNING = 7  # robot mode: powered, brakes released
@@ -86,9 +85,7 @@ class Robot:
             options.host, 1.0 / options.period_s, _OUTPUTS
         )
         self._check_can_start()
-        before = own_threads()
         self.control = rtde_control.RTDEControlInterface(options.host, 1.0 / options.period_s)
-        poll_gently(own_threads() - before, _POLLING_SLACK_S)
         self._prepare()
 
     def speed(self, moving: bool) -> float:

@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -46,33 +45,6 @@ def test_a_spinning_process_ends() -> None:
     if out.returncode == 77:
         pytest.skip("this user may not run in real time")
     assert out.returncode == -signal.SIGXCPU
-
-
-_POLL = """
-import os, threading
-from pathlib import Path
-from drivers.priority import own_threads, poll_gently, run_in_real_time
-
-granted = run_in_real_time()
-before, end = own_threads(), threading.Event()
-threading.Thread(target=end.wait).start()
-(thread,) = own_threads() - before
-poll_gently([thread, 2**22], 4e-4)
-slack = Path(f"/proc/{thread}/timerslack_ns").read_text().strip()
-print(slack, os.sched_getscheduler(thread), os.getpriority(os.PRIO_PROCESS, thread), granted)
-print(os.sched_getscheduler(0) == os.SCHED_FIFO)
-end.set()
-"""
-
-
-@pytest.mark.skipif(not Path("/proc/self/timerslack_ns").exists(), reason="no slack here")
-def test_threads_that_poll_leave_real_time_and_may_be_late() -> None:
-    """Only those; one that has ended is no mistake."""
-    out = subprocess.run([sys.executable, "-c", _POLL], capture_output=True, text=True, check=True)
-    slack_ns, scheduler, nice, granted, real_time = out.stdout.split()
-    assert (slack_ns, int(scheduler)) == ("400000", os.SCHED_OTHER)
-    assert (int(nice) == -20) == (granted == "True")
-    assert real_time == granted
 
 
 _PRECEDE = """

@@ -1,5 +1,6 @@
 """A user's own effect: the documented example, and mistakes named with file and line."""
 
+import os
 import re
 from pathlib import Path
 
@@ -44,6 +45,18 @@ def test_the_documented_example_runs(tmp_path, monkeypatch):
     without = simulate([plain, off], still, times, arc)
     assert without[0] == pytest.approx(without[1], abs=1e-12)
     assert names["xy"][0, -1, -1, 1] < without[0, -1, -1, 1] - 1e-4  # it pulls down
+
+
+def test_a_file_is_run_as_it_stands_and_nothing_is_left_beside_it(tmp_path, monkeypatch):
+    """Python's own code on disk is that of the same size and second, whatever stands in the file."""
+    monkeypatch.setattr("sys.dont_write_bytecode", False)
+    path = written(tmp_path, FORCE + "        return -p.size*at.vx, 0.0\n")
+    os.utime(path, (1e9, 1e9))
+    assert load_effect(path).parameters[0].high == 1.0
+    path.write_text(path.read_text("utf-8").replace("0.0, 1.0, 0.0", "0.0, 9.0, 0.0"), "utf-8")
+    os.utime(path, (1e9, 1e9))
+    assert load_effect(path).parameters[0].high == 9.0
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_changing_a_value_compiles_nothing(tmp_path, cable, arc, jerk):
