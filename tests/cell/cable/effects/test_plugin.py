@@ -48,7 +48,7 @@ def test_the_documented_example_runs(tmp_path, monkeypatch):
 
 
 def test_a_file_is_run_as_it_stands_and_nothing_is_left_beside_it(tmp_path, monkeypatch):
-    """Python's own code on disk is that of the same size and second, whatever stands in the file."""
+    """Python trusts its code on disk if size and second are those of the file."""
     monkeypatch.setattr("sys.dont_write_bytecode", False)
     path = written(tmp_path, FORCE + "        return -p.size*at.vx, 0.0\n")
     os.utime(path, (1e9, 1e9))
