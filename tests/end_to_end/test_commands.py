@@ -193,4 +193,5 @@ def test_a_killed_run_leaves_a_readable_record(
     assert read_record(folders[0]).closed
     killed = read_record(folders[-1])
     assert not killed.closed and killed.result is None
-    assert killed.state["state"] in ("stopped", "resetting", "starting", "execute", "completing")
+    on_the_way = ("stopped", "resetting", "idle", "starting", "execute", "completing")
+    assert killed.state["state"] in on_the_way
