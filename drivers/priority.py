@@ -21,11 +21,7 @@ def run_in_real_time(priority: int = 20) -> bool:
     """
     gc.collect()
     gc.freeze()
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-    except (AttributeError, PermissionError):
-        return False
-    return True
+    return raise_thread(priority)
 
 
 def raise_thread(priority: int) -> bool:

@@ -142,7 +142,8 @@ def measured(settings: Settings, seed: int, cycles: int, to_parent: Connection) 
             hold = player.late_s[0]
             behind_s = hold[-1] - min(hold)
             waited_s = np.nan if result.wait_s is None else result.wait_s + behind_s
-            hold, left = spent(began, HOLD.name, IDENTIFY.name), spent(began, IDENTIFY.name, None)
+            hold = spent(began, HOLD.name, IDENTIFY.name)
+            left = spent(began, IDENTIFY.name, EXECUTE.name)
             share = hold[1] / (2.0 * hold[0])
             load = os.getloadavg()[0]
             to_parent.send(Wait(result.outcome.value, waited_s, behind_s, share, left[1], load))
@@ -161,14 +162,11 @@ def cpu_s() -> float:
     return 1e-9 * total_ns
 
 
-def spent(
-    began: dict[str, tuple[float, float]], step: str, until: str | None
-) -> tuple[float, float]:
-    """Time and CPU time, s, from when a step began until another did; None = the one executed."""
-    after = EXECUTE.name if until is None else until
-    if step not in began or after not in began:
+def spent(began: dict[str, tuple[float, float]], step: str, until: str) -> tuple[float, float]:
+    """Time and CPU time, s, from when a step began until another did; nan if one did not."""
+    if step not in began or until not in began:
         return np.nan, np.nan
-    (t0, cpu0), (t1, cpu1) = began[step], began[after]
+    (t0, cpu0), (t1, cpu1) = began[step], began[until]
     return t1 - t0, cpu1 - cpu0
 
 

@@ -6,6 +6,7 @@ Heavy imports wait until a command needs them, so that help is quick.
 from __future__ import annotations
 
 import logging
+import os
 import shlex
 import sys
 from pathlib import Path
@@ -65,6 +66,8 @@ def options(
 
 def main() -> None:
     """Entry point of the console script."""
+    # matrices are small: a second thread of linear algebra only spins; read when numpy is loaded
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if next((word for word in sys.argv[1:] if not word.startswith("-")), "") in WATCHED:
         go_on_watched()
     with usable_streams():

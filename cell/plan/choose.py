@@ -161,8 +161,13 @@ def choose(
     margins = destination.margin_m(tips)
     probable = destination.margin_m(expected.tip_m)
     table = tuple(
-        OffsetForecast(*map(float, row))
-        for row in zip(
+        OffsetForecast(
+            offset_m=float(offset),
+            probability=float(probability),
+            margin_m=float(margin),
+            margin_std_m=float(std),
+        )
+        for offset, probability, margin, std in zip(
             expected.offsets_m,
             np.mean(margins > 0.0, axis=1),
             probable,

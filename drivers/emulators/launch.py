@@ -17,7 +17,7 @@ from typing import Any, Self
 from drivers.emulators.ur_ports import FAULT_PORT
 from drivers.interfaces import FloatArray
 
-_START_S = 30.0
+_START_S = 120.0  # on a new computer the machine code is compiled first, a minute on a busy one
 _ANSWER_S = 5.0
 
 
