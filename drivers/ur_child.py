@@ -28,7 +28,7 @@ from drivers.interfaces import ArmMode, Trajectory
 from drivers.plane_mount import PlaneMount
 from drivers.priority import bound_spinning, run_in_real_time
 from drivers.ur_clock import ControllerClock
-from drivers.ur_kinematics import matrix_of, pose_of
+from drivers.ur_pose import matrix_of, pose_of
 from drivers.ur_robot import RefusedError, Robot, RobotOptions
 from drivers.ur_shared import SharedState, Slot
 

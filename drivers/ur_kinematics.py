@@ -1,28 +1,29 @@
 """Kinematics of Universal Robots arms from their nominal dimensions.
 
-Poses are the controller's own: six numbers, position in m and rotation vector in rad, or 4 × 4
-matrices X_BT (tool in base).  A real arm's calibrated dimensions differ by a millimetre or so,
-which is why these serve to judge reach and to emulate, never to measure.
+Poses are 4 × 4 matrices X_BT (tool in base), m; see `drivers.ur_pose`.  Compiled: an emulated
+controller works the joints out in each of its cycles, 500 times a second.  A real arm's calibrated
+dimensions differ by a millimetre or so, which is why these serve to judge reach and to emulate,
+never to measure.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from math import cos, sin
+from math import atan2, cos, sin, sqrt
 
-import cv2
 import numpy as np
+from numba import njit
 
 from drivers.interfaces import FloatArray
 
-_Row = tuple[float, float, float, float]
-
 _TWIST_COS = (0.0, 1.0, 1.0, 0.0, 0.0, 1.0)
 _TWIST_SIN = (1.0, 0.0, 0.0, 1.0, -1.0, 0.0)
-_LAST_ROW = (0.0, 0.0, 0.0, 1.0)
+_FLANGE = np.eye(4)
 _ITERATIONS = 60
 _LONGEST_STEP_RAD = 0.3
+_MET = 1e-14  # square of 0.1 µm and 0.1 µrad
+_HALF_TURN = 1e-9  # sine of an angle that is as good as π
 
 
 class OutOfReachError(ValueError):
@@ -43,13 +44,17 @@ class UrModel:
     max_joint_speed_rad_per_s: float
 
     @cached_property
-    def _rows(self) -> tuple[_Row, ...]:
-        return tuple(zip(self.a_m, self.d_m, _TWIST_COS, _TWIST_SIN, strict=True))
+    def _joints(self) -> FloatArray:
+        """(6, 4) a, d, m, and cosine and sine of the twist of each joint."""
+        return np.column_stack([self.a_m, self.d_m, _TWIST_COS, _TWIST_SIN])
 
     def forward(self, q_rad: FloatArray, X_FT: FloatArray | None = None) -> FloatArray:
         """(6,) joint angles → (4, 4) X_BT; X_FT is the tool on the flange, none = the flange."""
-        X = np.array([*self._links(q_rad)[-1], _LAST_ROW])
-        return X if X_FT is None else X @ X_FT
+        return self._chain(q_rad, X_FT)[0]
+
+    def jacobian(self, q_rad: FloatArray, X_FT: FloatArray | None = None) -> FloatArray:
+        """(6, 6) velocity of the tool (m/s, then rad/s) per joint speed, in the base frame."""
+        return self._chain(q_rad, X_FT)[1]
 
     def inverse(
         self, X_BT: FloatArray, near_rad: FloatArray, X_FT: FloatArray | None = None
@@ -59,63 +64,18 @@ class UrModel:
         raises  OutOfReachError: the pose is not met within 0.1 µm and 0.1 µrad
         """
         q = np.array(near_rad, dtype=np.float64)
-        error = np.zeros(6)
-        for _ in range(_ITERATIONS):
-            here, jacobian = self._chain(q, X_FT)
-            error[:3] = X_BT[:3, 3] - here[:3, 3]
-            error[3:] = _small_rotation(X_BT[:3, :3] @ here[:3, :3].T)
-            if float(error @ error) < 1e-14:
-                return q
-            normal = jacobian @ jacobian.T
-            normal[np.diag_indices(6)] += 1e-10
-            step = jacobian.T @ np.linalg.solve(normal, error)
-            longest = float(np.max(np.abs(step)))
-            q += step * min(1.0, _LONGEST_STEP_RAD / max(longest, 1e-300))
+        if _newton(q, np.ascontiguousarray(X_BT, dtype=np.float64), self._joints, _tool(X_FT)):
+            return q
         x, y, z = X_BT[:3, 3]
         raise OutOfReachError(
             f"{self.name} does not reach x = {x:.4f}, y = {y:.4f}, z = {z:.4f} m in its base frame"
         )
 
-    def _links(self, q_rad: FloatArray) -> list[tuple[_Row, _Row, _Row]]:
-        """Upper three rows of the pose of the base and of the frame behind each of the 6 joints.
-
-        In Python's own numbers: for matrices of this size numpy's calls cost more than their sums.
-        """
-        x: _Row = (1.0, 0.0, 0.0, 0.0)
-        y: _Row = (0.0, 1.0, 0.0, 0.0)
-        z: _Row = (0.0, 0.0, 1.0, 0.0)
-        links = [(x, y, z)]
-        for angle_rad, joint in zip(q_rad.tolist(), self._rows, strict=True):
-            c, s = cos(angle_rad), sin(angle_rad)
-            x, y, z = (
-                _after_joint(x, joint, c, s),
-                _after_joint(y, joint, c, s),
-                _after_joint(z, joint, c, s),
-            )
-            links.append((x, y, z))
-        return links
-
     def _chain(self, q_rad: FloatArray, X_FT: FloatArray | None) -> tuple[FloatArray, FloatArray]:
         """Pose of the tool and its (6, 6) Jacobian, linear rows first."""
-        links = self._links(q_rad)
-        before = np.array(links[:6])
-        axes, origins = before[:, :, 2], before[:, :, 3]
-        X = np.array([*links[6], _LAST_ROW])
-        if X_FT is not None:
-            X = X @ X_FT
-        arms = X[:3, 3] - origins
-        linear = np.stack(
-            [
-                axes[:, 1] * arms[:, 2] - axes[:, 2] * arms[:, 1],
-                axes[:, 2] * arms[:, 0] - axes[:, 0] * arms[:, 2],
-                axes[:, 0] * arms[:, 1] - axes[:, 1] * arms[:, 0],
-            ]
-        )
-        return X, np.vstack([linear, axes.T])
-
-    def jacobian(self, q_rad: FloatArray, X_FT: FloatArray | None = None) -> FloatArray:
-        """(6, 6) velocity of the tool (m/s, then rad/s) per joint speed, in the base frame."""
-        return self._chain(q_rad, X_FT)[1]
+        X, jacobian = np.empty((4, 4)), np.empty((6, 6))
+        _follow_chain(np.asarray(q_rad, dtype=np.float64), self._joints, _tool(X_FT), X, jacobian)
+        return X, jacobian
 
 
 UR3E = UrModel(
@@ -139,30 +99,61 @@ UR10E = UrModel(
 MODELS = {model.name: model for model in (UR3E, UR5E, UR10E)}
 
 
-def _after_joint(row: _Row, joint: _Row, c: float, s: float) -> _Row:
-    """A pose's row times a joint's matrix: a, d, twist (cos, sin) and angle (c, s)."""
-    r0, r1, r2, r3 = row
-    a, d, ca, sa = joint
-    along, across = c * r0 + s * r1, c * r1 - s * r0
-    return along, ca * across + sa * r2, ca * r2 - sa * across, r3 + a * along + d * r2
+def _tool(X_FT: FloatArray | None) -> FloatArray:
+    return _FLANGE if X_FT is None else np.ascontiguousarray(X_FT, dtype=np.float64)
 
 
-def matrix_of(pose: FloatArray) -> FloatArray:
-    """(6,) position and rotation vector → (4, 4)."""
-    X = np.eye(4)
-    X[:3, 3] = pose[:3]
-    X[:3, :3] = cv2.Rodrigues(np.asarray(pose[3:6], dtype=np.float64))[0]
-    return X
+@njit(cache=True)
+def _follow_chain(q_rad, joints, X_FT, X, jacobian):  # type: ignore[no-untyped-def]
+    """Fill X (4, 4) with the tool's pose, jacobian (6, 6) with its velocity per joint speed."""
+    here = np.eye(4)
+    axes, origins = np.empty((6, 3)), np.empty((6, 3))
+    for j in range(6):
+        axes[j], origins[j] = here[:3, 2], here[:3, 3]
+        a, d, ca, sa = joints[j]
+        c, s = cos(q_rad[j]), sin(q_rad[j])
+        for row in range(3):
+            r0, r1, r2 = here[row, 0], here[row, 1], here[row, 2]
+            along, across = c * r0 + s * r1, c * r1 - s * r0
+            here[row, 0], here[row, 1] = along, ca * across + sa * r2
+            here[row, 2] = ca * r2 - sa * across
+            here[row, 3] += a * along + d * r2
+    X[:] = here @ X_FT
+    for j in range(6):
+        jacobian[:3, j] = np.cross(axes[j], X[:3, 3] - origins[j])
+        jacobian[3:, j] = axes[j]
 
 
-def pose_of(X: FloatArray) -> FloatArray:
-    """(4, 4) → (6,) position and rotation vector."""
-    return np.concatenate([X[:3, 3], cv2.Rodrigues(X[:3, :3])[0].ravel()])
+@njit(cache=True)
+def _newton(q, X_BT, joints, X_FT):  # type: ignore[no-untyped-def]
+    """Move q (6,) rad, in place, until the tool is at X_BT; whether it got there."""
+    here, jacobian, error = np.empty((4, 4)), np.empty((6, 6)), np.empty(6)
+    for _ in range(_ITERATIONS):
+        _follow_chain(q, joints, X_FT, here, jacobian)
+        error[:3] = X_BT[:3, 3] - here[:3, 3]
+        error[3:] = _rotation_vector(X_BT[:3, :3].copy() @ here[:3, :3].copy().T)
+        if error @ error < _MET:
+            return True
+        normal = jacobian @ jacobian.T
+        for i in range(6):
+            normal[i, i] += 1e-10
+        step = jacobian.T @ np.linalg.solve(normal, error)
+        longest = np.abs(step).max()
+        q += step * min(1.0, _LONGEST_STEP_RAD / max(longest, 1e-300))
+    return False
 
 
-def _small_rotation(R: FloatArray) -> FloatArray:
-    """Rotation vector of R; near a half turn, where it is lost, any long step in its direction."""
+@njit(cache=True)
+def _rotation_vector(R):  # type: ignore[no-untyped-def]
+    """(3,) axis times angle, rad, of a rotation matrix."""
     v = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    if R[0, 0] + R[1, 1] + R[2, 2] > 1.0:
+    sine, cosine = sqrt(v @ v), 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1.0)
+    if sine > _HALF_TURN:
+        return v * (atan2(sine, cosine) / sine)
+    if cosine > 0.0:
         return v
-    return np.asarray(cv2.Rodrigues(R)[0].ravel(), dtype=np.float64)
+    # half a turn: R = 2 n nᵀ − 1, so the column of its greatest diagonal element is along the axis
+    k = np.argmax(np.array([R[0, 0], R[1, 1], R[2, 2]]))
+    axis = R[:, k].copy()
+    axis[k] += 1.0
+    return axis * (np.pi / sqrt(axis @ axis))

@@ -32,7 +32,8 @@ from drivers.emulators.ur_arm import HOME_RAD
 from drivers.emulators.ur_ports import DASHBOARD_PORT, FAULT_PORT, RTDE_PORT, SCRIPT_PORT
 from drivers.interfaces import Pose, Trajectory
 from drivers.plane_mount import PlaneMount
-from drivers.ur_kinematics import MODELS, OutOfReachError, matrix_of
+from drivers.ur_kinematics import MODELS, OutOfReachError
+from drivers.ur_pose import matrix_of
 
 FloatArray = NDArray[np.float64]
 

@@ -14,7 +14,8 @@ from drivers.interfaces import FloatArray, Image, Trajectory
 from drivers.plane_mount import PlaneMount
 from drivers.sim.camera import CameraTwinOptions, Staging, photograph
 from drivers.sim.world import View
-from drivers.ur_kinematics import MODELS, matrix_of
+from drivers.ur_kinematics import MODELS
+from drivers.ur_pose import matrix_of
 
 _KEPT_S = 1.0  # poses and shapes older than this are forgotten
 _FIRST_POSE_S = 5.0

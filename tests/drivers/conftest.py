@@ -22,7 +22,8 @@ from drivers.sim.gripper import SimGripper
 from drivers.sim.render import RenderOptions
 from drivers.sim.world import World
 from drivers.ur import UrOptions
-from drivers.ur_kinematics import UR5E, pose_of
+from drivers.ur_kinematics import UR5E
+from drivers.ur_pose import pose_of
 
 HOME = Pose(0.5, 0.5, 0.0)
 SCALE_M_PER_PX = 0.001  # coarse pictures are quick pictures

@@ -2,9 +2,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from drivers.ur_kinematics import MODELS, UR5E, OutOfReachError, matrix_of, pose_of
+from drivers.ur_kinematics import MODELS, UR5E, OutOfReachError, _rotation_vector
+from drivers.ur_pose import matrix_of, pose_of
 
 READY = np.array([0.3, -1.4, 1.6, -1.8, -1.5, 0.2])
 
@@ -37,6 +40,18 @@ def test_jacobian_is_the_derivative() -> None:
         linear = (after[:3, 3] - before[:3, 3]) / (2 * step)
         turn = Rotation.from_matrix(after[:3, :3] @ before[:3, :3].T).as_rotvec() / (2 * step)
         assert jacobian[:, i] == pytest.approx([*linear, *turn], abs=1e-8)
+
+
+@given(
+    axis=st.tuples(*[st.floats(-1.0, 1.0)] * 3).filter(lambda n: np.linalg.norm(n) > 1e-3),
+    angle_rad=st.one_of(st.floats(0.0, np.pi), st.sampled_from([0.0, 1e-12, np.pi - 1e-10, np.pi])),
+)
+def test_a_rotation_is_that_of_its_vector(axis: tuple[float, ...], angle_rad: float) -> None:
+    """At half a turn too, where either direction of the axis will do."""
+    R = Rotation.from_rotvec(angle_rad * np.array(axis) / np.linalg.norm(axis)).as_matrix()
+    vector = _rotation_vector(R)
+    assert Rotation.from_rotvec(vector).as_matrix() == pytest.approx(R, abs=1e-9)
+    assert np.linalg.norm(vector) == pytest.approx(angle_rad, abs=1e-9)
 
 
 def test_out_of_reach_is_named() -> None:
