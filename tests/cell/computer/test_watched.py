@@ -83,9 +83,13 @@ def test_a_signal_ends_what_hears_none(given: signal.Signals) -> None:
 
 
 def test_ctrl_c_is_heard_by_the_command_first() -> None:
-    doing = "try:\n    time.sleep(1000)\nexcept KeyboardInterrupt:\n    sys.exit('tidied up')"
+    doing = (
+        "try:\n    print('trying', flush=True)\n    time.sleep(1000)\n"
+        "except KeyboardInterrupt:\n    sys.exit('tidied up')"
+    )
     process = watched(doing)
-    process.stdout.readline()
+    while process.stdout.readline() != "trying\n":
+        pass
     process.send_signal(signal.SIGINT)
     _, said = process.communicate(timeout=60)
     assert (process.returncode, said) == (1, "tidied up\n")
