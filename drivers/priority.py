@@ -5,8 +5,11 @@ from __future__ import annotations
 import contextlib
 import gc
 import os
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+#: Nice values: of threads that are not in real time for a moment, and of the cell.
+_BEFORE_ORDINARY_ONES = -20
 _PRECEDENCE = -10
 _SESSION = Path("/proc/self/autogroup")
 
@@ -14,13 +17,12 @@ _SESSION = Path("/proc/self/autogroup")
 def run_in_real_time(priority: int = 20) -> bool:
     """Schedule this process, and the threads it will start, before ordinary ones.
 
-    What is imported by now is kept for good: the garbage collector need not look through it, which
-    would take ten milliseconds now and then.
+    What is imported by now is kept for good: to look through it would take the garbage collector
+    ten milliseconds now and then.
     returns  False where the system has no such thing or this user may not ask for it (a limit
              `rtprio` of at least `priority` allows it); the process then runs as before
     """
-    gc.collect()
-    gc.freeze()
+    freeze_loaded_objects()
     return raise_thread(priority)
 
 
@@ -38,21 +40,75 @@ def raise_thread(priority: int) -> bool:
     return True
 
 
-def take_precedence() -> bool:
+def take_precedence(nice: int = _PRECEDENCE) -> bool:
     """Run the calling thread, and the threads and processes that it will start, before others'.
 
     Linux shares a computer among sessions first, where it groups them; so the session's share is
     raised too, with all that runs in it.
-    returns  False where this is not permitted (a limit `nice` of -10 allows it)
+    nice     -20 … 19, the least goes first; a process that is before that already stays there
+    returns  False where this is not permitted (a limit `nice` of -10 allows -10)
     source   sched(7), "The autogroup feature"
     """
     try:
-        os.setpriority(os.PRIO_PROCESS, 0, min(_PRECEDENCE, os.getpriority(os.PRIO_PROCESS, 0)))
+        os.setpriority(os.PRIO_PROCESS, 0, min(nice, os.getpriority(os.PRIO_PROCESS, 0)))
     except (AttributeError, OSError):
         return False
     with contextlib.suppress(OSError):
         _SESSION.write_text(str(_PRECEDENCE))
     return True
+
+
+def freeze_loaded_objects() -> None:
+    """Keep what is imported by now for good: the garbage collector need not look through it."""
+    gc.collect()
+    gc.freeze()
+
+
+def own_threads() -> set[int]:
+    """System numbers of this process's threads; empty where they cannot be listed."""
+    try:
+        return {int(task.name) for task in Path("/proc/self/task").iterdir()}
+    except OSError:
+        return set()
+
+
+class Pollers:
+    """Threads of this process that look every 100 µs whether something has come, as ur-rtde's do.
+
+    In real time each takes a fifth of a core.  While their user sleeps nobody needs them: they may
+    then wake up later, and after others.  While it is awake they are in real time as it is, since
+    it may wait for them without sleeping.
+
+    threads  numbers as of `own_threads`
+    slack_s  by how much later than asked they may wake up while their user sleeps, s
+    Nothing is changed where the calling thread is not in real time, or may not change others.
+    """
+
+    def __init__(self, threads: Iterable[int], slack_s: float) -> None:
+        self._threads: dict[int, int] = {}
+        with contextlib.suppress(AttributeError, OSError):
+            self._policy, self._as_now = os.sched_getscheduler(0), os.sched_getparam(0)
+            if self._policy != os.SCHED_FIFO:
+                return
+            self._ordinary, self._slack_ns = os.sched_param(0), str(round(slack_s * 1e9)).encode()
+            for thread in threads:
+                os.setpriority(os.PRIO_PROCESS, thread, _BEFORE_ORDINARY_ONES)
+            # Linux forgets a thread's slack in real time, so it is told each time
+            self._threads = {t: os.open(f"/proc/{t}/timerslack_ns", os.O_WRONLY) for t in threads}
+
+    @contextlib.contextmanager
+    def eased(self) -> Iterator[None]:
+        """Let them wake up later, and afterwards when they ask for it."""
+        for thread, slack in self._threads.items():
+            with contextlib.suppress(OSError):  # it has ended
+                os.sched_setscheduler(thread, os.SCHED_OTHER, self._ordinary)
+                os.write(slack, self._slack_ns)
+        try:
+            yield
+        finally:
+            for thread in self._threads:
+                with contextlib.suppress(OSError):
+                    os.sched_setscheduler(thread, self._policy, self._as_now)
 
 
 def bound_spinning(seconds: float) -> None:

@@ -23,7 +23,6 @@ from typing import Any
 
 import numpy as np
 
-from drivers.clock import sleep_until
 from drivers.interfaces import ArmMode, Trajectory
 from drivers.plane_mount import PlaneMount
 from drivers.priority import bound_spinning, run_in_real_time
@@ -90,7 +89,7 @@ class _Child:
             self._shared.put(Slot.HEARTBEAT_S, now_s)
             self._measure(now_s)
             self._look_at_mode()
-            sleep_until(due_s)
+            self._robot.rest_until(due_s)
             self._obey_stop()
             if self._motion is not None:
                 self._stream(self._motion, time.monotonic())
@@ -103,7 +102,8 @@ class _Child:
     def _await_state(self, due_s: float) -> None:
         """Until the controller's next state has come, so that its arrival is known; or the time."""
         learns = time.monotonic() < self._began_s + _CLOCKS_S
-        sleep_until(due_s - (self._period_s if learns else self._clock.lead_s + _EARLY_S))
+        early_s = self._period_s if learns else self._clock.lead_s + _EARLY_S
+        self._robot.rest_until(due_s - early_s)
         awaited_s = self._clock.robot_s if learns else self._clock.state_before(due_s)
         while time.monotonic() < due_s and self._robot.receive.getTimestamp() <= awaited_s:
             time.sleep(_POLL_S)

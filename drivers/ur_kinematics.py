@@ -64,7 +64,7 @@ class UrModel:
         raises  OutOfReachError: the pose is not met within 0.1 µm and 0.1 µrad
         """
         q = np.array(near_rad, dtype=np.float64)
-        if _newton(q, np.ascontiguousarray(X_BT, dtype=np.float64), self._joints, _tool(X_FT)):
+        if _newton(q, np.array(X_BT, dtype=np.float64), self._joints, _tool(X_FT)):
             return q
         x, y, z = X_BT[:3, 3]
         raise OutOfReachError(
@@ -74,7 +74,7 @@ class UrModel:
     def _chain(self, q_rad: FloatArray, X_FT: FloatArray | None) -> tuple[FloatArray, FloatArray]:
         """Pose of the tool and its (6, 6) Jacobian, linear rows first."""
         X, jacobian = np.empty((4, 4)), np.empty((6, 6))
-        _follow_chain(np.asarray(q_rad, dtype=np.float64), self._joints, _tool(X_FT), X, jacobian)
+        _follow_chain(np.array(q_rad, dtype=np.float64), self._joints, _tool(X_FT), X, jacobian)
         return X, jacobian
 
 
@@ -99,8 +99,14 @@ UR10E = UrModel(
 MODELS = {model.name: model for model in (UR3E, UR5E, UR10E)}
 
 
+def load_code() -> None:
+    """Load the machine code, or compile it: no motion can wait for that."""
+    bent = np.array([0.1, -1.2, 1.3, -0.4, 0.5, 0.6])
+    UR5E.inverse(UR5E.forward(bent), bent + 0.01)
+
+
 def _tool(X_FT: FloatArray | None) -> FloatArray:
-    return _FLANGE if X_FT is None else np.ascontiguousarray(X_FT, dtype=np.float64)
+    return _FLANGE if X_FT is None else np.array(X_FT, dtype=np.float64)
 
 
 @njit(cache=True)

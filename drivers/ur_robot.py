@@ -8,7 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drivers.clock import sleep_until
 from drivers.interfaces import ArmMode
+from drivers.priority import Pollers, own_threads
 
 _PLAYING = 2  # runtime state
 _RUNNING = 7  # robot mode: powered, brakes released
@@ -26,7 +28,7 @@ _OUTPUTS = [
     "speed_scaling",
     "target_speed_fraction",
 ]
-#: By how much later the client that sends commands may see what the program answers.
+#: By how much later ur-rtde's clients may see what comes while this process sleeps.
 _POLLING_SLACK_S = 4e-4
 _STANDSTILL_M = 2e-4
 _STANDSTILL_S = 0.1
@@ -76,6 +78,7 @@ class Robot:
             raise RefusedError(f"ur-rtde cannot be loaded ({error})", _NO_LIBRARY) from error
 
         before_threads()
+        before = own_threads()
         self._options = options
         self._remote, self._remote_asked_s = True, -np.inf
         self._dashboard = dashboard_client.DashboardClient(options.host)
@@ -86,7 +89,13 @@ class Robot:
         )
         self._check_can_start()
         self.control = rtde_control.RTDEControlInterface(options.host, 1.0 / options.period_s)
+        self._pollers = Pollers(own_threads() - before, _POLLING_SLACK_S)
         self._prepare()
+
+    def rest_until(self, due_s: float) -> None:
+        """Sleep until a time of the monotonic clock; ur-rtde's threads then poll gently."""
+        with self._pollers.eased():
+            sleep_until(due_s)
 
     def speed(self, moving: bool) -> float:
         """Share of the full speed: of the slider, and in motion of the controller's own limiter."""

@@ -32,7 +32,7 @@ from drivers.emulators.ur_ports import (
     Rtde,
 )
 from drivers.priority import run_in_real_time
-from drivers.ur_kinematics import MODELS
+from drivers.ur_kinematics import MODELS, load_code
 
 _RESYNC_S = 0.1
 
@@ -49,6 +49,7 @@ class UrServer:
         self._listeners: dict[int, socket.socket] = {}
         self._frozen_until_s = 0.0
         self._listen_again_s: float | None = None
+        load_code()
         self._listen()
 
     def run_until_stdin_ends(self) -> None:

@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -45,6 +46,35 @@ def test_a_spinning_process_ends() -> None:
     if out.returncode == 77:
         pytest.skip("this user may not run in real time")
     assert out.returncode == -signal.SIGXCPU
+
+
+_POLL = """
+import os, threading
+from pathlib import Path
+from drivers.priority import Pollers, own_threads, run_in_real_time
+
+granted = run_in_real_time()
+before, end = own_threads(), threading.Event()
+threading.Thread(target=end.wait).start()
+(thread,) = own_threads() - before
+pollers = Pollers([thread], 4e-4)
+for _ in 0, 1:
+  with pollers.eased():
+      slack_ns = Path(f"/proc/{thread}/timerslack_ns").read_text().strip()
+      print(os.sched_getscheduler(thread), os.getpriority(os.PRIO_PROCESS, thread), slack_ns)
+print(granted, os.sched_getscheduler(thread), os.sched_getscheduler(0))
+end.set()
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/timerslack_ns").exists(), reason="no slack here")
+def test_threads_that_poll_leave_real_time_while_their_user_sleeps() -> None:
+    done = subprocess.run([sys.executable, "-c", _POLL], capture_output=True, text=True, check=True)
+    *eased, (granted, *awake) = map(str.split, done.stdout.splitlines())
+    if granted == "False":
+        pytest.skip("this user may not run in real time")
+    assert eased == 2 * [[str(os.SCHED_OTHER), "-20", "400000"]]
+    assert awake == 2 * [str(os.SCHED_FIFO)]
 
 
 _PRECEDE = """
