@@ -22,7 +22,8 @@ def run_in_real_time(priority: int = 20) -> bool:
     returns  False where the system has no such thing or this user may not ask for it (a limit
              `rtprio` of at least `priority` allows it); the process then runs as before
     """
-    freeze_loaded_objects()
+    gc.collect()
+    gc.freeze()
     return raise_thread(priority)
 
 
@@ -40,28 +41,21 @@ def raise_thread(priority: int) -> bool:
     return True
 
 
-def take_precedence(nice: int = _PRECEDENCE) -> bool:
+def take_precedence() -> bool:
     """Run the calling thread, and the threads and processes that it will start, before others'.
 
     Linux shares a computer among sessions first, where it groups them; so the session's share is
     raised too, with all that runs in it.
-    nice     -20 … 19, the least goes first; a process that is before that already stays there
-    returns  False where this is not permitted (a limit `nice` of -10 allows -10)
+    returns  False where this is not permitted (a limit `nice` of -10 allows it)
     source   sched(7), "The autogroup feature"
     """
     try:
-        os.setpriority(os.PRIO_PROCESS, 0, min(nice, os.getpriority(os.PRIO_PROCESS, 0)))
+        os.setpriority(os.PRIO_PROCESS, 0, min(_PRECEDENCE, os.getpriority(os.PRIO_PROCESS, 0)))
     except (AttributeError, OSError):
         return False
     with contextlib.suppress(OSError):
         _SESSION.write_text(str(_PRECEDENCE))
     return True
-
-
-def freeze_loaded_objects() -> None:
-    """Keep what is imported by now for good: the garbage collector need not look through it."""
-    gc.collect()
-    gc.freeze()
 
 
 def own_threads() -> set[int]:

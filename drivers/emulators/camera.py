@@ -18,13 +18,13 @@ from multiprocessing.connection import Connection
 import cv2
 
 from drivers.clock import sleep_until
+from drivers.emulators.camera_poses import PRIORITY
 from drivers.emulators.camera_scene import Scene, SceneFactory
 from drivers.emulators.camera_stream import picture_header, stream_header
 from drivers.emulators.launch import EmulatorProcess, answer_all
 from drivers.interfaces import Image
-from drivers.priority import freeze_loaded_objects, take_precedence
+from drivers.priority import run_in_real_time
 
-_NICE = -15
 _GLANCE_S = 0.02  # how often whoever waits looks whether something changed
 
 
@@ -143,10 +143,8 @@ def serve(
     except Exception as error:
         door.send((False, f"{type(error).__name__}: {error}"))
         return
-    # before the cell, for a camera does not slow down when the computer is busy; not in real time,
-    # for a picture takes milliseconds, in which the arm's process would find no core
-    freeze_loaded_objects()
-    take_precedence(_NICE)
+    # a camera does not slow down when the computer is busy; the arm's emulator goes before it
+    run_in_real_time(PRIORITY)
     threading.Thread(target=answer_all, args=(door, server.do), daemon=True).start()
     door.send((True, server.port))
     server.run()

@@ -17,10 +17,12 @@ import numpy as np
 from drivers.emulators.rtde_wire import Kind, Packet, Recipe, Splitter
 from drivers.interfaces import FloatArray, Trajectory
 from drivers.plane_mount import PlaneMount
-from drivers.priority import raise_thread
+from drivers.priority import run_in_real_time
 from drivers.ur_kinematics import UrModel
 
-_PRIORITY = 10  # behind the arm, before ordinary programs
+#: Of everything in the camera's process: behind the arm, before ordinary programs.
+PRIORITY = 10
+
 _PORT = 30004
 _HZ = 500.0  # at 125 the cable would swing through 48 ms anew for each picture, not 12
 _RETRY_S = 0.2
@@ -61,7 +63,7 @@ class RtdePoses:
 
     def _listen(self) -> None:
         """Listen for ever; an arm without power stays where it was."""
-        raise_thread(_PRIORITY)  # whoever hears late shows the arm where it was
+        run_in_real_time(PRIORITY)  # whoever hears late shows the arm where it was
         while True:
             try:
                 with socket.create_connection(self._address, 1.0) as controller:
