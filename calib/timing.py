@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
-from scipy.signal import savgol_filter
-from scipy.stats import t as student
+from scipy.special import stdtrit as student_quantile
 
 from calib.errors import MisfitError, OneSidedError, TooFewError
 from drivers.interfaces import Trajectory
@@ -116,7 +115,7 @@ def _delay(left: Callable[[float], FloatArray], low_s: float, high_s: float, of:
     information = float(np.sum(slope**2))
     white = float(np.sum(rest**2)) / (rest.size - 3) * information
     spread_s = np.sqrt(max(total, white)) / information
-    return Delay(value_s, float(student.ppf(0.975, max(5, len(score) // 4)) * spread_s), rms)
+    return Delay(value_s, float(student_quantile(max(5, len(score) // 4), 0.975) * spread_s), rms)
 
 
 def _smooth(values: FloatArray, t_s: FloatArray) -> FloatArray:
@@ -124,6 +123,8 @@ def _smooth(values: FloatArray, t_s: FloatArray) -> FloatArray:
 
     source  Savitzky & Golay 1964: cubics over `_SMOOTHED_S`
     """
+    from scipy.signal import savgol_filter  # half a second, of which only a calibration has need
+
     count = 2 * round(0.5 * _SMOOTHED_S / float(np.median(np.diff(t_s)))) + 1
     if count < 5 or len(values) < count:
         return values

@@ -5,7 +5,6 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from scipy.signal import cont2discrete, lfilter
 
 from drivers.interfaces import FloatArray, Pose, Trajectory
 
@@ -49,6 +48,8 @@ def servo_response(
 def _lagged(values: FloatArray, lag_s: float, step_s: float, rest: float) -> FloatArray:
     if lag_s == 0.0:
         return values
+    from scipy.signal import lfilter  # half a second, of which only some commands have need
+
     numerator, denominator = _filter(lag_s, step_s)
     departure = values - rest
     departure[0] = 0.0
@@ -58,6 +59,8 @@ def _lagged(values: FloatArray, lag_s: float, step_s: float, rest: float) -> Flo
 @lru_cache(maxsize=16)
 def _filter(lag_s: float, step_s: float) -> tuple[FloatArray, FloatArray]:
     """Numerator and denominator of the discrete filter."""
+    from scipy.signal import cont2discrete
+
     tau = lag_s / 2.0
     numerator, denominator, _ = cont2discrete(  # type: ignore[call-overload]  # the stubs' gap
         ([1.0], [tau * tau, 2.0 * tau, 1.0]), step_s, method="foh"

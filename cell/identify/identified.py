@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.stats import norm
+from scipy.special import ndtri as normal_quantile
 
 from cell.cable.effects.base import Effect
 from cell.cable.geometry import Cable
@@ -67,7 +67,7 @@ class Identified:
 
     def interval(self, confidence: float = 0.95) -> tuple[FloatArray, FloatArray]:
         """(p,), (p,) low and high natural values of every parameter on its own."""
-        reach = float(norm.ppf(0.5 + 0.5 * confidence)) * np.sqrt(np.diag(self.covariance))
+        reach = float(normal_quantile(0.5 + 0.5 * confidence)) * np.sqrt(np.diag(self.covariance))
         low = np.clip(self.mean - reach, self.space.low, self.space.high)
         high = np.clip(self.mean + reach, self.space.low, self.space.high)
         return self.space.natural(low), self.space.natural(high)

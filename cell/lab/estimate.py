@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy.special import ndtri as normal_quantile
 
 from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import Options
@@ -53,7 +53,7 @@ class Estimate:
             relative = space.logarithmic[i] and not p.amplitude
             systematic[i] = MODEL_ERROR * (1.0 if relative else abs(q[i] - off))
         spread = np.sqrt(np.diag(self.covariance) + systematic**2)
-        reach = float(stats.norm.ppf(0.975)) * spread
+        reach = float(normal_quantile(0.975)) * spread
         low = space.natural(np.clip(q - reach, space.low, space.high))
         high = space.natural(np.clip(q + reach, space.low, space.high))
         value = space.natural(q)

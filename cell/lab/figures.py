@@ -10,7 +10,7 @@ import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
 from plotly.subplots import make_subplots
-from scipy import stats
+from scipy.special import ndtri as normal_quantile
 
 from cell.lab.compare import Comparison
 from cell.lab.results import Diagnosis
@@ -169,7 +169,7 @@ def ranking(diagnosis: Diagnosis) -> go.Figure:
             customdata=[[f"{rows[i].score:.1f}", f"{rows[i].p_value:.1g}"] for i in chosen],
             hovertemplate="%{y}: χ² %{customdata[0]}, p %{customdata[1]}<extra></extra>",
         )
-    limit = float(stats.norm.isf(0.5 * CHANCE / max(len(rows), 1)))
+    limit = -float(normal_quantile(0.5 * CHANCE / max(len(rows), 1)))
     figure.add_vline(x=limit, line_dash="dot", line_color=NOISE)
     figure.add_annotation(
         x=limit, y=1.0, yref="paper", yanchor="bottom", text="chance", showarrow=False

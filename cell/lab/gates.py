@@ -9,7 +9,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from cell.cable.dynamics import DivergedError, simulate
 from cell.cable.geometry import Cable
@@ -177,8 +176,10 @@ def gates(lesson: Lesson, paired: Sequence[ForecastPair], destination: Destinati
 def _better(before: FloatArray, after: FloatArray, noise_m: float) -> Gate:
     rms = [float(np.sqrt(np.mean(v**2))) for v in (before, after)]
     if len(before) >= 5:
+        from scipy.stats import wilcoxon  # half a second, of which only few have need
+
         same = np.array_equal(before, after)  # no rank differs: the test divides by zero
-        p = 1.0 if same else float(stats.wilcoxon(before, after, alternative="greater").pvalue)
+        p = 1.0 if same else float(wilcoxon(before, after, alternative="greater").pvalue)
         sure, how = p <= SIGNIFICANCE, f"p = {p:.2g}"
     else:
         worse = int(np.sum(after > before + noise_m))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy.special import chdtrc as chi2_sf
 
 from cell.cable.effects.base import Effect
 from cell.cable.geometry import Cable
@@ -197,7 +197,7 @@ def _refitted(
     inflation = min(fits, key=lambda f: f[1].chi2)[1].inflation
     falls = [(before - fit.chi2) / inflation for _, fit in fits]
     p = [
-        float(stats.chi2.sf(max(fall, 0.0), len(fit.theta)))
+        float(chi2_sf(len(fit.theta), max(fall, 0.0)))
         for fall, (_, fit) in zip(falls, fits, strict=True)
     ]
     adjusted = holm(p + [1.0] * (library - len(p)))[: len(p)]

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy.special import chdtrc as chi2_sf
+from scipy.special import ndtr as normal_cdf
 
 from cell.identify.gaussian import covariance_root
 
@@ -105,7 +106,7 @@ def score_test(
         z = float(np.sign(best.signed) * np.sqrt(abs(best.signed)))
         p_value = _p_of_maximum(z, unit @ unit.T, one_sided, seed)
     else:
-        p_value = min(1.0, shapes * float(stats.chi2.sf(best.signed, freedom)))
+        p_value = min(1.0, shapes * float(chi2_sf(freedom, max(best.signed, 0.0))))
     return Score(
         statistic=max(best.signed, 0.0),
         freedom=freedom,
@@ -143,7 +144,7 @@ def _distinct(tried: list[_ShapeScore]) -> list[_ShapeScore]:
 
 def _p_of_maximum(z: float, correlation: FloatArray, one_sided: bool, seed: int) -> float:
     """P(max of correlated unit normals, or of their magnitudes, ≥ z)."""
-    single = float(stats.norm.sf(z)) * (1.0 if one_sided else 2.0)
+    single = float(normal_cdf(-z)) * (1.0 if one_sided else 2.0)
     count = len(correlation)
     if count == 1 or single > 0.5:
         return min(1.0, single)
@@ -186,8 +187,8 @@ def boundary_p_value(delta_chi2: float, parameters: int, bounded: int, shapes: i
     """
     if delta_chi2 <= 0.0:
         return 1.0
-    tail = float(stats.chi2.sf(delta_chi2, parameters))
+    tail = float(chi2_sf(parameters, max(delta_chi2, 0.0)))
     if bounded:
-        below = float(stats.chi2.sf(delta_chi2, parameters - 1)) if parameters > 1 else 0.0
+        below = float(chi2_sf(parameters - 1, max(delta_chi2, 0.0))) if parameters > 1 else 0.0
         tail = 0.5 * (tail + below)
     return min(1.0, tail * shapes)

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy.special import chdtrc as chi2_sf
 
 from cell.cable.dynamics import Solver
 from cell.cable.effects.base import Effect
@@ -155,7 +155,7 @@ class Spread:
             if abs(max(0.0, fit) - tau2) < 1e-9 * float(v.mean()):
                 break
             tau2 = max(0.0, fit)
-        return Spread(float(np.sqrt(tau2)), q, freedom, float(stats.chi2.sf(q, freedom)))
+        return Spread(float(np.sqrt(tau2)), q, freedom, float(chi2_sf(freedom, q)))
 
 
 def fit_shared(

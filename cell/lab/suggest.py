@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy.special import ndtr as normal_cdf
 
 from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
@@ -264,7 +264,7 @@ def _weighed(
     if isinstance(sure, str):
         return sure
     apart = [_separation(views[0], other) for other in views[1:]]
-    missed = [stats.norm.sf((s - DECIDED) / (2.0 * np.sqrt(max(s, 1e-12)))) for s in apart]
+    missed = [normal_cdf((DECIDED - s) / (2.0 * np.sqrt(max(s, 1e-12)))) for s in apart]
     hardest = int(np.argmin(apart))
     return Option(
         sure, apart[hardest], _label(candidates[1 + hardest]), float(max(0.0, 1.0 - sum(missed)))

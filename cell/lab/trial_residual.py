@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal, stats
+from scipy.special import chdtrc as chi2_sf
+from scipy.special import ndtr as normal_cdf
 
 from cell.cable.geometry import Motion
 from cell.cable.still import moves_from_s
@@ -168,6 +169,8 @@ def _stop_s(motion: Motion) -> float:
 
 def spectrum(t_s: FloatArray, residual_m: FloatArray, noise: Noise) -> Spectrum:
     """Mean power over all coordinates against that of the noise (Lomb and Scargle: any stamps)."""
+    from scipy.signal import lombscargle  # half a second, of which not every command has need
+
     span_s = float(t_s[-1] - t_s[0])
     highest = 0.5 / float(np.median(np.diff(t_s)))
     count = int(min(MAX_FREQUENCIES, max(3, highest * span_s)))
@@ -179,7 +182,7 @@ def spectrum(t_s: FloatArray, residual_m: FloatArray, noise: Noise) -> Spectrum:
         if seen.sum() < 4:
             continue
         centred = values[seen] - values[seen].mean()
-        power += signal.lombscargle(t_s[seen], centred, 2 * np.pi * frequency)
+        power += lombscargle(t_s[seen], centred, 2 * np.pi * frequency)
         used += 1
     power *= 2.0 * float(np.median(np.diff(t_s))) / max(used, 1)
     frame_s = float(np.median(np.diff(t_s)))
@@ -206,7 +209,7 @@ def ljung_box(white: FloatArray, lags: int = LAGS) -> float:
             r = float(centred[lag:] @ centred[:-lag]) / power
             statistic += n * (n + 2) * r * r / (n - lag)
         freedom += lags
-    return float(stats.chi2.sf(statistic, freedom)) if freedom else float("nan")
+    return float(chi2_sf(freedom, statistic)) if freedom else float("nan")
 
 
 def correlations(
@@ -217,6 +220,8 @@ def correlations(
     The whitened residual along the cable's normal is correlated with each signal at that marker;
     its p-value counts only the independent values of the two series (Bartlett 1935).
     """
+    from scipy.signal import savgol_filter  # half a second, of which not every command has need
+
     t_s = trial.markers.t_s
     if len(t_s) < 2 * LAGS:
         return ()
@@ -224,7 +229,7 @@ def correlations(
     normal = across_tip(trial, predicted_m)
     velocity = np.sum(np.gradient(predicted_m[:, 0], t_s, axis=0) * normal, axis=1)
     smooth = min(len(t_s) - (1 - len(t_s) % 2), 11)
-    hand = signal.savgol_filter(grip, smooth, 3, axis=0)
+    hand = savgol_filter(grip, smooth, 3, axis=0)
     acceleration = np.gradient(np.gradient(hand, t_s, axis=0), t_s, axis=0)
     chord = np.unwrap(np.arctan2(-normal[:, 0], normal[:, 1]))
     signals = {
@@ -276,7 +281,7 @@ def _correlation(a: FloatArray, b: FloatArray) -> tuple[float, float]:
     shared = sum(_auto(a, k) * _auto(b, k) for k in lags)
     independent = float(np.clip(n / max(1.0 + 2.0 * shared, 1.0), 4.0, n))
     z = np.arctanh(np.clip(r, -0.999999, 0.999999)) * np.sqrt(max(independent - 3.0, 1.0))
-    return r, float(2.0 * stats.norm.sf(abs(z)))
+    return r, float(2.0 * normal_cdf(-abs(z)))
 
 
 def _auto(values: FloatArray, lag: int) -> float:

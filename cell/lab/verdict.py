@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import stats
+from scipy.special import chdtrc as chi2_sf
+from scipy.special import fdtrc as f_sf
 
 from cell.cable.effects.base import Effect
 from cell.lab.explore import Candidate, Explorer
@@ -111,8 +112,8 @@ def _smooth_part_explained(explorer: Explorer, base: Heldout, final: Heldout, ru
 def _p_value(chi2: float, count: int, freedom: float) -> float:
     """Of a χ² of `count` values whose unit is known from `freedom` others."""
     if np.isfinite(freedom):
-        return float(stats.f.sf(chi2 / count, count, freedom))
-    return float(stats.chi2.sf(chi2, count))
+        return float(f_sf(count, freedom, chi2 / count))
+    return float(chi2_sf(count, chi2))
 
 
 def close_rivals(
@@ -142,7 +143,7 @@ def chance(small: Candidate, large: Candidate, before: Leftover, after: Leftover
     """p-value of the fall from what `small` leaves to what `large`, with one effect more, does."""
     effect = added_effect(small, large)
     fall = max(deviance(after, before), 0.0)
-    return float(stats.chi2.sf(fall, sum(p.amplitude for p in effect.parameters)))
+    return float(chi2_sf(sum(p.amplitude for p in effect.parameters), max(fall, 0.0)))
 
 
 def added_effect(small: Candidate, large: Candidate) -> type[Effect]:

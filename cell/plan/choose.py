@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm, qmc
+from scipy.special import ndtri as normal_quantile
 
 from cell.cable.dynamics import Solver, simulate
 from cell.cable.geometry import Motion
@@ -204,5 +204,7 @@ def _tips(expected: Forecast, shift: FloatArray) -> FloatArray:
 @lru_cache(maxsize=8)
 def _deviates(dimensions: int, samples: int) -> FloatArray:
     """(samples, dimensions) standard normal deviates that fill space evenly, same every time."""
+    from scipy.stats import qmc  # half a second, of which only a choice has need
+
     sobol = qmc.Sobol(dimensions, rng=np.random.default_rng(20260101))
-    return np.asarray(norm.ppf(np.clip(sobol.random(samples), 1e-6, 1.0 - 1e-6)))
+    return np.asarray(normal_quantile(np.clip(sobol.random(samples), 1e-6, 1.0 - 1e-6)))

@@ -13,7 +13,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize, stats
+from scipy import optimize, special
 
 from cell.records.result import Result
 
@@ -94,7 +94,7 @@ def _change(values: FloatArray) -> tuple[int, int] | None:
     """Index of the first value after a change, and of the one at which it shows; None if none."""
     q = standard_normal(values)
     per_chart = FALSE_ALARM_CYCLES * CHARTS
-    limit = float(stats.norm.isf(0.5 / per_chart))
+    limit = -float(special.ndtri(0.5 / per_chart))
     reach = ewma_limit(per_chart, WEIGHT) * np.sqrt(WEIGHT / (2.0 - WEIGHT))
     mean, turned = 0.0, 0
     for i, value in enumerate(q):
@@ -127,7 +127,7 @@ def standard_normal(values: FloatArray) -> FloatArray:
     size = np.sqrt(np.maximum(square, 0.0) * before / (before - 1.0))
     known = size > 1e-12 * np.abs(values[before])
     t = np.sqrt(before / (before + 1.0)) * (centred[before] - mean) / np.where(known, size, 1.0)
-    q[before] = np.where(known, stats.norm.isf(stats.t.sf(t, before - 1)), np.nan)
+    q[before] = np.where(known, -special.ndtri(special.stdtr(before - 1, -t)), np.nan)
     return q
 
 
@@ -144,7 +144,7 @@ def ewma_limit(run_length: float, weight: float, states: int = 101) -> float:
         edges = np.linspace(-high, high, states + 1)
         middle = 0.5 * (edges[1:] + edges[:-1])
         to = (edges[None, :] - (1.0 - weight) * middle[:, None]) / weight
-        move = np.diff(stats.norm.cdf(to), axis=1)
+        move = np.diff(special.ndtr(to), axis=1)
         return float(np.linalg.solve(np.eye(states) - move, np.ones(states))[states // 2])
 
     return float(optimize.brentq(lambda k: length(k) - run_length, 1.0, 6.0, xtol=1e-6))

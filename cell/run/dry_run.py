@@ -15,7 +15,7 @@ from cell.run.movements import Movement
 from cell.run.station import Station
 from cell.run.steps import allowed_paths
 from cell.run.waiting import AHEAD_S, await_rest, wait_until
-from cell.run.warm_up import warm_up_vision
+from cell.run.warm_up import warm_up_servo, warm_up_vision
 from cell.vision.marks import find_jaw
 from drivers.interfaces import Frame, GripError
 
@@ -29,8 +29,9 @@ LOOKS = 300
 
 
 def warm_up(station: Station, findings: Findings) -> Findings:
-    """Have what looks at pictures compiled and loaded before any are to be looked at."""
+    """Load what looks at pictures, and at motions, before any are to be looked at."""
     warm_up_vision(station.task.vision)
+    warm_up_servo()
     freeze_loaded_objects()
     return findings
 

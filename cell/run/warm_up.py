@@ -52,6 +52,12 @@ def warm_up(cable: Cable, kind: ModelClass = ModelClass()) -> None:  # noqa: B00
     choose(expected, identified, hole)
 
 
+def warm_up_servo() -> None:
+    """Follow a made-up path with a lag, as measured motions are compared with commanded ones."""
+    home = Pose(0.0, 0.0)
+    executed_motion(insertion_path(home, 0.0, 0.05, MotionLimits(), 500.0), 0.03)
+
+
 def warm_up_vision(options: VisionOptions) -> None:
     """Look at a made-up picture, and at one after it."""
     image, view = made_up_picture(options)
