@@ -36,10 +36,12 @@ def make_study(
     *,
     noise_m: float | None = None,
     colour: float | None = None,
+    noise_seed: int | None = None,
 ) -> Study:
     """A study of a random cable.
 
-    noise_m  0.05 … 0.3 mm and colour 0 … 0.9 are drawn if not given
+    noise_m     0.05 … 0.3 mm and colour 0 … 0.9 are drawn if not given
+    noise_seed  of other noise on the same cable
     """
     rng = np.random.default_rng(seed)
     noise = float(np.exp(rng.uniform(np.log(5e-5), np.log(3e-4)))) if noise_m is None else noise_m
@@ -50,6 +52,8 @@ def make_study(
     model = CableModel(
         CABLE, rigidity, rng.uniform(0.9, 1.15), rng.uniform(4e-8, 2e-7), effects=tuple(effects)
     )
+    if noise_seed is not None:
+        rng = np.random.default_rng(noise_seed)
     arcs = node_arc_lengths(CABLE.free_length_m)
     trials = []
     for name, role, angle, way, seconds in STROKES:

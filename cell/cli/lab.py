@@ -166,9 +166,11 @@ def diagnose(
     from cell.lab.compare import compare_model
     from cell.lab.diagnose import diagnose as diagnose_study
     from cell.lab.individual import identified
+    from cell.lab.limits import with_limits
     from cell.lab.report import diagnosis_page, write_page
     from cell.lab.results import to_json
     from cell.lab.tables import (
+        limits_table,
         nearest_table,
         ranking_table,
         sentence,
@@ -182,7 +184,7 @@ def diagnose(
         selection = session.select_for_diagnosis(effect or [], known or [])
         opened = _opened(study)
         explorer = _explorer(opened, selection, prior, progress, config)
-        examination = diagnose_study(explorer)
+        examination = with_limits(explorer, diagnose_study(explorer))
         steps = [explorer.prior_candidate(), *examination.steps[1:]]
         comparisons = [compare_model(opened, c.fit.model) for c in steps]
         in_model = explorer.space.effects
@@ -206,6 +208,7 @@ def diagnose(
             waterfall_table(diagnosis),
             *more,
             ranking_table(diagnosis),
+            limits_table(diagnosis),
             steps_text(todo),
         )
 

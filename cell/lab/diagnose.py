@@ -10,11 +10,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cell.cable.effects.base import Effect
-from cell.lab.doubts import doubts
+from cell.lab.doubts import doubts, unseen_doubt
 from cell.lab.estimate import Estimate, estimate
 from cell.lab.explore import Candidate, Explorer, Gain
 from cell.lab.leftover import leftover, removed_share
 from cell.lab.partial import Partial, explain_partly, nearest, tied_so_far, what_is_left
+from cell.lab.prepared import PreparedStudy
 from cell.lab.results import Diagnosis, MissingEffect, RankedEffect, Status, Verdict
 from cell.lab.rules import DEFAULT_RULES, Rules
 from cell.lab.score import holm
@@ -27,6 +28,7 @@ from cell.lab.verdict import (
     errors_of,
     explains,
     hopeless_search,
+    unconfirmed,
     verdict_of,
 )
 
@@ -39,6 +41,8 @@ class Examination:
 
     steps     the baseline, then with each effect added in the order of `diagnosis.missing`
     accepted  with every effect that is significant and confirmed, even if they do not explain all
+    final     the model that explains most: with `diagnosis.missing` in, or else `diagnosis.partial`
+    weighed   the study as `final` was fitted to it
     partial   the same as `steps` for `diagnosis.partial`
     """
 
@@ -47,6 +51,8 @@ class Examination:
     screened: tuple[ScreenedEffect, ...]
     singles: tuple[Candidate, ...]
     accepted: Candidate
+    final: Candidate
+    weighed: PreparedStudy
     partial: tuple[Candidate, ...] = ()
 
 
@@ -70,9 +76,11 @@ def diagnose(explorer: Explorer, rules: Rules = DEFAULT_RULES) -> Examination:
     else:
         steps, tied = (base,), {}
         partial = explain_partly(explorer, explorer.known(), len(screened), rules)
-    verdict: Verdict = verdict_of(base, current, tied, rules) if found else "unexplained"
+    unseen = unconfirmed(explorer, current, rules) if found else ()
+    verdict: Verdict = verdict_of(base, current, tied, unseen, rules) if found else "unexplained"
     whole, most = partial.explorer, partial.steps
     also = {e.name: tied_so_far(whole, most[-1], e, rules) for e in _added(whole, most[-1])}
+    final = current if found else most[-1]
     _LOG.info("verdict: %s", verdict)
     rivals = {n for names in (*tied.values(), *also.values()) for n in names}
     diagnosis = Diagnosis(
@@ -81,12 +89,14 @@ def diagnose(explorer: Explorer, rules: Rules = DEFAULT_RULES) -> Examination:
         verdict=verdict,
         missing=_all_found(explorer, steps, tied, len(screened)),
         ranking=_ranking(explorer, base, steps[-1], singles, rivals, rules),
-        left=what_is_left(whole, most[0], current if found else most[-1]),
+        left=what_is_left(whole, most[0], final),
         partial=_all_found(whole, most, also, len(screened)),
         nearest=() if found else nearest(partial, singles, rules),
-        warnings=doubts(explorer, whole, current if found else most[-1], cut_short),
+        warnings=(*doubts(explorer, whole, final, cut_short), *map(unseen_doubt, unseen)),
     )
-    return Examination(diagnosis, steps, tuple(screened), tuple(singles), current, most)
+    return Examination(
+        diagnosis, steps, tuple(screened), tuple(singles), current, final, whole.prepared, most
+    )
 
 
 def _errors_in_words(candidate: Candidate) -> str:
@@ -135,18 +145,20 @@ def _accepted(
 ) -> Candidate | None:
     """The option with the most evidence, if it is significant and confirmed.
 
-    Effects that were not refitted count as tried: their screen was no better than chance.
+    Where there is none, one that the held-out trials are blind to.  Effects that were not refitted
+    count as tried: their screen was no better than chance.
     """
     gains = [explorer.gain(current, o) for o in options]
     tried = [g.p_value for g in gains]
     adjusted = holm(tried + [1.0] * (library - len(tried)))[: len(tried)]
-    sound = [
-        o
+    likely = [
+        (o, g)
         for o, g, p in zip(options, gains, adjusted, strict=True)
-        if p < rules.significance
-        and g.delta_bic > 0.0
-        and _confirmed(explorer, current, o, g, rules)
+        if p < rules.significance and g.delta_bic > 0.0
     ]
+    sound = [o for o, g in likely if _confirmed(explorer, current, o, g, rules)]
+    if not sound:
+        sound = [o for o, g in likely if _unseen(explorer, current, o, g, rules)]
     return max(sound, key=lambda o: o.evidence) if sound else None
 
 
@@ -163,7 +175,19 @@ def _confirmed(
         excess = max(base.rms_m**2 - noise, 0.0)
         least = max(rules.more_share * noise, rules.excess_share * excess)
     fall = small.heldout.rms_m**2 - large.heldout.rms_m**2
-    return gain.heldout > rules.heldout_gain and fall > least
+    if not (gain.heldout > rules.heldout_gain and fall > least):
+        return False
+    return explorer.visible(large, added_effect(small, large)) > rules.least_visible
+
+
+def _unseen(
+    explorer: Explorer, small: Candidate, large: Candidate, gain: Gain, rules: Rules
+) -> bool:
+    """Whether the held-out trials are blind to an effect that the others show plainly."""
+    if large.heldout is None or gain.heldout < -rules.heldout_gain:
+        return False
+    seen = explorer.visible(large, added_effect(small, large))
+    return seen < rules.least_visible and 2.0 * seen < rules.blind * gain.delta_chi2
 
 
 def _exchanged(explorer: Explorer, candidate: Candidate, rules: Rules) -> Candidate:
@@ -186,7 +210,10 @@ def _pruned(explorer: Explorer, candidate: Candidate, rules: Rules) -> Candidate
     for effect in _added(explorer, candidate)[:-1]:
         rest = explorer.without(candidate, effect)
         gain = explorer.gain(rest, candidate)
-        if gain.delta_bic <= 0.0 or not _confirmed(explorer, rest, candidate, gain, rules):
+        kept = _confirmed(explorer, rest, candidate, gain, rules) or _unseen(
+            explorer, rest, candidate, gain, rules
+        )
+        if gain.delta_bic <= 0.0 or not kept:
             return _pruned(explorer, rest, rules)
     return candidate
 

@@ -77,6 +77,15 @@ def doubts(
     return tuple(w for w in found if w.code != "beyond_noise")
 
 
+def unseen_doubt(effect: str) -> Doubt:
+    """Of an effect that rests on the fit trials alone."""
+    return Doubt(
+        "unconfirmed",
+        f"the held-out trials cannot show {effect}: it explains the trials fitted to and is not "
+        "confirmed; hold out a trial in which it would be seen",
+    )
+
+
 def _moved_m(explorer: Explorer) -> float:
     """rms distance of the fit trials' markers from their own means, per coordinate, m."""
     square, count = 0.0, 0

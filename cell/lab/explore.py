@@ -25,6 +25,7 @@ from cell.lab.fitting import (
     pinned,
     residuals,
     space_with,
+    visible,
 )
 from cell.lab.prepared import PreparedStudy
 from cell.lab.score import boundary_p_value, delta_bic
@@ -119,6 +120,7 @@ class Explorer:
     _screens: dict[frozenset[str], list[ScreenedEffect]] = field(default_factory=dict)
     _tempered: Fit | None = None
     _prior_candidate: Candidate | None = None
+    _visible: dict[tuple[frozenset[str], str], float] = field(default_factory=dict)
 
     def baseline(self) -> Candidate:
         """The model with no effects beyond those that `space` brings along."""
@@ -225,6 +227,13 @@ class Explorer:
         )
         self._known[candidate.names] = self._weigh(candidate.effects, fit)
         return self._known[candidate.names]
+
+    def visible(self, candidate: Candidate, effect: type[Effect]) -> float:
+        """ln of how much likelier an effect of a candidate must make the held-out trials."""
+        key = (candidate.names, effect.name)
+        if key not in self._visible:
+            self._visible[key] = visible(self.prepared, candidate.fit, effect)
+        return self._visible[key]
 
     def without(self, candidate: Candidate, effect: type[Effect]) -> Candidate:
         """The candidate with one effect taken out, refitted."""

@@ -218,6 +218,34 @@ def heldout(prepared: PreparedStudy, fit: Fit) -> Heldout | None:
     )
 
 
+def visible(prepared: PreparedStudy, fit: Fit, effect: type[Effect]) -> float:
+    """ln of how much likelier the held-out trials must be with an effect of the fit than without.
+
+    By the effect itself: it is switched off and all else left as fitted, but for what the fit
+    leaves uncertain.  What other parameters have become in its company does not count.
+    """
+    trials = prepared.study.role("validate")
+    space, p = fit.space, len(fit.q)
+    steps = space.difference_steps(fit.q)
+    own = [i for i, name in enumerate(space.names) if name.startswith(f"{effect.name}.")]
+    rest = [i for i in range(p) if i not in own]
+    off = extended(fit, space, effect, np.array([q.default for q in effect.parameters]))
+    lanes = [space.model(q) for q in (*difference_points(fit.q, steps), off)]
+    released = [t for t in trials if is_released(t)]
+    late = {t.name: np.full(len(lanes), best_delay(prepared, fit.model, t)) for t in released}
+    white = prepared.all_white(trials, lanes, late)
+    if not np.all(np.isfinite(white[:-1])):
+        return 0.0
+    if not np.all(np.isfinite(white[-1])):
+        return np.inf
+    all_of, among = fit.covariance, np.ix_(rest, own)
+    given = np.linalg.pinv(all_of[np.ix_(own, own)], hermitian=True)
+    uncertain = all_of[np.ix_(rest, rest)] - all_of[among] @ given @ all_of[among].T
+    slopes = ((white[1:-1] - white[0]).T / steps)[:, rest]
+    chi2, _ = marginal_chi2(white[-1] - white[0], slopes @ covariance_root(uncertain))
+    return 0.5 * chi2
+
+
 def _smooth_part(whitener: Whitener, white: FloatArray) -> FloatArray:
     """(modes, columns) coordinates, white again, of white (rows, columns) in smooth functions."""
     grid = white.reshape(-1, whitener.channels, whitener.frames, white.shape[1])

@@ -17,7 +17,7 @@ from cell.cable.effects.base import Effect
 from cell.identify.noise import Noise
 from cell.lab.explore import Candidate, Explorer
 from cell.lab.leftover import leftover, peak, removed_share
-from cell.lab.prepared import PreparedStudy
+from cell.lab.prepared import PreparedStudy, all_fitted
 from cell.lab.results import Nearest, RemainingError
 from cell.lab.rules import Rules
 from cell.lab.score import holm
@@ -49,8 +49,7 @@ def explain_partly(
     tried    candidates so far: what the best of them leaves is the model's own error
     library  number of effects to choose from
     """
-    study = explorer.prepared.study
-    together = replace(study, trials=tuple(replace(t, role="fit") for t in study.trials))
+    together = all_fitted(explorer.prepared.study)
     weighed = PreparedStudy.of(together, misfit=_own_error(explorer, tried), solver=COARSE)
     whole = Explorer(weighed, explorer.space, explorer.library, explorer.progress, explorer.prior_q)
     base = whole.baseline()

@@ -131,6 +131,16 @@ class PreparedStudy:
         return sum(self.whiteners[t.name].count for t in trials)
 
 
+def pooled(prepared: PreparedStudy) -> PreparedStudy:
+    """The same with every trial to be fitted to."""
+    return replace(prepared, study=all_fitted(prepared.study))
+
+
+def all_fitted(study: Study) -> Study:
+    """The study with no trial held out."""
+    return replace(study, trials=tuple(replace(t, role="fit") for t in study.trials))
+
+
 def placed(study: Study) -> Study:
     """The study with markers where they are on cables that are held straight before release.
 

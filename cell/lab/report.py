@@ -29,13 +29,14 @@ from cell.lab.figures import (
     waterfall,
 )
 from cell.lab.overlay import overlay
+from cell.lab.results import Diagnosis
 from cell.lab.tables import (
     comparison_sentence,
     percent,
     sentence,
 )
 from cell.lab.trial_residual import TrialResidual
-from cell.lab.wording import left_in_words, noise_in_words
+from cell.lab.wording import LIMIT_HEADS, LIMIT_NOTE, left_in_words, limit_rows, noise_in_words
 
 #: Signals that a residual goes with, listed if the correlation is at least this.
 LEAST_CORRELATION = 0.2
@@ -123,6 +124,7 @@ def diagnosis_page(
         "trials say together, those not fitted to included.</p>",
         _plot(ranking(diagnosis)),
         _everything(examination),
+        *_limits(diagnosis),
         f"<h2>{'What is left' if diagnosis.verdict == 'complete' else _FAILS}</h2>",
         *_where(series),
         "<h2>Trial by trial</h2>",
@@ -287,6 +289,14 @@ def _everything(examination: Examination) -> str:
     meant = "; ".join(f"{s.replace('_', ' ')}: {STATUSES[s]}" for s in shown)
     table += f'<p class="note">{html.escape(meant)}.</p>'
     return f"<details><summary>as numbers</summary>{table}</details>"
+
+
+def _limits(diagnosis: Diagnosis) -> list[str]:
+    """What the study excludes, if limits were sought."""
+    if not diagnosis.limits:
+        return []
+    table = _table(LIMIT_HEADS, limit_rows(diagnosis), (2, 3))
+    return ["<h2>What the study excludes</h2>", f'<p class="note">{LIMIT_NOTE}.</p>', table]
 
 
 def _cable(model: Identified) -> str:

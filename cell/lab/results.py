@@ -99,6 +99,24 @@ class Nearest:
 
 
 @dataclass(frozen=True)
+class Limit:
+    """95 % limits of one amplitude of an effect that is neither named nor tied.
+
+    low, high  of the parameter, outside of which the study excludes the effect; None = the study
+               could not have shown it: whatever its size, or beyond the parameter's bounds only
+    tip_m      largest distance that the effect at its limit moves the outermost marker by, all
+               else as fitted
+    """
+
+    effect: str
+    parameter: str
+    unit: str
+    low: float | None
+    high: float | None
+    tip_m: float | None
+
+
+@dataclass(frozen=True)
 class Doubt:
     """A reason to doubt a result: a `code` for programs, a `message` for people."""
 
@@ -124,6 +142,7 @@ class Diagnosis:
               fitted to all trials
     partial   of an unexplained study: what explains most of the error, not all
     nearest   of an unexplained study: the single effects that leave least
+    limits    how strong the effects could be that are neither named nor tied
     """
 
     noise_m: float
@@ -135,6 +154,7 @@ class Diagnosis:
     partial: tuple[MissingEffect, ...] = ()
     nearest: tuple[Nearest, ...] = ()
     warnings: tuple[Doubt, ...] = ()
+    limits: tuple[Limit, ...] = ()
 
 
 def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
@@ -167,6 +187,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
             for n in diagnosis.nearest
         ],
         "warnings": [vars(w) for w in diagnosis.warnings],
+        "limits": [vars(limit) for limit in diagnosis.limits],
     }
 
 

@@ -11,6 +11,10 @@ class Rules:
 
     significance     family-wise, over the library (Holm), on the fit trials
     heldout_gain     ln of how much likelier the held-out trials must become
+    least_visible    ln of how much likelier the effect itself, all else as fitted, must make them:
+                     below, they cannot see it, and what they gain comes by other parameters
+    blind            effects that the held-out trials see by less than this share of the χ² that
+                     they explain of the fit trials are found, but not confirmed
     first_share, more_share, excess_share   least fall of the held-out mean square: of the noise's
                      for the first effect and for more, and of the baseline's excess for more.
                      Below lie the errors of models, ours included, whatever their significance
@@ -34,6 +38,8 @@ class Rules:
 
     significance: float = 0.01
     heldout_gain: float = 3.0
+    least_visible: float = 1.0
+    blind: float = 0.1
     first_share: float = 0.003
     more_share: float = 0.01
     excess_share: float = 0.001

@@ -42,18 +42,50 @@ def screen(
 
     All effects, at every guess of their shape parameters, go into one batch per trial.
     """
+    nuisance = nuisance_of(fit)
+    found = []
+    for slopes in sensitivities(prepared, fit, effects):
+        effect = slopes.effect
+        score = score_test(nuisance, slopes.rows, one_sided=one_sided(effect))
+        starts = tuple(
+            _start(effect, slopes.values[shape], amplitude)
+            for shape, amplitude in ((score.shape, score.amplitude), *score.others)
+        )
+        found.append(ScreenedEffect(effect, score, starts))
+    return sorted(found, key=lambda s: (s.score.p_value, -s.score.statistic))
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivity:
+    """What an effect's amplitudes do to the fit trials, from none of it.
+
+    values  per guess of its shape parameters, all parameters
+    rows    (shapes, amplitudes, values) whitened change per unit of each amplitude, the prior's
+            rows (zero) included; zero where it cannot be simulated
+    """
+
+    effect: type[Effect]
+    values: tuple[FloatArray, ...]
+    rows: FloatArray
+
+
+def sensitivities(
+    prepared: PreparedStudy, fit: Fit, effects: Sequence[type[Effect]]
+) -> list[Sensitivity]:
+    """Slopes of what is seen in every effect's amplitudes, at every guess of its shape."""
     guesses = [g for effect in effects for g in _guesses(effect)]
     change = np.full((len(guesses), len(fit.solution.residual)), np.nan)
     for _ in range(TRIES):
         undone = [i for i in range(len(guesses)) if not _usable(change[i])]
         if not undone:
             break
-        change[undone] = _changes(prepared, fit, [guesses[i] for i in undone])
+        change[undone] = changes(
+            prepared, fit, [ActiveEffect(guesses[i].effect, guesses[i].values) for i in undone]
+        )
         for i in undone:
             if not _usable(change[i]):
                 guesses[i] = guesses[i].smaller()
     change[[not _usable(row) for row in change]] = 0.0
-    nuisance = _nuisance(fit)
     priors = np.zeros((len(guesses), len(fit.solution.q)))
     rows = np.hstack([change, priors]) / np.array([g.nudge for g in guesses])[:, None]
     found = []
@@ -61,15 +93,17 @@ def screen(
         mine = [i for i, g in enumerate(guesses) if g.effect is effect]
         shapes = len({guesses[i].shape for i in mine})
         grouped = rows[mine].reshape(shapes, -1, rows.shape[1])
-        amplitudes = [p for p in effect.parameters if p.amplitude]
-        one_sided = len(amplitudes) == 1 and amplitudes[0].low >= amplitudes[0].default
-        score = score_test(nuisance, grouped, one_sided=one_sided)
-        starts = tuple(
-            _start(effect, guesses[mine[shape * grouped.shape[1]]], amplitude)
-            for shape, amplitude in ((score.shape, score.amplitude), *score.others)
+        values = tuple(
+            np.array(guesses[mine[shape * grouped.shape[1]]].values) for shape in range(shapes)
         )
-        found.append(ScreenedEffect(effect, score, starts))
-    return sorted(found, key=lambda s: (s.score.p_value, -s.score.statistic))
+        found.append(Sensitivity(effect, values, grouped))
+    return found
+
+
+def one_sided(effect: type[Effect]) -> bool:
+    """Whether an effect has one amplitude, and that of one sign."""
+    amplitudes = [p for p in effect.parameters if p.amplitude]
+    return len(amplitudes) == 1 and amplitudes[0].low >= amplitudes[0].default
 
 
 @dataclass(frozen=True)
@@ -95,10 +129,10 @@ def _usable(change: FloatArray) -> bool:
     return bool(np.all(np.isfinite(change)) and np.max(np.abs(change)) < LARGEST_CHANGE)
 
 
-def _changes(prepared: PreparedStudy, fit: Fit, guesses: Sequence[_Guess]) -> FloatArray:
-    """(guesses, rows) whitened change of the fit trials' markers by each nudge."""
+def changes(prepared: PreparedStudy, fit: Fit, active: Sequence[ActiveEffect]) -> FloatArray:
+    """(effects, rows) whitened change of the fit trials' markers by each effect alone."""
     model = fit.model
-    models = [model, *(_with(model, ActiveEffect(g.effect, g.values)) for g in guesses)]
+    models = [model, *(_with(model, a) for a in active)]
     delays = {name: np.full(len(models), delay) for name, delay in fit.delay_s.items()}
     white = prepared.all_white(fit_trials(prepared), models, delays)
     return np.asarray(white[0] - white[1:])
@@ -130,9 +164,9 @@ def _nudge(parameter: Parameter) -> float:
     return size if parameter.default + size <= parameter.high else -size
 
 
-def _start(effect: type[Effect], guess: _Guess, amplitude: FloatArray) -> FloatArray:
+def _start(effect: type[Effect], guess: FloatArray, amplitude: FloatArray) -> FloatArray:
     """Parameter values of the guess, amplitudes as the score expects them, within bounds."""
-    values = np.array(guess.values)
+    values = guess.copy()
     expected = iter(np.atleast_1d(amplitude))
     for i, p in enumerate(effect.parameters):
         if p.amplitude:
@@ -151,7 +185,7 @@ def _with(model: CableModel, active: ActiveEffect) -> CableModel:
     )
 
 
-def _nuisance(fit: Fit) -> Nuisance:
+def nuisance_of(fit: Fit) -> Nuisance:
     """What the fitted parameters can imitate, their prior as further rows."""
     p, rows = len(fit.q), len(fit.solution.q)
     precision = np.zeros((rows, rows))

@@ -17,12 +17,24 @@ from cell.lab.compare import Comparison
 from cell.lab.explore import Candidate
 from cell.lab.prepared import PreparedStudy
 from cell.lab.results import Diagnosis, Doubt
-from cell.lab.wording import noise_like, peak_in_words, place_in_words, plain, short, unexplained
+from cell.lab.wording import (
+    LIMIT_HEADS,
+    LIMIT_NOTE,
+    limit_rows,
+    noise_like,
+    peak_in_words,
+    place_in_words,
+    plain,
+    short,
+    unexplained,
+)
 
 if TYPE_CHECKING:
     from cell.lab.discover import Discovery
     from cell.lab.suggest import Suggestion
 
+NOT_TOLD = "These motions cannot tell them apart."
+NOT_CONFIRMED = "The motions not fitted to cannot show it: it is not confirmed."
 _COLOURS = {"present": "green", "inspect": "yellow", "absent": "dim", "cannot_tell": ""}
 
 
@@ -60,7 +72,10 @@ def sentence(
     rest = f"{short(after_mm)} mm, {after_mm / noise_mm:.1f} times the noise, not yet explained"
     if after_mm < 1.1 * noise_mm:
         rest = noise_like(noise_mm, final)
-    hedge = " These motions cannot tell them apart." if diagnosis.verdict == "cannot_tell" else ""
+    hedge = ""
+    if diagnosis.verdict == "cannot_tell":
+        unseen = any(w.code == "unconfirmed" for w in diagnosis.warnings)
+        hedge = f" {NOT_CONFIRMED if unseen else NOT_TOLD}"
     return (
         f"{misses}; {names} {explains} {share:.0f} % of what is beyond {noise_name}; "
         f"the remaining error is {rest}.{hedge}"
@@ -145,6 +160,17 @@ def ranking_table(diagnosis: Diagnosis) -> Table:
         table.add_row(r.effect, f"{r.score:.1f}", f"{r.p_value:.1g}", status)
     shown = dict.fromkeys(r.status for r in diagnosis.ranking)
     table.caption = "; ".join(f"{s}: {STATUSES[s]}" for s in shown)
+    return table
+
+
+def limits_table(diagnosis: Diagnosis) -> Table:
+    """How strong the effects could be that are neither named nor tied."""
+    table = Table(title="What the study excludes, 95 %", box=SIMPLE_HEAD)
+    for column in LIMIT_HEADS:
+        table.add_column(column, justify="right" if column.endswith("mm") else "left")
+    for row in limit_rows(diagnosis):
+        table.add_row(*map(Text, row))
+    table.caption = LIMIT_NOTE
     return table
 
 

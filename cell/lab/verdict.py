@@ -17,12 +17,16 @@ from cell.lab.rules import Rules
 
 
 def verdict_of(
-    base: Candidate, final: Candidate, tied: dict[str, tuple[str, ...]], rules: Rules
+    base: Candidate,
+    final: Candidate,
+    tied: dict[str, tuple[str, ...]],
+    unseen: Sequence[str],
+    rules: Rules,
 ) -> Verdict:
-    """What it means that `final` explains the study."""
+    """What it means that `final` explains the study; `unseen`: effects that are not confirmed."""
     if final is base:
         return "complete"
-    if final.heldout is None or any(len(t) + 1 > rules.most_tied for t in tied.values()):
+    if final.heldout is None or unseen or any(len(t) + 1 > rules.most_tied for t in tied.values()):
         return "cannot_tell"
     return "missing"
 
@@ -41,6 +45,14 @@ def explains(explorer: Explorer, base: Candidate, final: Candidate, rules: Rules
     before = leftover(prepared, explorer.prior_candidate())
     share = removed_share(prepared.floor.noise.std_m, before, leftover(prepared, final))
     return final is not base and share > rules.most_share
+
+
+def unconfirmed(explorer: Explorer, final: Candidate, rules: Rules) -> tuple[str, ...]:
+    """Effects found that the held-out trials, if there are any, cannot see."""
+    if final.heldout is None:
+        return ()
+    found = [e for e in final.effects if e not in explorer.space.effects]
+    return tuple(e.name for e in found if explorer.visible(final, e) < rules.least_visible)
 
 
 def hopeless_search(explorer: Explorer, current: Candidate, rules: Rules) -> bool:
@@ -77,6 +89,8 @@ def _leaves_noise(explorer: Explorer, base: Candidate, final: Candidate, rules: 
     """Whether a candidate's residual is noise, on held-out trials where there are any."""
     prepared, noise_m = explorer.prepared, explorer.prepared.noise.std_m
     freedom = prepared.floor.freedom
+    if final.fit.rms_m > rules.gross_misfit * noise_m:
+        return False
     if final.heldout is not None and base.heldout is not None:
         chi2, count, rms_m = final.heldout.chi2, final.heldout.count, final.heldout.rms_m
         before_m = base.heldout.rms_m

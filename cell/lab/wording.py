@@ -6,8 +6,15 @@ import numpy as np
 
 from cell.lab.compare import NOTICEABLE, Comparison
 from cell.lab.prepared import ERRS
-from cell.lab.results import Diagnosis, MissingEffect, Peak
+from cell.lab.results import Diagnosis, Limit, MissingEffect, Peak
 from cell.lab.trial_residual import TrialResidual
+
+#: Table of detection limits.
+LIMIT_HEADS = ("effect", "parameter", "possible (95 %)", "moves the tip by, mm")
+LIMIT_NOTE = (
+    "Each effect alone beside the model found, of the shape that this study shows worst; what the "
+    "model leaves counts as noise. Beyond that range it is excluded; within it could be there"
+)
 
 
 def unexplained(diagnosis: Diagnosis, misses: str, noise_name: str = "camera noise") -> str:
@@ -94,6 +101,25 @@ def peak_in_words(peak: Peak) -> str:
     """Where a residual is largest."""
     at = f"{peak.arc_length_m * 1e3:.0f} mm from the grip at {peak.time_s:.2f} s of {peak.trial}"
     return at if not np.isfinite(peak.frequency_hz) else f"{at}, at {peak.frequency_hz:.1f} Hz"
+
+
+def limit_rows(diagnosis: Diagnosis) -> list[list[str]]:
+    """Of every effect neither named nor tied: what the study leaves possible, by `LIMIT_HEADS`."""
+    return [
+        [
+            limit.effect,
+            limit.parameter,
+            _range(limit),
+            "" if limit.tip_m is None else short(limit.tip_m * 1e3),
+        ]
+        for limit in sorted(diagnosis.limits, key=lambda one: one.high is None)
+    ]
+
+
+def _range(limit: Limit) -> str:
+    if limit.low is None or limit.high is None:
+        return "this study could not have shown it"
+    return f"{limit.low:.3g} … {limit.high:.3g} {'' if limit.unit == '1' else limit.unit}".strip()
 
 
 def place_in_words(share: float) -> str:

@@ -21,7 +21,7 @@ SCHEMA = {
     "additionalProperties": False,
     "required": [
         "format", "noise_m", "baseline", "verdict", "missing", "ranking", "left", "partial",
-        "nearest", "warnings",
+        "nearest", "warnings", "limits",
     ],
     "properties": {
         "format": {"const": "cable-diagnosis/1"},

@@ -1,0 +1,106 @@
+"""Limits of effects that a study does not show: at the true edge, and silent where it is blind."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cell.cable.effects import library
+from cell.identify.parameters import ParameterSpace
+from cell.lab.diagnose import diagnose
+from cell.lab.explore import Explorer
+from cell.lab.fitting import extended, fit_model, space_with
+from cell.lab.limits import limits, with_limits
+from cell.lab.prepared import PreparedStudy, all_fitted
+from cell.lab.results import to_json
+from cell.lab.wording import limit_rows
+from cell.study.data import Markers
+
+KNOWN = library()
+
+
+def baseline(study):
+    prepared = PreparedStudy.of(all_fitted(study))
+    space = ParameterSpace.of(study.cable)
+    return prepared, Explorer(prepared, space, {}).baseline().fit
+
+
+@pytest.fixture(scope="module")
+def fitted(make_study):
+    return baseline(make_study([], seed=21))
+
+
+def _at_rest(trial):
+    """What was seen before the hand moved."""
+    still = slice(0, int(np.searchsorted(trial.markers.t_s, 0.2)))
+    seen = Markers(trial.markers.t_s[still], trial.markers.xy_m[still])
+    return replace(trial, markers=seen)
+
+
+def misfit(prepared, fit, effect, value=None):
+    """χ² with the effect in, everything else fitted anew; its amplitude held at a value."""
+    space = space_with(fit.space, (effect,))
+    others = [p.default for p in effect.parameters[1:]]
+    first = effect.parameters[0].default if value is None else value
+    q = extended(fit, space, effect, np.array([first, *others]))
+    if value is not None:
+        i = space.names.index(f"{effect.name}.{effect.parameters[0].name}")
+        space.low[i] = space.high[i] = q[i]
+    return fit_model(prepared, space, q).objective
+
+
+@pytest.mark.parametrize("name", ["tip_mass", "camera_scale"])
+def test_at_its_limit_an_effect_costs_what_excludes_it(fitted, name):
+    """The misfit with the effect held there, everything else fitted anew, is that of 95 %."""
+    prepared, fit = fitted
+    effect = KNOWN[name]
+    (found,) = limits(prepared, fit, [effect])
+    rise = misfit(prepared, fit, effect, found.high) - misfit(prepared, fit, effect)
+    reach = 1.645 if name == "tip_mass" else 1.960
+    assert np.sqrt(rise) == pytest.approx(reach, rel=0.15)
+
+
+def test_a_limit_is_of_one_sign_where_the_effect_is(fitted):
+    prepared, fit = fitted
+    drag, roll = limits(prepared, fit, [KNOWN["air_drag"], KNOWN["camera_roll"]])
+    assert (drag.low, drag.unit) == (0.0, "1")
+    assert 0.0 < drag.high < 2.0
+    assert roll.low < roll.high
+    assert 1e-6 < drag.tip_m < 5e-3
+    assert 1e-6 < roll.tip_m < 5e-3
+
+
+def test_of_two_amplitudes_each_has_its_own_limit(fitted):
+    found = limits(*fitted, [KNOWN["natural_curvature"]])
+    assert [f.parameter for f in found] == ["curvature_1_per_m", "gradient_1_per_m2"]
+
+
+def test_what_nothing_shows_is_not_excluded(make_study):
+    """In a cable that hangs still no picture tells when it was taken."""
+    study = make_study([], seed=21)
+    still = [_at_rest(t) for t in study.trials[:1]]
+    prepared, fit = baseline(replace(study, trials=tuple(still)))
+    latency, angle = limits(prepared, fit, [KNOWN["camera_latency"], KNOWN["grip_slip"]])
+    assert (latency.low, latency.high, latency.tip_m) == (None, None, None)
+    assert angle.high is not None
+
+
+def test_a_diagnosis_tells_them_for_what_is_neither_named_nor_tied(make_study):
+    study = make_study([KNOWN["tip_mass"].active(mass_kg=3e-5)], seed=8)
+    names = ("tip_mass", "air_drag", "camera_scale")
+    space = ParameterSpace.of(study.cable)
+    explorer = Explorer(PreparedStudy.of(study), space, {n: KNOWN[n] for n in names})
+    examination = with_limits(explorer, diagnose(explorer))
+    found = examination.diagnosis
+    assert [f.effect for f in found.missing] == ["tip_mass"]
+    assert [limit.effect for limit in found.limits] == ["air_drag", "camera_scale"]
+    drag, scale = found.limits
+    assert 0.0 < drag.high < 1.0
+    assert scale.low < 1.0 < scale.high
+    written = json.loads(json.dumps(to_json(found), allow_nan=False))
+    assert written["limits"][0]["high"] == drag.high
+    rows = limit_rows(replace(found, limits=(replace(drag, low=None, high=None, tip_m=None),)))
+    assert rows == [
+        ["air_drag", "drag_coefficient", "this study could not have shown it", ""],
+    ]
