@@ -6,7 +6,7 @@ gripping point, x away from the cable, y up), C the camera.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -108,24 +108,35 @@ class MarksModel:
     def threads(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(K,) by how many deviations plumb lines miss being vertical, and (K, 24) slopes."""
 
-        def off(x: FloatArray) -> FloatArray:
+        def planes(x: FloatArray) -> FloatArray:
             lens = Lens.of(x[LENS])
-            side = sideways(self._gravity.up)
+            return np.array([_plane_of(t, lens) for t in self._gravity.threads]).reshape(-1, 3)
+
+        def up_in_camera(x: FloatArray) -> FloatArray:
             upright = self._gravity.up + x[GRAVITY] @ side
-            up_camera = pose(x[CAMERA])[:3, :3] @ (upright / np.linalg.norm(upright))
-            return np.array([_thread_off(t, lens, up_camera) for t in self._gravity.threads])
+            up: FloatArray = pose(x[CAMERA])[:3, :3] @ (upright / np.linalg.norm(upright))
+            return up
 
-        base = off(x)
-        slopes = np.empty((len(base), COUNT))
-        for k in range(COUNT):
-            step = np.zeros(COUNT)
-            step[k] = _STEP * max(1.0, abs(x[k]))
-            slopes[:, k] = (off(x + step) - off(x - step)) / (2.0 * step[k])
-        return base, slopes
+        side = sideways(self._gravity.up)
+        normals, up = planes(x), up_in_camera(x)
+        slopes = np.zeros((len(normals), COUNT))
+        columns = np.arange(COUNT)
+        for k in columns[LENS]:
+            slopes[:, k] = _slope(planes, x, k) @ up
+        for k in (*columns[CAMERA], *columns[GRAVITY]):
+            slopes[:, k] = normals @ _slope(up_in_camera, x, k)
+        return normals @ up, slopes
 
 
-def _thread_off(pixels: FloatArray, lens: Lens, up_camera: FloatArray) -> float:
-    """By how many standard deviations the plane of a thread and the camera misses up_camera."""
+def _slope(function: Callable[[FloatArray], FloatArray], x: FloatArray, k: int) -> FloatArray:
+    """Derivative of a function by its k-th parameter."""
+    step = np.zeros(len(x))
+    step[k] = _STEP * max(1.0, abs(x[k]))
+    return np.asarray((function(x + step) - function(x - step)) / (2.0 * step[k]))
+
+
+def _plane_of(pixels: FloatArray, lens: Lens) -> FloatArray:
+    """(3,) normal of the plane of a thread and the camera, over the deviation of its angle."""
     ideal = lens.ideal(pixels)
     rays = (ideal - [lens.cx_px, lens.cy_px]) / [lens.fx_px, lens.fy_px]
     middle = rays.mean(axis=0)
@@ -136,7 +147,7 @@ def _thread_off(pixels: FloatArray, lens: Lens, up_camera: FloatArray) -> float:
     scatter = sizes[1] / np.sqrt(max(1, len(pixels) - 2))
     scatter = max(scatter, 0.02 / lens.fx_px)
     angle_spread = scatter / sizes[0]
-    return float(normal @ up_camera / angle_spread)
+    return np.asarray(normal / angle_spread)
 
 
 def sideways(up: FloatArray) -> FloatArray:

@@ -15,6 +15,7 @@ from collections import deque
 import numpy as np
 
 from drivers.emulators.rtde_wire import Kind, Packet, Recipe, Splitter
+from drivers.emulators.ur_addresses import RTDE_PORT
 from drivers.interfaces import FloatArray, Trajectory
 from drivers.plane_mount import PlaneMount
 from drivers.priority import run_in_real_time
@@ -23,7 +24,6 @@ from drivers.ur_kinematics import UrModel
 #: Of everything in the camera's process: behind the arm, before ordinary programs.
 PRIORITY = 10
 
-_PORT = 30004
 _HZ = 500.0  # at 125 the cable would swing through 48 ms anew for each picture, not 12
 _RETRY_S = 0.2
 _SENSELESS_S = 0.5  # bytes that are no poses for so long: listen anew
@@ -37,7 +37,7 @@ class RtdePoses:
     """
 
     def __init__(self, host: str, mount: PlaneMount, model: UrModel, X_FT: FloatArray) -> None:
-        self._address = (host, _PORT)
+        self._address = (host, RTDE_PORT)
         self._mount = mount
         self._model = model
         self._X_FT = X_FT

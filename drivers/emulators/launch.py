@@ -14,7 +14,7 @@ from collections.abc import Callable
 from multiprocessing.connection import Connection
 from typing import Any, Self
 
-from drivers.emulators.ur_ports import FAULT_PORT
+from drivers.emulators.ur_addresses import FAULT_PORT
 from drivers.interfaces import FloatArray
 
 _START_S = 120.0  # on a new computer the machine code is compiled first, a minute on a busy one

@@ -12,9 +12,8 @@ from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 from drivers.emulators.rtde_wire import INPUTS, OUTPUTS, Kind, Packet, Recipe, Splitter, names_in
+from drivers.emulators.ur_addresses import DASHBOARD_PORT, FAULT_PORT, RTDE_PORT, SCRIPT_PORT
 from drivers.emulators.ur_controller import CYCLE_S, Controller
-
-RTDE_PORT, SCRIPT_PORT, DASHBOARD_PORT, FAULT_PORT = 30004, 30003, 29999, 39999
 
 _RTDE_HZ = 1.0 / CYCLE_S
 _MAX_BACKLOG = 65536  # a slow reader loses packets rather than time

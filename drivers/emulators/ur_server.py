@@ -19,18 +19,10 @@ import sys
 import time
 
 from drivers.emulators.rtde_wire import WireError
+from drivers.emulators.ur_addresses import DASHBOARD_PORT, FAULT_PORT, RTDE_PORT, SCRIPT_PORT
 from drivers.emulators.ur_arm import HOME_RAD
 from drivers.emulators.ur_controller import CYCLE_S, Controller, ControllerOptions
-from drivers.emulators.ur_ports import (
-    DASHBOARD_PORT,
-    FAULT_PORT,
-    PORTS,
-    RTDE_PORT,
-    SCRIPT_PORT,
-    Connection,
-    Faults,
-    Rtde,
-)
+from drivers.emulators.ur_ports import PORTS, Connection, Faults, Rtde
 from drivers.priority import run_in_real_time
 from drivers.ur_kinematics import MODELS, load_code
 
