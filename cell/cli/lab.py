@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cell.cli.result_json import STDOUT, Json, JsonCommand, write_result
-from cell.cli.shared import BAD_INPUT, group, tell_notes
+from cell.cli.shared import BAD_INPUT, INTERRUPTED, group, stoppable, tell_notes
 from cell.files.overwriting import check_new_study, check_output
 
 if TYPE_CHECKING:
@@ -184,7 +184,8 @@ def diagnose(
         selection = session.select_for_diagnosis(effect or [], known or [])
         opened = _opened(study)
         explorer = _explorer(opened, selection, prior, progress, config)
-        examination = with_limits(explorer, diagnose_study(explorer))
+        with stoppable(explorer.prepared.work.stop):
+            examination = with_limits(explorer, diagnose_study(explorer))
         steps = [explorer.prior_candidate(), *examination.steps[1:]]
         comparisons = [compare_model(opened, c.fit.model) for c in steps]
         in_model = explorer.space.effects
@@ -208,9 +209,11 @@ def diagnose(
             waterfall_table(diagnosis),
             *more,
             ranking_table(diagnosis),
-            limits_table(diagnosis),
+            *([limits_table(diagnosis)] if diagnosis.limits else []),
             steps_text(todo),
         )
+    if any(w.code == "interrupted" for w in diagnosis.warnings):
+        raise typer.Exit(INTERRUPTED)
 
 
 @app.command(cls=JsonCommand)

@@ -12,10 +12,14 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
+from cell.computer.watched import answers_after_interrupt
+
 if TYPE_CHECKING:
     from cell.study.data import Study
 
 ALL_DONE, NOT_ALL_DONE, BAD_INPUT = 0, 1, 2
+#: A command that Ctrl-C has ended: 128 + SIGINT.
+INTERRUPTED = 130
 
 Config = Annotated[
     Path, typer.Option("--config", "-c", help="Settings of the cell, YAML.", show_default=False)
@@ -37,6 +41,28 @@ def tell_notes(study: Study) -> None:
     """Say on the error stream what whoever reads results of a study should know."""
     for note in study.notes:
         print(f"note: {note}", file=sys.stderr)
+
+
+@contextmanager
+def stoppable(stop: Callable[[], None]) -> Iterator[None]:
+    """Ctrl-C asks for what there is so far, by `stop`, instead of ending the command."""
+    asked = False
+
+    def ask(number: int, frame: FrameType | None) -> None:
+        nonlocal asked
+        if not asked:
+            asked = True
+            print(
+                "interrupted: what is known so far follows; Ctrl-C again ends it", file=sys.stderr
+            )
+        stop()
+
+    answers_after_interrupt()
+    former = signal.signal(signal.SIGINT, ask)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_IGN if asked else former)
 
 
 @contextmanager

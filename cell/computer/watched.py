@@ -27,6 +27,8 @@ PATIENCE_S = 7.0
 _LOOK_S = 0.5
 #: After Ctrl-C the child may tidy up for so long, s.
 _TIDYING_S = 2.0
+#: So long if it has said that it will still answer, s.
+_ANSWERING_S = 30.0
 
 #: Calls under way at a time, each in a slot: 8 bytes of a number that is odd during a call and
 #: grows by one at its beginning and at its end, then UTF-8 of what is called.
@@ -39,8 +41,17 @@ class _Calls:
     """Calls that are under way, in memory that parent and child share."""
 
     def __init__(self) -> None:
-        self._memory = mmap.mmap(-1, _SLOTS * _SLOT_BYTES)
+        self._memory = mmap.mmap(-1, _SLOTS * _SLOT_BYTES + 1)
         self._free = deque(range(_SLOTS))
+
+    @property
+    def answers(self) -> bool:
+        """Whether the child still answers after Ctrl-C."""
+        return self._memory[-1] != 0
+
+    @answers.setter
+    def answers(self, yes: bool) -> None:
+        self._memory[-1] = int(yes)
 
     def begin(self, what: str) -> int:
         """Slot of a call that begins now; −1 = none was free, the call is not watched."""
@@ -93,11 +104,18 @@ def must_end(what: str) -> Iterator[None]:
         _calls.end(slot)
 
 
+def answers_after_interrupt() -> None:
+    """This process will still answer after Ctrl-C: its parent then waits for longer."""
+    if _calls is not None:
+        _calls.answers = True
+
+
 def go_on_watched(patience_s: float | None = None) -> None:
     """Returns in a child; this process watches it, and ends as it ends.
 
     With 2 and a message if a call that `must_end` does not, or ends the child; Ctrl-C or SIGTERM
-    end the child, whatever it is doing.  To be called while there is one thread only.
+    end the child, whatever it is doing, the second time soon.  To be called while there is one
+    thread only.
 
     patience_s  None = as usual
     """
@@ -155,6 +173,8 @@ class _Watch:
                 os.kill(self._child, signal.SIGKILL)
             elif (stuck := self._stuck()) is not None:
                 os.kill(self._child, signal.SIGKILL)
+                if self._given is not None:
+                    continue
                 os.waitpid(self._child, 0)
                 self._say(
                     f"{self._calls.what(stuck)} takes more than {self._patience_s:g} s, as a loop "
@@ -166,9 +186,14 @@ class _Watch:
         return code if code >= 0 else self._killed(-code)
 
     def _pass_on(self, number: int, frame: FrameType | None) -> None:
-        if self._given is None:
+        again = self._given is not None
+        if not again:
             self._given = number
-            self._kill_s = time.monotonic() + _TIDYING_S
+            self._most = max(1, round(_TIDYING_S / _LOOK_S))
+        answers = self._calls.answers and number == signal.SIGINT and not again
+        self._kill_s = min(
+            self._kill_s, time.monotonic() + (_ANSWERING_S if answers else _TIDYING_S)
+        )
         with contextlib.suppress(ProcessLookupError):
             os.kill(self._child, number)
 

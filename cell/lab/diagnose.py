@@ -10,12 +10,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cell.cable.effects.base import Effect
-from cell.lab.doubts import doubts, unseen_doubt
+from cell.lab.doubts import doubts, interrupted_doubt, unseen_doubt
 from cell.lab.estimate import Estimate, estimate
 from cell.lab.explore import Candidate, Explorer, Gain
 from cell.lab.leftover import leftover, removed_share
 from cell.lab.partial import Partial, explain_partly, nearest, tied_so_far, what_is_left
-from cell.lab.prepared import PreparedStudy
+from cell.lab.prepared import PreparedStudy, StoppedError
 from cell.lab.results import Diagnosis, MissingEffect, RankedEffect, Status, Verdict
 from cell.lab.rules import DEFAULT_RULES, Rules
 from cell.lab.score import holm
@@ -62,7 +62,19 @@ def diagnose(explorer: Explorer, rules: Rules = DEFAULT_RULES) -> Examination:
     Forward: the effect with the most evidence is added while it is significant and confirmed on
     held-out trials.  Then every effect found is exchanged for every other while that brings
     evidence, and each is tested again with all others in.
+
+    raises  StoppedError: stopped before the baseline was fitted; later, what is known is returned
     """
+    try:
+        return _examined(explorer, rules)
+    except StoppedError:
+        if not explorer.begun():
+            raise
+        explorer.prepared.work.stopped = False
+        return _so_far(explorer, rules)
+
+
+def _examined(explorer: Explorer, rules: Rules) -> Examination:
     base = explorer.baseline()
     _LOG.info("study %s, baseline: %s", explorer.prepared.study.name, _errors_in_words(base))
     screened = explorer.screened(base)
@@ -97,6 +109,28 @@ def diagnose(explorer: Explorer, rules: Rules = DEFAULT_RULES) -> Examination:
     return Examination(
         diagnosis, steps, tuple(screened), tuple(singles), current, final, whole.prepared, most
     )
+
+
+def _so_far(explorer: Explorer, rules: Rules) -> Examination:
+    """What is known of a study when its diagnosis is stopped, nothing of it confirmed."""
+    base = explorer.baseline()
+    one_more = len(base.names) + 1
+    singles = tuple(c for c in explorer.known() if len(c.names) == one_more)
+    partial = Partial(explorer, singles, (base,))
+    diagnosis = Diagnosis(
+        noise_m=explorer.prepared.floor.noise.std_m,
+        baseline=errors_of(base),
+        verdict="cannot_tell",
+        ranking=_ranking(explorer, base, base, singles, set(), rules),
+        left=what_is_left(explorer, base, base),
+        nearest=nearest(partial, singles, rules),
+        warnings=(
+            interrupted_doubt(f"{len(singles)} effects were fitted so far, nothing is confirmed"),
+            *doubts(explorer, explorer, base, cut_short=False),
+        ),
+    )
+    screened = tuple(explorer.screened(base))
+    return Examination(diagnosis, (base,), screened, singles, base, base, explorer.prepared)
 
 
 def _errors_in_words(candidate: Candidate) -> str:

@@ -77,6 +77,11 @@ def doubts(
     return tuple(w for w in found if w.code != "beyond_noise")
 
 
+def interrupted_doubt(what: str) -> Doubt:
+    """Of a result that was asked for before it was complete."""
+    return Doubt("interrupted", f"interrupted: {what}")
+
+
 def unseen_doubt(effect: str) -> Doubt:
     """Of an effect that rests on the fit trials alone."""
     return Doubt(

@@ -156,6 +156,10 @@ class Explorer:
         """The study for a fit that runs beside others: on one core."""
         return self.prepared.on_one_core()
 
+    def begun(self) -> bool:
+        """Whether the baseline has been fitted."""
+        return frozenset(e.name for e in self.space.effects) in self._known
+
     def known(self) -> tuple[Candidate, ...]:
         """Every candidate so far."""
         return tuple(self._known.values())

@@ -12,10 +12,11 @@ from scipy import stats
 from cell.cable.effects.base import ActiveEffect, Effect, Parameter
 from cell.identify.fit import variance_inflation
 from cell.lab.diagnose import Examination
+from cell.lab.doubts import interrupted_doubt
 from cell.lab.estimate import CONVERGED
 from cell.lab.explore import Explorer, Progress, no_progress
 from cell.lab.fitting import Fit, fit_model, fit_trials
-from cell.lab.prepared import PreparedStudy, pooled
+from cell.lab.prepared import PreparedStudy, StoppedError, pooled
 from cell.lab.results import Limit
 from cell.lab.score import Nuisance
 from cell.lab.screen import Sensitivity, changes, nuisance_of, one_sided, sensitivities
@@ -32,7 +33,27 @@ NEAR = 0.3
 
 
 def with_limits(explorer: Explorer, examination: Examination) -> Examination:
-    """The examination with limits of every effect that was tried and is neither named nor tied."""
+    """The examination with limits of every effect that was tried and is neither named nor tied.
+
+    Without, and with a warning, where there is no time for them.
+    """
+    diagnosis = examination.diagnosis
+    if any(w.code == "interrupted" for w in diagnosis.warnings):
+        return examination
+    try:
+        return replace(
+            examination, diagnosis=replace(diagnosis, limits=_limits(explorer, examination))
+        )
+    except StoppedError:
+        explorer.prepared.work.stopped = False
+        doubt = interrupted_doubt("how strong other effects could be was not computed")
+        return replace(
+            examination, diagnosis=replace(diagnosis, warnings=(*diagnosis.warnings, doubt))
+        )
+
+
+def _limits(explorer: Explorer, examination: Examination) -> tuple[Limit, ...]:
+    """Limits of what the examination has neither named nor tied."""
     diagnosis = examination.diagnosis
     named = {n for f in (*diagnosis.missing, *diagnosis.partial) for n in (f.effect, *f.tied_with)}
     final = examination.final
@@ -45,8 +66,7 @@ def with_limits(explorer: Explorer, examination: Examination) -> Examination:
     if any(t.role != "fit" for t in prepared.study.trials):
         prepared = pooled(prepared)
         fit = fit_model(prepared, fit.space, fit.q, fit.delay_s, options=CONVERGED)
-    found = limits(prepared, fit, absent, explorer.progress)
-    return replace(examination, diagnosis=replace(diagnosis, limits=found))
+    return limits(prepared, fit, absent, explorer.progress)
 
 
 def limits(

@@ -50,7 +50,12 @@ def explain_partly(
     library  number of effects to choose from
     """
     together = all_fitted(explorer.prepared.study)
-    weighed = PreparedStudy.of(together, misfit=_own_error(explorer, tried), solver=COARSE)
+    weighed = PreparedStudy.of(
+        together,
+        misfit=_own_error(explorer, tried),
+        solver=COARSE,
+        work=explorer.prepared.work,
+    )
     whole = Explorer(weighed, explorer.space, explorer.library, explorer.progress, explorer.prior_q)
     base = whole.baseline()
     singles = whole.add(base, whole.worth_refitting(base, rules.best))

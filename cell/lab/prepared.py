@@ -26,14 +26,28 @@ RELEASE_STD_S = 0.005
 RELEASE_LIMIT_S = 0.020
 
 
+class StoppedError(KeyboardInterrupt):
+    """A computation was stopped before its next simulation: a person wants what there is."""
+
+
 @dataclass
 class Work:
-    """Seconds of cables' motion simulated so far with `SOLVER`, or what they cost with others."""
+    """Seconds of cables' motion simulated so far with `SOLVER`, or what they cost with others.
+
+    Whoever waits may stop it from another thread or a signal's handler.
+    """
 
     simulated_s: float = 0.0
+    stopped: bool = False
+
+    def stop(self) -> None:
+        """Let the next simulation raise StoppedError."""
+        self.stopped = True
 
     def add(self, models: int, duration_s: float, solver: Solver) -> None:
-        """Count a batch."""
+        """Count a batch.  Raises StoppedError: no more are wanted."""
+        if self.stopped:
+            raise StoppedError
         cost = solver.segments / SOLVER.segments * SOLVER.step_s / solver.step_s
         self.simulated_s += models * duration_s * cost
 
@@ -56,10 +70,15 @@ class PreparedStudy:
 
     @staticmethod
     def of(
-        study: Study, *, misfit: Noise | None = None, solver: Solver | None = None
+        study: Study,
+        *,
+        misfit: Noise | None = None,
+        solver: Solver | None = None,
+        work: Work | None = None,
     ) -> PreparedStudy:
         """Make a study ready.
 
+        work    to be counted with
         misfit  error of the model that an earlier individual has shown, if it exceeds the camera's
         raises  NoiseUnknownError
         """
@@ -67,7 +86,7 @@ class PreparedStudy:
         floor = noise_floor(study)
         noise = misfit if misfit and misfit.std_m > ERRS * floor.noise.std_m else floor.noise
         whiteners = {t.name: Whitener(t.markers.xy_m, noise) for t in study.trials}
-        return PreparedStudy(study, floor, noise, whiteners, solver or SOLVER)
+        return PreparedStudy(study, floor, noise, whiteners, solver or SOLVER, work or Work())
 
     def predict(
         self, trial: Trial, models: Sequence[CableModel], delay_s: FloatArray | None = None

@@ -20,6 +20,7 @@ from cell.lab.results import Diagnosis, Doubt
 from cell.lab.wording import (
     LIMIT_HEADS,
     LIMIT_NOTE,
+    interrupted,
     limit_rows,
     noise_like,
     peak_in_words,
@@ -59,6 +60,8 @@ def sentence(
     misses = f"The model misses {short(before_mm)} mm{place}"
     if diagnosis.verdict == "unexplained":
         return unexplained(diagnosis, misses, noise_name)
+    if any(w.code == "interrupted" for w in diagnosis.warnings) and not diagnosis.missing:
+        return interrupted(diagnosis, misses)
     if not diagnosis.missing:
         return f"{misses} at {short(noise_mm)} mm of noise; these motions cannot tell why."
     last = diagnosis.missing[-1].errors

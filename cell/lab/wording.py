@@ -40,6 +40,14 @@ def unexplained(diagnosis: Diagnosis, misses: str, noise_name: str = "camera noi
     return f"{said}. What that is, no effect that was tried tells."
 
 
+def interrupted(diagnosis: Diagnosis, misses: str) -> str:
+    """Sentence of a diagnosis that was stopped: what came nearest until then."""
+    said = f"Interrupted. {misses} at {short(diagnosis.noise_m * 1e3)} mm of noise"
+    if not diagnosis.nearest:
+        return f"{said}; no effect was fitted yet."
+    return f"{said}. Nearest so far, nothing confirmed: {', '.join(_near(diagnosis))}."
+
+
 def _near(diagnosis: Diagnosis) -> list[str]:
     """Each of the nearest effects and what it leaves, mm."""
     return [
