@@ -4,7 +4,8 @@ A comment before a block says what it is.  `<!-- run -->`: commands, run in the 
 `<!-- run as: COMMAND -->`: that one instead; `<!-- slow: REASON -->`: only by `make docs`;
 `<!-- file: NAME -->`: the content of a file; `<!-- replaces: TEXT in: NAME -->`: takes the place of
 a text in a file; `<!-- output: 10 % -->`: what the last commands print, numbers within that share
-(… stands for anything); `<!-- not run: REASON -->`.
+(… stands for anything); `<!-- refused: COMMAND -->`: what that command's refusal says (exit code 2);
+`<!-- not run: REASON -->`.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 ALL = os.environ.get("CELL_DOCS") == "all"
 _NUMBER = re.compile(r"[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
-_KINDS = ("run as", "run", "slow", "file", "replaces", "output", "not run")
+_KINDS = ("run as", "run", "slow", "file", "replaces", "output", "refused", "not run")
 
 
 @dataclass(frozen=True)
@@ -106,8 +107,8 @@ def missing(stated: str, printed: str, share: float) -> str:
     return ""
 
 
-def run(command: str, folder: Path) -> str:
-    """What a shell prints of a command, which must end with 0."""
+def run(command: str, folder: Path, code: int = 0) -> str:
+    """What a shell prints of a command, which must end with `code`; its errors if that is not 0."""
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     done = subprocess.run(
         ["bash", "-c", command],
@@ -117,8 +118,8 @@ def run(command: str, folder: Path) -> str:
         text=True,
         check=False,
     )
-    assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
-    return done.stdout
+    assert done.returncode == code, f"{command}\n{done.stdout}\n{done.stderr}"
+    return done.stderr if code else done.stdout
 
 
 def follow(page: Path, folder: Path) -> list[str]:
@@ -136,7 +137,12 @@ def follow(page: Path, folder: Path) -> list[str]:
             case "slow":
                 printed = ""
             case "file":
+                (folder / block.given).parent.mkdir(parents=True, exist_ok=True)
                 (folder / block.given).write_text(block.text + "\n")
+            case "refused":
+                said = run(block.given, folder, 2)
+                if piece := missing(block.text, said, 0.0):
+                    wrong.append(f"{page.name}:{block.line}: not said: {piece}\n{said}")
             case "replaces":
                 text, name = block.given.split(" in: ")
                 content = (folder / name).read_text()

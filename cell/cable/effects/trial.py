@@ -10,9 +10,12 @@ import contextlib
 import multiprocessing
 import resource
 import signal
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from pathlib import Path
+from types import ModuleType
 
 from cell.cable.effects.refused import EffectError
 
@@ -33,7 +36,8 @@ def try_effect(file: Path, load: Callable[[Path, Callable[[str, int, int], None]
     context.set_forkserver_preload(["cell.cable.effects.library"])
     receiver, sender = context.Pipe(duplex=False)
     process = context.Process(target=_try, args=(file, load, sender), daemon=True)
-    process.start()
+    with _main_left_alone():
+        process.start()
     sender.close()
     what, line, patience_s = "its module", 1, COMPILING_S
     cause = "takes more than {} s, as a loop without end does: mend that"
@@ -52,6 +56,20 @@ def try_effect(file: Path, load: Callable[[Path, Callable[[str, int, int], None]
         process.join()
         receiver.close()
     raise EffectError(file, line, f"{what} {cause.format(patience_s)}")
+
+
+@contextmanager
+def _main_left_alone() -> Iterator[None]:
+    """Whatever is started during it does not run the caller's script once more.
+
+    Python's own starter would, for pickles of its names; none is sent here.
+    """
+    main = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = main
 
 
 def _try(

@@ -2,6 +2,8 @@
 
 import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -45,6 +47,19 @@ def test_the_documented_example_runs(tmp_path, monkeypatch):
     without = simulate([plain, off], still, times, arc)
     assert without[0] == pytest.approx(without[1], abs=1e-12)
     assert names["xy"][0, -1, -1, 1] < without[0, -1, -1, 1] - 1e-4  # it pulls down
+
+
+def test_a_script_without_a_main_part_may_load_an_effect(tmp_path):
+    """Python's starter of processes runs the script once more in each."""
+    written(tmp_path, FORCE + "        return 0.0, -p.size*at.vy\n")
+    script = tmp_path / "script.py"
+    script.write_text(
+        "from cell.cable.effects import load_effect\nprint(load_effect('mine.py').name)\n", "utf-8"
+    )
+    done = subprocess.run(
+        [sys.executable, script], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stdout) == (0, "mine\n"), done.stderr
 
 
 def test_a_file_is_run_as_it_stands_and_nothing_is_left_beside_it(tmp_path, monkeypatch):
