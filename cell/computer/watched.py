@@ -18,13 +18,17 @@ import time
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from types import FrameType
 
-#: A call that takes so long does not come to an end, s of the clock: a motion takes milliseconds.
-PATIENCE_S = 7.0
+#: A call that takes so long does not come to an end, s: a motion takes milliseconds.  Time in which
+#: others had the cores does not count …
+PATIENCE_S = 3.0
+#: … up to so many times the patience.
+_BUSY = 2.5
 #: The parent looks so often, s.  What it counts are looks: while both processes are stopped, as by
 #: Ctrl-Z, nothing is counted.
-_LOOK_S = 0.5
+_LOOK_S = 0.25
 #: After Ctrl-C the child may tidy up for so long, s.
 _TIDYING_S = 2.0
 #: So long if it has said that it will still answer, s.
@@ -150,6 +154,24 @@ def _end_with(parent_end: int) -> None:
     os._exit(1)
 
 
+def cpu_s(process: int) -> float:
+    """CPU time that a process has taken, s; 0 where the system does not tell."""
+    try:
+        after_name = Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()
+    except OSError:
+        return 0.0
+    return (int(after_name[11]) + int(after_name[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def wants_to_compute(process: int) -> bool:
+    """Whether a thread of a process has a core or waits for one; False if nobody can tell."""
+    try:
+        threads = [p.read_text() for p in Path(f"/proc/{process}/task").glob("*/stat")]
+    except OSError:
+        return False
+    return any(text.rsplit(")", 1)[1].split()[0] == "R" for text in threads)
+
+
 class _Watch:
     """The parent: waits for the child's end, passes signals on, counts looks at the same call."""
 
@@ -157,10 +179,11 @@ class _Watch:
         self._child = child
         self._ended = ended
         self._calls = calls
-        self._most = max(1, round(patience_s / _LOOK_S))
         self._patience_s = patience_s
         self._numbers = calls.numbers()
-        self._looks = [0] * _SLOTS
+        self._looks_s = [0.0] * _SLOTS
+        self._own_s = [0.0] * _SLOTS
+        self._cpu_s = cpu_s(child)
         self._given: int | None = None
         self._kill_s = float("inf")
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
@@ -199,12 +222,28 @@ class _Watch:
 
     def _stuck(self) -> int | None:
         """Slot of a call that is under way for too long."""
-        numbers = self._calls.numbers()
+        numbers, own_s = self._calls.numbers(), self._since_last_look_s()
         for slot, (number, before) in enumerate(zip(numbers, self._numbers, strict=True)):
             same = number == before and number % 2 == 1
-            self._looks[slot] = self._looks[slot] + 1 if same else 0
+            self._looks_s[slot] = self._looks_s[slot] + _LOOK_S if same else 0.0
+            self._own_s[slot] = self._own_s[slot] + own_s if same else 0.0
         self._numbers = numbers
-        return next((s for s, looks in enumerate(self._looks) if looks >= self._most), None)
+        return next((s for s in range(_SLOTS) if self._is_stuck(s)), None)
+
+    def _is_stuck(self, slot: int) -> bool:
+        if self._own_s[slot] >= self._patience_s - 0.5 * _LOOK_S:
+            return True
+        return self._looks_s[slot] >= _BUSY * self._patience_s
+
+    def _since_last_look_s(self) -> float:
+        """Time since the last look in which the child could have gone on, s.
+
+        All of it while it sleeps; while it wants to compute, what it was given of the cores.
+        """
+        before_s, self._cpu_s = self._cpu_s, cpu_s(self._child)
+        if not wants_to_compute(self._child):
+            return _LOOK_S
+        return min(_LOOK_S, self._cpu_s - before_s)
 
     def _killed(self, number: int) -> int:
         """Exit code after a signal has ended the child; says what was called then."""
