@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import difflib
+import reprlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -86,19 +87,29 @@ def read_table(path: Path, columns: Sequence[str]) -> Table:
         if not any(cell.strip() for cell in cells):
             continue
         if len(cells) != len(header):
-            raise error(line, "", f"has {len(cells)} cells, the header has {len(header)}")
+            raise error(
+                line,
+                "",
+                f"has {len(cells)} cells, the header has {len(header)}; give one for each name, "
+                "1.5 and not 1,5 as a number",
+            )
         try:
             rows.append([float(cell) if cell.strip() else np.nan for cell in cells])
         except ValueError:
             bad = next(i for i, cell in enumerate(cells) if not _is_number(cell))
             raise error(
-                line, header[bad], f"{cells[bad]!r} is not a number; not seen = nan or empty"
+                line,
+                header[bad],
+                f"{reprlib.repr(cells[bad])} is not a number; give one, or nan or nothing where "
+                "nothing was seen",
             ) from None
         lines.append(line)
     values = np.array(rows, dtype=np.float64).reshape(len(rows), len(header))
     ordered = np.ascontiguousarray(values[:, [header.index(name) for name in columns]])
     table = Table(path, tuple(columns), ordered, tuple(lines))
-    table.check(~np.isinf(ordered), lambda _: "is not finite; not seen = nan or empty")
+    table.check(
+        ~np.isinf(ordered), lambda _: "is not finite; give nan or nothing where nothing was seen"
+    )
     return table
 
 

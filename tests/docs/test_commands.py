@@ -4,7 +4,7 @@ A comment before a block says what it is.  `<!-- run -->`: commands, run in the 
 `<!-- run as: COMMAND -->`: that one instead; `<!-- slow: REASON -->`: only by `make docs`;
 `<!-- file: NAME -->`: the content of a file; `<!-- replaces: TEXT in: NAME -->`: takes the place of
 a text in a file; `<!-- output: 10 % -->`: what the last commands print, numbers within that share
-(… stands for anything); `<!-- refused: COMMAND -->`: what that command's refusal says (exit code 2);
+(… stands for anything); `<!-- refused: COMMAND -->`: what that command says that ends with 2;
 `<!-- not run: REASON -->`.
 """
 

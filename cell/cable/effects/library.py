@@ -90,14 +90,18 @@ def _loaded(file: Path, doing: Doing) -> type[Effect]:
     try:
         loader.exec_module(module)
     except SyntaxError as error:
-        raise EffectError(file, error.lineno or 1, f"{error.msg}") from error
+        cause = f"is not Python: {error.msg}; mend that"
+        raise EffectError(file, error.lineno or 1, cause) from error
+    except UnicodeDecodeError as error:
+        raise EffectError(file, 1, "is not UTF-8 text; save it as UTF-8") from error
     except (Exception, SystemExit) as error:
         trace, line = error.__traceback__, 1
         while trace is not None:
             if trace.tb_frame.f_code.co_filename == str(file):
                 line = trace.tb_lineno
             trace = trace.tb_next
-        raise EffectError(file, line, f"{type(error).__name__}: {error}") from error
+        cause = f"{type(error).__name__}: {error}: mend that"
+        raise EffectError(file, line, cause) from error
     found = _effects_in(module)
     if len(found) != 1:
         names = [e.__name__ for e in found]
