@@ -43,7 +43,7 @@ def fit_doubts(explorer: Explorer, candidate: Candidate) -> tuple[Doubt, ...]:
             f"{name} is at its bound, {value:.4g} {unit}: an answer that the limit gave, not the "
             "measurement",
         )
-        for name, value, unit in _at_bound(fit)
+        for name, value, unit in at_bound(fit)
     ]
     if candidate.heldout is not None:
         found += [
@@ -103,7 +103,7 @@ def _moved_m(explorer: Explorer) -> float:
     return float(np.sqrt(square / max(count, 1)))
 
 
-def _at_bound(fit: Fit) -> list[tuple[str, float, str]]:
+def at_bound(fit: Fit) -> list[tuple[str, float, str]]:
     """Fitted parameters that lie at a bound, except amplitudes that are absent there."""
     space, q = fit.space, fit.q
     absent = {

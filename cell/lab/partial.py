@@ -15,6 +15,7 @@ import numpy as np
 from cell.cable.dynamics import Solver
 from cell.cable.effects.base import Effect
 from cell.identify.noise import Noise
+from cell.lab.doubts import at_bound
 from cell.lab.explore import Candidate, Explorer
 from cell.lab.leftover import leftover, peak, removed_share
 from cell.lab.prepared import PreparedStudy, all_fitted
@@ -61,14 +62,58 @@ def explain_partly(
     singles = whole.add(base, whole.worth_refitting(base, rules.best))
     steps, options = [base], singles
     while True:
-        better = _largest_step(whole, steps[-1], options, library - len(steps) + 1, rules)
+        better = largest_step(whole, steps[-1], options, library - len(steps) + 1, rules)
         if better is None:
             break
         steps.append(better)
         if len(steps) > rules.first_effects:
             break
         options = whole.add(better, whole.worth_refitting(better, rules.best))
+    if len(steps) > 2:
+        steps = _in_order(whole, base, _exchanged(whole, steps[-1], rules))
     return Partial(whole, tuple(singles), tuple(steps))
+
+
+def _exchanged(explorer: Explorer, final: Candidate, rules: Rules) -> Candidate:
+    """The candidate with effects found before the last exchanged for what leaves less.
+
+    What was found first was found without the others, and may have stood in for one of them; what
+    leaves as little in its place is fitted here, and so is known for a tie.
+    """
+    prepared, exchanged = explorer.prepared, True
+    tried: set[frozenset[str]] = set()
+    while exchanged and prepared.work.simulated_s < rules.most_simulated_s:
+        exchanged = False
+        for effect in [e for e in final.effects if e not in explorer.space.effects]:
+            rest = explorer.without(final, effect)
+            if rest.names in tried:
+                continue
+            tried.add(rest.names)
+            rivals = explorer.add(rest, explorer.worth_refitting(rest, rules.best))
+            left = [leftover(prepared, c).mean_square_m2 for c in rivals]
+            sound = [i for i, c in enumerate(rivals) if not _at_bound(rest, c)]
+            best = min(sound, key=lambda i: left[i], default=None)
+            if best is not None and left[best] < leftover(prepared, final).mean_square_m2:
+                final, exchanged = rivals[best], True
+                break
+    return final
+
+
+def _in_order(explorer: Explorer, base: Candidate, final: Candidate) -> list[Candidate]:
+    """From the baseline to `final`, each time without the effect that the rest needs least."""
+    steps = [final]
+    while len(steps[0].names) > len(base.names) + 1:
+        added = [e for e in steps[0].effects if e.name not in base.names]
+        smaller = [explorer.without(steps[0], e) for e in added]
+        least = min(smaller, key=lambda c: leftover(explorer.prepared, c).mean_square_m2)
+        steps.insert(0, least)
+    return [base, *steps]
+
+
+def _at_bound(small: Candidate, large: Candidate) -> bool:
+    """Whether the effect that `large` has more is as strong as its bound lets it be."""
+    own = f"{added_effect(small, large).name}."
+    return any(name.startswith(own) for name, *_ in at_bound(large.fit))
 
 
 def _own_error(explorer: Explorer, tried: Sequence[Candidate]) -> Noise:
@@ -79,14 +124,18 @@ def _own_error(explorer: Explorer, tried: Sequence[Candidate]) -> Noise:
     return Noise(left.rms_m * float(np.sqrt(max(1.0, count / left.independent))))
 
 
-def _largest_step(
+def largest_step(
     explorer: Explorer,
     current: Candidate,
     options: Sequence[Candidate],
     library: int,
     rules: Rules,
 ) -> Candidate | None:
-    """The option that leaves least, if it removes most of the error, significantly."""
+    """The option that leaves least, if it removes most of the error, significantly.
+
+    What is at its bound is none: the limit has given that answer, not the measurement.
+    """
+    options = [c for c in options if not _at_bound(current, c)]
     if not options:
         return None
     prepared = explorer.prepared
