@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,33 +12,37 @@ from numpy.typing import NDArray
 
 from cell.computer.memory import use_one_arena
 from cell.computer.second_process import SecondProcess
+from cell.files.input_error import InputError
 from cell.plan.choose import ChoiceOptions
 from cell.plan.destination import Destination
 from cell.plan.paths import MotionLimits
 from cell.run.cycle import Cell
-from cell.run.station import Devices, Task
+from cell.run.station import Task
 from cell.settings import Settings
 from cell.settings import devices as given
 from cell.settings.calibrated import Calibrated, typed
 from cell.settings.translate import (
+    arm_limits_of,
     cable_of,
     identification_of,
     model_hash,
     pose_of,
     vision_of,
 )
+from cell.simulated.emulated import EmulatedCell, runs_already
+from cell.simulated.showing import SimulatedAssistant
 from cell.simulated.twins import Twins, build_twins
 from drivers.clock import RealClock
+from drivers.emulators.launch import EmulatorError
 from drivers.files import FilesCamera
 from drivers.genicam_camera import GenicamCamera, GenicamOptions
 from drivers.guard import (
-    ArmLimits,
     GripperLimits,
     GuardedArm,
     GuardedCamera,
     GuardedGripper,
 )
-from drivers.interfaces import Camera
+from drivers.interfaces import Camera, Devices
 from drivers.opencv_camera import OpenCvCamera, OpenCvOptions
 from drivers.plane_mount import PlaneMount
 from drivers.priority import take_precedence
@@ -76,7 +81,7 @@ def build_cell(
 def guarded_devices(settings: Settings, devices: Devices) -> Devices:
     """Devices surrounded with the limits of the settings."""
     return Devices(
-        arm=GuardedArm(devices.arm, _arm_limits(settings)),
+        arm=GuardedArm(devices.arm, arm_limits_of(settings)),
         camera=GuardedCamera(devices.camera, devices.clock),
         gripper=GuardedGripper(devices.gripper, GripperLimits(*settings.gripper.force_limits_n)),
         clock=devices.clock,
@@ -104,6 +109,70 @@ def cell_with(
         computer=SecondProcess() if hurried else None,
         watched=watched,
     )
+
+
+@contextmanager
+def emulating(settings: Settings, config: Path, seed: int) -> Iterator[EmulatedCell]:
+    """Emulators of the devices, where the settings say that those are.
+
+    config  the settings' file
+    raises  InputError: the settings have no section `emulated`, or an emulator does not start
+    """
+    if settings.emulated is None:
+        raise InputError.at(config, "is missing; add `emulated: {}`", key="emulated")
+    with ExitStack() as stack:
+        try:
+            cell = stack.enter_context(EmulatedCell(settings, seed))
+        except EmulatorError as error:
+            raise InputError.at(config, str(error), key="emulated") from error
+        yield cell
+
+
+@contextmanager
+def emulators_asked_for(settings: Settings, config: Path, seed: int) -> Iterator[None]:
+    """Emulators if the settings ask for them and none run already.  Raises as `emulating`."""
+    with ExitStack() as stack:
+        if settings.emulated is not None and not runs_already(settings):
+            stack.enter_context(emulating(settings, config, seed))
+        yield
+
+
+@dataclass(frozen=True)
+class StagedDevices:
+    """Devices within their limits, and what shows things to the camera; None = a person must."""
+
+    devices: Devices
+    assistant: SimulatedAssistant | None
+
+
+@contextmanager
+def staged_devices(
+    settings: Settings, config: Path, known: Calibrated, seed: int, views: int
+) -> Iterator[StagedDevices]:
+    """The devices of a cell that is to be calibrated, none of them connected yet.
+
+    views   of the board that a simulated assistant has ready
+    raises  InputError: emulators do not start, or run already
+    """
+    with ExitStack() as stack:
+        assistant = None
+        if isinstance(settings.arm, given.SimulatedArm):
+            twins = build_twins(settings, seed, 0, known)
+            devices = twin_devices(twins)
+            assistant = SimulatedAssistant(settings, twins.stage, seed, views)
+        else:
+            if settings.emulated is not None:
+                if runs_already(settings):
+                    raise InputError.at(
+                        config,
+                        "emulators run already, and cannot be shown the board; end `cell emulate`; "
+                        "calibrating starts its own",
+                        key="emulated",
+                    )
+                emulated = stack.enter_context(emulating(settings, config, seed))
+                assistant = SimulatedAssistant(settings, emulated.camera.tell, seed, views)
+            devices = real_devices(settings, known)
+        yield StagedDevices(guarded_devices(settings, devices), assistant)
 
 
 def twin_devices(twins: Twins) -> Devices:
@@ -181,15 +250,3 @@ def _choice(settings: Settings, known: Calibrated) -> ChoiceOptions:
     options = ChoiceOptions(least_probability=settings.choice.min_probability)
     upright_m = known.map_std_m / np.sqrt(2.0)
     return replace(options, repeatability_m=float(np.hypot(options.repeatability_m, upright_m)))
-
-
-def _arm_limits(settings: Settings) -> ArmLimits:
-    limits = settings.limits
-    return ArmLimits(
-        *limits.x_m,
-        *limits.y_m,
-        *limits.angle_rad,
-        max_speed_m_per_s=limits.velocity_m_per_s,
-        max_acceleration_m_per_s2=limits.acceleration_m_per_s2,
-        max_jerk_m_per_s3=limits.jerk_m_per_s3,
-    )

@@ -311,3 +311,13 @@ class Gripper(Protocol):
     def state(self) -> GripperState:
         """Present state.  Raises DeviceLostError."""
         ...
+
+
+@dataclass(frozen=True)
+class Devices:
+    """Arm, camera, gripper, and the clock they share."""
+
+    arm: Arm
+    camera: Camera
+    gripper: Gripper
+    clock: Clock

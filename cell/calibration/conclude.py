@@ -33,16 +33,6 @@ LEVEL_SPREAD_RAD = 0.0035
 _SIGMAS_95 = 1.96
 
 
-def board_of(settings: Settings) -> Board:
-    """The board that the settings describe.  Raises ValueError: it is impossible."""
-    given = settings.calibration
-    if given is None:
-        return Board()
-    return Board(
-        given.columns, given.rows, given.square_m, dictionary=given.dictionary, legacy=given.legacy
-    )
-
-
 def camera_from(
     pictures: Sequence[Picture], board: Board
 ) -> tuple[CameraFit, tuple[BoardView, ...], tuple[str, ...]]:

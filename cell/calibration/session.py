@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.plan.paths import MotionLimits, retreat_path
-from cell.run.station import Devices
 from cell.settings import Settings
 from cell.settings.translate import pose_of
 from drivers.interfaces import (
     ArmMode,
     CameraError,
+    Devices,
     DeviceTimeoutError,
     Frame,
     GripError,

@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
+from calib.errors import CalibrationError
+
 #: Views of the board.
 BOARD_VIEWS = 20
 
@@ -30,18 +32,19 @@ class Assistant(Protocol):
 class Person:
     """Asks a person at a terminal.
 
-    ask  shows words and waits; returns what was typed
+    ask     shows words and waits; returns what was typed; raises EOFError: nobody is there
+    raises  CalibrationError, from every question: nobody is there
     """
 
     ask: Callable[[str], str]
 
     def board(self, number: int, hint: str) -> None:
         """Ask for the board."""
-        self.ask(f"view {number} of {BOARD_VIEWS}: show the board{hint}; hold it still, Enter")
+        self._asked(f"view {number} of {BOARD_VIEWS}: show the board{hint}; hold it still, Enter")
 
     def thread(self) -> bool:
         """Ask for a plumb line."""
-        typed = self.ask(
+        typed = self._asked(
             "hang a thread with a weight where the cable swings, let it come to rest, Enter; "
             "or n, if there is none: the robot's base is then taken to be level to 0.2°"
         )
@@ -49,4 +52,12 @@ class Person:
 
     def clear(self) -> None:
         """Ask for an empty scene."""
-        self.ask("take board and thread away, keep people out: the robot will move; Enter")
+        self._asked("take board and thread away, keep people out: the robot will move; Enter")
+
+    def _asked(self, words: str) -> str:
+        try:
+            return self.ask(words)
+        except EOFError as error:
+            raise CalibrationError(
+                f"somebody must act: {words}", "run it at a terminal, or with --from a folder"
+            ) from error

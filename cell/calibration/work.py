@@ -7,6 +7,7 @@ import logging
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
+from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -15,7 +16,7 @@ from calib.errors import CalibrationError
 from calib.plane import PlaneView
 from calib.store import StoredCalibration, load, save
 from calib.timing import Delay
-from cell.build import guarded_devices, real_devices, twin_devices
+from cell.build import staged_devices
 from cell.calibration import conclude, measure, raw
 from cell.calibration.conclude import Drift
 from cell.calibration.measure import Say
@@ -25,14 +26,19 @@ from cell.calibration.showing import BOARD_VIEWS, Assistant, Person
 from cell.files.atomic import write_whole
 from cell.files.input_error import InputError, Problem
 from cell.settings import Settings
-from cell.settings import devices as given
-from cell.settings.calibrated import Calibrated, typed, view_of_stored
+from cell.settings.calibrated import Calibrated, board_of, typed, view_of_stored
 from cell.settings.translate import vision_of
-from cell.simulated.emulated import EmulatedCell, runs_already
-from cell.simulated.showing import SimulatedAssistant
-from cell.simulated.twins import build_twins
+from drivers.emulators.launch import EmulatorError
+from drivers.interfaces import DeviceError
 
 _LOG = logging.getLogger(__name__)
+
+
+class BrokenOffError(ValueError):
+    """A device failed while it was calibrated; of the part under way nothing is kept.
+
+    Scenario: the camera's cable is pulled out while the board is shown.
+    """
 
 
 class CalibrationJob:
@@ -58,7 +64,7 @@ class CalibrationJob:
         self._settings, self._config, self._seed = settings, config, seed
         self._say, self._ask, self._live = say, ask, live
         self._folder = settings.calibration.folder
-        self._board = conclude.board_of(settings)
+        self._board = board_of(settings)
         self._stack = contextlib.ExitStack()
         self._session: Session | None = None
         self._assistant: Assistant = Person(ask)
@@ -68,15 +74,23 @@ class CalibrationJob:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *error: object) -> None:
-        self._stack.close()
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Let go of the devices.  Raises BrokenOffError: one of them failed."""
+        self._stack.__exit__(kind, error, trace)
+        if isinstance(error, DeviceError | EmulatorError):
+            raise BrokenOffError(str(error)) from error
 
     # --- parts --------------------------------------------------------------------------------
 
     def do(self, part: str, source: Path | None = None) -> StoredCalibration:
         """Calibrate `camera`, `cell` or `time`, live or from a folder.
 
-        raises  CalibrationError, StoreError, InputError, DeviceError, EmulatorError
+        raises  CalibrationError, StoreError, InputError; what a device raises ends the job
         """
         self._say(f"--- {part}")
         made = {"camera": self._camera, "cell": self._cell, "time": self._time}[part](source)
@@ -191,27 +205,13 @@ class CalibrationJob:
         settings = self._settings
         nothing = Calibrated(PlaneView(np.eye(3)), 0.0, settings.arm.lag_s)
         known = nothing if settings.camera.view is None else typed(settings)
-        if isinstance(settings.arm, given.SimulatedArm):
-            twins = build_twins(settings, self._seed, 0, known)
-            devices = twin_devices(twins)
-            self._assistant = SimulatedAssistant(
-                settings, self._board, twins.stage, self._seed, BOARD_VIEWS
-            )
-        else:
-            if settings.emulated is not None:
-                if runs_already(settings):
-                    raise CalibrationError(
-                        "emulators run already, and cannot be shown the board",
-                        "end `cell emulate`; calibrating starts its own",
-                    )
-                emulated = self._stack.enter_context(EmulatedCell(settings, self._seed))
-                self._assistant = SimulatedAssistant(
-                    settings, self._board, emulated.camera.tell, self._seed, BOARD_VIEWS
-                )
-            devices = real_devices(settings, known)
-        guarded = guarded_devices(settings, devices)
+        staged = self._stack.enter_context(
+            staged_devices(settings, self._config, known, self._seed, BOARD_VIEWS)
+        )
+        if staged.assistant is not None:
+            self._assistant = staged.assistant
         self._session = self._stack.enter_context(
-            opened(settings, guarded, moves=True, say=self._say)
+            opened(settings, staged.devices, moves=True, say=self._say)
         )
         return self._session
 

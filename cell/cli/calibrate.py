@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cell.cli.lab import working
+from cell.cli.lab import refusing, working
 from cell.cli.result_json import STDOUT, write_result
 from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, Config, interrupted_once, refuse
 
@@ -116,17 +116,10 @@ def board(
     legacy: Annotated[bool, typer.Option("--legacy", help="Pattern before OpenCV 4.6.")] = False,
 ) -> None:
     """Write the board as a PDF to scale, with rulers to check the printout."""
-    from calib.board import Board
-    from calib.board_pdf import board_pdf
-    from cell.files.atomic import write_whole
-    from cell.files.overwriting import check_output
+    from cell.calibration.board_file import write_board
 
-    try:
-        wanted = Board(columns, rows, square_mm / 1e3, dictionary=dictionary, legacy=legacy)
-        check_output(out, force=out.suffix.lower() == ".pdf")
-    except ValueError as error:
-        refuse(error)
-    write_whole(out, board_pdf(wanted))
+    with refusing(out, force=out.suffix.lower() == ".pdf"):
+        write_board(out, columns, rows, square_mm / 1e3, dictionary=dictionary, legacy=legacy)
     print(f"{out}: print at 100 %, measure ten squares, put the result in calibration.square_m")
 
 
@@ -148,14 +141,9 @@ def _workshop(
     config: Path, seed: int, as_json: bool, *, live: bool = True
 ) -> Iterator[CalibrationJob]:
     """Everything that calibrating needs; what goes wrong is said and ends with 2."""
-    from calib.errors import CalibrationError
-    from calib.store import StoreError
     from cell.calibration.work import CalibrationJob
-    from cell.files.input_error import InputError
     from cell.settings import load_settings
     from cell.terminal.logs import to_file
-    from drivers.emulators.launch import EmulatorError
-    from drivers.interfaces import DeviceError
 
     progress = working("calibrate")
 
@@ -167,13 +155,11 @@ def _workshop(
 
     def ask(words: str) -> str:
         if as_json or not sys.stdin.isatty():
-            raise CalibrationError(
-                f"somebody must act: {words}", "run it at a terminal, or with --from a folder"
-            )
+            raise EOFError
         with progress.paused():
             return input(words + " ")
 
-    try:
+    with refusing():
         settings = load_settings(config)
         if settings.calibration is not None:
             to_file(settings.calibration.folder / "calibration.log")
@@ -183,5 +169,3 @@ def _workshop(
             CalibrationJob(settings, config, seed, say, ask, live=live) as work,
         ):
             yield work
-    except (InputError, CalibrationError, StoreError, EmulatorError, DeviceError) as error:
-        refuse(error)

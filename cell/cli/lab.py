@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from cell.lab.compare import Comparison
     from cell.lab.explore import Explorer, Progress
     from cell.lab.session import EffectSelection
-    from cell.study.data import Study
     from cell.terminal.progress import ProgressLine
 
 app = group()
@@ -88,7 +87,7 @@ def fit(
 
     with refusing(out, as_json, force=force), working("fit") as progress:
         selection = session.select_effects(effect or [])
-        explorer = _explorer(_opened(study), selection, prior, progress, config)
+        explorer = _explorer(study, selection, prior, progress, config)
         model, candidate = session.fit_study(explorer)
         warnings = fit_doubts(explorer, candidate)
         written = model.to_dict() | {"warnings": [vars(w) for w in warnings]}
@@ -129,7 +128,8 @@ def compare(
     )
 
     with refusing(*results or [], report, force=force), working("compare") as progress:
-        opened = _opened(study)
+        opened = session.open_study(study)
+        tell_notes(opened.notes)
         individuals = session.read_models(model, opened.cable, effect or [])
         comparisons: list[Comparison] = []
         for m, name in zip(individuals, model_names(model), strict=True):
@@ -182,12 +182,11 @@ def diagnose(
 
     with refusing(*results or [], report, force=force), working("diagnose") as progress:
         selection = session.select_for_diagnosis(effect or [], known or [])
-        opened = _opened(study)
-        explorer = _explorer(opened, selection, prior, progress, config)
+        explorer = _explorer(study, selection, prior, progress, config)
         with stoppable(explorer.prepared.work.stop):
             examination = with_limits(explorer, diagnose_study(explorer))
         steps = [explorer.prior_candidate(), *examination.steps[1:]]
-        comparisons = [compare_model(opened, c.fit.model) for c in steps]
+        comparisons = [compare_model(explorer.prepared.study, c.fit.model) for c in steps]
         in_model = explorer.space.effects
         todo = advice(
             examination.diagnosis,
@@ -255,7 +254,7 @@ def discover(
     with refusing(out, as_json, force=force), working("discover") as progress:
         effect_name(out)
         selection = session.select_effects(effect or [])
-        explorer = _explorer(_opened(study), selection, prior, progress)
+        explorer = _explorer(study, selection, prior, progress)
         discovery = discover_effect(explorer, out)
         tables = write_result(discovery.to_json(), as_json)
     known = explorer.space.effects
@@ -299,7 +298,7 @@ def suggest(
     with refusing(out, as_json, force=force), working("suggest") as progress:
         surroundings = Surroundings.read(config)
         selection = session.select_for_diagnosis(effect or [], known or [])
-        explorer = _explorer(_opened(study), selection, prior, progress, config)
+        explorer = _explorer(study, selection, prior, progress, config)
         suggestion = suggest_motion(explorer, diagnose_study(explorer), surroundings)
         if out:
             write_motion(suggestion, out)
@@ -315,13 +314,11 @@ def study(
     force: Force = False,
 ) -> None:
     """Gather recorded cycles of one cable into a study."""
-    from cell.lab.gather import gather
-    from cell.study.folder import write_study
+    from cell.lab.gather import gather_into
 
     with refusing(), working("study"):
         check_new_study(out, force=force)
-        gathered = gather(runs, out.name)
-        write_study(gathered, out)
+        gathered = gather_into(out, runs)
     print(f"{out}: {len(gathered.trials)} trials of {len(runs)} cycles")
 
 
@@ -346,15 +343,20 @@ def refusing(*outputs: Path | None, force: bool = False) -> Iterator[None]:
 
 
 def _explorer(
-    study: Study,
+    folder: Path,
     selection: EffectSelection,
     prior: Path | None,
     progress: Progress,
     config: Path | None = None,
 ) -> Explorer:
-    """The study made ready, with the model files and settings that the command line names."""
+    """A study made ready, with the model files and settings that the command line names.
+
+    What is odd about the study is told.
+    """
     from cell.lab import session
 
+    study = session.open_study(folder)
+    tell_notes(study.notes)
     return session.explorer_of(
         study,
         selection,
@@ -362,15 +364,6 @@ def _explorer(
         progress,
         session.read_kind(config),
     )
-
-
-def _opened(folder: Path) -> Study:
-    """A study fit for the lab; what is odd about it is told."""
-    from cell.lab import session
-
-    opened = session.open_study(folder)
-    tell_notes(opened)
-    return opened
 
 
 def working(command: str) -> ProgressLine:

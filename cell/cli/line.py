@@ -37,11 +37,10 @@ def learn(
     """
     from cell.lab.candidate import write_candidate
     from cell.lab.cycles import read_cycles
-    from cell.lab.gates import forecasts, gates
+    from cell.lab.gates import judge
     from cell.lab.learn import learn as learn_from
     from cell.lab.lesson_tables import gates_table, lesson_lines, votes_table
     from cell.lab.session import select_effects
-    from cell.plan.destination import Destination
     from cell.settings import load_settings
     from cell.settings.translate import cable_of, identification_of
 
@@ -51,28 +50,26 @@ def learn(
         cycles, left_out = read_cycles(runs, cable)
         library = select_effects([], effect or []).candidates
         lesson = learn_from(cycles, cable, options, library, progress)
-        destination = Destination(*settings.destination.x_m, *settings.destination.y_m)
-        paired = forecasts(lesson, cable, options, destination) if lesson.best else []
-        judged = gates(lesson, paired, destination) if lesson.best else []
+        judgement = judge(lesson, settings)
         if lesson.best:
-            write_candidate(out, lesson, judged, paired, settings.model)
+            write_candidate(out, lesson, judgement, settings.model)
     for line in left_out:
         print(f"left out: {line}", file=sys.stderr)
     for line in lesson_lines(lesson):
         print(line)
     if lesson.best is None:
         raise typer.Exit(ALL_DONE)
-    show(votes_table(lesson), gates_table(judged))
+    show(votes_table(lesson), gates_table(judgement.gates))
     if lesson.tied:
         folder = lesson.cycles[0].folder
         print(
             f"the motion that tells them apart: cell suggest {folder / 'study'} --config {config} "
             f"-o motion.yaml, then cell run --config {config} --motion motion.yaml, and learn again"
         )
-    if all(g.passed for g in judged):
+    if judgement.fit_for_line:
         print(f"written to {out}; use it with: cell promote {out} --config {config}")
         raise typer.Exit(ALL_DONE)
-    failed = ", ".join(g.name for g in judged if not g.passed)
+    failed = ", ".join(g.name for g in judgement.gates if not g.passed)
     print(f"{out} is not fit for the line: {failed}; record more cycles and learn again")
     raise typer.Exit(NOT_ALL_DONE)
 

@@ -115,41 +115,19 @@ def identify(
     """
     from rich.console import Console
 
-    from cell.files.input_error import InputError, Problem
-    from cell.identify.individual import CableRejectedError, IdentifyOptions, with_effects
-    from cell.identify.individual import identify as identify_cable
-    from cell.lab.session import select_effects
-    from cell.settings import load_settings
-    from cell.settings.translate import identification_of
-    from cell.study.folder import read_study, study_folder
+    from cell.lab.identify_again import Rejected, identify_again, read_recorded
     from cell.terminal.console import parameters_table
     from cell.terminal.fitting import show as print_parts
 
-    recorded = (folder / "state.json").exists()
     with refusing(out, as_json, force=force), working("identify") as progress:
-        effects = select_effects(effect or []).in_model
-        study = read_study(study_folder(folder))
-        tell_notes(study)
-        settings = config or (folder / "settings.yaml" if recorded else None)
-        options = IdentifyOptions()
-        if settings is not None:
-            options = identification_of(load_settings(settings))
-        options = with_effects(options, effects)
-        if not study.role("fit"):
-            message = "no trial has `role: fit`; mark the one to identify the cable from"
-            raise InputError([Problem(folder, 1, None, "trials", message)])
+        recorded = read_recorded(folder, config, effect or [])
+        study = recorded.study
+        tell_notes(study.notes)
         progress("fitting the model")
-        try:
-            identified = identify_cable(
-                study.role("fit")[0],
-                study.arc_length_m,
-                study.cable,
-                gravity_m_per_s2=study.gravity_m_per_s2,
-                options=options,
-            )
-        except CableRejectedError as error:
-            print(f"{folder}: cable rejected: {error}", file=sys.stderr)
-            raise typer.Exit(NOT_ALL_DONE) from error
+        identified = identify_again(recorded)
+        if isinstance(identified, Rejected):
+            print(f"{folder}: cable rejected: {identified.reason}", file=sys.stderr)
+            raise typer.Exit(NOT_ALL_DONE)
         tables = write_result(identified.to_dict(), out, as_json)
     if not tables:
         return

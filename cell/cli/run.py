@@ -8,7 +8,7 @@ import os
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from cell.records.result import Result
     from cell.run.cycle import Cell
     from cell.run.plans import Plan
-    from cell.settings import Settings
     from cell.terminal.console import RunProgress
 
 app = group()
@@ -79,7 +78,7 @@ def run(
     At a terminal, h holds: the motion under way is finished, then the hand keeps still with what it
     holds until u.  No stop is ever cleared by that.  Ctrl-C stops the arm and closes the record.
     """
-    from cell.build import build_cell
+    from cell.build import build_cell, emulators_asked_for
     from cell.files.input_error import InputError
     from cell.lab.motion_file import load_motion
     from cell.records.folder import RecordError
@@ -97,7 +96,11 @@ def run(
         known = calibrated(settings, config)
         plan = INSERTING if motion is None else measuring(load_motion(motion, settings))
         to_file(out.with_name(f"{out.name}.log"))
-        with _emulators(settings, seed), interrupted_once() as not_lost, ExitStack() as shown:
+        with (
+            emulators_asked_for(settings, config, seed),
+            interrupted_once() as not_lost,
+            ExitStack() as shown,
+        ):
 
             def on_step(number: int, step: str) -> None:
                 not_lost()
@@ -176,7 +179,6 @@ def _changes(out: Path, results: list[Result], config: Path) -> list[str]:
     """What has changed in the cycles under `out`, and what to do; also for a cable that was
     rejected because the model misses it.
     """
-    from cell.plan.choose import MISSES
     from cell.records.chart import signals
     from cell.records.history import line_history
 
@@ -184,8 +186,7 @@ def _changes(out: Path, results: list[Result], config: Path) -> list[str]:
         return []
     history = line_history(out, results[-1].model)
     lines = [str(s) for s in signals(history)]
-    missed = any(r.reason is not None and MISSES in r.reason for r in results)
-    if lines or missed:
+    if lines or any(r.model_misses for r in results):
         lines.append(f"to learn what the model lacks: cell learn {out} --config {config}")
     return lines
 
@@ -201,39 +202,20 @@ def emulate(
     these; so may any other client of the devices' protocols.  It also ends with its parent.  Ends
     with 0, or 2 if the settings are wrong or the addresses are taken.
     """
+    from cell.build import emulating
     from cell.files.input_error import InputError
     from cell.settings import load_settings
-    from cell.simulated.emulated import EmulatedCell
-    from drivers.emulators.launch import EmulatorError
 
     parent = os.getppid()
     try:
         settings = load_settings(config)
-        if settings.emulated is None:
-            raise EmulatorError(f"{config}: has no section `emulated`; add `emulated: {{}}`")
         with (
             interrupted_once(),
-            EmulatedCell(settings, seed) as cell,
+            emulating(settings, config, seed) as cell,
             contextlib.suppress(KeyboardInterrupt),
         ):
             print(cell.whereabouts(), flush=True)
             while os.getppid() == parent:
                 time.sleep(0.2)
-    except (InputError, EmulatorError) as error:
+    except InputError as error:
         refuse(error)
-
-
-@contextmanager
-def _emulators(settings: Settings, seed: int) -> Iterator[None]:
-    """The emulators that settings ask for, unless they run already."""
-    with ExitStack() as stack:
-        if settings.emulated is not None:
-            from cell.simulated.emulated import EmulatedCell, runs_already
-            from drivers.emulators.launch import EmulatorError
-
-            try:
-                if not runs_already(settings):
-                    stack.enter_context(EmulatedCell(settings, seed))
-            except EmulatorError as error:
-                refuse(error)
-        yield

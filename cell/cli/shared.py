@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Annotated, NoReturn
+from typing import Annotated, NoReturn
 
 import typer
 
 from cell.computer.watched import answers_after_interrupt
-
-if TYPE_CHECKING:
-    from cell.study.data import Study
 
 ALL_DONE, NOT_ALL_DONE, BAD_INPUT = 0, 1, 2
 #: A command that Ctrl-C has ended: 128 + SIGINT.
@@ -37,9 +34,9 @@ def refuse(error: Exception) -> NoReturn:
     raise typer.Exit(BAD_INPUT) from error
 
 
-def tell_notes(study: Study) -> None:
+def tell_notes(notes: Sequence[str]) -> None:
     """Say on the error stream what whoever reads results of a study should know."""
-    for note in study.notes:
+    for note in notes:
         print(f"note: {note}", file=sys.stderr)
 
 

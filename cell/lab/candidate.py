@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -13,28 +12,22 @@ import numpy as np
 from cell.files.atomic import write_whole
 from cell.files.yaml_document import yaml_text
 from cell.identify.model_class import source_of
-from cell.lab.gates import ForecastPair, Gate
+from cell.lab.gates import Judgement
 from cell.lab.learn import Lesson
 from cell.settings.model import Model
 from cell.settings.promotion import FORMAT
 from cell.settings.translate import model_hash
 
 
-def write_candidate(
-    path: Path,
-    lesson: Lesson,
-    judged: Sequence[Gate],
-    paired: Sequence[ForecastPair],
-    present: Model,
-) -> None:
+def write_candidate(path: Path, lesson: Lesson, judgement: Judgement, present: Model) -> None:
     """Write what was learned; `read_candidate` reads it."""
     content = {
         "format": FORMAT,
         "beside": model_hash(present),
         "model": section(lesson, present).model_dump(mode="json", exclude_defaults=True),
         "tied": list(lesson.tied),
-        "gates": [{"gate": g.name, "passed": g.passed, "found": g.found} for g in judged],
-        "forecasts": [_plain(asdict(f)) for f in paired],
+        "gates": [{"gate": g.name, "passed": g.passed, "found": g.found} for g in judgement.gates],
+        "forecasts": [_plain(asdict(f)) for f in judgement.paired],
         "votes": [_plain(asdict(v)) for v in lesson.votes],
         "cycles": [str(c.folder.resolve()) for c in lesson.cycles],
     }

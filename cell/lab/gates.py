@@ -19,6 +19,8 @@ from cell.lab.cycles import RecordedCycle
 from cell.lab.learn import EffectFit, Lesson
 from cell.plan.destination import Destination
 from cell.plan.passage import measured_passage
+from cell.settings import Settings
+from cell.settings.translate import cable_of, identification_of
 from cell.study.data import Markers, Trial
 
 FloatArray = NDArray[np.float64]
@@ -65,6 +67,32 @@ class Gate:
     name: str
     passed: bool
     found: str
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """Conditions that a candidate was held against, and the forecasts they rest on."""
+
+    gates: tuple[Gate, ...] = ()
+    paired: tuple[ForecastPair, ...] = ()
+
+    @property
+    def fit_for_line(self) -> bool:
+        """Whether every condition is met."""
+        return all(gate.passed for gate in self.gates)
+
+
+def judge(lesson: Lesson, settings: Settings) -> Judgement:
+    """The lesson's candidate held against every condition, for the line of these settings.
+
+    raises  as `identification_of`
+    """
+    if lesson.best is None:
+        return Judgement()
+    destination = Destination(*settings.destination.x_m, *settings.destination.y_m)
+    cable, options = cable_of(settings), identification_of(settings)
+    paired = forecasts(lesson, cable, options, destination)
+    return Judgement(tuple(gates(lesson, paired, destination)), tuple(paired))
 
 
 def forecasts(

@@ -14,7 +14,7 @@ from cell.files.input_error import InputError, Problem
 from cell.files.yaml_document import Document, Key, read_yaml
 from cell.identify.noise import still_frames
 from cell.study.data import Study, Trial
-from cell.study.folder import read_study, study_folder
+from cell.study.folder import read_study, study_folder, write_study
 
 FloatArray = NDArray[np.float64]
 
@@ -74,6 +74,16 @@ def gather(runs: Sequence[Path], name: str) -> Study:
     ]
     stated_m = max((n for c in cycles if (n := c.study.noise_std_m) is not None), default=None)
     return replace(first.study, name=name, trials=tuple(trials), noise_std_m=stated_m)
+
+
+def gather_into(folder: Path, runs: Sequence[Path]) -> Study:
+    """The studies of cycles gathered into one, written to a folder and named after it.
+
+    raises  InputError: as `gather`
+    """
+    study = gather(runs, folder.name)
+    write_study(study, folder)
+    return study
 
 
 def _read(run: Path) -> _Cycle:

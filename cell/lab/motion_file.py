@@ -13,8 +13,7 @@ from cell.files.input_error import InputError, Problem
 from cell.files.yaml_document import Document, read_yaml, validate
 from cell.plan.measuring import Measuring, Move, least_duration_s
 from cell.settings import Settings
-from drivers.guard import ArmLimits
-from drivers.interfaces import Pose
+from cell.settings.translate import arm_limits_of, pose_from_home
 
 #: A pose may exceed its limit by so much, m or rad: a file has its numbers in micrometres.
 ROUNDING = 1e-6
@@ -33,6 +32,11 @@ class MotionPose(_Section):
     x_m: Finite
     y_m: Finite
     angle_rad: Annotated[float, Field(ge=-np.pi, le=np.pi)]
+
+    @property
+    def place(self) -> tuple[float, float, float]:
+        """x, y, clamp angle."""
+        return self.x_m, self.y_m, self.angle_rad
 
 
 class MotionMove(MotionPose):
@@ -70,16 +74,13 @@ def load_motion(path: Path, settings: Settings) -> Measuring:
         raise InputError(problems)
     return Measuring(
         name=path.stem,
-        start=_pose(motion.start, settings),
+        start=pose_from_home(settings, *motion.start.place),
         still_s=motion.still_s,
-        moves=tuple(Move(_pose(m, settings), m.duration_s) for m in motion.moves),
+        moves=tuple(
+            Move(pose_from_home(settings, *move.place), move.duration_s) for move in motion.moves
+        ),
         hold_s=motion.hold_s,
     )
-
-
-def _pose(pose: MotionPose, settings: Settings) -> Pose:
-    home = settings.motion.home
-    return Pose(home.x_m + pose.x_m, home.y_m + pose.y_m, pose.angle_rad)
 
 
 def _name(document: Document) -> list[Problem]:
@@ -95,7 +96,7 @@ def _within_limits(document: Document, motion: MotionFile, settings: Settings) -
     problems = []
     keys = [("start",), *(("moves", i) for i in range(len(motion.moves)))]
     for key, given in zip(keys, [motion.start, *motion.moves], strict=True):
-        pose = _pose(given, settings)
+        pose = pose_from_home(settings, *given.place)
         for axis in ("x_m", "y_m", "angle_rad"):
             value = getattr(pose, axis)
             low, high = getattr(settings.limits, axis)
@@ -110,12 +111,12 @@ def _within_limits(document: Document, motion: MotionFile, settings: Settings) -
 
 def _slow_enough(document: Document, motion: MotionFile, settings: Settings) -> list[Problem]:
     """Every move long enough for the cell's limits along the plane, and the guard's of turning."""
-    limits = settings.limits
-    straight = (limits.velocity_m_per_s, limits.acceleration_m_per_s2, limits.jerk_m_per_s3)
+    arm = arm_limits_of(settings)
+    straight = (arm.max_speed_m_per_s, arm.max_acceleration_m_per_s2, arm.max_jerk_m_per_s3)
     turning = (
-        ArmLimits.max_angular_speed_rad_per_s,
-        ArmLimits.max_angular_acceleration_rad_per_s2,
-        ArmLimits.max_angular_jerk_rad_per_s3,
+        arm.max_angular_speed_rad_per_s,
+        arm.max_angular_acceleration_rad_per_s2,
+        arm.max_angular_jerk_rad_per_s3,
     )
     problems = []
     here: MotionPose = motion.start

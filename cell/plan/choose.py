@@ -20,8 +20,6 @@ FloatArray = NDArray[np.float64]
 
 #: So many times longer steps are good enough for how a tip depends on the parameters: 0.4 % of it.
 SLOPES_COARSER = 4.0
-#: Words of a reason that has to do with the model.
-MISSES = "the model misses this cable's tip"
 
 
 @dataclass(frozen=True)
@@ -93,6 +91,7 @@ class Choice:
     best      most promising offset, chosen or not
     table     all offsets
     reason    None if `best` is chosen, else why it is not
+    model_misses   whether it is not, and the model errs by more than arm and camera repeat
     t_s, tip_m   (T,), (T, 2) predicted tip path of `best`
     """
 
@@ -101,6 +100,7 @@ class Choice:
     reason: str | None
     t_s: FloatArray
     tip_m: FloatArray
+    model_misses: bool = False
 
     @property
     def chosen(self) -> bool:
@@ -177,16 +177,18 @@ def choose(
     )
     index = max(range(len(table)), key=lambda i: (table[i].probability, table[i].margin_m))
     best = table[index]
-    reason = None
+    reason, model_misses = None, False
     if best.probability < options.least_probability:
         reason = (
             f"no offset passes with probability ≥ {options.least_probability:.2f}: the best, "
             f"{best.offset_m * 1e3:.0f} mm, with {best.probability:.2f} "
             f"(margin {best.margin_m * 1e3:+.2f} mm)"
         )
-        if missed_m > options.repeatability_m:
-            reason += f"; {MISSES} by {identified.model_error_m * 1e3:.2f} mm while it swings"
-    return Choice(best, table, reason, expected.t_s, expected.tip_m[index])
+        model_misses = missed_m > options.repeatability_m
+        if model_misses:
+            missed_mm = identified.model_error_m * 1e3
+            reason += f"; the model misses this cable's tip by {missed_mm:.2f} mm while it swings"
+    return Choice(best, table, reason, expected.t_s, expected.tip_m[index], model_misses)
 
 
 def _tips(expected: Forecast, shift: FloatArray) -> FloatArray:

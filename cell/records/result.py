@@ -83,6 +83,7 @@ class Result:
     state_seconds       time spent in each state of the cell, s
     parameters          of this cable, as identified: name → value, SI units
     reason              why the cable was rejected or missed, in words
+    model_misses        whether it was rejected because the model misses its tip while it swings
     speed               of a dry run, as a share of the full one
     checks              what a dry run found out
     """
@@ -106,6 +107,7 @@ class Result:
     state_seconds: Mapping[str, float] = field(default_factory=dict)
     parameters: Mapping[str, float] = field(default_factory=dict)
     reason: str | None = None
+    model_misses: bool = False
     fault: Fault | None = None
     speed: float | None = None
     checks: tuple[Check, ...] = ()

@@ -22,12 +22,13 @@ from cell.run.machine import CellState, Event, EventRefusedError, Machine
 from cell.run.movements import slowed
 from cell.run.plans import CONNECT, INSERTING, Plan, Repeat, Step, rehearsing
 from cell.run.progress import Progress
-from cell.run.station import Devices, Station, Task
+from cell.run.station import Station, Task
 from drivers.interfaces import (
     CameraError,
     ConnectError,
     DeviceError,
     DeviceLostError,
+    Devices,
     DeviceTimeoutError,
 )
 

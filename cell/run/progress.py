@@ -80,6 +80,7 @@ class Progress:
             state_seconds=state_seconds,
             parameters={} if f.identified is None else _parameters(f.identified),
             reason=f.reason,
+            model_misses=f.choice is not None and f.choice.model_misses,
             fault=self.fault,
             speed=f.speed,
             checks=f.checks,

@@ -16,19 +16,9 @@ from cell.plan.destination import Destination
 from cell.plan.paths import MotionLimits
 from cell.run.commands import Commands
 from cell.vision.detect import VisionOptions
-from drivers.interfaces import Arm, Camera, Clock, Gripper, Pose
+from drivers.interfaces import Devices, Pose
 
 FloatArray = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Devices:
-    """Arm, camera, gripper, and the clock they share."""
-
-    arm: Arm
-    camera: Camera
-    gripper: Gripper
-    clock: Clock
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from cell.run.early_estimate import EarlyEstimator, simulate_offsets
 from cell.run.filming import capture, film
 from cell.run.findings import Filming, Findings, required
 from cell.run.movements import APPROACH_SLOWER, Movement, Movements, paths_from
-from cell.run.station import Devices, Station
+from cell.run.station import Station
 from cell.run.trials import executed_trial, held_trial
 from cell.run.waiting import AHEAD_S, POLL_S, REST_TIMEOUT_S, await_rest, check_arm, wait_until
 from cell.run.warm_up import warm_up as warm_up_engine
@@ -35,6 +35,7 @@ from drivers.interfaces import (
     ArmMode,
     DeviceError,
     DeviceLostError,
+    Devices,
     DeviceTimeoutError,
     GripError,
     LimitError,

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.board import Board
 from calib.lens import Lens
 from calib.plane import PlaneView
 from calib.store import StoredCalibration, StoreError, load
@@ -39,6 +40,16 @@ class Calibrated:
     lag_s: float
     map_std_m: float = 0.0
     notes: tuple[str, ...] = ()
+
+
+def board_of(settings: Settings) -> Board:
+    """The board that the settings describe.  Raises ValueError: it is impossible."""
+    given = settings.calibration
+    if given is None:
+        return Board()
+    return Board(
+        given.columns, given.rows, given.square_m, dictionary=given.dictionary, legacy=given.legacy
+    )
 
 
 def devices_of(settings: Settings) -> Mapping[str, Any]:

@@ -15,6 +15,7 @@ from cell.settings import model as given
 from cell.settings.model import Settings
 from cell.vision.detect import VisionOptions
 from cell.vision.marks import JawMarks
+from drivers.guard import ArmLimits
 from drivers.interfaces import Pose
 
 
@@ -26,6 +27,25 @@ def cable_of(settings: Settings) -> Cable:
 def pose_of(pose: given.HandPose) -> Pose:
     """Pose of the gripping point in the cell's plane."""
     return Pose(pose.x_m, pose.y_m, pose.angle_rad)
+
+
+def pose_from_home(settings: Settings, x_m: float, y_m: float, angle_rad: float) -> Pose:
+    """Pose of which x and y are given from the cell's home; the clamp angle itself."""
+    home = settings.motion.home
+    return Pose(home.x_m + x_m, home.y_m + y_m, angle_rad)
+
+
+def arm_limits_of(settings: Settings) -> ArmLimits:
+    """Limits within which the arm may move."""
+    limits = settings.limits
+    return ArmLimits(
+        *limits.x_m,
+        *limits.y_m,
+        *limits.angle_rad,
+        max_speed_m_per_s=limits.velocity_m_per_s,
+        max_acceleration_m_per_s2=limits.acceleration_m_per_s2,
+        max_jerk_m_per_s3=limits.jerk_m_per_s3,
+    )
 
 
 def vision_of(settings: Settings) -> VisionOptions:

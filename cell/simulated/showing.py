@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from calib.board import Board
 from cell.settings import Settings
+from cell.settings.calibrated import board_of
 from cell.simulated.shown import board_patches, board_poses, plumb_line
 from drivers.sim.camera import Staging
 
@@ -21,7 +21,6 @@ class SimulatedAssistant:
     def __init__(
         self,
         settings: Settings,
-        board: Board,
         stage: Callable[[Staging], None],
         seed: int,
         views: int,
@@ -38,8 +37,8 @@ class SimulatedAssistant:
         )
         width, height = settings.camera.width_px, settings.camera.height_px
         middle_m = np.array([(0.5 * width - column) * scale, (row - 0.5 * height) * scale, 0.0])
-        self._board = board
-        self._poses = board_poses(board, views, rng, middle_m, _DEPTH_M)
+        self._board = board_of(settings)
+        self._poses = board_poses(self._board, views, rng, middle_m, _DEPTH_M)
         self._thread_m = float(middle_m[0])
         self._stage = stage
 

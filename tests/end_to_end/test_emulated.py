@@ -100,7 +100,8 @@ def test_addresses_that_are_taken_are_named_and_end_with_2(
         command = cell("run", "--config", light_config, "--out", tmp_path / "runs")
         done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 2
-    assert "the emulated camera: OSError" in done.stderr and "in use" in done.stderr
+    assert f"{light_config}:1: emulated: the emulated camera: OSError" in done.stderr
+    assert "in use" in done.stderr
     assert not (tmp_path / "runs").exists()
 
 
@@ -109,4 +110,4 @@ def test_settings_of_real_devices_are_not_emulated(tmp_path: Path) -> None:
     command = cell("emulate", "--config", line3)
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 2
-    assert "has no section `emulated`" in done.stderr
+    assert f"{line3}:1: emulated: is missing; add `emulated: {{}}`" in done.stderr

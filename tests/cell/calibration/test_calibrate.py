@@ -16,6 +16,8 @@ from calib.store import load
 from cell.cli import app
 from cell.settings import load_settings
 from cell.settings.calibrated import calibrated
+from drivers.interfaces import DeviceLostError
+from drivers.sim.camera import SimCamera
 from drivers.sim.pinhole import Pinhole
 
 VIEW = "  view: {metres_per_pixel: 0.0002, origin_column_px: 1000, origin_row_px: 150}\n"
@@ -131,3 +133,14 @@ def test_the_board_comes_as_a_pdf(tmp_path):
     assert (tmp_path / "b.pdf").read_bytes().startswith(b"%PDF-1.4")
     code, _, refused = called("calibrate", "board", "--columns", 40, "--rows", 40)
     assert (code, "take a larger dictionary" in refused) == (2, True)
+
+
+def test_a_device_that_fails_breaks_it_off_with_its_remedy(tmp_path, monkeypatch):
+    def lost(camera: SimCamera, frame_count: int) -> None:
+        raise DeviceLostError("camera", "fell silent", "look at its cable")
+
+    monkeypatch.setattr(SimCamera, "start", lost)
+    code, out, said = called("calibrate", "camera", "--config", settings_file(tmp_path))
+    assert (code, out) == (2, "")
+    assert said.splitlines()[-1] == "camera: fell silent; look at its cable"
+    assert not (tmp_path / "calib" / "camera.yaml").exists()

@@ -16,7 +16,7 @@ from cell.files.yaml_document import yaml_text
 from cell.identify.individual import identify
 from cell.lab.candidate import section, write_candidate
 from cell.lab.cycles import RecordedCycle, read_cycles
-from cell.lab.gates import ForecastPair, forecasts, gates
+from cell.lab.gates import ForecastPair, forecasts, gates, judge
 from cell.lab.learn import Lesson, learn
 from cell.lab.session import explorer_of, read_kind, select_effects
 from cell.lab.shared import Spread
@@ -72,18 +72,17 @@ def test_the_effect_that_all_cables_share_is_named_with_its_size(lesson: Lesson)
 def test_a_cable_left_out_is_forecast_better_and_the_candidate_passes(
     lesson: Lesson, tmp_path: Path
 ) -> None:
-    task = cell_task(SETTINGS)
-    paired = forecasts(lesson, task.cable, task.identification, task.destination)
+    judgement = judge(lesson, SETTINGS)
+    paired = judgement.paired
     assert len(paired) == 3
     present, found = (
         np.sqrt(np.mean([getattr(f, name) ** 2 for f in paired]))
         for name in ("present_m", "candidate_m")
     )
     assert found < 0.6 * present
-    judged = gates(lesson, paired, task.destination)
-    assert all(g.passed for g in judged), judged
+    assert judgement.fit_for_line, judgement.gates
     path = tmp_path / "candidate.yaml"
-    write_candidate(path, lesson, judged, paired, Model())
+    write_candidate(path, lesson, judgement, Model())
     back = read_candidate(path)
     assert back.failed == {}
     assert back.model == section(lesson, Model())

@@ -128,3 +128,4 @@ def test_what_the_model_misses_lowers_the_probability_and_is_the_reason(expected
     assert not wrong.chosen
     assert wrong.best.probability < 0.32
     assert "misses this cable's tip by 5.00 mm while it swings" in str(wrong.reason)
+    assert wrong.model_misses
