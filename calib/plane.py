@@ -61,51 +61,6 @@ class PlaneView:
         return ideal if self.lens is None else self.lens.distorted(ideal)
 
 
-@dataclass(frozen=True)
-class PlaneFit:
-    """A view fitted to correspondences, and how good it is on the plane, in metres.
-
-    residuals_m      (N,) distance of each point from where its pixel says it is
-    held_out_m       (N,) the same with that point left out of the fit; nan with only 4 points
-    """
-
-    view: PlaneView
-    residuals_m: FloatArray
-    held_out_m: FloatArray
-
-    @property
-    def held_out_rms_m(self) -> float:
-        """Root mean square error on points that were not used; nan with only 4 points."""
-        return float(np.sqrt(np.mean(self.held_out_m**2)))
-
-
-def fit_plane(pixels: FloatArray, points_m: FloatArray, lens: Lens | None = None) -> PlaneFit:
-    """View of the plane from points seen: (N ≥ 4, 2) pixels and (N, 2) places in the plane, m.
-
-    lens    known already; None = no distortion
-    raises  ValueError: shapes disagree, too few points, or points too nearly on one line
-    source  Hartley & Zisserman 2004, algorithm 4.2 (normalised direct linear transformation)
-    """
-    pixels = np.asarray(pixels, dtype=np.float64)
-    points_m = np.asarray(points_m, dtype=np.float64)
-    if pixels.ndim != 2 or pixels.shape[1] != 2 or pixels.shape != points_m.shape:
-        raise ValueError(f"pixels {pixels.shape} and points_m {points_m.shape} must both be (N, 2)")
-    if len(pixels) < 4:
-        raise ValueError(f"{len(pixels)} correspondences; needs at least 4, better 12")
-    if not (np.all(np.isfinite(pixels)) and np.all(np.isfinite(points_m))):
-        raise ValueError("a correspondence is not finite")
-    ideal = pixels if lens is None else lens.ideal(pixels)
-    view = PlaneView(fit_homography(ideal, points_m), lens)
-    held_out = np.full(len(pixels), np.nan)
-    if len(pixels) > 4:
-        for i in range(len(pixels)):
-            others = np.arange(len(pixels)) != i
-            left_out = PlaneView(fit_homography(ideal[others], points_m[others]), lens)
-            held_out[i] = np.linalg.norm(left_out.to_plane(pixels[i]) - points_m[i])
-    residuals = np.linalg.norm(view.to_plane(pixels) - points_m, axis=1)
-    return PlaneFit(view, np.asarray(residuals, dtype=np.float64), held_out)
-
-
 def fit_homography(pixels: FloatArray, points: FloatArray) -> FloatArray:
     """(3, 3) that maps (N, 2) pixels to (N, 2) points, by singular values.
 

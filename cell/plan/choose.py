@@ -78,11 +78,6 @@ class OffsetForecast:
     margin_m: float
     margin_std_m: float
 
-    @property
-    def shortfall_m(self) -> float:
-        """By how much the most probable tip path misses, m; 0 if it passes."""
-        return max(0.0, -self.margin_m)
-
 
 @dataclass(frozen=True, eq=False)
 class Choice:

@@ -49,10 +49,6 @@ class Destination:
         margins: FloatArray = _margins(paths, *box)
         return margins.reshape(tip_m.shape[:-2])
 
-    def shortfall_m(self, tip_m: FloatArray) -> FloatArray:
-        """(…) how far the tip misses the passage, m; 0 where it passes.  See `margin_m`."""
-        return np.maximum(-self.margin_m(tip_m), 0.0)
-
 
 @njit(cache=True)
 def _margins(

@@ -215,9 +215,3 @@ def chord_parameters(points: FloatArray) -> FloatArray:
     """(N,) parameters 0 … 1 along (N, 2) points, by distance."""
     s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     return np.asarray(s / s[-1], dtype=np.float64)
-
-
-def arc_lengths(xy: FloatArray) -> FloatArray:
-    """(M,) lengths along dense samples (M, 2) of a smooth curve."""
-    steps = np.linalg.norm(np.diff(xy, axis=0), axis=1)
-    return np.concatenate([[0.0], np.cumsum(steps)])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -41,10 +40,6 @@ class LiveCable(Protocol):
         10 ms of poses and must take less than 2 ms.
         """
         ...
-
-
-#: Makes, in the camera's process, the cable that is gripped from now on; picklable.
-CableFactory = Callable[[], LiveCable]
 
 
 @dataclass(frozen=True)
@@ -99,7 +94,7 @@ class LiveScene:
             self.keep_up()
 
     def tell(self, message: object) -> None:
-        """A `CableFactory` = gripped; None = let go; a `Staging` = shown from now on.
+        """What makes a `LiveCable` = gripped; None = let go; a `Staging` = shown from now on.
 
         raises  TypeError: anything else
         """

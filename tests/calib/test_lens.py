@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from calib.lens import Lens
-from calib.plane import PlaneView, fit_plane
+from calib.plane import PlaneView, fit_homography
 from drivers.sim.pinhole import Pinhole
 from drivers.sim.render import RenderOptions, render
 
@@ -102,6 +102,9 @@ def test_a_plane_fitted_through_a_known_lens_is_exact():
     eye, view = standing(tilt_rad=0.3, distortion=(-0.25, 0.0, 0.0, 0.0, 0.0))
     points = np.stack(np.meshgrid(np.linspace(-0.15, 0.02, 5), np.linspace(-0.15, 0.01, 4)), -1)
     points = points.reshape(-1, 2)
-    found = fit_plane(eye.to_pixels(points), points, view.lens)
-    assert found.residuals_m.max() < 1e-9
-    assert fit_plane(eye.to_pixels(points), points).residuals_m.max() > 1e-4  # a lens is needed
+    pixels = eye.to_pixels(points)
+    assert view.lens is not None
+    through = PlaneView(fit_homography(view.lens.ideal(pixels), points), view.lens)
+    assert_allclose(through.to_plane(pixels), points, atol=1e-9)
+    without = PlaneView(fit_homography(pixels, points))
+    assert np.abs(without.to_plane(pixels) - points).max() > 1e-4  # a lens is needed

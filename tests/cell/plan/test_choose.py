@@ -50,7 +50,7 @@ def test_the_offset_that_meets_the_hole_is_chosen(expected: Forecast) -> None:
         assert choice.chosen
         assert choice.best.offset_m == OFFSETS_M[index]
         assert choice.best.probability == 1.0
-        assert choice.best.shortfall_m == 0.0
+        assert choice.best.margin_m > 0.0
         np.testing.assert_array_equal(choice.tip_m, expected.tip_m[index])
         assert sum(o.probability > 0.5 for o in choice.table) == 1
 
@@ -71,7 +71,7 @@ def test_none_passes_gives_the_reason_and_the_nearest(expected: Forecast) -> Non
     choice = choose(expected, identified(0.01), far)
     assert not choice.chosen
     assert choice.best.offset_m == 0.02
-    assert choice.best.shortfall_m > 0.05
+    assert choice.best.margin_m < -0.05
     assert choice.reason is not None
     assert "no offset passes" in choice.reason
 
