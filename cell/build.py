@@ -80,11 +80,11 @@ def build_cell(
 
 def guarded_devices(settings: Settings, devices: Devices) -> Devices:
     """Devices surrounded with the limits of the settings."""
-    return Devices(
+    return replace(
+        devices,
         arm=GuardedArm(devices.arm, arm_limits_of(settings)),
         camera=GuardedCamera(devices.camera, devices.clock),
         gripper=GuardedGripper(devices.gripper, GripperLimits(*settings.gripper.force_limits_n)),
-        clock=devices.clock,
     )
 
 
