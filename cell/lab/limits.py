@@ -13,7 +13,7 @@ from cell.cable.effects.base import ActiveEffect, Effect, Parameter
 from cell.identify.fit import variance_inflation
 from cell.lab.diagnose import Examination
 from cell.lab.doubts import interrupted_doubt
-from cell.lab.estimate import CONVERGED
+from cell.lab.estimate import CONVERGED, LEAST_KNOWN, MIN_FREEDOM
 from cell.lab.explore import Explorer, Progress, no_progress
 from cell.lab.fitting import Fit, fit_model, fit_trials
 from cell.lab.prepared import PreparedStudy, StoppedError, pooled
@@ -79,8 +79,8 @@ def limits(
 
     The score's estimate and standard deviation, everything that was fitted and the effect's other
     amplitudes free, of the guess of its shape that the study shows worst; widened by what the model
-    leaves beyond noise.  Then the effect is simulated so strong, and the limit moved to where it is
-    excluded as it is and not as its slope says.
+    leaves beyond noise, or by how much trials disagree on the size.  Then the effect is simulated
+    so strong, and the limit moved to where it is excluded as it is and not as its slope says.
 
     Of an amplitude of one sign the limit is one-sided, and an estimate below none of it counts as
     none: no limit is below what the study can show (a power-constrained limit).
@@ -90,8 +90,10 @@ def limits(
     whiteners = [prepared.whiteners[t.name] for t in fit_trials(prepared)]
     inflation = variance_inflation(fit.solution.residual, whiteners, len(fit.q))
     nuisance = nuisance_of(fit)
+    ends = np.cumsum([w.rows for w in whiteners])
+    trials = tuple(slice(end - w.rows, end) for end, w in zip(ends, whiteners, strict=True))
     found = [
-        _Search(slopes, j, nuisance, float(np.sqrt(inflation)))
+        _Search(slopes, j, nuisance, trials, inflation)
         for slopes in sensitivities(prepared, fit, effects)
         for j in range(slopes.rows.shape[1])
     ]
@@ -118,11 +120,19 @@ class _Side:
 class _Search:
     """The range of one amplitude of an effect that a study leaves possible."""
 
-    def __init__(self, slopes: Sensitivity, j: int, nuisance: Nuisance, widen: float) -> None:
+    def __init__(
+        self,
+        slopes: Sensitivity,
+        j: int,
+        nuisance: Nuisance,
+        trials: Sequence[slice],
+        inflation: float,
+    ) -> None:
         self._effect = slopes.effect
         self._parameter: Parameter = [p for p in slopes.effect.parameters if p.amplitude][j]
         self._nuisance = nuisance
-        self._widen = widen
+        self._trials = trials
+        self._inflation = inflation
         self._one_sided = one_sided(slopes.effect)
         tail = 1.0 - CONFIDENCE if self._one_sided else 0.5 * (1.0 - CONFIDENCE)
         self._reach = float(stats.norm.isf(tail))
@@ -152,7 +162,20 @@ class _Search:
         square = float(left @ left)
         if not np.sqrt(square) > LEAST_LEFT * float(np.linalg.norm(row)):
             return None
-        return float(left @ self._nuisance.residual) / square, self._widen / float(np.sqrt(square))
+        size = float(left @ self._nuisance.residual) / square
+        factor = max(self._inflation, self._disagreement(left, size))
+        return size, float(np.sqrt(factor / square))
+
+    def _disagreement(self, left: FloatArray, size: float) -> float:
+        """Cochran's Q over its freedom: by how much trials ask for sizes of their own."""
+        parts = [(left[rows], self._nuisance.residual[rows]) for rows in self._trials]
+        known = np.array([float(one @ one) for one, _ in parts])
+        asked = np.array([float(one @ residual) for one, residual in parts])
+        telling = known > LEAST_KNOWN * known.sum()
+        freedom = int(telling.sum()) - 1
+        if freedom < MIN_FREEDOM:
+            return 1.0
+        return float(np.sum((asked - size * known)[telling] ** 2 / known[telling]) / freedom)
 
     def _ends(self, size: float, std: float) -> list[float]:
         """Ends of the range, from none of the effect."""

@@ -86,6 +86,18 @@ def test_what_nothing_shows_is_not_excluded(make_study):
     assert angle.high is not None
 
 
+def test_where_trials_disagree_on_an_effect_its_limits_are_wider(make_study):
+    """One of five is turned by 1 mrad: as much as all of them might be."""
+    study = make_study([], seed=21)
+    turned = study.trials[3]
+    c, s = np.cos(1e-3), np.sin(1e-3)
+    xy_m = turned.markers.xy_m @ np.array([[c, s], [-s, c]])
+    turned = replace(turned, name="turned", markers=Markers(turned.markers.t_s, xy_m))
+    prepared, fit = baseline(replace(study, trials=(*study.trials, turned)))
+    (roll,) = limits(prepared, fit, [KNOWN["camera_roll"]])
+    assert roll.low < 0.0 < roll.high
+
+
 def test_a_diagnosis_tells_them_for_what_is_neither_named_nor_tied(make_study):
     study = make_study([KNOWN["tip_mass"].active(mass_kg=3e-5)], seed=8)
     names = ("tip_mass", "air_drag", "camera_scale")
