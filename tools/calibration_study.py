@@ -41,6 +41,7 @@ MARKS_M = np.array(JAW_MARKS_M)[:, :2]
 RADIUS_M = JAW_MARKS_M[0][2]
 POSES, HELD_OUT, VIEWS = 30, 6, 20
 LEVEL_RAD = 0.002
+THREADS_M = (-0.14, 0.0)
 ARM_M = 1e-5
 SPHERE_95 = 1.61  # 95 % of a ball's normal law, in standard deviations over three axes together
 
@@ -106,9 +107,11 @@ class Setup:
     def gravity(self) -> Gravity:
         options, rng = self.look, self.rng
         bare = photograph_board(self.eye, [], options, rng)
-        line = plumb_line(-0.08, (-0.2, 0.1))
-        thread = find_thread(photograph_board(self.eye, [line], options, rng), bare)
-        return Gravity(np.array([0.0, 1.0, 0.0]), LEVEL_RAD, (thread,))
+        lines = [plumb_line(x_m, (-0.2, 0.1)) for x_m in THREADS_M]
+        threads = tuple(
+            find_thread(photograph_board(self.eye, [line], options, rng), bare) for line in lines
+        )
+        return Gravity(np.array([0.0, 1.0, 0.0]), LEVEL_RAD, threads)
 
 
 def measured(seed: int) -> dict[str, float]:

@@ -92,7 +92,8 @@ def stored_camera(fit: CameraFit, settings: Settings) -> StoredCalibration:
 def cell_from(shown: ShownCell, camera: StoredCalibration, settings: Settings) -> CellFit:
     """Plane, robot, marks and gravity.  Raises CalibrationError."""
     marks = vision_of(settings).marks
-    threads = () if shown.thread is None else (find_thread(*shown.thread),)
+    bare = shown.without
+    threads = () if bare is None else tuple(find_thread(image, bare) for image in shown.threads)
     role = {name: [p for p in shown.poses if p.role == name] for name in ("fit", "held_out")}
     found = seen_marks(role["fit"], marks)
     if len(found) < 0.7 * len(role["fit"]):

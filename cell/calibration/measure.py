@@ -19,7 +19,7 @@ from calib.plate import find_plate
 from calib.poses import choose_poses, in_picture
 from cell.calibration.raw import Picture, SeenMove, ShownCell, ShownPose
 from cell.calibration.session import FilmedMove, Session
-from cell.calibration.showing import BOARD_VIEWS, Assistant
+from cell.calibration.showing import BOARD_VIEWS, THREADS, Assistant
 from cell.plan.measuring import Move, least_duration_s, measuring_path
 from cell.settings import Settings
 from cell.settings.translate import vision_of
@@ -109,7 +109,7 @@ def show_hand(
 
     for goal in first_poses(settings):
         show(goal, "fit")
-    rough = fit(ShownCell(tuple(poses), None))
+    rough = fit(ShownCell(tuple(poses)))
     size = (settings.camera.width_px, settings.camera.height_px)
     candidates = candidate_poses(settings)
     field = picture_grid(size)[::2, ::2].reshape(-1, 2)
@@ -123,10 +123,13 @@ def show_hand(
     for goal in [others[k] for k in np.flatnonzero(seen)[:HELD_OUT_POSES]]:
         show(goal, "held_out")
     session.go_to(session.home)
-    without = session.picture(4)
-    thread = (session.picture(4), without) if assistant.thread() else None
+    without, threads = session.picture(4), []
+    for number in range(1, THREADS + 1):
+        if not assistant.thread(number):
+            break
+        threads.append(session.picture(4))
     assistant.clear()
-    return ShownCell(tuple(poses), thread)
+    return ShownCell(tuple(poses), tuple(threads), without if threads else None)
 
 
 def first_poses(settings: Settings) -> list[Pose]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +18,7 @@ from drivers.interfaces import Image, Pose, Trajectory
 FloatArray = NDArray[np.float64]
 
 _POSES, _TOLD, _HAND, _SEEN = "poses.csv", "told.csv", "hand.csv", "seen.csv"
-_THREAD, _WITHOUT = "thread.png", "without_thread.png"
+_WITHOUT = "without_thread.png"
 _PICTURES = (".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg", ".pgm")
 
 
@@ -40,10 +41,15 @@ class ShownPose:
 
 @dataclass(frozen=True, eq=False)
 class ShownCell:
-    """All poses, and pictures with and without a plumb line; None = there was none."""
+    """All poses, and pictures of a plumb line.
+
+    threads  one picture for each place of the plumb line
+    without  the same scene without it; None = there was none
+    """
 
     poses: tuple[ShownPose, ...]
-    thread: tuple[Image, Image] | None
+    threads: tuple[Image, ...] = ()
+    without: Image | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,9 +87,10 @@ def save_cell(folder: Path, shown: ShownCell) -> None:
         for one in shown.poses
     ]
     _write(folder / _POSES, ("picture", "role", "x_m", "y_m", "angle_rad"), rows)
-    if shown.thread is not None:
-        cv2.imwrite(str(folder / _THREAD), shown.thread[0])
-        cv2.imwrite(str(folder / _WITHOUT), shown.thread[1])
+    if shown.without is not None:
+        for number, image in enumerate(shown.threads, 1):
+            cv2.imwrite(str(_thread(folder, number)), image)
+        cv2.imwrite(str(folder / _WITHOUT), shown.without)
 
 
 def read_cell(folder: Path) -> ShownCell:
@@ -96,10 +103,14 @@ def read_cell(folder: Path) -> ShownCell:
             raise InputError([Problem(folder / _POSES, line, None, "role", message)])
         x, y, angle = _numbers(folder / _POSES, line, row[2:])
         poses.append(ShownPose(role, Pose(x, y, angle), Picture(name, _read(folder / name))))
-    thread = None
-    if (folder / _THREAD).exists():
-        thread = (_read(folder / _THREAD), _read(folder / _WITHOUT))
-    return ShownCell(tuple(poses), thread)
+    present = itertools.takewhile(Path.exists, (_thread(folder, k) for k in itertools.count(1)))
+    threads = tuple(_read(path) for path in present)
+    return ShownCell(tuple(poses), threads, _read(folder / _WITHOUT) if threads else None)
+
+
+def _thread(folder: Path, number: int) -> Path:
+    """File of the plumb line at its `number`-th place, from 1."""
+    return folder / ("thread.png" if number == 1 else f"thread_{number}.png")
 
 
 def save_move(folder: Path, move: SeenMove) -> None:

@@ -10,6 +10,16 @@ from calib.errors import CalibrationError
 
 #: Views of the board.
 BOARD_VIEWS = 20
+#: Places of the plumb line.  The camera sees of one only that it hangs in a plane with the camera;
+#: two such planes meet along gravity.
+THREADS = 2
+
+_HANG = (
+    "hang a thread with a weight where the cable swings, let it come to rest, Enter; "
+    "or n, if there is none: the robot's base is then taken to be level to 0.2°",
+    "hang it at another place, a third of the picture's width or more beside the first, let it "
+    "come to rest, Enter; or n, if it cannot be: roll is then found half as well, or worse",
+)
 
 
 class Assistant(Protocol):
@@ -19,8 +29,8 @@ class Assistant(Protocol):
         """The board as the `number`-th view, from 1; `hint` says where it is lacking."""
         ...
 
-    def thread(self) -> bool:
-        """A plumb line in the cell's plane; False = there is none."""
+    def thread(self, number: int) -> bool:
+        """A plumb line in the cell's plane, at the `number`-th place; False = there is none."""
         ...
 
     def clear(self) -> None:
@@ -42,12 +52,9 @@ class Person:
         """Ask for the board."""
         self._asked(f"view {number} of {BOARD_VIEWS}: show the board{hint}; hold it still, Enter")
 
-    def thread(self) -> bool:
+    def thread(self, number: int) -> bool:
         """Ask for a plumb line."""
-        typed = self._asked(
-            "hang a thread with a weight where the cable swings, let it come to rest, Enter; "
-            "or n, if there is none: the robot's base is then taken to be level to 0.2°"
-        )
+        typed = self._asked(_HANG[min(number, len(_HANG)) - 1])
         return not typed.strip().lower().startswith("n")
 
     def clear(self) -> None:

@@ -152,7 +152,7 @@ class CalibrationJob:
         for k, goal in enumerate(measure.first_poses(self._settings)[::2]):
             rest = session.rest_at(goal)
             poses.append(raw.ShownPose("fit", rest.pose, raw.Picture(f"{k}", rest.image)))
-        shown = raw.ShownCell(tuple(poses), None)
+        shown = raw.ShownCell(tuple(poses))
         found = conclude.today(shown, cell, None, self._settings, str(self._config))
         if not found.good:
             return found

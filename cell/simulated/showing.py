@@ -13,6 +13,8 @@ from drivers.sim.camera import Staging
 
 #: How far the board is moved towards the camera and back, m.
 _DEPTH_M = 0.08
+#: Places of the plumb line beside the picture's middle, in widths of the picture.
+_ASIDE = 0.25
 
 
 class SimulatedAssistant:
@@ -39,7 +41,8 @@ class SimulatedAssistant:
         middle_m = np.array([(0.5 * width - column) * scale, (row - 0.5 * height) * scale, 0.0])
         self._board = board_of(settings)
         self._poses = board_poses(self._board, views, rng, middle_m, _DEPTH_M)
-        self._thread_m = float(middle_m[0])
+        aside_m = _ASIDE * width * scale
+        self._threads_m = [float(middle_m[0]) - aside_m, float(middle_m[0]) + aside_m]
         self._stage = stage
 
     def board(self, number: int, hint: str) -> None:
@@ -47,9 +50,9 @@ class SimulatedAssistant:
         pose = self._poses[(number - 1) % len(self._poses)]
         self._stage(Staging((board_patches(self._board, pose),), jaw=False))
 
-    def thread(self) -> bool:
+    def thread(self, number: int) -> bool:
         """Hang a thread in the plane."""
-        self._stage(Staging((plumb_line(self._thread_m, (-0.2, 0.1)),)))
+        self._stage(Staging((plumb_line(self._threads_m[number - 1], (-0.2, 0.1)),)))
         return True
 
     def clear(self) -> None:

@@ -63,12 +63,11 @@ class Truth:
             out.append(JawObservation(f"pose {k}", X_BT, pixels))
         return out
 
-    def gravity(self, rng, spread_rad=0.002):
-        """One plumb line in the plane, and a base that is level to `spread_rad`."""
+    def gravity(self, rng, places_m=(-0.08,), spread_rad=0.002):
+        """A plumb line in the plane at some places, and a base that is level to `spread_rad`."""
         y = np.linspace(-0.12, 0.0, 60)
-        thread = self.eye.to_pixels(np.column_stack([np.full(60, -0.08), y]))
-        thread = thread + rng.normal(0, 0.05, thread.shape)
-        return Gravity(UP, spread_rad, (thread,))
+        threads = [self.eye.to_pixels(np.column_stack([np.full(60, x), y])) for x in places_m]
+        return Gravity(UP, spread_rad, tuple(t + rng.normal(0, 0.05, t.shape) for t in threads))
 
     def off_m(self, fit):
         """(G,) distances, m, of the fitted map over the field."""
@@ -82,12 +81,12 @@ def camera_of(truth, rng):
     return camera.lens, camera.covariance
 
 
-def fitted(truth, rng, lens, count=24, **how):
+def fitted(truth, rng, lens, count=24, places_m=(-0.08,), **how):
     poses = hands(rng, count, in_plane=truth.in_plane)
     others = hands(rng, 6, in_plane=truth.in_plane)
     return fit_cell(
         truth.shown(rng, poses, **how), truth.shown(rng, others, **how), Plate(MARKS_M), *lens,
-        truth.gravity(rng), truth.home, in_plane=truth.in_plane,
+        truth.gravity(rng, places_m), truth.home, in_plane=truth.in_plane,
     )  # fmt: skip
 
 
@@ -113,6 +112,19 @@ def test_the_map_is_right_and_says_how_right(in_plane):
 
 def truth_roll(truth):
     return np.arctan2(truth.eye.X_CP[1, 0], truth.eye.X_CP[0, 0])
+
+
+def test_a_plumb_line_at_two_places_finds_roll_though_the_base_leans():
+    """At one place, whether the line leans towards a panned camera was taken for roll."""
+    rng = np.random.default_rng(17)
+    truth = Truth(rng, tilt_rad=0.4, pan_rad=0.1)
+    lens = (lens_of(truth.eye), 1e-8 * np.eye(9))
+    (_, spread_1), (roll, spread_2) = (
+        fitted(truth, rng, lens, places_m=places).roll() for places in ((0.0,), (0.0, -0.15))
+    )
+    assert spread_2 < 0.25 * spread_1
+    assert roll == pytest.approx(truth_roll(truth), abs=4.0 * spread_2)
+    assert roll == pytest.approx(truth_roll(truth), abs=1e-4)
 
 
 def test_the_plane_in_the_base_is_right():
