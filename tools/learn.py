@@ -14,7 +14,9 @@ import secrets
 import subprocess
 import sys
 import tempfile
-from dataclasses import dataclass
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -27,11 +29,14 @@ from cell.cable.effects import library
 from cell.identify.individual import identify
 from cell.records.folder import read_record
 from cell.settings import load_settings
+from cell.terminal.progress import duration
 
 CONFIG = Path(__file__).parents[1] / "config" / "fake.yaml"
 #: A mouth this high lets pass what is forecast well, and little else.
 MOUTH = ("y_m: [-0.111, -0.101]", "y_m: [-0.1085, -0.1035]")
 OFFSETS = ("step_m: 0.002", "step_m: 0.001")
+#: What a cable's cycle, its part in learning, and promoting take on a quiet computer, s.
+CYCLE_S, LEARNING_S, PROMOTING_S = 6.0, 15.0, 2.0
 #: What a hidden effect is drawn from: those that show in a cable of this size.
 DRAWN_FROM = ("air_drag", "linear_air_drag", "stress_relaxation", "bending_hysteresis", "tip_mass")
 
@@ -61,10 +66,37 @@ class Step:
         )
 
 
-def command(*arguments: object) -> int:
-    words = [str(a) for a in arguments]
-    print(f"\n$ cell {' '.join(words)}", flush=True)
-    return subprocess.run([sys.executable, "-m", "cell", *words], check=False).returncode
+@dataclass
+class Commands:
+    """Runs the loop's commands, and says before each what is done and about how long it will take.
+
+    usual_s  what each takes on a quiet computer; measured times correct what is left
+    """
+
+    usual_s: tuple[float, ...]
+    clock: Callable[[], float] = time.monotonic
+    taken_s: list[float] = field(default_factory=list)
+
+    def left_s(self) -> float:
+        """About how long the commands that are left still take."""
+        done = len(self.taken_s)
+        slower = sum(self.taken_s) / sum(self.usual_s[:done]) if done else 1.0
+        return slower * sum(self.usual_s[done:])
+
+    def line(self) -> str:
+        """What is done, for how long it has been, about how long the rest takes."""
+        step = f"step {len(self.taken_s) + 1} of {len(self.usual_s)}"
+        so_far, left = duration(sum(self.taken_s)), duration(self.left_s())
+        return f"{step}, {so_far} so far, about {left} left"
+
+    def run(self, *arguments: object) -> int:
+        """Exit code of `cell` with these words."""
+        words = [str(a) for a in arguments]
+        print(f"\n{self.line()}\n$ cell {' '.join(words)}", flush=True)
+        begun_s = self.clock()
+        code = subprocess.run([sys.executable, "-m", "cell", *words], check=False).returncode
+        self.taken_s.append(self.clock() - begun_s)
+        return code
 
 
 def config_in(folder: Path, effect: str, size: float) -> Path:
@@ -142,13 +174,18 @@ def main() -> int:
     old = folder / "before.yaml"
     old.write_bytes(config.read_bytes())
     again = ("--cycles", options.cables, "--seed", options.seed)
-    command("run", "--config", config, *again, "--out", folder / "before")
-    learned = command(
+    cycles_s = options.cables * CYCLE_S
+    commands = Commands((cycles_s, options.cables * LEARNING_S, PROMOTING_S, cycles_s))
+    commands.run("run", "--config", config, *again, "--out", folder / "before")
+    learned = commands.run(
         "learn", folder / "before", "--config", config, "-o", folder / "candidate.yaml"
     )
     if learned == 0 and (folder / "candidate.yaml").exists():
-        learned = command("promote", folder / "candidate.yaml", "--config", config)
-    command("run", "--config", config, *again, "--out", folder / "after")
+        learned = commands.run("promote", folder / "candidate.yaml", "--config", config)
+    else:
+        commands.taken_s.append(0.0)  # there is nothing to promote
+    commands.run("run", "--config", config, *again, "--out", folder / "after")
+    print(f"\nall of it took {duration(sum(commands.taken_s))}")
     before = Step("before", old, folder / "before")
     after = Step("after", config, folder / "after")
     print(f"\n{before.summary()}\n{after.summary()}")

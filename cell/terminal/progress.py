@@ -30,7 +30,7 @@ class Stage:
         words = [self.text]
         if self.total:
             words.append(f"{self.done} of {self.total}")
-        words.append(f"{_duration(now_s - started_s)} so far")
+        words.append(f"{duration(now_s - started_s)} so far")
         if left := self.left(now_s):
             words.append(f"{left} of this part")
         return ", ".join(words)
@@ -40,7 +40,7 @@ class Stage:
         if not 0 < self.done < self.total:
             return ""
         left_s = (now_s - self.begun_s) / self.done * (self.total - self.done)
-        return f"about {_duration(left_s)} left"
+        return f"about {duration(left_s)} left"
 
 
 class Ticker:
@@ -131,7 +131,7 @@ class ProgressLine:
             self._ticker.close()
 
 
-def _duration(seconds: float) -> str:
+def duration(seconds: float) -> str:
     """Whole seconds, or minutes and seconds."""
     minutes, rest = divmod(round(seconds), 60)
     return f"{minutes} min {rest} s" if minutes else f"{rest} s"
