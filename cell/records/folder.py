@@ -33,6 +33,7 @@ from cell.study.data import Study
 from cell.study.folder import read_study, write_study
 
 FORMAT = "cable-cycle/1"
+_AS_WRITTEN = "give the file as it was written, or leave the folder out"
 
 #: Enough for state and result, which are written when a cycle ends.
 RESERVE_BYTES = 64 * 1024
@@ -140,19 +141,31 @@ def read_record(folder: Path) -> Recorded:
             "is missing: not a cycle's folder; `cell list` shows those there are",
         )
     if state.get("format") != FORMAT:
-        message = f"format is {state.get('format')!r}, not {FORMAT!r}"
+        message = f"format is {state.get('format')!r}, not {FORMAT!r}; {_AS_WRITTEN}"
         raise InputError.at(folder / "state.json", message)
-    result = _read_json(folder / "result.json")
+    for key, kind in (("cycle", int), ("closed", bool)):
+        if type(state.get(key)) is not kind:
+            message = f"{key}: {state.get(key)!r} is no {kind.__name__}; {_AS_WRITTEN}"
+            raise InputError.at(folder / "state.json", message)
     return Recorded(
         folder=folder,
-        cycle=int(state["cycle"]),
-        closed=bool(state["closed"]),
+        cycle=state["cycle"],
+        closed=state["closed"],
         step=state.get("step"),
         state=state,
         study=read_study(folder / "study") if (folder / "study" / "study.yaml").exists() else None,
         model=_read_json(folder / "model.json"),
-        result=None if result is None else Result.from_json(result),
+        result=_read_result(folder / "result.json"),
     )
+
+
+def _read_result(path: Path) -> Result | None:
+    data = _read_json(path)
+    try:
+        return None if data is None else Result.from_json(data)
+    except (KeyError, TypeError, ValueError) as error:
+        message = f"is not a cycle's result ({type(error).__name__}: {error}); {_AS_WRITTEN}"
+        raise InputError.at(path, message) from error
 
 
 def _read_json(path: Path) -> dict[str, Any] | None:

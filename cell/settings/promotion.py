@@ -49,10 +49,17 @@ def read_candidate(path: Path) -> CandidateModel:
     ]
     if problems:
         raise InputError(problems)
+    problems = [
+        document.problem(("gates", i), "needs gate, passed and found; learn it again")
+        for i, gate in enumerate(data["gates"] if isinstance(data["gates"], list) else [None])
+        if not isinstance(gate, dict) or not {"gate", "passed", "found"} <= set(gate)
+    ]
+    if problems:
+        raise InputError(problems)
     nested = Document(
         path, data["model"], {k[1:]: v for k, v in document.places.items() if k[:1] == ("model",)}
     )
-    failed = {g["gate"]: g["found"] for g in data["gates"] if not g["passed"]}
+    failed = {str(g["gate"]): str(g["found"]) for g in data["gates"] if g["passed"] is not True}
     return CandidateModel(path, validate(nested, Model), str(data["beside"]), failed)
 
 

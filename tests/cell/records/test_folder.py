@@ -97,6 +97,13 @@ def test_what_is_not_a_record_is_refused_by_name(tmp_path: Path) -> None:
     (tmp_path / "state.json").write_text('{"format": ')
     with pytest.raises(InputError, match=r"state\.json:1:\d+: is not JSON"):
         read_record(tmp_path)
+    (tmp_path / "state.json").write_text('{"format": "cable-cycle/1", "closed": true}')
+    with pytest.raises(InputError, match=r"state\.json:1: cycle: None is no int; give the file"):
+        read_record(tmp_path)
+    (tmp_path / "state.json").write_text('{"format": "cable-cycle/1", "cycle": 1, "closed": true}')
+    (tmp_path / "result.json").write_text('{"outcome": "inserted", "fault": {"cause": 1}}')
+    with pytest.raises(InputError, match=r"result\.json:1: is not a cycle's result .* give the"):
+        read_record(tmp_path)
 
 
 def test_a_model_that_is_not_finite_is_refused_and_leaves_the_old_one(tmp_path: Path) -> None:

@@ -90,6 +90,13 @@ def test_what_failed_a_gate_or_was_learned_beside_another_model_is_refused(
     assert config.read_bytes() == before
 
 
+def test_a_gate_without_its_outcome_is_refused(tmp_path: Path, config: Path) -> None:
+    path = candidate(tmp_path, config, DRAG)
+    path.write_text(path.read_text().replace("passed: true", "assed: true"))
+    with pytest.raises(InputError, match="needs gate, passed and found; learn it again"):
+        read_candidate(path)
+
+
 def test_a_wrong_model_is_not_written(tmp_path: Path, config: Path) -> None:
     before = config.read_bytes()
     wrong = {"effects": [{"effect": "air_drag", "parameters": {"drag_coefficient": {"fixed": -1}}}]}
