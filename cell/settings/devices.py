@@ -15,6 +15,7 @@ class SimulatedArm(Section):
 
     kind: Literal["sim"]
     rate_hz: Annotated[float, Field(ge=50.0, le=1000.0)] = 500.0
+    """Poses told and measured per second."""
     lag_s: Annotated[float, Field(ge=0.0, le=0.3)] = 0.03
     """How late it follows."""
     noise_m: NotNegative = 10e-6
@@ -28,12 +29,16 @@ class UrArm(Section):
     host: Annotated[str, Field(min_length=1)]
     """Address of the controller."""
     model: Literal["UR3e", "UR5e", "UR10e"] = "UR5e"
+    """Arm's type, for its kinematics."""
     tcp: tuple[Finite, Finite, Finite, Finite, Finite, Finite] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     """Gripping point on the flange: x, y, z in m and rotation vector in rad.  Its x and y axes are
     the plane's when the clamp is level."""
     rate_hz: Annotated[float, Field(ge=50.0, le=500.0)] = 500.0
+    """Poses sent and measured per second: 500 for an e-series, 125 for a CB3."""
     lookahead_s: Annotated[float, Field(ge=0.03, le=0.2)] = 0.03
+    """By which the controller smooths the path that it is sent (`servoj`)."""
     gain: Annotated[float, Field(ge=100.0, le=2000.0)] = 300.0
+    """With which the controller follows that path (`servoj`)."""
     lag_s: Annotated[float, Field(ge=0.0, le=0.3)] = 0.034
     """Measured with this lookahead."""
     plane_origin_m: tuple[Finite, Finite, Finite]
@@ -48,15 +53,20 @@ class View(Section):
     """Where the camera's pixels lie in the cell's plane, the camera being square to it."""
 
     metres_per_pixel: Annotated[float, Field(gt=0.0, le=0.01)]
+    """Side of a pixel in the plane."""
     origin_column_px: Finite
     """Column of the picture in which the plane's origin is seen."""
     origin_row_px: Finite
+    """Row of the picture in which the plane's origin is seen."""
 
 
 class _Camera(Section):
     width_px: Annotated[int, Field(ge=64, le=10_000)] = 1280
+    """Columns of a picture."""
     height_px: Annotated[int, Field(ge=64, le=10_000)] = 1024
+    """Rows of a picture."""
     frame_rate_hz: Annotated[float, Field(ge=10.0, le=2000.0)] = 200.0
+    """Pictures per second."""
     view: View | None = None
     """Typed by hand, for a cell that is not calibrated; null = from the section `calibration`."""
 
@@ -66,7 +76,9 @@ class SimulatedCamera(_Camera):
 
     kind: Literal["sim"]
     exposure_s: NotNegative = 0.0005
+    """Time over which a picture gathers light."""
     lens_blur_px: NotNegative = 0.6
+    """Standard deviation of the blur by the lens."""
     read_noise: NotNegative = 1.0
     """Standard deviation, grey levels."""
 
@@ -101,6 +113,7 @@ class GenicamCamera(_RealCamera):
     serial_number: str | None = None
     """Null = the only camera there is."""
     exposure_s: Positive | None = 0.0005
+    """Time over which a picture gathers light; null = as it is."""
 
 
 class FilesCamera(_Camera):
@@ -108,6 +121,7 @@ class FilesCamera(_Camera):
 
     kind: Literal["files"]
     folder: Path
+    """Folder with the pictures and `frames.csv`, which has their times."""
 
 
 class _Gripper(Section):
@@ -130,7 +144,10 @@ class SerialGripper(_Gripper):
     force_n: Annotated[float, Field(ge=20.0, le=235.0)]
     """Closing force: it can do no less and no more."""
     port: Annotated[str, Field(min_length=1)]
+    """Device of the serial line."""
     address: Annotated[int, Field(ge=1, le=247)] = 9
+    """Modbus address of the gripper."""
     baud: Annotated[int, Field(ge=1200)] = 115_200
+    """Bits per second of the line."""
     reply_s: Annotated[float, Field(ge=0.005, le=1.0)] = 0.035
     """Time that an answer may take; two missing in a row are a lost gripper, and stop the arm."""

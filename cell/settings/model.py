@@ -60,7 +60,9 @@ class HandPose(Section):
     """Pose of the gripping point in the cell's plane."""
 
     x_m: Place = 0.0
+    """To the right of the plane's origin."""
     y_m: Place = 0.0
+    """Above the plane's origin."""
     angle_rad: Angle = 0.0
     """Clamp angle: 0 = level, positive = pointing down."""
 
@@ -69,8 +71,11 @@ class Offsets(Section):
     """Distances down that are simulated, one of which is executed."""
 
     first_m: NotNegative = 0.0
+    """The smallest."""
     last_m: NotNegative = 0.040
+    """The largest."""
     step_m: Positive = 0.002
+    """From one to the next."""
 
     @property
     def values_m(self) -> tuple[float, ...]:
@@ -83,8 +88,11 @@ class Briskness(Section):
     """How briskly the hand moves along either axis; no arm of this kind is brisker."""
 
     velocity_m_per_s: Annotated[float, Field(gt=0.0, le=5.0)]
+    """Greatest speed."""
     acceleration_m_per_s2: Annotated[float, Field(gt=0.0, le=100.0)]
+    """Greatest acceleration."""
     jerk_m_per_s3: Annotated[float, Field(gt=0.0, le=50_000.0)]
+    """Greatest jerk."""
 
 
 class Motion(Section):
@@ -125,8 +133,11 @@ class Limits(Briskness):
     """Beyond these no command is sent, whatever the motion asks for."""
 
     x_m: PlaceRange
+    """Least and greatest x of the gripping point."""
     y_m: PlaceRange
+    """Least and greatest y of the gripping point."""
     angle_rad: Annotated[tuple[Angle, Angle], AfterValidator(increasing)]
+    """Least and greatest clamp angle."""
 
 
 class Identification(Section):
@@ -189,6 +200,7 @@ class Model(Section):
     `cell learn` finds it out and `cell promote` writes it here."""
 
     effects: list[ModelEffect] = Field(default=[])
+    """Effects that all cables have, besides bending."""
     prior: BatchPrior | None = None
     """Null = a weak one."""
 
@@ -239,6 +251,7 @@ class Calibration(Section):
     """
 
     folder: Path = Path("calibration")
+    """Folder of the calibration, which `cell calibrate` writes."""
     max_age_days: Positive = 90.0
     """Of camera and cell."""
     time_max_age_h: Positive = 24.0
@@ -250,8 +263,11 @@ class Calibration(Section):
     square_m: Positive = 0.02
     """Side of a square of the board, as measured on the printout."""
     columns: Annotated[int, Field(ge=3, le=40)] = 12
+    """Squares of the board across."""
     rows: Annotated[int, Field(ge=3, le=40)] = 9
+    """Squares of the board down."""
     dictionary: str = "4X4_100"
+    """Of OpenCV's markers on the board."""
     legacy: bool = False
     """Pattern of the board as before OpenCV 4.6."""
 
@@ -264,10 +280,13 @@ class Settings(Section):
     motion: Motion = Motion()
     limits: Limits
     arm: Annotated[SimulatedArm | UrArm, Field(discriminator="kind")]
+    """The arm, by its kind."""
     camera: Annotated[
         SimulatedCamera | OpenCvCamera | GenicamCamera | FilesCamera, Field(discriminator="kind")
     ]
+    """The camera, by its kind."""
     gripper: Annotated[SimulatedGripper | SerialGripper, Field(discriminator="kind")]
+    """The gripper, by its kind."""
     vision: Vision = Vision()
     calibration: Calibration | None = None
     """Null = uncalibrated: `camera.view`, `camera.latency_s` and `arm.lag_s` are typed by hand."""

@@ -17,16 +17,23 @@ class HiddenCamera(Section):
     origin_column_px: Finite
     """Where a camera square to the plane would see its origin."""
     origin_row_px: Finite
+    """Row in which such a camera would see the plane's origin."""
     focal_px: Annotated[float, Field(ge=100.0, le=100_000.0)] = 2600.0
+    """Focal length."""
     tilt_rad: Annotated[float, Field(ge=-0.7, le=0.7)] = 0.0
     """Turn about the plane's x axis: positive = it looks down."""
     pan_rad: Annotated[float, Field(ge=-0.7, le=0.7)] = 0.0
+    """Turn about the plane's y axis."""
     roll_rad: Annotated[float, Field(ge=-0.7, le=0.7)] = 0.0
+    """Turn about the line of sight."""
     k1: Annotated[float, Field(ge=-0.5, le=0.5)] = 0.0
     """Distortion, with k2, p1 and p2 as in OpenCV."""
     k2: Annotated[float, Field(ge=-0.5, le=0.5)] = 0.0
+    """Distortion by the fourth power of the distance from the middle."""
     p1: Annotated[float, Field(ge=-0.01, le=0.01)] = 0.0
+    """Distortion by a lens that leans, first coefficient."""
     p2: Annotated[float, Field(ge=-0.01, le=0.01)] = 0.0
+    """Distortion by a lens that leans, second coefficient."""
     stamps_late_s: Annotated[float, Field(ge=0.0, le=0.5)] = 0.0
     """Of a simulated camera: its frames say that they were exposed that much later."""
 
@@ -69,5 +76,6 @@ class Emulated(Section):
     readout_s: Annotated[float, Field(ge=0.008, le=0.1)] = 0.012
     """From the middle of an exposure until the picture leaves the emulated camera."""
     lens_blur_px: NotNegative = 0.6
+    """Standard deviation of the blur by the lens."""
     read_noise: NotNegative = 1.0
     """Standard deviation, grey levels."""

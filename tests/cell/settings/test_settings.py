@@ -46,6 +46,18 @@ def test_what_is_resolved_can_be_loaded_again(tmp_path: Path) -> None:
     assert load_settings(path) == settings
 
 
+def test_every_entry_has_a_sentence() -> None:
+    schema = Settings.model_json_schema()
+    sections = {"": schema, **schema["$defs"]}
+    silent = [
+        f"{name}.{key}"
+        for name, section in sections.items()
+        for key, entry in section.get("properties", {}).items()
+        if not {"description", "$ref", "const"} & entry.keys()
+    ]
+    assert silent == []
+
+
 def test_the_schema_for_editors_is_fresh_and_accepts_what_is_shipped() -> None:
     schema = json.loads((CONFIG / "cell.schema.json").read_text(encoding="utf-8"))
     assert schema == Settings.model_json_schema(), "run `cell schema > config/cell.schema.json`"
