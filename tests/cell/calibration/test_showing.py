@@ -13,11 +13,19 @@ def test_nobody_at_the_terminal_is_an_error_with_its_remedy() -> None:
         raise EOFError
 
     person = Person(nobody)
-    for question in (lambda: person.board(3, ""), person.thread, person.clear):
+    for question in (lambda: person.board(3, ""), lambda: person.thread(1), person.clear):
         with pytest.raises(CalibrationError, match=r"somebody must act: .*--from a folder"):
             question()
 
 
-def test_an_answer_with_n_is_no_plumb_line() -> None:
-    assert Person(lambda words: "").thread()
-    assert not Person(lambda words: " No").thread()
+def test_a_plumb_line_is_asked_for_at_another_place_until_there_is_none() -> None:
+    asked: list[str] = []
+
+    def answer(words: str) -> str:
+        asked.append(words)
+        return " No" if len(asked) == 2 else ""
+
+    person = Person(answer)
+    assert [person.thread(1), person.thread(2)] == [True, False]
+    assert "another place" in asked[1]
+    assert "another place" not in asked[0]
