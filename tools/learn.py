@@ -29,7 +29,6 @@ from cell.cable.effects import library
 from cell.identify.individual import identify
 from cell.records.folder import read_record
 from cell.settings import load_settings
-from cell.terminal.progress import duration
 
 CONFIG = Path(__file__).parents[1] / "config" / "fake.yaml"
 #: A mouth this high lets pass what is forecast well, and little else.
@@ -39,6 +38,10 @@ OFFSETS = ("step_m: 0.002", "step_m: 0.001")
 CYCLE_S, LEARNING_S, PROMOTING_S = 6.0, 15.0, 2.0
 #: What a hidden effect is drawn from: those that show in a cable of this size.
 DRAWN_FROM = ("air_drag", "linear_air_drag", "stress_relaxation", "bending_hysteresis", "tip_mass")
+
+
+def _minutes(seconds: float) -> str:
+    return f"{seconds / 60:.1f} min"
 
 
 @dataclass(frozen=True)
@@ -86,7 +89,7 @@ class Commands:
     def line(self) -> str:
         """What is done, for how long it has been, about how long the rest takes."""
         step = f"step {len(self.taken_s) + 1} of {len(self.usual_s)}"
-        so_far, left = duration(sum(self.taken_s)), duration(self.left_s())
+        so_far, left = _minutes(sum(self.taken_s)), _minutes(self.left_s())
         return f"{step}, {so_far} so far, about {left} left"
 
     def run(self, *arguments: object) -> int:
@@ -185,7 +188,7 @@ def main() -> int:
     else:
         commands.taken_s.append(0.0)  # there is nothing to promote
     commands.run("run", "--config", config, *again, "--out", folder / "after")
-    print(f"\nall of it took {duration(sum(commands.taken_s))}")
+    print(f"\nall of it took {_minutes(sum(commands.taken_s))}")
     before = Step("before", old, folder / "before")
     after = Step("after", config, folder / "after")
     print(f"\n{before.summary()}\n{after.summary()}")
