@@ -118,7 +118,9 @@ def read_yaml(path: Path) -> Document:
         root = reader.compose(text)
         data = {} if root is None else data_of(root, ())
     except RecursionError as error:
-        message = f"is not YAML for this program: nested deeper than {MAX_DEPTH} levels"
+        message = (
+            f"is not YAML for this program: nested deeper than {MAX_DEPTH} levels; make it flatter"
+        )
         raise InputError.at(path, message, column=1) from error
     except YAMLError as error:
         mark = error.problem_mark or error.context_mark if _marked(error) else None

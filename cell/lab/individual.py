@@ -66,7 +66,7 @@ def read_model(path: Path, own: Mapping[str, type[Effect]] | None = None) -> Ide
     except InputError:
         raise
     except ValueError as error:
-        raise InputError.at(path, str(error)) from error
+        raise InputError.at(path, f"{error}; give a model as `cell fit -o` writes it") from error
 
 
 def _effects(

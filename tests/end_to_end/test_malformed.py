@@ -243,8 +243,8 @@ CASES_OF = [(command, kind) for command, (_, kinds) in COMMANDS.items() for kind
 TOO_LITTLE = {"learn", "calibrate", "discover", "suggest"}
 #: What to do, where a clause begins; or what would be right.
 REMEDY = re.compile(
-    r"(?:[;:,.]|\b(?:and|or)) (?:add|calibrate|check|close|correct|cut|give|indent|keep|learn|"
-    r"leave|look|make|measure|mend|name|quote|record|remove|rename|run|save|sort|take|use|write)\b|"
+    r"(?:[;:,.]|\b(?:and|or)) (?:add|calibrate|check|close|correct|count|cut|give|indent|keep|"
+    r"learn|leave|look|make|measure|mend|name|quote|record|remove|rename|run|save|sort|take|use|write)\b|"
     r"\b(?:must|should|needs?|allowed|limit|known: |did you mean|at (?:most|least)|not \S+ … \S+)",
     re.IGNORECASE,
 )

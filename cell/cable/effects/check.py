@@ -240,7 +240,7 @@ def _check_off(effect: type[Effect], path: Path) -> None:
 
     def off(hook: str, absent: bool) -> None:
         if not absent:
-            _refuse(effect, hook, path, f"is not off at {amplitudes}")
+            _refuse(effect, hook, path, f"is not off at {amplitudes}: mend that")
 
     if effect.force is not None:
         for place in _places():
