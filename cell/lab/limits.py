@@ -35,10 +35,13 @@ NEAR = 0.3
 def with_limits(explorer: Explorer, examination: Examination) -> Examination:
     """The examination with limits of every effect that was tried and is neither named nor tied.
 
-    Without, and with a warning, where there is no time for them.
+    None of an unexplained study: beside a wrong model the true effect would be excluded.  None,
+    and a warning, where there is no time for them.
     """
     diagnosis = examination.diagnosis
-    if any(w.code == "interrupted" for w in diagnosis.warnings):
+    if diagnosis.verdict == "unexplained" or any(
+        w.code == "interrupted" for w in diagnosis.warnings
+    ):
         return examination
     try:
         return replace(
