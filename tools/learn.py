@@ -41,7 +41,7 @@ DRAWN_FROM = ("air_drag", "linear_air_drag", "stress_relaxation", "bending_hyste
 
 
 def _minutes(seconds: float) -> str:
-    return f"{seconds / 60:.1f} min"
+    return f"{seconds:.0f} s" if seconds < 60.0 else f"{seconds / 60.0:.1f} min"
 
 
 @dataclass(frozen=True)

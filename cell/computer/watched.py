@@ -33,6 +33,7 @@ _LOOK_S = 0.25
 _TIDYING_S = 2.0
 #: So long if it has said that it will still answer, s.
 _ANSWERING_S = 30.0
+_PASSED_ON = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 #: Calls under way at a time, each in a slot: 8 bytes of a number that is odd during a call and
 #: grows by one at its beginning and at its end, then UTF-8 of what is called.
@@ -127,6 +128,8 @@ def go_on_watched(patience_s: float | None = None) -> None:
     calls = _Calls()
     ended, child_end = os.pipe()
     parent_end, lasting = os.pipe()
+    # a signal waits until whoever gets it knows what to do with it
+    signal.pthread_sigmask(signal.SIG_BLOCK, _PASSED_ON)
     child = os.fork()
     if child == 0:
         os.close(ended)
@@ -134,6 +137,11 @@ def go_on_watched(patience_s: float | None = None) -> None:
         _calls = calls
         signal.signal(signal.SIGINT, _interrupt_once)
         threading.Thread(target=_end_with, args=(parent_end,), daemon=True).start()
+        try:
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, _PASSED_ON)
+        except KeyboardInterrupt:  # given before there was anything to interrupt
+            os.write(2, b"interrupted\n")
+            os._exit(128 + signal.SIGINT)
         return
     os.close(child_end)
     os.close(parent_end)
@@ -186,8 +194,9 @@ class _Watch:
         self._cpu_s = cpu_s(child)
         self._given: int | None = None
         self._kill_s = float("inf")
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        for number in _PASSED_ON:
             signal.signal(number, self._pass_on)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, _PASSED_ON)
 
     def code(self) -> int:
         """Exit code of the command, once the child has ended."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy.special import ndtri as normal_quantile
 
 from cell.cable.effects.base import ActiveEffect, Effect, Parameter
 from cell.identify.fit import variance_inflation
@@ -138,7 +138,7 @@ class _Search:
         self._inflation = inflation
         self._one_sided = one_sided(slopes.effect)
         tail = 1.0 - CONFIDENCE if self._one_sided else 0.5 * (1.0 - CONFIDENCE)
-        self._reach = float(stats.norm.isf(tail))
+        self._reach = -float(normal_quantile(tail))
         self._room = (
             self._parameter.low - self._parameter.default,
             self._parameter.high - self._parameter.default,

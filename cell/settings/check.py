@@ -291,7 +291,7 @@ def _destination_in_reach(document: Document, settings: Settings) -> list[Proble
                 ("destination", "x_m"),
                 f"entry edge {entry_m:g} m is out of reach: the hand ends its stroke at "
                 f"{end_x_m:g} m and the free length is {length_m:g} m; "
-                "move it right or advance farther",
+                "give one farther right, or advance farther",
             )
         )
     if entry_m > motion.home.x_m:

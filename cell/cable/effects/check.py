@@ -88,7 +88,7 @@ def _check_form(effect: type[Effect], path: Path, line: int) -> None:
         refuse("parameters must be a tuple of Parameter; mind the comma after a single one")
     names = [q.name for q in effect.parameters]
     if len(set(names)) != len(names):
-        refuse(f"parameters have the same name twice: {names}")
+        refuse(f"parameters have the same name twice: {names}; rename one")
     if not any(q.amplitude for q in effect.parameters):
         refuse("no parameter is an amplitude: nothing switches the effect off")
     if not isinstance(effect.memory, tuple) or not all(isinstance(m, str) for m in effect.memory):

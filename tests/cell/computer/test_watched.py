@@ -95,6 +95,32 @@ def test_ctrl_c_is_heard_by_the_command_first() -> None:
     assert (process.returncode, said) == (1, "tidied up\n")
 
 
+_AT_ONCE = """
+import os, signal, sys
+from cell.computer import watched
+
+fork = os.fork
+
+def interrupted_fork():
+    child = fork()
+    if child:
+        os.kill(os.getpid(), signal.SIGINT)
+    return child
+
+os.fork = interrupted_fork
+watched.go_on_watched(1.0)
+with watched.must_end("f.py:3: mine.force"): sum(range(10**13))
+"""
+
+
+def test_a_signal_before_the_parent_listens_is_passed_on() -> None:
+    """It ended the parent with a traceback, and the child went on for ever."""
+    done = subprocess.run(
+        [sys.executable, "-c", _AT_ONCE], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert (done.returncode, done.stderr) == (130, "interrupted\n")
+
+
 def test_the_child_does_not_outlive_its_parent() -> None:
     process = watched("time.sleep(1000)")
     child = int(process.stdout.readline())

@@ -2,6 +2,8 @@
 
 import json
 import shutil
+import subprocess
+import sys
 
 import pytest
 import yaml
@@ -155,3 +157,15 @@ def test_a_config_or_effect_that_is_missing_is_named(folder, tmp_path):
     assert done.exit_code == 2
     assert "nowhere.yaml:1" in done.output
     assert not out.exists()
+
+
+def test_no_command_waits_for_statistics_that_it_does_not_use() -> None:
+    """`scipy.stats` and `scipy.signal` take half a second of every start."""
+    program = (
+        "import sys, cell.lab.session, cell.lab.limits, cell.lab.suggest\n"
+        "print(*sorted({'scipy.stats', 'scipy.signal'} & set(sys.modules)))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stdout) == (0, "\n")

@@ -31,6 +31,9 @@ SCHEMA = {
         "partial": {"items": {"required": ["effect", "tied_with", "explained_share"]}},
         "nearest": {"items": {"required": ["effect", "explained_share", "fit_rms_m", "peak"]}},
         "warnings": {"items": {"required": ["code", "message"]}},
+        "limits": {
+            "items": {"required": ["effect", "parameter", "unit", "low", "high", "tip_m"]},
+        },
         "verdict": {"enum": ["complete", "missing", "unexplained", "cannot_tell"]},
         "missing": {
             "items": {

@@ -30,10 +30,10 @@ def test_the_time_left_is_corrected_by_the_time_taken(learn, monkeypatch, capsys
     said = capsys.readouterr().out.splitlines()
     assert said == [
         "",
-        "step 1 of 4, 0 s so far, about 1 min 50 s left",
+        "step 1 of 4, 0 s so far, about 1.8 min left",
         "$ cell run",
         "",
-        "step 2 of 4, 48 s so far, about 2 min 52 s left",
+        "step 2 of 4, 48 s so far, about 2.9 min left",
         "$ cell learn folder",
     ]
     assert commands.left_s() == pytest.approx(26.0 * 108.0 / 84.0)
