@@ -127,7 +127,18 @@ def limit_rows(diagnosis: Diagnosis) -> list[list[str]]:
 def _range(limit: Limit) -> str:
     if limit.low is None or limit.high is None:
         return "this study could not have shown it"
-    return f"{limit.low:.3g} … {limit.high:.3g} {'' if limit.unit == '1' else limit.unit}".strip()
+    low, high = apart(limit.low, limit.high)
+    return f"{low} … {high} {'' if limit.unit == '1' else limit.unit}".strip()
+
+
+def apart(low: float, high: float) -> tuple[str, str]:
+    """Two numbers with three digits, and as many more as tell them apart to a tenth."""
+    digits = 3
+    while digits < 12 and abs(float(f"{low:.{digits}g}") - low) > 0.1 * (high - low):
+        digits += 1
+    while digits < 12 and abs(float(f"{high:.{digits}g}") - high) > 0.1 * (high - low):
+        digits += 1
+    return f"{low:.{digits}g}", f"{high:.{digits}g}"
 
 
 def place_in_words(share: float) -> str:

@@ -71,7 +71,7 @@ STARTING: Mapping[CellKind, Mapping[str, Any]] = {
             "kind": "serial",
             "port": "/tmp/cable-cell-gripper",
             "force_n": 20.0,
-            "reply_s": 0.15,
+            "reply_s": 0.5,
         },
         "world": {"segments": 60},
         "emulated": {},

@@ -76,7 +76,6 @@ _LIGHT = [
     ("hold_s: 1.0", "hold_s: 0.5"),
     ("decide_s: 0.7 ", "decide_s: 1.5 "),
     ("step_m: 0.002", "step_m: 0.01"),
-    ("reply_s: 0.15", "reply_s: 0.5"),
 ]
 
 

@@ -13,7 +13,7 @@ from cell.lab.explore import Explorer
 from cell.lab.prepared import PreparedStudy
 from cell.lab.results import Diagnosis, Errors, MissingEffect
 from cell.lab.tables import sentence, steps_text
-from cell.lab.wording import left_in_words, noise_in_words
+from cell.lab.wording import apart, left_in_words, noise_in_words
 
 
 def diagnosis(verdict, *names, tied=(), noise_m=1e-4, after_m=1e-4):
@@ -80,3 +80,16 @@ def test_one_statement_about_noise_where_the_study_states_it_and_the_camera_is_b
     words = {left_in_words(w, shown) for w in shown.where}
     assert words <= {"noise", "a pattern within the stated error"}
     assert "as stated (camera noise at rest 0.002 mm)" in noise_in_words(shown)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "shown"),
+    [
+        (0.0, 0.0118, ("0", "0.0118")),
+        (0.99993, 1.00008, ("0.99993", "1.00008")),  # was "1 … 1"
+        (-1.68e-5, 8.36e-6, ("-1.68e-05", "8.36e-06")),
+        (1.0, 1.0, ("1", "1")),
+    ],
+)
+def test_the_ends_of_a_narrow_range_are_told_apart(low, high, shown):
+    assert apart(low, high) == shown
