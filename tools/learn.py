@@ -34,7 +34,8 @@ CONFIG = Path(__file__).parents[1] / "config" / "fake.yaml"
 #: A mouth this high lets pass what is forecast well, and little else.
 MOUTH = ("y_m: [-0.111, -0.101]", "y_m: [-0.1085, -0.1035]")
 OFFSETS = ("step_m: 0.002", "step_m: 0.001")
-#: What a cable's cycle, its part in learning, and promoting take on a quiet computer, s.
+#: First guesses of what a cable's cycle, its part in learning, and promoting take, s; what the
+#: commands really took corrects them.
 CYCLE_S, LEARNING_S, PROMOTING_S = 6.0, 15.0, 2.0
 #: What a hidden effect is drawn from: those that show in a cable of this size.
 DRAWN_FROM = ("air_drag", "linear_air_drag", "stress_relaxation", "bending_hysteresis", "tip_mass")
@@ -73,7 +74,7 @@ class Step:
 class Commands:
     """Runs the loop's commands, and says before each what is done and about how long it will take.
 
-    usual_s  what each takes on a quiet computer; measured times correct what is left
+    usual_s  first guess of what each takes; measured times correct what is left
     """
 
     usual_s: tuple[float, ...]

@@ -33,6 +33,7 @@ _LOOK_S = 0.25
 _TIDYING_S = 2.0
 #: So long if it has said that it will still answer, s.
 _ANSWERING_S = 30.0
+#: What the parent hands on to the child.
 _PASSED_ON = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 #: Calls under way at a time, each in a slot: 8 bytes of a number that is odd during a call and
@@ -221,7 +222,6 @@ class _Watch:
         again = self._given is not None
         if not again:
             self._given = number
-            self._most = max(1, round(_TIDYING_S / _LOOK_S))
         answers = self._calls.answers and number == signal.SIGINT and not again
         self._kill_s = min(
             self._kill_s, time.monotonic() + (_ANSWERING_S if answers else _TIDYING_S)
