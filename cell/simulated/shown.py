@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from calib.board import Board
 from drivers.sim.pinhole import Pinhole
-from drivers.sim.render import Patches, RenderOptions, render
+from drivers.sim.render import Patches, RenderOptions, backdrop, render
 
 FloatArray = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -82,4 +82,5 @@ def photograph_board(
     rng: np.random.Generator,
 ) -> Image:
     """Picture of what is shown, without the gripper."""
-    return render(None, None, eye, options, rng, patches=patches)
+    behind = backdrop(patches, eye, options)
+    return render(None, None, eye, options, rng, behind=behind)

@@ -35,7 +35,7 @@ class Twins:
     def stage(self, staging: Staging) -> None:
         """Hold something before the camera."""
         if isinstance(self.camera, SimCamera):
-            self.camera.staging = staging
+            self.camera.stage(staging)
 
 
 def build_twins(

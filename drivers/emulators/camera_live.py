@@ -12,6 +12,7 @@ from drivers.emulators.camera_poses import RtdePoses
 from drivers.interfaces import FloatArray, Image, Trajectory
 from drivers.plane_mount import PlaneMount
 from drivers.sim.camera import CameraTwinOptions, Staging, photograph
+from drivers.sim.render import LightArray
 from drivers.sim.world import View
 from drivers.ur_kinematics import MODELS
 from drivers.ur_pose import matrix_of
@@ -80,6 +81,7 @@ class LiveScene:
         self._rng = np.random.default_rng(seed)
         self._cable: LiveCable | None = None
         self._staging = Staging()
+        self._behind: LightArray | None = None
         self._grip = _Track()
         self._shape = _Track()
         self._new_s, self._new = np.empty(0), np.empty((0, 3))  # poses new to the cable
@@ -99,7 +101,7 @@ class LiveScene:
         raises  TypeError: anything else
         """
         if isinstance(message, Staging):
-            self._staging = message
+            self._staging, self._behind = message, message.light(self._camera)
             return
         if message is not None and not callable(message):
             raise TypeError(f"{message!r} is neither a cable's factory nor None")
@@ -128,7 +130,8 @@ class LiveScene:
             View(moments_s, self._grip.at(moments_s), cables),
             self._camera,
             self._rng,
-            self._staging,
+            jaw=self._staging.jaw,
+            behind=self._behind,
         )
 
     def keep_up(self) -> None:

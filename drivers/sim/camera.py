@@ -15,7 +15,7 @@ from drivers.interfaces import (
     Image,
 )
 from drivers.sim.pinhole import Sight
-from drivers.sim.render import Patches, Rates, RenderOptions, render
+from drivers.sim.render import LightArray, Patches, Rates, RenderOptions, backdrop, render
 from drivers.sim.world import View, World
 
 _LOST_REMEDY = "check the camera's cable and power, then connect again"
@@ -65,6 +65,10 @@ class Staging:
     patches: tuple[Patches, ...] = ()
     jaw: bool = True
 
+    def light(self, options: CameraTwinOptions) -> LightArray | None:
+        """(H, W) light of it in the empty scene, to be drawn once; None = nothing is shown."""
+        return backdrop(self.patches, options.sight, options.picture) if self.patches else None
+
 
 class SimCamera:
     """A camera in a simulated world; a frame costs nothing until it is read."""
@@ -74,7 +78,8 @@ class SimCamera:
     ) -> None:
         self.name = name
         self.faults = CameraFaults()
-        self.staging = Staging()
+        self._staging = Staging()
+        self._behind: LightArray | None = None
         self._world = world
         self._clock = world.clock
         self._options = options
@@ -90,6 +95,10 @@ class SimCamera:
     def frame_rate_hz(self) -> float:
         """Frames per second."""
         return self._options.frame_rate_hz
+
+    def stage(self, staging: Staging) -> None:
+        """Show something from now on."""
+        self._staging, self._behind = staging, staging.light(self._options)
 
     def connect(self) -> None:
         """Raises ConnectError."""
@@ -169,21 +178,27 @@ class SimCamera:
         span_s = max(picture.exposure_s, 1e-4)
         view = self._world.look(exposed_s + span_s * np.array([-0.5, 0.0, 0.5]))
         rng = np.random.default_rng([self._seed, self._recordings, index])
-        return photograph(view, replace(self._options, picture=picture), rng, self.staging)
+        options = replace(self._options, picture=picture)
+        return photograph(view, options, rng, jaw=self._staging.jaw, behind=self._behind)
 
 
 def photograph(
     view: View,
     options: CameraTwinOptions,
     rng: np.random.Generator,
-    staging: Staging = Staging(),
+    *,
+    jaw: bool = True,
+    behind: LightArray | None = None,
 ) -> Image:
-    """Picture of a view at three moments: the exposure's beginning, middle and end."""
+    """Picture of a view at three moments: the exposure's beginning, middle and end.
+
+    jaw, behind  as of a `Staging`
+    """
     span_s = float(view.t_s[2] - view.t_s[0])
     cables = view.cables
     return render(
         None if cables is None else cables[1],
-        _triple(view.grip[1]) if staging.jaw else None,
+        _triple(view.grip[1]) if jaw else None,
         options.sight,
         options.picture,
         rng,
@@ -191,7 +206,7 @@ def photograph(
             None if cables is None else (cables[2] - cables[0]) / span_s,
             _triple((view.grip[2] - view.grip[0]) / span_s),
         ),
-        patches=staging.patches,
+        behind=behind,
     )
 
 

@@ -117,7 +117,7 @@ def render(
     *,
     rates: Rates = STILL,
     second_cable_m: FloatArray | None = None,
-    patches: Sequence[Patches] = (),
+    behind: LightArray | None = None,
 ) -> Image:
     """One frame of the jaw and the cable in the cell's plane, about 1 ms.
 
@@ -128,13 +128,11 @@ def render(
     rng             noise of this frame
     rates           for motion blur; the frame's time is the middle of the exposure
     second_cable_m  (K, 2) another cable in the picture
-    patches         what else is in the scene, the nearest last
+    behind          what stands behind, by `backdrop`; None = the empty scene
     returns         (height_px, width_px) uint8
     raises          ValueError: shapes disagree
     """
     polygons = _Polygons(sight)
-    for patch in patches:
-        polygons.add(patch.corners_m, patch.levels, patch.hides, 1.0)
     copies = _copies(cable_m, rates, sight, options)
     for share in (np.arange(copies) + 0.5) / copies - 0.5:
         later_s = float(share) * options.exposure_s
@@ -149,8 +147,7 @@ def render(
     if options.occluder_m is not None:
         polygons.add_rectangle(options.occluder_m, (0.0, 0.0, 0.0), options.plate_level, 1.0)
 
-    background = _background(options)
-    light = polygons.over(background, options.lens_blur_px)
+    light = polygons.over(_background(options) if behind is None else behind, options.lens_blur_px)
     bank = _noise_bank(options.width_px * options.height_px)
     image: Image = np.empty((options.height_px, options.width_px), dtype=np.uint8)
     _expose(
@@ -163,6 +160,17 @@ def render(
         image.reshape(-1),
     )
     return image
+
+
+def backdrop(patches: Sequence[Patches], sight: Sight, options: RenderOptions) -> LightArray:
+    """(height_px, width_px) light of the scene with patches in it, the nearest last.
+
+    A board has a thousand of them: whoever photographs it again and again draws it once.
+    """
+    polygons = _Polygons(sight)
+    for patch in patches:
+        polygons.add(patch.corners_m, patch.levels, patch.hides, 1.0)
+    return polygons.over(_background(options), options.lens_blur_px)
 
 
 # --- light ------------------------------------------------------------------------------------

@@ -3,6 +3,7 @@ from __future__ import annotations
 import importlib
 import inspect
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,8 +16,9 @@ from drivers.emulators.launch import EmulatedController, EmulatorError
 from drivers.interfaces import FloatArray, Trajectory
 from drivers.opencv_camera import OpenCvCamera, OpenCvOptions
 from drivers.plane_mount import PlaneMount
-from drivers.sim.camera import CameraTwinOptions
-from drivers.sim.render import RenderOptions
+from drivers.sim import render
+from drivers.sim.camera import CameraTwinOptions, Staging
+from drivers.sim.render import Patches, RenderOptions
 from drivers.ur_kinematics import UR5E
 
 PICTURE = RenderOptions(
@@ -114,6 +116,32 @@ class LateFeed(Feed):
         return (
             None if path is None else Trajectory(path.t_s, 0 * path.t_s, 0 * path.t_s, 0 * path.t_s)
         )
+
+
+def test_what_is_shown_is_drawn_once_and_each_picture_has_its_own_noise(monkeypatch) -> None:
+    """A board of a thousand polygons, drawn 60 times a second, left a busy computer no pictures."""
+    drawn: list[int] = []
+    gather = render.gather
+    monkeypatch.setattr(
+        render,
+        "gather",
+        lambda corners, *rest: (drawn.append(len(corners)), gather(corners, *rest)),
+    )
+    feed = Feed()
+    feed.until_s = 0.1
+    noisy = replace(CAMERA, picture=replace(PICTURE, read_noise=2.0))
+    scene = LiveScene(feed, noisy)
+    empty = scene.picture(0.09)
+    corner_m = np.array([[-0.04, -0.04], [0.04, -0.04], [0.04, 0.04], [-0.04, 0.04]])
+    board = Patches(np.tile(corner_m, (1000, 1, 1)), np.full(1000, -0.1), np.zeros(1000))
+    scene.tell(Staging((board,), jaw=False))
+    first, second = scene.picture(0.09), scene.picture(0.09)
+    assert drawn.count(1000) == 1
+    darker = np.median(empty[60:140, 100:180]) - np.median(first[60:140, 100:180])
+    assert darker == pytest.approx(100.0, abs=1.0)
+    assert np.std(first.astype(float) - second) == pytest.approx(2.0 * np.sqrt(2.0), rel=0.1)
+    scene.tell(Staging())
+    assert abs(float(np.mean(empty)) - float(np.mean(scene.picture(0.09)))) < 0.5
 
 
 def test_a_picture_waits_for_a_pose_that_is_under_way_but_not_for_an_arm_without_power() -> None:
