@@ -19,8 +19,11 @@ from cell.cli.streams import usable_streams
 from cell.computer.watched import go_on_watched
 from cell.terminal.logs import about, to_file, to_terminal
 
-#: Commands that run a user's own effects at length; another process watches that they end.
-WATCHED = ("fit", "compare", "diagnose", "discover", "suggest", "identify", "learn")
+#: Commands that run a user's own effects; another process watches that they end.
+WATCHED = (
+    *("fit", "compare", "diagnose", "discover", "suggest", "identify", "learn"),
+    *("check", "effects", "promote"),
+)
 
 app = typer.Typer(
     name="cell",

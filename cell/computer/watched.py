@@ -18,6 +18,7 @@ import time
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 
@@ -28,7 +29,7 @@ PATIENCE_S = 3.0
 _BUSY = 2.5
 #: The parent looks so often, s.  What it counts are looks: while both processes are stopped, as by
 #: Ctrl-Z, nothing is counted.
-_LOOK_S = 0.25
+LOOK_S = 0.25
 #: After Ctrl-C the child may tidy up for so long, s.
 _TIDYING_S = 2.0
 #: So long if it has said that it will still answer, s.
@@ -43,7 +44,7 @@ _SLOTS, _SLOT_BYTES, _NUMBER_BYTES = 256, 1024, 8
 _STUCK = 2
 
 
-class _Calls:
+class Calls:
     """Calls that are under way, in memory that parent and child share."""
 
     def __init__(self) -> None:
@@ -94,7 +95,7 @@ class _Calls:
         self._memory[begin : begin + _NUMBER_BYTES] = number.to_bytes(_NUMBER_BYTES, "little")
 
 
-_calls: _Calls | None = None
+_calls: Calls | None = None
 
 
 @contextmanager
@@ -126,7 +127,7 @@ def go_on_watched(patience_s: float | None = None) -> None:
     patience_s  None = as usual
     """
     global _calls
-    calls = _Calls()
+    calls = Calls()
     ended, child_end = os.pipe()
     parent_end, lasting = os.pipe()
     # a signal waits until whoever gets it knows what to do with it
@@ -172,6 +173,11 @@ def cpu_s(process: int) -> float:
     return (int(after_name[11]) + int(after_name[12])) / os.sysconf("SC_CLK_TCK")
 
 
+def no_end(patience_s: float) -> str:
+    """What is said of a call that took longer."""
+    return f"takes more than {patience_s:g} s, as a loop without end does: mend that"
+
+
 def wants_to_compute(process: int) -> bool:
     """Whether a thread of a process has a core or waits for one; False if nobody can tell."""
     try:
@@ -181,18 +187,70 @@ def wants_to_compute(process: int) -> bool:
     return any(text.rsplit(")", 1)[1].split()[0] == "R" for text in threads)
 
 
+class GivenTime:
+    """Time in which a process could have gone on, from one look at it to the next."""
+
+    def __init__(self, process: int) -> None:
+        self._process = process
+        self._cpu_s = cpu_s(process)
+
+    def since_last_look_s(self) -> float:
+        """All of it while the process sleeps; while it wants to compute, what it was given."""
+        before_s, self._cpu_s = self._cpu_s, cpu_s(self._process)
+        if not wants_to_compute(self._process):
+            return LOOK_S
+        return min(LOOK_S, self._cpu_s - before_s)
+
+
+@dataclass
+class UnderWay:
+    """What a call that has not ended was given: s of its process's own time, and s of looks."""
+
+    own_s: float = 0.0
+    looks_s: float = 0.0
+
+    def look(self, given_s: float) -> None:
+        """One more look at which the call is still under way."""
+        self.own_s += given_s
+        self.looks_s += LOOK_S
+
+    def is_stuck(self, patience_s: float) -> bool:
+        """Whether a call that ends would have ended; others may have held the cores."""
+        return self.own_s >= patience_s - 0.5 * LOOK_S or self.looks_s >= _BUSY * patience_s
+
+
+class LooksAtCalls:
+    """Counts looks at the calls of a process, and tells which does not come to an end."""
+
+    def __init__(self, calls: Calls, process: int, patience_s: float) -> None:
+        self._calls = calls
+        self._given = GivenTime(process)
+        self._patience_s = patience_s
+        self._numbers = calls.numbers()
+        self._under_way = [UnderWay() for _ in self._numbers]
+
+    def stuck(self) -> int | None:
+        """Look once more: slot of a call that is under way for too long."""
+        numbers, given_s = self._calls.numbers(), self._given.since_last_look_s()
+        for slot, (number, before) in enumerate(zip(numbers, self._numbers, strict=True)):
+            if number == before and number % 2 == 1:
+                self._under_way[slot].look(given_s)
+            elif self._under_way[slot].looks_s:
+                self._under_way[slot] = UnderWay()
+        self._numbers = numbers
+        stuck = (s for s, u in enumerate(self._under_way) if u.is_stuck(self._patience_s))
+        return next(stuck, None)
+
+
 class _Watch:
     """The parent: waits for the child's end, passes signals on, counts looks at the same call."""
 
-    def __init__(self, child: int, ended: int, calls: _Calls, patience_s: float) -> None:
+    def __init__(self, child: int, ended: int, calls: Calls, patience_s: float) -> None:
         self._child = child
         self._ended = ended
         self._calls = calls
         self._patience_s = patience_s
-        self._numbers = calls.numbers()
-        self._looks_s = [0.0] * _SLOTS
-        self._own_s = [0.0] * _SLOTS
-        self._cpu_s = cpu_s(child)
+        self._looks = LooksAtCalls(calls, child, patience_s)
         self._given: int | None = None
         self._kill_s = float("inf")
         for number in _PASSED_ON:
@@ -201,18 +259,15 @@ class _Watch:
 
     def code(self) -> int:
         """Exit code of the command, once the child has ended."""
-        while not select.select([self._ended], [], [], _LOOK_S)[0]:
+        while not select.select([self._ended], [], [], LOOK_S)[0]:
             if time.monotonic() > self._kill_s:
                 os.kill(self._child, signal.SIGKILL)
-            elif (stuck := self._stuck()) is not None:
+            elif (stuck := self._looks.stuck()) is not None:
                 os.kill(self._child, signal.SIGKILL)
                 if self._given is not None:
                     continue
                 os.waitpid(self._child, 0)
-                self._say(
-                    f"{self._calls.what(stuck)} takes more than {self._patience_s:g} s, as a loop "
-                    "without end does: mend that"
-                )
+                self._say(f"{self._calls.what(stuck)} {no_end(self._patience_s)}")
                 return _STUCK
         _, status = os.waitpid(self._child, 0)
         code = os.waitstatus_to_exitcode(status)
@@ -228,31 +283,6 @@ class _Watch:
         )
         with contextlib.suppress(ProcessLookupError):
             os.kill(self._child, number)
-
-    def _stuck(self) -> int | None:
-        """Slot of a call that is under way for too long."""
-        numbers, own_s = self._calls.numbers(), self._since_last_look_s()
-        for slot, (number, before) in enumerate(zip(numbers, self._numbers, strict=True)):
-            same = number == before and number % 2 == 1
-            self._looks_s[slot] = self._looks_s[slot] + _LOOK_S if same else 0.0
-            self._own_s[slot] = self._own_s[slot] + own_s if same else 0.0
-        self._numbers = numbers
-        return next((s for s in range(_SLOTS) if self._is_stuck(s)), None)
-
-    def _is_stuck(self, slot: int) -> bool:
-        if self._own_s[slot] >= self._patience_s - 0.5 * _LOOK_S:
-            return True
-        return self._looks_s[slot] >= _BUSY * self._patience_s
-
-    def _since_last_look_s(self) -> float:
-        """Time since the last look in which the child could have gone on, s.
-
-        All of it while it sleeps; while it wants to compute, what it was given of the cores.
-        """
-        before_s, self._cpu_s = self._cpu_s, cpu_s(self._child)
-        if not wants_to_compute(self._child):
-            return _LOOK_S
-        return min(_LOOK_S, self._cpu_s - before_s)
 
     def _killed(self, number: int) -> int:
         """Exit code after a signal has ended the child; says what was called then."""

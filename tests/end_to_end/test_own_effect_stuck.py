@@ -1,5 +1,6 @@
 """An effect of one's own that gets stuck, or fails, only in a fit is named by the command."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -94,3 +95,33 @@ def test_the_command_ends_and_names_effect_file_and_line(
     assert done.returncode == 2
     assert done.stderr.splitlines()[-1] == f"{path}:{line}: {said}"
     assert not out.exists()
+
+
+LATER = HEAD.replace('"""Mine."""', '"""Mine."""\nimport os') + (
+    "    def extra_length(cable, p):\n"
+    "        while os.environ.get('STUCK'):\n"
+    "            pass\n"
+    "        return p.size\n"
+)
+
+
+@pytest.mark.parametrize(
+    "words", [["effects", "--effect", "mine.py"], ["compare", "study", "--model", "model.json"]]
+)
+def test_an_effect_that_was_tried_before_and_is_stuck_now_is_named(
+    study: Path, tmp_path: Path, words: list[str]
+) -> None:
+    """It is not tried elsewhere again; loading it hung for ever."""
+    path = tmp_path / "mine.py"
+    path.write_text(LATER)
+    (tmp_path / "study").symlink_to(study)
+    fit = ["fit", "study", "--effect", "mine.py", "-o", "model.json"]
+    command = [sys.executable, "-c", PROGRAM]
+    subprocess.run([*command, *fit], cwd=tmp_path, timeout=120, check=True, capture_output=True)
+    done = subprocess.run(
+        [*command, *words], cwd=tmp_path, env=os.environ | {"STUCK": "1"},
+        capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr.splitlines()[-1:]) == (
+        2, [f"{path}:13: mine.extra_length {ENDS}"],
+    )  # fmt: skip

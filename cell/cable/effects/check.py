@@ -20,6 +20,7 @@ import numpy as np
 
 from cell.cable.effects.base import Bend, CableData, Effect, HandMotion, Parameter, Place
 from cell.cable.effects.refused import EffectError
+from cell.computer.watched import PATIENCE_S
 
 #: Arguments of every hook.
 HOOKS = {
@@ -42,10 +43,8 @@ _CABLE = CableData(0.016, 1e-4, 0.0074, 0.1)
 
 
 #: Told what is tried next, its line, and the seconds of computing that it may take.
-Doing = Callable[[str, int, int], None]
+Doing = Callable[[str, int, float], None]
 
-#: Time that trying a hook may take, s of the clock; it takes microseconds.
-HOOK_S = 5
 #: States of a swing at which a hook is called once more.
 STATES = 4000
 
@@ -61,11 +60,11 @@ def check(effect: type[Effect], doing: Doing = lambda what, line, seconds: None)
         p = SimpleNamespace(**values)
         for hook in HOOKS:
             if getattr(effect, hook) is not None:
-                doing(f"{effect.name}.{hook}", _line(effect, hook), HOOK_S)
+                doing(f"{effect.name}.{hook}", _line(effect, hook), PATIENCE_S)
                 _try(effect, hook, p, path)
     _check_off(effect, path)
     if effect.dissipative:
-        _check_dissipation(effect, path)
+        _check_dissipation(effect, path, doing)
 
 
 def _where(effect: type[Effect]) -> tuple[Path, int]:
@@ -265,9 +264,12 @@ def _check_off(effect: type[Effect], path: Path) -> None:
         off("camera_points", np.allclose(effect.camera_points(_CABLE, xy, p), xy, atol=1e-12))
 
 
-def _check_dissipation(effect: type[Effect], path: Path) -> None:
+def _check_dissipation(effect: type[Effect], path: Path, doing: Doing) -> None:
     for values in _probe_values(effect):
         p = SimpleNamespace(**values)
+        hook = "force" if effect.moment is None else "moment"
+        if getattr(effect, hook) is not None:
+            doing(f"{effect.name}.{hook}", _line(effect, hook), PATIENCE_S)
         if effect.force is not None:
             for place in _places():
                 fx, fy = effect.force(_CABLE, place, p)

@@ -7,17 +7,19 @@ import importlib.util
 import inspect
 import re
 import sys
+from contextlib import ExitStack
 from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from types import CodeType, ModuleType
 
 from cell.cable.effects import air, bending, camera, grip, hand, lens, plastic
 from cell.cable.effects.base import Effect, EffectFile
-from cell.cable.effects.check import HOOK_S, HOOKS, Doing, check, visit_many_states
+from cell.cable.effects.check import HOOKS, Doing, check, visit_many_states
 from cell.cable.effects.compiled import loops_of, proof_of
 from cell.cable.effects.own import first_line, watch_hooks
 from cell.cable.effects.refused import EffectError
 from cell.cable.effects.trial import COMPILING_S, try_effect
+from cell.computer.watched import PATIENCE_S, must_end
 
 #: A law fits on a page.
 MAX_BYTES = 100_000
@@ -54,7 +56,16 @@ def load_effect(path: str | Path, *, trusted: bool = False) -> type[Effect]:
     if not trusted and not proof.exists():
         try_effect(file, _tried)
         proof.touch()
-    return _loaded(file, lambda what, line, seconds: None)
+    with ExitStack() as step:
+
+        def doing(what: str, line: int, seconds: float) -> None:
+            """The step before has ended; if this one does not, whoever watches says so."""
+            step.close()
+            if seconds <= PATIENCE_S:
+                step.enter_context(must_end(f"{file}:{line}: {what}"))
+
+        doing("its module", 1, PATIENCE_S)
+        return _loaded(file, doing)
 
 
 def _tried(file: Path, doing: Doing) -> None:
@@ -62,7 +73,7 @@ def _tried(file: Path, doing: Doing) -> None:
     effect = _loaded(file, doing)
     if effect.force is None and effect.moment is None:
         return
-    doing(f"{effect.name}: a hook, in some state of a swing,", first_line(effect), HOOK_S)
+    doing(f"{effect.name}: a hook, in some state of a swing,", first_line(effect), PATIENCE_S)
     visit_many_states(effect)
 
 

@@ -18,17 +18,18 @@ from pathlib import Path
 from types import ModuleType
 
 from cell.cable.effects.refused import EffectError
+from cell.computer.watched import LOOK_S, PATIENCE_S, GivenTime, UnderWay, no_end
 
-#: Time that one step of the trial may take, s of the clock: a hook takes microseconds.
-STEP_S = 5
-#: The same of compiling the hooks; and of the process's own beginning.
-COMPILING_S = 120
+#: Time that compiling the hooks may take, s; and the process's own beginning.
+COMPILING_S = 120.0
 #: Memory that it may take, bytes; numba's libraries are mapped into most of it.
 MEMORY_BYTES = 6 * 1024**3
 
 
-def try_effect(file: Path, load: Callable[[Path, Callable[[str, int, int], None]], None]) -> None:
+def try_effect(file: Path, load: Callable[[Path, Callable[[str, int, float], None]], None]) -> None:
     """Run `load(file, doing)` elsewhere; `doing` is told what comes next, its line, seconds for it.
+
+    Time in which others have the cores counts as in `cell.computer.watched`.
 
     raises  EffectError: that of `load`, or what ended the process, with what was done then
     """
@@ -40,22 +41,26 @@ def try_effect(file: Path, load: Callable[[Path, Callable[[str, int, int], None]
         process.start()
     sender.close()
     what, line, patience_s = "its module", 1, COMPILING_S
-    cause = "takes more than {} s, as a loop without end does: mend that"
+    given, under_way = GivenTime(process.pid or 0), UnderWay()
     try:
-        while receiver.poll(patience_s):
+        while not under_way.is_stuck(patience_s):
+            if not receiver.poll(LOOK_S):
+                under_way.look(given.since_last_look_s())
+                continue
             kind, text, at, patience_s = receiver.recv()
             if kind == "right":
                 return
             if kind == "refused":
                 raise EffectError(file, at, text)
-            what, line = text, at
+            what, line, under_way = text, at, UnderWay()
+        cause = no_end(patience_s)
     except EOFError:
         cause = "ends the process: mend that"
     finally:
         process.kill()
         process.join()
         receiver.close()
-    raise EffectError(file, line, f"{what} {cause.format(patience_s)}")
+    raise EffectError(file, line, f"{what} {cause}")
 
 
 @contextmanager
@@ -73,18 +78,18 @@ def _main_left_alone() -> Iterator[None]:
 
 
 def _try(
-    file: Path, load: Callable[[Path, Callable[[str, int, int], None]], None], to: Connection
+    file: Path, load: Callable[[Path, Callable[[str, int, float], None]], None], to: Connection
 ) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # who listens ends this process
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, resource.RLIM_INFINITY))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
-    def doing(what: str, line: int, seconds: int) -> None:
+    def doing(what: str, line: int, seconds: float) -> None:
         """Tell it; who listens ends this process when the seconds are over."""
         to.send(("doing", what, line, seconds))
 
     try:
-        doing("its module", 1, STEP_S)
+        doing("its module", 1, PATIENCE_S)
         load(file, doing)
         to.send(("right", "", 0, 0))
     except EffectError as error:

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from cell.computer import watched as module
+
 PROGRAM = """
 import os, sys, time
 from cell.computer.watched import go_on_watched, must_end
@@ -93,6 +95,63 @@ def test_ctrl_c_is_heard_by_the_command_first() -> None:
     process.send_signal(signal.SIGINT)
     _, said = process.communicate(timeout=60)
     assert (process.returncode, said) == (1, "tidied up\n")
+
+
+class Computer:
+    """What the system tells of a process, instead of a real one."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.cpu_s, self.computes = 100.0, True
+        monkeypatch.setattr(module, "cpu_s", lambda process: self.cpu_s)
+        monkeypatch.setattr(module, "wants_to_compute", lambda process: self.computes)
+
+    def looks_until_stuck(self, share: float, change: int = 0) -> int:
+        """Looks at a call under way, if its process is given a share of the time between them.
+
+        change  after so many looks the process is given all of it
+        """
+        calls = module.Calls()
+        slot = calls.begin("f.py:3: mine.force")
+        looks = module.LooksAtCalls(calls, 1, 3.0)
+        for count in range(1, 1000):
+            given = 1.0 if change and count > change else share
+            self.cpu_s += given * module.LOOK_S
+            if (stuck := looks.stuck()) is not None:
+                assert stuck == slot
+                return count
+        return 1000
+
+
+@pytest.mark.parametrize(
+    ("share", "computes", "looks_s"),
+    [(1.0, True, 3.0), (0.0, False, 3.0), (0.5, True, 6.0), (0.3, True, 7.5), (0.0, True, 7.5)],
+)
+def test_time_in_which_others_hold_the_cores_does_not_count_up_to_a_limit(
+    monkeypatch: pytest.MonkeyPatch, share: float, computes: bool, looks_s: float
+) -> None:
+    computer = Computer(monkeypatch)
+    computer.computes = computes
+    looks = computer.looks_until_stuck(share) * module.LOOK_S
+    assert looks == pytest.approx(looks_s, abs=module.LOOK_S)
+
+
+def test_a_call_that_was_starved_and_ends_then_is_not_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    computer, calls = Computer(monkeypatch), module.Calls()
+    looks = module.LooksAtCalls(calls, 1, 3.0)
+    for _ in range(3):
+        slot = calls.begin("mine.force")
+        assert [looks.stuck() for _ in range(25)] == [None] * 25, "6.25 s, none of it its own"
+        computer.cpu_s += 1.0
+        assert looks.stuck() is None
+        calls.end(slot)
+
+
+def test_a_starved_call_has_the_rest_of_its_time_when_it_is_given_the_core(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    assert Computer(monkeypatch).looks_until_stuck(0.0, 12) == pytest.approx(24, abs=1)
 
 
 _AT_ONCE = """

@@ -150,17 +150,17 @@ MISTAKES = {
     "exit": ("import sys\n\nsys.exit(0)\n", 3, "SystemExit: 0"),
     "exit in a hook": (FORCE + "        raise SystemExit\n", 6, "mine.force: SystemExit"),
     "end of the process": ("import os\n\nos._exit(0)\n", 1, "its module ends the process"),
-    "loop": ("while True:\n    pass\n", 1, "its module takes more than 5 s, as a loop without end"),
+    "loop": ("while True:\n    pass\n", 1, "its module takes more than 3 s, as a loop without end"),
     "loop in a hook": (
         FORCE + "        while True:\n            pass\n",
         5,
-        "mine.force takes more than 5 s, as a loop without end",
+        "mine.force takes more than 3 s, as a loop without end",
     ),
     "loop in some states": (
         FORCE + "        y = at.y\n        while -0.015 > y > -0.0199 and p.size > 0.0:\n"
         "            y = 0.5 * (y + at.y)\n        return -p.size * at.vx, 0.0\n",
         5,
-        "mine: a hook, in some state of a swing, takes more than 5 s",
+        "mine: a hook, in some state of a swing, takes more than 3 s",
     ),
     "all memory": (FORCE + "        x = [0] * 10**10\n        return x[0], 0.0\n", 6, "MemoryErr"),
     "a library effect's name": (
