@@ -189,7 +189,11 @@ def _problem(document: Document, details: ErrorDetails, schema: dict[str, Any]) 
         case "extra_forbidden":
             known = _known_keys(schema, details["loc"])
             name = str(details["loc"][-1])
-            return document.problem(key, f"unknown key{did_you_mean(name, known)}")
+            sections = _sections_with(schema, name)
+            advice = did_you_mean(name, known)
+            if sections and "did you mean" not in advice:
+                advice = f"; write it under {' or '.join(sections)}"
+            return document.problem(key, f"unknown key{advice}")
         case "missing":
             return document.problem(key, MISSING)
         case "value_error" | "assertion_error":
@@ -233,6 +237,12 @@ def _known_keys(schema: dict[str, Any], loc: tuple[int | str, ...]) -> list[str]
         elif part in node.get("discriminator", {}).get("mapping", {}):
             node = {"$ref": node["discriminator"]["mapping"][part]}
     return list(_resolved(schema, node).get("properties", {}))
+
+
+def _sections_with(schema: dict[str, Any], name: str) -> list[str]:
+    """Sections of the first level in which a key of this name stands."""
+    sections = schema.get("properties", {}).items()
+    return [s for s, node in sections if name in _resolved(schema, node).get("properties", {})]
 
 
 def _resolved(schema: dict[str, Any], node: dict[str, Any]) -> dict[str, Any]:

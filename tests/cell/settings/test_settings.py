@@ -118,6 +118,8 @@ MISTAKES = [
     ("force_n: 20.0", "force_n: .nan", "gripper.force_n: "),
     ("  force_n: 20.0", "", "gripper.force_n: is missing"),
     ("gripper:", "griper:", "griper: unknown key; did you mean 'gripper'?"),
+    ("motion:\n", "", "destination.lower_s: unknown key; write it under motion"),
+    ("  x_m: [-0.135, -0.130]", "  zzz: 1", "zzz: unknown key; use one of those known here: x_m"),
     ("free_length_m: 0.100", "free_length_mm: 100", "did you mean 'free_length_m'?"),
     ("free_length_m: 0.100", "free_length_m: 100", "cable.free_length_m: input should be less"),
     ("free_length_m: 0.100", "free_length_m: 100", "(got 100); give metres, not millimetres"),
