@@ -4,7 +4,7 @@ BIN := $(VENV)/bin
 PYTHON ?= $(firstword $(foreach p,python3.12 python3.11 python3.13 python3,$(shell $(p) -c "import sys; print('$(p)' if (3,11) <= sys.version_info[:2] < (3,14) else '')" 2>/dev/null)))
 CYCLES ?= 3
 
-.PHONY: run test lint types imports compiled tests hardware bench figures learn coverage practice false-alarms confusion fault-trials calibration-study malformed endurance clean help jaw-plate docs
+.PHONY: run test lint types imports compiled tests hardware bench figures learn coverage practice false-alarms confusion fault-trials calibration-study malformed endurance clean help jaw-plate picture docs
 
 help:            ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
@@ -54,6 +54,9 @@ learn: $(VENV)/.dev   ## an effect hidden in the world is found, promoted, and i
 
 jaw-plate: $(VENV)/.dev   ## the drawing of the jaw's plate, to scale
 	$(BIN)/python tools/jaw_plate.py -o docs/images/jaw_plate.pdf --png docs/images/jaw_plate.png
+
+picture: $(VENV)/.dev   ## the README's picture, of a simulated cycle
+	$(BIN)/python tools/cycle_picture.py
 
 docs: $(VENV)/.dev   ## run every command of README and docs, the slow ones too
 	CELL_DOCS=all $(BIN)/pytest tests/docs

@@ -107,8 +107,8 @@ def passage_pictures(
     title(image, [("", SEEN), (said, SEEN if passage.passed else DESTINATION), (error, WHITE)])
     lines = (
         ("destination", DESTINATION),
-        ("path of the tip, seen", SEEN),
-        ("path of the tip, predicted (dashed)", PREDICTED),
+        ("cable and path of its tip, seen", SEEN),
+        ("path of its tip, predicted (dashed)", PREDICTED),
         _JAW_AXIS,
     )
     return {"execute_passage": _finished(image, task, *lines)}
