@@ -27,7 +27,7 @@ def lesson_lines(lesson: Lesson) -> list[str]:
     best, lines = lesson.best, [first]
     natural = best.fit.space.natural(_point(lesson))[best.fit.common]
     values = ", ".join(
-        f"{name.partition('.')[2]} {value:.4g} {best.fit.space.units[i]}"
+        f"{name.partition('.')[2]} {value:.4g} {best.fit.space.units[i]}".removesuffix(" 1")
         for name, value, i in zip(best.names, natural, best.fit.common, strict=True)
     )
     lines.append(

@@ -354,7 +354,7 @@ def _wide_enough(document: Document, settings: Settings) -> list[Problem]:
         low, high = getattr(settings.destination, name)
         if high - low < least_m:
             message = (
-                f"[{low:g}, {high:g}] is {high - low:.2g} m wide, less than {what} "
+                f"[{low}, {high}] is {high - low:.2g} m wide, less than {what} "
                 f"({least_m:g} m); widen it"
             )
             problems.append(document.problem(("destination", name), message))

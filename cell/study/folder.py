@@ -25,7 +25,7 @@ GRIP_COLUMNS = ("t_s", "x_m", "y_m", "angle_rad")
 
 #: Beyond these a number is taken for a mistaken unit.
 MAX_LENGTH_M = 10.0
-MAX_GRAVITY_M_PER_S2 = 100.0
+MIN_GRAVITY_M_PER_S2, MAX_GRAVITY_M_PER_S2 = 0.01, 100.0
 MAX_NOISE_FRACTION = 0.2
 MAX_TRIAL_S = 30.0
 MAX_DISTANCE_M = 100.0
@@ -128,10 +128,22 @@ def read_study(folder: Path) -> Study:
 
 
 def study_folder(folder: Path) -> Path:
-    """The folder of a study, given it or that of the recorded cycle that holds it in `study/`."""
-    inside = folder / "study"
-    is_cycle = (inside / "study.yaml").exists() and not (folder / "study.yaml").exists()
-    return inside if is_cycle else folder
+    """The folder of a study, given it or that of the recorded cycle that holds it in `study/`.
+
+    raises  InputError: it holds several cycles instead
+    """
+    if (folder / "study.yaml").exists():
+        return folder
+    if (folder / "study" / "study.yaml").exists():
+        return folder / "study"
+    cycles = sorted(p.parents[1].name for p in folder.glob("*/study/study.yaml"))
+    if cycles:
+        raise InputError.at(
+            folder,
+            f"holds recorded cycles, not a study; name one of them, {folder / cycles[0]} for one, "
+            f"or gather those of one cable: cell study {folder}/* -o STUDY",
+        )
+    return folder
 
 
 def write_study(study: Study, folder: Path) -> None:
@@ -191,7 +203,14 @@ def _implausible(document: Document, header: _Study) -> list[Problem]:
     implausible = Cable(**cable.model_dump()).implausible()
     if implausible and not problems:
         add(("cable", "line_density_kg_per_m"), implausible)
-    if np.hypot(*header.gravity_m_per_s2) > MAX_GRAVITY_M_PER_S2:
+    size = np.hypot(*header.gravity_m_per_s2)
+    if size < MIN_GRAVITY_M_PER_S2:
+        add(
+            ("gravity_m_per_s2",),
+            f"{list(header.gravity_m_per_s2)} is below {MIN_GRAVITY_M_PER_S2:g} m/s²: only beside "
+            "its weight is a cable's rigidity known; give [0.0, -9.81]",
+        )
+    elif size > MAX_GRAVITY_M_PER_S2:
         add(
             ("gravity_m_per_s2",),
             f"{list(header.gravity_m_per_s2)} is beyond {MAX_GRAVITY_M_PER_S2:g} m/s²; "

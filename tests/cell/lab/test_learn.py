@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +19,7 @@ from cell.lab.candidate import section, write_candidate
 from cell.lab.cycles import RecordedCycle, read_cycles
 from cell.lab.gates import ForecastPair, forecasts, gates, judge
 from cell.lab.learn import Lesson, learn
+from cell.lab.lesson_tables import lesson_lines
 from cell.lab.session import explorer_of, read_kind, select_effects
 from cell.lab.shared import Spread
 from cell.settings import load_settings
@@ -67,6 +69,8 @@ def test_the_effect_that_all_cables_share_is_named_with_its_size(lesson: Lesson)
     assert lesson.tied == ()
     assert all(v.fall > 100.0 for v in lesson.votes)
     assert lesson.best.fit.rms_m < 1.05 * lesson.noise_m < lesson.baseline.rms_m
+    said = next(line for line in lesson_lines(lesson) if line.startswith("missing: air_drag"))
+    assert re.search(r"\(drag_coefficient (1\.9|2|2\.0)\d*\), p", said), "a ratio has no unit"
 
 
 def test_a_cable_left_out_is_forecast_better_and_the_candidate_passes(

@@ -160,7 +160,7 @@ MISTAKES = [
     ("hold_s: 1.0", "hold_s: 1e6", "motion.hold_s: input should be less than or equal to 30"),
     ("hold_s: 1.0", "hold_s: 29", "motion.hold_s: 29 s at 200 Hz makes 5900 frames"),
     ("y_m: [-0.111, -0.101]", "y_m: [-0.1110001, -0.111]", "less than the cable's thickness"),
-    ("x_m: [-0.135, -0.130]", "x_m: [-0.1300001, -0.130]", "less than a pixel of the camera"),
+    ("x_m: [-0.135, -0.130]", "x_m: [-0.1300001, -0.130]", "[-0.1300001, -0.13] is 1e-07 m wide"),
     ("x_m: [-0.06, 0.02]", "x_m: [-60, 20]", "limits.x_m[0]: input should be greater than or"),
     ("[1.5e-5, 5.0e-5]", "[-1, 5]", "world.rigidity_n_m2[0]: input should be greater than 0"),
 ]

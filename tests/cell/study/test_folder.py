@@ -14,7 +14,7 @@ from hypothesis.extra import numpy as hnp
 from cell.cable.geometry import Cable, Motion
 from cell.files.input_error import InputError
 from cell.study.data import Markers, Study, Trial
-from cell.study.folder import read_study, write_study
+from cell.study.folder import read_study, study_folder, write_study
 
 SHARED = Path(__file__).parents[4] / "shared" / "data"
 
@@ -240,3 +240,13 @@ def test_a_spreadsheet_with_byte_order_mark_and_blank_lines_is_read(tmp_path: Pa
     path = tmp_path / "identify" / "grip.csv"
     path.write_text("\ufeff" + path.read_text(encoding="utf-8") + "\n,,,\n", encoding="utf-8")
     same(read_study(tmp_path), study())
+
+
+def test_a_cycle_stands_for_its_study_and_a_folder_of_cycles_is_told_what_to_name(
+    tmp_path: Path,
+) -> None:
+    write_study(study(), tmp_path / "runs" / "one" / "study")
+    assert study_folder(tmp_path / "runs" / "one") == tmp_path / "runs" / "one" / "study"
+    assert study_folder(tmp_path / "runs" / "one" / "study").name == "study"
+    with pytest.raises(InputError, match=r"holds recorded cycles, not a study; name one of them"):
+        study_folder(tmp_path / "runs")
