@@ -94,11 +94,11 @@ def model_class_of(model: given.Model) -> ModelClass:
             names.append(name)
             means.append(stated.fixed)
             stds.append(stated.std / (stated.fixed if parameters[key].low > 0.0 else 1.0))
-    covariance = np.diag(np.square(stds))
+    known, batch = len(names), 0 if model.prior is None else len(model.prior.names)
+    covariance = np.zeros((known + batch, known + batch))
+    covariance[:known, :known] = np.diag(np.square(stds))
     if model.prior is not None:
-        batch = np.array(model.prior.covariance).reshape(len(model.prior.names), -1)
-        none = np.zeros((len(names), batch.shape[1]))
-        covariance = np.block([[covariance.reshape(len(names), -1), none], [none.T, batch]])
+        covariance[known:, known:] = model.prior.covariance
         names, means = names + model.prior.names, means + model.prior.mean
     return ModelClass(
         tuple(effects),

@@ -70,6 +70,22 @@ def test_a_cable_gets_the_effects_and_the_prior_of_its_batch(tmp_path: Path) -> 
     assert model.effects[1].named == {"fraction": pytest.approx(0.15), "time_s": 0.2}
 
 
+def test_a_model_may_have_nothing_but_a_batchs_prior(tmp_path: Path) -> None:
+    """As `cell promote` writes an effect of several parameters into settings without a model."""
+    prior = """
+model:
+  effects:
+  - {effect: stress_relaxation, parameters: {fraction: prior, time_s: prior}}
+  prior:
+    names: [stress_relaxation.fraction, stress_relaxation.time_s]
+    mean: [0.15, 0.2]
+    covariance: [[0.0004, 0.001], [0.001, 0.01]]
+"""
+    kind = model_class_of(load_settings(settings_with(tmp_path, prior)).model)
+    assert kind.names == ("stress_relaxation.fraction", "stress_relaxation.time_s")
+    assert kind.covariance == ((0.0004, 0.001), (0.001, 0.01))
+
+
 def test_an_effect_of_a_file_lies_beside_the_settings_and_is_checked(tmp_path: Path) -> None:
     (tmp_path / "magnet.py").write_text(MAGNET, encoding="utf-8")
     path = settings_with(tmp_path, "\nmodel: {effects: [{effect: magnet.py}]}\n")

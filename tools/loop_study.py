@@ -1,0 +1,203 @@
+"""From the lab to the line in worlds whose physics the model lacks: learned, promoted, better?
+
+For each effect and size: cables of a world with that effect are run, `learn` and the gates work on
+what was recorded, what passes is promoted, and other cables of the same world come, once with the
+model before and once with the one promoted.  The same cables in a world without the effect show
+how well a complete model forecasts.  `none` is such a world: nothing may be promoted there.
+`python tools/loop_study.py [--effects air_drag none …] [--sizes 0.5 1 2] [--cables 6] [--seed 300]
+[--worlds 1] [--json F]`
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from fast_cell import FastCycle, fast_cycle, typical, with_world
+from line_study import CONFIG, INSERTABLE_M
+
+from cell.build import cell_task
+from cell.cable.effects import library
+from cell.lab.candidate import section
+from cell.lab.cycles import RecordedCycle
+from cell.lab.gates import judge
+from cell.lab.learn import learn
+from cell.run.station import Task
+from cell.settings import Settings, load_settings
+from cell.study.data import Study
+
+#: An effect that moves the tip by less than this at the mouth is not counted, m.
+SHIFT_M = 3e-4
+
+
+@dataclass(frozen=True)
+class World:
+    """What became of one world.
+
+    named, tied, promoted   the effect that `learn` named, its ties, and whether the gates let it
+                            pass; `failed` are the gates that did not
+    before, after, complete  of the cables that came later: with the model before, with the one
+                            promoted, and in a world without the effect
+    """
+
+    effect: str
+    size: float
+    seed: int
+    named: str | None
+    tied: tuple[str, ...]
+    promoted: bool
+    failed: tuple[str, ...]
+    before: Cables
+    after: Cables | None
+    complete: Cables
+    learn_cpu_s: float
+
+    @property
+    def shift_m(self) -> float:
+        """By how much the model before errs at the mouth beyond a complete one."""
+        return float(np.sqrt(max(self.before.error_m**2 - self.complete.error_m**2, 0.0)))
+
+    def line(self) -> str:
+        """One row of the table."""
+        after = self.after.line() if self.after else "-"
+        fate = "promoted" if self.promoted else f"not: {', '.join(self.failed) or 'nothing found'}"
+        ties = f" (tied: {', '.join(self.tied)})" if self.tied else ""
+        return (
+            f"{self.effect:20s} × {self.size:<4g} shift {self.shift_m * 1e3:5.2f} mm  "
+            f"{self.before.line()} → {after} (complete {self.complete.line()})  "
+            f"{self.named}{ties} {fate}  {self.learn_cpu_s:.0f} s"
+        )
+
+
+@dataclass(frozen=True)
+class Cables:
+    """Cables of one world with one model.
+
+    error_m   root mean square over cables of the forecast's largest error in the mouth
+    """
+
+    insertable: int
+    inserted: int
+    missed: int
+    error_m: float
+    wait_cpu_s: float
+
+    @staticmethod
+    def of(cycles: Sequence[FastCycle], cpu_s: float) -> Cables:
+        could = [c for c in cycles if c.best_margin_m > INSERTABLE_M]
+        known = [c.true_tip_error_m for c in cycles if np.isfinite(c.true_tip_error_m)]
+        return Cables(
+            len(could),
+            sum(c.outcome == "inserted" for c in could),
+            sum(c.outcome == "missed" for c in cycles),
+            float(np.sqrt(np.mean(np.square(known)))) if known else float("inf"),
+            cpu_s / len(cycles),
+        )
+
+    def line(self) -> str:
+        """Inserted of those that a perfect model could insert, and the error."""
+        return f"{self.inserted}/{self.insertable} {self.error_m * 1e3:.3f} mm"
+
+
+def world(settings: Settings, task: Task, effect: str, size: float, cables: int, seed: int) -> World:
+    """One world from the first cable to the last."""
+    hidden = {} if effect == "none" else {effect: typical(library()[effect], size)}
+    there = with_world(settings, hidden)
+    first, later = range(1, cables + 1), range(cables + 1, 2 * cables + 1)
+    recorded = [recorded_cycle(task, k, fast_cycle(there, seed, k, task=task)) for k in first]
+    before, complete = run(there, task, seed, later), run(with_world(settings, {}), task, seed, later)
+    begun_s = time.process_time()
+    lesson = learn(recorded, task.cable, task.identification, library())
+    judgement = judge(lesson, settings)
+    spent_s = time.process_time() - begun_s
+    after = None
+    promoted = lesson.best is not None and judgement.fit_for_line
+    if promoted:
+        there = there.model_copy(update={"model": section(lesson, settings.model)})
+        after = run(there, cell_task(there), seed, later)
+    return World(
+        effect,
+        size,
+        seed,
+        lesson.best.effect.name if lesson.best else None,
+        lesson.tied,
+        promoted,
+        tuple(f"{g.name} ({g.found})" for g in judgement.gates if not g.passed),
+        before,
+        after,
+        complete,
+        spent_s,
+    )
+
+
+def recorded_cycle(task: Task, number: int, c: FastCycle) -> RecordedCycle:
+    """A cycle as `read_cycles` finds it in its folder."""
+    trials = [c.held, *([c.executed] if c.executed else [])]
+    study = Study(f"c{number}", task.cable, task.arc_length_m, tuple(trials))
+    return RecordedCycle(f"c{number}", Path(f"c{number}"), study, c.held, c.executed, None)
+
+
+def run(settings: Settings, task: Task, seed: int, numbers: Iterable[int]) -> Cables:
+    """These cables, one after another."""
+    begun_s = time.process_time()
+    cycles = [fast_cycle(settings, seed, k, task=task) for k in numbers]
+    return Cables.of(cycles, time.process_time() - begun_s)
+
+
+def summary(worlds: Sequence[World]) -> list[str]:
+    """The bars: right class, error after, inserted after, nothing worse, nothing in vain."""
+    hidden = [w for w in worlds if w.effect != "none"]
+    seen = [w for w in hidden if w.shift_m > SHIFT_M]
+    right = [w for w in seen if w.promoted and w.named == w.effect]
+    after = [w for w in hidden if w.after is not None]
+    good = [
+        w
+        for w in after
+        if w.after
+        and (
+            w.after.error_m <= 1.3 * w.complete.error_m or w.after.error_m <= 0.2 * w.before.error_m
+        )
+    ]
+    worse = [w for w in after if w.after and w.after.error_m > w.before.error_m + 1e-5]
+    could = sum(w.after.insertable for w in after if w.after)
+    done = sum(w.after.inserted for w in after if w.after)
+    empty = [w for w in worlds if w.effect == "none"]
+    return [
+        f"shift above 0.3 mm: {len(seen)} of {len(hidden)} worlds; right class promoted in "
+        f"{len(right)} of them",
+        f"promoted: {len(after)}; error after ≤ 1.3 × a complete world's or ≥ 5 × lower in "
+        f"{len(good)}; worse than before in {len(worse)}; inserted {done} of {could}",
+        f"complete worlds: {len(empty)}; promoted in {sum(w.promoted for w in empty)}",
+    ]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--effects", nargs="*", default=["none", *library()])
+    parser.add_argument("--sizes", nargs="*", type=float, default=[0.5, 1.0, 2.0])
+    parser.add_argument("--cables", type=int, default=6)
+    parser.add_argument("--seed", type=int, default=300)
+    parser.add_argument("--worlds", type=int, default=1, help="of each effect and size")
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    settings = load_settings(CONFIG)
+    task, worlds = cell_task(settings), []
+    for effect in options.effects:
+        for size in options.sizes if effect != "none" else [0.0]:
+            for i in range(options.worlds):
+                worlds.append(
+                    world(settings, task, effect, size, options.cables, options.seed + i)
+                )
+                print(worlds[-1].line(), flush=True)
+                if options.json:
+                    options.json.write_text(json.dumps([asdict(w) for w in worlds], indent=1))
+    print("\n".join(summary(worlds)))
+
+
+if __name__ == "__main__":
+    main()
