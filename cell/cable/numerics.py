@@ -7,6 +7,7 @@ import numpy as np
 from cell.cable.compiling import inline
 
 _ROUND = 6755399441055744.0  # 1.5·2⁵²: adding and subtracting rounds to the nearest integer
+_EXPONENT = 4503599627370496.0 + 1023.0  # 2⁵² and the exponent's bias
 
 
 @inline
@@ -42,9 +43,9 @@ def sincos(x: float) -> tuple[float, float]:
 @inline
 def exponential(x: float) -> float:
     """eˣ for |x| < 700 to 1e-15 relative."""
-    t = x * 1.4426950408889634
-    k = (t + _ROUND) - _ROUND
-    r = (t - k) * 0.6931471805599453
+    shifted = x * 1.4426950408889634 + _ROUND
+    k = shifted - _ROUND
+    r = (x * 1.4426950408889634 - k) * 0.6931471805599453
     p = 1.0 / 39916800.0
     p = p * r + 1.0 / 3628800.0
     p = p * r + 1.0 / 362880.0
@@ -57,7 +58,8 @@ def exponential(x: float) -> float:
     p = p * r + 0.5
     p = p * r + 1.0
     p = p * r + 1.0
-    return p * np.int64((np.int64(k) + 1023) << 52).view(np.float64)
+    # the integer stands in the low bits: a conversion would be done lane by lane
+    return p * np.int64((np.float64(shifted).view(np.int64) + 1023) << 52).view(np.float64)
 
 
 @inline
@@ -65,7 +67,7 @@ def power(base: float, exponent: float) -> float:
     """base**exponent of a normal base > 0 to 1e-12 relative."""
     bits = np.float64(base).view(np.int64)
     mantissa = np.int64((bits & 0x000FFFFFFFFFFFFF) | 0x3FF0000000000000).view(np.float64)
-    two = float((bits >> 52) - 1023)
+    two = np.int64(((bits >> 52) & 0x7FF) | 0x4330000000000000).view(np.float64) - _EXPONENT
     high = mantissa > 1.4142135623730951
     mantissa = mantissa * 0.5 if high else mantissa
     two = two + 1.0 if high else two
@@ -85,12 +87,15 @@ def power(base: float, exponent: float) -> float:
 
 
 @inline
-def relaxed(rate: float, decay: float, duration: float) -> float:
-    """Change over `duration` of dz/dt = rate − decay·(z − z₀): exact, however stiff."""
+def settling_time(decay: float, duration: float) -> float:
+    """By how long dz/dt is to be multiplied for the change of z over `duration`: (1 − e⁻ˣ)/x of it.
+
+    Exact, however stiff, for dz/dt = rate − decay·(z − z₀); x = decay·duration.
+    """
     x = decay * duration
     bounded = 500.0 if x > 500.0 else x
     bounded = -50.0 if x < -50.0 else bounded
     small = abs(x) < 1e-3
     share = 1.0 - x * (0.5 - x * (1.0 / 6.0 - x / 24.0))
     share = share if small else (1.0 - exponential(-bounded)) / (1.0 if small else x)
-    return rate * duration * share
+    return duration * share

@@ -34,6 +34,8 @@ FloatArray = NDArray[np.float64]
 
 #: Steps between looks for divergence.
 _CHECK_EVERY = 8
+#: Product of two rates of a hinge below which their signs mean nothing, (rad/s)².
+_STILL_RAD2_PER_S2 = 1e-10
 
 
 @compiled
@@ -49,6 +51,20 @@ def predict(S: FloatArray, lanes: int, n: int, step: FloatArray) -> None:
             R[w + BEND_0 * LANES] = bend
             R[w + BEND_C * LANES] = bend + step[3] * rate + step[4] * old + step[1] * guess
             R[w + RATE_C * LANES] = rate + step[5] * old + step[2] * guess
+
+
+@compiled
+def turned(S: FloatArray, lanes: int, n: int, step: FloatArray) -> bool:
+    """Whether a hinge's rate has another sign than the one that its moment was taken at."""
+    worst = 0.0
+    for i in range(n + 1):
+        R = S[i * BODY :]
+        for w in range(lanes):
+            rate = R[w + RATE * LANES] + step[5] * R[w + ACCEL * LANES]
+            rate += step[2] * R[w + ACCEL_C * LANES]
+            product = -rate * R[w + RATE_C * LANES]
+            worst = product if product > worst else worst
+    return worst > _STILL_RAD2_PER_S2
 
 
 @compiled
@@ -119,6 +135,7 @@ def integrate(
     """All steps of a block; bends (times, n + 1, LANES) into `out`; returns the step that blew up.
 
     step    coefficients of `generalised_alpha`
+    passes  Newton passes of a step at most; another only if a hinge's rate has changed its sign
     when    (times,) output times in steps from the start, increasing
     returns −1, or the number of the first step whose bends are not below half a turn each
     """
@@ -131,7 +148,7 @@ def integrate(
     forced = forces.size > 0
     done = 0
     for j in range(steps):
-        for _ in range(passes):
+        for k in range(passes):
             predict(S, lanes, n, step)
             kinematics(S, lanes, n, B, j, forced)
             bending(S, lanes, n, nonlinear, dq, dv)
@@ -162,6 +179,8 @@ def integrate(
                     ),
                 )
             solve(S, T, lanes, n, B, j, dv, forced)
+            if k + 1 < passes and not turned(S, lanes, n, step):
+                break
         advance(S, lanes, n, step)
         for e in range(moments.size):
             row = rows[forces.size + e]

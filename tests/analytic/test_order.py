@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from cell.cable.dynamics import Solver, simulate
+from cell.cable.effects import library
 from cell.cable.model import CableModel
 
 TIMES = np.arange(0.0, 1.2, 0.01)
@@ -39,3 +40,12 @@ def test_default_error_is_below_a_fiftieth_of_a_millimetre(
     default = simulate(model, jerk, TIMES, arc)[0]
     converged = simulate(model, jerk, TIMES, arc, solver=Solver(160, 2e-4))[0]
     assert np.linalg.norm(default - converged, axis=-1).max() < 2e-5
+
+
+@pytest.mark.parametrize("curvature", [0.05, 0.01])
+def test_friction_that_turns_within_a_step_is_followed_by_coarse_steps(cable, arc, jerk, curvature):
+    friction = library()["bending_hysteresis"].active(moment_n_m=4e-5, curvature_1_per_m=curvature)
+    model = CableModel(cable, np.array([3e-5]), 1.0, 1e-7, effects=(friction,))
+    coarse = simulate(model, jerk, TIMES, arc, solver=Solver(24, 1.5e-3))[0]
+    fine = simulate(model, jerk, TIMES, arc, solver=Solver(24, 1e-4))[0]
+    assert np.linalg.norm(coarse - fine, axis=-1).max() < 5e-5

@@ -24,9 +24,9 @@ from cell.cable.effects import pointer, templates
 from cell.cable.effects.base import ActiveEffect, CableData, Effect
 from cell.cable.geometry import Cable
 
-#: Newton passes of a step: one is enough for smooth laws, a change of sign of the curvature rate
-#: needs its tangent corrected once.
-_PASSES, _PASSES_WITH_MEMORY = 1, 2
+#: Newton passes of a step, at most: one is enough for smooth laws; where a law has a kink at a
+#: curvature rate of 0, a rate that changed its sign needs the tangent of the other side.
+_PASSES, _PASSES_WITH_KINK = 1, 3
 
 
 @dataclass(frozen=True)
@@ -94,18 +94,17 @@ def cable_data(model: Model) -> CableData:
 
 @dataclass(frozen=True)
 class Hooks:
-    """Compiled loops of the effects of a group of lanes, in the engine's form."""
+    """Compiled loops of the effects of a group of lanes, in the engine's form.
+
+    passes  Newton passes per step, at most
+    """
 
     forces: NDArray[np.int64]
     moments: NDArray[np.int64]
     rows: NDArray[np.int64]
     memory_rows: NDArray[np.int64]
     memory_count: int
-
-    @property
-    def passes(self) -> int:
-        """Newton passes per step."""
-        return _PASSES_WITH_MEMORY if self.memory_count else _PASSES
+    passes: int
 
     def arguments(self, models: Sequence[Model], segments: int, start_s: float) -> Any:
         """`effects` of the compiled functions for up to LANES models with these effects."""
@@ -141,11 +140,18 @@ def hooks_of(effects: Sequence[ActiveEffect]) -> Hooks:
             memory += len(active.effect.memory)
         row += len(active.values)
 
+    kinked = any(a.effect.memory and not a.effect.smooth for a in effects)
+
     def array(values: list[int]) -> NDArray[np.int64]:
         return np.array(values, dtype=np.int64)
 
     return Hooks(
-        array(forces), array(moments), array(force_rows + moment_rows), array(memory_rows), memory
+        array(forces),
+        array(moments),
+        array(force_rows + moment_rows),
+        array(memory_rows),
+        memory,
+        _PASSES_WITH_KINK if kinked else _PASSES,
     )
 
 

@@ -69,7 +69,7 @@ from cell.cable.effects.base import Bend, CableData
 from cell.cable.effects.pointer import ADVANCE, MOMENT_TYPES, REST
 from cell.cable.layout import ARC_HINGE, BEND, BEND_0, BEND_C, BODY, LANES, MOMENT
 from cell.cable.layout import PER_LENGTH, RATE_C, RIGIDITY, STIFF
-from cell.cable.numerics import relaxed
+from cell.cable.numerics import settling_time
 
 Values = namedtuple("Values", {fields!r})
 Memory = namedtuple("Memory", {memory!r})
@@ -100,12 +100,24 @@ def rest(curvature, rigidity, arc, cable, p):
 
 
 @inline
-def evolve(before, after, rigidity, arc, duration, {z}cable, p):
-    curvature = 0.5 * (before + after)
-    rate = (after - before) / duration
+def settling(curvature, rate, rigidity, arc, duration, {z}cable, p):
     r = rates(curvature, rate, rigidity, arc, {z}cable, p)
-{evolution}
+{times}
+    return ({t})
+
+
+@inline
+def moved(curvature, rate, rigidity, arc, {z}{t}cable, p):
+    r = rates(curvature, rate, rigidity, arc, {z}cable, p)
     return ({new})
+
+
+@inline
+def evolve(before, after, rigidity, arc, duration, {z}cable, p):
+    middle = 0.5 * (before + after)
+    rate = (after - before) / duration
+    {t}= settling(middle, rate, rigidity, arc, duration, {z}cable, p)
+    return moved(middle, rate, rigidity, arc, {z}{t}cable, p)
 """
 
 # What every mode reads of a hinge and its lane.
@@ -116,12 +128,6 @@ _HINGE = """                per_length = R[w + PER_LENGTH * LANES]
                 p = Values({values})"""
 
 _MOMENT_LOOP = """
-
-@inline
-def total(before, curvature, rate, rigidity, arc, duration, {z}cable, p):
-{evolved}
-    return moment(curvature, rate, rigidity, arc, {z}cable, p)
-
 
 @inline
 def still(curvature, rigidity, arc, cable, p):
@@ -150,20 +156,13 @@ def loop(S, lanes, n, mode, duration, dq, dv, P, row, Z, memory_row):
         else:
             for w in range(lanes):
 {hinge}
-                before = R[w + BEND_0 * LANES] * per_length
                 curvature = R[w + BEND_C * LANES] * per_length
                 rate = R[w + RATE_C * LANES] * per_length
-{load}
-                shift = NUDGE * dq / dv
-                here = total(before, curvature, rate, rigidity, arc, duration, {z}cable, p)
-                above = total(
-                    before, curvature + shift, rate + NUDGE, rigidity, arc, duration, {z}cable, p
-                )
-                below = total(
-                    before, curvature - shift, rate - NUDGE, rigidity, arc, duration, {z}cable, p
-                )
+                curvature_1 = curvature + NUDGE * dq / dv
+                rate_1 = rate + NUDGE
+{evaluate}
                 R[w + MOMENT * LANES] += here
-                R[w + STIFF * LANES] += (above - below) / (2.0 * NUDGE) * per_length * dv
+                R[w + STIFF * LANES] += (above - here) / NUDGE * per_length * dv
 """
 
 _ADVANCE = """            for w in range(lanes):
@@ -174,6 +173,22 @@ _ADVANCE = """            for w in range(lanes):
                 {z}= evolve(before, after, rigidity, arc, duration, {z}cable, p)
 {store}"""
 
+_EVALUATE = """                here = moment(curvature, rate, rigidity, arc, cable, p)
+                above = moment(curvature_1, rate_1, rigidity, arc, cable, p)"""
+
+# The slope is taken with the same settling times: their own slope is of higher order.
+_EVALUATE_MEMORY = """                before = R[w + BEND_0 * LANES] * per_length
+                middle = 0.5 * (before + curvature)
+                middle_1 = 0.5 * (before + curvature_1)
+                mean = (curvature - before) / duration
+                mean_1 = (curvature_1 - before) / duration
+{load}
+                {t}= settling(middle, mean, rigidity, arc, duration, {z}cable, p)
+                {y}= moved(middle, mean, rigidity, arc, {z}{t}cable, p)
+                here = moment(curvature, rate, rigidity, arc, {y}cable, p)
+                {y}= moved(middle_1, mean_1, rigidity, arc, {z}{t}cable, p)
+                above = moment(curvature_1, rate_1, rigidity, arc, {y}cable, p)"""
+
 
 def force_source(name: str, fields: tuple[str, ...]) -> str:
     """Module with the loop of a force per metre; expects EFFECT in its globals."""
@@ -183,28 +198,26 @@ def force_source(name: str, fields: tuple[str, ...]) -> str:
 def moment_source(name: str, fields: tuple[str, ...], memory: tuple[str, ...], rested: bool) -> str:
     """Module with the loop of a bending moment; expects EFFECT in its globals."""
     count = len(memory)
-    z = "".join(f"z{j}, " for j in range(count))
+    z, t, y = ("".join(f"{letter}{j}, " for j in range(count)) for letter in "zty")
     hinge = _HINGE.format(values=_values(fields))
     text = _MOMENT_HEAD.format(name=name, fields=fields, memory=memory, z=z)
     if count:
         lines = []
         for j in range(count):
-            above = z.replace(f"z{j},", f"z{j} + nudge,")
             below = z.replace(f"z{j},", f"z{j} - nudge,")
             lines += [
-                f"    nudge = 1e-6 * (1.0 + abs(z{j}))",
-                f"    a = rates(curvature, rate, rigidity, arc, {above}cable, p)[{j}]",
+                f"    nudge = 1e-5 * (1.0 + abs(z{j}))",
                 f"    b = rates(curvature, rate, rigidity, arc, {below}cable, p)[{j}]",
-                f"    y{j} = z{j} + relaxed(r[{j}], (b - a) / (2.0 * nudge), duration)",
+                f"    t{j} = settling_time((b - r[{j}]) / nudge, duration)",
             ]
-        new = "".join(f"y{j}, " for j in range(count))
+        new = "".join(f"z{j} + t{j} * r[{j}], " for j in range(count))
         zeros = "0.0, " * count
         rest_hook = (
             "rest_hook = inline(EFFECT.memory_at_rest)"
             if rested
             else f"\n\n@inline\ndef rest_hook(cable, at, p):\n    return ({zeros})"
         )
-        text += _MEMORY.format(z=z, evolution="\n".join(lines), new=new, rest_hook=rest_hook)
+        text += _MEMORY.format(z=z, t=t, times="\n".join(lines), new=new, rest_hook=rest_hook)
 
     def each(template: str) -> str:
         return "\n".join(
@@ -215,17 +228,16 @@ def moment_source(name: str, fields: tuple[str, ...], memory: tuple[str, ...], r
     store = each("M[{at}] = z{j}")
     if count:
         advance = _ADVANCE.format(hinge=hinge, load=load, store=store, z=z)
-        evolved = f"    {z}= evolve(before, curvature, rigidity, arc, duration, {z}cable, p)"
+        evaluate = _EVALUATE_MEMORY.format(load=load, z=z, t=t, y=y)
         at_rest = f"    {z}= rest(curvature, rigidity, arc, cable, p)"
         store_rest = f"                {z}= rest(curvature, rigidity, arc, cable, p)\n{store}"
     else:
-        advance, evolved, at_rest, store_rest = "            pass", "", "", ""
+        advance, evaluate, at_rest, store_rest = "            pass", _EVALUATE, "", ""
     return text + _MOMENT_LOOP.format(
         hinge=hinge,
         z=z,
-        load=load,
         advance=advance,
-        evolved=evolved,
+        evaluate=evaluate,
         rested=at_rest,
         store_rest=store_rest,
     )

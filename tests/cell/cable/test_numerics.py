@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numba import njit
 
-from cell.cable.numerics import exponential, power, relaxed, sincos
+from cell.cable.numerics import exponential, power, settling_time, sincos
 
 
 @njit
@@ -39,6 +39,6 @@ def test_power():
 
 
 @pytest.mark.parametrize("decay", [0.0, 1e-6, 0.3, 20.0, 1e6, -3.0])
-def test_relaxed_is_the_exact_solution(decay):
+def test_a_memory_that_settles_is_the_exact_solution(decay):
     exact = 2.0 * 0.5 if decay == 0.0 else -2.0 * np.expm1(-decay * 0.5) / decay
-    assert relaxed(2.0, decay, 0.5) == pytest.approx(exact, rel=1e-9)
+    assert 2.0 * settling_time(decay, 0.5) == pytest.approx(exact, rel=1e-9)
