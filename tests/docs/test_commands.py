@@ -1,11 +1,13 @@
 """Every block of README and docs: commands run as printed, outputs compared, or it says why not.
 
 A comment before a block says what it is.  `<!-- run -->`: commands, run in the page's own folder;
-`<!-- run as: COMMAND -->`: that one instead; `<!-- slow: REASON -->`: only by `make docs`;
-`<!-- file: NAME -->`: the content of a file; `<!-- replaces: TEXT in: NAME -->`: takes the place of
-a text in a file; `<!-- output: 10 % -->`: what the last commands print, numbers within that share
-(… stands for anything); `<!-- refused: COMMAND -->`: what that command says that ends with 2;
-`<!-- not run: REASON -->`.
+`<!-- run as: COMMAND -->`: that one instead; `<!-- slow: REASON -->` and
+`<!-- slow run as: COMMAND -->`: only by `make docs`; `<!-- named: REASON -->`: not run, but all
+commands, options and scripts that it names are there; `<!-- folder: PATTERN -->`: what that folder
+holds; `<!-- file: NAME -->`: the content of a file; `<!-- replaces: TEXT in: NAME -->`: takes the
+place of a text in a file; `<!-- output: 10 % -->`: what the last commands print, numbers within
+that share (… stands for anything); `<!-- refused: COMMAND -->`: what that command says that ends
+with 2; `<!-- not run: REASON -->`.
 """
 
 from __future__ import annotations
@@ -20,12 +22,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from typer.core import TyperGroup
+from typer.main import get_command
+
+from cell.cli import app
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 ALL = os.environ.get("CELL_DOCS") == "all"
 _NUMBER = re.compile(r"[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
-_KINDS = ("run as", "run", "slow", "file", "replaces", "output", "refused", "not run")
+_RUN = ("run as", "run", "slow", "slow run as")
+_KINDS = (*_RUN, "named", "folder", "file", "replaces", "output", "refused", "not run")
 
 
 @dataclass(frozen=True)
@@ -122,6 +129,30 @@ def run(command: str, folder: Path, code: int = 0) -> str:
     return done.stderr if code else done.stdout
 
 
+def not_there(text: str) -> list[str]:
+    """Commands, options, targets of make and scripts that a block names and that do not exist.
+
+    A line that is indented goes on with the one before.
+    """
+    found: list[str] = []
+    commands = get_command(app)
+    assert isinstance(commands, TyperGroup)
+    targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    for line in re.sub(r"\n +", " ", text).splitlines():
+        match re.findall(r"[^\s\[\]|]+", line.partition("#")[0].removeprefix(".venv/bin/")):
+            case ["cell", name, *words]:
+                command = commands.commands.get(name)
+                known = [] if command is None else [o for p in command.params for o in p.opts]
+                options = [word for word in words if re.match(r"--?[a-z]", word)]
+                found += [f"{name} {o}" for o in options if o not in known]
+                found += [name] if command is None else []
+            case ["make", *names]:
+                found += [f"make {n}" for n in names if "=" not in n and n not in targets]
+            case ["python", script, *_]:
+                found += [] if (ROOT / script).exists() else [script]
+    return found
+
+
 def follow(page: Path, folder: Path) -> list[str]:
     """Do what a page says, in a folder; returns the outputs that are not as stated."""
     for name in ("config", "docs", "tools"):
@@ -131,11 +162,17 @@ def follow(page: Path, folder: Path) -> list[str]:
     printed, wrong = "", []
     for block in blocks(page.read_text()):
         match block.kind:
-            case "run" | "run as" | "slow" if block.kind != "slow" or ALL:
-                commands = [block.given] if block.kind == "run as" else block.text.splitlines()
-                printed = "\n".join(run(command, folder) for command in commands if command)
-            case "slow":
-                printed = ""
+            case "run" | "run as" | "slow" | "slow run as":
+                as_given = block.kind.endswith("run as")
+                commands = [block.given] if as_given else block.text.splitlines()
+                do = ALL or not block.kind.startswith("slow")
+                printed = "\n".join(run(command, folder) for command in commands if command and do)
+            case "named":
+                wrong += [f"{page.name}:{block.line}: {name}" for name in not_there(block.text)]
+            case "folder":
+                (shown,) = folder.glob(block.given)
+                names = [line.split()[0] for line in block.text.splitlines()[1:]]
+                wrong += [f"{page.name}: no {name}" for name in names if not list(shown.glob(name))]
             case "file":
                 (folder / block.given).parent.mkdir(parents=True, exist_ok=True)
                 (folder / block.given).write_text(block.text + "\n")
@@ -185,6 +222,12 @@ def test_numbers_agree_within_their_share_and_words_exactly() -> None:
     assert missing("error 0.083 mm", printed, 0.01) == "error 0.083 mm"
     assert missing("error 0.083 m", printed, 0.5)
     assert missing("kg/m … error", printed, 0.5) == "error"
+
+
+def test_what_a_block_names_and_is_not_there_is_found() -> None:
+    text = "cell fit STUDY [-o F] [--efect NAME|file.py]\n  [--prior F]\ncell fitt\nmake runn X=1\n"
+    text += ".venv/bin/python tools/none.py --seeds 3   # long\n.venv/bin/cell check --config F\n"
+    assert not_there(text) == ["fit --efect", "fitt", "make runn", "tools/none.py"]
 
 
 def test_blocks_are_found_with_their_comments() -> None:
