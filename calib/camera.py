@@ -30,6 +30,10 @@ MOST_BLUR_PX = 2.5
 #: What is known of any lens and board beforehand: standard deviations about 0.
 _LENS_SPREAD = np.array([np.inf] * 4 + [1.0, 1.0, 0.01, 0.01, 1.0])
 _WARP_SPREAD_M = 1e-3
+#: A printer keeps lengths across and along its paper to this share of each other: deviation.
+_STRETCH_SPREAD = 3e-3
+#: Places of the parameters: lens, bow of the board, stretch of the board, poses of 6 each.
+_LENS, _WARP, _STRETCH, _POSES = slice(0, 9), slice(9, 11), 11, slice(12, None)
 _GRID = (13, 10)
 
 
@@ -50,6 +54,7 @@ class CameraFit:
     covariance   (9, 9) of the lens' numbers
     warp_m       height of the board's middle above its left and right, upper and lower edges, m
     warp_std_m   their standard deviations
+    stretch      the board is so much longer across than stated, against upright; and its deviation
     halves_px    (R, C) distance of the two halves' lenses over the picture, what a plane's pose
                  can take up left off: shows errors of the model, which a covariance cannot
     spread_px    (R, C) standard deviation, over the picture, of where the lens puts a point
@@ -61,6 +66,7 @@ class CameraFit:
     size_px: tuple[int, int]
     warp_m: tuple[float, float]
     warp_std_m: tuple[float, float]
+    stretch: tuple[float, float]
     views: tuple[ViewError, ...]
     outliers: int
     halves_px: FloatArray
@@ -89,7 +95,8 @@ def fit_camera(views: Sequence[BoardView], board: Board) -> CameraFit:
     lens = Lens.of(mean[:9])
     _check_fit(fit, lens)
     halves = [
-        _fit(views[k::2], board, mean[:9], mean[11:].reshape(-1, 6)[k::2]).mean[:9] for k in (0, 1)
+        _fit(views[k::2], board, mean[_LENS], mean[_POSES].reshape(-1, 6)[k::2]).mean[_LENS]
+        for k in (0, 1)
     ]
     return CameraFit(
         lens,
@@ -98,6 +105,7 @@ def fit_camera(views: Sequence[BoardView], board: Board) -> CameraFit:
         size,
         (float(mean[9]), float(mean[10])),
         (float(np.sqrt(cov[9, 9])), float(np.sqrt(cov[10, 10]))),
+        (float(mean[_STRETCH]), float(np.sqrt(cov[_STRETCH, _STRETCH]))),
         _per_view(views, fit),
         int(np.count_nonzero(~fit.used)),
         lens_difference(Lens.of(halves[0]), Lens.of(halves[1]), size),
@@ -137,7 +145,7 @@ def _first_guess(
 def _fit(
     views: Sequence[BoardView], board: Board, lens: FloatArray, poses: FloatArray
 ) -> RobustFit:
-    """Joint fit: parameters are lens (9), warp (2), poses (6 each)."""
+    """Joint fit of lens, bow, stretch and poses."""
     width, height = board.size_m
     points = [board.corners_m[v.ids] for v in views]
     bows = [1.0 - (2.0 * p[:, :2] / (width, height) - 1.0) ** 2 for p in points]
@@ -149,20 +157,24 @@ def _fit(
         slopes = np.zeros((len(seen), 2, len(x)))
         for k, (flat, bow, end) in enumerate(zip(points, bows, ends, strict=True)):
             rows = slice(end - len(flat), end)
-            at = 11 + 6 * k
+            at = _POSES.start + 6 * k
             R, by_turn = rotation(x[at : at + 3])
-            bent = flat.copy()
-            bent[:, 2] += bow @ x[9:11]
-            pixels, by_point, by_lens = project(x[:9], bent @ R.T + x[at + 3 : at + 6])
+            bent = flat * [1.0 + 0.5 * x[_STRETCH], 1.0 - 0.5 * x[_STRETCH], 1.0]
+            bent[:, 2] += bow @ x[_WARP]
+            pixels, by_point, by_lens = project(x[_LENS], bent @ R.T + x[at + 3 : at + 6])
             residuals[rows] = pixels - seen[rows]
-            slopes[rows, :, :9] = by_lens
-            slopes[rows, :, 9:11] = (by_point @ R[:, 2])[:, :, None] * bow[:, None, :]
+            slopes[rows, :, _LENS] = by_lens
+            slopes[rows, :, _WARP] = (by_point @ R[:, 2])[:, :, None] * bow[:, None, :]
+            grown = flat * [0.5, -0.5, 0.0] @ R.T
+            slopes[rows, :, _STRETCH] = np.einsum("nij,nj->ni", by_point, grown)
             slopes[rows, :, at : at + 3] = by_point @ np.einsum("ijk,nj->nik", by_turn, bent)
             slopes[rows, :, at + 3 : at + 6] = by_point
         return residuals, slopes
 
-    start = np.concatenate([lens, [0.0, 0.0], poses.ravel()])
-    spread = np.concatenate([_LENS_SPREAD, [_WARP_SPREAD_M] * 2, np.full(poses.size, np.inf)])
+    start = np.concatenate([lens, [0.0, 0.0, 0.0], poses.ravel()])
+    spread = np.concatenate(
+        [_LENS_SPREAD, [_WARP_SPREAD_M] * 2, [_STRETCH_SPREAD], np.full(poses.size, np.inf)]
+    )
     return robust_fit(model, start, PriorKnowledge.with_spread(np.zeros(len(start)), spread))
 
 

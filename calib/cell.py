@@ -12,10 +12,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import MisfitError, OneSidedError, TooFewError, WrongScaleError
+from calib.errors import BlurredError, MisfitError, OneSidedError, TooFewError, WrongScaleError
 from calib.jaw_marks import (
+    BESIDE,
     CAMERA,
-    COUNT,
     GRAVITY,
     LENS,
     MARK,
@@ -25,6 +25,9 @@ from calib.jaw_marks import (
     MarksModel,
     Plate,
     centred,
+    parameter_count,
+    places_m,
+    shapes,
     sideways,
 )
 from calib.lens import Lens
@@ -39,17 +42,25 @@ LEAST_POSES = 8
 #: What is known of the marks on the jaw before: standard deviations of turn, rad, and place, m.
 _MARK_SPREAD = np.array([0.02, 0.02, 0.02, 0.003, 0.003, 0.003])
 _SCALE_SPREAD, MOST_SCALE_ERROR = 0.05, 0.005
+#: How far marks are from where they are stated, within the plate and out of its plane: standard
+#: deviation before, and the most allowed, m.
+_WITHIN_SPREAD_M, MOST_WITHIN_M = 1e-4, 1.5e-4
+_ABOVE_SPREAD_M, MOST_ABOVE_M = 5e-4, 5e-5
+#: A plate bent by so much puts the gripping point so many times as far out of the marks' plane.
+_DEPTH_PER_BEND = 4.0
 #: Marks further than this beside where they must be, rms, contradict the model, px.
 MOST_NOISE_PX = 0.6
 #: The same of all marks of a pose together: what an arm may be wrong by, as the camera sees it.
 MOST_ARM_NOISE_PX = 1.5
+#: Marks that moved further than this while a picture was exposed are in the wrong place, px.
+MOST_SMEAR_PX = 2.0
 
 
 @dataclass(frozen=True, eq=False)
 class CellFit:
     """The fitted places of camera, robot, marks and plane, with covariance.
 
-    mean, covariance  of the 24 parameters, see `view_of`
+    mean, covariance  of the parameters, see `calib.jaw_marks`
     view              pixel → plane
     X_BP, X_TM, X_CB  plane in base, marks in tool, base in camera
     noise_px          of a mark's centre; `arm_noise_px` of the arm, as the camera sees it
@@ -81,7 +92,7 @@ class CellFit:
         return np.asarray(np.sqrt(variance.reshape(-1, 2).sum(axis=1))).reshape(pixels.shape[:-1])
 
     def map_slopes(self, pixels: FloatArray) -> FloatArray:
-        """(2 N, 24) how (N, 2) pixels' places in the plane, m, change with the parameters."""
+        """(2 N, P) how (N, 2) pixels' places in the plane, m, change with the parameters."""
         return self._slopes(lambda x: self._view(x).to_plane(pixels).ravel())
 
     def plane_spread(self) -> tuple[float, float]:
@@ -116,8 +127,8 @@ class CellFit:
     def _slopes(self, function) -> FloatArray:  # type: ignore[no-untyped-def]
         columns = []
         sizes = np.sqrt(np.diag(self.covariance))
-        for k in range(COUNT):
-            step = np.zeros(COUNT)
+        for k in range(len(sizes)):
+            step = np.zeros(len(sizes))
             step[k] = 0.1 * sizes[k]
             columns.append(
                 (function(self.mean + step) - function(self.mean - step)) / (2 * step[k])
@@ -150,7 +161,7 @@ def plane_in_base(x: FloatArray, home: FloatArray, up: FloatArray, in_plane: boo
 
 
 def view_of(x: FloatArray, home: FloatArray, up: FloatArray, in_plane: bool) -> PlaneView:
-    """Pixel → plane for (24,) lens 9, base in camera 6, marks in tool 6, scale 1, gravity 2."""
+    """Pixel → plane by the parameters (P,)."""
     X_CP = pose(x[CAMERA]) @ plane_in_base(x, home, up, in_plane)
     return PlaneView.from_pose(Lens.of(x[LENS]), X_CP)
 
@@ -179,8 +190,8 @@ def fit_cell(
     _check_poses(shown)
     marks_m, radius_m = plate.marks_m, plate.radius_m
     start = _first_guess(shown, marks_m, lens)
-    expected, information = _known(lens, lens_covariance, gravity)
-    flat, seen = np.column_stack([marks_m, np.zeros(len(marks_m))]), shown
+    expected, information = _known(lens, lens_covariance, gravity, len(marks_m))
+    seen = shown
     together = 1.0  # weight of what all marks of a pose have in common
     for _ in range(2):
         model = MarksModel(shown, marks_m, gravity, together)
@@ -188,14 +199,17 @@ def fit_cell(
         plain = MarksModel(shown, marks_m, gravity, 1.0)(fit.mean)[0].reshape(len(shown), -1, 2)
         within, common = _scatter(plain, fit.used)
         start = fit.mean
-        shown = [centred(one, start, flat, radius_m) for one in seen]
+        shown = [centred(one, start, marks_m, radius_m) for one in seen]
         together = float(min(1.0, within / np.sqrt(len(marks_m)) / max(common, 1e-9)))
     x = fit.mean
     _check_fit(fit, common, shown)
-    spread = float(np.sqrt(fit.covariance[SCALE, SCALE]))
+    bend_m = _checked_bend_m(fit, marks_m)
+    _check_at_rest(shown)  # a bent plate's marks are no circles either
+    covariance = fit.covariance.copy()
+    covariance[MARK, MARK][5, 5] += (_DEPTH_PER_BEND * bend_m) ** 2
     return CellFit(
         x,
-        fit.covariance,
+        covariance,
         view_of(x, home, gravity.up, in_plane),
         plane_in_base(x, home, gravity.up, in_plane),
         pose(x[MARK]),
@@ -204,14 +218,14 @@ def fit_cell(
         float(np.sqrt(max(0.0, common**2 - within**2 / len(marks_m)))),
         _held_out(
             x,
-            [centred(o, x, flat, radius_m) for o in held_out],
+            [centred(o, x, marks_m, radius_m) for o in held_out],
             marks_m,
             home,
             gravity.up,
             in_plane,
         ),
         plain,
-        (1.0 + float(x[SCALE]), spread),
+        (1.0 + float(x[SCALE]), float(np.sqrt(covariance[SCALE, SCALE]))),
         home,
         gravity.up,
         in_plane,
@@ -222,16 +236,19 @@ def fit_cell(
 
 
 def _known(
-    lens: Lens, lens_covariance: FloatArray, gravity: Gravity
+    lens: Lens, lens_covariance: FloatArray, gravity: Gravity, marks: int
 ) -> tuple[FloatArray, FloatArray]:
-    """(24,) expected parameters and (24, 24) information about them beforehand."""
-    expected = np.zeros(COUNT)
+    """(P,) expected parameters and (P, P) information about them beforehand."""
+    count = parameter_count(marks)
+    expected = np.zeros(count)
     expected[LENS] = lens.numbers
-    information = np.zeros((COUNT, COUNT))
+    information = np.zeros((count, count))
     information[LENS, LENS] = np.linalg.inv(lens_covariance)
     information[MARK, MARK] = np.diag(1.0 / _MARK_SPREAD**2)
     information[SCALE, SCALE] = 1.0 / _SCALE_SPREAD**2
     information[GRAVITY, GRAVITY] = np.eye(2) / gravity.spread_rad**2
+    spread_m = np.repeat([_WITHIN_SPREAD_M, _ABOVE_SPREAD_M], [2 * marks - 4, marks - 3])
+    information[BESIDE, BESIDE] = np.diag(1.0 / spread_m**2)
     return expected, information
 
 
@@ -247,7 +264,7 @@ def _first_guess(shown: Sequence[JawObservation], marks_m: FloatArray, lens: Len
             "no place of the camera explains what it sees",
             "check the marks on the jaw, and that camera and robot stood still",
         )
-    start = np.zeros(COUNT)
+    start = np.zeros(parameter_count(len(marks_m)))
     start[LENS] = lens.numbers
     start[CAMERA] = np.concatenate([turn.ravel(), shift.ravel()])
     return start
@@ -282,8 +299,7 @@ def _held_out(
     X_CP = pose(x[CAMERA]) @ plane_in_base(x, home, up, in_plane)
     X_PB = np.linalg.inv(plane_in_base(x, home, up, in_plane))
     lens = Lens.of(x[LENS])
-    flat = (1.0 + x[SCALE]) * np.column_stack([marks_m, np.zeros(len(marks_m))])
-    in_mark = np.column_stack([flat, np.ones(len(flat))])
+    in_mark = np.column_stack([places_m(x, marks_m), np.ones(len(marks_m))])
     offs = []
     for one in shown:
         in_plane_m = (in_mark @ (X_PB @ one.X_BT @ pose(x[MARK])).T)[:, :3]
@@ -309,6 +325,18 @@ def _check_poses(shown: Sequence[JawObservation]) -> None:
         )
 
 
+def _check_at_rest(shown: Sequence[JawObservation]) -> None:
+    smeared = [one.name for one in shown if one.smear_px > MOST_SMEAR_PX]
+    if len(smeared) > len(shown) // 3:
+        raise BlurredError(
+            f"the hand moved during exposure: in {len(smeared)} of {len(shown)} pictures its marks "
+            f"are smeared, by {np.median([one.smear_px for one in shown]):.1f} px in the median, "
+            f"allowed {MOST_SMEAR_PX:g} px: {', '.join(smeared[:3])} …",
+            "let it come to rest before each picture, shorten the exposure; if it rested, see that "
+            "the plate is flat",
+        )
+
+
 def _check_fit(fit: RobustFit, common: float, shown: Sequence[JawObservation]) -> None:
     x, outliers = fit.mean, 1.0 - float(np.mean(fit.used))
     if fit.noise_px > MOST_NOISE_PX or common > MOST_ARM_NOISE_PX or outliers > 0.2:
@@ -325,3 +353,30 @@ def _check_fit(fit: RobustFit, common: float, shown: Sequence[JawObservation]) -
             "the robot's own way",
             "measure their distances and correct them, or check the arm's model",
         )
+
+
+def _checked_bend_m(fit: RobustFit, marks_m: FloatArray) -> float:
+    """How far a mark is out of the plane of all, m, the furthest.
+
+    raises  MisfitError: the plate is bent, or a mark is elsewhere than stated
+    """
+    ways = shapes(marks_m)
+    beside = np.tensordot(fit.mean[BESIDE], ways, axes=1)
+    variance = np.einsum("wmj,wv,vmj->mj", ways, fit.covariance[BESIDE, BESIDE], ways)
+    height, sure = abs(beside[:, 2]), 2.0 * np.sqrt(variance[:, 2])
+    worst = int(np.argmax(height))
+    if height[worst] > MOST_ABOVE_M + sure[worst]:
+        raise MisfitError(
+            f"the plate on the jaw is bent: mark {worst + 1} is {height[worst] * 1e3:.2f} mm off "
+            f"the plane of all, allowed {MOST_ABOVE_M * 1e3:g} mm",
+            "glue it flat on something stiff, or replace it",
+        )
+    away = np.linalg.norm(beside[:, :2], axis=1)
+    other = int(np.argmax(away))
+    if away[other] > MOST_WITHIN_M:
+        raise MisfitError(
+            f"mark {other + 1} on the jaw is {away[other] * 1e3:.2f} mm beside its stated place, "
+            f"allowed {MOST_WITHIN_M * 1e3:g} mm",
+            "measure the plate again and correct vision.jaw.discs_m",
+        )
+    return float(height[worst])

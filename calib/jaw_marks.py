@@ -7,27 +7,57 @@ gripping point, x away from the cable, y up), C the camera.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.lens import Lens
 from calib.projection import pose, project, rotation
+from calib.robust import sum_variance
 
 FloatArray = NDArray[np.float64]
 
 #: Step of finite differences, relative for parameters above 1.
 _STEP = 1e-6
-#: Places of the 24 parameters: lens, base in camera, marks in tool, scale of the marks, gravity.
-LENS, CAMERA, MARK, SCALE, GRAVITY = (
+#: Places of the parameters: lens, base in camera, marks in tool, scale of the marks, gravity, and
+#: how the plate is out of shape, see `shapes`.
+LENS, CAMERA, MARK, SCALE, GRAVITY, BESIDE = (
     slice(0, 9),
     slice(9, 15),
     slice(15, 21),
     21,
     slice(22, 24),
+    slice(24, None),
 )
-COUNT = 24
+
+
+def parameter_count(marks: int) -> int:
+    """Of the joint fit with so many marks."""
+    return 24 + 3 * marks - 7
+
+
+def shapes(marks_m: FloatArray) -> FloatArray:
+    """(3 M − 7, M, 3) ways in which marks leave their stated places (M, 2), orthonormal.
+
+    Those within the plate first, 2 M − 4 of them, then M − 3 out of it.  What place, turn and size
+    of the plate do anyway is none of them.
+    """
+    x, y = marks_m.T
+    zero, one = np.zeros(len(x)), np.ones(len(x))
+    moves = np.stack([np.stack(m, 1).ravel() for m in ((one, zero), (zero, one), (x, y), (-y, x))])
+    within = np.linalg.svd(moves)[2][4:].reshape(-1, len(x), 2)
+    above = np.linalg.svd(np.stack([one, x, y]))[2][3:]
+    ways = np.zeros((len(within) + len(above), len(x), 3))
+    ways[: len(within), :, :2], ways[len(within) :, :, 2] = within, above
+    return ways
+
+
+def places_m(x: FloatArray, marks_m: FloatArray) -> FloatArray:
+    """(M, 3) marks in the frame M by parameters (P,), from their stated centres (M, 2)."""
+    beside = np.tensordot(x[BESIDE], shapes(marks_m), axes=1)
+    stated = np.column_stack([marks_m, np.zeros(len(marks_m))])
+    return np.asarray((1.0 + x[SCALE]) * (stated + beside))
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,11 +70,15 @@ class Plate:
 
 @dataclass(frozen=True, eq=False)
 class JawObservation:
-    """The jaw's marks at rest: where the arm says the tool is, X_BT (4, 4), and (M, 2) pixels."""
+    """The jaw's marks at rest: where the arm says the tool is, X_BT (4, 4), and (M, 2) pixels.
+
+    smear_px  length of the way that they moved in the picture while it was exposed
+    """
 
     name: str
     X_BT: FloatArray
     pixels: FloatArray
+    smear_px: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,21 +107,21 @@ class MarksModel:
     ) -> None:
         self._hands = np.array([s.X_BT for s in shown])
         self._seen = np.concatenate([s.pixels for s in shown])
-        self._marks = np.column_stack([marks_m, np.zeros(len(marks_m))])
+        self._marks = marks_m
         self._gravity = gravity
         self._together = together
 
     def __call__(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(S M, 2) residuals, px, and (S M, 2, 24) derivatives."""
+        """(S M, 2) residuals, px, and (S M, 2, P) derivatives."""
         R_CB, by_camera = rotation(x[9:12])
         R_TM, by_mark = rotation(x[15:18])
         R_BT, t_BT = self._hands[:, :3, :3], self._hands[:, :3, 3]
-        sized = (1.0 + x[SCALE]) * self._marks
+        sized = places_m(x, self._marks)
         in_tool = sized @ R_TM.T + x[18:21]
         in_base = np.einsum("sij,mj->smi", R_BT, in_tool) + t_BT[:, None]
         flat = in_base.reshape(-1, 3)
         pixels, by_point, by_lens = project(x[LENS], flat @ R_CB.T + x[12:15])
-        slopes = np.zeros((len(flat), 2, COUNT))
+        slopes = np.zeros((len(flat), 2, len(x)))
         slopes[:, :, LENS] = by_lens
         slopes[:, :, 9:12] = by_point @ np.einsum("ijk,nj->nik", by_camera, flat)
         slopes[:, :, 12:15] = by_point
@@ -96,8 +130,11 @@ class MarksModel:
         turned = np.einsum("ijk,mj->mik", by_mark, sized)
         slopes[:, :, 15:18] = (from_tool @ turned).reshape(-1, 2, 3)
         slopes[:, :, 18:21] = from_tool.reshape(-1, 2, 3)
-        grown = self._marks @ R_TM.T
+        grown = sized @ R_TM.T / (1.0 + x[SCALE])
         slopes[:, :, SCALE] = np.einsum("smij,mj->smi", from_tool, grown).reshape(-1, 2)
+        by_place = (1.0 + x[SCALE]) * from_tool @ R_TM
+        by_shape = np.einsum("smij,wmj->smiw", by_place, shapes(self._marks))
+        slopes[:, :, BESIDE] = by_shape.reshape(len(flat), 2, -1)
         return self._weighted(pixels - self._seen), self._weighted(slopes)
 
     def _weighted(self, values: FloatArray) -> FloatArray:
@@ -106,7 +143,7 @@ class MarksModel:
         return np.asarray((by_pose - (1.0 - self._together) * common).reshape(values.shape))
 
     def threads(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(K,) by how many deviations plumb lines miss being vertical, and (K, 24) slopes."""
+        """(K,) by how many deviations plumb lines miss being vertical, and (K, P) slopes."""
 
         def planes(x: FloatArray) -> FloatArray:
             lens = Lens.of(x[LENS])
@@ -119,8 +156,8 @@ class MarksModel:
 
         side = sideways(self._gravity.up)
         normals, up = planes(x), up_in_camera(x)
-        slopes = np.zeros((len(normals), COUNT))
-        columns = np.arange(COUNT)
+        slopes = np.zeros((len(normals), len(x)))
+        columns = np.arange(len(x))
         for k in columns[LENS]:
             slopes[:, k] = _slope(planes, x, k) @ up
         for k in (*columns[CAMERA], *columns[GRAVITY]):
@@ -144,9 +181,10 @@ def _plane_of(pixels: FloatArray, lens: Lens) -> FloatArray:
     along = axes[0] * np.sign(axes[0] @ np.array([0.0, 1.0]))
     normal = np.cross([*middle, 1.0], [*along, 0.0])
     normal /= np.linalg.norm(normal)
-    scatter = sizes[1] / np.sqrt(max(1, len(pixels) - 2))
-    scatter = max(scatter, 0.02 / lens.fx_px)
-    angle_spread = scatter / sizes[0]
+    # what is left of neighbouring rows goes together: both see the same edges of pixels
+    way, left = (rays - middle) @ axes.T[:, 0], (rays - middle) @ axes.T[:, 1]
+    scatter = np.sqrt(max(sum_variance(way * left), sizes[1] ** 2 / len(way) * sizes[0] ** 2))
+    angle_spread = max(scatter / sizes[0], 0.02 / lens.fx_px) / sizes[0]
     return np.asarray(normal / angle_spread)
 
 
@@ -159,7 +197,7 @@ def sideways(up: FloatArray) -> FloatArray:
 
 
 def centred(
-    one: JawObservation, x: FloatArray, marks: FloatArray, radius_m: float
+    one: JawObservation, x: FloatArray, marks_m: FloatArray, radius_m: float
 ) -> JawObservation:
     """Pixels of the discs' centres, from those of the centroids of their pictures.
 
@@ -169,7 +207,7 @@ def centred(
     rim = radius_m * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(32)])
     X_CM = pose(x[CAMERA]) @ one.X_BT @ pose(x[MARK])
     pixels = one.pixels.copy()
-    for k, mark in enumerate((1.0 + x[SCALE]) * marks):
+    for k, mark in enumerate(places_m(x, marks_m)):
         points = np.vstack([mark, mark + rim]) @ X_CM[:3, :3].T + X_CM[:3, 3]
         centre, *edge = project(x[LENS], points)[0]
         a = np.array(edge) - centre
@@ -177,4 +215,4 @@ def centred(
         cross = a[:, 0] * b[:, 1] - b[:, 0] * a[:, 1]
         if abs(cross.sum()) > 0.0:
             pixels[k] -= np.sum((a + b) * cross[:, None], axis=0) / (3.0 * cross.sum())
-    return JawObservation(one.name, one.X_BT, pixels)
+    return replace(one, pixels=pixels)

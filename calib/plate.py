@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from itertools import permutations
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from calib.plane import fit_homography, map_homography
 
 FloatArray = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -19,16 +22,27 @@ _LEAST_CONTRAST = 25.0
 _NARROWEST, _MOST_OFF = 0.7, 0.4
 
 
-def find_plate(image: Image, marks_m: FloatArray, radius_m: float) -> FloatArray | None:
-    """(M, 2) pixels of the marks' centres, or None.
+@dataclass(frozen=True, eq=False)
+class SeenPlate:
+    """The marks of a plate in a picture: (M, 2) pixels of their centres, and how sharp they are.
+
+    smear_px  length of the way that they moved in the picture while it was exposed
+    """
+
+    pixels: FloatArray
+    smear_px: float
+
+
+def find_plate(image: Image, marks_m: FloatArray, radius_m: float) -> SeenPlate | None:
+    """The marks of the plate, or None.
 
     image     (H, W) grey levels
     marks_m   (M ≥ 4, 2) centres of light discs on a dark plate, x right, y up; so placed that no
               affine map but the unit exchanges them
     radius_m  of the discs
     """
-    centres, areas = _discs(image)
-    found: FloatArray | None = None
+    centres, areas, spreads = _discs(image)
+    found: list[int] | None = None
     least_off = _MOST_OFF
     known = np.column_stack([marks_m, np.ones(len(marks_m))])
     solve = np.linalg.inv(known[:3])
@@ -46,18 +60,44 @@ def find_plate(image: Image, marks_m: FloatArray, radius_m: float) -> FloatArray
         chosen = [*triple, *off.argmin(axis=1).tolist()]
         worst = float(off.min(axis=1).max() / np.sqrt(area / np.pi))
         if worst < least_off and len(set(chosen)) == len(chosen):
-            found, least_off = centres[chosen], worst
-    return found
+            found, least_off = chosen, worst
+    if found is None:
+        return None
+    smear_px = _smear_px(centres[found], areas[found], spreads[found], marks_m)
+    return SeenPlate(centres[found], smear_px)
 
 
-def _discs(image: Image) -> tuple[FloatArray, FloatArray]:
-    """(N, 2) centres and (N,) areas of round light patches within something darker."""
+def _smear_px(
+    centres: FloatArray, areas: FloatArray, spreads: FloatArray, marks_m: FloatArray
+) -> float:
+    """Length of the streak that lengthens all discs in one direction of the picture.
+
+    A disc at rest is the picture of a circle, which the places of all marks foretell; a lens' blur
+    widens it to all sides.
+    """
+    to_pixel = fit_homography(marks_m, centres)
+    step_m, around = 1e-4, np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
+    more = np.zeros((2, 2))
+    for mark, area, spread in zip(marks_m, areas, spreads, strict=True):
+        ends = map_homography(to_pixel, mark + step_m * around)
+        slope = np.stack([ends[0] - ends[1], ends[2] - ends[3]], axis=1) / (2.0 * step_m)
+        even = slope @ slope.T * area / (4.0 * np.pi * abs(np.linalg.det(slope)))
+        more += (spread - even) / len(marks_m)
+    low, high = np.linalg.eigvalsh(more)
+    return float(np.sqrt(12.0 * (high - low)))
+
+
+def _discs(image: Image) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Round light patches within something darker: (N, 2) centres, (N,) areas, (N, 2, 2) spreads.
+
+    spreads  second moments of the light about the centre, px²
+    """
     smooth = cv2.GaussianBlur(image, (3, 3), 0.8)
     light = cv2.adaptiveThreshold(
         smooth, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY, 101, -12
     )
     count, labels, stats, _ = cv2.connectedComponentsWithStats(light, connectivity=4)
-    found: list[tuple[float, float, float, float]] = []
+    found: list[_Disc] = []
     for k in range(1, count):
         left, top, width, height, area = (int(v) for v in stats[k])
         radius = np.sqrt(area / np.pi)
@@ -75,16 +115,28 @@ def _discs(image: Image) -> tuple[FloatArray, FloatArray]:
             continue
         disc = _centroid(part.astype(np.float64), own, (labels[rows, columns] > 0) & ~own)
         if disc is not None:
-            found.append((disc[0] + columns.start, disc[1] + rows.start, disc[2], disc[3]))
-    found.sort(key=lambda f: f[3])
-    table = np.array(found[:_MOST_CANDIDATES]).reshape(-1, 4)
-    return table[:, :2], table[:, 2]
+            corner = np.array([columns.start, rows.start])
+            found.append(replace(disc, centre=disc.centre + corner))
+    found = sorted(found, key=lambda disc: disc.off)[:_MOST_CANDIDATES]
+    return (
+        np.array([disc.centre for disc in found]).reshape(-1, 2),
+        np.array([disc.area for disc in found]),
+        np.array([disc.spread for disc in found]).reshape(-1, 2, 2),
+    )
 
 
-def _centroid(
-    part: FloatArray, own: NDArray[np.bool_], others: NDArray[np.bool_]
-) -> tuple[float, float, float, float] | None:
-    """Column, row, area of a disc and how far it is from an ellipse; None if it is none."""
+@dataclass(frozen=True, eq=False)
+class _Disc:
+    """(2,) column and row, area, (2, 2) second moments, and how far it is from an ellipse."""
+
+    centre: FloatArray
+    area: float
+    spread: FloatArray
+    off: float
+
+
+def _centroid(part: FloatArray, own: NDArray[np.bool_], others: NDArray[np.bool_]) -> _Disc | None:
+    """A disc within a part of the picture; None if it is none."""
     cross = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7))
     near = cv2.dilate(own.astype(np.uint8), cross) > 0
     ring = (cv2.dilate(near.astype(np.uint8), cross) > 0) & ~near & ~others
@@ -104,4 +156,4 @@ def _centroid(
     # of an even ellipse: area = 4π √det of its second moments
     even = 4.0 * np.pi * float(np.sqrt(max(np.linalg.det(spread), 0.0)))
     off = abs(even / total - 1.0)
-    return (u, v, total, off) if off < 0.2 and total > 0.0 else None
+    return _Disc(np.array([u, v]), total, spread, off) if off < 0.2 and total > 0.0 else None

@@ -107,6 +107,18 @@ def robust_fit(model: Model, start: FloatArray, known: PriorKnowledge) -> Robust
     return RobustFit(x, _covariance(information), noise, left, used)
 
 
+def sum_variance(terms: FloatArray) -> float:
+    """Variance of the sum of (N,) terms of mean 0, of which neighbours may go together.
+
+    source  Newey & West 1987
+    """
+    lags = max(1, round(len(terms) ** (1 / 3)) * 2)
+    total = float(terms @ terms)
+    for k in range(1, min(lags + 1, len(terms))):
+        total += 2.0 * (1.0 - k / (lags + 1)) * float(terms[k:] @ terms[:-k])
+    return total
+
+
 def _least_squares(
     model: Model,
     start: FloatArray,

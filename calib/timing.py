@@ -11,6 +11,7 @@ from scipy.optimize import minimize_scalar
 from scipy.special import stdtrit as student_quantile
 
 from calib.errors import MisfitError, OneSidedError, TooFewError
+from calib.robust import sum_variance
 from drivers.interfaces import Trajectory
 from drivers.servo import servo_response
 
@@ -106,12 +107,8 @@ def _delay(left: Callable[[float], FloatArray], low_s: float, high_s: float, of:
         )
     step_s = 2e-4
     slope = (left(value_s + step_s) - left(value_s - step_s)) / (2.0 * step_s)
-    # variance of the estimate with serial correlation: Newey & West 1987
     score = np.sum(slope * rest, axis=1)
-    lags = max(1, round(len(score) ** (1 / 3)) * 2)
-    total = float(score @ score)
-    for k in range(1, lags + 1):
-        total += 2.0 * (1.0 - k / (lags + 1)) * float(score[k:] @ score[:-k])
+    total = sum_variance(score)
     information = float(np.sum(slope**2))
     white = float(np.sum(rest**2)) / (rest.size - 3) * information
     spread_s = np.sqrt(max(total, white)) / information

@@ -97,11 +97,13 @@ class Setup:
             X_PM = pose(np.array([*turn, *place, self.rng.normal(0.0, 0.02)]))
             X_BT = self.X_BP @ X_PM @ np.linalg.inv(self.X_TM)
             image = render(None, X_PM, self.eye, self.look, self.rng)
-            pixels = find_plate(image, MARKS_M, RADIUS_M)
-            if pixels is not None:
+            plate = find_plate(image, MARKS_M, RADIUS_M)
+            if plate is not None:
                 said = X_BT.copy()
                 said[:3, 3] += self.rng.normal(0.0, ARM_M, 3)
-                found.append(JawObservation(f"pose {len(found)}", said, pixels))
+                found.append(
+                    JawObservation(f"pose {len(found)}", said, plate.pixels, plate.smear_px)
+                )
         return found
 
     def gravity(self) -> Gravity:

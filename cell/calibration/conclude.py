@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from calib.board import Board, BoardView, find_board
 from calib.camera import CameraFit, fit_camera, picture_grid
 from calib.cell import CellFit, fit_cell
-from calib.errors import CalibrationError, TooFewError
-from calib.jaw_marks import Gravity, MarksModel, Plate
+from calib.errors import CalibrationError, TooFewError, WrongBoardError
+from calib.jaw_marks import Gravity, MarksModel, Plate, parameter_count
 from calib.lens import Lens
 from calib.store import StoredCalibration
 from calib.thread import find_thread
@@ -31,6 +31,8 @@ FloatArray = NDArray[np.float64]
 LEVEL_SPREAD_RAD = 0.0035
 #: Half of a normal law's 95 % interval, in standard deviations.
 _SIGMAS_95 = 1.96
+#: A board stretched by more is told.
+_STRETCH_TOLD = 1e-3
 
 
 def camera_from(
@@ -45,7 +47,19 @@ def camera_from(
     first = _views(pictures, board, None, troubles)
     lens = fit_camera(first, board).lens
     views = _views(pictures, board, lens, [])
-    return fit_camera(views, board), tuple(views), tuple(troubles)
+    fit = fit_camera(views, board)
+    return fit, tuple(views), (*troubles, *doubts_about(fit))
+
+
+def doubts_about(fit: CameraFit) -> tuple[str, ...]:
+    """What a person should know of a lens and its board, with remedies."""
+    stretch, spread = fit.stretch
+    if abs(stretch) < max(_STRETCH_TOLD, 3.0 * spread):
+        return ()
+    return (
+        f"the board is {1e2 * stretch:+.2f} % longer across than upright, against its description: "
+        "a printer stretched it; that is allowed for, but print it at 100 %",
+    )
 
 
 def _views(
@@ -84,7 +98,7 @@ def stored_camera(fit: CameraFit, settings: Settings) -> StoredCalibration:
             "spread_95_px": CIRCLE_95 * float(fit.spread_px.max()),
             "halves_rms_px": float(np.sqrt(np.mean(fit.halves_px**2))),
         },
-        {"lens": fit.lens.numbers, "warp_m": fit.warp_m},
+        {"lens": fit.lens.numbers, "warp_m": fit.warp_m, "stretch": fit.stretch[0]},
         fit.covariance,
     )
 
@@ -97,9 +111,11 @@ def cell_from(shown: ShownCell, camera: StoredCalibration, settings: Settings) -
     role = {name: [p for p in shown.poses if p.role == name] for name in ("fit", "held_out")}
     found = seen_marks(role["fit"], marks)
     if len(found) < 0.7 * len(role["fit"]):
+        if len(seen_marks([p.mirrored for p in role["fit"]], marks)) > len(found):
+            raise WrongBoardError("the picture is mirrored", "switch mirroring off in the camera")
         raise TooFewError(
             f"the marks on the jaw were found in {len(found)} of {len(role['fit'])} poses",
-            "see that all four are lit, sharp, in the picture and not hidden",
+            f"see that all {len(marks.centres_m)} are lit, sharp, in the picture and not hidden",
         )
     return fit_cell(
         found,
@@ -218,7 +234,7 @@ def today(
         )
     limits = settings.calibration
     assert limits is not None
-    mean = cell.array("parameters", (24,))
+    mean = cell.array("parameters", (parameter_count(len(marks.centres_m)),))
     gravity = Gravity(np.array([0.0, 1.0, 0.0]), LEVEL_SPREAD_RAD)
     off_px = MarksModel(found, marks_m(marks), gravity, 1.0)(mean)[0]
     homography = cell.array("homography", (3, 3))

@@ -182,9 +182,10 @@ def seen_marks(shown: Sequence[ShownPose], marks: JawMarks) -> list[JawObservati
     """The poses in which the marks were found."""
     found = []
     for one in shown:
-        pixels = find_plate(one.picture.image, marks_m(marks), marks.radius_m)
-        if pixels is not None:
-            found.append(JawObservation(one.picture.name, matrix_of(one.pose), pixels))
+        plate = find_plate(one.picture.image, marks_m(marks), marks.radius_m)
+        if plate is not None:
+            pose = matrix_of(one.pose)
+            found.append(JawObservation(one.picture.name, pose, plate.pixels, plate.smear_px))
     return found
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import csv
+import errno
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -38,6 +39,12 @@ class ShownPose:
     pose: Pose
     picture: Picture
 
+    @property
+    def mirrored(self) -> ShownPose:
+        """The same, its picture the other way round."""
+        turned = np.ascontiguousarray(self.picture.image[:, ::-1])
+        return replace(self, picture=Picture(self.picture.name, turned))
+
 
 @dataclass(frozen=True, eq=False)
 class ShownCell:
@@ -66,7 +73,7 @@ def save_pictures(folder: Path, pictures: Sequence[Picture]) -> None:
     """Write pictures as PNG."""
     folder.mkdir(parents=True, exist_ok=True)
     for picture in pictures:
-        cv2.imwrite(str(folder / picture.name), picture.image)
+        _save(folder / picture.name, picture.image)
 
 
 def read_pictures(folder: Path) -> tuple[Picture, ...]:
@@ -89,8 +96,8 @@ def save_cell(folder: Path, shown: ShownCell) -> None:
     _write(folder / _POSES, ("picture", "role", "x_m", "y_m", "angle_rad"), rows)
     if shown.without is not None:
         for number, image in enumerate(shown.threads, 1):
-            cv2.imwrite(str(_thread(folder, number)), image)
-        cv2.imwrite(str(folder / _WITHOUT), shown.without)
+            _save(_thread(folder, number), image)
+        _save(folder / _WITHOUT, shown.without)
 
 
 def read_cell(folder: Path) -> ShownCell:
@@ -130,6 +137,12 @@ def read_move(folder: Path) -> SeenMove:
         for name, width in ((_TOLD, 4), (_HAND, 4), (_SEEN, 3))
     )
     return SeenMove(Trajectory(*told.T), Trajectory(*hand.T), seen[:, 0], seen[:, 1:])
+
+
+def _save(path: Path, image: Image) -> None:
+    """Raises OSError: it cannot be written, of which OpenCV tells by its answer only."""
+    if not cv2.imwrite(str(path), image):
+        raise OSError(errno.EIO, "picture cannot be written", str(path))
 
 
 def _read(path: Path) -> Image:

@@ -56,6 +56,8 @@ def camera_report(
         strict=True,
     ):
         rows.append((name, f"{value * 1e3:.3f}", f"{spread * 1e3:.3f}"))
+    across, deviation = fit.stretch
+    rows.append(("board stretched across, %", f"{1e2 * across:.4f}", f"{1e2 * deviation:.4f}"))
     per_view = [(v.name, f"{v.corners}", f"{v.outliers}", f"{v.rms_px:.3f}") for v in fit.views]
     return _page(
         "Lens of the camera",

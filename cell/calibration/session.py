@@ -31,6 +31,8 @@ FloatArray = NDArray[np.float64]
 _SLOWER = 2.0
 _POLL_S, _REST_TIMEOUT_S, _CALM_S = 0.01, 3.0, 0.15
 _AT_GOAL_M, _AT_GOAL_RAD = 5e-5, 1e-3
+#: An arm at rest reports poses no further apart than this, three times its repeatability.
+_AT_REST_M = 1e-4
 #: An arm is told a path so long before it starts, and a film begins and ends so long beside it, s.
 _AHEAD_S, _BESIDE_S = 0.25, 0.15
 
@@ -85,7 +87,7 @@ class Session:
         if len(places) < 3:
             raise CameraError(arm.name, "reports no poses at rest", "check the arm's rate")
         moved_m = float(np.ptp(places[:, :2], axis=0).max())
-        if moved_m > 5e-4:
+        if moved_m > _AT_REST_M:
             raise CameraError(
                 self.devices.camera.name,
                 f"the hand moved by {moved_m * 1e3:.2f} mm while pictures were taken",

@@ -26,12 +26,19 @@ from cell.calibration.showing import BOARD_VIEWS, Assistant, Person
 from cell.files.atomic import write_whole
 from cell.files.input_error import InputError, Problem
 from cell.settings import Settings
-from cell.settings.calibrated import Calibrated, board_of, typed, view_of_stored
+from cell.settings.calibrated import Calibrated, board_of, bounds_of, typed, view_of_stored
 from cell.settings.translate import vision_of
 from drivers.emulators.launch import EmulatorError
 from drivers.interfaces import DeviceError
 
 _LOG = logging.getLogger(__name__)
+
+#: What makes a calibration better that is too poor.
+_BETTER = {
+    "camera": "show the board in all corners of the picture, tilted to all sides",
+    "cell": "widen `limits`, see the reports of camera and cell for what is uncertain",
+    "time": "let the motion be brisk, light the marks better",
+}
 
 
 class BrokenOffError(ValueError):
@@ -64,7 +71,10 @@ class CalibrationJob:
         self._settings, self._config, self._seed = settings, config, seed
         self._say, self._ask, self._live = say, ask, live
         self._folder = settings.calibration.folder
-        self._board = board_of(settings)
+        try:
+            self._board = board_of(settings)
+        except ValueError as error:
+            raise InputError.at(config, str(error), key="calibration") from error
         self._stack = contextlib.ExitStack()
         self._session: Session | None = None
         self._assistant: Assistant = Person(ask)
@@ -165,17 +175,19 @@ class CalibrationJob:
 
     # --- what came of it ----------------------------------------------------------------------
 
-    def good_enough(self) -> bool:
-        """Whether `cell run` would accept what was made."""
+    def shortcomings(self) -> list[str]:
+        """Why `cell run` would refuse what was made, each with its remedy; empty = it is good."""
         limits = self._settings.calibration
         assert limits is not None
-        bounds = {
-            "map_95_m": limits.max_error_m,
-            "latency_95_s": limits.max_time_error_s,
-            "lag_95_s": limits.max_time_error_s,
-        }
-        errors = {k: v for made in self._made.values() for k, v in made.error.items()}
-        return all(errors[name] <= bound for name, bound in bounds.items() if name in errors)
+        found = []
+        for made in self._made.values():
+            for name, bound in bounds_of(limits).items():
+                if name in made.error and not made.error[name] <= bound:
+                    found.append(
+                        f"{made.kind}: {name} = {made.error[name]:.2g}, at most {bound:g} allowed; "
+                        f"{_BETTER[made.kind]}, then run `cell calibrate --config {self._config}`"
+                    )
+        return found
 
     def summary(self) -> dict[str, Any]:
         """All that was found, for programs."""

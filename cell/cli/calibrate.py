@@ -133,7 +133,10 @@ def _end(work: CalibrationJob, as_json: bool) -> None:
     if write_result(work.summary(), STDOUT if as_json else None):
         for line in work.lines():
             print(line)
-    raise typer.Exit(ALL_DONE if work.good_enough() else NOT_ALL_DONE)
+    wrong = work.shortcomings()
+    for line in wrong:
+        print(line, file=sys.stderr)
+    raise typer.Exit(NOT_ALL_DONE if wrong else ALL_DONE)
 
 
 @contextmanager
@@ -141,7 +144,10 @@ def _workshop(
     config: Path, seed: int, as_json: bool, *, live: bool = True
 ) -> Iterator[CalibrationJob]:
     """Everything that calibrating needs; what goes wrong is said and ends with 2."""
-    from cell.calibration.work import CalibrationJob
+    from calib.errors import CalibrationError
+    from calib.store import StoreError
+    from cell.calibration.work import BrokenOffError, CalibrationJob
+    from cell.files.input_error import InputError
     from cell.settings import load_settings
     from cell.terminal.logs import to_file
 
@@ -159,7 +165,7 @@ def _workshop(
         with progress.paused():
             return input(words + " ")
 
-    with refusing():
+    try:
         settings = load_settings(config)
         if settings.calibration is not None:
             to_file(settings.calibration.folder / "calibration.log")
@@ -169,3 +175,9 @@ def _workshop(
             CalibrationJob(settings, config, seed, say, ask, live=live) as work,
         ):
             yield work
+    except (InputError, CalibrationError, StoreError, BrokenOffError) as error:
+        refuse(error)
+    except OSError as error:
+        refuse(
+            ValueError(f"{error.filename or config}: {error.strerror or error}; make room there")
+        )

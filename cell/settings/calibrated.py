@@ -144,14 +144,19 @@ def _complaint(
     limit_h = wanted.time_max_age_h if stored.kind == "time" else 24.0 * wanted.max_age_days
     if stored.age_h(now) > limit_h:
         return f"made {stored.age_h(now):.0f} h ago, at most {limit_h:g} h are allowed"
-    for name, limit, unit in (
-        ("map_95_m", wanted.max_error_m, "m"),
-        ("latency_95_s", wanted.max_time_error_s, "s"),
-        ("lag_95_s", wanted.max_time_error_s, "s"),
-    ):
+    for name, limit in bounds_of(wanted).items():
         if name in stored.error and not float(stored.error[name]) <= limit:
-            return f"{name} = {float(stored.error[name]):.2g} {unit}, at most {limit:g} allowed"
+            return f"{name} = {float(stored.error[name]):.2g}, at most {limit:g} allowed"
     return None
+
+
+def bounds_of(wanted: Calibration) -> dict[str, float]:
+    """How large each of a calibration's stated errors may be; the unit is in its name."""
+    return {
+        "map_95_m": wanted.max_error_m,
+        "latency_95_s": wanted.max_time_error_s,
+        "lag_95_s": wanted.max_time_error_s,
+    }
 
 
 _HOLDS_FOR = {

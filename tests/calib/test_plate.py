@@ -21,7 +21,7 @@ def test_marks_are_found_where_they_are(tilt, pose):
     c, s = np.cos(pose[2]), np.sin(pose[2])
     true = eye.to_pixels(MARKS_M @ np.array([[c, s], [-s, c]]) + pose[:2])
     assert found is not None
-    assert np.max(np.linalg.norm(found - true, axis=1)) < 0.08
+    assert np.max(np.linalg.norm(found.pixels - true, axis=1)) < 0.08
 
 
 def test_a_hidden_mark_a_mirrored_plate_and_no_plate_are_none():

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -144,3 +146,43 @@ def test_a_device_that_fails_breaks_it_off_with_its_remedy(tmp_path, monkeypatch
     assert (code, out) == (2, "")
     assert said.splitlines()[-1] == "camera: fell silent; look at its cable"
     assert not (tmp_path / "calib" / "camera.yaml").exists()
+
+
+def test_a_mistake_of_the_program_is_no_wrong_input(folder, monkeypatch):
+    """It was told as one, without a traceback."""
+
+    def broken(*_: object) -> None:
+        raise ValueError("operands could not be broadcast together")
+
+    monkeypatch.setattr("cell.calibration.conclude.camera_from", broken)
+    (recorded,) = (folder / "calib" / "recorded").glob("camera-*")
+    with pytest.raises(ValueError, match="operands"):
+        called("calibrate", "camera", "--config", folder / "cell.yaml", "--from", recorded)
+
+
+def test_an_impossible_board_is_named_with_its_file(tmp_path):
+    config = settings_file(tmp_path)
+    config.write_text(config.read_text().replace("/calib}", "/calib, dictionary: 9X9}"))
+    code, _, refused = called("calibrate", "camera", "--config", config)
+    assert code == 2
+    assert f"{config}:" in refused
+    assert "must be one of 4X4_50" in refused
+
+
+def test_a_hand_that_does_not_rest_is_told(folder, tmp_path):
+    config = settings_file(tmp_path)
+    shutil.copytree(folder / "calib", tmp_path / "calib", dirs_exist_ok=True)
+    config.write_text(config.read_text().replace("kind: sim\n", "kind: sim\n  noise_m: 1e-4\n", 1))
+    code, _, refused = called("calibrate", "cell", "--config", config)
+    assert code == 2
+    assert re.search(r"the hand moved by 0\.\d\d mm while pictures were taken; let", refused)
+
+
+def test_a_poor_calibration_says_what_would_make_it_better(folder, tmp_path):
+    config = settings_file(tmp_path)
+    shutil.copytree(folder / "calib", tmp_path / "calib", dirs_exist_ok=True)
+    config.write_text(config.read_text().replace("/calib}", "/calib, max_error_m: 1e-6}"))
+    (recorded,) = (folder / "calib" / "recorded").glob("cell-*")
+    code, _, said = called("calibrate", "cell", "--config", config, "--from", recorded)
+    assert code == 1
+    assert "at most 1e-06 allowed; widen `limits`" in said
