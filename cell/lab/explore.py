@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -288,7 +289,7 @@ class Explorer:
             origins.append(self._tempered.q)
         if self.prior_q is not None:
             origins.append(np.concatenate([self.prior_q, base.fit.q[len(self.prior_q) :]]))
-        best: Fit | None = None
+        fits: list[Fit] = []
         # An earlier individual is far from one with, say, a load: there slopes say little.
         values = list(guesses) if self.prior_q is None else _scaled(effect, guesses)
         shapes = int(np.prod([len(p.starts) for p in effect.parameters if is_shape(p)]))
@@ -306,15 +307,14 @@ class Explorer:
                 tries = SMOOTH_TRIES if effect.smooth else ROUGH_TRIES
                 promising = list(self._promising(space, np.array(starts), tries))
             for q in promising:
-                try:
-                    fit = fit_model(self._alone, space, q, base.fit.delay_s, options=REFIT)
-                except ValueError:
-                    continue
-                if best is None or fit.objective < best.objective:
-                    best = fit
-        if best is None:
+                with contextlib.suppress(ValueError):
+                    fits.append(fit_model(self._alone, space, q, base.fit.delay_s, options=REFIT))
+        if not fits:
             return None
-        self._known[key] = self._weigh(effects, best)
+        # Of a force at a place, what follows the fitted motions best may do anything beyond them.
+        tried = fits if placed else [min(fits, key=lambda f: f.objective)]
+        weighed = (self._weigh(effects, fit) for fit in tried)
+        self._known[key] = max(weighed, key=lambda c: c.evidence)
         return self._known[key]
 
     def _sought(

@@ -1,0 +1,46 @@
+"""Which of several fits of one more effect is kept."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from cell.cable.effects import library, load_effect
+from cell.identify.parameters import ParameterSpace
+from cell.lab import explore
+from cell.lab.explore import Candidate, Explorer
+from cell.lab.prepared import PreparedStudy
+from cell.lab.terms import admissible, effect_source
+
+#: Objective on the fit trials → evidence, held-out trials included: the best fit forecasts badly.
+EVIDENCE = {100.0: -5000.0, 120.0: -70.0, 300.0: -160.0}
+
+
+@pytest.mark.parametrize(("name", "kept"), [("point", 120.0), ("tip_mass", 100.0)])
+def test_of_places_of_a_force_the_one_is_kept_that_holds_beyond_the_motions_fitted_to(
+    name, kept, make_study, tmp_path, monkeypatch
+):
+    term = {t.name: t for t in admissible((-0.1, 0.0, -0.09, 0.0))}["point"]
+    path = tmp_path / "point.py"
+    path.write_text(effect_source("point", [term], "A law."), encoding="utf-8")
+    effect = load_effect(path, trusted=True) if name == "point" else library()[name]
+    study = make_study(seed=2)
+    explorer = Explorer(PreparedStudy.of(study), ParameterSpace.of(study.cable), {name: effect})
+    base = explorer.baseline()
+    explorer.screened(base)
+    objectives = iter([*EVIDENCE, *[400.0] * 100])
+    weighed = []
+
+    def fit_model(*args, **options):
+        return SimpleNamespace(objective=next(objectives), solution=SimpleNamespace(converged=True))
+
+    def weigh(explorer, effects, fit):
+        weighed.append(fit.objective)
+        return Candidate(effects, fit, None, EVIDENCE[fit.objective])
+
+    monkeypatch.setattr(explore, "fit_model", fit_model)
+    monkeypatch.setattr(Explorer, "_sought", lambda *args: list(range(len(EVIDENCE))))
+    monkeypatch.setattr(Explorer, "_promising", lambda *args: list(range(len(EVIDENCE))))
+    monkeypatch.setattr(Explorer, "_weigh", weigh)
+    (candidate,) = explorer.add(base, [effect])
+    assert candidate.fit.objective == kept
+    assert weighed == (list(EVIDENCE) if name == "point" else [kept])
