@@ -21,8 +21,9 @@ FloatArray = NDArray[np.float64]
 LEAST_FRAMES, LEAST_SPEED_M_PER_S = 30, 0.05
 #: Seen and reported hand may differ by this much, rms, once shift and delay are allowed for, m.
 MOST_MISFIT_M = 0.0003
-_LONGEST_S = 0.5
-_SMOOTHED_S = 0.04
+#: Longest delays that are looked for, s: a USB camera's stamps are up to 0.9 s beside the clock.
+_LONGEST_S, _LONGEST_LAG_S = 1.0, 0.5
+_SMOOTHED_S, _GRID_S = 0.04, 0.01
 
 
 @dataclass(frozen=True)
@@ -77,12 +78,12 @@ def arm_lag(told: Trajectory, hand: Trajectory) -> Delay:
         path = np.stack([meant.x_m, meant.y_m], axis=1)
         return np.asarray(measured[keep] - _at(meant.t_s, path, hand.t_s[keep]))
 
-    return _delay(left, 0.0, _LONGEST_S, "arm")
+    return _delay(left, 0.0, _LONGEST_LAG_S, "arm")
 
 
 def _delay(left: Callable[[float], FloatArray], low_s: float, high_s: float, of: str) -> Delay:
     """Delay of least squares, its interval allowing for residuals that go together in time."""
-    grid = np.linspace(low_s, high_s, 101)
+    grid = np.linspace(low_s, high_s, round((high_s - low_s) / _GRID_S) + 1)
     costs = [float(np.sum(left(s) ** 2)) for s in grid]
     at = int(np.argmin(costs))
     if at in (0, len(grid) - 1):

@@ -1,11 +1,15 @@
 """True errors of calibrations on rendered pictures, beside what they say, and beside OpenCV's own.
 
     python tools/calibration_study.py --setups 20 -o study.csv
+    python tools/calibration_study.py --setups 100 --time
 
 Every set-up has its own camera (k1 −0.3 … 0.1, tilt to 30°, pan, roll, focal length, blur, noise),
 robot base, jaw and board, all known; its pictures are rendered and then calibrated as live ones
 are, with the hand turned out of the plane as well.  Peers: `cv2.calibrateCamera` with
 `cv2.calibrateHandEye` (Park, Daniilidis), on the same pictures.
+
+With `--time` latency and lag instead: the motion of a calibration in cells whose arm, rates, noise
+and delays are drawn, seen by a camera whose map is a little wrong.
 """
 
 from __future__ import annotations
@@ -28,10 +32,16 @@ from calib.plane import PlaneView
 from calib.plate import find_plate
 from calib.projection import pose
 from calib.thread import find_thread
+from calib.timing import arm_lag, camera_latency
 from cell.calibration.conclude import camera_from
+from cell.calibration.measure import timing_path
 from cell.calibration.raw import Picture
+from cell.settings import load_settings
 from cell.settings.calibrated import CIRCLE_95
+from cell.settings.translate import pose_of
 from cell.simulated.shown import board_patches, board_poses, photograph_board, plumb_line
+from drivers.interfaces import Trajectory
+from drivers.servo import servo_response
 from drivers.sim.pinhole import Pinhole
 from drivers.sim.render import JAW_MARKS_M, RenderOptions, render
 
@@ -145,6 +155,35 @@ def measured(seed: int) -> dict[str, float]:
     return row
 
 
+def timed(seed: int) -> dict[str, float]:
+    """Errors of latency and lag and their stated half widths, ms, of one cell."""
+    rng = np.random.default_rng([seed, 18])
+    settings = load_settings(Path("config/fake.yaml"))
+    rate_hz, frames_hz = rng.choice([125.0, 500.0]), rng.uniform(60.0, 200.0)
+    latency_s, lag_s = rng.uniform(0.0, 0.5), rng.uniform(0.005, 0.1)
+    path = timing_path(settings, pose_of(settings.motion.home), rate_hz)
+    told = Trajectory(path.t_s + 0.4, path.x_m, path.y_m, path.angle_rad)
+    true = servo_response(told, lag_s)
+    t_s = np.arange(0.0, true.t_s[-1] + 0.2, 1.0 / rate_hz)
+    arm_m, mark_m = rng.uniform(2e-6, 3e-5), rng.uniform(1e-6, 1e-5)
+    x, y = (np.interp(t_s, true.t_s, v) for v in (true.x_m, true.y_m))
+    noisy = [v + rng.normal(0.0, arm_m, len(v)) for v in (x, y)]
+    hand = Trajectory(t_s, *noisy, np.zeros(len(t_s)))
+    exposed_s = np.arange(rng.uniform(0.1, 0.12), t_s[-1], 1.0 / frames_hz)
+    seen_m = np.stack([np.interp(exposed_s, t_s, v) for v in (x, y)], axis=1)
+    wrong = np.eye(2) + rng.normal(0.0, 3e-4, (2, 2))
+    seen_m = seen_m @ wrong + rng.normal(0.0, mark_m, seen_m.shape)
+    latency = camera_latency(exposed_s + latency_s, seen_m, hand)
+    lag = arm_lag(told, hand)
+    return {
+        "seed": float(seed),
+        "latency_ms": 1e3 * abs(latency.value_s - latency_s),
+        "latency_95_ms": 1e3 * latency.half_width_s,
+        "lag_ms": 1e3 * abs(lag.value_s - lag_s),
+        "lag_95_ms": 1e3 * lag.half_width_s,
+    }
+
+
 def plane_errors(fit: CellFit, setup: Setup) -> dict[str, float]:
     """Plane in base and roll: error and 95 % bound."""
     off = np.linalg.inv(setup.X_BP) @ fit.X_BP
@@ -201,12 +240,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--setups", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--time", action="store_true", help="latency and lag instead of the map")
     parser.add_argument("-o", "--out", type=Path, default=Path("calibration_study.csv"))
     options = parser.parse_args()
     rows: list[dict[str, float]] = []
     for seed in range(options.first, options.first + options.setups):
         try:
-            rows.append(measured(seed))
+            rows.append(timed(seed) if options.time else measured(seed))
         except CalibrationError as error:
             print(f"{seed}: refused: {error}", flush=True)
             continue
@@ -215,7 +255,16 @@ def main() -> None:
             writer = csv.DictWriter(file, list(rows[0]))
             writer.writeheader()
             writer.writerows(rows)
-    summary(rows, options.setups)
+    (time_summary if options.time else summary)(rows, options.setups)
+
+
+def time_summary(rows: list[dict[str, float]], asked: int) -> None:
+    print(
+        f"\n{len(rows)} of {asked} cells; error, median and largest, ms; inside its 95 % interval"
+    )
+    for name in ("latency", "lag"):
+        off, bound = (np.array([row[f"{name}{end}"] for row in rows]) for end in ("_ms", "_95_ms"))
+        print(f"  {name:8} {np.median(off):.4f} {off.max():.4f}   {np.mean(off <= bound):.2f}")
 
 
 def summary(rows: list[dict[str, float]], asked: int) -> None:
