@@ -4,8 +4,8 @@ For each effect and size: cables of a world with that effect are run, `learn` an
 what was recorded, what passes is promoted, and other cables of the same world come, once with the
 model before and once with the one promoted.  The same cables in a world without the effect show
 how well a complete model forecasts.  `none` is such a world: nothing may be promoted there.
-`python tools/loop_study.py [--effects air_drag none …] [--sizes 0.5 1 2] [--cables 6] [--seed 300]
-[--worlds 1] [--json F]`
+`python tools/loop_study.py [--effects air_drag air_drag+tip_mass none …] [--sizes 0.5 1 2]
+[--cables 6] [--seed 300] [--worlds 1] [--json F]`
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from cell.build import cell_task
 from cell.cable.effects import library
 from cell.lab.candidate import section
 from cell.lab.cycles import RecordedCycle
-from cell.lab.gates import judge
+from cell.lab.gates import best_judged
 from cell.lab.learn import learn
 from cell.run.station import Task
 from cell.settings import Settings, load_settings
@@ -43,8 +43,9 @@ SHIFT_M = 3e-4
 class World:
     """What became of one world.
 
-    named, tied, promoted   the effect that `learn` named, its ties, and whether the gates let it
-                            pass; `failed` are the gates that did not
+    effect                  hidden in the world; two are joined by `+`
+    named, tied, promoted   the effects that `learn` named, ties of the last, and whether the gates
+                            let it pass; `failed` are the gates that did not
     before, after, complete  of the cables that came later: with the model before, with the one
                             promoted, and in a world without the effect
     """
@@ -52,7 +53,7 @@ class World:
     effect: str
     size: float
     seed: int
-    named: str | None
+    named: tuple[str, ...]
     tied: tuple[str, ...]
     promoted: bool
     failed: tuple[str, ...]
@@ -74,7 +75,7 @@ class World:
         return (
             f"{self.effect:20s} × {self.size:<4g} shift {self.shift_m * 1e3:5.2f} mm  "
             f"{self.before.line()} → {after} (complete {self.complete.line()})  "
-            f"{self.named}{ties} {fate}  {self.learn_cpu_s:.0f} s"
+            f"{' + '.join(self.named)}{ties} {fate}  {self.learn_cpu_s:.0f} s"
         )
 
 
@@ -112,7 +113,8 @@ def world(
     settings: Settings, task: Task, effect: str, size: float, cables: int, seed: int
 ) -> World:
     """One world from the first cable to the last."""
-    hidden = {} if effect == "none" else {effect: typical(library()[effect], size)}
+    parts = [] if effect == "none" else effect.split("+")
+    hidden = {name: typical(library()[name], size) for name in parts}
     there = with_world(settings, hidden)
     first, later = range(1, cables + 1), range(cables + 1, 2 * cables + 1)
     recorded = [
@@ -124,7 +126,7 @@ def world(
     )
     begun_s = time.process_time()
     lesson = learn(recorded, task.cable, task.identification, library())
-    judgement = judge(lesson, settings)
+    lesson, judgement = best_judged(lesson, settings)
     spent_s = time.process_time() - begun_s
     after = None
     promoted = lesson.best is not None and judgement.fit_for_line
@@ -135,7 +137,7 @@ def world(
         effect,
         size,
         seed,
-        lesson.best.effect.name if lesson.best else None,
+        tuple(e.name for e in lesson.best.effects) if lesson.best else (),
         lesson.tied,
         promoted,
         tuple(f"{g.name} ({g.found})" for g in judgement.gates if not g.passed),
@@ -164,7 +166,7 @@ def summary(worlds: Sequence[World]) -> list[str]:
     """The bars: right class, error after, inserted after, nothing worse, nothing in vain."""
     hidden = [w for w in worlds if w.effect != "none"]
     seen = [w for w in hidden if w.shift_m > SHIFT_M]
-    right = [w for w in seen if w.promoted and w.named == w.effect]
+    right = [w for w in seen if w.promoted and set(w.named) == set(w.effect.split("+"))]
     after = [w for w in hidden if w.after is not None]
     good = [
         w

@@ -37,7 +37,7 @@ def learn(
     """
     from cell.lab.candidate import write_candidate
     from cell.lab.cycles import read_cycles
-    from cell.lab.gates import judge
+    from cell.lab.gates import best_judged
     from cell.lab.learn import learn as learn_from
     from cell.lab.lesson_tables import gates_table, lesson_lines, votes_table
     from cell.lab.session import select_effects
@@ -50,7 +50,7 @@ def learn(
         cycles, left_out = read_cycles(runs, cable)
         library = select_effects([], effect or []).candidates
         lesson = learn_from(cycles, cable, options, library, progress)
-        judgement = judge(lesson, settings)
+        lesson, judgement = best_judged(lesson, settings)
         if lesson.best:
             write_candidate(out, lesson, judgement, settings.model)
     for line in left_out:

@@ -35,31 +35,32 @@ def write_candidate(path: Path, lesson: Lesson, judgement: Judgement, present: M
 
 
 def section(lesson: Lesson, present: Model) -> Model:
-    """The present model with the effect that was learned.
+    """The present model with the effects that were learned.
 
     One parameter is written as `fixed` with its standard deviation, several as a prior, because
     they depend on each other.
     """
     assert lesson.best is not None
-    assert lesson.spread is not None
     tried, fit = lesson.best, lesson.best.fit
-    covariance = fit.covariance.copy()
-    covariance[0, 0] += lesson.spread.tau**2
+    covariance = fit.covariance + np.diag(lesson.between)
     q = fit.space.mean.copy()
     q[fit.common] = fit.theta
     natural = fit.space.natural(q)[fit.common]
-    source = source_of(tried.effect)
-    entry: dict[str, Any] = {"effect": source}
-    if tried.effect.file is not None:
-        entry["sha256"] = tried.effect.file.sha256
     plain = present.model_dump(mode="json")
+    for effect in tried.effects:
+        known = [n.partition(".")[2] for n in tried.names if n.startswith(f"{effect.name}.")]
+        entry: dict[str, Any] = {"effect": source_of(effect)}
+        if effect.file is not None:
+            entry["sha256"] = effect.file.sha256
+        entry["parameters"] = dict.fromkeys(known, "prior")
+        plain["effects"].append(entry)
     if len(tried.names) == 1:
         logarithmic = bool(fit.space.logarithmic[fit.common[0]])
         std = float(np.sqrt(covariance[0, 0])) * (float(natural[0]) if logarithmic else 1.0)
         name = tried.names[0].partition(".")[2]
-        entry["parameters"] = {name: {"fixed": _digits(natural[0]), "std": _digits(std)}}
+        known_as = {"fixed": _digits(natural[0]), "std": _digits(std)}
+        plain["effects"][-1]["parameters"] = {name: known_as}
     else:
-        entry["parameters"] = {n.partition(".")[2]: "prior" for n in tried.names}
         old = plain["prior"] or {"names": [], "mean": [], "covariance": []}
         k, m = len(old["names"]), len(tried.names)
         joint = np.zeros((k + m, k + m))
@@ -70,7 +71,6 @@ def section(lesson: Lesson, present: Model) -> Model:
             "mean": [*old["mean"], *(_digits(v) for v in natural)],
             "covariance": [[_digits(v) for v in row] for row in joint],
         }
-    plain["effects"] = [*plain["effects"], entry]
     return Model.model_validate(plain)
 
 

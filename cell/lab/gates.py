@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable.dynamics import DivergedError, simulate
+from cell.cable.effects.base import Effect, Parameter
 from cell.cable.geometry import Cable
 from cell.cable.statics import UnsettledError
 from cell.identify.individual import CableRejectedError, IdentifyOptions, identify
@@ -95,6 +96,24 @@ def judge(lesson: Lesson, settings: Settings) -> Judgement:
     return Judgement(tuple(gates(lesson, paired, destination)), tuple(paired))
 
 
+def best_judged(lesson: Lesson, settings: Settings) -> tuple[Lesson, Judgement]:
+    """The lesson, or the simpler one in it if its last effect does not help; and its judgement.
+
+    The last effect helps if with it unseen cables are forecast better than without, by the gate
+    that a first effect must pass.
+    """
+    judgement = judge(lesson, settings)
+    if lesson.simpler is None:
+        return lesson, judgement
+    simpler, without = best_judged(lesson.simpler, settings)
+    pairs = zip(without.paired, judgement.paired, strict=True)
+    gained = np.array([(before.candidate_m, after.candidate_m) for before, after in pairs])
+    helps = len(gained) >= FEWEST and _better(gained[:, 0], gained[:, 1], lesson.noise_m).passed
+    if judgement.fit_for_line and helps:
+        return lesson, judgement
+    return simpler, without
+
+
 def forecasts(
     lesson: Lesson,
     cable: Cable,
@@ -122,8 +141,7 @@ def with_effect(
 ) -> ModelClass:
     """The model class with an effect at theta: as uncertain as it is, and as cables differ."""
     covariance = tried.fit.covariance.copy()
-    if lesson.spread is not None:
-        covariance[0, 0] += lesson.spread.tau**2
+    covariance[np.diag_indices_from(covariance)] += lesson.between
     q = tried.fit.space.mean.copy()
     q[tried.fit.common] = theta
     natural = tried.fit.space.natural(q)
@@ -133,7 +151,7 @@ def with_effect(
     joint[k:, k:] = covariance
     return replace(
         kind,
-        effects=(*kind.effects, tried.effect),
+        effects=(*kind.effects, *tried.effects),
         names=(*kind.names, *tried.names),
         mean=(*kind.mean, *(float(natural[i]) for i in tried.fit.common)),
         covariance=tuple(tuple(map(float, row)) for row in joint),
@@ -238,30 +256,45 @@ def _inside(tried: EffectFit) -> Gate:
 
 
 def _identifiable(tried: EffectFit) -> Gate:
-    """Whether every amplitude stands out of its uncertainty."""
+    """Whether an amplitude of every effect stands out of its uncertainty."""
+    least = min(_strength(tried, effect) for effect in tried.effects)
+    return Gate("identifiable", least >= IDENTIFIABLE, f"{least:.1f} standard deviations from none")
+
+
+def _strength(tried: EffectFit, effect: type[Effect]) -> float:
+    """How many standard deviations an effect's clearest amplitude is from none of it."""
     fit, std = tried.fit, np.sqrt(np.diag(tried.fit.covariance))
     sizes = []
-    for p in tried.effect.parameters:
-        name = f"{tried.effect.name}.{p.name}"
+    for p in effect.parameters:
+        name = f"{effect.name}.{p.name}"
         if not p.amplitude or name not in tried.names:
             continue
         i = tried.names.index(name)
-        off = np.log(p.default) if fit.space.logarithmic[fit.common[i]] else p.default
-        sizes.append(abs(float(fit.theta[i]) - off) / float(std[i]))
-    most = max(sizes, default=0.0)
-    return Gate("identifiable", most >= IDENTIFIABLE, f"{most:.1f} standard deviations from none")
+        sizes.append(abs(float(fit.theta[i]) - _none(tried, i, p)) / float(std[i]))
+    return max(sizes, default=0.0)
+
+
+def _none(tried: EffectFit, i: int, parameter: Parameter) -> float:
+    """Coordinate of the i-th shared parameter at which its effect is off."""
+    logarithmic = tried.fit.space.logarithmic[tried.fit.common[i]]
+    return float(np.log(parameter.default)) if logarithmic else parameter.default
 
 
 def _consistent(lesson: Lesson) -> Gate:
-    """Whether the effect stays as it is whichever cable is left out."""
+    """Whether the effects stay as they are whichever cable is left out."""
     assert lesson.best is not None
-    fit, p = lesson.best.fit, lesson.best.effect.parameters[0]
-    name = lesson.best.names[0]
-    if len(fit.cables) < 2 or name != f"{lesson.best.effect.name}.{p.name}":
-        return Gate("consistent between cables", len(fit.cables) > 1, f"{len(fit.cables)} cable")
-    off = np.log(p.default) if fit.space.logarithmic[fit.common[0]] else p.default
-    size = float(fit.theta[0]) - off
-    left = [float(fit.without(i)[0]) - off for i in range(len(fit.cables))]
-    passed = all(0.5 < v / size < 2.0 for v in left) if size != 0.0 else False
-    found = f"{min(v / size for v in left):.2f} … {max(v / size for v in left):.2f} of it remain"
+    tried, fit = lesson.best, lesson.best.fit
+    if len(fit.cables) < 2:
+        return Gate("consistent between cables", False, "1 cable")
+    left = np.array([fit.without(i) for i in range(len(fit.cables))])
+    remain = []
+    for i, effect in zip(tried.firsts, tried.effects, strict=True):
+        p = effect.parameters[0]
+        if tried.names[i] != f"{effect.name}.{p.name}":
+            continue
+        none = _none(tried, i, p)
+        size = float(fit.theta[i]) - none
+        remain += [float(v - none) / size if size != 0.0 else 0.0 for v in left[:, i]]
+    passed = all(0.5 < v < 2.0 for v in remain)
+    found = f"{min(remain, default=1.0):.2f} … {max(remain, default=1.0):.2f} of it remain"
     return Gate("whichever cable is left out", passed, found)

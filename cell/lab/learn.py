@@ -18,7 +18,7 @@ from cell.lab.cycles import RecordedCycle
 from cell.lab.fitting import Fit
 from cell.lab.prepared import PreparedStudy
 from cell.lab.score import holm
-from cell.lab.screen import ScreenedEffect, screen
+from cell.lab.screen import screen
 from cell.lab.shared import SharedFit, Spread, fit_shared, prepared_cycle
 
 FloatArray = NDArray[np.float64]
@@ -41,16 +41,33 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True, eq=False)
 class EffectFit:
-    """An effect fitted to several cables, its parameters shared.
+    """Effects fitted to several cables, their parameters shared.
 
-    fall     of χ² over the residuals' inflation
+    effects  in the order in which they were added to the model
+    fall     of χ² by the last of them, over the residuals' inflation
     p_value  of it, adjusted for the size of the library
     """
 
-    effect: type[Effect]
+    effects: tuple[type[Effect], ...]
     fit: SharedFit
     fall: float
     p_value: float
+
+    @property
+    def effect(self) -> type[Effect]:
+        """The effect that was added last."""
+        return self.effects[-1]
+
+    @property
+    def name(self) -> str:
+        """Names of the effects."""
+        return " + ".join(e.name for e in self.effects)
+
+    @property
+    def firsts(self) -> tuple[int, ...]:
+        """Where the first fitted parameter of each effect stands among the shared ones."""
+        owners = [n.partition(".")[0] for n in self.names]
+        return tuple(owners.index(e.name) for e in self.effects)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -60,7 +77,7 @@ class EffectFit:
 
 @dataclass(frozen=True)
 class Vote:
-    """Evidence of one cycle for or against an effect.
+    """Evidence of one cycle for or against the effect that was added last.
 
     fall    of its own χ² over the inflation: positive speaks for the effect
     value   of its first parameter as this cable alone would have it
@@ -75,14 +92,16 @@ class Vote:
 
 @dataclass(frozen=True, eq=False)
 class Lesson:
-    """The result of learning from many cables: the missing effect, or that none is missing.
+    """The result of learning from many cables: the missing effects, or that none is missing.
 
     cycles    that were learned from, as in `votes`
     baseline  the present model, fitted to them
-    ranking   effects that were refitted, the likeliest first
+    ranking   effects that were refitted beside those before, the likeliest first
     best      the likeliest, fitted to all of `cycles`; None = nothing significant is missing
-    tied      effects that explain as much
-    spread    of its first parameter between cables
+    tied      effects that explain as much as the last of `best`
+    spread    of the first parameter of each effect of `best` between cables
+    votes     for and against the last effect of `best`
+    simpler   the lesson without the last effect; None = there is one effect, or none
     """
 
     cycles: tuple[RecordedCycle, ...]
@@ -90,8 +109,18 @@ class Lesson:
     ranking: tuple[EffectFit, ...]
     best: EffectFit | None
     tied: tuple[str, ...]
-    spread: Spread | None
+    spread: tuple[Spread, ...]
     votes: tuple[Vote, ...]
+    simpler: Lesson | None = None
+
+    @property
+    def between(self) -> FloatArray:
+        """(m,) variance of each shared parameter between cables."""
+        assert self.best is not None
+        variance = np.zeros(len(self.best.names))
+        for i, spread in zip(self.best.firsts, self.spread, strict=True):
+            variance[i] = spread.tau**2
+        return variance
 
     @property
     def noise_m(self) -> float:
@@ -106,8 +135,9 @@ def learn(
     library: Mapping[str, type[Effect]],
     progress: Progress = lambda _: None,
 ) -> Lesson:
-    """Which one effect the model of `options` lacks, as all cycles together see it.
+    """Which effects the model of `options` lacks, as all cycles together see it.
 
+    One at first; a second if the first leaves more than the noise.
     raises  ValueError: no cable can be identified; NoiseUnknownError
     """
     usable, starts = [], []
@@ -132,129 +162,173 @@ def learn(
     base = options.kind.space(cable, chosen[0][0].study.gravity_m_per_s2)
     progress("fitting the present model")
     alone = [fit_shared([p], base, q[i : i + 1]) for i, p in enumerate(prepared)]
-    few = slice(0, TRIED_ON)
+    few = prepared[:TRIED_ON]
     others = [e for e in library.values() if e not in base.effects]
-    progress("screening the library")
-    screens = [
-        screen(p, _as_fit(a), others) for p, a in zip(prepared[few], alone[few], strict=True)
-    ]
-    tried = _refitted(prepared[few], base, alone[few], screens, len(others), progress)
+    search = _Search(tuple(few), base, len(others), progress)
+    tried = search.next(alone[:TRIED_ON], others, None)
     baseline = fit_shared(prepared, base, np.vstack([a.q for a in alone]))
-    best = tried[0] if tried and tried[0].p_value < SIGNIFICANCE else None
     names = tuple(c for c, _ in chosen)
-    if best is None or _negligible(baseline):
-        return Lesson(names, baseline, tuple(tried), None, (), None, ())
-    progress(f"fitting {best.effect.name} to {len(prepared)} cables")
-    tied = tuple(t.effect.name for t in tried[1:] if best.fall - t.fall < TIE)
-    best = _on_all(prepared, base, baseline, best)
+    none = Lesson(names, baseline, tuple(tried), None, (), (), ())
+    first = _lesson(none, prepared, base, tried, progress)
+    if first.best is None or _negligible(first.best.fit) or len(others) < 2:
+        return first
+    progress(f"looking for what {first.best.effect.name} leaves")
+    kind = replace(options.kind, effects=(*options.kind.effects, first.best.effect))
+    with_it = kind.space(cable, chosen[0][0].study.gravity_m_per_s2)
+    assert with_it.names[len(base.names) :] == first.best.names
+    starts_at = np.hstack([first.best.fit.q, np.tile(first.best.fit.theta, (len(prepared), 1))])
+    left = [fit_shared([p], with_it, starts_at[i : i + 1]) for i, p in enumerate(few)]
+    rest = [e for e in others if e is not first.best.effect]
+    second = _lesson(first, prepared, base, search.next(left, rest, tried[0]), progress)
+    return second if second.best is not first.best else first
+
+
+def _lesson(
+    before: Lesson,
+    prepared: Sequence[PreparedStudy],
+    base: ParameterSpace,
+    tried: Sequence[EffectFit],
+    progress: Progress,
+) -> Lesson:
+    """The lesson with the best of these; as before, if it is no more than chance."""
+    simpler = before.baseline if before.best is None else before.best.fit
+    if not tried or tried[0].p_value >= SIGNIFICANCE or _negligible(simpler):
+        return before
+    progress(f"fitting {tried[0].name} to {len(prepared)} cables")
+    tied = tuple(t.effect.name for t in tried[1:] if tried[0].fall - t.fall < TIE)
+    best = _on_all(prepared, base, simpler, tried[0])
     values, std = best.fit.by_cable
+    falls = (simpler.chi2_by_cable - best.fit.chi2_by_cable) / best.fit.inflation
+    last = best.firsts[-1]
     votes = tuple(
-        Vote(cycle.name, float(fall), float(values[i, 0]), float(std[i, 0]))
-        for i, (cycle, fall) in enumerate(
-            zip(
-                names,
-                (baseline.chi2_by_cable - best.fit.chi2_by_cable) / best.fit.inflation,
-                strict=True,
-            )
+        Vote(cycle.name, float(fall), float(value), float(of_it))
+        for cycle, fall, value, of_it in zip(
+            before.cycles, falls, values[:, last], std[:, last], strict=True
         )
     )
-    spread = Spread.of(values[:, 0], std[:, 0])
-    return Lesson(names, baseline, tuple(tried), best, tied, spread, votes)
+    return Lesson(
+        before.cycles,
+        before.baseline,
+        tuple(tried),
+        best,
+        tied,
+        tuple(Spread.of(values[:, i], std[:, i]) for i in best.firsts),
+        votes,
+        None if before.best is None else before,
+    )
 
 
-def _negligible(baseline: SharedFit) -> bool:
-    noise_m = float(np.mean([c.noise.std_m for c in baseline.cables]))
-    return baseline.rms_m**2 - noise_m**2 < NEGLIGIBLE_M**2
+def _negligible(fit: SharedFit) -> bool:
+    """Whether a model misses no more than the noise, for the line's purpose."""
+    noise_m = float(np.mean([c.noise.std_m for c in fit.cables]))
+    return fit.rms_m**2 - noise_m**2 < NEGLIGIBLE_M**2
 
 
-def _refitted(
-    prepared: Sequence[PreparedStudy],
-    base: ParameterSpace,
-    alone: Sequence[SharedFit],
-    screens: Sequence[Sequence[ScreenedEffect]],
-    library: int,
-    progress: Progress,
-) -> list[EffectFit]:
-    """The likeliest effects, fitted to all these cables at once, the best first."""
-    score: dict[str, float] = {}
-    for screened in screens:
-        for s in screened:
-            score[s.effect.name] = score.get(s.effect.name, 0.0) + s.score.statistic
-    effects = {s.effect.name: s.effect for s in screens[0]}
-    ranked = sorted(effects, key=lambda n: -score[n])
-    names = ranked[:BEST] + [n for n in ranked[BEST:] if not effects[n].smooth]
-    fits = []
-    q = np.vstack([a.q for a in alone])
-    for name in names:
-        progress(f"refitting with {name}")
-        guesses = [s.starts[0] for found in screens for s in found if s.effect.name == name]
-        fit = _best_start(prepared, base, q, effects[name], guesses)
-        if fit is not None:
-            fits.append((effects[name], fit))
-    if not fits:
-        return []
-    before = sum(a.chi2 for a in alone)
-    inflation = min(fits, key=lambda f: f[1].chi2)[1].inflation
-    falls = [(before - fit.chi2) / inflation for _, fit in fits]
-    p = [
-        float(chi2_sf(len(fit.theta), max(fall, 0.0)))
-        for fall, (_, fit) in zip(falls, fits, strict=True)
-    ]
-    adjusted = holm(p + [1.0] * (library - len(p)))[: len(p)]
-    tried = [
-        EffectFit(effect, fit, float(fall), float(value))
-        for (effect, fit), fall, value in zip(fits, falls, adjusted, strict=True)
-    ]
-    return sorted(tried, key=lambda t: -t.fall)
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """Looks for the next effect on a few cables.
 
+    base     parameters of one cable without the shared effects
+    library  number of effects that could be named
+    """
 
-def _best_start(
-    prepared: Sequence[PreparedStudy],
-    base: ParameterSpace,
-    q: FloatArray,
-    effect: type[Effect],
-    guesses: Sequence[FloatArray],
-) -> SharedFit | None:
-    """The effect fitted to all cables, from the start that leads furthest on a few."""
-    # a smooth effect's slope says where to begin
-    places = [np.median(np.array(guesses), axis=0)]
-    if not effect.smooth:
-        places += [
-            np.array([p.starts[min(k, len(p.starts) - 1)] for p in effect.parameters])
-            for k in range(3)
+    prepared: tuple[PreparedStudy, ...]
+    base: ParameterSpace
+    library: int
+    progress: Progress
+
+    def next(
+        self,
+        alone: Sequence[SharedFit],
+        others: Sequence[type[Effect]],
+        simpler: EffectFit | None,
+    ) -> list[EffectFit]:
+        """The likeliest of the other effects, fitted to all cables at once, the best first.
+
+        alone    the simpler model fitted to each cable alone, its effects among the own parameters
+        simpler  effects before it, fitted to these cables; None = none
+        """
+        self.progress("screening the library")
+        screens = [screen(p, _as_fit(a), others) for p, a in zip(self.prepared, alone, strict=True)]
+        score: dict[str, float] = {}
+        for screened in screens:
+            for s in screened:
+                score[s.effect.name] = score.get(s.effect.name, 0.0) + s.score.statistic
+        effects = {s.effect.name: s.effect for s in screens[0]}
+        ranked = sorted(effects, key=lambda n: -score[n])
+        names = ranked[:BEST] + [n for n in ranked[BEST:] if not effects[n].smooth]
+        fits = []
+        q = np.vstack([a.q for a in alone])[:, : len(self.base.names)]
+        for name in names:
+            self.progress(f"refitting with {name}")
+            guesses = [s.starts[0] for found in screens for s in found if s.effect.name == name]
+            fit = self._best_start(q, simpler, effects[name], guesses)
+            if fit is not None:
+                fits.append((effects[name], fit))
+        if not fits:
+            return []
+        before = sum(a.chi2 for a in alone) if simpler is None else simpler.fit.chi2
+        earlier = () if simpler is None else simpler.effects
+        fewer = 0 if simpler is None else len(simpler.fit.theta)
+        inflation = min(fits, key=lambda f: f[1].chi2)[1].inflation
+        falls = [(before - fit.chi2) / inflation for _, fit in fits]
+        p = [
+            float(chi2_sf(len(fit.theta) - fewer, max(fall, 0.0)))
+            for fall, (_, fit) in zip(falls, fits, strict=True)
         ]
-    found: list[SharedFit] = []
-    for values in places if len(places) > 1 else ():
-        try:
-            found.append(
-                fit_shared(
-                    prepared[:START_ON],
-                    base,
-                    q[:START_ON],
-                    [effect],
-                    values,
-                    options=FIRST_PASSES,
+        adjusted = holm(p + [1.0] * (self.library - len(p)))[: len(p)]
+        tried = [
+            EffectFit((*earlier, effect), fit, float(fall), float(value))
+            for (effect, fit), fall, value in zip(fits, falls, adjusted, strict=True)
+        ]
+        return sorted(tried, key=lambda t: -t.fall)
+
+    def _best_start(
+        self,
+        q: FloatArray,
+        simpler: EffectFit | None,
+        effect: type[Effect],
+        guesses: Sequence[FloatArray],
+    ) -> SharedFit | None:
+        """The effect fitted to all cables, from the start that leads furthest on a few."""
+        effects = (effect,) if simpler is None else (*simpler.effects, effect)
+        known = np.zeros(0) if simpler is None else _natural(simpler.fit)
+        # a smooth effect's slope says where to begin
+        places = [np.median(np.array(guesses), axis=0)]
+        if not effect.smooth:
+            places += [
+                np.array([p.starts[min(k, len(p.starts) - 1)] for p in effect.parameters])
+                for k in range(3)
+            ]
+        starts = [np.concatenate([known, values]) for values in places]
+        few = slice(0, START_ON)
+        found: list[SharedFit] = []
+        for values in starts if len(starts) > 1 else ():
+            try:
+                found.append(
+                    fit_shared(
+                        self.prepared[few], self.base, q[few], effects, values, options=FIRST_PASSES
+                    )
                 )
-            )
+            except ValueError:
+                continue
+        begin, values = q.copy(), starts[0]
+        if found:
+            best = min(found, key=lambda f: f.chi2)
+            begin[few], values = best.q, _natural(best)
+        try:
+            return fit_shared(self.prepared, self.base, begin, effects, values)
         except ValueError:
-            continue
-    begin, values = q.copy(), places[0]
-    if found:
-        best = min(found, key=lambda f: f.chi2)
-        begin[:START_ON], values = best.q, _natural(best)
-    try:
-        return fit_shared(prepared, base, begin, [effect], values)
-    except ValueError:
-        return None
+            return None
 
 
 def _on_all(
-    prepared: Sequence[PreparedStudy], base: ParameterSpace, baseline: SharedFit, best: EffectFit
+    prepared: Sequence[PreparedStudy], base: ParameterSpace, simpler: SharedFit, best: EffectFit
 ) -> EffectFit:
-    q = baseline.q.copy()
+    q = simpler.q.copy()
     q[: len(best.fit.q)] = best.fit.q
-    fit = fit_shared(prepared, base, q, [best.effect], _natural(best.fit))
-    fall = (baseline.chi2 - fit.chi2) / fit.inflation
+    fit = fit_shared(prepared, base, q, best.effects, _natural(best.fit))
+    fall = (simpler.chi2 - fit.chi2) / fit.inflation
     return replace(best, fit=fit, fall=float(fall))
 
 

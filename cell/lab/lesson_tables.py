@@ -31,24 +31,24 @@ def lesson_lines(lesson: Lesson) -> list[str]:
         for name, value, i in zip(best.names, natural, best.fit.common, strict=True)
     )
     lines.append(
-        f"missing: {best.effect.name} ({values}), p = {best.p_value:.1g}; with it the model misses "
+        f"missing: {best.name} ({values}), {_chance(best.p_value)}; with it the model misses "
         f"{best.fit.rms_m * 1e3:.3f} mm"
     )
     if lesson.tied:
         lines.append(f"these cycles cannot tell it from: {', '.join(lesson.tied)}")
-    if lesson.spread is not None and lesson.spread.freedom > 0:
-        s = lesson.spread
-        lines.append(
-            f"between cables it differs by {s.tau:.3g} (standard deviation; Cochran's Q "
-            f"{s.q:.1f} of {s.freedom}, p = {s.p_value:.2g})"
-        )
+    for i, s in zip(best.firsts, lesson.spread, strict=True):
+        if s.freedom > 0:
+            lines.append(
+                f"{best.names[i]} differs between cables by {s.tau:.3g} (standard deviation; "
+                f"Cochran's Q {s.q:.1f} of {s.freedom}, {_chance(s.p_value)})"
+            )
     return lines
 
 
 def votes_table(lesson: Lesson) -> Table:
     """Which cycles speak for the effect, and which against."""
     assert lesson.best is not None
-    name = lesson.best.names[0]
+    name = lesson.best.names[lesson.best.firsts[-1]]
     table = Table(title=f"cycles for and against {lesson.best.effect.name}", box=SIMPLE_HEAD)
     for heading in ("cycle", "speaks", "fall of χ²", name.partition(".")[2], "±"):
         table.add_column(heading, justify="left" if heading in ("cycle", "speaks") else "right")
@@ -66,6 +66,10 @@ def gates_table(judged: Sequence[Gate]) -> Table:
     for g in judged:
         table.add_row(g.name, g.found, "[green]passed[/]" if g.passed else "[red]not passed[/]")
     return table
+
+
+def _chance(p_value: float) -> str:
+    return f"p = {p_value:.2g}" if p_value > 1e-300 else "p < 1e-300"
 
 
 def _point(lesson: Lesson) -> FloatArray:
