@@ -17,7 +17,7 @@ from cell.files.yaml_document import yaml_text
 from cell.identify.individual import identify
 from cell.lab.candidate import section, write_candidate
 from cell.lab.cycles import RecordedCycle, read_cycles
-from cell.lab.gates import ForecastPair, forecasts, gates, judge
+from cell.lab.gates import ForecastPair, best_judged, forecasts, gates, judge
 from cell.lab.learn import Lesson, learn
 from cell.lab.lesson_tables import lesson_lines
 from cell.lab.session import explorer_of, read_kind, select_effects
@@ -144,6 +144,32 @@ def test_a_forecast_that_is_no_better_is_stopped_at_the_gate(lesson: Lesson) -> 
     assert failed(same) == {"forecasts unseen cables better"}
     assert failed(worse) == {"forecasts unseen cables better", "worst case no worse"}
     assert failed(few) == {"enough forecasts"}
+
+
+def test_two_effects_that_all_cables_share_are_found_one_after_the_other() -> None:
+    hidden = {"air_drag": {"drag_coefficient": 2.0}, "bending_hysteresis": {"moment_n_m": 8e-6}}
+    task = cell_task(SETTINGS)
+    tried = {name: library()[name] for name in hidden}
+    lesson = learn(cycles_in(hidden, 2, 5), task.cable, task.identification, tried)
+    assert lesson.best is not None
+    assert lesson.simpler is not None
+    assert lesson.simpler.best is not None
+    assert {e.name for e in lesson.best.effects} == set(hidden)
+    assert lesson.best.fit.rms_m < 1.05 * lesson.noise_m < 0.8 * lesson.simpler.best.fit.rms_m
+    values = dict(zip(lesson.best.names, lesson.best.fit.theta, strict=True))
+    assert values["air_drag.drag_coefficient"] == pytest.approx(2.0, rel=0.1)
+    model = section(lesson, Model())
+    assert [e.effect for e in model.effects] == [e.name for e in lesson.best.effects]
+    assert model.prior is not None
+    assert model.prior.names == list(lesson.best.names)
+    identification_of(SETTINGS.model_copy(update={"model": model}))  # can be used as it is
+
+
+def test_an_effect_that_does_not_help_unseen_cables_is_left_out(lesson: Lesson) -> None:
+    """Here the second effect is the first again: every forecast stays as it was."""
+    kept, judgement = best_judged(replace(lesson, simpler=lesson), SETTINGS)
+    assert kept is lesson
+    assert judgement.fit_for_line
 
 
 def test_a_complete_world_teaches_nothing() -> None:
