@@ -29,6 +29,8 @@ TRIED_ON, FITTED_TO = 4, 12
 BEST = 4
 #: Starts of a fit are compared on so many cables, with so many passes.
 START_ON, FIRST_PASSES = 1, Options(tolerance=1.0, most_passes=6)
+#: Share of what the slope says that a refit begins with.
+A_LITTLE = 0.05
 #: Family-wise, over the library (Holm).
 SIGNIFICANCE = 0.01
 #: Effects are one class if their χ², over its inflation, differs by less; as in a diagnosis.
@@ -293,8 +295,11 @@ class _Search:
         """The effect fitted to all cables, from the start that leads furthest on a few."""
         effects = (effect,) if simpler is None else (*simpler.effects, effect)
         known = np.zeros(0) if simpler is None else _natural(simpler.fit)
-        # a smooth effect's slope says where to begin
-        places = [np.median(np.array(guesses), axis=0)]
+        # The slope says how much of it there is, but the cables were fitted without it: from a
+        # little of it all parameters move together.
+        off = np.array([p.default if p.amplitude else np.nan for p in effect.parameters])
+        most = np.median(np.array(guesses), axis=0)
+        places = [np.where(np.isnan(off), most, off + A_LITTLE * (most - off))]
         if not effect.smooth:
             places += [
                 np.array([p.starts[min(k, len(p.starts) - 1)] for p in effect.parameters])
