@@ -166,7 +166,8 @@ def summary(worlds: Sequence[World]) -> list[str]:
     """The bars: right class, error after, inserted after, nothing worse, nothing in vain."""
     hidden = [w for w in worlds if w.effect != "none"]
     seen = [w for w in hidden if w.shift_m > SHIFT_M]
-    right = [w for w in seen if w.promoted and set(w.named) == set(w.effect.split("+"))]
+    named = [w for w in seen if w.promoted and set(w.effect.split("+")) <= {*w.named, *w.tied}]
+    right = [w for w in named if set(w.named) == set(w.effect.split("+"))]
     after = [w for w in hidden if w.after is not None]
     good = [
         w
@@ -182,7 +183,7 @@ def summary(worlds: Sequence[World]) -> list[str]:
     empty = [w for w in worlds if w.effect == "none"]
     return [
         f"shift above 0.3 mm: {len(seen)} of {len(hidden)} worlds; right class promoted in "
-        f"{len(right)} of them",
+        f"{len(right)} of them, named or tied in {len(named)}",
         f"promoted: {len(after)}; error after ≤ 1.3 × a complete world's or ≥ 5 × lower in "
         f"{len(good)}; worse than before in {len(worse)}; inserted {done} of {could}",
         f"complete worlds: {len(empty)}; promoted in {sum(w.promoted for w in empty)}",

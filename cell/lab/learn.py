@@ -31,10 +31,14 @@ BEST = 4
 START_ON, FIRST_PASSES = 1, Options(tolerance=1.0, most_passes=6)
 #: Share of what the slope says that a refit begins with.
 A_LITTLE = 0.05
+#: Fits whose χ² is within this factor of the best are taken to convergence.
+NEAR, ALL_PASSES = 2.0, Options(tolerance=0.3, most_passes=30)
 #: Family-wise, over the library (Holm).
 SIGNIFICANCE = 0.01
 #: Effects are one class if their χ², over its inflation, differs by less; as in a diagnosis.
 TIE = 9.0
+#: A fit that did not converge is not ruled out by less than this factor of χ².
+UNFINISHED = 1.1
 #: A model is complete for the line if it misses by no more than this above the noise, m.
 NEGLIGIBLE_M = 5e-6
 
@@ -197,7 +201,7 @@ def _lesson(
     if not tried or tried[0].p_value >= SIGNIFICANCE or _negligible(simpler):
         return before
     progress(f"fitting {tried[0].name} to {len(prepared)} cables")
-    tied = tuple(t.effect.name for t in tried[1:] if tried[0].fall - t.fall < TIE)
+    tied = tuple(t.effect.name for t in tried[1:] if _tied(t, tried[0]))
     best = _on_all(prepared, base, simpler, tried[0])
     values, std = best.fit.by_cable
     falls = (simpler.chi2_by_cable - best.fit.chi2_by_cable) / best.fit.inflation
@@ -218,6 +222,12 @@ def _lesson(
         votes,
         None if before.best is None else before,
     )
+
+
+def _tied(other: EffectFit, best: EffectFit) -> bool:
+    """Whether an effect explains as much, or might: its fit was left before its end, and near."""
+    unfinished = not other.fit.solution.converged and other.fit.chi2 < UNFINISHED * best.fit.chi2
+    return unfinished or best.fall - other.fall < TIE
 
 
 def _negligible(fit: SharedFit) -> bool:
@@ -269,6 +279,10 @@ class _Search:
                 fits.append((effects[name], fit))
         if not fits:
             return []
+        best_chi2 = min(fit.chi2 for _, fit in fits)
+        fits = [
+            (e, self._to_its_end(fit) if fit.chi2 < NEAR * best_chi2 else fit) for e, fit in fits
+        ]
         before = sum(a.chi2 for a in alone) if simpler is None else simpler.fit.chi2
         earlier = () if simpler is None else simpler.effects
         fewer = 0 if simpler is None else len(simpler.fit.theta)
@@ -284,6 +298,15 @@ class _Search:
             for (effect, fit), fall, value in zip(fits, falls, adjusted, strict=True)
         ]
         return sorted(tried, key=lambda t: -t.fall)
+
+    def _to_its_end(self, fit: SharedFit) -> SharedFit:
+        """The fit converged: what is compared must not differ by where it was left."""
+        if fit.solution.converged:
+            return fit
+        effects = fit.space.effects[len(self.base.effects) :]
+        return fit_shared(
+            self.prepared, self.base, fit.q, effects, _natural(fit), options=ALL_PASSES
+        )
 
     def _best_start(
         self,
