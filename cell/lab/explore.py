@@ -122,6 +122,7 @@ class Explorer:
     _tempered: Fit | None = None
     _prior_candidate: Candidate | None = None
     _visible: dict[tuple[frozenset[str], str], float] = field(default_factory=dict)
+    _were_polished: set[frozenset[str]] = field(default_factory=set)
 
     def baseline(self) -> Candidate:
         """The model with no effects beyond those that `space` brings along."""
@@ -220,9 +221,10 @@ class Explorer:
         return [better.get(c.names, c) for c in found]
 
     def _polished(self, candidate: Candidate) -> Candidate:
-        """The candidate taken to convergence."""
-        if candidate.fit.solution.converged:
+        """The candidate taken to convergence, or as near as it once came."""
+        if candidate.fit.solution.converged or candidate.names in self._were_polished:
             return candidate
+        self._were_polished.add(candidate.names)
         fit = fit_model(
             self._alone,
             candidate.fit.space,

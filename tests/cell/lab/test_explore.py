@@ -44,3 +44,27 @@ def test_of_places_of_a_force_the_one_is_kept_that_holds_beyond_the_motions_fitt
     (candidate,) = explorer.add(base, [effect])
     assert candidate.fit.objective == kept
     assert weighed == (list(EVIDENCE) if name == "point" else [kept])
+
+
+def test_what_was_taken_as_far_as_it_goes_is_not_taken_there_again(make_study, monkeypatch):
+    """Fitted again at every look, a candidate moved on while others were compared with it."""
+    effect = library()["tip_mass"]
+    study = make_study(seed=2)
+    explorer = Explorer(PreparedStudy.of(study), ParameterSpace.of(study.cable), {"x": effect})
+    base = explorer.baseline()
+    explorer.screened(base)
+    fits = []
+
+    def fit_model(*args, **options):
+        fits.append(options["options"])
+        return SimpleNamespace(
+            objective=1.0, delay_s={}, space=None, q=None, solution=SimpleNamespace(converged=False)
+        )
+
+    monkeypatch.setattr(explore, "fit_model", fit_model)
+    monkeypatch.setattr(
+        Explorer, "_weigh", lambda explorer, effects, fit: Candidate(effects, fit, None, 0.0)
+    )
+    for _ in range(3):
+        explorer.add(base, [effect])
+    assert fits.count(explore.POLISH) == 1
