@@ -224,7 +224,6 @@ class Explorer:
         """The candidate taken to convergence, or as near as it once came."""
         if candidate.fit.solution.converged or candidate.names in self._were_polished:
             return candidate
-        self._were_polished.add(candidate.names)
         fit = fit_model(
             self._alone,
             candidate.fit.space,
@@ -232,6 +231,8 @@ class Explorer:
             candidate.fit.delay_s,
             options=POLISH,
         )
+        if fit.solution.passes < POLISH.most_passes:  # it gained no more
+            self._were_polished.add(candidate.names)
         self._known[candidate.names] = self._weigh(candidate.effects, fit)
         return self._known[candidate.names]
 

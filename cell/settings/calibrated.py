@@ -146,7 +146,8 @@ def _complaint(
         return f"made {stored.age_h(now):.0f} h ago, at most {limit_h:g} h are allowed"
     for name, limit in bounds_of(wanted).items():
         if name in stored.error and not float(stored.error[name]) <= limit:
-            return f"{name} = {float(stored.error[name]):.2g}, at most {limit:g} allowed"
+            unit = name.rpartition("_")[2]
+            return f"{name} = {float(stored.error[name]):.2g} {unit}, at most {limit:g} allowed"
     return None
 
 

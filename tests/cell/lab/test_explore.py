@@ -46,8 +46,14 @@ def test_of_places_of_a_force_the_one_is_kept_that_holds_beyond_the_motions_fitt
     assert weighed == (list(EVIDENCE) if name == "point" else [kept])
 
 
-def test_what_was_taken_as_far_as_it_goes_is_not_taken_there_again(make_study, monkeypatch):
-    """Fitted again at every look, a candidate moved on while others were compared with it."""
+@pytest.mark.parametrize(("passes", "polished"), [(5, 1), (explore.POLISH.most_passes, 3)])
+def test_what_was_taken_as_far_as_it_goes_is_not_taken_there_again(
+    make_study, monkeypatch, passes, polished
+):
+    """Fitted again at every look, a candidate moved on while others were compared with it.
+
+    One that was stopped by the number of passes goes on.
+    """
     effect = library()["tip_mass"]
     study = make_study(seed=2)
     explorer = Explorer(PreparedStudy.of(study), ParameterSpace.of(study.cable), {"x": effect})
@@ -58,7 +64,11 @@ def test_what_was_taken_as_far_as_it_goes_is_not_taken_there_again(make_study, m
     def fit_model(*args, **options):
         fits.append(options["options"])
         return SimpleNamespace(
-            objective=1.0, delay_s={}, space=None, q=None, solution=SimpleNamespace(converged=False)
+            objective=1.0,
+            delay_s={},
+            space=None,
+            q=None,
+            solution=SimpleNamespace(converged=False, passes=passes),
         )
 
     monkeypatch.setattr(explore, "fit_model", fit_model)
@@ -67,4 +77,4 @@ def test_what_was_taken_as_far_as_it_goes_is_not_taken_there_again(make_study, m
     )
     for _ in range(3):
         explorer.add(base, [effect])
-    assert fits.count(explore.POLISH) == 1
+    assert fits.count(explore.POLISH) == polished
