@@ -60,7 +60,7 @@ class StoredCalibration:
         """A number of the result.  Raises StoreError: it is none."""
         value = self.result.get(name)
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise StoreError(f"{self.kind}: result.{name} = {value!r} is no number; calibrate anew")
+            raise StoreError(self._wrong(f"{name} = {value!r} is no number"))
         return float(value)
 
     def array(self, name: str, shape: tuple[int, ...]) -> FloatArray:
@@ -70,10 +70,12 @@ class StoredCalibration:
         except (TypeError, ValueError):
             value = np.empty(0)
         if value.shape != shape or not np.all(np.isfinite(value)):
-            raise StoreError(
-                f"{self.kind}: result.{name} must be {shape} finite numbers; calibrate anew"
-            )
+            raise StoreError(self._wrong(f"{name} must be {shape} finite numbers"))
         return value
+
+    def _wrong(self, what: str) -> str:
+        """What is said of an entry of the result that cannot be used, with the remedy."""
+        return f"{self.kind}: result.{what}; run `cell calibrate {self.kind}` again"
 
 
 def save(path: Path, stored: StoredCalibration) -> None:
