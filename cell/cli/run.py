@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from cell.records.result import Result
     from cell.run.cycle import Cell
     from cell.run.plans import Plan
+    from cell.settings.model import Settings
     from cell.terminal.console import RunProgress
 
 app = group()
@@ -125,7 +126,7 @@ def run(
         raise typer.Exit(NOT_ALL_DONE if results else BAD_INPUT) from error
     if not as_json:
         _show(results, plan.names, dry_run, known.notes)
-    for line in (*troubles(results), *_changes(out, results, config)):
+    for line in (*troubles(results), *_changes(out, results, config, settings)):
         print(line, file=sys.stderr)
     reached = [r for r in results if r.outcome is plan.aim]
     raise typer.Exit(ALL_DONE if len(reached) == cycles else NOT_ALL_DONE)
@@ -175,20 +176,39 @@ def _show(
         show(console, f"{what} {result.cycle}: {result.folder}")
 
 
-def _changes(out: Path, results: list[Result], config: Path) -> list[str]:
+def _changes(out: Path, results: list[Result], config: Path, settings: Settings) -> list[str]:
     """What has changed in the cycles under `out`, and what to do; also for a cable that was
-    rejected because the model misses it.
+    rejected because the model misses it, and for a promoted model that does worse.
     """
+    from cell.records.changed_model import worsenings
     from cell.records.chart import signals
     from cell.records.history import line_history
 
     if not results or results[-1].model is None:
         return []
-    history = line_history(out, results[-1].model)
-    lines = [str(s) for s in signals(history)]
+    history = line_history(out)
+    of_model = [r for r in history if r.model == results[-1].model]
+    lines = [str(s) for s in signals(of_model)]
     if lines or any(r.model_misses for r in results):
         lines.append(f"to learn what the model lacks: cell learn {out} --config {config}")
+    worse = worsenings(history)
+    if worse:
+        lines += [*map(str, worse), _taken_back(config, settings.promotion.withdraw)]
     return lines
+
+
+def _taken_back(config: Path, withdraw: bool) -> str:
+    """Take a promoted model back if the settings say so; what was done, or can be."""
+    from cell.files.input_error import InputError
+    from cell.settings.promotion import undo
+
+    if not withdraw:
+        return f"to go back to the model before: cell promote --undo --config {config}"
+    try:
+        entry = undo(config)
+    except InputError as error:
+        return f"the model cannot be taken back: {error}"
+    return f"withdrawn, as promotion.withdraw says: {config} has again the model of {entry}"
 
 
 @app.command()

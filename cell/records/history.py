@@ -13,10 +13,10 @@ MOST = 500
 TELLING = frozenset({Outcome.INSERTED, Outcome.MISSED, Outcome.REJECTED})
 
 
-def line_history(runs: Path, model: str) -> list[Result]:
-    """Results of the newest cycles in a folder that were made with one model, oldest first.
+def line_history(runs: Path, model: str | None = None) -> list[Result]:
+    """Results of the newest cycles in a folder, oldest first.
 
-    model    hash of the section `model`
+    model    hash of the section `model` that they were made with; None = any
     A result that cannot be read is left out: it was half written, or is another program's.
     """
     found = []
@@ -25,6 +25,6 @@ def line_history(runs: Path, model: str) -> list[Result]:
             result = Result.from_json(json.loads(file.read_text(encoding="utf-8")))
         except (OSError, ValueError, KeyError, TypeError):
             continue
-        if result.model == model and result.outcome in TELLING:
+        if model in (None, result.model) and result.outcome in TELLING:
             found.append(result)
     return found

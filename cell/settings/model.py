@@ -205,6 +205,13 @@ class Model(Section):
     """Null = a weak one."""
 
 
+class Promotion(Section):
+    """What becomes of a promoted model that does worse than the one before it."""
+
+    withdraw: bool = False
+    """Whether it is taken back by itself, as by `cell promote --undo`; it is reported anyway."""
+
+
 def _told_apart(discs_m: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
     from cell.vision.marks import JawMarks  # takes its time, and hardly anybody has other discs
 
@@ -292,6 +299,7 @@ class Settings(Section):
     """Null = uncalibrated: `camera.view`, `camera.latency_s` and `arm.lag_s` are typed by hand."""
     identification: Identification = Identification()
     model: Model = Model()
+    promotion: Promotion = Promotion()
     choice: Choice = Choice()
     world: World = World()
     emulated: Emulated | None = None

@@ -1,0 +1,94 @@
+"""A model that does worse than the one before it is told, one that does as well is not."""
+
+from __future__ import annotations
+
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cell.cli.run import _changes
+from cell.records.changed_model import worsenings
+from cell.records.folder import Record
+from cell.records.result import Outcome, Result
+from cell.settings import load_settings
+from cell.settings.promotion import promote, read_candidate
+from cell.settings.translate import model_hash
+
+ROOT = Path(__file__).parents[3]
+
+
+def cycles(model: str, count: int, error_m: float, seed: int) -> list[Result]:
+    errors = error_m * np.random.default_rng(seed).normal(size=count)
+    return [
+        Result(
+            cycle=i + 1,
+            outcome=Outcome.INSERTED,
+            folder=f"{model}{i}",
+            predicted_miss_m=0.0,
+            measured_miss_m=float(e),
+            residual_rms_m=5e-5,
+            noise_m=4e-5,
+            model=model,
+        )
+        for i, e in enumerate(errors)
+    ]
+
+
+def test_a_model_that_forecasts_worse_is_told_within_a_few_cables() -> None:
+    told = [
+        worsenings([*cycles("a", 20, 1e-4, seed), *cycles("b", 20, 5e-4, 100 + seed)])
+        for seed in range(20)
+    ]
+    assert sum(len(t) == 1 for t in told) >= 18
+    text = str(next(t[0] for t in told if t))
+    assert text.startswith("since the model was changed forecasts err by more: 0.")
+    assert "mm rms in 20 cables, before 0." in text
+
+
+def test_one_that_does_as_well_is_not_told_at_any_look() -> None:
+    false = 0
+    for seed in range(60):
+        before, since = cycles("a", 20, 1e-4, seed), cycles("b", 20, 1e-4, 1000 + seed)
+        false += any(worsenings([*before, *since[:n]]) for n in range(5, 21))
+    assert false <= 3
+
+
+@pytest.mark.parametrize("better", [4, 0])
+def test_nothing_is_said_of_few_or_of_the_first_model(better: int) -> None:
+    assert worsenings([*cycles("a", 20, 1e-4, 1)[:better], *cycles("b", 30, 5e-4, 2)]) == []
+
+
+@pytest.mark.parametrize("withdraw", [False, True])
+def test_the_line_goes_back_by_itself_only_if_the_settings_say_so(
+    tmp_path: Path, withdraw: bool
+) -> None:
+    config = tmp_path / "cell.yaml"
+    text = (ROOT / "config" / "fake.yaml").read_text(encoding="utf-8")
+    config.write_text(f"{text}\npromotion: {{withdraw: {str(withdraw).lower()}}}\n", "utf-8")
+    first = model_hash(load_settings(config).model)
+    candidate = tmp_path / "candidate.yaml"
+    candidate.write_text(
+        f"format: cell-candidate/1\nbeside: {first}\ngates: []\n"
+        "model: {effects: [{effect: air_drag}]}\n",
+        "utf-8",
+    )
+    promote(read_candidate(candidate), config)
+    settings = load_settings(config)
+    second = model_hash(settings.model)
+    runs, found = tmp_path / "runs", []
+    begun = datetime(2026, 11, 22)
+    all_cycles = (*cycles(first, 20, 1e-4, 1), *cycles(second, 20, 8e-4, 2))
+    for i, result in enumerate(all_cycles):
+        record = Record(runs, result.cycle, begun + timedelta(seconds=i))
+        found.append(result)
+        record.close(result)
+    lines = _changes(runs, found[-1:], config, settings)
+    assert any(line.startswith("since the model was changed forecasts err") for line in lines)
+    if withdraw:
+        assert model_hash(load_settings(config).model) == first
+        assert lines[-1].startswith("withdrawn, as promotion.withdraw says")
+    else:
+        assert model_hash(load_settings(config).model) == second
+        assert lines[-1].endswith(f"cell promote --undo --config {config}")
