@@ -14,7 +14,7 @@ import numpy as np
 
 from calib.errors import CalibrationError
 from calib.plane import PlaneView
-from calib.store import StoredCalibration, load, save
+from calib.store import StoredCalibration, StoreError, load, save
 from calib.timing import Delay
 from cell.build import staged_devices
 from cell.calibration import conclude, measure, raw
@@ -42,8 +42,9 @@ _BETTER = {
 
 
 class BrokenOffError(ValueError):
-    """A device failed while it was calibrated; of the part under way nothing is kept.
+    """Nothing came of the part that was under way, and nothing of it is kept.
 
+    A device failed, what was shown cannot be used, or a stored calibration cannot be read.
     Scenario: the camera's cable is pulled out while the board is shown.
     """
 
@@ -90,9 +91,9 @@ class CalibrationJob:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Let go of the devices.  Raises BrokenOffError: one of them failed."""
+        """Let go of the devices.  Raises BrokenOffError: nothing came of what was under way."""
         self._stack.__exit__(kind, error, trace)
-        if isinstance(error, DeviceError | EmulatorError):
+        if isinstance(error, DeviceError | EmulatorError | CalibrationError | StoreError):
             raise BrokenOffError(str(error)) from error
 
     # --- parts --------------------------------------------------------------------------------

@@ -144,8 +144,6 @@ def _workshop(
     config: Path, seed: int, as_json: bool, *, live: bool = True
 ) -> Iterator[CalibrationJob]:
     """Everything that calibrating needs; what goes wrong is said and ends with 2."""
-    from calib.errors import CalibrationError
-    from calib.store import StoreError
     from cell.calibration.work import BrokenOffError, CalibrationJob
     from cell.files.input_error import InputError
     from cell.settings import load_settings
@@ -175,7 +173,7 @@ def _workshop(
             CalibrationJob(settings, config, seed, say, ask, live=live) as work,
         ):
             yield work
-    except (InputError, CalibrationError, StoreError, BrokenOffError) as error:
+    except (InputError, BrokenOffError) as error:
         refuse(error)
     except OSError as error:
         refuse(
