@@ -38,7 +38,7 @@ SIGNIFICANCE = 0.01
 #: Effects are one class if their χ², over its inflation, differs by less; as in a diagnosis.
 TIE = 9.0
 #: A fit that did not converge is not ruled out by less than this factor of χ².
-UNFINISHED = 1.1
+UNFINISHED = 1.5
 #: A model is complete for the line if it misses by no more than this above the noise, m.
 NEGLIGIBLE_M = 5e-6
 
