@@ -9,6 +9,7 @@ Ends with 1 if a verdict is wrong.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import sys
 import tempfile
@@ -21,7 +22,7 @@ from rich.console import Console
 from rich.table import Table
 
 from cell.lab.diagnose import diagnose
-from cell.lab.discover import discover
+from cell.lab.discover import NothingFoundError, discover
 from cell.lab.results import Diagnosis
 from cell.lab.session import explorer_of, open_study, select_effects
 
@@ -73,7 +74,8 @@ def examine(folder: Path, truth: dict[str, Any], with_discovery: bool) -> Row:
     seconds = time.monotonic() - began
     removed = None
     if with_discovery and found.verdict == "unexplained":
-        with tempfile.TemporaryDirectory() as scratch:
+        nothing = contextlib.suppress(NothingFoundError)
+        with nothing, tempfile.TemporaryDirectory() as scratch:
             removed = discover(explorer, Path(scratch) / "discovered.py").removed_share
     return Row(folder.name, truth["effects"], found, seconds, removed)
 
