@@ -147,7 +147,8 @@ def _searched(
     for _ in range(rules.most_effects):
         if _below_stated(explorer, current, rules) or hopeless_search(explorer, current, rules):
             break
-        if explorer.prepared.work.simulated_s > rules.most_simulated_s:
+        spent = explorer.prepared.work.simulated_s > rules.most_simulated_s
+        if spent and current is not base:  # beside the baseline, all were refitted already
             return current, True
         options = explorer.add(current, explorer.worth_refitting(current, rules.best))
         better = _accepted(explorer, current, options, library, rules)

@@ -13,6 +13,7 @@ from cell.lab.diagnose import diagnose
 from cell.lab.explore import Explorer
 from cell.lab.prepared import PreparedStudy
 from cell.lab.results import to_json
+from cell.lab.rules import DEFAULT_RULES
 from cell.lab.screen import screen
 from cell.study.folder import read_study
 
@@ -68,6 +69,15 @@ def explore(study, names=RIVALS):
     known = library()
     space = ParameterSpace.of(study.cable, gravity_m_per_s2=study.gravity_m_per_s2)
     return Explorer(PreparedStudy.of(study), space, {n: known[n] for n in names})
+
+
+def test_an_effect_that_was_refitted_is_weighed_however_much_that_took(make_study):
+    """Of a long study nothing was accepted, because its first refits had taken all there was."""
+    drag = library()["air_drag"].active(drag_coefficient=2.0)
+    explorer = explore(make_study([drag], seed=6), ("air_drag", "tip_mass"))
+    found = diagnose(explorer, replace(DEFAULT_RULES, most_simulated_s=0.0)).diagnosis
+    assert [f.effect for f in found.missing] == ["air_drag"]
+    assert "cut_short" in [w.code for w in found.warnings]
 
 
 def test_a_complete_model_is_called_complete(make_study):
