@@ -17,6 +17,7 @@ from cell.lab.compare import Comparison
 from cell.lab.explore import Candidate
 from cell.lab.prepared import PreparedStudy
 from cell.lab.results import Diagnosis, Doubt
+from cell.lab.rules import DEFAULT_RULES
 from cell.lab.wording import (
     LIMIT_HEADS,
     LIMIT_NOTE,
@@ -36,6 +37,8 @@ if TYPE_CHECKING:
 
 NOT_TOLD = "These motions cannot tell them apart."
 NOT_CONFIRMED = "The motions not fitted to cannot show it: it is not confirmed."
+#: Up to so many times the noise a remaining error is called noise.
+NOISE_ALONE = DEFAULT_RULES.gross_misfit
 _COLOURS = {"present": "green", "inspect": "yellow", "absent": "dim", "cannot_tell": ""}
 
 
@@ -337,10 +340,12 @@ def discovery_table(discovery: Discovery) -> Table:
 def discovery_sentence(discovery: Discovery) -> str:
     """What a discovered law does to the error."""
     where = "held-out error" if discovery.confirmed else "error on the trials fitted to"
+    times = discovery.after_m / discovery.noise_m
     left = "What is left is noise."
     if not discovery.complete:
-        times = discovery.after_m / discovery.noise_m
         left = f"What is left is {times:.1f} times the noise: something else is missing too."
+    elif times > NOISE_ALONE:
+        left = f"What is left is {times:.1f} times the noise: little beside it, but not noise."
     doubt = "" if discovery.confirmed else " No trial is held out: the law is not confirmed."
     return (
         f"With {discovery.effect} the {where} falls from {_mm(discovery.before_m)} to "

@@ -9,10 +9,11 @@ from cell.cable.effects import library
 from cell.identify.parameters import ParameterSpace
 from cell.lab.advice import Paths, advice
 from cell.lab.compare import compare_model
+from cell.lab.discover import Discovery
 from cell.lab.explore import Explorer
 from cell.lab.prepared import PreparedStudy
 from cell.lab.results import Diagnosis, Errors, MissingEffect
-from cell.lab.tables import sentence, steps_text
+from cell.lab.tables import discovery_sentence, sentence, steps_text
 from cell.lab.wording import apart, left_in_words, noise_in_words
 
 
@@ -93,3 +94,18 @@ def test_one_statement_about_noise_where_the_study_states_it_and_the_camera_is_b
 )
 def test_the_ends_of_a_narrow_range_are_told_apart(low, high, shown):
     assert apart(low, high) == shown
+
+
+@pytest.mark.parametrize(
+    ("after_m", "complete", "left"),
+    [
+        (5.2e-5, True, "What is left is noise."),
+        (9e-5, True, "What is left is 1.8 times the noise: little beside it, but not noise."),
+        (9e-4, False, "What is left is 18.0 times the noise: something else is missing too."),
+    ],
+)
+def test_what_a_law_leaves_is_called_noise_only_if_it_is(
+    after_m: float, complete: bool, left: str
+) -> None:
+    law = Discovery("hb", (), (), 5e-5, 4.5e-3, after_m, True, complete)
+    assert discovery_sentence(law).endswith(left)
