@@ -32,8 +32,8 @@ from cell.run.station import Task
 from cell.settings import Settings, load_settings
 from cell.study.data import Study
 
-#: What vision errs by in rendered pictures of a sharp camera, as `bench_vision` measures it; the
-#: default of `Errors` is a poor camera's.
+#: Of a sharp camera, assumed: nodes at the bound that `bench_vision` holds across the cable, the
+#: end a seventh of a pixel off.  The default of `Errors` is a poor camera's.
 SEEN = Errors(node_m=1.2e-5, across_m=4e-6, end_m=3e-5)
 #: An effect that moves the tip by less than this at the mouth is not counted, m.
 SHIFT_M = 3e-4

@@ -67,11 +67,12 @@ def worsenings(results: Sequence[Result]) -> list[Worsening]:
 
 def _newest_two(results: Sequence[Result]) -> tuple[list[Result], list[Result]]:
     """Results of the newest model, and of the one before it."""
-    models = list(dict.fromkeys(r.model for r in reversed(results) if r.model is not None))[:2]
-    newest, former = ([r for r in results if r.model == m] for m in (*models, None, None)[:2])
+    newest_first = dict.fromkeys(r.model for r in reversed(results) if r.model is not None)
+    models = list(newest_first)[:2]
     if len(models) < 2:
-        return newest, []
-    return newest, former
+        return [], []
+    since, before = ([r for r in results if r.model == model] for model in models)
+    return since, before
 
 
 def _forecast_error_m(result: Result) -> float | None:
