@@ -43,6 +43,24 @@ class Block:
     effects: tuple[Any, ...]
     own: tuple[type[Effect], ...]
 
+    def go_on_from(self, trunk: Sequence[Block]) -> None:
+        """Take the state that the same models have come to, of which there are fewer lanes.
+
+        trunk  blocks whose lanes are models; lane i of this batch has model i modulo their number
+        """
+        place = {lane: (block, k) for block in trunk for k, lane in enumerate(block.lanes)}
+        order = self.lanes + self.lanes[:1] * (at.LANES - len(self.lanes))
+        for k, lane in enumerate(order):
+            block, there = place[lane % len(place)]
+            for mine, its in ((self.state, block.state), (self._memory, block._memory)):
+                mine.reshape(-1, at.LANES)[:, k] = its.reshape(-1, at.LANES)[:, there]
+
+    @property
+    def _memory(self) -> FloatArray:
+        """What the effects remember; lanes innermost."""
+        memory: FloatArray = self.effects[4]
+        return memory
+
 
 def assemble(
     models: Sequence[CableModel], segments: int, start_s: float, threads: int = 1

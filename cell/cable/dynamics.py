@@ -118,6 +118,54 @@ def simulate_each(
     return out
 
 
+def simulate_branches(
+    models: Sequence[CableModel],
+    motions: Sequence[Motion],
+    alike_until_s: float,
+    times_s: FloatArray,
+    arc_length_m: FloatArray,
+    *,
+    solver: Solver = DEFAULT_SOLVER,
+) -> FloatArray:
+    """Positions of markers for every model on every motion, from equilibrium.
+
+    What the motions have in common is simulated once per model, not once per motion; only where a
+    camera shows other times than its pictures', everything is simulated.
+
+    alike_until_s  until then all motions are the same, which the caller warrants
+    times_s        (times,) increasing, none of them before that
+    returns        (motions, models, times, markers, 2) x, y in m
+    raises         as `simulate`; ValueError: a time before the motions part
+    """
+    times = _checked(times_s)
+    if times.size and times[0] < alike_until_s:
+        raise ValueError(f"a marker is asked for at {times[0]} s: the motions part later")
+    batch, paths = list(models) * len(motions), [m for m in motions for _ in models]
+    begin_s = float(min(m.t_s[0] for m in motions))
+    steps = int((alike_until_s - begin_s) / solver.step_s + 1e-9)
+    shape = (len(motions), len(models), times.size, np.size(arc_length_m), 2)
+    if steps < 1 or camera.shifts_time(models):
+        return simulate(batch, paths, times, arc_length_m, solver=solver).reshape(shape)
+    fork_s = begin_s + steps * solver.step_s
+    workers = threads() if solver.threads is None else solver.threads
+    trunk = assemble(models, solver.segments, begin_s, workers)
+    _swing(
+        _Swing(list(models), [motions[0]] * len(models), [np.empty(0)] * len(models), solver),
+        trunk,
+        [_Grid(begin_s, steps, np.empty(0), True, solver)] * len(trunk),
+        arc_length_m,
+        [],
+    )
+    swing = _Swing(batch, paths, [times] * len(batch), solver)
+    branches = assemble(batch, solver.segments, fork_s, workers)
+    for block in branches:
+        block.go_on_from(trunk)
+    grids = [_Grid.of(fork_s, [times], batch[b.lanes[0]], False, solver) for b in branches]
+    out = np.empty((len(batch), *shape[2:]))
+    _swing(swing, branches, grids, arc_length_m, list(out))
+    return out.reshape(shape)
+
+
 def _lanes(
     models: CableModel | Sequence[CableModel], motions: Motion | Sequence[Motion]
 ) -> tuple[list[CableModel], list[Motion]]:
@@ -153,26 +201,51 @@ def _simulate(
         raise ValueError(
             f"start = {start!r}, release_s = {release_s}: only 'straight' has a release"
         )
-    cell, weights = marker_weights(batch, arc_length_m, solver.segments)
     first = [float(t[0]) for t in times_s if t.size]
     if not first:
         return
     begin = float(min(*first, *(m.t_s[0] for m in paths)) if release_s is None else release_s)
     workers = threads() if solver.threads is None else solver.threads
     blocks = assemble(batch, solver.segments, begin, workers)
+    rests = release_s is None
     grids = [
-        _Grid.of(begin, [times_s[i] for i in b.lanes], batch[b.lanes[0]], release_s, solver)
+        _Grid.of(begin, [times_s[i] for i in b.lanes], batch[b.lanes[0]], rests, solver)
         for b in blocks
     ]
-    rows = _rows(paths, batch, max(grids, key=lambda grid: grid.steps))
+    _swing(_Swing(batch, paths, times_s, solver), blocks, grids, arc_length_m, out)
+
+
+@dataclass(frozen=True)
+class _Swing:
+    """Model, motion and times of each lane."""
+
+    models: list[CableModel]
+    paths: list[Motion]
+    times_s: list[FloatArray]
+    solver: Solver
+
+
+def _swing(
+    swing: _Swing,
+    blocks: Sequence[Block],
+    grids: Sequence[_Grid],
+    arc_length_m: FloatArray,
+    out: list[FloatArray],
+) -> None:
+    """Move all blocks along; write (times, markers, 2) of each lane to `out`, if it has any."""
+    cell, weights = marker_weights(swing.models, arc_length_m, swing.solver.segments)
+    rows = _rows(swing.paths, swing.models, max(grids, key=lambda grid: grid.steps))
 
     def run(block: Block, grid: _Grid) -> None:
-        seen = _run(block, grid, rows, paths, batch, cell, weights)
+        seen = _run(block, grid, rows, swing.paths, swing.models, cell, weights)
+        if not out:
+            return
         for lane, points in zip(block.lanes, seen, strict=True):
-            times = times_s[lane]
+            times = swing.times_s[lane]
             shared = len(times) == len(grid.times_s)
             out[lane][:] = points if shared else points[np.searchsorted(grid.times_s, times)]
 
+    workers = threads() if swing.solver.threads is None else swing.solver.threads
     if len(blocks) == 1 or workers == 1:
         for block, grid in zip(blocks, grids, strict=True):
             run(block, grid)
@@ -193,12 +266,15 @@ def _pool(process: int, workers: int) -> ThreadPoolExecutor:
 
 @dataclass(frozen=True)
 class _Grid:
-    """Steps of a block, from the beginning that all blocks share, and the times of its pictures."""
+    """Steps of a block, from the beginning that all blocks share, and the times of its pictures.
+
+    rests  whether it begins in equilibrium, not in the state that the block is in
+    """
 
     begin_s: float
     steps: int
     times_s: FloatArray
-    release_s: float | None
+    rests: bool
     solver: Solver
 
     @staticmethod
@@ -206,7 +282,7 @@ class _Grid:
         begin_s: float,
         times_s: Sequence[FloatArray],
         model: CableModel,
-        release_s: float | None,
+        rests: bool,
         solver: Solver,
     ) -> _Grid:
         """Of lanes with these times and models of one kind.  Raises ValueError: too many steps."""
@@ -217,7 +293,7 @@ class _Grid:
         steps = max(1, int(np.ceil((end - begin_s) / solver.step_s - 1e-9)))
         if steps > _MOST_STEPS:
             raise ValueError(f"{steps} steps of {solver.step_s} s from {begin_s} s to {last} s")
-        return _Grid(begin_s, steps, times, release_s, solver)
+        return _Grid(begin_s, steps, times, rests, solver)
 
     @property
     def end_s(self) -> float:
@@ -303,7 +379,7 @@ def _run(
     order = block.lanes + block.lanes[:1] * (block.width - w)
     base = interleave([rows[lane] for lane in order], (grid.steps, at.BASE_FIELDS))
     poses = [pose_of(paths[lane], batch[lane].effects) for lane in order]
-    if grid.release_s is None:
+    if grid.rests:
         first = np.zeros((1, at.BASE_FIELDS, at.LANES))
         for k, pose in enumerate(poses):
             x, y, angle = pose(np.array([grid.begin_s]))

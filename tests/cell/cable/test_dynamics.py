@@ -7,7 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cell.cable.dynamics import DivergedError, Solver, simulate, simulate_each
+from cell.cable import dynamics
+from cell.cable.dynamics import (
+    DivergedError,
+    Solver,
+    simulate,
+    simulate_branches,
+    simulate_each,
+)
 from cell.cable.effects import library
 from cell.cable.geometry import Cable, Motion
 from cell.cable.model import CableModel
@@ -53,6 +60,57 @@ def test_one_model_many_motions(cable, arc, jerk):
     half = Motion(jerk.t_s, jerk.x_m, 0.5 * jerk.y_m, jerk.angle_rad)
     both = simulate(models(cable, 1)[0], [jerk, half], TIMES, arc)
     assert both[1] == pytest.approx(simulate(models(cable, 1)[0], half, TIMES, arc)[0], abs=1e-13)
+
+
+PART_S = 0.5
+
+
+def parting(jerk: Motion) -> list[Motion]:
+    """The hand's motion, then up or down or neither."""
+    later = np.clip((jerk.t_s - PART_S) / 0.2, 0.0, 1.0)
+    by_m = later**3 * (10 - 15 * later + 6 * later**2)
+    motions = [Motion(jerk.t_s, jerk.x_m, jerk.y_m + k * by_m, jerk.angle_rad) for k in (0, 0.01)]
+    return [*motions, Motion(jerk.t_s, -0.02 * by_m, jerk.y_m, 0.1 * by_m)]
+
+
+@pytest.mark.parametrize(
+    "effect", [None, "air_drag", "stress_relaxation", "bending_hysteresis", "camera_latency"]
+)
+def test_what_motions_share_may_be_simulated_once(cable, arc, jerk, effect):
+    kinds = ()
+    if effect is not None:
+        kind = library()[effect]
+        kinds = (kind.active(**{p.name: p.starts[0] for p in kind.parameters}),)
+    batch = [
+        CableModel.uniform(cable, rigidity, viscosity_n_m2_s=1e-7, effects=kinds)
+        for rigidity in (3e-5, 4e-5)
+    ]
+    motions, times = parting(jerk), np.arange(PART_S, 1.0, 0.01)
+    branched = simulate_branches(batch, motions, PART_S, times, arc)
+    for motion, found in zip(motions, branched, strict=True):
+        assert found == pytest.approx(simulate(batch, motion, times, arc), abs=1e-8)
+
+
+def test_what_motions_share_is_simulated_once(cable, arc, jerk, monkeypatch):
+    swung = []
+
+    def counted(integrate, own, state, width, n, base, *others):
+        swung.append(width * base.size)
+        return run_engine(integrate, own, state, width, n, base, *others)
+
+    run_engine = dynamics.run_engine
+    monkeypatch.setattr(dynamics, "run_engine", counted)
+    times, motions = np.arange(PART_S, 0.8, 0.01), parting(jerk) * 8
+    simulate(models(cable, 1) * len(motions), motions, times, arc)
+    every = sum(swung)
+    swung.clear()
+    simulate_branches(models(cable, 1), motions, PART_S, times, arc)
+    assert sum(swung) < 0.6 * every  # 0.3 of 0.8 s by each, and 0.5 s by one vector of eight
+
+
+def test_no_marker_can_be_asked_for_before_the_motions_part(cable, arc, jerk):
+    with pytest.raises(ValueError, match=r"asked for at 0\.0 s: the motions part later"):
+        simulate_branches(models(cable, 1), parting(jerk), PART_S, TIMES, arc)
 
 
 @pytest.mark.parametrize("effect", [None, "camera_latency"])

@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cell.cable import dynamics
 from cell.cable.dynamics import Solver, simulate
 from cell.cable.geometry import Cable, Motion
 from cell.identify.identified import Identified
@@ -102,7 +103,9 @@ def test_last_moment_change_of_parameters_needs_no_simulation(
     assert np.abs(moved.tip_m - exact.tip_m).max() < 0.05 * changed
 
 
-def test_longer_steps_are_good_enough_for_slopes(expected: Forecast, motions: list[Motion]) -> None:
+def test_longer_steps_and_segments_are_good_enough_for_slopes(
+    expected: Forecast, motions: list[Motion]
+) -> None:
     step = 1e-3 * np.eye(len(expected.mean))
     models = [SPACE.model(q) for q in np.vstack([expected.mean + step, expected.mean - step])]
     tips = simulate(models, motions[1], expected.t_s, np.array([0.1]))[:, :, 0]
@@ -111,6 +114,28 @@ def test_longer_steps_are_good_enough_for_slopes(expected: Forecast, motions: li
     assert np.abs(found - exact).max() < 0.01 * np.abs(exact).max()
     (tip,) = simulate(SPACE.model(expected.mean), motions[1], expected.t_s, np.array([0.1]))
     np.testing.assert_allclose(expected.tip_m[1], tip[:, 0], atol=1e-9)
+
+
+def test_what_was_before_the_paths_is_simulated_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The history of the hold counts once, not once per offset."""
+    paths = [insertion_path(Pose(0, -0.05), o, 0.05, MotionLimits(), 500.0) for o in OFFSETS_M]
+    before_s = np.arange(-1.5, -0.3, 0.002)
+    down = np.clip((before_s + 1.4) / 0.3, 0.0, 1.0)
+    lowered_m = -0.05 * down**3 * (10 - 15 * down + 6 * down**2)
+    history = Motion(before_s, 0 * before_s, lowered_m, 0 * before_s)
+    motions = [executed_motion(p, 0.03, settle_s=0.1, history=history) for p in paths]
+    begun_s = []
+
+    def noted(motion, effects, start_s, *others):
+        begun_s.append(start_s)
+        return base_rows(motion, effects, start_s, *others)
+
+    base_rows = dynamics.base_rows
+    monkeypatch.setattr(dynamics, "base_rows", noted)
+    found = forecast(identified(0.01), OFFSETS_M, motions)
+    assert sum(t_s < -0.01 for t_s in begun_s) == 2  # once at full steps, once for the slopes
+    tips = simulate(SPACE.model(found.mean), motions, found.t_s, np.array([0.1]))[:, :, 0]
+    np.testing.assert_allclose(found.tip_m, tips, atol=1e-7)
 
 
 def test_one_motion_per_offset(motions: list[Motion]) -> None:
