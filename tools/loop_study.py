@@ -120,14 +120,12 @@ def world(
     recorded = [
         recorded_cycle(task, k, fast_cycle(there, seed, k, task=task, errors=SEEN)) for k in first
     ]
-    before, complete = (
-        run(there, task, seed, later),
-        run(with_world(settings, {}), task, seed, later),
-    )
     begun_s = time.process_time()
     lesson = learn(recorded, task.cable, task.identification, library())
     lesson, judgement = best_judged(lesson, settings)
     spent_s = time.process_time() - begun_s
+    complete = _complete(settings, task, seed, cables)
+    before = run(there, task, seed, later) if parts else complete
     after = None
     promoted = lesson.best is not None and judgement.fit_for_line
     if promoted:
@@ -146,6 +144,17 @@ def world(
         complete,
         spent_s,
     )
+
+
+_COMPLETE: dict[tuple[int, int], Cables] = {}
+
+
+def _complete(settings: Settings, task: Task, seed: int, cables: int) -> Cables:
+    """The cables that come later, in a world without an effect: the same for every effect."""
+    if (seed, cables) not in _COMPLETE:
+        later = range(cables + 1, 2 * cables + 1)
+        _COMPLETE[seed, cables] = run(with_world(settings, {}), task, seed, later)
+    return _COMPLETE[seed, cables]
 
 
 def recorded_cycle(task: Task, number: int, c: FastCycle) -> RecordedCycle:

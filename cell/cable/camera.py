@@ -34,7 +34,10 @@ def scene_times(
     if not shifts_time([model]):
         return times_s
     spacing = _EVERY * step_s
-    first = max(begin_s, float(times_s[0]) - LOOK_AHEAD_S - 2.0 * spacing)
+    # Counted from the beginning: where a grid lies must not depend on which lanes share a block, or
+    # what interpolation errs by would differ between lanes, and spoil differences of them.
+    before = (float(times_s[0]) - LOOK_AHEAD_S - begin_s) / spacing - 2.0
+    first = begin_s + spacing * max(0, int(before))
     count = int((end_s - first) / spacing + 1e-9) + 1
     return np.asarray(first + spacing * np.arange(count))
 

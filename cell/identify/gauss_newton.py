@@ -73,6 +73,7 @@ class Solution:
     objective   |r|² plus the prior's term
     passes      places tried, the start included
     converged   whether the last step was within the tolerance
+    promised    by which the objective would still fall there, if the model were linear
     """
 
     q: FloatArray
@@ -83,6 +84,7 @@ class Solution:
     objective: float
     passes: int
     converged: bool
+    promised: float = 0.0
 
 
 def minimise(problem: Problem, start: FloatArray, options: Options = Options()) -> Solution:
@@ -107,6 +109,7 @@ def minimise(problem: Problem, start: FloatArray, options: Options = Options()) 
         step = _bounded_step(problem, here.q, normal, slope, 0.0)
         square = float(here.residual @ here.residual)
         scale = max(1.0, square / max(1, int(np.count_nonzero(here.residual))))
+        promised = -float(step @ (2.0 * slope + normal @ step))
         near = float(step @ normal @ step) <= options.tolerance**2 * scale
         last = passes >= options.most_passes or (idle == 2 and scale > _ERRS)
         if near or last:
@@ -154,6 +157,7 @@ def minimise(problem: Problem, start: FloatArray, options: Options = Options()) 
         _objective(problem, here.q, here.residual),
         passes,
         converged,
+        0.0 if converged else promised,
     )
 
 

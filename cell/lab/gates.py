@@ -83,29 +83,33 @@ class Judgement:
         return all(gate.passed for gate in self.gates)
 
 
-def judge(lesson: Lesson, settings: Settings) -> Judgement:
+def judge(lesson: Lesson, settings: Settings, known: Sequence[ForecastPair] = ()) -> Judgement:
     """The lesson's candidate held against every condition, for the line of these settings.
 
+    known   forecasts of the present model that were made already; of any candidate
     raises  as `identification_of`
     """
     if lesson.best is None:
         return Judgement()
     destination = Destination(*settings.destination.x_m, *settings.destination.y_m)
     cable, options = cable_of(settings), identification_of(settings)
-    paired = forecasts(lesson, cable, options, destination)
+    paired = forecasts(lesson, cable, options, destination, known)
     return Judgement(tuple(gates(lesson, paired, destination)), tuple(paired))
 
 
-def best_judged(lesson: Lesson, settings: Settings) -> tuple[Lesson, Judgement]:
+def best_judged(
+    lesson: Lesson, settings: Settings, known: Sequence[ForecastPair] = ()
+) -> tuple[Lesson, Judgement]:
     """The lesson, or the simpler one in it if its last effect does not help; and its judgement.
 
     The last effect helps if with it unseen cables are forecast better than without, by the gate
     that a first effect must pass.
+    known   as in `judge`
     """
-    judgement = judge(lesson, settings)
+    judgement = judge(lesson, settings, known)
     if lesson.simpler is None:
         return lesson, judgement
-    simpler, without = best_judged(lesson.simpler, settings)
+    simpler, without = best_judged(lesson.simpler, settings, judgement.paired)
     pairs = zip(without.paired, judgement.paired, strict=True)
     gained = np.array([(before.candidate_m, after.candidate_m) for before, after in pairs])
     helps = len(gained) >= FEWEST and _better(gained[:, 0], gained[:, 1], lesson.noise_m).passed
@@ -119,15 +123,20 @@ def forecasts(
     cable: Cable,
     options: IdentifyOptions,
     destination: Destination,
+    known: Sequence[ForecastPair] = (),
 ) -> list[ForecastPair]:
-    """Every recorded execution of the lesson, and holds without one, out of sample."""
+    """Every recorded execution of the lesson, and holds without one, out of sample.
+
+    known  as in `judge`
+    """
     assert lesson.best is not None
+    at_present = {pair.cycle: (pair.present_m, pair.present_s) for pair in known}
     found = []
     for i, cycle in enumerate(lesson.cycles):
         if cycle.held is None:
             continue
         kind = with_effect(options.kind, lesson.best, lesson.best.fit.without(i), lesson)
-        before = _forecast_m(cycle, cable, options, destination)
+        before = at_present.get(cycle.name) or _forecast_m(cycle, cable, options, destination)
         after = _forecast_m(cycle, cable, replace(options, kind=kind), destination)
         of: Literal["execution", "rest of the hold"] = (
             "rest of the hold" if cycle.executed is None else "execution"

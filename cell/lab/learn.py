@@ -37,8 +37,6 @@ NEAR, ALL_PASSES = 2.0, Options(tolerance=0.3, most_passes=30)
 SIGNIFICANCE = 0.01
 #: Effects are one class if their χ², over its inflation, differs by less; as in a diagnosis.
 TIE = 9.0
-#: A fit that did not converge is not ruled out by less than this factor of χ².
-UNFINISHED = 1.5
 #: A model is complete for the line if it misses by no more than this above the noise, m.
 NEGLIGIBLE_M = 5e-6
 
@@ -164,18 +162,20 @@ def learn(
     ]
     chosen = [usable[i] for i in order]
     prepared = [prepared_cycle(cycle.whole) for cycle, _ in chosen]
-    q = np.array([found.mean for _, found in chosen])
+    plausible = np.array([found.mean for _, found in chosen])
     base = options.kind.space(cable, chosen[0][0].study.gravity_m_per_s2)
     progress("fitting the present model")
-    alone = [fit_shared([p], base, q[i : i + 1]) for i, p in enumerate(prepared)]
+    alone = [fit_shared([p], base, plausible[i : i + 1]) for i, p in enumerate(prepared)]
     few = prepared[:TRIED_ON]
     others = [e for e in library.values() if e not in base.effects]
-    search = _Search(tuple(few), base, len(others), progress)
-    tried = search.next(alone[:TRIED_ON], others, None)
     baseline = fit_shared(prepared, base, np.vstack([a.q for a in alone]))
     names = tuple(c for c, _ in chosen)
-    none = Lesson(names, baseline, tuple(tried), None, (), (), ())
-    first = _lesson(none, prepared, base, tried, progress)
+    none = Lesson(names, baseline, (), None, (), (), ())
+    if _negligible(baseline):
+        return none
+    search = _Search(tuple(few), base, plausible[:TRIED_ON], len(others), progress)
+    tried = search.next(alone[:TRIED_ON], others, None)
+    first = _lesson(replace(none, ranking=tuple(tried)), search, prepared, plausible, tried)
     if first.best is None or _negligible(first.best.fit) or len(others) < 2:
         return first
     progress(f"looking for what {first.best.effect.name} leaves")
@@ -185,24 +185,24 @@ def learn(
     starts_at = np.hstack([first.best.fit.q, np.tile(first.best.fit.theta, (len(prepared), 1))])
     left = [fit_shared([p], with_it, starts_at[i : i + 1]) for i, p in enumerate(few)]
     rest = [e for e in others if e is not first.best.effect]
-    second = _lesson(first, prepared, base, search.next(left, rest, tried[0]), progress)
+    second = _lesson(first, search, prepared, plausible, search.next(left, rest, tried[0]))
     return second if second.best is not first.best else first
 
 
 def _lesson(
     before: Lesson,
+    search: _Search,
     prepared: Sequence[PreparedStudy],
-    base: ParameterSpace,
+    plausible: FloatArray,
     tried: Sequence[EffectFit],
-    progress: Progress,
 ) -> Lesson:
     """The lesson with the best of these; as before, if it is no more than chance."""
     simpler = before.baseline if before.best is None else before.best.fit
-    if not tried or tried[0].p_value >= SIGNIFICANCE or _negligible(simpler):
+    if not tried or tried[0].p_value >= SIGNIFICANCE:
         return before
-    progress(f"fitting {tried[0].name} to {len(prepared)} cables")
+    search.progress(f"fitting {tried[0].name} to {len(prepared)} cables")
     tied = tuple(t.effect.name for t in tried[1:] if _tied(t, tried[0]))
-    best = _on_all(prepared, base, simpler, tried[0])
+    best = _on_all(prepared, search.base, plausible, simpler, tried[0])
     values, std = best.fit.by_cable
     falls = (simpler.chi2_by_cable - best.fit.chi2_by_cable) / best.fit.inflation
     last = best.firsts[-1]
@@ -225,9 +225,9 @@ def _lesson(
 
 
 def _tied(other: EffectFit, best: EffectFit) -> bool:
-    """Whether an effect explains as much, or might: its fit was left before its end, and near."""
-    unfinished = not other.fit.solution.converged and other.fit.chi2 < UNFINISHED * best.fit.chi2
-    return unfinished or best.fall - other.fall < TIE
+    """Whether an effect explains as much, or would: its fit was left short of its end."""
+    left = other.fit.solution.promised if other.fit.chi2 < NEAR * best.fit.chi2 else 0.0
+    return best.fall - other.fall - left / best.fit.inflation < TIE
 
 
 def _negligible(fit: SharedFit) -> bool:
@@ -240,12 +240,16 @@ def _negligible(fit: SharedFit) -> bool:
 class _Search:
     """Looks for the next effect on a few cables.
 
-    base     parameters of one cable without the shared effects
-    library  number of effects that could be named
+    base       parameters of one cable without the shared effects
+    plausible  (cables, own) where refits begin: each cable as its hold shows it, frames weighed by
+               what the model misses.  A fit that takes its misfit for information bends EI(s) until
+               it imitates an effect, to where some of it is no longer seen: no way leads back.
+    library    number of effects that could be named
     """
 
     prepared: tuple[PreparedStudy, ...]
     base: ParameterSpace
+    plausible: FloatArray
     library: int
     progress: Progress
 
@@ -270,18 +274,18 @@ class _Search:
         ranked = sorted(effects, key=lambda n: -score[n])
         names = ranked[:BEST] + [n for n in ranked[BEST:] if not effects[n].smooth]
         fits = []
-        q = np.vstack([a.q for a in alone])[:, : len(self.base.names)]
         for name in names:
             self.progress(f"refitting with {name}")
             guesses = [s.starts[0] for found in screens for s in found if s.effect.name == name]
-            fit = self._best_start(q, simpler, effects[name], guesses)
+            fit = self._best_start(simpler, effects[name], guesses)
             if fit is not None:
                 fits.append((effects[name], fit))
         if not fits:
             return []
-        best_chi2 = min(fit.chi2 for _, fit in fits)
+        best = min((fit for _, fit in fits), key=lambda f: f.chi2)
         fits = [
-            (e, self._to_its_end(fit) if fit.chi2 < NEAR * best_chi2 else fit) for e, fit in fits
+            (e, self._to_its_end(fit, best) if fit.chi2 < NEAR * best.chi2 else fit)
+            for e, fit in fits
         ]
         before = sum(a.chi2 for a in alone) if simpler is None else simpler.fit.chi2
         earlier = () if simpler is None else simpler.effects
@@ -299,21 +303,22 @@ class _Search:
         ]
         return sorted(tried, key=lambda t: -t.fall)
 
-    def _to_its_end(self, fit: SharedFit) -> SharedFit:
-        """The fit converged: what is compared must not differ by where it was left."""
-        if fit.solution.converged:
-            return fit
-        effects = fit.space.effects[len(self.base.effects) :]
-        return fit_shared(
-            self.prepared, self.base, fit.q, effects, _natural(fit), options=ALL_PASSES
-        )
+    def _to_its_end(self, fit: SharedFit, best: SharedFit) -> SharedFit:
+        """The fit converged: what is compared must not differ by where it was left.
+
+        best  of another effect: what explains as much may do so with the same cables
+        """
+        effects, found = fit.space.effects[len(self.base.effects) :], [fit]
+        for q in [] if fit.solution.converged else [fit.q, *([] if fit is best else [best.q])]:
+            found.append(
+                fit_shared(
+                    self.prepared, self.base, q, effects, _natural(found[-1]), options=ALL_PASSES
+                )
+            )
+        return min(found, key=lambda f: f.chi2)
 
     def _best_start(
-        self,
-        q: FloatArray,
-        simpler: EffectFit | None,
-        effect: type[Effect],
-        guesses: Sequence[FloatArray],
+        self, simpler: EffectFit | None, effect: type[Effect], guesses: Sequence[FloatArray]
     ) -> SharedFit | None:
         """The effect fitted to all cables, from the start that leads furthest on a few."""
         effects = (effect,) if simpler is None else (*simpler.effects, effect)
@@ -329,7 +334,7 @@ class _Search:
                 for k in range(3)
             ]
         starts = [np.concatenate([known, values]) for values in places]
-        few = slice(0, START_ON)
+        few, q = slice(0, START_ON), self.plausible
         found: list[SharedFit] = []
         for values in starts if len(starts) > 1 else ():
             try:
@@ -351,9 +356,13 @@ class _Search:
 
 
 def _on_all(
-    prepared: Sequence[PreparedStudy], base: ParameterSpace, simpler: SharedFit, best: EffectFit
+    prepared: Sequence[PreparedStudy],
+    base: ParameterSpace,
+    plausible: FloatArray,
+    simpler: SharedFit,
+    best: EffectFit,
 ) -> EffectFit:
-    q = simpler.q.copy()
+    q = plausible.copy()
     q[: len(best.fit.q)] = best.fit.q
     fit = fit_shared(prepared, base, q, best.effects, _natural(best.fit))
     fall = (simpler.chi2 - fit.chi2) / fit.inflation

@@ -115,17 +115,20 @@ def test_no_marker_can_be_asked_for_before_the_motions_part(cable, arc, jerk):
 
 @pytest.mark.parametrize("effect", [None, "camera_latency"])
 def test_each_lane_has_its_own_motion_and_times(cable, arc, jerk, effect):
-    """Among lanes that end elsewhere, and see other instants, each is as it is alone."""
+    """Among lanes that end elsewhere, and see other instants, each is as it is alone.
+
+    Differences between lanes are the slopes of a fit: 0.1 µm between blocks stalled it.
+    """
     slow = Motion(1.5 * jerk.t_s, jerk.x_m, jerk.y_m, jerk.angle_rad)
     late = () if effect is None else (library()[effect].active(delay_s=0.004),)
     batch = [replace(m, effects=late) for m in models(cable, 20)]
     motions = [jerk if k % 3 else slow for k in range(20)]
-    times = [TIMES[: 20 + k] if k % 2 else TIMES + 0.003 * k for k in range(20)]
+    times = [TIMES[: 20 + k] if k % 2 else TIMES[20:] + 0.003 * k for k in range(20)]
     together = simulate_each(batch, motions, times, arc)
     for k in (0, 1, 13, 19):
         alone = simulate(batch[k], motions[k], times[k], arc)[0]
         assert together[k].shape == alone.shape
-        assert together[k] == pytest.approx(alone, abs=1e-12 if effect is None else 1e-7)
+        assert together[k] == pytest.approx(alone, abs=1e-12)
 
 
 def test_times_are_given_for_each_lane(cable, arc, jerk):
