@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal
+from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +17,9 @@ from cell.cable import layout as at
 from cell.cable.assembly import DEFAULT_SEGMENTS, Block, assemble, marker_weights
 from cell.cable.clamp import base_rows, pose_of
 from cell.cable.effects.own import run_engine
-from cell.cable.geometry import Motion
+from cell.cable.geometry import Motion, Start
 from cell.cable.model import CableModel
+from cell.cable.modes import mode_curvature
 from cell.cable.statics import settle
 from cell.cable.stepping import integrate, nodes, weave
 
@@ -75,8 +76,9 @@ def simulate(
     arc_length_m: FloatArray,
     *,
     solver: Solver = DEFAULT_SOLVER,
-    start: Literal["equilibrium", "straight"] = "equilibrium",
+    start: Start = "equilibrium",
     release_s: float | None = None,
+    bent: Sequence[FloatArray] = (),
 ) -> FloatArray:
     """Positions of markers on cables against time.
 
@@ -84,14 +86,19 @@ def simulate(
                      and after its log a motion is held.
     times_s          (times,) increasing
     arc_length_m     (markers,) from the gripping point
-    start            from rest, or held straight along the clamp angle until `release_s`
+    start            from rest, or held straight along the clamp angle until `release_s`, or from
+                     rest with `bent` added: held so until `release_s`, or moving so at the first
+                     of all times
+    bent             (2, modes) of each lane that is held or moving: places and velocities of the
+                     modes of `modes.mode_curvature`, as the tip's, in free lengths and per second
     returns          (lanes, times, markers, 2) x, y in m
     raises           ValueError: bad input; DivergedError; statics.UnsettledError
     """
     batch, paths = _lanes(models, motions)
     times = _checked(times_s)
     out = np.empty((len(batch), times.size, np.size(arc_length_m), 2))
-    _simulate(batch, paths, [times] * len(batch), arc_length_m, list(out), solver, start, release_s)
+    begin = _Begin.of(start, release_s, bent, len(batch))
+    _simulate(batch, paths, [times] * len(batch), arc_length_m, list(out), solver, begin)
     return out
 
 
@@ -102,8 +109,9 @@ def simulate_each(
     arc_length_m: FloatArray,
     *,
     solver: Solver = DEFAULT_SOLVER,
-    start: Literal["equilibrium", "straight"] = "equilibrium",
+    start: Start = "equilibrium",
     release_s: float | None = None,
+    bent: Sequence[FloatArray] = (),
 ) -> list[FloatArray]:
     """Positions of markers of each lane at its own times, (times, markers, 2); as `simulate`.
 
@@ -114,7 +122,8 @@ def simulate_each(
     if len(times) != len(batch):
         raise ValueError(f"times of {len(times)} lanes for {len(batch)}: give one array per lane")
     out = [np.empty((t.size, np.size(arc_length_m), 2)) for t in times]
-    _simulate(batch, paths, times, arc_length_m, out, solver, start, release_s)
+    begin = _Begin.of(start, release_s, bent, len(batch))
+    _simulate(batch, paths, times, arc_length_m, out, solver, begin)
     return out
 
 
@@ -193,36 +202,32 @@ def _simulate(
     arc_length_m: FloatArray,
     out: list[FloatArray],
     solver: Solver,
-    start: str,
-    release_s: float | None,
+    how: _Begin,
 ) -> None:
     """Write (times, markers, 2) of each lane to `out`."""
-    if start not in ("equilibrium", "straight") or (start == "straight") != (release_s is not None):
-        raise ValueError(
-            f"start = {start!r}, release_s = {release_s}: only 'straight' has a release"
-        )
     first = [float(t[0]) for t in times_s if t.size]
     if not first:
         return
-    begin = float(min(*first, *(m.t_s[0] for m in paths)) if release_s is None else release_s)
+    begin = how.time_s(first, paths)
     workers = threads() if solver.threads is None else solver.threads
     blocks = assemble(batch, solver.segments, begin, workers)
-    rests = release_s is None
+    rests = how.start != "straight"
     grids = [
         _Grid.of(begin, [times_s[i] for i in b.lanes], batch[b.lanes[0]], rests, solver)
         for b in blocks
     ]
-    _swing(_Swing(batch, paths, times_s, solver), blocks, grids, arc_length_m, out)
+    _swing(_Swing(batch, paths, times_s, solver, how.bent), blocks, grids, arc_length_m, out)
 
 
 @dataclass(frozen=True)
 class _Swing:
-    """Model, motion and times of each lane."""
+    """Model, motion, times and, if it begins bent, the modes of each lane."""
 
     models: list[CableModel]
     paths: list[Motion]
     times_s: list[FloatArray]
     solver: Solver
+    bent: tuple[FloatArray, ...] = ()
 
 
 def _swing(
@@ -237,7 +242,7 @@ def _swing(
     rows = _rows(swing.paths, swing.models, max(grids, key=lambda grid: grid.steps))
 
     def run(block: Block, grid: _Grid) -> None:
-        seen = _run(block, grid, rows, swing.paths, swing.models, cell, weights)
+        seen = _run(block, grid, rows, swing, cell, weights)
         if not out:
             return
         for lane, points in zip(block.lanes, seen, strict=True):
@@ -262,6 +267,51 @@ def threads() -> int:
 def _pool(process: int, workers: int) -> ThreadPoolExecutor:
     """Threads of this process; a forked child makes its own."""
     return ThreadPoolExecutor(workers, thread_name_prefix="cable")
+
+
+@dataclass(frozen=True)
+class _Begin:
+    """How all lanes of a batch begin; `bent` as in `simulate`."""
+
+    start: Start
+    release_s: float | None
+    bent: tuple[FloatArray, ...]
+
+    @staticmethod
+    def of(start: Start, release_s: float | None, bent: Sequence[FloatArray], lanes: int) -> _Begin:
+        """Checked.  Raises ValueError: they do not go together."""
+        released = start in ("straight", "held")
+        if start not in get_args(Start) or released != (release_s is not None):
+            raise ValueError(
+                f"start = {start!r}, release_s = {release_s}: 'straight' and 'held' have a release"
+            )
+        if len(bent) != (lanes if start in ("held", "moving") else 0):
+            raise ValueError(
+                f"start = {start!r} with the bends of {len(bent)} of {lanes} lanes: each that is "
+                "held or moving has its own, and no other"
+            )
+        return _Begin(start, release_s, tuple(bent))
+
+    def time_s(self, first_s: Sequence[float], paths: Sequence[Motion]) -> float:
+        """When lanes whose first pictures are at `first_s` begin to be simulated."""
+        if self.release_s is not None:
+            return float(self.release_s)
+        if self.start == "moving":
+            return min(first_s)
+        return float(min(*first_s, *(m.t_s[0] for m in paths)))
+
+
+def _bend(block: Block, order: Sequence[int], bent: Sequence[FloatArray], length_m: float) -> None:
+    """Add the places and velocities of the modes to the state of a block."""
+    n = block.segments
+    state = block.state.reshape(n + 1, at.FIELDS, at.LANES)
+    fraction = np.concatenate(([0.0], (np.arange(1, n + 1) - 0.5) / n))
+    for lane, number in enumerate(order):
+        places, velocities = np.asarray(bent[number]).reshape(2, -1)
+        shape = mode_curvature(fraction, len(places)) / length_m
+        per_length = state[1:, at.PER_LENGTH, lane]
+        state[1:, at.BEND, lane] += shape[1:] @ places / per_length
+        state[1:, at.RATE, lane] += shape[1:] @ velocities / per_length
 
 
 @dataclass(frozen=True)
@@ -369,12 +419,12 @@ def _run(
     block: Block,
     grid: _Grid,
     rows: Sequence[FloatArray],
-    paths: Sequence[Motion],
-    batch: Sequence[CableModel],
+    lanes: _Swing,
     cell: NDArray[np.int64],
     weights: FloatArray,
 ) -> FloatArray:
     """(lanes of the block, times, markers, 2) as the camera sees them."""
+    batch, paths = lanes.models, lanes.paths
     solver, n, w = grid.solver, block.segments, len(block.lanes)
     order = block.lanes + block.lanes[:1] * (block.width - w)
     base = interleave([rows[lane] for lane in order], (grid.steps, at.BASE_FIELDS))
@@ -385,6 +435,8 @@ def _run(
             x, y, angle = pose(np.array([grid.begin_s]))
             first[0, :3, k] = x[0], y[0], angle[0]
         settle(block, first.ravel())
+    if lanes.bent:
+        _bend(block, order, lanes.bent, batch[0].cable.free_length_m)
     models = [batch[lane] for lane in block.lanes]
     times = camera.scene_times(models[0], grid.times_s, grid.begin_s, grid.end_s, solver.step_s)
     moving = times > grid.begin_s

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,10 @@ MotionSplines: TypeAlias = "tuple[Spline, Spline, Spline]"
 
 #: Densities of anything that is sold as a cable, from foam to gold, kg/m³.
 PLAUSIBLE_DENSITY_KG_PER_M3 = (20.0, 25_000.0)
+
+#: How a cable begins: at rest; held straight along the clamp angle until it is let go; held bent
+#: until then; in motion.  In the last two its state is given as places and velocities of modes.
+Start = Literal["equilibrium", "straight", "held", "moving"]
 
 #: Standard gravity in the cell's plane (x right, y up), m/s².
 GRAVITY_M_PER_S2 = (0.0, -9.81)

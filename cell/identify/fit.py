@@ -216,7 +216,7 @@ def still_noise(
     """Noise from the frames before anything moves.  Raises FitError if there are too few."""
     stills = []
     for trial in trials:
-        still = still_frames(trial.markers.t_s, trial.grip, trial.release_s)
+        still = still_frames(trial.markers.t_s, trial.grip, trial.rests_until_s)
         markers = trial.markers.xy_m[still]
         if across_only and len(markers):
             axes = across(markers)
@@ -232,11 +232,15 @@ def still_noise(
 
 @dataclass(frozen=True, eq=False)
 class Lane:
-    """A model on the motion of a trial, seen at `times_s`."""
+    """A model on the motion of a trial, seen at `times_s`.
+
+    modes  (2, modes) places and velocities at first, of a trial that begins bent
+    """
 
     trial: Trial
     model: CableModel
     times_s: FloatArray
+    modes: FloatArray | None = None
 
 
 def predict_lanes(
@@ -257,6 +261,7 @@ def predict_lanes(
             solver=solver,
             start=trial.start,
             release_s=trial.release_s,
+            bent=[lane.modes for lane in lanes if lane.modes is not None],
         )
     except (DivergedError, UnsettledError):
         if len(lanes) == 1:

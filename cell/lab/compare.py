@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable.model import CableModel
-from cell.lab.fitting import best_delay
+from cell.lab.fitting import best_begun
 from cell.lab.noise import NoiseUnknownError, noise_floor
-from cell.lab.prepared import PreparedStudy, is_released
+from cell.lab.prepared import PreparedStudy
 from cell.lab.trial_residual import TrialResidual, overall, trial_residual, unsimulated_trial
 from cell.study.data import Markers, Study, Trial
 
@@ -115,8 +115,8 @@ def compare_model(study: Study, model: CableModel, name: str = "model") -> Compa
     study = prepared.study
     predicted, cable, found = {}, {}, []
     for trial in study.trials:
-        delay = best_delay(prepared, model, trial) if is_released(trial) else 0.0
-        points, shapes = everywhere(prepared, trial, [model], delay)
+        begun = best_begun(prepared, model, trial)
+        points, shapes = everywhere(prepared, trial, [model], begun)
         predicted[trial.name], cable[trial.name] = points[0], shapes[0]
         if not np.isfinite(points).all():
             found.append(unsimulated_trial(trial, study.arc_length_m, prepared.floor.noise))
@@ -179,7 +179,10 @@ def model_names(paths: Sequence[Path]) -> list[str]:
 
 
 def everywhere(
-    prepared: PreparedStudy, trial: Trial, models: Sequence[CableModel], delay_s: float = 0.0
+    prepared: PreparedStudy,
+    trial: Trial,
+    models: Sequence[CableModel],
+    begun: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Where models put the markers, (models, times, markers, 2), and the cable, (…, `DRAWN`, 2).
 
@@ -191,7 +194,9 @@ def everywhere(
     t_s = trial.markers.t_s
     blank = replace(trial, markers=Markers(t_s, np.zeros((len(t_s), len(arcs), 2))))
     finer = replace(prepared, study=replace(study, arc_length_m=arcs))
-    points = finer.predict(blank, models, np.full(len(models), delay_s))
+    points = finer.predict(
+        blank, models, None if begun is None else np.tile(begun, (len(models), 1))
+    )
     at, shape = (np.searchsorted(-arcs, -s) for s in (study.arc_length_m, drawn))
     return points[:, :, at], points[:, :, shape]
 

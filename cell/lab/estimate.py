@@ -72,7 +72,7 @@ class Estimate:
 def estimate(prepared: PreparedStudy, fit: Fit) -> Estimate:
     """The parameters of a fitted model, from all trials."""
     whole = fit_model(
-        prepared, fit.space, fit.q, fit.delay_s, trials=prepared.study.trials, options=CONVERGED
+        prepared, fit.space, fit.q, fit.begun, trials=prepared.study.trials, options=CONVERGED
     )
     return Estimate(whole, disagreement(prepared, whole))
 

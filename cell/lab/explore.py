@@ -228,7 +228,7 @@ class Explorer:
             self._alone,
             candidate.fit.space,
             candidate.fit.q,
-            candidate.fit.delay_s,
+            candidate.fit.begun,
             options=POLISH,
         )
         if fit.solution.passes < POLISH.most_passes:  # it gained no more
@@ -252,7 +252,7 @@ class Explorer:
             q = space.mean.copy()
             for i, name in enumerate(space.names):
                 q[i] = candidate.fit.q[candidate.fit.space.names.index(name)]
-            fit = fit_model(self.prepared, space, q, candidate.fit.delay_s, options=REFIT)
+            fit = fit_model(self.prepared, space, q, candidate.fit.begun, options=REFIT)
             self._known[key] = self._weigh(rest, fit)
         return self._known[key]
 
@@ -311,7 +311,7 @@ class Explorer:
                 promising = list(self._promising(space, np.array(starts), tries))
             for q in promising:
                 with contextlib.suppress(ValueError):
-                    fits.append(fit_model(self._alone, space, q, base.fit.delay_s, options=REFIT))
+                    fits.append(fit_model(self._alone, space, q, base.fit.begun, options=REFIT))
         if not fits:
             return None
         # Of a force at a place, what follows the fitted motions best may do anything beyond them.

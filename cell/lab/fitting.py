@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from cell.cable.effects.base import Effect
 from cell.cable.model import CableModel
@@ -17,13 +18,13 @@ from cell.identify.gauss_newton import Solution
 from cell.identify.gaussian import covariance_root, marginal_chi2
 from cell.identify.noise import Whitener
 from cell.identify.parameters import ParameterSpace, Prior
-from cell.lab.prepared import RELEASE_LIMIT_S, RELEASE_STD_S, PreparedStudy, is_released
+from cell.lab.first_look import first_look
+from cell.lab.prepared import PreparedStudy
 from cell.lab.trial_residual import overall
 from cell.study.data import Trial
 
 FloatArray = NDArray[np.float64]
 
-_DELAY_STEP_S = 1e-4
 #: A smooth residual changes over no fewer frames than this, and is of so many powers of the place.
 SLOW_FRAMES, ALONG = 8, 3
 
@@ -33,19 +34,21 @@ class Fit:
     """A model fitted to the fit trials.
 
     q          (p,) coordinates of `space`
-    delay_s    release delay of each fit trial, where it is a person's
-    solution   of the minimiser; its coordinates are q, then the delays
+    begun      unknowns of each fit trial's beginning, where it has any
+    solution   of the minimiser; its coordinates are q, then these unknowns
     chi2       whitened square residuals; objective adds the prior's
     rms_m      per coordinate
+    begun_std  of the prior of all these unknowns
     """
 
     space: ParameterSpace
     q: FloatArray
-    delay_s: dict[str, float]
+    begun: dict[str, FloatArray]
     solution: Solution
     chi2: float
     objective: float
     rms_m: float
+    begun_std: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     @property
     def model(self) -> CableModel:
@@ -93,60 +96,116 @@ def fit_model(
     prepared: PreparedStudy,
     space: ParameterSpace,
     start: FloatArray,
-    delay_s: dict[str, float] | None = None,
+    begun: Mapping[str, FloatArray] | None = None,
     *,
     trials: Sequence[Trial] | None = None,
     temper: float = 1.0,
     options: gauss_newton.Options = gauss_newton.Options(tolerance=0.03),  # noqa: B008
 ) -> Fit:
-    """Fit near `start`, with the release delays of trials held straight as further unknowns.
+    """Fit near `start`, with what is unknown of the trials' beginnings as further unknowns.
 
+    begun   where to begin with these, as of an earlier fit
     trials  default: the `fit` trials
     temper  residuals are divided by it: where a model cannot fit, the prior then still keeps its
             parameters plausible
     raises  ValueError: the model cannot be simulated at the start
     """
     trials = fit_trials(prepared) if trials is None else trials
-    released = [t.name for t in trials if is_released(t)]
-    p, more = len(space.names), len(released)
-    precision = np.zeros((p + more, p + more))
+    unknown = {t.name: b for t in trials if (b := prepared.beginning(t)).count}
+    p, std = len(space.names), _joined([b.std for b in unknown.values()])
+    limit = _joined([b.limit for b in unknown.values()])
+    precision = np.zeros((p + len(std), p + len(std)))
     precision[:p, :p] = space.precision
-    precision[p:, p:] = np.eye(more) / RELEASE_STD_S**2
+    precision[p:, p:] = np.diag(1.0 / std**2)
     problem = gauss_newton.Problem(
-        residuals=lambda q: residuals(prepared, space, trials, q, released) / temper,
-        mean=np.concatenate([space.mean, np.zeros(more)]),
+        residuals=lambda q: residuals(prepared, space, trials, q) / temper,
+        mean=np.concatenate([space.mean, np.zeros(len(std))]),
         precision=precision,
-        step=np.concatenate([space.step, np.full(more, _DELAY_STEP_S)]),
-        low=np.concatenate([space.low, np.full(more, -RELEASE_LIMIT_S)]),
-        high=np.concatenate([space.high, np.full(more, RELEASE_LIMIT_S)]),
+        step=np.concatenate([space.step, _joined([b.step for b in unknown.values()])]),
+        low=np.concatenate([space.low, -limit]),
+        high=np.concatenate([space.high, limit]),
     )
-    known = delay_s or {}
-    begin = np.concatenate([start, [known.get(name, 0.0) for name in released]])
+    begin = _nearer_beginning(prepared, space, trials, start, begun or {})
     solution = gauss_newton.minimise(problem, begin, options)
     solution = replace(
         solution, residual=solution.residual * temper, jacobian=solution.jacobian * temper
     )
-    q, delays = solution.q[:p], dict(zip(released, map(float, solution.q[p:]), strict=True))
-    model = space.model(q)
-    late = {name: np.array([delay]) for name, delay in delays.items()}
-    predicted = prepared.predict_all(trials, [model], late)
+    q, found = solution.q[:p], _by_trial(prepared, trials, solution.q[None, p:])
+    predicted = prepared.predict_all(trials, [space.model(q)], found)
     errors = [t.markers.xy_m - points[0] for t, points in zip(trials, predicted, strict=True)]
     chi2 = float(solution.residual @ solution.residual)
-    return Fit(space, q, delays, solution, chi2, solution.objective, overall(errors))
+    at_first = {name: rows[0] for name, rows in found.items()}
+    return Fit(space, q, at_first, solution, chi2, solution.objective, overall(errors), std)
 
 
-def residuals(
+def _joined(parts: Sequence[FloatArray]) -> FloatArray:
+    return np.concatenate([np.zeros(0), *parts])
+
+
+def _by_trial(
+    prepared: PreparedStudy, trials: Sequence[Trial], rows: FloatArray
+) -> dict[str, FloatArray]:
+    """Unknowns of the trials' beginnings (lanes, all of them) by the trials that have any."""
+    found, begin = {}, 0
+    for trial in trials:
+        if count := prepared.beginning(trial).count:
+            found[trial.name] = rows[:, begin : begin + count]
+            begin += count
+    return found
+
+
+def _nearer_beginning(
     prepared: PreparedStudy,
     space: ParameterSpace,
     trials: Sequence[Trial],
-    q: FloatArray,
-    released: Sequence[str] = (),
+    start: FloatArray,
+    known: Mapping[str, FloatArray],
 ) -> FloatArray:
-    """(lanes, rows) whitened residuals of all trials; q (lanes, p + released)."""
+    """Coordinates of a fit's start: of beginnings known from another fit or newly estimated.
+
+    Those of trials that begin bent belong to a model; the set that leaves less is taken.
+    """
+    looked = first_look(prepared, trials, [space.model(start)])
+    given = {t.name: known.get(t.name, looked[t.name][0]) for t in trials}
+    if not known or not any(t.bent for t in trials):
+        return np.concatenate([start, *given.values()])
+    new = {t.name: looked[t.name][0] if t.bent else given[t.name] for t in trials}
+    q = np.stack([np.concatenate([start, *chosen.values()]) for chosen in (given, new)])
+    square = np.sum(residuals(prepared, space, trials, q) ** 2, axis=1)
+    return np.asarray(q[int(np.argmin(np.where(np.isfinite(square), square, np.inf)))])
+
+
+def residuals(
+    prepared: PreparedStudy, space: ParameterSpace, trials: Sequence[Trial], q: FloatArray
+) -> FloatArray:
+    """(lanes, rows) whitened residuals of all trials.
+
+    q  (lanes, p + unknowns of the trials' beginnings); (lanes, p) = as noted, or as the first
+       frames show it for each lane's model
+    """
     p = len(space.names)
+    if q.shape[1] > p and any(t.bent for t in trials):
+        return _each_once(prepared, space, trials, q)
     models = [space.model(row) for row in q[:, :p]]
-    delays = {name: q[:, p + i] for i, name in enumerate(released)}
-    return prepared.all_white(trials, models, delays)
+    if q.shape[1] > p or not any(t.bent for t in trials):
+        begun = _by_trial(prepared, trials, q[:, p:]) if q.shape[1] > p else {}
+    else:
+        begun = first_look(prepared, trials, models)
+    return prepared.all_white(trials, models, begun)
+
+
+def _each_once(
+    prepared: PreparedStudy, space: ParameterSpace, trials: Sequence[Trial], q: FloatArray
+) -> FloatArray:
+    """The same; lanes that differ in how another trial begins are simulated once in each trial."""
+    p = len(space.names)
+    begun, parts = _by_trial(prepared, trials, q[:, p:]), []
+    for trial in trials:
+        own = begun.get(trial.name, q[:, :0])
+        rows, lane = np.unique(np.hstack([q[:, :p], own]), axis=0, return_inverse=True)
+        models = [space.model(row) for row in rows[:, :p]]
+        parts.append(prepared.white(trial, prepared.predict(trial, models, rows[:, p:]))[lane])
+    return np.concatenate(parts, axis=1)
 
 
 def heldout(prepared: PreparedStudy, fit: Fit) -> Heldout | None:
@@ -162,20 +221,16 @@ def heldout(prepared: PreparedStudy, fit: Fit) -> Heldout | None:
     space, p = fit.space, len(fit.q)
     steps = space.difference_steps(fit.q)
     lanes = [space.model(q) for q in difference_points(fit.q, steps)]
-    released = [t for t in trials if is_released(t)]
-    delays = {t.name: np.full(p + 1, best_delay(prepared, fit.model, t)) for t in released}
-    if released:
-        lanes.append(fit.model)
-        delays = {name: np.append(d, d[0] + _DELAY_STEP_S) for name, d in delays.items()}
+    begun, more = _begun_and_moved(prepared, fit.model, trials, len(lanes))
+    lanes += [fit.model] * more
     predicted: dict[str, FloatArray] = {}
     rows, slopes, extra = [], [], []
-    for trial, points in zip(trials, prepared.predict_all(trials, lanes, delays), strict=True):
+    for trial, points in zip(trials, prepared.predict_all(trials, lanes, begun), strict=True):
         white = prepared.white(trial, points)
         predicted[trial.name] = points[0]
         rows.append(white[0])
         slopes.append((white[1 : p + 1] - white[0]).T / steps)
-        late = white[p + 1 :] if is_released(trial) else white[:0]
-        extra.append((late - white[0]).T / _DELAY_STEP_S)
+        extra.append(_spread_of_beginning(prepared, trial, white[p + 1 :] - white[0]))
     errors = {t.name: t.markers.xy_m - predicted[t.name] for t in trials}
     residual = np.concatenate(rows)
     sensitivity = np.vstack(slopes)
@@ -194,7 +249,7 @@ def heldout(prepared: PreparedStudy, fit: Fit) -> Heldout | None:
     for i, block in enumerate(extra):
         column = np.zeros((len(residual), block.shape[1]))
         first = sum(len(r) for r in rows[:i])
-        column[first : first + len(rows[i])] = block * RELEASE_STD_S
+        column[first : first + len(rows[i])] = block
         spread = np.hstack([spread, column])
     chi2, log_det = marginal_chi2(residual, spread)
     splits = np.cumsum([len(r) for r in rows])[:-1]
@@ -231,10 +286,12 @@ def visible(prepared: PreparedStudy, fit: Fit, effect: type[Effect]) -> float:
     rest = [i for i in range(p) if i not in own]
     off = extended(fit, space, effect, np.array([q.default for q in effect.parameters]))
     lanes = [space.model(q) for q in (*difference_points(fit.q, steps), off)]
-    released = [t for t in trials if is_released(t)]
-    late = {t.name: np.full(len(lanes), best_delay(prepared, fit.model, t)) for t in released}
-    white = prepared.all_white(trials, lanes, late)
-    if not np.all(np.isfinite(white[:-1])):
+    begun, more = _begun_and_moved(prepared, fit.model, trials, len(lanes))
+    if not any(t.bent for t in trials):
+        begun, more = {name: rows[: len(lanes)] for name, rows in begun.items()}, 0
+    white = prepared.all_white(trials, [*lanes, *[fit.model] * more], begun)
+    moved, white = white[len(lanes) :], white[: len(lanes)]
+    if not (np.all(np.isfinite(white[:-1])) and np.all(np.isfinite(moved))):
         return 0.0
     if not np.all(np.isfinite(white[-1])):
         return np.inf
@@ -242,8 +299,51 @@ def visible(prepared: PreparedStudy, fit: Fit, effect: type[Effect]) -> float:
     given = np.linalg.pinv(all_of[np.ix_(own, own)], hermitian=True)
     uncertain = all_of[np.ix_(rest, rest)] - all_of[among] @ given @ all_of[among].T
     slopes = ((white[1:-1] - white[0]).T / steps)[:, rest]
-    chi2, _ = marginal_chi2(white[-1] - white[0], slopes @ covariance_root(uncertain))
+    spread = slopes @ covariance_root(uncertain)
+    if more:
+        spread = np.hstack([spread, _spread_of_beginnings(prepared, trials, moved - white[0])])
+    chi2, _ = marginal_chi2(white[-1] - white[0], spread)
     return 0.5 * chi2
+
+
+def _begun_and_moved(
+    prepared: PreparedStudy, model: CableModel, trials: Sequence[Trial], lanes: int
+) -> tuple[dict[str, FloatArray], int]:
+    """Likeliest beginnings of trials for so many lanes, then with each of their unknowns moved.
+
+    returns  by trial (lanes + moved, unknowns), and the number of lanes moved; the same lane moves
+             one unknown of every trial
+    """
+    beginnings = [(t, b) for t in trials if (b := prepared.beginning(t)).count]
+    more = max((b.count for _, b in beginnings), default=0)
+    begun = {}
+    for trial, beginning in beginnings:
+        rows = np.tile(best_begun(prepared, model, trial), (lanes + more, 1))
+        for i, step in enumerate(beginning.step):
+            rows[lanes + i, i] += step
+        begun[trial.name] = rows
+    return begun, more
+
+
+def _spread_of_beginning(prepared: PreparedStudy, trial: Trial, moved: FloatArray) -> FloatArray:
+    """(rows, unknowns) change of white values by a standard deviation of each unknown.
+
+    moved  (lanes, rows) their change by a step of each
+    """
+    beginning = prepared.beginning(trial)
+    return np.asarray(moved[: beginning.count].T / beginning.step * beginning.std)
+
+
+def _spread_of_beginnings(
+    prepared: PreparedStudy, trials: Sequence[Trial], moved: FloatArray
+) -> FloatArray:
+    """(rows of all trials, all unknowns) the same, each trial's own."""
+    splits = np.cumsum([prepared.whiteners[t.name].rows for t in trials])[:-1]
+    blocks = [
+        _spread_of_beginning(prepared, trial, part)
+        for trial, part in zip(trials, np.split(moved, splits, axis=1), strict=True)
+    ]
+    return np.asarray(block_diag(*blocks))
 
 
 def _smooth_part(whitener: Whitener, white: FloatArray) -> FloatArray:
@@ -329,19 +429,21 @@ def pinned(space: ParameterSpace, q: FloatArray) -> ParameterSpace:
     return replace(space, mean=q, low=q.copy(), high=q.copy())
 
 
-def best_delay(prepared: PreparedStudy, model: CableModel, trial: Trial) -> float:
-    """Release delay of one trial, the model given; 0 if it cannot be simulated there."""
+def best_begun(prepared: PreparedStudy, model: CableModel, trial: Trial) -> FloatArray:
+    """(unknowns,) of one trial's beginning, the model given; as noted if it cannot be simulated."""
+    beginning = prepared.beginning(trial)
     problem = gauss_newton.Problem(
-        residuals=lambda q: prepared.white(
-            trial, prepared.predict(trial, [model] * len(q), q[:, 0])
-        ),
-        mean=np.zeros(1),
-        precision=np.full((1, 1), RELEASE_STD_S**-2),
-        step=np.full(1, _DELAY_STEP_S),
-        low=np.full(1, -RELEASE_LIMIT_S),
-        high=np.full(1, RELEASE_LIMIT_S),
+        residuals=lambda q: prepared.white(trial, prepared.predict(trial, [model] * len(q), q)),
+        mean=np.zeros(beginning.count),
+        precision=np.diag(beginning.std**-2),
+        step=beginning.step,
+        low=-beginning.limit,
+        high=beginning.limit,
     )
+    if beginning.count == 0:
+        return np.zeros(0)
+    start = first_look(prepared, [trial], [model])[trial.name][0]
     try:
-        return float(gauss_newton.minimise(problem, np.zeros(1)).q[0])
+        return gauss_newton.minimise(problem, start).q
     except ValueError:
-        return 0.0
+        return np.zeros(beginning.count)

@@ -20,7 +20,7 @@ from cell.identify.model_class import effect_from, known_effects
 from cell.identify.noise import Noise
 from cell.identify.parameters import ParameterSpace
 from cell.lab.fitting import Fit, fit_trials, space_with
-from cell.lab.prepared import RELEASE_STD_S, PreparedStudy
+from cell.lab.prepared import PreparedStudy
 from cell.study.data import Study
 
 #: Datasheets of one kind of cable agree to this.
@@ -36,7 +36,7 @@ def identified(prepared: PreparedStudy, fit: Fit) -> Identified:
     # What the data say is worth less by the inflation, what the prior says is not.
     precision = solution.jacobian.T @ solution.jacobian / inflation
     precision[:p, :p] += fit.space.precision
-    precision[p:, p:] += np.eye(len(solution.q) - p) / RELEASE_STD_S**2
+    precision[p:, p:] += np.diag(1.0 / fit.begun_std**2)
     return Identified(
         space=fit.space,
         mean=fit.q,

@@ -381,7 +381,7 @@ def _as_fit(alone: SharedFit) -> Fit:
     return Fit(
         space=alone.space,
         q=alone.q[0],
-        delay_s={},
+        begun={},
         solution=alone.solution,
         chi2=float(alone.chi2_by_cable[0]),
         objective=alone.chi2,

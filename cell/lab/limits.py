@@ -68,7 +68,7 @@ def _limits(explorer: Explorer, examination: Examination) -> tuple[Limit, ...]:
     prepared, fit = examination.weighed, final.fit
     if any(t.role != "fit" for t in prepared.study.trials):
         prepared = pooled(prepared)
-        fit = fit_model(prepared, fit.space, fit.q, fit.delay_s, options=CONVERGED)
+        fit = fit_model(prepared, fit.space, fit.q, fit.begun, options=CONVERGED)
     return limits(prepared, fit, absent, explorer.progress)
 
 

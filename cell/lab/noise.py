@@ -83,7 +83,7 @@ def _still_blocks(trial: Trial) -> list[_Block]:
 
     So that a lost frame costs what came before or after it, and not the marker.
     """
-    still = still_frames(trial.markers.t_s, trial.grip, trial.release_s)
+    still = still_frames(trial.markers.t_s, trial.grip, trial.rests_until_s)
     series_m = trial.markers.xy_m[still]
     series_m = series_m.reshape(len(series_m), 2 * series_m.shape[1])
     together: dict[tuple[int, int], list[int]] = {}

@@ -12,6 +12,7 @@ from cell.cable.dynamics import Solver
 from cell.cable.model import CableModel
 from cell.identify.fit import Lane, predict_lanes
 from cell.identify.noise import Noise, Whitener, still_frames
+from cell.lab.beginnings import Beginning, beginning_of
 from cell.lab.noise import Floor, noise_floor
 from cell.study.data import Markers, Study, Trial
 
@@ -21,9 +22,6 @@ FloatArray = NDArray[np.float64]
 SOLVER = Solver(segments=32, step_s=1e-3)
 #: A model errs if its rms is above the noise by this factor.
 ERRS = 1.1
-#: A cable held straight by a person is let go within this of the time noted.
-RELEASE_STD_S = 0.005
-RELEASE_LIMIT_S = 0.020
 
 
 class StoppedError(KeyboardInterrupt):
@@ -88,35 +86,41 @@ class PreparedStudy:
         whiteners = {t.name: Whitener(t.markers.xy_m, noise) for t in study.trials}
         return PreparedStudy(study, floor, noise, whiteners, solver or SOLVER, work or Work())
 
+    def beginning(self, trial: Trial) -> Beginning:
+        """What is unknown of how a trial begins."""
+        return beginning_of(trial, self.study.cable, self.study.gravity_m_per_s2)
+
     def predict(
-        self, trial: Trial, models: Sequence[CableModel], delay_s: FloatArray | None = None
+        self, trial: Trial, models: Sequence[CableModel], begun: FloatArray | None = None
     ) -> FloatArray:
         """(lanes, times, markers, 2) where models put a trial's markers, m; nan where they cannot.
 
-        delay_s  (lanes,) by which the release of a cable held straight is late; the hand then
-                 stands still, so that everything happens later by as much
+        begun  (lanes, unknowns) of the trial's beginning.  While a release is late the hand stands
+               still, so that everything happens later by as much.
         """
-        delays = None if delay_s is None else {trial.name: delay_s}
-        return self.predict_all([trial], models, delays)[0]
+        known = None if begun is None else {trial.name: begun}
+        return self.predict_all([trial], models, known)[0]
 
     def predict_all(
         self,
         trials: Sequence[Trial],
         models: Sequence[CableModel],
-        delay_s: Mapping[str, FloatArray] | None = None,
+        begun: Mapping[str, FloatArray] | None = None,
     ) -> list[FloatArray]:
         """The same of several trials; all lanes of those that begin alike go into one batch.
 
-        delay_s  by trial, 0 where none is given
+        begun  by trial, 0 where none is given
         """
         alike: dict[object, list[tuple[str, int, Lane]]] = {}
         for trial in trials:
-            t_s = trial.markers.t_s
+            t_s, beginning = trial.markers.t_s, self.beginning(trial)
             self.work.add(len(models), float(t_s[-1] - t_s[0]), self.solver)
-            late = (delay_s or {}).get(trial.name, np.zeros(len(models)))
+            unknown = (begun or {}).get(trial.name, np.zeros((len(models), beginning.count)))
+            late = beginning.delay_s(unknown)
             times = {float(d): t_s - d for d in np.unique(late)}
             for number, (model, d) in enumerate(zip(models, late, strict=True)):
-                lane = Lane(trial, model, times[float(d)])
+                modes = beginning.modes(unknown[number]) if beginning.bent else None
+                lane = Lane(trial, model, times[float(d)], modes)
                 alike.setdefault(_begins(lane), []).append((trial.name, number, lane))
         out = {t.name: np.empty((len(models), *t.markers.xy_m.shape)) for t in trials}
         for group in alike.values():
@@ -138,10 +142,10 @@ class PreparedStudy:
         self,
         trials: Sequence[Trial],
         models: Sequence[CableModel],
-        delay_s: Mapping[str, FloatArray] | None = None,
+        begun: Mapping[str, FloatArray] | None = None,
     ) -> FloatArray:
         """(lanes, rows) whitened residuals of what models predict of all the trials."""
-        predicted = self.predict_all(trials, models, delay_s)
+        predicted = self.predict_all(trials, models, begun)
         parts = [self.white(t, points) for t, points in zip(trials, predicted, strict=True)]
         return np.concatenate(parts, axis=1)
 
@@ -172,7 +176,7 @@ def placed(study: Study) -> Study:
 def _placed(trial: Trial, arc_length_m: FloatArray) -> Trial:
     t_s, grip = trial.markers.t_s, trial.grip
     still = still_frames(t_s, grip, trial.release_s)
-    if not is_released(trial) or still.stop == 0:
+    if trial.start != "straight" or still.stop == 0:
         return trial
     x, y, angle = (np.interp(t_s[still], grip.t_s, v) for v in (grip.x_m, grip.y_m, grip.angle_rad))
     along = np.stack([-np.cos(angle), -np.sin(angle)], axis=-1)
@@ -188,9 +192,6 @@ def _begins(lane: Lane) -> object:
     trial = lane.trial
     if trial.release_s is not None:
         return trial.start, trial.release_s
+    if trial.start == "moving":
+        return trial.start, float(lane.times_s[0])
     return trial.start, min(float(lane.times_s[0]), float(trial.grip.t_s[0]))
-
-
-def is_released(trial: Trial) -> bool:
-    """Whether a trial's release time is a person's, known only roughly."""
-    return trial.start == "straight"

@@ -133,8 +133,8 @@ def changes(prepared: PreparedStudy, fit: Fit, active: Sequence[ActiveEffect]) -
     """(effects, rows) whitened change of the fit trials' markers by each effect alone."""
     model = fit.model
     models = [model, *(_with(model, a) for a in active)]
-    delays = {name: np.full(len(models), delay) for name, delay in fit.delay_s.items()}
-    white = prepared.all_white(fit_trials(prepared), models, delays)
+    begun = {name: np.tile(values, (len(models), 1)) for name, values in fit.begun.items()}
+    white = prepared.all_white(fit_trials(prepared), models, begun)
     return np.asarray(white[0] - white[1:])
 
 
@@ -190,7 +190,9 @@ def nuisance_of(fit: Fit) -> Nuisance:
     p, rows = len(fit.q), len(fit.solution.q)
     precision = np.zeros((rows, rows))
     precision[:p, :p] = fit.space.precision
+    if any(len(b) > 1 for b in fit.begun.values()):  # modes have a prior; a delay alone is free
+        precision[p:, p:] = np.diag(1.0 / fit.begun_std**2)
     root = covariance_root(precision).T
-    away = np.concatenate([fit.q - fit.space.mean, np.zeros(rows - p)])
+    away = np.concatenate([fit.q - fit.space.mean, fit.solution.q[p:]])
     residual = np.concatenate([fit.solution.residual, root @ away])
     return Nuisance.of(residual, np.vstack([fit.solution.jacobian, root]))

@@ -126,7 +126,7 @@ def open_study(folder: Path) -> Study:
 
 def _too_short(study: Study, trial: Trial) -> str | None:
     t_s = trial.markers.t_s
-    still = still_frames(t_s, trial.grip, trial.release_s)
+    still = still_frames(t_s, trial.grip, trial.rests_until_s)
     moving_s = float(t_s[-1] - t_s[min(still.stop, len(t_s) - 1)])
     markers = trial.markers.xy_m[:, 0]
     rest = markers[still] if trial.start == "equilibrium" else markers[len(markers) // 2 :]

@@ -149,7 +149,7 @@ def rms(residual_m: FloatArray) -> float:
 def phase_of(trial: Trial) -> NDArray[np.str_]:
     """(times,) the phase of the motion, one of `PHASES`, at each marker time."""
     t_s = trial.markers.t_s
-    still = still_frames(t_s, trial.grip, trial.release_s)
+    still = still_frames(t_s, trial.grip, trial.rests_until_s)
     start_s = float(t_s[still.stop]) if still.stop < len(t_s) else np.inf
     stop_s = max(_stop_s(trial.grip), start_s)
     limits = [start_s, stop_s, stop_s + EARLY_SWING_S]

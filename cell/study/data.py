@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.cable.geometry import Cable, Motion
+from cell.cable.geometry import Cable, Motion, Start
 
 FloatArray = NDArray[np.float64]
 
@@ -27,10 +27,20 @@ class Trial:
 
     name: str
     role: Literal["fit", "validate"]
-    start: Literal["equilibrium", "straight"]
+    start: Start
     grip: Motion
     markers: Markers
     release_s: float | None = None
+
+    @property
+    def bent(self) -> bool:
+        """Whether the cable begins beside its equilibrium in a shape that nobody has noted."""
+        return self.start in ("held", "moving")
+
+    @property
+    def rests_until_s(self) -> float | None:
+        """Until when the cable is held still by more than its grip; −∞ if it never is at rest."""
+        return -np.inf if self.start == "moving" else self.release_s
 
 
 @dataclass(frozen=True)

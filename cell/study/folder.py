@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from cell.cable.geometry import Cable, Motion
+from cell.cable.geometry import Cable, Motion, Start
 from cell.files.atomic import write_whole
 from cell.files.input_error import InputError, Problem
 from cell.files.yaml_document import Document, Key, read_yaml, validate, yaml_text
@@ -59,7 +59,7 @@ class _Markers(_Strict):
 class _Trial(_Strict):
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
     role: Literal["fit", "validate"]
-    start: Literal["equilibrium", "straight"]
+    start: Start
     release_s: _Finite | None = None
 
 
@@ -251,10 +251,12 @@ def _implausible(document: Document, header: _Study) -> list[Problem]:
         if trial.name in seen:
             add((*key, "name"), f"{trial.name!r} is also trial {seen[trial.name] + 1}; rename one")
         seen.setdefault(trial.name, i)
-        if trial.start == "straight" and trial.release_s is None:
-            add((*key, "release_s"), "is missing; `start: straight` needs the time of letting go")
-        if trial.start == "equilibrium" and trial.release_s is not None:
-            add((*key, "release_s"), "is only for `start: straight`; remove it or change `start`")
+        if trial.start in ("straight", "held") and trial.release_s is None:
+            needs = f"is missing; `start: {trial.start}` needs the time of letting go"
+            add((*key, "release_s"), needs)
+        if trial.start in ("equilibrium", "moving") and trial.release_s is not None:
+            only = "is only for `start: straight` and `held`; remove it or change `start`"
+            add((*key, "release_s"), only)
     return problems
 
 

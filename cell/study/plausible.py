@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.cable.geometry import Cable, Motion
+from cell.cable.geometry import Cable
 from cell.cable.still import ROUGHLY_STILL, moves_from_s
 from cell.study.data import Trial
 
@@ -20,6 +20,11 @@ Gravity = tuple[float, float]
 SLACK = 0.1
 #: Of a clamp steeper than this nobody can say to which side the cable leaves it, rad.
 SIDEWAYS_RAD = np.pi / 3
+#: A cable at rest does not move by this share of its free length while its hand is still, and no
+#: noise that a study may have does so in medians of so many frames.
+MOVES = 0.05
+MEDIAN_OF = 5
+FEWEST_STILL = 10
 #: A cable that hangs swings about like a rod of its length, in 5.1 √(L/g), or as a bead at the end
 #: of a thread in 6.3 √(L/g); bending makes it faster.
 SLOWEST = 2.0 * np.pi
@@ -40,7 +45,7 @@ def impossible(
     length_m = cable.free_length_m
     return (
         _too_far(arcs, length_m, from_grip)
-        or _on_the_wrong_side(arcs, length_m, grip.angle_rad[0], from_grip[_still(grip, t_s)])
+        or _on_the_wrong_side(arcs, length_m, grip.angle_rad[0], from_grip[_at_rest(trial)])
         or _clock(length_m, float(np.hypot(*gravity_m_per_s2)), t_s)
     )
 
@@ -49,8 +54,14 @@ def doubt(
     trial: Trial, cable: Cable, arc_length_m: FloatArray, gravity_m_per_s2: Gravity
 ) -> str | None:
     """What a cable hardly does, and what may be meant; None if all is as usual."""
+    return _rises(trial, cable, arc_length_m, gravity_m_per_s2) or _moves_first(trial, cable)
+
+
+def _rises(
+    trial: Trial, cable: Cable, arc_length_m: FloatArray, gravity_m_per_s2: Gravity
+) -> str | None:
     grip, size = trial.grip, float(np.hypot(*gravity_m_per_s2))
-    still = _still(grip, trial.markers.t_s)
+    still = _at_rest(trial)
     angle = grip.angle_rad[0]
     if not still.any() or size == 0.0 or abs(np.cos(angle)) < np.cos(SIDEWAYS_RAD):
         return None
@@ -70,6 +81,30 @@ def doubt(
     )
 
 
+def _moves_first(trial: Trial, cable: Cable) -> str | None:
+    """That a cable said to begin in equilibrium moves while its hand does not."""
+    still = _at_rest(trial)
+    if trial.start != "equilibrium" or np.count_nonzero(still) < FEWEST_STILL:
+        return None
+    t_s, away_m = trial.markers.t_s[still], _from_grip(trial)[still]
+    # Medians of five: a glitch of two frames is none of the cable's.  What is lost sorts last.
+    windows = np.sort(np.lib.stride_tricks.sliding_window_view(away_m, MEDIAN_OF, axis=0), axis=-1)
+    smooth_m = windows[..., MEDIAN_OF // 2]
+    from_first_m = np.nan_to_num(np.linalg.norm(smooth_m - smooth_m[:1], axis=2))
+    reach_m = float(from_first_m.max())
+    if reach_m < MOVES * cable.free_length_m:
+        return None
+    begins = int(np.argmax(np.any(from_first_m > 0.1 * reach_m, axis=1)))
+    if begins < FEWEST_STILL:
+        meant = "`start: moving`"
+    else:
+        meant = f"`start: held` with release_s: {t_s[begins + MEDIAN_OF // 2]:.3g}"
+    return (
+        f"before the hand moves the cable does, by {reach_m * 1e3:.3g} mm, yet it is said to begin "
+        f"in equilibrium; give {meant} in study.yaml"
+    )
+
+
 def _from_grip(trial: Trial) -> FloatArray:
     """(T, markers, 2) from the gripping point, m."""
     grip, markers = trial.grip, trial.markers
@@ -77,9 +112,11 @@ def _from_grip(trial: Trial) -> FloatArray:
     return np.asarray(markers.xy_m - at_m[:, None], dtype=np.float64)
 
 
-def _still(grip: Motion, t_s: FloatArray) -> NDArray[np.bool_]:
-    """(T,) frames before the hand moves."""
-    return t_s < moves_from_s(grip, ROUGHLY_STILL)
+def _at_rest(trial: Trial) -> NDArray[np.bool_]:
+    """(T,) frames before the hand moves, of a cable that nothing else holds or swings."""
+    if trial.bent:
+        return np.zeros(len(trial.markers.t_s), dtype=bool)
+    return trial.markers.t_s < moves_from_s(trial.grip, ROUGHLY_STILL)
 
 
 def _too_far(arcs: FloatArray, free_length_m: float, from_grip: FloatArray) -> str | None:

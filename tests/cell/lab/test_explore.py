@@ -65,7 +65,7 @@ def test_what_was_taken_as_far_as_it_goes_is_not_taken_there_again(
         fits.append(options["options"])
         return SimpleNamespace(
             objective=1.0,
-            delay_s={},
+            begun={},
             space=None,
             q=None,
             solution=SimpleNamespace(converged=False, passes=passes),

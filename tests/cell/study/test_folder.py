@@ -184,6 +184,8 @@ MISTAKES: list[tuple[str, Edit, str]] = [
     ("study.yaml", swap("-9.81", "-9810"), "give m/s², not mm/s²"),
     ("study.yaml", swap("start: equilibrium", "start: straight"), "needs the time of letting go"),
     ("study.yaml", swap("equilibrium", "equilibrium\n  release_s: 0.1"), "only for `start: str"),
+    ("study.yaml", swap("start: equilibrium", "start: held"), "needs the time of letting go"),
+    ("study.yaml", swap("equilibrium", "moving\n  release_s: 0.1"), "only for `start: straight`"),
     ("study.yaml", swap("name: identify", "name: ../identify"), "trials[0].name: "),
     ("study.yaml", swap("cable:", "\tcable:"), "is not YAML"),
     ("study.yaml", swap("name: identify", "name: other"), "other/grip.csv:1:1: cannot be read"),

@@ -1,0 +1,93 @@
+"""What is unknown of how a trial begins, and is fitted with it: a person's hand is no log.
+
+A cable held straight is let go a few milliseconds beside the time noted.  One that is held bent, or
+that moves already when the record begins, differs from its equilibrium by a few modes of vibration
+of unknown size, and of unknown velocity if it moves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable.geometry import Cable
+from cell.cable.modes import ROOTS
+from cell.study.data import Trial
+
+FloatArray = NDArray[np.float64]
+
+#: A cable held by a person is let go within this of the time noted.
+RELEASE_STD_S = 0.005
+RELEASE_LIMIT_S = 0.020
+#: Modes by which a cable may differ from its equilibrium; a force at the tip of a straight cable
+#: bends it to 3e-4 of its deflection by these.
+MODES = 4
+#: Standard deviation of the first mode's place, in free lengths; a mode of a shorter wave is the
+#: smaller by its square, as of cables held by fingers, and its velocity by the wave alone.
+PLACE_STD = 0.5
+#: Velocities are of swings within twice √(g/L).
+PACE = 2.0
+_DELAY_STEP_S = 1e-4
+_MODE_STEP = 1e-4
+#: Bounds of a mode, in standard deviations.
+_FARTHEST = 4.0
+
+
+@dataclass(frozen=True, eq=False)
+class Beginning:
+    """The unknowns of a trial's beginning, all 0 as noted: delay of a release, places, velocities.
+
+    std, step, limit  (unknowns,) of the prior, of finite differences, largest magnitude
+    """
+
+    delayed: bool
+    places: int
+    velocities: int
+    std: FloatArray
+    step: FloatArray
+    limit: FloatArray
+
+    @property
+    def count(self) -> int:
+        """Number of unknowns."""
+        return int(self.delayed) + self.places + self.velocities
+
+    @property
+    def bent(self) -> bool:
+        """Whether the cable may begin beside its equilibrium."""
+        return self.places > 0
+
+    def delay_s(self, begun: FloatArray) -> FloatArray:
+        """(lanes,) delays among unknowns (lanes, unknowns)."""
+        return begun[:, 0] if self.delayed else np.zeros(len(begun))
+
+    def modes(self, begun: FloatArray) -> FloatArray:
+        """(2, `MODES`) places and velocities among unknowns (unknowns,)."""
+        modes = np.zeros((2, MODES))
+        modes.ravel()[: self.places + self.velocities] = begun[int(self.delayed) :]
+        return modes
+
+
+def beginning_of(trial: Trial, cable: Cable, gravity_m_per_s2: tuple[float, float]) -> Beginning:
+    """What is unknown of how a trial begins."""
+    delayed = trial.start in ("straight", "held")
+    places = MODES if trial.bent else 0
+    velocities = MODES if trial.start == "moving" else 0
+    wave = ROOTS[0] / np.array(ROOTS[:MODES])
+    pace_per_s = PACE * np.sqrt(float(np.hypot(*gravity_m_per_s2)) / cable.free_length_m)
+    place = PLACE_STD * wave[:places] ** 2
+    velocity = PLACE_STD * pace_per_s * wave[:velocities]
+    of_delay = [RELEASE_STD_S] * delayed, [_DELAY_STEP_S] * delayed, [RELEASE_LIMIT_S] * delayed
+    std = np.concatenate([place, velocity])
+    step = np.concatenate([np.full(places, 1.0), np.full(velocities, pace_per_s)]) * _MODE_STEP
+    return Beginning(
+        delayed,
+        places,
+        velocities,
+        *(
+            np.concatenate([a, b])
+            for a, b in zip(of_delay, (std, step, _FARTHEST * std), strict=True)
+        ),
+    )
