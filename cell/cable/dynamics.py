@@ -16,6 +16,7 @@ from cell.cable import camera
 from cell.cable import layout as at
 from cell.cable.assembly import DEFAULT_SEGMENTS, Block, assemble, marker_weights
 from cell.cable.clamp import base_rows, pose_of
+from cell.cable.effects.base import ActiveEffect
 from cell.cable.effects.own import run_engine
 from cell.cable.geometry import Motion, Start
 from cell.cable.model import CableModel
@@ -26,6 +27,8 @@ from cell.cable.stepping import integrate, nodes, weave
 FloatArray = NDArray[np.float64]
 
 _MOST_STEPS = 5_000_000
+#: Poses of the hand this near to each other are the same, m or rad.
+_ALIKE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -141,7 +144,8 @@ def simulate_branches(
     What the motions have in common is simulated once per model, not once per motion; only where a
     camera shows other times than its pictures', everything is simulated.
 
-    alike_until_s  until then all motions are the same, which the caller warrants
+    alike_until_s  until then all motions are the same, as logged; an effect on the hand may part
+                   them earlier
     times_s        (times,) increasing, none of them before that
     returns        (motions, models, times, markers, 2) x, y in m
     raises         as `simulate`; ValueError: a time before the motions part
@@ -152,6 +156,7 @@ def simulate_branches(
     batch, paths = list(models) * len(motions), [m for m in motions for _ in models]
     begin_s = float(min(m.t_s[0] for m in motions))
     steps = int((alike_until_s - begin_s) / solver.step_s + 1e-9)
+    steps = _steps_alike(models, motions, begin_s + solver.step_s * np.arange(steps + 1.0))
     shape = (len(motions), len(models), times.size, np.size(arc_length_m), 2)
     if steps < 1 or camera.shifts_time(models):
         return simulate(batch, paths, times, arc_length_m, solver=solver).reshape(shape)
@@ -173,6 +178,26 @@ def simulate_branches(
     out = np.empty((len(batch), *shape[2:]))
     _swing(swing, branches, grids, arc_length_m, list(out))
     return out.reshape(shape)
+
+
+def _steps_alike(models: Sequence[CableModel], motions: Sequence[Motion], t_s: FloatArray) -> int:
+    """Of the steps between these times, how many are done before the hand's motions part.
+
+    The log's splines join all samples: what differs by less than a nanometre is the same.
+    """
+    steps = len(t_s) - 1
+    for acting in {_on_hand(model) for model in models if _on_hand(model)}:
+        first, *others = (np.stack(pose_of(m, acting)(t_s)) for m in motions)
+        for other in others:
+            apart = np.flatnonzero(np.any(np.abs(other - first) > _ALIKE, axis=0))
+            # a step's acceleration looks half a step ahead
+            steps = min(steps, max(0, int(apart[0]) - 2)) if apart.size else steps
+    return steps
+
+
+def _on_hand(model: CableModel) -> tuple[ActiveEffect, ...]:
+    """The effects that change how the hand moves."""
+    return tuple(a for a in model.effects if a.effect.clamp is not None)
 
 
 def _lanes(
@@ -392,7 +417,7 @@ def _rows(paths: Sequence[Motion], batch: Sequence[CableModel], grid: _Grid) -> 
     rows = []
     c = float(generalised_alpha(grid.solver.step_s, grid.solver.damping)[12])
     for motion, model in zip(paths, batch, strict=True):
-        acting = tuple(a for a in model.effects if a.effect.clamp is not None)
+        acting = _on_hand(model)
         key = (id(motion), *acting)
         if key not in known:
             known[key] = base_rows(motion, acting, grid.begin_s, grid.solver.step_s, grid.steps, c)
@@ -402,7 +427,7 @@ def _rows(paths: Sequence[Motion], batch: Sequence[CableModel], grid: _Grid) -> 
 
 def _hand(motion: Motion, model: CableModel) -> tuple[object, ...]:
     """What the motion of the hand depends on."""
-    return (id(motion), *(a for a in model.effects if a.effect.clamp is not None))
+    return (id(motion), *_on_hand(model))
 
 
 def interleave(rows: Sequence[FloatArray], shape: tuple[int, int]) -> FloatArray:

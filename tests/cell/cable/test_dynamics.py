@@ -74,13 +74,23 @@ def parting(jerk: Motion) -> list[Motion]:
 
 
 @pytest.mark.parametrize(
-    "effect", [None, "air_drag", "stress_relaxation", "bending_hysteresis", "camera_latency"]
+    ("effect", "start"),
+    [
+        (None, 0),
+        ("air_drag", 0),
+        ("stress_relaxation", 0),
+        ("bending_hysteresis", 0),
+        ("camera_latency", 0),
+        ("robot_lag", 0),
+        ("robot_lag", 1),  # the hand is ahead: its motions part before those of the log
+    ],
 )
-def test_what_motions_share_may_be_simulated_once(cable, arc, jerk, effect):
+def test_what_motions_share_may_be_simulated_once(cable, arc, jerk, effect, start):
     kinds = ()
     if effect is not None:
         kind = library()[effect]
-        kinds = (kind.active(**{p.name: p.starts[0] for p in kind.parameters}),)
+        starts = {p.name: p.starts[min(start, len(p.starts) - 1)] for p in kind.parameters}
+        kinds = (kind.active(**starts),)
     batch = [
         CableModel.uniform(cable, rigidity, viscosity_n_m2_s=1e-7, effects=kinds)
         for rigidity in (3e-5, 4e-5)
