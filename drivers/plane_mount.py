@@ -63,9 +63,13 @@ class PlaneMount:
 
     def to_plane(self, X_BT: FloatArray) -> Pose:
         """Pose of the tool, projected into the plane."""
-        X_PT = self._X_PB @ X_BT
-        angle = float(np.arctan2(X_PT[1, 0], X_PT[0, 0]))
-        return Pose(float(X_PT[0, 3]), float(X_PT[1, 3]), angle)
+        return Pose(*self.each_to_plane(X_BT[None])[0].tolist())
+
+    def each_to_plane(self, X_BT: FloatArray) -> FloatArray:
+        """(n, 4, 4) poses of the tool → (n, 3) x and y, m, and angle, rad, in the plane."""
+        X_PT = self._X_PB[:2] @ X_BT
+        angle = np.arctan2(X_PT[:, 1, 0], X_PT[:, 0, 0])
+        return np.column_stack([X_PT[:, 0, 3], X_PT[:, 1, 3], angle])
 
     def off_plane(self, X_BT: FloatArray) -> tuple[float, float]:
         """Distance of the tool from the plane, m, and its tilt out of it, rad."""

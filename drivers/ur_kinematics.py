@@ -52,6 +52,12 @@ class UrModel:
         """(6,) joint angles → (4, 4) X_BT; X_FT is the tool on the flange, none = the flange."""
         return self._chain(q_rad, X_FT)[0]
 
+    def forward_each(self, q_rad: FloatArray, X_FT: FloatArray | None = None) -> FloatArray:
+        """(n, 6) joint angles → (n, 4, 4) X_BT."""
+        X = np.empty((len(q_rad), 4, 4))
+        _follow_each(np.array(q_rad, dtype=np.float64), self._joints, _tool(X_FT), X)
+        return X
+
     def jacobian(self, q_rad: FloatArray, X_FT: FloatArray | None = None) -> FloatArray:
         """(6, 6) velocity of the tool (m/s, then rad/s) per joint speed, in the base frame."""
         return self._chain(q_rad, X_FT)[1]
@@ -103,6 +109,7 @@ def load_code() -> None:
     """Load the machine code, or compile it: no motion can wait for that."""
     bent = np.array([0.1, -1.2, 1.3, -0.4, 0.5, 0.6])
     UR5E.inverse(UR5E.forward(bent), bent + 0.01)
+    UR5E.forward_each(bent[None])
 
 
 def _tool(X_FT: FloatArray | None) -> FloatArray:
@@ -128,6 +135,14 @@ def _follow_chain(q_rad, joints, X_FT, X, jacobian):  # type: ignore[no-untyped-
     for j in range(6):
         jacobian[:3, j] = np.cross(axes[j], X[:3, 3] - origins[j])
         jacobian[3:, j] = axes[j]
+
+
+@njit(cache=True)
+def _follow_each(q_rad, joints, X_FT, X):  # type: ignore[no-untyped-def]
+    """Fill X (n, 4, 4) with the tool's poses at (n, 6) joint angles."""
+    jacobian = np.empty((6, 6))
+    for k in range(len(q_rad)):
+        _follow_chain(q_rad[k], joints, X_FT, X[k], jacobian)
 
 
 @njit(cache=True)

@@ -17,7 +17,7 @@ from drivers.sim.world import View
 from drivers.ur_kinematics import MODELS
 from drivers.ur_pose import matrix_of
 
-_KEPT_S = 1.0  # poses and shapes older than this are forgotten
+_KEPT_S = 0.4  # poses and shapes older than this are forgotten; older pictures are not taken
 _FIRST_POSE_S = 5.0
 _PORTION_S = 0.05  # longest motion that a cable is given at once
 _PATIENCE_S = 0.03  # longer than any pose is under way
@@ -185,9 +185,9 @@ class _Track:
         first = np.searchsorted(self._t_s, t_s) - count // 2
         nodes = np.clip(first, 0, len(self._t_s) - count)[:, None] + np.arange(count)
         times_s = self._t_s[nodes]
-        weights = np.ones_like(times_s)
-        for j in range(count):
-            for k in range(count):
-                if k != j:
-                    weights[:, j] *= (t_s - times_s[:, k]) / (times_s[:, j] - times_s[:, k])
+        # factor k of node j's polynomial is (t − tₖ) / (tⱼ − tₖ), and 1 for k = j
+        self_s = np.eye(count)
+        apart_s = times_s[:, :, None] - times_s[:, None, :] + self_s
+        factors = np.where(self_s, 1.0, (t_s[:, None] - times_s)[:, None, :]) / apart_s
+        weights = factors.prod(axis=2)
         return np.asarray(np.einsum("sf,sf...->s...", weights, self._values[nodes]))

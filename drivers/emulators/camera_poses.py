@@ -14,7 +14,7 @@ from collections import deque
 
 import numpy as np
 
-from drivers.emulators.rtde_wire import Kind, Packet, Recipe, Splitter
+from drivers.emulators.rtde_wire import Kind, Packet, Splitter
 from drivers.emulators.ur_addresses import RTDE_PORT
 from drivers.interfaces import FloatArray, Trajectory
 from drivers.plane_mount import PlaneMount
@@ -24,10 +24,15 @@ from drivers.ur_kinematics import UrModel
 #: Of everything in the camera's process: behind the arm, before ordinary programs.
 PRIORITY = 10
 
+#: Between two looks for poses, s: no multiple of the controller's cycle, so that now and then one
+#: comes while it is awaited, which compares the clocks; and less than a picture can wait for one.
+_REST_S = 0.0043
 _HZ = 500.0  # at 125 the cable would swing through 48 ms anew for each picture, not 12
 _RETRY_S = 0.2
 _SENSELESS_S = 0.5  # bytes that are no poses for so long: listen anew
-_WINDOW = 500  # packets over which the controller's clock is compared with this computer's
+_WINDOW = 250  # looks over which the controller's clock is compared with this computer's: a second
+_NAMES = "timestamp,actual_q"
+_PAYLOAD = np.dtype([("recipe", "u1"), ("t_s", ">f8"), ("q_rad", ">f8", 6)])
 
 
 class RtdePoses:
@@ -42,7 +47,7 @@ class RtdePoses:
         self._model = model
         self._X_FT = X_FT
         self._lock = threading.Lock()
-        self._new: list[tuple[float, tuple[float, ...]]] = []  # controller's time, joints
+        self._new: list[bytes] = []  # payloads of packets
         self._offset_s = 0.0
         self._last_s = -np.inf
         threading.Thread(target=self._listen, name="poses", daemon=True).start()
@@ -52,14 +57,14 @@ class RtdePoses:
         with self._lock:
             new, self._new = self._new, []
             offset_s = self._offset_s
-        rows = []
-        for t_s, q_rad in new:
-            if t_s + offset_s <= self._last_s:
-                continue  # the two clocks were compared anew
-            self._last_s = t_s + offset_s
-            pose = self._mount.to_plane(self._model.forward(np.array(q_rad), self._X_FT))
-            rows.append((self._last_s, pose.x_m, pose.y_m, pose.angle_rad))
-        return Trajectory(*np.array(rows).T) if rows else None
+        rows = np.frombuffer(b"".join(new), dtype=_PAYLOAD)
+        t_s = rows["t_s"] + offset_s
+        later = t_s > self._last_s  # the two clocks may have been compared anew
+        if not later.any():
+            return None
+        t_s, X_BT = t_s[later], self._model.forward_each(rows["q_rad"][later], self._X_FT)
+        self._last_s = float(t_s[-1])
+        return Trajectory(t_s, *self._mount.each_to_plane(X_BT).T)
 
     def _listen(self) -> None:
         """Listen for ever; an arm without power stays where it was."""
@@ -73,14 +78,12 @@ class RtdePoses:
                 time.sleep(_RETRY_S)
 
     def _receive(self, controller: socket.socket) -> None:
-        names = ("timestamp", "actual_q")
-        request = struct.pack(">d", _HZ) + ",".join(names).encode()
+        request = struct.pack(">d", _HZ) + _NAMES.encode()
         controller.sendall(
             Packet(Kind.PROTOCOL_VERSION, b"\x00\x02").encoded()
             + Packet(Kind.OUTPUT_SETUP, request).encoded()
             + Packet(Kind.START).encoded()
         )
-        recipe = Recipe(1, names, ("DOUBLE", "VECTOR6D"))
         splitter = Splitter()
         offsets_s: deque[float] = deque(maxlen=_WINDOW)
         heard_s = time.monotonic()
@@ -88,15 +91,14 @@ class RtdePoses:
             arrived_s = time.monotonic()
             if arrived_s > heard_s + _SENSELESS_S:
                 raise OSError("only nonsense comes")
-            for packet in splitter.feed(data):
-                if packet.kind != Kind.DATA:
-                    continue
-                values = recipe.decoded(packet.payload)
-                t_s, q_rad = values["timestamp"], values["actual_q"]
-                if not isinstance(t_s, float) or isinstance(q_rad, int | float):
+            payloads = [p.payload for p in splitter.feed(data) if p.kind == Kind.DATA]
+            if payloads:
+                if any(len(payload) != _PAYLOAD.itemsize for payload in payloads):
                     raise ValueError("not what was asked for")
                 heard_s = arrived_s
-                offsets_s.append(arrived_s - t_s)
+                (last,) = np.frombuffer(payloads[-1], dtype=_PAYLOAD)
+                offsets_s.append(arrived_s - float(last["t_s"]))
                 with self._lock:
                     self._offset_s = min(offsets_s)
-                    self._new.append((t_s, tuple(q_rad)))
+                    self._new += payloads
+            time.sleep(_REST_S)

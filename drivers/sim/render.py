@@ -147,18 +147,19 @@ def render(
     if options.occluder_m is not None:
         polygons.add_rectangle(options.occluder_m, (0.0, 0.0, 0.0), options.plate_level, 1.0)
 
-    light = polygons.over(_background(options) if behind is None else behind, options.lens_blur_px)
+    scene = _background(options) if behind is None else behind
     bank = _noise_bank(options.width_px * options.height_px)
-    image: Image = np.empty((options.height_px, options.width_px), dtype=np.uint8)
-    _expose(
-        light.reshape(-1),
-        bank,
-        int(rng.integers(_NOISE_SHIFTS)),
+    noise = bank[int(rng.integers(_NOISE_SHIFTS)) :]
+    sensor = (
         np.float32(options.exposure),
         np.float32(options.read_noise**2),
         np.float32(options.shot_noise),
-        image.reshape(-1),
     )
+    image: Image = np.empty((options.height_px, options.width_px), dtype=np.uint8)
+    _expose(scene, 0, 0, noise, *sensor, image)
+    drawn = polygons.drawn_over(scene, options.lens_blur_px)
+    if drawn is not None:
+        _expose(drawn.light, drawn.row, drawn.column, noise, *sensor, image)
     return image
 
 
@@ -170,10 +171,24 @@ def backdrop(patches: Sequence[Patches], sight: Sight, options: RenderOptions) -
     polygons = _Polygons(sight)
     for patch in patches:
         polygons.add(patch.corners_m, patch.levels, patch.hides, 1.0)
-    return polygons.over(_background(options), options.lens_blur_px)
+    light = _background(options).copy()
+    drawn = polygons.drawn_over(light, options.lens_blur_px)
+    if drawn is not None:
+        rows, columns = drawn.light.shape
+        light[drawn.row : drawn.row + rows, drawn.column : drawn.column + columns] = drawn.light
+    return light
 
 
 # --- light ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """Part of a picture's light, and where its first pixel is."""
+
+    row: int
+    column: int
+    light: LightArray
 
 
 class _Polygons:
@@ -225,11 +240,13 @@ class _Polygons:
         glints = 1.0 + options.cable_glints * np.sin(2 * np.pi * 5.3 * share) * np.cos(23 * share)
         self.add(quads, options.cable_level * glints, 1.0, weight)
 
-    def over(self, background: LightArray, blur_px: float) -> LightArray:
-        """The background with everything drawn over it, seen through the lens."""
-        light = background.copy()
+    def drawn_over(self, background: LightArray, blur_px: float) -> _Part | None:
+        """The part of the background that is drawn over, seen through the lens; None = nothing is.
+
+        Pictures are mostly background: to copy all of it took as long as to expose it.
+        """
         if not self._corners_m:
-            return light
+            return None
         in_pixels = self._in_pixels()
         height, width = background.shape
         margin = 4 + ceil(4.0 * blur_px)
@@ -238,7 +255,7 @@ class _Polygons:
         high = np.clip(np.ceil(every.max(0)) + margin, 0, [width + margin, height + margin])
         columns, rows = (high.astype(int) - low).tolist()
         if columns <= 0 or rows <= 0:
-            return light
+            return None
         added = np.zeros((rows, columns + 2), dtype=np.float32)
         hidden = np.zeros((rows, columns + 2), dtype=np.float32)
         for corners, levels, hides in zip(in_pixels, self._levels, self._hides, strict=True):
@@ -255,8 +272,9 @@ class _Polygons:
             slice(inside.start - low[1], inside.stop - low[1]),
             slice(across.start - low[0], across.stop - low[0]),
         )
-        lay_over(light[inside, across], added[part], hidden[part])
-        return light
+        light = background[inside, across].copy()
+        lay_over(light, added[part], hidden[part])
+        return _Part(inside.start, across.start, light)
 
     def _in_pixels(self) -> list[FloatArray]:
         """Corners (P, V, 2) of every addition; all of the plane's points are mapped at once."""
@@ -343,11 +361,14 @@ def _noise_bank(pixels: int) -> NDArray[np.int8]:
 
 
 @njit(cache=True, fastmath=True)
-def _expose(light, bank, shift, exposure, read_var, shot, image):  # type: ignore[no-untyped-def]
-    noise = bank[shift : shift + light.size]
+def _expose(light, top, left, noise, exposure, read_var, shot, image):  # type: ignore[no-untyped-def]
+    """Pixels of (rows, columns) light whose first is at (top, left); each has noise of its own."""
     unit = np.float32(1.0 / 32.0)
-    half, top, zero = np.float32(0.5), np.float32(255.0), np.float32(0.0)
-    for i in range(light.size):
-        level = light[i] * exposure
-        level += np.float32(noise[i]) * unit * np.sqrt(read_var + shot * level) + half
-        image[i] = np.uint8(min(max(level, zero), top))
+    half, high, zero = np.float32(0.5), np.float32(255.0), np.float32(0.0)
+    for r in range(light.shape[0]):
+        own = noise[(top + r) * image.shape[1] + left :]
+        row = image[top + r, left:]
+        for c in range(light.shape[1]):
+            level = light[r, c] * exposure
+            level += np.float32(own[c]) * unit * np.sqrt(read_var + shot * level) + half
+            row[c] = np.uint8(min(max(level, zero), high))

@@ -31,6 +31,13 @@ def test_inverse_undoes_forward(model) -> None:
         assert model.inverse(model.forward(q, X_FT), near, X_FT) == pytest.approx(q, abs=1e-5)
 
 
+def test_many_poses_at_once_are_those_of_each() -> None:
+    X_FT = matrix_of(np.array([0.01, 0.0, 0.15, 0.0, 0.2, 0.0]))
+    q = READY + np.random.default_rng(0).uniform(-0.5, 0.5, (7, 6))
+    each = [UR5E.forward(joints, X_FT) for joints in q]
+    assert UR5E.forward_each(q, X_FT) == pytest.approx(np.array(each), abs=1e-15)
+
+
 def test_jacobian_is_the_derivative() -> None:
     step = 1e-6
     jacobian = UR5E.jacobian(READY)

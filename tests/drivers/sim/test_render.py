@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from drivers.sim import render as render_module
 from drivers.sim.render import LIGHT_ON_DARK, Rates, RenderOptions, render
 
 MM_PER_PX = 0.2
@@ -89,6 +90,28 @@ def test_motion_blur_spreads_the_light_and_keeps_its_amount_and_centre():
     assert (profile * rows).sum() == pytest.approx(128.0, abs=0.1)
     spread = np.sqrt((profile * (rows - 128.0) ** 2).sum())
     assert spread == pytest.approx(10.0 / np.sqrt(12.0), rel=0.1)  # 2 mm = 10 px, uniform
+
+
+def test_what_nothing_is_drawn_over_is_not_touched(monkeypatch):
+    """Only the part that cable and jaw cover is copied, and the noise is that of the whole."""
+    options, drawn = replace(PLAIN, read_noise=2.0), []
+
+    def drawn_over(self, *others):
+        drawn.append(real(self, *others))
+        return drawn[-1]
+
+    real = render_module._Polygons.drawn_over
+    monkeypatch.setattr(render_module._Polygons, "drawn_over", drawn_over)
+    line = np.array([[-0.004, 0.0], [0.0, 0.0]])
+    empty = render(None, None, SMALL_VIEW, options, np.random.default_rng(0))
+    image = render(line, None, SMALL_VIEW, options, np.random.default_rng(0))
+    assert drawn[0] is None
+    assert drawn[1].light.size < 0.02 * image.size
+    beside = np.ones(image.shape, dtype=bool)
+    rows, columns = drawn[1].light.shape
+    beside[drawn[1].row :, drawn[1].column :][:rows, :columns] = False
+    assert np.array_equal(image[beside], empty[beside])
+    assert not np.array_equal(image, empty)
 
 
 def test_the_noise_has_the_stated_variance():
