@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
 
 #: Nice values: of threads that are not in real time for a moment, and of the cell.
@@ -90,19 +90,24 @@ class Pollers:
             # Linux forgets a thread's slack in real time, so it is told each time
             self._threads = {t: os.open(f"/proc/{t}/timerslack_ns", os.O_WRONLY) for t in threads}
 
-    @contextlib.contextmanager
-    def eased(self) -> Iterator[None]:
-        """Let them wake up later, and afterwards when they ask for it."""
+    def eased(self) -> Pollers:
+        """Within a `with` they wake up later, and afterwards when they ask for it."""
+        return self
+
+    def __enter__(self) -> None:
         for thread, slack in self._threads.items():
+            self._schedule(thread, os.SCHED_OTHER, self._ordinary)
             with contextlib.suppress(OSError):  # it has ended
-                os.sched_setscheduler(thread, os.SCHED_OTHER, self._ordinary)
                 os.write(slack, self._slack_ns)
-        try:
-            yield
-        finally:
-            for thread in self._threads:
-                with contextlib.suppress(OSError):
-                    os.sched_setscheduler(thread, self._policy, self._as_now)
+
+    def __exit__(self, *_: object) -> None:
+        for thread in self._threads:
+            self._schedule(thread, self._policy, self._as_now)
+
+    @staticmethod
+    def _schedule(thread: int, policy: int, parameters: os.sched_param) -> None:
+        with contextlib.suppress(OSError):
+            os.sched_setscheduler(thread, policy, parameters)
 
 
 def bound_spinning(seconds: float) -> None:

@@ -30,7 +30,7 @@ from drivers.interfaces import (
 from drivers.plane_mount import PlaneMount
 from drivers.ur_child import MODES, ChildOptions
 from drivers.ur_kinematics import MODELS
-from drivers.ur_pose import matrix_of
+from drivers.ur_pose import matrices_of, matrix_of
 from drivers.ur_process import ChildProcess, start_child
 from drivers.ur_reach import check_reach
 from drivers.ur_robot import RobotOptions
@@ -142,7 +142,7 @@ class UrArm:
             speed = float(sample[Column.SPEED_M_PER_S])
             return ArmState(
                 float(sample[Column.T_S]),
-                _pose(sample),
+                self._pose(sample),
                 speed,
                 self._busy(child) or speed > _MOVING_M_PER_S,
                 self._mode(child),
@@ -177,10 +177,11 @@ class UrArm:
     def log(self, start_s: float, end_s: float) -> Trajectory:
         """Measured poses; the robot's own time stamps, brought to the cell's clock."""
         with self._lock:
-            samples = self._log if self._child is None else self._child.shared.samples()
-        t_s = samples[:, Column.T_S]
-        chosen = samples[(t_s >= start_s) & (t_s <= end_s)]
-        return Trajectory(*(chosen[:, c].copy() for c in range(Column.ANGLE_RAD + 1)))
+            log = self._log if self._child is None else self._child.shared.samples_since(start_s)
+        t_s = log[:, Column.T_S]
+        chosen = log[(t_s >= start_s) & (t_s <= end_s)]
+        poses = self._options.mount.each_to_plane(matrices_of(_tool_of(chosen)))
+        return Trajectory(chosen[:, Column.T_S].copy(), *(v.copy() for v in poses.T))
 
     def stop(self, reason: str) -> None:
         """Decelerate now and stay stopped until `reset`."""
@@ -309,7 +310,7 @@ class UrArm:
         (sample,) = child.shared.samples(1)
         model = MODELS[self._options.model]
         X_BT = model.forward(sample[Column.Q1_RAD :], matrix_of(np.array(self._options.tcp)))
-        there, here = self._options.mount.to_plane(X_BT), _pose(sample)
+        there, here = self._options.mount.to_plane(X_BT), self._pose(sample)
         apart_m = float(np.hypot(there.x_m - here.x_m, there.y_m - here.y_m))
         if apart_m > _MODEL_TOLERANCE_M:
             raise ConnectError(
@@ -320,7 +321,7 @@ class UrArm:
 
     def _check_on_plane(self, sample: FloatArray) -> None:
         o = self._options
-        off_m, tilt_rad = sample[Column.OFF_PLANE_M], sample[Column.TILT_RAD]
+        off_m, tilt_rad = o.mount.off_plane(matrix_of(_tool_of(sample)))
         if off_m > o.off_plane_m or tilt_rad > o.tilt_rad:
             raise LimitError(
                 self.name,
@@ -330,15 +331,17 @@ class UrArm:
                 "jog it to its start; nothing was moved",
             )
 
+    def _pose(self, sample: FloatArray) -> Pose:
+        return self._options.mount.to_plane(matrix_of(_tool_of(sample)))
+
     def _check_reach(self, path: Trajectory, q_rad: FloatArray) -> None:
         model, X_FT = MODELS[self._options.model], matrix_of(np.array(self._options.tcp))
         check_reach(path, q_rad, model, X_FT, self._options.mount, self.name)
 
 
-def _pose(sample: FloatArray) -> Pose:
-    return Pose(
-        float(sample[Column.X_M]), float(sample[Column.Y_M]), float(sample[Column.ANGLE_RAD])
-    )
+def _tool_of(samples: FloatArray) -> FloatArray:
+    """(…, 14) samples → (…, 6) the tool's pose."""
+    return samples[..., Column.TCP : Column.TCP + 6]
 
 
 def _from_zero(path: Trajectory) -> Trajectory:

@@ -12,6 +12,7 @@ import contextlib
 import math
 import os
 import pickle
+import select
 import signal
 import sys
 import time
@@ -27,7 +28,7 @@ from drivers.interfaces import ArmMode, Trajectory
 from drivers.plane_mount import PlaneMount
 from drivers.priority import bound_spinning, run_in_real_time
 from drivers.ur_clock import ControllerClock
-from drivers.ur_pose import matrix_of, pose_of
+from drivers.ur_pose import pose_of
 from drivers.ur_robot import RefusedError, Robot, RobotOptions
 from drivers.ur_shared import SharedState, Slot
 
@@ -66,6 +67,8 @@ class _Motion:
 class _Child:
     def __init__(self, connection: Connection, shared: SharedState, options: ChildOptions) -> None:
         self._connection = connection
+        self._requests = select.poll()  # `Connection.poll` would make one in every cycle
+        self._requests.register(connection, select.POLLIN)
         self._shared = shared
         self._options = options
         self._motion: _Motion | None = None
@@ -135,13 +138,9 @@ class _Child:
         if now_s < self._began_s + _CLOCKS_S or t_s <= self._last_t_s:
             return
         self._last_t_s = t_s
-        X_BT = matrix_of(np.array(robot.getActualTCPPose()))
-        pose = self._options.mount.to_plane(X_BT)
-        speed = float(np.linalg.norm(robot.getActualTCPSpeed()[:3]))
-        off_m, tilt_rad = self._options.mount.off_plane(X_BT)
-        sample = [t_s, pose.x_m, pose.y_m, pose.angle_rad, speed]
-        sample += [off_m, tilt_rad, *robot.getActualQ()]
-        self._shared.write_sample(np.array(sample))
+        speed = math.hypot(*robot.getActualTCPSpeed()[:3])
+        # where in the cell's plane that is, the parent works out when it is asked
+        self._shared.write_sample([t_s, *robot.getActualTCPPose(), speed, *robot.getActualQ()])
 
     def _look_at_mode(self) -> None:
         moving = self._motion is not None
@@ -195,7 +194,7 @@ class _Child:
 
     def _obey(self) -> bool:
         """Act on the parent's requests; False when it wants to close."""
-        while self._connection.poll(0):
+        while self._requests.poll(0):
             request = self._connection.recv()
             match request:
                 case ("follow", Trajectory() as path, float(stops), start_s):

@@ -6,6 +6,8 @@ Every number is an aligned 8-byte float, written whole; each has one writer.
 from __future__ import annotations
 
 import mmap
+from bisect import bisect_left
+from collections.abc import Sequence
 from enum import IntEnum
 
 import numpy as np
@@ -36,16 +38,12 @@ class Column(IntEnum):
     """Numbers of a sample."""
 
     T_S = 0  # on the cell's clock
-    X_M = 1
-    Y_M = 2
-    ANGLE_RAD = 3
-    SPEED_M_PER_S = 4
-    OFF_PLANE_M = 5
-    TILT_RAD = 6
-    Q1_RAD = 7  # … to 12, the joints
+    TCP = 1  # … to 6, the tool's pose as the controller writes it
+    SPEED_M_PER_S = 7
+    Q1_RAD = 8  # … to 13, the joints
 
 
-COLUMNS = 13
+COLUMNS = 14
 _HEADER = 16
 SIZE_BYTES = 8 * (_HEADER + RING * COLUMNS)
 _AT_ONCE: int = getattr(mmap, "MAP_POPULATE", 0)  # Linux
@@ -73,15 +71,24 @@ class SharedState:
         """Count."""
         self._header[slot] += 1.0
 
-    def write_sample(self, sample: FloatArray) -> None:
-        """Append a sample (13,)."""
+    def write_sample(self, sample: Sequence[float] | FloatArray) -> None:
+        """Append a sample (14,)."""
         count = int(self._header[Slot.SAMPLES])
         self._ring[count % RING] = sample
         self._header[Slot.SAMPLES] = count + 1
 
     def samples(self, most: int = RING // 2) -> FloatArray:
-        """(n, 13) the last samples, oldest first; at most half the ring, so that none is being
+        """(n, 14) the last samples, oldest first; at most half the ring, so that none is being
         overwritten while it is copied."""
         count = int(self._header[Slot.SAMPLES])
-        n = min(count, most, RING // 2)
-        return np.array(self._ring[np.arange(count - n, count) % RING])
+        return self._between(count - min(count, most, RING // 2), count)
+
+    def samples_since(self, t_s: float) -> FloatArray:
+        """(n, 14) those not before a time, of the last half of the ring; only these are copied."""
+        count = int(self._header[Slot.SAMPLES])
+        kept = range(max(0, count - RING // 2), count)
+        first = bisect_left(kept, t_s, key=lambda k: float(self._ring[k % RING, Column.T_S]))
+        return self._between(kept.start + first, count)
+
+    def _between(self, first: int, end: int) -> FloatArray:
+        return np.array(self._ring[np.arange(first, end) % RING])

@@ -153,6 +153,9 @@ class Recipe:
 
     def decoded(self, payload: bytes) -> dict[str, Value]:
         """Values by name; ur-rtde sends some packets short, then only what is whole is there."""
+        if len(payload) == self._whole.size:
+            flat = self._whole.unpack(payload)
+            return {name: flat[place] for name, place in self._places}
         values: dict[str, Value] = {}
         offset = 1
         for name, kind in zip(self.names, self.types, strict=True):
@@ -164,6 +167,17 @@ class Recipe:
             values[name] = parts[0] if count == 1 else parts
             offset += size
         return values
+
+    @cached_property
+    def _places(self) -> tuple[tuple[str, int | slice], ...]:
+        """Where each variable is among the numbers of a whole packet."""
+        places: list[tuple[str, int | slice]] = []
+        begin = 1
+        for name, kind in zip(self.names, self.types, strict=True):
+            count = TYPES[kind][1]
+            places.append((name, begin if count == 1 else slice(begin, begin + count)))
+            begin += count
+        return tuple(places)
 
 
 def names_in(payload: bytes) -> tuple[str, ...]:

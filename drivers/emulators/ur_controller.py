@@ -5,13 +5,13 @@ from __future__ import annotations
 import re
 import time
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 
 import numpy as np
 
-from drivers.emulators.rtde_wire import OUTPUTS, TYPES, Value
+from drivers.emulators.rtde_wire import OUTPUTS, REGISTERS, TYPES, Value
 from drivers.emulators.ur_arm import HOME_RAD, Decelerate, Joints
 from drivers.emulators.ur_script import ControlScript, Effects, Registers, ScriptError
 from drivers.ur_kinematics import UR5E, UrModel
@@ -112,12 +112,14 @@ class Controller:
         self.servo_gaps_s: deque[float] = deque(maxlen=60_000)  # between two writes of a motion
         self._servo_s: float | None = None
         self._step_s = CYCLE_S * options.time_scale
-        self._payload_kg = 0.0
+        self.payload_kg = 0.0
         self._script: ControlScript | None = None
         self._uploaded: tuple[float, int] | None = None  # when it starts, register offset
         self._coasting: Decelerate | None = None
         self._watchdog: _Watchdog | None = None
         self._stopped_s = 0.0
+        self._posed_at: tuple[object, object] = (None, None)  # joints and tool of `_posed`
+        self._posed: list[float] = []
 
     def note(self, what: str) -> None:
         """Remember an event."""
@@ -203,7 +205,7 @@ class Controller:
         self._watchdog = _Watchdog(register, 1.0 / max(frequency_hz, 1e-3), self.time_s)
 
     def _set_payload(self, mass_kg: float) -> None:
-        self._payload_kg = mass_kg
+        self.payload_kg = mass_kg
 
     # --- safety -------------------------------------------------------------------------------
 
@@ -256,12 +258,11 @@ class Controller:
     def write(self, values: Mapping[str, Value]) -> None:
         """Input variables of one packet."""
         for name, value in values.items():
-            if name.startswith("input_int_register_") and isinstance(value, int):
-                index = int(name.removeprefix("input_int_register_"))
+            if (index := _INT_INPUTS.get(name)) is not None and isinstance(value, int):
                 self.registers.int_in[index] = value
                 self._note_command(index, value)
-            elif name.startswith("input_double_register_") and isinstance(value, float):
-                self.registers.double_in[int(name.removeprefix("input_double_register_"))] = value
+            elif (index := _DOUBLE_INPUTS.get(name)) is not None and isinstance(value, float):
+                self.registers.double_in[index] = value
         fraction = values.get("speed_slider_fraction")
         if values.get("speed_slider_mask") and isinstance(fraction, float):
             self.speed_fraction = min(1.0, max(0.0, fraction))
@@ -280,49 +281,19 @@ class Controller:
 
     def outputs(self, names: Sequence[str]) -> list[Value]:
         """Values of output variables now."""
-        pose = pose_of(self.joints.tool()).tolist() if any("TCP_pose" in n for n in names) else []
-        return [self._output(name, pose) for name in names]
+        return self.reader(names)()
 
-    def _output(self, name: str, pose: list[float]) -> Value:
-        value: Value
-        match name:
-            case "timestamp":
-                value = self.time_s
-            case "actual_TCP_pose" | "target_TCP_pose":
-                value = pose
-            case "actual_TCP_speed" | "target_TCP_speed":
-                value = self.joints.tool_speed().tolist()
-            case "actual_q" | "target_q":
-                value = self.joints.q_rad.tolist()
-            case "actual_qd" | "target_qd":
-                value = self.joints.qd_rad_per_s.tolist()
-            case "runtime_state":
-                value = int(self.runtime)
-            case "robot_status_bits":
-                powered = self.robot_mode != _POWER_OFF
-                value = int(powered) | (self.runtime is Runtime.PLAYING) << 1
-            case "safety_status_bits":
-                value = _SAFETY_BITS[self.safety]
-            case "safety_mode" | "safety_status":
-                value = _SAFETY_MODES[self.safety]
-            case "robot_mode":
-                value = self.robot_mode
-            case "target_speed_fraction":
-                value = self.speed_fraction
-            case "speed_scaling":
-                value = self.speed_scaling
-            case "payload":
-                value = self._payload_kg
-            case "joint_mode":
-                value = [253] * 6
-            case _ if name.startswith("output_int_register_"):
-                value = self.registers.int_out[int(name.removeprefix("output_int_register_"))]
-            case _ if name.startswith("output_double_register_"):
-                value = self.registers.double_out[int(name.removeprefix("output_double_register_"))]
-            case _:
-                count = TYPES[OUTPUTS[name]][1]
-                value = 0 if count == 1 else [0] * count
-        return value
+    def reader(self, names: Sequence[str]) -> Callable[[], list[Value]]:
+        """What gives the values of output variables, again and again: 500 times a second."""
+        getters = [_getter(name) for name in names]
+        return lambda: [get(self) for get in getters]
+
+    def pose(self) -> list[float]:
+        """The tool's pose, worked out anew only if something has moved."""
+        at = self.joints.q_rad, self.joints.X_FT
+        if at[0] is not self._posed_at[0] or at[1] is not self._posed_at[1]:
+            self._posed_at, self._posed = at, pose_of(self.joints.tool()).tolist()
+        return self._posed
 
     # --- dashboard ----------------------------------------------------------------------------
 
@@ -388,3 +359,51 @@ class Controller:
             self.safety = Safety.NORMAL
             self.note("unlocked")
         return "Protective stop releasing"
+
+
+# --- RTDE: variables by their names -------------------------------------------------------------
+
+_INT_INPUTS = {f"input_int_register_{i}": i for i in range(REGISTERS)}
+_DOUBLE_INPUTS = {f"input_double_register_{i}": i for i in range(REGISTERS)}
+
+_Getter = Callable[[Controller], Value]
+
+
+def _powered(controller: Controller) -> int:
+    playing = controller.runtime is Runtime.PLAYING
+    return int(controller.robot_mode != _POWER_OFF) | playing << 1
+
+
+_GETTERS: Mapping[str, _Getter] = {
+    "timestamp": lambda c: c.time_s,
+    "actual_TCP_pose": Controller.pose,
+    "target_TCP_pose": Controller.pose,
+    "actual_TCP_speed": lambda c: c.joints.tool_speed().tolist(),
+    "target_TCP_speed": lambda c: c.joints.tool_speed().tolist(),
+    "actual_q": lambda c: c.joints.q_rad.tolist(),
+    "target_q": lambda c: c.joints.q_rad.tolist(),
+    "actual_qd": lambda c: c.joints.qd_rad_per_s.tolist(),
+    "target_qd": lambda c: c.joints.qd_rad_per_s.tolist(),
+    "runtime_state": lambda c: int(c.runtime),
+    "robot_status_bits": _powered,
+    "safety_status_bits": lambda c: _SAFETY_BITS[c.safety],
+    "safety_mode": lambda c: _SAFETY_MODES[c.safety],
+    "safety_status": lambda c: _SAFETY_MODES[c.safety],
+    "robot_mode": lambda c: c.robot_mode,
+    "target_speed_fraction": lambda c: c.speed_fraction,
+    "speed_scaling": lambda c: c.speed_scaling,
+    "payload": lambda c: c.payload_kg,
+    "joint_mode": lambda c: [253] * 6,
+}
+
+
+def _getter(name: str) -> _Getter:
+    """What gives an output variable; 0 for those that are not emulated."""
+    for kind, attribute in (("int", "int_out"), ("double", "double_out")):
+        prefix = f"output_{kind}_register_"
+        if name.startswith(prefix):
+            index = int(name.removeprefix(prefix))
+            return lambda c: getattr(c.registers, attribute)[index]
+    count = TYPES[OUTPUTS[name]][1]
+    nothing: Value = 0 if count == 1 else [0] * count
+    return _GETTERS.get(name, lambda c: nothing)

@@ -11,7 +11,16 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
-from drivers.emulators.rtde_wire import INPUTS, OUTPUTS, Kind, Packet, Recipe, Splitter, names_in
+from drivers.emulators.rtde_wire import (
+    INPUTS,
+    OUTPUTS,
+    Kind,
+    Packet,
+    Recipe,
+    Splitter,
+    Value,
+    names_in,
+)
 from drivers.emulators.ur_addresses import DASHBOARD_PORT, FAULT_PORT, RTDE_PORT, SCRIPT_PORT
 from drivers.emulators.ur_controller import CYCLE_S, Controller
 
@@ -121,6 +130,7 @@ class Rtde(Connection):
         super().__init__(sock, server)
         self._splitter = Splitter()
         self._output: Recipe | None = None
+        self._read: Callable[[], list[Value]] = list
         self._every = 1
         self._inputs: dict[int, Recipe] = {}
         self._started = False
@@ -138,8 +148,7 @@ class Rtde(Connection):
         if not self._started or self._output is None or number % self._every:
             return
         if len(self.unsent) < _MAX_BACKLOG:
-            values = self.server.controller.outputs(self._output.names)
-            self._reply(Kind.DATA, self._output.encoded(values))
+            self._reply(Kind.DATA, self._output.encoded(self._read()))
 
     def inputs(self) -> set[str]:
         """Input variables that this client has claimed."""
@@ -175,6 +184,7 @@ class Rtde(Connection):
         types = tuple(OUTPUTS.get(n, "NOT_FOUND") for n in names)
         if "NOT_FOUND" not in types:
             self._output = Recipe(1, names, types)
+            self._read = self.server.controller.reader(names)
             self._every = max(1, round(_RTDE_HZ / min(_RTDE_HZ, max(1.0, frequency_hz))))
         self._reply(Kind.OUTPUT_SETUP, b"\x01" + ",".join(types).encode())
 

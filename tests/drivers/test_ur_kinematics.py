@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from drivers.ur_kinematics import MODELS, UR5E, OutOfReachError, _rotation_vector
-from drivers.ur_pose import matrix_of, pose_of
+from drivers.ur_pose import matrices_of, matrix_of, pose_of
 
 READY = np.array([0.3, -1.4, 1.6, -1.8, -1.5, 0.2])
 
@@ -59,6 +59,14 @@ def test_a_rotation_is_that_of_its_vector(axis: tuple[float, ...], angle_rad: fl
     vector = _rotation_vector(R)
     assert Rotation.from_rotvec(vector).as_matrix() == pytest.approx(R, abs=1e-9)
     assert np.linalg.norm(vector) == pytest.approx(angle_rad, abs=1e-9)
+
+
+def test_many_matrices_are_those_of_each() -> None:
+    poses = np.random.default_rng(0).normal(size=(9, 6))
+    poses[3, 3:] = 0.0
+    poses[4, 3:] *= np.pi / np.linalg.norm(poses[4, 3:])
+    each = [matrix_of(pose) for pose in poses]
+    assert matrices_of(poses) == pytest.approx(np.array(each), abs=1e-14)
 
 
 def test_out_of_reach_is_named() -> None:

@@ -40,3 +40,22 @@ def test_a_full_ring_keeps_the_newest(ends) -> None:
     assert len(kept) == RING // 2
     assert kept[-1, 0] == RING + 9
     assert np.all(np.diff(kept[:, 0]) == 1.0)
+
+
+def test_of_a_long_log_only_what_is_asked_for_is_copied(ends, monkeypatch) -> None:
+    """After every hold the arm's log is asked for: two minutes of samples were copied each time."""
+    one, other = ends
+    for k in range(RING + 10):
+        one.write_sample(np.full(COLUMNS, 0.002 * k))
+    copied, array = [], np.array
+
+    def noted(values, *others):
+        copied.append(np.size(values))
+        return array(values, *others)
+
+    monkeypatch.setattr("drivers.ur_shared.np.array", noted)
+    late = other.samples_since(0.002 * RING - 1e-6)
+    assert late[:, 0] == pytest.approx(0.002 * (RING + np.arange(10)))
+    assert sum(copied) == 10 * COLUMNS
+    assert len(other.samples_since(0.0)) == RING // 2
+    assert len(other.samples_since(1e9)) == 0
