@@ -20,7 +20,7 @@ from cell.run.cycle import Cell
 from cell.run.station import Task
 from cell.settings import Settings
 from cell.settings import devices as given
-from cell.settings.calibrated import Calibrated, typed
+from cell.settings.calibrated import Calibrated, as_gripped, typed
 from cell.settings.translate import (
     arm_limits_of,
     cable_of,
@@ -157,7 +157,7 @@ def staged_devices(
     with ExitStack() as stack:
         assistant = None
         if isinstance(settings.arm, given.SimulatedArm):
-            twins = build_twins(settings, seed, 0, known)
+            twins = build_twins(settings, seed, 1, known)
             devices = twin_devices(twins)
             assistant = SimulatedAssistant(settings, twins.stage, seed, views)
         else:
@@ -217,8 +217,9 @@ def _real_camera(settings: Settings, clock: RealClock, latency_s: float) -> Came
 
 def cell_task(settings: Settings, known: Calibrated | None = None) -> Task:
     """What the settings ask the cell to do with every cable; `known` None = as typed."""
-    motion = settings.motion
     known = typed(settings) if known is None else known
+    settings = as_gripped(settings, known)
+    motion = settings.motion
     return Task(
         cable=cable_of(settings),
         destination=Destination(*settings.destination.x_m, *settings.destination.y_m),

@@ -2,6 +2,7 @@
 
     python tools/calibration_study.py --setups 20 -o study.csv
     python tools/calibration_study.py --setups 100 --time
+    python tools/calibration_study.py --setups 40 --grip
 
 Every set-up has its own camera (k1 −0.3 … 0.1, tilt to 30°, pan, roll, focal length, blur, noise),
 robot base, jaw and board, all known; its pictures are rendered and then calibrated as live ones
@@ -10,6 +11,10 @@ are, with the hand turned out of the plane as well.  Peers: `cv2.calibrateCamera
 
 With `--time` latency and lag instead: the motion of a calibration in cells whose arm, rates, noise
 and delays are drawn, seen by a camera whose map is a little wrong.
+
+With `--grip` gripping point, clamp angle and free length: hidden cables with a rest curvature of
+their own, marks glued elsewhere and askew, in twelve poses, seen through a map that is wrong by
+`MAP_M`.
 """
 
 from __future__ import annotations
@@ -17,6 +22,7 @@ from __future__ import annotations
 import argparse
 import csv
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -26,19 +32,22 @@ from calib.board import Board, BoardView
 from calib.camera import picture_grid
 from calib.cell import CellFit, camera_roll, fit_cell
 from calib.errors import CalibrationError
+from calib.grip import fit_grip
 from calib.jaw_marks import Gravity, JawObservation, Plate
 from calib.lens import Lens
-from calib.plane import PlaneView
+from calib.plane import PlaneView, fit_homography
 from calib.plate import find_plate
 from calib.projection import pose
 from calib.thread import find_thread
 from calib.timing import arm_lag, camera_latency
 from cell.calibration.conclude import camera_from
+from cell.calibration.grip import grip_poses, views_of
 from cell.calibration.measure import timing_path
-from cell.calibration.raw import Picture
+from cell.calibration.raw import Picture, ShownCell, ShownPose
 from cell.settings import load_settings
 from cell.settings.calibrated import CIRCLE_95
 from cell.settings.translate import pose_of
+from cell.simulated.hidden import cable_shape, hidden_cable
 from cell.simulated.shown import board_patches, board_poses, photograph_board, plumb_line
 from drivers.interfaces import Trajectory
 from drivers.servo import servo_response
@@ -53,6 +62,8 @@ POSES, HELD_OUT, VIEWS = 30, 6, 20
 LEVEL_RAD = 0.002
 THREADS_M = (-0.14, 0.0)
 ARM_M = 1e-5
+MAP_M = 8e-6  # of the map with which a grip is measured, at the picture's corners, along each axis
+GRIP = ("x_mm", "y_mm", "angle_deg", "length_mm")
 SPHERE_95 = 1.61  # 95 % of a ball's normal law, in standard deviations over three axes together
 
 
@@ -184,6 +195,50 @@ def timed(seed: int) -> dict[str, float]:
     }
 
 
+def gripped(seed: int) -> dict[str, float]:
+    """Errors of gripping point, clamp angle and free length, and their half widths: mm, degrees."""
+    setup, settings = Setup(seed), load_settings(Path("config/fake.yaml"))
+    rng = setup.rng
+    beside_m, askew, longer_m = rng.normal(0, 3e-4, 2), rng.normal(0, 0.01), rng.normal(0, 1e-3)
+    effects = {
+        "grip_slip": {"length_m": longer_m},
+        "natural_curvature": {
+            "curvature_1_per_m": rng.normal(0.0, 1.0),
+            "gradient_1_per_m2": rng.normal(0.0, 10.0),
+        },
+    }
+    world = settings.world.model_copy(update={"effects": effects})
+    hidden = hidden_cable(settings.model_copy(update={"world": world}), seed, 1)
+    shape = cable_shape(hidden, 120)
+    turn = np.array([[np.cos(askew), -np.sin(askew)], [np.sin(askew), np.cos(askew)]])
+    glued = (MARKS_M - beside_m) @ turn
+    look = replace(
+        setup.look,
+        marks_m=tuple((x, y, RADIUS_M) for x, y in glued.tolist()),
+        plate_m=(0.0, -0.017, 0.042, 0.017),  # around the marks, wherever they are glued
+    )
+    wide, high = SIZE
+    pixels = np.array([[0.0, 0.0], [wide, 0.0], [wide, high], [0.0, high]])
+    places = setup.view.to_plane(pixels) + rng.normal(0.0, MAP_M, (4, 2))
+    lens = setup.lens
+    view = PlaneView(fit_homography(lens.ideal(pixels), places), lens)
+    poses, hold_s = [], np.array([0.0, 0.1])
+    for goal in grip_poses(settings, view):
+        path = Trajectory(hold_s, *(np.full(2, v) for v in (goal.x_m, goal.y_m, goal.angle_rad)))
+        at = (goal.x_m, goal.y_m, goal.angle_rad)
+        images = [render(shape(path, hold_s)[0], at, setup.eye, look, rng) for _ in range(4)]
+        mean = np.rint(np.mean(images, axis=0)).astype(np.uint8)
+        poses.append(ShownPose("fit", goal, Picture(f"{len(poses)}", mean)))
+    views, _ = views_of(ShownCell(tuple(poses)), view, settings)
+    fit = fit_grip(views, MAP_M * np.sqrt(2.0) * 2.0 / 3.0)  # the corners' error, over the picture
+    off = np.abs(fit.mean - [*beside_m, askew, 0.1 + longer_m])
+    unit = np.array([1e3, 1e3, np.degrees(1.0), 1e3])
+    row = {"seed": float(seed)}
+    for name, error, half in zip(GRIP, unit * off, unit * fit.half_95, strict=True):
+        row |= {name: float(error), f"{name}_95": float(half)}
+    return row
+
+
 def plane_errors(fit: CellFit, setup: Setup) -> dict[str, float]:
     """Plane in base and roll: error and 95 % bound."""
     off = np.linalg.inv(setup.X_BP) @ fit.X_BP
@@ -241,12 +296,13 @@ def main() -> None:
     parser.add_argument("--setups", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--time", action="store_true", help="latency and lag instead of the map")
+    parser.add_argument("--grip", action="store_true", help="how the jaws hold a cable instead")
     parser.add_argument("-o", "--out", type=Path, default=Path("calibration_study.csv"))
     options = parser.parse_args()
     rows: list[dict[str, float]] = []
     for seed in range(options.first, options.first + options.setups):
         try:
-            rows.append(timed(seed) if options.time else measured(seed))
+            rows.append((timed if options.time else gripped if options.grip else measured)(seed))
         except CalibrationError as error:
             print(f"{seed}: refused: {error}", flush=True)
             continue
@@ -255,7 +311,9 @@ def main() -> None:
             writer = csv.DictWriter(file, list(rows[0]))
             writer.writeheader()
             writer.writerows(rows)
-    (time_summary if options.time else summary)(rows, options.setups)
+    (time_summary if options.time else grip_summary if options.grip else summary)(
+        rows, options.setups
+    )
 
 
 def time_summary(rows: list[dict[str, float]], asked: int) -> None:
@@ -265,6 +323,18 @@ def time_summary(rows: list[dict[str, float]], asked: int) -> None:
     for name in ("latency", "lag"):
         off, bound = (np.array([row[f"{name}{end}"] for row in rows]) for end in ("_ms", "_95_ms"))
         print(f"  {name:8} {np.median(off):.4f} {off.max():.4f}   {np.mean(off <= bound):.2f}")
+
+
+def grip_summary(rows: list[dict[str, float]], asked: int) -> None:
+    print(
+        f"\n{len(rows)} of {asked} set-ups; error: median, rms, largest; inside its 95 % interval"
+    )
+    for name in GRIP:
+        off, half = (np.array([row[f"{name}{end}"] for row in rows]) for end in ("", "_95"))
+        print(
+            f"  {name:10} {np.median(off):.4f} {rms(off):.4f} {off.max():.4f}   "
+            f"{np.mean(off <= half):.2f}, half width {np.median(half):.4f}"
+        )
 
 
 def summary(rows: list[dict[str, float]], asked: int) -> None:

@@ -40,6 +40,7 @@ class Say(Protocol):
 FIRST_POSES, CHOSEN_POSES, HELD_OUT_POSES = 9, 15, 6
 #: Share of the limits that is used, and of the cell's own briskness for the timing motion.
 _SHARE, _BRISK = 0.95, 0.8
+_TURN_RAD = 0.35  # a hand turned further teaches little, and takes time
 #: The same of the first poses, when nothing tells yet where the picture ends.
 _FIRST_SHARE = 0.75
 _COARSE = 4  # the picture is cut in so many columns and rows to say where corners are lacking
@@ -118,7 +119,10 @@ def show_hand(
     )
     for k in _in_short_ways([candidates[k] for k in chosen]):
         show(k, "fit")
-    others = [Pose(*(float(v) for v in values)) for values in rng.uniform(*_box(settings), (60, 3))]
+    others = [
+        Pose(*(float(v) for v in values))
+        for values in rng.uniform(*within_limits(settings), (60, 3))
+    ]
     seen = in_picture(rough, [matrix_of(p) for p in others], marks_m(marks), size)
     for goal in [others[k] for k in np.flatnonzero(seen)[:HELD_OUT_POSES]]:
         show(goal, "held_out")
@@ -134,7 +138,7 @@ def show_hand(
 
 def first_poses(settings: Settings) -> list[Pose]:
     """Corners and middles of a box well within the limits, turned alternately."""
-    low, high = _box(settings)
+    low, high = within_limits(settings)
     middle, half = 0.5 * (low + high), 0.5 * _FIRST_SHARE * (high - low)
     low, high = middle - half, middle + half
     places = list(product((low[0], middle[0], high[0]), (high[1], middle[1], low[1])))
@@ -144,16 +148,17 @@ def first_poses(settings: Settings) -> list[Pose]:
 
 def candidate_poses(settings: Settings) -> list[Pose]:
     """A grid over the limits."""
-    low, high = _box(settings)
+    low, high = within_limits(settings)
     axes = [np.linspace(a, b, n) for a, b, n in zip(low, high, (6, 6, 3), strict=True)]
     return [Pose(*(float(v) for v in values)) for values in product(*axes)]
 
 
-def _box(settings: Settings) -> tuple[FloatArray, FloatArray]:
+def within_limits(settings: Settings, most_rad: float = _TURN_RAD) -> tuple[FloatArray, FloatArray]:
+    """Least and greatest x, y and angle of poses, well within the limits; turned by no more."""
     limits = settings.limits
     edges = np.array([limits.x_m, limits.y_m, limits.angle_rad])
     middle, half = edges.mean(axis=1), 0.5 * _SHARE * np.ptp(edges, axis=1)
-    half[2] = min(half[2], 0.35)  # more teaches little and takes time
+    half[2] = min(half[2], most_rad)
     return middle - half, middle + half
 
 

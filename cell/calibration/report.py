@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from calib.board import BoardView
 from calib.camera import CameraFit, picture_grid
 from calib.cell import CellFit
+from calib.grip import GripFit, GripView
+from calib.plane import PlaneView
 from calib.store import StoredCalibration
 from calib.timing import Delay
 from cell.calibration.conclude import Times
@@ -25,6 +27,8 @@ FloatArray = NDArray[np.float64]
 
 #: Length of the longest arrow in a picture of residuals.
 _ARROW_PX = 60.0
+#: Width and height of the part of a picture that is shown enlarged.
+_PART_PX = (240, 130)
 
 _STYLE = """
 body{font:16px/1.45 system-ui,sans-serif;max-width:1000px;margin:2em auto;padding:0 1em;color:#222}
@@ -65,7 +69,11 @@ def camera_report(
         f"picture); two lenses, each from half of the pictures, differ by "
         f"{e['halves_rms_px']:.3f} px rms.",
         [
-            ("Where corners were seen", _image(_dots(pictures[0].image, corners))),
+            (
+                "Where corners were seen",
+                _image(_dots(pictures[0].image, corners))
+                + _note("Those of all pictures, over the first; none may be lacking in a corner."),
+            ),
             (
                 "Uncertainty, 95 %, px",
                 _heat(CIRCLE_95 * fit.spread_px)
@@ -143,7 +151,7 @@ def time_report(stored: StoredCalibration, times: Times, move: SeenMove) -> str:
     """Page about delays."""
 
     def words(delay: Delay) -> str:
-        return f"{delay.value_s * 1e3:.2f} ± {delay.half_width_s * 1e3:.2f} ms"
+        return f"{delay.value_s * 1e3:.3f} ± {delay.half_width_s * 1e3:.3f} ms"
 
     rows = [
         ("camera's stamps late by", words(times.latency), f"{times.latency.rms_m * 1e3:.3f} mm"),
@@ -168,13 +176,61 @@ def time_report(stored: StoredCalibration, times: Times, move: SeenMove) -> str:
     )
 
 
+def grip_report(
+    stored: StoredCalibration,
+    fit: GripFit,
+    views: Sequence[GripView],
+    shown: ShownCell,
+    view: PlaneView,
+) -> str:
+    """Page about a grip: what is measured, pose by pose, over pictures."""
+    e = stored.error
+    half, between = fit.half_95, fit.repeatability
+    units = (("mm", 1e3), ("mm", 1e3), ("°", 180.0 / np.pi), ("mm", 1e3))
+    names = ("gripping point, x", "gripping point, y", "clamp angle", "free length")
+    rows = [
+        tuple(f"{k * v:.3f} {unit}" for v in (fit.mean[n], half[n], between[n]))
+        for n, (unit, k) in enumerate(units)
+    ]
+    views = [one for one, good in zip(views, fit.used, strict=True) if good]
+    poses = [
+        (one.name, *(f"{k * v:.3f}" for v, (_, k) in zip(values, units, strict=True)),
+         f"{1e3 * left:.3f}")
+        for one, values, left in zip(views, fit.by_pose, fit.left_m, strict=True)
+    ]  # fmt: skip
+    images = {p.picture.name: p.picture.image for p in shown.poses}
+    first, last = views[0], views[-1]
+    return _page(
+        "How the jaws hold a cable",
+        f"The cable leaves the jaws {np.degrees(fit.mean[2]):+.2f}° ± "
+        f"{np.degrees(e['angle_95_rad']):.2f}° beside the direction of the marks, its free length "
+        f"is {1e3 * fit.mean[3]:.2f} ± {1e3 * e['length_95_m']:.2f} mm (95 %).",
+        [
+            ("Numbers", _table(("", "value", "± 95 %", "between poses"),
+                               [(n, *r) for n, r in zip(names, rows, strict=True)])
+             + _note("In the frame of the marks: x away from the cable, y up, angle positive where "
+                     "the cable points further down. The cycle uses them in place of "
+                     "vision.jaw.discs_m about 0, 0 and cable.free_length_m.")),
+            ("The line as measured, and where it begins and ends",
+             "".join(_image(_held(images[one.name], one, view)) for one in (first, last))),
+            ("The jaw, enlarged", _image(_enlarged(_held(images[first.name], first, view),
+                                                   view.to_pixels(first.line.edge_m)))),
+            ("Poses", _table(("picture", "x, mm", "y, mm", "angle, °", "length, mm",
+                              "left, rms, mm"), poses)
+             + _note("What goes from pose to pose must not go one way: then the cable slides.")),
+        ],
+        stored,
+    )  # fmt: skip
+
+
 # --- parts of a page --------------------------------------------------------------------------
 
 
 def _page(
     title: str, says: str, parts: Sequence[tuple[str, str]], stored: StoredCalibration
 ) -> str:
-    facts = ", ".join(f"{k} {v}" for k, v in [*stored.how.items(), *stored.devices.items()])
+    stated = [*stored.how.items(), *stored.devices.items()]
+    facts = ", ".join(f"{_plainly(k)} {v}" for k, v in stated if v is not None)
     body = "".join(f"<h2>{html.escape(head)}</h2>{content}" for head, content in parts)
     return (
         f"<!doctype html><html lang=en><meta charset=utf-8><title>{html.escape(title)}</title>"
@@ -182,6 +238,12 @@ def _page(
         f"<p class=note>{stored.made:%Y-%m-%d %H:%M} UTC; {html.escape(facts)}</p>"
         f"<p class=says>{html.escape(says)}</p>{body}</html>"
     )
+
+
+def _plainly(key: str) -> str:
+    """A key as words: its unit goes with the number that follows."""
+    name, _, unit = key.rpartition("_")
+    return f"{name.replace('_', ' ')}, {unit}:" if unit in ("px", "s") else key.replace("_", " ")
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -252,7 +314,7 @@ def _curves(series: Sequence[tuple[str, FloatArray, FloatArray]]) -> str:
         parts.append(f'<text x="0" y="{at:.0f}" font-size="12" fill="#555">{label}</text>')
         across = edge + (wide - 2 * edge) * share
         place = f'x="{across:.0f}" y="{high - 8}" font-size="12" fill="#555"'
-        parts.append(f"<text {place}>{begin + share * lasts:.2f}</text>")
+        parts.append(f"<text {place}>{abs(begin + share * lasts):.2f}</text>")
     return f'<svg viewBox="0 0 {wide:.0f} {high:.0f}">{"".join(parts)}</svg>'
 
 
@@ -298,6 +360,30 @@ def _grid_over(image: Image, fit: CellFit) -> Image:
                 picture, [np.rint(line[ok]).astype(np.int32)], False, colour, thick, cv2.LINE_AA
             )
     return picture
+
+
+def _held(image: Image, one: GripView, view: PlaneView) -> Image:
+    """The cable's line, its ends, and the directions of marks and cable."""
+    picture = _coloured(image)
+    line = np.rint(view.to_pixels(one.line.smooth_m)).astype(np.int32)
+    cv2.polylines(picture, [line], False, (60, 60, 230), 1, cv2.LINE_AA)
+    for end in (one.line.edge_m, one.line.tip_m):
+        u, v = np.rint(view.to_pixels(end)).astype(int).tolist()
+        cv2.circle(picture, (u, v), 5, (30, 200, 250), 1, cv2.LINE_AA)
+    angle = float(one.marks[2])
+    way = 0.03 * np.array([[np.cos(angle), np.sin(angle)], [-np.cos(angle), -np.sin(angle)]])
+    a, b = np.rint(view.to_pixels(way + one.marks[:2])).astype(int).tolist()
+    cv2.line(picture, tuple(a), tuple(b), (150, 190, 90), 1, cv2.LINE_AA)
+    return picture
+
+
+def _enlarged(image: Image, at_px: FloatArray) -> Image:
+    """A part of a picture, four times as large."""
+    high, wide = image.shape[:2]
+    u = int(np.clip(at_px[0] - _PART_PX[0] // 2, 0, max(wide - _PART_PX[0], 0)))
+    v = int(np.clip(at_px[1] - _PART_PX[1] // 2, 0, max(high - _PART_PX[1], 0)))
+    part = image[v : v + _PART_PX[1], u : u + _PART_PX[0]]
+    return np.asarray(cv2.resize(part, None, fx=4, fy=4, interpolation=cv2.INTER_CUBIC))
 
 
 def _coloured(image: Image) -> Image:

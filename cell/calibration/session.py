@@ -108,6 +108,22 @@ class Session:
         mean: Image = np.rint(np.mean(images, axis=0)).astype(np.uint8)
         return mean
 
+    @contextmanager
+    def holding_cable(self) -> Iterator[None]:
+        """A cable between the jaws, gripped as in a cycle; let go of whatever happens.
+
+        raises  GripError: none is there
+        """
+        try:
+            self.devices.gripper.grip(self.settings.gripper.force_n)
+            yield
+        finally:
+            self.devices.gripper.release()
+
+    def wait_s(self, lasts_s: float) -> None:
+        """Let time go by on the cell's clock."""
+        self.devices.clock.sleep_s(lasts_s)
+
     def film(self, path: Trajectory) -> FilmedMove:
         """Film a motion from before its beginning to after its end."""
         arm, camera, clock = self.devices.arm, self.devices.camera, self.devices.clock

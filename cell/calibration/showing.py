@@ -1,4 +1,4 @@
-"""Ways to show the board and the plumb line to the camera: a person does it, or a simulation."""
+"""Ways to show board, plumb line and cable to the camera: a person does it, or a simulation."""
 
 from __future__ import annotations
 
@@ -20,6 +20,10 @@ _HANG = (
     "hang it at another place, a third of the picture's width or more beside the first, let it "
     "come to rest, Enter; or n, if it cannot be: roll then depends on how level the base stands",
 )
+_HOLD = (
+    "hold a cable between the open jaws as it is presented in a cycle, Enter: they close; "
+    "or n, if there is none: gripping point, clamp angle and length are then as typed"
+)
 
 
 class Assistant(Protocol):
@@ -31,6 +35,10 @@ class Assistant(Protocol):
 
     def thread(self, number: int) -> bool:
         """A plumb line in the cell's plane, at the `number`-th place; False = there is none."""
+        ...
+
+    def cable(self) -> bool:
+        """A cable between the open jaws, as in a cycle; False = there is none."""
         ...
 
     def clear(self) -> None:
@@ -56,6 +64,10 @@ class Person:
         """Ask for a plumb line."""
         typed = self._asked(_HANG[min(number, len(_HANG)) - 1])
         return not typed.strip().lower().startswith("n")
+
+    def cable(self) -> bool:
+        """Ask for a cable."""
+        return not self._asked(_HOLD).strip().lower().startswith("n")
 
     def clear(self) -> None:
         """Ask for an empty scene."""

@@ -17,10 +17,10 @@ from calib.plane import PlaneView
 from calib.store import StoredCalibration, StoreError, load, save
 from calib.timing import Delay
 from cell.build import staged_devices
-from cell.calibration import conclude, measure, raw
+from cell.calibration import conclude, grip, measure, raw
 from cell.calibration.conclude import Drift
 from cell.calibration.measure import Say
-from cell.calibration.report import camera_report, cell_report, time_report
+from cell.calibration.report import camera_report, cell_report, grip_report, time_report
 from cell.calibration.session import Session, opened
 from cell.calibration.showing import BOARD_VIEWS, Assistant, Person
 from cell.files.atomic import write_whole
@@ -38,6 +38,7 @@ _BETTER = {
     "camera": "show the board in all corners of the picture, tilted to all sides",
     "cell": "widen `limits`, see the reports of camera and cell for what is uncertain",
     "time": "let the motion be brisk, light the marks better",
+    "grip": "light the cable better, let limits.angle_rad reach further, so that it hangs",
 }
 
 
@@ -98,13 +99,23 @@ class CalibrationJob:
 
     # --- parts --------------------------------------------------------------------------------
 
-    def do(self, part: str, source: Path | None = None) -> StoredCalibration:
-        """Calibrate `camera`, `cell` or `time`, live or from a folder.
+    def do(self, part: str, source: Path | None = None) -> StoredCalibration | None:
+        """Calibrate `camera`, `cell`, `time` or `grip`, live or from a folder.
 
+        returns  None = it was left out: nobody has a cable
         raises  CalibrationError, StoreError, InputError; what a device raises ends the job
         """
         self._say(f"--- {part}")
-        made = {"camera": self._camera, "cell": self._cell, "time": self._time}[part](source)
+        parts: dict[str, Callable[[Path | None], StoredCalibration | None]] = {
+            "camera": self._camera,
+            "cell": self._cell,
+            "time": self._time,
+            "grip": self._grip,
+        }
+        made = parts[part](source)
+        if made is None:
+            self._say(f"{part} is left out; run `cell calibrate {part}` when it can be done")
+            return None
         save(self._folder / f"{part}.yaml", made)
         self._made[part] = made
         _LOG.info("%s: %s, kept in %s", part, _words(made), self._folder / f"{part}.yaml")
@@ -152,6 +163,23 @@ class CalibrationJob:
         times = conclude.times_from(move)
         stored = conclude.stored_times(times, self._settings, len(move.stamps_s), told_s)
         self._report("time", time_report(stored, times, move))
+        return stored
+
+    def _grip(self, source: Path | None) -> StoredCalibration | None:
+        cell = self._before("cell")
+        self._check_size(cell)
+        view = view_of_stored(cell)
+        if source is None:
+            shown = grip.show_cable(self._open(), self._assistant, view, self._say)
+            if shown is None:
+                return None
+            raw.save_cell(self._raw("grip"), shown)
+        else:
+            shown = raw.read_cell(source)
+        views, troubles = grip.views_of(shown, view, self._settings)
+        fit = grip.grip_from(views, cell)
+        stored = grip.stored_grip(fit, self._settings, troubles)
+        self._report("grip", grip_report(stored, fit, views, shown, view))
         return stored
 
     def check(self) -> Drift:
@@ -241,14 +269,14 @@ class CalibrationJob:
         """A calibration that this one needs."""
         return self._made[kind] if kind in self._made else load(self._folder / f"{kind}.yaml", kind)
 
-    def _check_size(self, camera: StoredCalibration) -> None:
+    def _check_size(self, before: StoredCalibration) -> None:
         size = (self._settings.camera.width_px, self._settings.camera.height_px)
-        made = (camera.devices.get("width_px"), camera.devices.get("height_px"))
+        made = (before.devices.get("width_px"), before.devices.get("height_px"))
         if made != size:
             raise CalibrationError(
-                f"the lens was found with pictures of {made[0]} × {made[1]}, the settings say "
-                f"{size[0]} × {size[1]}",
-                f"run `cell calibrate camera --config {self._config}`",
+                f"{before.kind} was calibrated with pictures of {made[0]} × {made[1]}, the "
+                f"settings say {size[0]} × {size[1]}",
+                f"run `cell calibrate {before.kind} --config {self._config}`",
             )
 
     def _raw(self, kind: str) -> Path:
@@ -274,6 +302,13 @@ def _words(made: StoredCalibration) -> str:
             return (
                 f"map ±{e['map_95_m'] * 1e3:.3f} mm (95 %, worst of the picture), held-out poses "
                 f"{e['held_out_rms_m'] * 1e3:.3f} mm rms, {e['held_out_max_m'] * 1e3:.3f} mm worst"
+            )
+        case "grip":
+            return (
+                f"clamp angle {np.degrees(made.number('angle_rad')):+.2f} ± "
+                f"{np.degrees(e['angle_95_rad']):.2f}°, free length "
+                f"{made.number('length_m') * 1e3:.2f} ± {e['length_95_m'] * 1e3:.2f} mm, gripping "
+                f"point ±{e['point_95_m'] * 1e3:.3f} mm (95 %)"
             )
     return (
         f"latency {made.number('latency_s') * 1e3:.2f} ± {e['latency_95_s'] * 1e3:.2f} ms, lag "

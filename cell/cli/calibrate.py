@@ -45,9 +45,10 @@ def everything(
     seed: Seed = 1,
     as_json: AsJson = False,
 ) -> None:
-    """Calibrate camera, cell and time, one after the other.
+    """Calibrate camera, cell, time and grip, one after the other.
 
-    The board is shown, then the hand moves within `limits`, with empty jaws.  Ends with 0 if all
+    The board is shown, then the hand moves within `limits`, with empty jaws, at
+    last with a cable.  Ends with 0 if all
     is good enough for `cell run`, 1 if not, 2 if the settings are wrong or something contradicts.
     """
     if context.invoked_subcommand is not None:
@@ -55,7 +56,7 @@ def everything(
     if config is None:
         refuse(ValueError("cell calibrate: --config is missing; give the settings of the cell"))
     with _workshop(config, seed, as_json) as work:
-        for part in ("camera", "cell", "time"):
+        for part in ("camera", "cell", "time", "grip"):
             work.do(part)
         _end(work, as_json)
 
@@ -91,6 +92,17 @@ def time_(
 ) -> None:
     """Find latency of the camera and lag of the arm, from one motion; needs the cell."""
     _part("time", config, source, seed, as_json)
+
+
+@app.command()
+def grip(
+    config: Config,
+    source: Source = None,
+    seed: Seed = 1,
+    as_json: AsJson = False,
+) -> None:
+    """Find gripping point, clamp angle and free length of a cable in the jaws; needs the cell."""
+    _part("grip", config, source, seed, as_json)
 
 
 @app.command()

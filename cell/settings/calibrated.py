@@ -33,6 +33,8 @@ class Calibrated:
     latency_s  of the camera's stamps; lag_s of the arm
     map_std_m  standard deviation of a point's place by the map, over both axes; 0 = not known
     notes      what a person should know
+    grip       (4,) gripping point x and y in the frame of the jaw's discs, m; clamp angle against
+               them, rad; free length, m; None = as typed
     """
 
     view: PlaneView
@@ -40,6 +42,7 @@ class Calibrated:
     lag_s: float
     map_std_m: float = 0.0
     notes: tuple[str, ...] = ()
+    grip: FloatArray | None = None
 
 
 def board_of(settings: Settings) -> Board:
@@ -78,10 +81,10 @@ def calibrated(settings: Settings, config: Path, now: datetime | None = None) ->
     wanted, folder = settings.calibration, settings.calibration.folder
     problems: list[Problem] = []
     found: dict[str, StoredCalibration] = {}
-    if not any((folder / f"{kind}.yaml").exists() for kind in _HOLDS_FOR):
+    if not any((folder / f"{kind}.yaml").exists() for kind in _NEEDED):
         message = f"this cell is not calibrated yet: {folder} has nothing; run `cell calibrate "
         raise InputError([Problem(config, 1, None, "calibration", f"{message}--config {config}`")])
-    for kind in _HOLDS_FOR:
+    for kind in (*_NEEDED, *(k for k in _BESIDES if (folder / f"{k}.yaml").exists())):
         path = folder / f"{kind}.yaml"
         try:
             found[kind] = load(path, kind)
@@ -97,7 +100,7 @@ def calibrated(settings: Settings, config: Path, now: datetime | None = None) ->
             problems.append(Problem(path, 1, None, kind, f"{complaint}; {remedy}"))
     if problems:
         raise InputError(problems)
-    cell, time = found["cell"], found["time"]
+    cell, time, grip = found["cell"], found["time"], found.get("grip")
     bound_m = float(cell.error["map_95_m"])
     try:
         return Calibrated(
@@ -109,10 +112,22 @@ def calibrated(settings: Settings, config: Path, now: datetime | None = None) ->
                 f"calibrated: map ±{bound_m * 1e3:.3f} mm (95 %), {cell.age_h(now) / 24:.1f} days "
                 f"old; latency ±{float(time.error['latency_95_s']) * 1e3:.2f} ms, lag "
                 f"±{float(time.error['lag_95_s']) * 1e3:.2f} ms, {time.age_h(now):.1f} h old",
+                _grip_words(grip, now),
             ),
+            None if grip is None else grip_of_stored(grip),
         )
     except (StoreError, KeyError) as error:
         raise InputError([Problem(folder / "cell.yaml", 1, None, "", str(error))]) from error
+
+
+def _grip_words(grip: StoredCalibration | None, now: datetime) -> str:
+    if grip is None:
+        return "uncalibrated: gripping point, clamp angle and free length are as typed"
+    return (
+        f"calibrated: clamp angle ±{np.degrees(float(grip.error['angle_95_rad'])):.2f}°, free "
+        f"length ±{float(grip.error['length_95_m']) * 1e3:.2f} mm (95 %), "
+        f"{grip.age_h(now) / 24:.1f} days old"
+    )
 
 
 def typed(settings: Settings) -> Calibrated:
@@ -126,6 +141,27 @@ def typed(settings: Settings) -> Calibrated:
         0.0,
         ("uncalibrated: camera.view is typed by hand, nothing says how good it is",),
     )
+
+
+def as_gripped(settings: Settings, known: Calibrated) -> Settings:
+    """The settings with the free length, and the discs about the gripping point, as calibrated."""
+    if known.grip is None:
+        return settings
+    x, y, angle, length_m = known.grip.tolist()
+    c, s = np.cos(angle), np.sin(angle)
+    discs = (np.array(settings.vision.jaw.discs_m) - [x, y]) @ np.array([[c, -s], [s, c]])
+    jaw = settings.vision.jaw.model_copy(update={"discs_m": tuple(map(tuple, discs.tolist()))})
+    return settings.model_copy(
+        update={
+            "cable": settings.cable.model_copy(update={"free_length_m": length_m}),
+            "vision": settings.vision.model_copy(update={"jaw": jaw}),
+        }
+    )
+
+
+def grip_of_stored(grip: StoredCalibration) -> FloatArray:
+    """(4,) of a stored calibration, as in `Calibrated`.  Raises StoreError."""
+    return np.array([*grip.array("point_m", (2,)), *(grip.number(n) for n in _HELD)])
 
 
 def view_of_stored(cell: StoredCalibration) -> PlaneView:
@@ -157,6 +193,9 @@ def bounds_of(wanted: Calibration) -> dict[str, float]:
         "map_95_m": wanted.max_error_m,
         "latency_95_s": wanted.max_time_error_s,
         "lag_95_s": wanted.max_time_error_s,
+        "point_95_m": wanted.max_grip_error_m,
+        "length_95_m": wanted.max_grip_error_m,
+        "angle_95_rad": wanted.max_clamp_error_rad,
     }
 
 
@@ -164,4 +203,8 @@ _HOLDS_FOR = {
     "camera": ("camera", "width_px", "height_px"),
     "cell": ("camera", "width_px", "height_px", "arm"),
     "time": ("camera", "arm", "lookahead_s"),
+    "grip": ("camera", "width_px", "height_px", "arm"),
 }
+#: Without these nothing moves; those besides are used if they are there.
+_NEEDED, _BESIDES = ("camera", "cell", "time"), ("grip",)
+_HELD = ("angle_rad", "length_m")

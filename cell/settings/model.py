@@ -254,19 +254,24 @@ class Calibration(Section):
     """Where `cell calibrate` leaves what it finds, and how good and how old it may be.
 
     With this section camera map, latency, lag and, for a UR arm, plane and tool come from there,
-    and nothing moves unless they are there, fit the devices, and are good and new enough.
+    and nothing moves unless they are there, fit the devices, and are good and new enough.  So do
+    the free length and the discs' places about the gripping point, if they are there.
     """
 
     folder: Path = Path("calibration")
     """Folder of the calibration, which `cell calibrate` writes."""
     max_age_days: Positive = 90.0
-    """Of camera and cell."""
+    """Of camera, cell and grip."""
     time_max_age_h: Positive = 24.0
     """Of latency and lag: a camera's stamps change with every start."""
     max_error_m: Positive = 1.5e-4
     """Of the map, 95 % bound anywhere in the field."""
     max_time_error_s: Positive = 1e-3
     """Of latency and lag, 95 % bound."""
+    max_grip_error_m: Positive = 3e-4
+    """Of gripping point and free length, 95 % bound."""
+    max_clamp_error_rad: Positive = 0.01
+    """Of the clamp angle, 95 % bound."""
     square_m: Positive = 0.02
     """Side of a square of the board, as measured on the printout."""
     columns: Annotated[int, Field(ge=3, le=40)] = 12

@@ -55,6 +55,10 @@ class SimulatedAssistant:
         self._stage(Staging((plumb_line(self._threads_m[number - 1], (-0.2, 0.1)),)))
         return True
 
+    def cable(self) -> bool:
+        """The world has a cable ready."""
+        return True
+
     def clear(self) -> None:
         """Take everything away."""
         self._stage(Staging())

@@ -15,6 +15,7 @@ from calib.camera import picture_grid
 from calib.lens import Lens
 from calib.plane import PlaneView
 from calib.store import load
+from cell.build import cell_task
 from cell.cli import app
 from cell.settings import load_settings
 from cell.settings.calibrated import calibrated
@@ -24,6 +25,7 @@ from drivers.sim.pinhole import Pinhole
 
 VIEW = "  view: {metres_per_pixel: 0.0002, origin_column_px: 1000, origin_row_px: 150}\n"
 TILT_RAD = np.radians(12.0)
+ASKEW_RAD, LONGER_M = 0.02, 0.0012
 CAMERA = (
     "{metres_per_pixel: 0.0002, origin_column_px: %g, origin_row_px: 150, "
     f"tilt_rad: {TILT_RAD:.6f}, roll_rad: 0.02, k1: -0.2, k2: 0.05, stamps_late_s: %g}}"
@@ -34,6 +36,8 @@ def settings_file(folder: Path, name="cell.yaml", column=1000.0, late_s=0.02) ->
     text = Path("config/fake.yaml").read_text().replace(VIEW, "")
     world = f"\nworld:\n  arm_lag_s: 0.034\n  camera: {CAMERA % (column, late_s)}\n"
     text = text.replace("\nworld:", f"\ncalibration: {{folder: {folder / 'calib'}}}\n{world}", 1)
+    held = f"{{grip_angle: {{angle_rad: {ASKEW_RAD}}}, grip_slip: {{length_m: {LONGER_M}}}}}"
+    text = re.sub(r"effects: \{\}.*", f"effects: {held}", text)
     path = folder / name
     path.write_text(text)
     return path
@@ -86,18 +90,45 @@ def test_delays_roll_and_scale_are_right(folder):
     assert cell.number("marks_scale") == pytest.approx(1.0, abs=1e-3)
 
 
+def test_a_grip_is_right_and_the_cell_works_with_it(folder):
+    grip = load(folder / "calib" / "grip.yaml", "grip")
+    assert grip.number("angle_rad") == pytest.approx(ASKEW_RAD, abs=0.002)
+    assert grip.number("length_m") == pytest.approx(0.1 + LONGER_M, abs=1e-4)
+    assert np.allclose(grip.array("point_m", (2,)), 0.0, atol=4e-5)
+    settings = load_settings(folder / "cell.yaml")
+    known = calibrated(settings, folder / "cell.yaml")
+    task = cell_task(settings, known)
+    assert task.cable.free_length_m == task.vision.free_length_m == grip.number("length_m")
+    # a hand that stands level holds the cable askew: to the cable's eye the marks are turned back
+    (x, y), (level_x, level_y) = task.vision.marks.centres_m[2], (0.032, 0.009)
+    turn = np.arctan2(y, x) - np.arctan2(level_y, level_x)
+    assert turn == pytest.approx(-ASKEW_RAD, abs=0.003)
+    assert any("clamp angle ±" in note for note in known.notes)
+
+
+def test_without_a_grip_the_cell_says_so(folder, tmp_path):
+    config = settings_file(tmp_path)
+    shutil.copytree(folder / "calib", tmp_path / "calib", dirs_exist_ok=True)
+    (tmp_path / "calib" / "grip.yaml").unlink()
+    settings = load_settings(config)
+    known = calibrated(settings, config)
+    assert known.grip is None
+    assert "uncalibrated: gripping point, clamp angle and free length are as typed" in known.notes
+    assert cell_task(settings, known).cable.free_length_m == settings.cable.free_length_m
+
+
 def test_reports_and_summary_are_there(folder):
     summary = json.loads((folder / "summary.json").read_text())
-    assert set(summary) == {"camera", "cell", "time"}
+    assert set(summary) == {"camera", "cell", "time", "grip"}
     for kind, found in summary.items():
         page = Path(found["report"]).read_text()
         assert page.startswith("<!doctype html>")
-        assert "<svg" in page
+        assert ("<img" if kind == "grip" else "<svg") in page
         assert Path(found["file"]) == folder / "calib" / f"{kind}.yaml"
 
 
 def test_recorded_folders_give_the_same_again(folder):
-    for kind in ("cell", "time"):
+    for kind in ("cell", "time", "grip"):
         (recorded,) = (folder / "calib" / "recorded").glob(f"{kind}-*")
         before = load(folder / "calib" / f"{kind}.yaml", kind)
         code, _, _ = called("calibrate", kind, "--config", folder / "cell.yaml", "--from", recorded)

@@ -21,13 +21,15 @@ from calib.errors import (
     WrongBoardError,
     WrongScaleError,
 )
+from calib.plane import PlaneView
 from calib.store import StoredCalibration
 from cell.calibration.conclude import camera_from, cell_from, doubts_about
+from cell.calibration.grip import views_of as grip_views
 from cell.calibration.raw import Picture, ShownCell, ShownPose
 from cell.settings import load_settings
 from cell.simulated.shown import board_patches, board_poses, photograph_board
 from drivers.interfaces import Image, Pose
-from drivers.sim.render import JAW_MARKS_M, Patches, RenderOptions
+from drivers.sim.render import JAW_MARKS_M, Patches, RenderOptions, render
 from tests.calib.conftest import BOARD, SIZE_PX, lens_of, middle_m, standing, views_of
 
 EYE = standing()
@@ -96,6 +98,21 @@ def plate(hand: Pose, marks: int, size: float, bend_m: float) -> list[Patches]:
     ]
 
 
+def from_cable(*, cable: bool = True, second: bool = False, y_m: float = 0.0) -> object:
+    """A grip from pictures of a cable at rest, drawn as an arc."""
+    view, bow, s = PlaneView.from_pose(lens_of(EYE), EYE.X_CP), 8.0, np.linspace(0.1, 0.0, 121)
+    shown = []
+    for k, turn in enumerate(np.linspace(0.4, 1.0, 6)):
+        heading = turn + 0.5 * bow * s
+        line = s[:, None] * -np.stack([np.cos(heading), np.sin(heading)], axis=1) + [0.0, y_m]
+        image = render(
+            line if cable else None, (0.0, y_m, float(turn)), EYE, LOOK, RNG,
+            second_cable_m=line + np.array([0.004, 0.004]) if second else None,
+        )  # fmt: skip
+        shown.append(ShownPose("fit", Pose(0.0, y_m, float(turn)), Picture(f"{k}.png", image)))
+    return grip_views(ShownCell(tuple(shown)), view, load_settings(Path("config/fake.yaml")))
+
+
 def blurred(image: Image) -> Image:
     return np.asarray(cv2.GaussianBlur(image, (0, 0), 4.0), dtype=np.uint8)
 
@@ -158,6 +175,18 @@ def smeared(image: Image) -> Image:
             lambda: from_hand(bend_m=5e-4),
             MisfitError, "plate on the jaw is bent: mark 4 .*glue it flat", id="plate bent",
         ),
+        pytest.param(
+            lambda: from_cable(cable=False),
+            TooFewError, "in 0 of 6 pictures, .*no cable in 6; grip a cable", id="no cable",
+        ),
+        pytest.param(
+            lambda: from_cable(second=True),
+            TooFewError, r"two cables in \d; take the second", id="two cables",
+        ),
+        pytest.param(
+            lambda: from_cable(y_m=-0.11),
+            TooFewError, "leaves picture in 6; narrow `limits`", id="cable out of the picture",
+        ),
     ],
 )  # fmt: skip
 def test_each_is_named_with_its_remedy(
@@ -165,6 +194,11 @@ def test_each_is_named_with_its_remedy(
 ) -> None:
     with pytest.raises(error, match=words):
         attempt()
+
+
+def test_the_same_cable_without_a_fault_is_measured_in_all_pictures() -> None:
+    views, troubles = from_cable()
+    assert (len(views), troubles) == (6, ())
 
 
 def test_the_same_hand_without_a_fault_gives_a_cell() -> None:

@@ -13,7 +13,12 @@ def test_nobody_at_the_terminal_is_an_error_with_its_remedy() -> None:
         raise EOFError
 
     person = Person(nobody)
-    for question in (lambda: person.board(3, ""), lambda: person.thread(1), person.clear):
+    for question in (
+        lambda: person.board(3, ""),
+        lambda: person.thread(1),
+        person.cable,
+        person.clear,
+    ):
         with pytest.raises(CalibrationError, match=r"somebody must act: .*--from a folder"):
             question()
 
@@ -29,3 +34,8 @@ def test_a_plumb_line_is_asked_for_at_another_place_until_there_is_none() -> Non
     assert [person.thread(1), person.thread(2)] == [True, False]
     assert "another place" in asked[1]
     assert "another place" not in asked[0]
+
+
+def test_nobody_has_to_have_a_cable() -> None:
+    assert Person(lambda words: "").cable() is True
+    assert Person(lambda words: "n").cable() is False

@@ -1,0 +1,196 @@
+"""A held cable in a picture, measured finely: its centreline, where the jaw lets it go, its tip."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from calib.errors import TooFewError
+from calib.plane import PlaneView
+
+FloatArray = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+#: Profiles are taken so far beyond the jaw's edge and the tip, and reach so far to both sides, px.
+_BEYOND_PX, _ASIDE_PX, _STEP_PX = 14.0, 6.0, 0.5
+#: A profile sees jaw or tip too, if it is nearer than this.
+_JAW_PX, _TIP_PX = 5.0, 3.0
+#: The end of a line is looked for within so many pixels of where it is expected.
+_END_PX = 14.0
+_LEAST_POINTS = 60
+_TURNS = 3
+_FINE, _DEGREE = 800, 7  # points of a smooth line, and its polynomials' degree
+#: A point further beside the line than that is none of it.
+_MOST_PX = 2.5
+
+
+@dataclass(frozen=True, eq=False)
+class CableLine:
+    """The centreline of a held cable.
+
+    points_m  (N, 2) along it, from near the jaw to near the tip; clear of both
+    along_m   (N,) their arc lengths from the jaw's edge
+    smooth_m  (K, 2) the same line smoothed, evenly from edge to tip
+    edge_m    (2,) where the jaw lets it go
+    tip_m     (2,) its end
+    noise_px  standard deviation of a point across the line, by its roughness
+    """
+
+    points_m: FloatArray
+    along_m: FloatArray
+    smooth_m: FloatArray
+    edge_m: FloatArray
+    tip_m: FloatArray
+    noise_px: float
+
+
+def measure_line(
+    image: Image, view: PlaneView, rough_m: FloatArray, width_px: float, *, dark: bool
+) -> CableLine:
+    """Measure a cable along a rough centreline.
+
+    image     grey levels
+    rough_m   (K, 2) points along it, from the gripping point to the tip, evenly spaced
+    width_px  standard deviation of its profile, blur included
+    dark      darker than what is behind it, or lighter
+    raises    TooFewError: it is not seen along most of its length, or does not end in the picture
+    """
+    picture = image.astype(np.float32)
+    way = _Way.through(view.to_pixels(rough_m))
+    for turn in range(_TURNS):
+        offset, amplitude, straight = _profiles(picture, way, -1.0 if dark else 1.0, width_px)
+        clear = (way.along_px > _JAW_PX) & (way.along_px < way.length_px - _TIP_PX)
+        seen = (np.abs(offset) < _MOST_PX) & (amplitude > 0.4 * np.median(amplitude[clear]))
+        if np.count_nonzero(seen & clear) < max(_LEAST_POINTS, 0.7 * np.count_nonzero(clear)):
+            raise TooFewError(
+                "the cable is seen along too little of its length",
+                "see that it is lit, sharp, and all of it in the picture",
+            )
+        edge = -_half(-way.along_px[::-1], straight[::-1], width_px, 0.0)
+        tip = _half(way.along_px, straight, width_px, way.length_px)
+        inner = (way.along_px > edge + _JAW_PX) & (way.along_px < tip - _TIP_PX) & seen
+        found = way.places + offset[:, None] * way.normals
+        if turn < _TURNS - 1:
+            way = way.moved(way.along_px[inner], found[inner], edge, tip)
+    ends = [_on_line(way.along_px[inner], found[inner], at) for at in (edge, tip)]
+    rough = np.diff(offset[inner], 3) / np.sqrt(20.0)
+    smooth = view.to_plane(way.moved(way.along_px[inner], found[inner], edge, tip).dense)
+    length_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(smooth, axis=0), axis=1))])
+    share = (way.along_px[inner] - edge) / (tip - edge)
+    return CableLine(
+        view.to_plane(found[inner]),
+        np.interp(share, np.linspace(0.0, 1.0, len(smooth)), length_m),
+        smooth,
+        view.to_plane(ends[0]),
+        view.to_plane(ends[1]),
+        float(1.4826 * np.median(np.abs(rough))),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Way:
+    """Places one pixel apart along a line, straight on beyond both ends; along_px from its start"""
+
+    along_px: FloatArray
+    places: FloatArray
+    normals: FloatArray
+    length_px: float
+    dense: FloatArray
+
+    @classmethod
+    def through(cls, pixels: FloatArray) -> _Way:
+        """Through (K, 2) points without noise."""
+        s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(pixels, axis=0), axis=1))])
+        return cls._along(CubicSpline(s, pixels)(np.linspace(0.0, s[-1], _FINE)))
+
+    def moved(self, along_px: FloatArray, found: FloatArray, edge: float, tip: float) -> _Way:
+        """From `edge` to `tip`, through what was found at (N,) places: (N, 2)."""
+        u = np.linspace(edge, tip, _FINE)
+        fit = np.polynomial.Chebyshev.fit
+        return self._along(np.stack([fit(along_px, v, _DEGREE)(u) for v in found.T], axis=1))
+
+    @classmethod
+    def _along(cls, dense: FloatArray) -> _Way:
+        s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(dense, axis=0), axis=1))])
+        spline = CubicSpline(s, dense)
+        along = np.arange(-_BEYOND_PX, s[-1] + _BEYOND_PX)
+        on = np.clip(along, 0.0, s[-1])
+        tangent = spline(on, 1)
+        tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+        places = spline(on) + (along - on)[:, None] * tangent
+        normals = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
+        return cls(along, places, normals, float(s[-1]), dense)
+
+
+def _profiles(
+    picture: NDArray[np.float32], way: _Way, sign: float, width_px: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Offset across, px, and amplitude, grey levels, of the line at each place.
+
+    Amplitude · exp(−(n − offset)²/2 width²) on a slope, by Gauss and Newton.
+    """
+    n = np.arange(-_ASIDE_PX, _ASIDE_PX + 0.5 * _STEP_PX, _STEP_PX)
+    where = way.places[:, None] + n[:, None] * way.normals[:, None]
+    values = sign * cv2.remap(
+        picture,
+        where[..., 0].astype(np.float32),
+        where[..., 1].astype(np.float32),
+        cv2.INTER_CUBIC,
+        borderMode=cv2.BORDER_REPLICATE,
+    ).astype(np.float64)
+    offset = np.zeros(len(values))
+    ground = np.stack([np.ones_like(n), n / _ASIDE_PX], axis=1)
+    amplitude = np.zeros(len(values))
+    for turn in range(5):
+        away = (n - offset[:, None]) / width_px
+        hump = np.exp(-0.5 * away**2)
+        basis = np.concatenate(
+            [
+                hump[..., None],
+                (hump * away / width_px)[..., None],
+                np.broadcast_to(ground, (*hump.shape, 2)),
+            ],
+            axis=-1,
+        )
+        normal = np.swapaxes(basis, 1, 2)
+        found = np.linalg.solve(normal @ basis, normal @ values[..., None])[..., 0]
+        amplitude = found[:, 0]
+        if turn == 0:
+            straight = amplitude
+        step = np.where(amplitude > 1.0, found[:, 1] / np.maximum(amplitude, 1.0), 0.0)
+        offset = np.clip(offset + np.clip(step, -1.0, 1.0), -3.0, 3.0)
+    return offset, amplitude, straight
+
+
+def _half(along: FloatArray, amplitude: FloatArray, width_px: float, expected: float) -> float:
+    """Where the amplitude falls to half towards larger `along`: full · Φ((end − along)/blur)."""
+    from scipy.special import ndtr
+
+    near = np.abs(along - expected) < _END_PX
+    x, a = along[near], amplitude[near]
+    inside = np.median(a[x < expected - 0.4 * _END_PX])
+    below = np.flatnonzero(a < 0.5 * inside)
+    end = x[below[0]] if len(below) else np.nan
+    if not np.isfinite(end):
+        raise TooFewError(
+            "the cable does not end where it must",
+            "see that its tip and the jaw's edge are in the picture and nothing lies behind them",
+        )
+    blur = 0.7 * width_px
+    for _ in range(8):
+        z = (end - x) / blur
+        share, density = ndtr(z), np.exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi)
+        basis = np.stack([share, np.ones_like(x) - share, density / blur], axis=1)
+        full, low, move = np.linalg.lstsq(basis, a, rcond=None)[0]
+        end += float(np.clip(move / max(full - low, 1e-6), -1.0, 1.0))
+    return float(end)
+
+
+def _on_line(along: FloatArray, places: FloatArray, at: float) -> FloatArray:
+    """(2,) the line through the nearest places, at a place beyond them."""
+    near = np.argsort(np.abs(along - at))[:30]
+    return np.array([np.polyval(np.polyfit(along[near] - at, v, 2), 0.0) for v in places[near].T])

@@ -1,0 +1,189 @@
+"""How the jaws hold a cable, from pictures of it at rest: what is shown, found and kept."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import UTC, datetime
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.cable_line import measure_line
+from calib.errors import MisfitError, TooFewError
+from calib.grip import LEAST_POSES, GripFit, GripView, fit_grip
+from calib.plane import PlaneView
+from calib.store import StoredCalibration
+from cell.calibration.measure import Say, within_limits
+from cell.calibration.raw import Picture, ShownCell, ShownPose
+from cell.calibration.session import Rest, Session
+from cell.calibration.showing import Assistant
+from cell.settings import Settings
+from cell.settings.calibrated import devices_of
+from cell.settings.translate import vision_of
+from cell.vision.detect import VisionOptions, detect
+from drivers.interfaces import Pose
+
+FloatArray = NDArray[np.float64]
+
+#: Turns of the hand with a cable, within so many rad, and how much of its length it may be longer
+#: or shorter than stated.
+_CABLE_TURNS, _TURN_RAD, _ROUGHLY = 4, 0.6, 0.2
+#: It rests if no node of it moves further from look to look; so many looks, s between them.
+_CALM_M, _LOOKS, _BETWEEN_S = 4e-5, 40, 0.2
+#: What is said of a picture in which the cable is not found, with the remedy.
+_REMEDIES = {
+    "no_jaw": "light the jaw's marks, and see that they are in the picture",
+    "no_cable": "grip a cable, light it, focus; check vision.cable_is and vision.min_contrast",
+    "two_cables": "take the second cable, or what looks like one, out of the picture",
+    "leaves_picture": "narrow `limits`, or let the camera see more",
+    "wrong_length": "see that nothing hides the cable; correct cable.free_length_m to 20 %",
+    "saturated": "shorten the exposure",
+    "empty": "take the lens cap off, lengthen the exposure",
+}
+
+
+def show_cable(
+    session: Session, assistant: Assistant, view: PlaneView, say: Say
+) -> ShownCell | None:
+    """A cable gripped as in a cycle, at rest in poses of the hand; let go of where it was gripped.
+
+    returns  None = there is none
+    raises   TooFewError: the picture is too small; MisfitError: it does not rest;
+            DeviceError
+    """
+    goals = grip_poses(session.settings, view)
+    session.go_to(session.home)
+    if not assistant.cable():
+        return None
+    poses: list[ShownPose] = []
+    with session.holding_cable():
+        for number, goal in enumerate(goals, 1):
+            rest = _at_rest(session, goal, view)
+            picture = Picture(f"grip_{number:02d}.png", rest.image)
+            poses.append(ShownPose("fit", rest.pose, picture))
+            say(f"pose {number}", number, len(goals))
+        session.go_to(session.home)
+    return ShownCell(tuple(poses))
+
+
+def grip_poses(settings: Settings, view: PlaneView) -> list[Pose]:
+    """Where a cable is shown: as steep as the limits allow, for it is bent least there.
+
+    raises  TooFewError: too few of them are in the picture
+    """
+    low, high = within_limits(settings, most_rad=1.0)
+    motion, home = settings.motion, settings.motion.home
+    turns = np.linspace(max(low[2], high[2] - _TURN_RAD), high[2], _CABLE_TURNS)
+    down, left = 0.5 * motion.lower_m, 0.5 * motion.advance_m
+    places = np.array([[0.0, 0.0], [0.0, -1.0], [-1.0, -0.4]]) * [left, down]
+    size = np.array([settings.camera.width_px, settings.camera.height_px])
+    goals = []
+    for (x, y), turn in product(places + np.array([home.x_m, home.y_m]), turns):
+        x, y = np.clip([x, y], low[:2], high[:2])
+        ahead = -settings.cable.free_length_m * np.array([[np.cos(turn), np.sin(turn)], [0.0, 1.0]])
+        ends = view.to_pixels(np.concatenate([[[0.0, 0.0]], ahead]) + np.array([x, y]))
+        if np.all((ends > 0.02 * size) & (ends < 0.98 * size)):
+            goals.append(Pose(float(x), float(y), float(turn)))
+    if len(goals) < LEAST_POSES:
+        raise TooFewError(
+            f"a cable is wholly in the picture in {len(goals)} of {_CABLE_TURNS * len(places)} "
+            f"poses, at least {LEAST_POSES} are needed",
+            "widen `limits`, or let the camera see more",
+        )
+    return goals
+
+
+def _at_rest(session: Session, goal: Pose, view: PlaneView) -> Rest:
+    """A cable that has come to rest, or cannot be seen.  Raises MisfitError: it swings on."""
+    look = cable_look(session.settings)
+    session.go_to(goal)
+    session.wait_s(session.settings.motion.calm_s)
+    before = None
+    for _ in range(_LOOKS):
+        rest = session.rest_at(goal)
+        seen = detect(rest.image, 0.0, view, look)
+        if not seen.seen:
+            return rest
+        if before is not None and np.max(np.abs(seen.nodes_m - before)) < _CALM_M:
+            return rest
+        before = seen.nodes_m
+        session.wait_s(_BETWEEN_S)
+    raise MisfitError(
+        "the cable does not come to rest", "keep draughts and vibration away, allow motion.calm_s"
+    )
+
+
+def cable_look(settings: Settings) -> VisionOptions:
+    """How a cable is looked for whose length is only known roughly."""
+    vision = vision_of(settings)
+    return replace(
+        vision, length_tolerance_m=max(vision.length_tolerance_m, _ROUGHLY * vision.free_length_m)
+    )
+
+
+def views_of(
+    shown: ShownCell, view: PlaneView, settings: Settings
+) -> tuple[tuple[GripView, ...], tuple[str, ...]]:
+    """The cable measured in every picture, and why not in others.
+
+    raises  TooFewError, which names what is wrong with most pictures
+    """
+    look = cable_look(settings)
+    found, wrong = [], []
+    for pose in shown.poses:
+        seen = detect(pose.picture.image, 0.0, view, look)
+        if seen.unseen is not None:
+            wrong.append(seen.unseen.value)
+            continue
+        line = measure_line(
+            pose.picture.image,
+            view,
+            seen.nodes_m[::-1],
+            look.line_width_px,
+            dark=look.cable_is == "dark",
+        )
+        marks = np.array([*seen.grip_m, seen.clamp_angle_rad])
+        found.append(GripView(pose.picture.name, marks, line))
+    counts = {why: wrong.count(why) for why in wrong}
+    if len(found) < LEAST_POSES:
+        most = max(counts, key=lambda why: counts[why], default="no_cable")
+        why = ", ".join(f"{w.replace('_', ' ')} in {n}" for w, n in counts.items()) or "no pictures"
+        raise TooFewError(
+            f"the cable was measured in {len(found)} of {len(shown.poses)} pictures, at least "
+            f"{LEAST_POSES} are needed: {why}",
+            _REMEDIES[most],
+        )
+    return tuple(found), tuple(f"{why.replace('_', ' ')} in {n}" for why, n in counts.items())
+
+
+def grip_from(views: tuple[GripView, ...], cell: StoredCalibration) -> GripFit:
+    """Gripping point, clamp angle and free length.  Raises CalibrationError."""
+    return fit_grip(views, float(cell.error.get("map_rms_m", 0.0)))
+
+
+def stored_grip(fit: GripFit, settings: Settings, troubles: tuple[str, ...]) -> StoredCalibration:
+    """What is kept of a grip."""
+    x, y, angle, length = (float(v) for v in fit.half_95)
+    spread = fit.repeatability
+    devices = devices_of(settings)
+    return StoredCalibration(
+        "grip",
+        datetime.now(UTC),
+        {
+            "poses": len(fit.by_pose),
+            "set_aside": int(np.count_nonzero(~fit.used)),
+            "not_measured": ", ".join(troubles) or "none",
+        },
+        {name: devices[name] for name in ("camera", "width_px", "height_px", "arm")},
+        {
+            "point_95_m": float(np.hypot(x, y)),
+            "angle_95_rad": angle,
+            "length_95_m": length,
+            "point_between_poses_m": float(np.hypot(spread[0], spread[1])),
+            "angle_between_poses_rad": float(spread[2]),
+            "length_between_poses_m": float(spread[3]),
+        },
+        {"point_m": fit.mean[:2], "angle_rad": float(fit.mean[2]), "length_m": float(fit.mean[3])},
+        fit.covariance,
+    )
