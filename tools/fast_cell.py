@@ -140,6 +140,24 @@ def fast_cycle(
     return replace(cycle, executed=executed, passage=passage)
 
 
+def fast_measured(
+    settings: Settings,
+    seed: int,
+    number: int,
+    motion: Motion,
+    *,
+    task: Task,
+    errors: Errors = Errors(),  # noqa: B008
+) -> Trial:
+    """The `number`-th hidden cable of a seed, only measured with a motion."""
+    rng = np.random.default_rng([seed, number, 2])
+    t_s = np.arange(0.001, float(motion.t_s[-1]), 1.0 / settings.camera.frame_rate_hz)
+    bias = _Bias.drawn(rng, errors, len(task.arc_length_m))
+    hidden, hand = hidden_cable(settings, seed, number), _logged(motion, errors, rng)
+    trial = _seen(task, hidden, motion, t_s, hand, bias, errors, rng)
+    return replace(trial, name="stroke")
+
+
 @dataclass(frozen=True, eq=False)
 class _Truths:
     """The hand's true motion of every offset, holds before included, and the tips' true paths."""

@@ -19,17 +19,19 @@ from pathlib import Path
 
 import numpy as np
 from coverage_study import Errors
-from fast_cell import FastCycle, fast_cycle, typical, with_world
+from fast_cell import FastCycle, fast_cycle, fast_measured, typical, with_world
 from line_study import CONFIG, INSERTABLE_M
 
 from cell.build import cell_task
 from cell.cable.effects import library
+from cell.lab.ask import MOST_ASKED, motion_that_tells, worth_it
 from cell.lab.candidate import section
 from cell.lab.cycles import RecordedCycle
 from cell.lab.gates import best_judged
-from cell.lab.learn import learn
+from cell.lab.learn import Lesson, learn
 from cell.run.station import Task
 from cell.settings import Settings, load_settings
+from cell.settings.surroundings import Surroundings
 from cell.study.data import Study
 
 #: Of a sharp camera, assumed: nodes at the bound that `bench_vision` holds across the cable, the
@@ -46,6 +48,7 @@ class World:
     effect                  hidden in the world; two are joined by `+`
     named, tied, promoted   the effects that `learn` named, ties of the last, and whether the gates
                             let it pass; `failed` are the gates that did not
+    asked                   motions of its own that `learn` asked for
     before, after, complete  of the cables that came later: with the model before, with the one
                             promoted, and in a world without the effect
     """
@@ -55,6 +58,7 @@ class World:
     seed: int
     named: tuple[str, ...]
     tied: tuple[str, ...]
+    asked: int
     promoted: bool
     failed: tuple[str, ...]
     before: Cables
@@ -72,6 +76,7 @@ class World:
         after = self.after.line() if self.after else "-"
         fate = "promoted" if self.promoted else f"not: {', '.join(self.failed) or 'nothing found'}"
         ties = f" (tied: {', '.join(self.tied)})" if self.tied else ""
+        ties += f" asked {self.asked}" if self.asked else ""
         return (
             f"{self.effect:20s} × {self.size:<4g} shift {self.shift_m * 1e3:5.2f} mm  "
             f"{self.before.line()} → {after} (complete {self.complete.line()})  "
@@ -121,7 +126,7 @@ def world(
         recorded_cycle(task, k, fast_cycle(there, seed, k, task=task, errors=SEEN)) for k in first
     ]
     begun_s = time.process_time()
-    lesson = learn(recorded, task.cable, task.identification, library())
+    lesson, asked = _learned(there, task, recorded, seed)
     lesson, judgement = best_judged(lesson, settings)
     spent_s = time.process_time() - begun_s
     complete = _complete(settings, task, seed, cables)
@@ -137,6 +142,7 @@ def world(
         seed,
         tuple(e.name for e in lesson.best.effects) if lesson.best else (),
         lesson.tied,
+        asked,
         promoted,
         tuple(f"{g.name} ({g.found})" for g in judgement.gates if not g.passed),
         before,
@@ -144,6 +150,29 @@ def world(
         complete,
         spent_s,
     )
+
+
+def _learned(
+    there: Settings, task: Task, recorded: list[RecordedCycle], seed: int
+) -> tuple[Lesson, int]:
+    """The lesson of these cables and those measured because of ties; how many these are."""
+    surroundings = Surroundings.read(CONFIG)
+    lesson = learn(recorded, task.cable, task.identification, library())
+    for done in range(MOST_ASKED):
+        try:
+            suggestion = motion_that_tells(lesson, surroundings)
+        except ValueError:
+            return lesson, done
+        best = None if suggestion is None else worth_it(suggestion)
+        if best is None:
+            return lesson, done
+        number, motion = 1000 + done, best.motion.motion()
+        trial = fast_measured(there, seed, number, motion, task=task, errors=SEEN)
+        study = Study(f"m{number}", task.cable, task.arc_length_m, (trial,))
+        measured = RecordedCycle(study.name, Path(study.name), study, None, None, None)
+        recorded = [*recorded, measured]
+        lesson = learn(recorded, task.cable, task.identification, library())
+    return lesson, MOST_ASKED
 
 
 _COMPLETE: dict[tuple[int, int], Cables] = {}

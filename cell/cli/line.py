@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import re
+import shlex
 import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from cell.cli.lab import refusing, show, working
 from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, Config, group
+
+if TYPE_CHECKING:
+    from cell.lab.explore import Progress
+    from cell.lab.learn import Lesson
 
 app = group()
 
@@ -44,7 +51,7 @@ def learn(
     from cell.settings import load_settings
     from cell.settings.translate import cable_of, identification_of
 
-    with refusing(out), working("learn") as progress:
+    with refusing(out, _motion(out)), working("learn") as progress:
         settings = load_settings(config)
         cable, options = cable_of(settings), identification_of(settings)
         cycles, left_out = read_cycles(runs, cable)
@@ -53,6 +60,7 @@ def learn(
         lesson, judgement = best_judged(lesson, settings)
         if lesson.best:
             write_candidate(out, lesson, judgement, settings.model)
+        todo = _asking(lesson, config, out, _again(runs, config, out, effect or []), progress)
     for line in left_out:
         print(f"left out: {line}", file=sys.stderr)
     for line in lesson_lines(lesson):
@@ -60,18 +68,64 @@ def learn(
     if lesson.best is None:
         raise typer.Exit(ALL_DONE)
     show(votes_table(lesson), gates_table(judgement.gates))
-    if lesson.tied:
-        folder = lesson.cycles[0].folder
-        print(
-            f"the motion that tells them apart: cell suggest {folder / 'study'} --config {config} "
-            f"-o motion.yaml, then cell run --config {config} --motion motion.yaml, and learn again"
-        )
+    for line in todo:
+        print(line)
     if judgement.fit_for_line:
         print(f"written to {out}; use it with: cell promote {out} --config {config}")
         raise typer.Exit(ALL_DONE)
     failed = ", ".join(g.name for g in judgement.gates if not g.passed)
     print(f"{out} is not fit for the line: {failed}; record more cycles and learn again")
     raise typer.Exit(NOT_ALL_DONE)
+
+
+def _again(runs: Sequence[Path], config: Path, out: Path, effects: Sequence[str]) -> str:
+    """`cell learn` with the cables measured meanwhile, too."""
+    given = [*runs, *([] if _measured(out) in runs else [_measured(out)])]
+    tried = (w for effect in effects for w in ("--effect", effect))
+    return _typed(["cell", "learn", *given, "--config", config, *tried, "-o", out])
+
+
+def _typed(words: Sequence[object]) -> str:
+    """A command as it can be typed."""
+    return " ".join(shlex.quote(str(w)) for w in words)
+
+
+def _motion(out: Path) -> Path:
+    """Where a motion is written that is asked for; the trial is named after the file."""
+    return out.with_name(re.sub(r"\W", "_", f"{out.stem}_motion") + ".yaml")
+
+
+def _measured(out: Path) -> Path:
+    """Where cables are recorded that are measured because of a candidate."""
+    return out.with_suffix(".measured")
+
+
+def _asking(lesson: Lesson, config: Path, out: Path, again: str, progress: Progress) -> list[str]:
+    """The motion that tells what these cycles cannot, in a file, and the commands for it."""
+    from cell.lab.ask import MOST_ASKED, asked, motion_that_tells, worth_it
+    from cell.lab.suggest import write_motion
+    from cell.settings.surroundings import Surroundings
+
+    if not lesson.tied:
+        return []
+    if asked(lesson.cycles) >= MOST_ASKED:
+        return [f"{MOST_ASKED} motions did not tell them apart: they explain these cables alike"]
+    try:
+        suggestion = motion_that_tells(lesson, Surroundings.read(config), progress)
+    except ValueError as error:
+        return [f"no motion tells them apart: {error}"]
+    best = None if suggestion is None else worth_it(suggestion)
+    if suggestion is None or best is None:
+        return ["no safe motion is likely to tell them apart: they explain these cables alike"]
+    motion = _motion(out)
+    write_motion(suggestion, motion)
+    words = ["cell", "run", "--config", config, "--motion", motion, "--out", _measured(out)]
+    return [
+        f"a motion tells them apart, with probability {best.power:.2f}: {best.motion.describe()}; "
+        "measure a cable with it, and learn again:",
+        f"  {_typed(words)}",
+        f"  {again}",
+    ]
 
 
 @app.command()

@@ -156,11 +156,14 @@ def learn(
         starts.append(found.model_error_m)
     if not usable:
         raise ValueError("none of these cables could be identified: nothing can be learned")
-    # Those that the model misses most tell most; executions are judged by, and come first.
-    order = sorted(range(len(usable)), key=lambda i: (usable[i][0].executed is None, -starts[i]))[
-        :FITTED_TO
-    ]
-    chosen = [usable[i] for i in order]
+
+    # What was measured to tell effects apart comes first, then executions, which are judged by; of
+    # these, those that the model misses most tell most.
+    def rank(i: int) -> tuple[bool, bool, float]:
+        cycle = usable[i][0]
+        return cycle.held is not None, cycle.executed is None, -starts[i]
+
+    chosen = [usable[i] for i in sorted(range(len(usable)), key=rank)[:FITTED_TO]]
     prepared = [prepared_cycle(cycle.whole) for cycle, _ in chosen]
     plausible = np.array([found.mean for _, found in chosen])
     base = options.kind.space(cable, chosen[0][0].study.gravity_m_per_s2)

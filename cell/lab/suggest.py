@@ -24,9 +24,10 @@ from cell.files.yaml_document import yaml_text
 from cell.identify.differences import difference_points
 from cell.identify.gaussian import covariance_root, marginal_chi2
 from cell.identify.noise import Whitener
+from cell.identify.parameters import ParameterSpace
 from cell.lab.compare import everywhere
 from cell.lab.diagnose import Examination
-from cell.lab.explore import Candidate, Explorer
+from cell.lab.explore import Candidate, Explorer, Progress, no_progress
 from cell.lab.prepared import PreparedStudy
 from cell.plan.measuring import least_duration_s, quintic
 from cell.settings.surroundings import Surroundings, Swept
@@ -80,6 +81,24 @@ class Stroke:
         s = quintic(u)
         x, y = self.x_m + self.dx_m * s, self.y_m + self.dy_m * s
         return Motion(t_s, x, y, np.full_like(t_s, self.angle_rad))
+
+
+@dataclass(frozen=True, eq=False)
+class Rival:
+    """A model that may be the right one.
+
+    q, covariance  (p,), (p, p) coordinates of `space`, and how far they are open
+    """
+
+    name: str
+    space: ParameterSpace
+    q: FloatArray
+    covariance: FloatArray
+
+    @property
+    def model(self) -> CableModel:
+        """The cable at q."""
+        return self.space.model(self.q)
 
 
 @dataclass(frozen=True)
@@ -137,17 +156,33 @@ def suggest_motion(
     separates their markers, in standard deviations squared, is the separation.
     raises  ValueError: nothing is left to tell apart, or no motion keeps the limits
     """
-    candidates = rivals(explorer, examination)
-    prepared = explorer.prepared
-    models = [c.fit.model for c in candidates]
+    open_to = [
+        Rival(_label(c), c.fit.space, c.fit.q, c.fit.covariance)
+        for c in rivals(explorer, examination)
+    ]
+    return telling_motions(explorer.prepared, open_to, surroundings, explorer.progress)
+
+
+def telling_motions(
+    prepared: PreparedStudy,
+    open_to: Sequence[Rival],
+    surroundings: Surroundings,
+    progress: Progress = no_progress,
+) -> Suggestion:
+    """The safe motions at which these models differ most, whatever each leaves open.
+
+    prepared  noise and markers of what will be measured
+    raises    ValueError: no motion keeps the limits
+    """
+    models = [c.model for c in open_to]
     options, refused = [], Counter[str]()
     rest: dict[float, float] = {}
     offered = strokes(surroundings)
     for done, stroke in enumerate(offered):
-        explorer.progress("looking for a motion", done, len(offered))
+        progress("looking for a motion", done, len(offered))
         if stroke.angle_rad not in rest:
             rest[stroke.angle_rad] = _rest_low_m(prepared, models, surroundings, stroke.angle_rad)
-        option = _weighed(prepared, candidates, stroke, surroundings, rest[stroke.angle_rad])
+        option = _weighed(prepared, open_to, stroke, surroundings, rest[stroke.angle_rad])
         if isinstance(option, str):
             refused[option] += 1
         else:
@@ -159,7 +194,7 @@ def suggest_motion(
             "widen limits, or let the camera see more"
         )
     options.sort(key=lambda o: -o.separation)
-    names = tuple(_label(c) for c in candidates)
+    names = tuple(c.name for c in open_to)
     return Suggestion(names, tuple(options), surroundings, dict(refused))
 
 
@@ -241,14 +276,14 @@ def write_motion(suggestion: Suggestion, path: Path) -> None:
 
 def _weighed(
     prepared: PreparedStudy,
-    candidates: Sequence[Candidate],
+    candidates: Sequence[Rival],
     stroke: Stroke,
     surroundings: Surroundings,
     rest_low_m: float,
 ) -> Option | str:
     """A stroke from where it is safe, and what it tells; or what it is refused for."""
     # The likeliest cable shows quickly where the stroke could begin, if anywhere.
-    cable = _simulated(prepared, [candidates[0].fit.model], stroke, surroundings)[1]
+    cable = _simulated(prepared, [candidates[0].model], stroke, surroundings)[1]
     start = _start(stroke, cable, np.zeros_like(cable), surroundings, rest_low_m)
     if isinstance(start, str):
         return start
@@ -267,7 +302,7 @@ def _weighed(
     missed = [normal_cdf((DECIDED - s) / (2.0 * np.sqrt(max(s, 1e-12)))) for s in apart]
     hardest = int(np.argmin(apart))
     return Option(
-        sure, apart[hardest], _label(candidates[1 + hardest]), float(max(0.0, 1.0 - sum(missed)))
+        sure, apart[hardest], candidates[1 + hardest].name, float(max(0.0, 1.0 - sum(missed)))
     )
 
 
@@ -332,18 +367,18 @@ def _blank(prepared: PreparedStudy, t_s: FloatArray) -> Markers:
 
 
 def _open(
-    prepared: PreparedStudy, candidate: Candidate, stroke: Stroke, surroundings: Surroundings
+    prepared: PreparedStudy, candidate: Rival, stroke: Stroke, surroundings: Surroundings
 ) -> tuple[tuple[FloatArray, FloatArray], FloatArray, FloatArray]:
     """What a candidate predicts, and how far the trials so far leave that open.
 
     returns  (whitened markers (rows,), their open directions (rows, parameters)); the cable and its
              standard deviation, (times, points, 2), m
     """
-    space, q = candidate.fit.space, candidate.fit.q
+    space, q = candidate.space, candidate.q
     step = space.difference_steps(q)
     lanes = [space.model(row) for row in difference_points(q, step)]
     markers, cable = _simulated(prepared, lanes, stroke, surroundings)
-    root = covariance_root(candidate.fit.covariance)
+    root = covariance_root(candidate.covariance)
     rows = Whitener(np.zeros(markers.shape[1:]), prepared.noise)(markers)
     open_rows = ((rows[1:] - rows[0]).T / step) @ root
     moves = np.tensordot(root.T / step, cable[1:] - cable[0], axes=1)

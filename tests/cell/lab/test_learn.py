@@ -3,36 +3,44 @@
 from __future__ import annotations
 
 import re
+import shlex
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from cell.build import cell_task
 from cell.cable.effects import library
+from cell.cli import app
 from cell.files.input_error import InputError
 from cell.files.yaml_document import yaml_text
 from cell.identify.identified import Identified
 from cell.identify.individual import IdentifyOptions, identify
+from cell.lab.ask import _of_the_next_cable, asked, motion_that_tells, worth_it
 from cell.lab.candidate import section, write_candidate
 from cell.lab.cycles import RecordedCycle, read_cycles
-from cell.lab.gates import ForecastPair, best_judged, forecasts, gates, judge
+from cell.lab.gates import ForecastPair, Judgement, best_judged, forecasts, gates, judge
 from cell.lab.learn import Lesson, learn
 from cell.lab.lesson_tables import lesson_lines
+from cell.lab.motion_file import load_motion
 from cell.lab.session import explorer_of, read_kind, select_effects
 from cell.lab.shared import Spread
 from cell.settings import load_settings
 from cell.settings.model import Model
 from cell.settings.promotion import read_candidate
+from cell.settings.surroundings import Surroundings
 from cell.settings.translate import identification_of
 from cell.study.data import Study
 from cell.study.folder import write_study
 
 ROOT = Path(__file__).parents[3]
-SETTINGS = load_settings(ROOT / "config" / "fake.yaml")
+CONFIG = ROOT / "config" / "fake.yaml"
+SETTINGS = load_settings(CONFIG)
 TRIED = {n: library()[n] for n in ("air_drag", "tip_mass")}
 
 
@@ -246,3 +254,83 @@ def test_cycles_of_another_cable_or_none_are_refused(
         read_cycles([tmp_path / "a"], replace(cable, width_m=0.02))
     with pytest.raises(InputError, match="holds no recorded cycle"):
         read_cycles([tmp_path], cable)
+
+
+@pytest.fixture(scope="module")
+def tied(lesson: Lesson) -> Lesson:
+    """As if a load at the tip explained the dragged cables as well."""
+    assert {t.effect.name for t in lesson.ranking} == set(TRIED)
+    return replace(lesson, tied=("tip_mass",))
+
+
+def test_the_motion_tells_the_tied_effects_of_a_cable_not_seen_yet(tied: Lesson) -> None:
+    suggestion = motion_that_tells(tied, Surroundings.read(CONFIG))
+    assert suggestion is not None
+    assert suggestion.candidates == ("air_drag", "tip_mass")
+    best = worth_it(suggestion)
+    assert best is suggestion.options[0]
+    assert best.power > 0.9
+    weak = replace(suggestion, options=(replace(best, power=0.3),))
+    assert worth_it(weak) is None
+    assert motion_that_tells(replace(tied, tied=()), Surroundings.read(CONFIG)) is None
+
+
+def test_the_next_cable_may_be_as_far_away_as_these_are_from_each_other(tied: Lesson) -> None:
+    fit = tied.ranking[0].fit
+    rival = _of_the_next_cable(tied.ranking[0])
+    open_to = np.diag(rival.covariance)[: fit.own]
+    assert np.all(open_to >= np.var(fit.q, axis=0, ddof=1))
+    assert np.diag(rival.covariance)[fit.common] == pytest.approx(np.diag(fit.covariance))
+    assert rival.q[: fit.own] == pytest.approx(fit.q.mean(axis=0))
+
+
+@pytest.fixture
+def said(
+    tied: Lesson, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[tuple[Path, list[str]]]:
+    """Folder, and lines that `cell learn` prints of the tied lesson there."""
+    for cycle in tied.cycles:
+        write_study(cycle.study, tmp_path / "runs" / cycle.name)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("cell.lab.learn.learn", lambda *_: tied)
+    words = ["learn", *sorted(f"runs/{c.name}" for c in tied.cycles), "--config", str(CONFIG)]
+    found = CliRunner().invoke(app, [*words, "-o", "drag law.yaml"])
+    assert found.exception is None or isinstance(found.exception, SystemExit), found.output
+    yield tmp_path, found.output.splitlines()
+
+
+def test_what_is_printed_can_be_typed(said: tuple[Path, list[str]]) -> None:
+    folder, lines = said
+    runs = [f"runs/c{n}" for n in (1, 2, 3)]
+    (why,) = [n for n, line in enumerate(lines) if "a motion tells them apart" in line]
+    assert re.search(r"with probability (1\.00|0\.9\d): clamp at ", lines[why])
+    run, again = (shlex.split(line) for line in lines[why + 1 : why + 3])
+    assert run[:4] == ["cell", "run", "--config", str(CONFIG)]
+    motion = load_motion(folder / run[run.index("--motion") + 1], SETTINGS)
+    assert motion.moves
+    measured = run[run.index("--out") + 1]
+    assert again == [
+        "cell", "learn", *runs, measured, "--config", str(CONFIG),
+        "-o", "drag law.yaml",
+    ]  # fmt: skip
+
+
+def test_after_two_motions_nothing_more_is_asked_for(
+    tied: Lesson, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They are the cycles without a hold of the line's own, and are learned from first."""
+    stroke = replace(tied.cycles[0].study.trials[0], name="stroke")
+    study = Study("m", tied.cycles[0].study.cable, tied.cycles[0].study.arc_length_m, (stroke,))
+    measured = [replace(c, study=study, held=None, executed=None) for c in tied.cycles]
+    assert asked([*tied.cycles, *measured]) == 3
+    for cycle in tied.cycles:
+        write_study(cycle.study, tmp_path / cycle.name)
+    monkeypatch.setattr(
+        "cell.lab.learn.learn", lambda *_: replace(tied, cycles=(*measured, *tied.cycles))
+    )
+    monkeypatch.setattr("cell.lab.gates.best_judged", lambda lesson, _: (lesson, Judgement()))
+    folders = [str(tmp_path / c.name) for c in tied.cycles]
+    words = ["learn", *folders, "--config", str(CONFIG), "-o", str(tmp_path / "c.yaml")]
+    found = CliRunner().invoke(app, words)
+    assert "2 motions did not tell them apart" in found.output, found.output
+    assert not (tmp_path / "c_motion.yaml").exists()
