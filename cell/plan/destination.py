@@ -58,31 +58,31 @@ def _margins(
     result = np.empty(len(paths))
     for p in range(len(paths)):
         path = paths[p]
-        entered, deep = False, False
-        margin, from_mouth = np.inf, np.inf
-        furthest = x_max
-        for t in range(len(path)):
+        first = 1  # sample behind the mouth
+        while first < len(path) and not (path[first - 1, 0] > x_max >= path[first, 0]):
+            first += 1
+        if first == len(path):
+            square = np.inf
+            for x, y in path:
+                outside = max(y_min - y, y - y_max, 0.0)
+                square = min(square, (x - x_max) ** 2 + outside**2)
+            result[p] = -math.sqrt(square)
+            continue
+        deep = False
+        margin, furthest = np.inf, x_max
+        for t in range(first, len(path)):
             x, y = path[t]
-            outside = max(y_min - y, y - y_max, 0.0)
-            from_mouth = min(from_mouth, math.hypot(x - x_max, outside))
-            if t > 0:
-                x_last, y_last = path[t - 1]
-                through_mouth = (x_last > x_max) != (x > x_max)
-                entered = entered or (through_mouth and x <= x_max)
-                if entered and through_mouth:
-                    y_edge = y_last + (x_max - x_last) / (x - x_last) * (y - y_last)
-                    margin = min(margin, y_edge - y_min, y_max - y_edge)
-                if entered and x_last > x_min >= x:
-                    y_edge = y_last + (x_min - x_last) / (x - x_last) * (y - y_last)
-                    margin = min(margin, y_edge - y_min, y_max - y_edge)
-                    deep = True
-                    break
-            if entered and x <= x_max:
+            x_last, y_last = path[t - 1]
+            if (x_last > x_max) != (x > x_max):
+                y_edge = y_last + (x_max - x_last) / (x - x_last) * (y - y_last)
+                margin = min(margin, y_edge - y_min, y_max - y_edge)
+            if x_last > x_min >= x:
+                y_edge = y_last + (x_min - x_last) / (x - x_last) * (y - y_last)
+                margin = min(margin, y_edge - y_min, y_max - y_edge)
+                deep = True
+                break
+            if x <= x_max:
                 margin = min(margin, y - y_min, y_max - y)
                 furthest = min(furthest, x)
-        if not entered:
-            margin = -from_mouth
-        elif not deep:
-            margin = min(margin, x_min - furthest)
-        result[p] = margin
+        result[p] = margin if deep else min(margin, x_min - furthest)
     return result

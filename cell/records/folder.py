@@ -65,6 +65,12 @@ class Record:
         self._state.update(entries)
         self._write("state.json", _json(self._state))
 
+    def note(self, **entries: Any) -> None:
+        """Replace entries of `state.json` when it is written next: a hand that waits cannot wait
+        for a disk.
+        """
+        self._state.update(entries)
+
     def settings(self, settings: Mapping[str, Any]) -> None:
         """Settings as resolved."""
         self._write("settings.yaml", yaml_text(settings))

@@ -235,11 +235,12 @@ class Cell:
             passed_s = now_s() - begun_s
             progress.seconds[step.name] = progress.seconds.get(step.name, 0.0) + passed_s
             _LOG.info("cycle %d: step %s took %.3f s", progress.number, step.name, passed_s)
-            progress.record.state(seconds=progress.seconds)
+            progress.record.note(seconds=progress.seconds)
         progress.findings = findings
         if step.once:
             self._done_once.add(step.name)
         if findings.rejected or not step.hand_waits:
+            progress.record.state()
             progress.write()
         progress.findings = step.after(progress.station, findings)
         if progress.findings is not findings:

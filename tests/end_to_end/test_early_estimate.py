@@ -21,6 +21,7 @@ from cell.identify import fit
 from cell.identify.identified import Identified
 from cell.identify.individual import CableRejectedError, Reason
 from cell.plan import choose
+from cell.records import folder
 from cell.records.folder import read_record
 from cell.records.result import Outcome
 from cell.run import early_estimate, steps
@@ -69,10 +70,35 @@ def test_after_the_last_frame_nothing_is_simulated(
         }
     )
     monkeypatch.setattr(fit, "simulate", told(fit.simulate))
-    monkeypatch.setattr(choose, "simulate", told(choose.simulate))
+    monkeypatch.setattr(choose, "simulate_branches", told(choose.simulate_branches))
     assert it.cell.run_cycle(1).outcome is Outcome.INSERTED
     assert deciding
     assert all(name.startswith("ahead") for name in deciding)
+
+
+def test_a_hand_that_waits_waits_for_one_write_per_step(
+    live: Live, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A disk takes milliseconds for each: what a step took is written with the next step's name."""
+    written: list[str] = []
+
+    def counted(path: Path, content: str | bytes) -> None:
+        written.append(path.name)
+        write_whole(path, content)
+
+    write_whole = folder.write_whole
+    monkeypatch.setattr(folder, "write_whole", counted)
+    deciding: list[str] = []
+    it = live(
+        {
+            "identify": lambda it: written.clear(),
+            "execute": lambda it: deciding.extend(written),
+        }
+    )
+    result = it.cell.run_cycle(1)
+    assert deciding == ["state.json"] * 3  # simulate, choose, execute
+    state = read_record(Path(result.folder)).state
+    assert set(state["seconds"]) == set(result.seconds)
 
 
 def test_a_slow_computer_finds_the_same(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:

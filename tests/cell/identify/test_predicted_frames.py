@@ -11,7 +11,7 @@ from cell.cable.model import CableModel
 from cell.identify import fit as fitting
 from cell.identify.identified import Identified
 from cell.identify.individual import identify, predict_frames
-from cell.identify.predicted_frames import PredictedFrames, extended_at_rest
+from cell.identify.predicted_frames import PredictedFrames, _later, extended_at_rest
 from cell.study.data import Markers, Trial
 
 NODES_M = node_arc_lengths(0.1)
@@ -47,6 +47,16 @@ def no_simulation(monkeypatch: pytest.MonkeyPatch) -> None:
         raise AssertionError("simulated after the last frame")
 
     monkeypatch.setattr(fitting, "simulate", refuse)
+
+
+def test_frames_that_come_late_are_moved_to_first_order() -> None:
+    rng = np.random.default_rng(0)
+    t_s = np.cumsum(rng.uniform(0.004, 0.006, 30))
+    late_s = rng.uniform(-3e-4, 3e-4, 30)
+    markers_m, shift_m = rng.normal(size=(3, 30, 4, 2)), np.array([0.1, -0.2])
+    rate = np.gradient(markers_m, t_s, axis=1)
+    expected = markers_m + rate * late_s[:, None, None] + shift_m
+    np.testing.assert_allclose(_later(markers_m, t_s, late_s, shift_m), expected, atol=1e-12)
 
 
 def in_deviations(found: Identified, expected: Identified) -> float:
