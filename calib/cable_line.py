@@ -22,7 +22,7 @@ _JAW_PX, _TIP_PX = 5.0, 3.0
 #: The end of a line is looked for within so many pixels of where it is expected.
 _END_PX = 14.0
 _LEAST_POINTS = 60
-_TURNS = 3
+_TURNS, _TURNS_ACROSS = 3, 5
 _FINE, _DEGREE = 800, 7  # points of a smooth line, and its polynomials' degree
 #: A point further beside the line than that is none of it.
 _MOST_PX = 2.5
@@ -49,20 +49,30 @@ class CableLine:
 
 
 def measure_line(
-    image: Image, view: PlaneView, rough_m: FloatArray, width_px: float, *, dark: bool
+    image: Image,
+    view: PlaneView,
+    rough_m: FloatArray,
+    jaw_rad: float,
+    width_px: float,
+    *,
+    dark: bool,
 ) -> CableLine:
     """Measure a cable along a rough centreline.
 
     image     grey levels
     rough_m   (K, 2) points along it, from the gripping point to the tip, evenly spaced
+    jaw_rad   direction of the jaw: its edge is square to it, in the plane, not in the picture
     width_px  standard deviation of its profile, blur included
     dark      darker than what is behind it, or lighter
     raises    TooFewError: it is not seen along most of its length, or does not end in the picture
     """
-    picture = image.astype(np.float32)
+    picture = (-1.0 if dark else 1.0) * image.astype(np.float32)
+    beside_m = 1e-3 * np.array([[-np.sin(jaw_rad), np.cos(jaw_rad)], [0.0, 0.0]])
+    edge_way = np.diff(view.to_pixels(rough_m[0] + beside_m), axis=0)
+    edge_way /= np.linalg.norm(edge_way)
     way = _Way.through(view.to_pixels(rough_m))
     for turn in range(_TURNS):
-        offset, amplitude, straight = _profiles(picture, way, -1.0 if dark else 1.0, width_px)
+        offset, amplitude = _profiles(picture, way.places, way.normals, width_px)
         clear = (way.along_px > _JAW_PX) & (way.along_px < way.length_px - _TIP_PX)
         seen = (np.abs(offset) < _MOST_PX) & (amplitude > 0.4 * np.median(amplitude[clear]))
         if np.count_nonzero(seen & clear) < max(_LEAST_POINTS, 0.7 * np.count_nonzero(clear)):
@@ -70,8 +80,13 @@ def measure_line(
                 "the cable is seen along too little of its length",
                 "see that it is lit, sharp, and all of it in the picture",
             )
-        edge = -_half(-way.along_px[::-1], straight[::-1], width_px, 0.0)
-        tip = _half(way.along_px, straight, width_px, way.length_px)
+        head, tail = (np.abs(way.along_px - at) < _END_PX for at in (0.0, way.length_px))
+        # across the jaw a profile sees all of its edge at once, across the cable one side first
+        sides = np.broadcast_to(edge_way, (int(head.sum()), 2))
+        fading = _profiles(picture, way.places[head], sides, width_px, turns=1)[1]
+        edge = -_half(-way.along_px[head][::-1], fading[::-1], width_px, 0.0)
+        fading = _profiles(picture, way.places[tail], way.normals[tail], width_px, turns=1)[1]
+        tip = _half(way.along_px[tail], fading, width_px, way.length_px)
         inner = (way.along_px > edge + _JAW_PX) & (way.along_px < tip - _TIP_PX) & seen
         found = way.places + offset[:, None] * way.normals
         if turn < _TURNS - 1:
@@ -127,15 +142,20 @@ class _Way:
 
 
 def _profiles(
-    picture: NDArray[np.float32], way: _Way, sign: float, width_px: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Offset across, px, and amplitude, grey levels, of the line at each place.
+    picture: NDArray[np.float32],
+    places: FloatArray,
+    sides: FloatArray,
+    width_px: float,
+    turns: int = _TURNS_ACROSS,
+) -> tuple[FloatArray, FloatArray]:
+    """Offset across, px, and amplitude, grey levels, of a light line at each place (N, 2).
 
-    Amplitude · exp(−(n − offset)²/2 width²) on a slope, by Gauss and Newton.
+    Amplitude · exp(−(n − offset)²/2 width²) on a slope, along (N, 2) sides, by Gauss and Newton;
+    after one turn the amplitude is that at the place itself.
     """
     n = np.arange(-_ASIDE_PX, _ASIDE_PX + 0.5 * _STEP_PX, _STEP_PX)
-    where = way.places[:, None] + n[:, None] * way.normals[:, None]
-    values = sign * cv2.remap(
+    where = places[:, None] + n[:, None] * sides[:, None]
+    values = cv2.remap(
         picture,
         where[..., 0].astype(np.float32),
         where[..., 1].astype(np.float32),
@@ -145,7 +165,7 @@ def _profiles(
     offset = np.zeros(len(values))
     ground = np.stack([np.ones_like(n), n / _ASIDE_PX], axis=1)
     amplitude = np.zeros(len(values))
-    for turn in range(5):
+    for _ in range(turns):
         away = (n - offset[:, None]) / width_px
         hump = np.exp(-0.5 * away**2)
         basis = np.concatenate(
@@ -159,19 +179,16 @@ def _profiles(
         normal = np.swapaxes(basis, 1, 2)
         found = np.linalg.solve(normal @ basis, normal @ values[..., None])[..., 0]
         amplitude = found[:, 0]
-        if turn == 0:
-            straight = amplitude
         step = np.where(amplitude > 1.0, found[:, 1] / np.maximum(amplitude, 1.0), 0.0)
         offset = np.clip(offset + np.clip(step, -1.0, 1.0), -3.0, 3.0)
-    return offset, amplitude, straight
+    return offset, amplitude
 
 
 def _half(along: FloatArray, amplitude: FloatArray, width_px: float, expected: float) -> float:
     """Where the amplitude falls to half towards larger `along`: full · Φ((end − along)/blur)."""
     from scipy.special import ndtr
 
-    near = np.abs(along - expected) < _END_PX
-    x, a = along[near], amplitude[near]
+    x, a = along, amplitude
     inside = np.median(a[x < expected - 0.4 * _END_PX])
     below = np.flatnonzero(a < 0.5 * inside)
     end = x[below[0]] if len(below) else np.nan

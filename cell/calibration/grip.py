@@ -140,6 +140,7 @@ def views_of(
             pose.picture.image,
             view,
             seen.nodes_m[::-1],
+            seen.clamp_angle_rad,
             look.line_width_px,
             dark=look.cable_is == "dark",
         )

@@ -11,10 +11,12 @@ import pytest
 from calib.cable_line import CableLine, measure_line
 from calib.errors import CalibrationError, MisfitError, TooFewError
 from calib.grip import GripView, fit_grip
+from calib.lens import Lens
 from calib.plane import PlaneView
 from cell.settings import load_settings
 from cell.simulated.hidden import cable_shape, hidden_cable
 from drivers.interfaces import Trajectory
+from drivers.sim.pinhole import Pinhole
 from drivers.sim.render import LIGHT_ON_DARK, RenderOptions, render
 
 VIEW = PlaneView.from_scale(2e-4, 1000.0, 150.0)
@@ -89,7 +91,7 @@ def test_a_line_is_measured_to_a_hundredth_of_a_millimetre(shapes, look):
     rng = np.random.default_rng(2)
     image = render(true[::-1], (0.0, 0.0, TURNS[1]), VIEW.homography, look, rng)
     rough = true[::20] + rng.normal(0.0, 1e-4, (11, 2))
-    line = measure_line(image, VIEW, rough, 1.0, dark=look is not LIGHT_ON_DARK)
+    line = measure_line(image, VIEW, rough, TURNS[1], 1.0, dark=look is not LIGHT_ON_DARK)
     assert np.linalg.norm(line.edge_m - true[0]) < 1e-4
     assert np.linalg.norm(line.tip_m - true[-1]) < 1e-4
     nearest = np.linalg.norm(line.points_m[:, None] - true[None], axis=2).min(axis=1)
@@ -101,9 +103,26 @@ def test_a_line_is_measured_to_a_hundredth_of_a_millimetre(shapes, look):
     assert np.sqrt(np.mean(across**2)) < 3e-5
 
 
+def test_a_jaw_seen_from_the_side_is_not_taken_for_a_longer_cable(shapes):
+    """Its edge is not square to the cable in the picture: measured across the cable it was up to
+    1.5 px further out."""
+    eye = Pinhole.standing(
+        metres_per_pixel=2e-4, origin_px=(1000.0, 150.0), size_px=(1280, 1024), focal_px=2600.0,
+        tilt_rad=-0.5, pan_rad=-0.1,
+    )  # fmt: skip
+    lens = Lens(eye.focal_px, eye.focal_px, *eye.centre_px, *eye.distortion)
+    view, rng = PlaneView.from_pose(lens, eye.X_CP), np.random.default_rng(2)
+    out_m = []
+    for turn, true in zip(TURNS, shapes, strict=True):
+        image = render(true[::-1], (0.0, 0.0, turn), eye, RenderOptions(), rng)
+        line = measure_line(image, view, true[::20], turn, 1.0, dark=True)
+        out_m.append(-line.edge_m @ [np.cos(turn), np.sin(turn)])
+    assert abs(np.mean(out_m)) < 5e-5
+
+
 def test_a_picture_without_the_cable_is_refused(shapes):
     image = render(
         None, (0.0, 0.0, TURNS[1]), VIEW.homography, RenderOptions(), np.random.default_rng(2)
     )
     with pytest.raises(CalibrationError, match=r"too little of its length|does not end where"):
-        measure_line(image, VIEW, shapes[1][::20], 1.0, dark=True)
+        measure_line(image, VIEW, shapes[1][::20], TURNS[1], 1.0, dark=True)
