@@ -68,6 +68,7 @@ class CellFit:
     residuals_px      (S, M, 2)
     scale             of the marks as seen / as stated, and its standard deviation
     in_plane          whether the arm can only move in the plane, which then is the one it moves in
+    bend_m            how far a mark is off the plane of all, the furthest
     """
 
     mean: FloatArray
@@ -84,6 +85,7 @@ class CellFit:
     home: FloatArray
     up: FloatArray
     in_plane: bool
+    bend_m: float
 
     def spread_m(self, pixels: FloatArray) -> FloatArray:
         """(…,) standard deviation of where pixels (…, 2) lie in the plane, over both axes, m."""
@@ -229,6 +231,7 @@ def fit_cell(
         home,
         gravity.up,
         in_plane,
+        bend_m,
     )
 
 

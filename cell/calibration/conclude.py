@@ -14,6 +14,7 @@ from calib.board import Board, BoardView, find_board
 from calib.camera import CameraFit, fit_camera, picture_grid
 from calib.cell import CellFit, fit_cell
 from calib.errors import CalibrationError, TooFewError, WrongBoardError
+from calib.hand_eye import classic_view
 from calib.jaw_marks import Gravity, MarksModel, Plate, parameter_count
 from calib.lens import Lens
 from calib.store import StoredCalibration
@@ -129,8 +130,23 @@ def cell_from(shown: ShownCell, camera: StoredCalibration, settings: Settings) -
     )
 
 
-def stored_cell(fit: CellFit, settings: Settings) -> StoredCalibration:
-    """What is kept of a cell."""
+def disagreement_m(
+    fit: CellFit, shown: ShownCell, camera: StoredCalibration, settings: Settings
+) -> FloatArray:
+    """(R, C) over the picture: where the classic way puts a pixel beside where the joint fit does.
+
+    See `calib.hand_eye`; m in the plane.
+    """
+    marks = vision_of(settings).marks
+    seen = seen_marks([p for p in shown.poses if p.role == "fit"], marks)
+    lens = Lens.of(camera.array("lens", (9,)))
+    other = classic_view(seen, marks_m(marks), lens, fit.X_BP)
+    grid = picture_grid((settings.camera.width_px, settings.camera.height_px))
+    return np.asarray(np.linalg.norm(other.to_plane(grid) - fit.view.to_plane(grid), axis=-1))
+
+
+def stored_cell(fit: CellFit, classic_m: FloatArray, settings: Settings) -> StoredCalibration:
+    """What is kept of a cell; `classic_m` is its `disagreement_m`."""
     size = (settings.camera.width_px, settings.camera.height_px)
     spread_m = fit.spread_m(picture_grid(size))
     origin_m, turn_rad = fit.plane_spread()
@@ -151,6 +167,9 @@ def stored_cell(fit: CellFit, settings: Settings) -> StoredCalibration:
             "map_rms_m": float(np.sqrt(np.mean(spread_m**2))),
             "held_out_rms_m": float(np.sqrt(np.mean(held_out**2))) if len(held_out) else np.nan,
             "held_out_max_m": float(held_out.max()) if len(held_out) else np.nan,
+            "classic_rms_m": float(np.sqrt(np.mean(classic_m**2))),
+            "classic_max_m": float(classic_m.max()),
+            "bend_m": fit.bend_m,
             "noise_px": fit.noise_px,
             "arm_noise_px": fit.arm_noise_px,
             "plane_origin_95_m": CIRCLE_95 * origin_m,

@@ -99,9 +99,16 @@ def camera_report(
 
 
 def cell_report(
-    stored: StoredCalibration, fit: CellFit, shown: ShownCell, settings: Settings
+    stored: StoredCalibration,
+    fit: CellFit,
+    shown: ShownCell,
+    classic_m: FloatArray,
+    settings: Settings,
 ) -> str:
-    """Page about a cell: error at held-out poses, uncertainty of the map, residuals, plane."""
+    """Page about a cell: error at held-out poses, uncertainty of the map, residuals, plane.
+
+    classic_m  (R, C) by which the classic way disagrees, see `conclude.disagreement_m`
+    """
     e, size = stored.error, (settings.camera.width_px, settings.camera.height_px)
     spread_mm = 1e3 * CIRCLE_95 * fit.spread_m(picture_grid(size))
     roll_rad, _ = fit.roll()
@@ -111,6 +118,11 @@ def cell_report(
         ("map, 95 %, worst of the picture", f"{e['map_95_m'] * 1e3:.3f} mm"),
         ("held-out poses, rms", f"{e['held_out_rms_m'] * 1e3:.3f} mm"),
         ("held-out poses, worst mark", f"{e['held_out_max_m'] * 1e3:.3f} mm"),
+        (
+            "classic hand–eye beside it, rms and worst",
+            f"{e['classic_rms_m'] * 1e3:.3f}, {e['classic_max_m'] * 1e3:.3f} mm",
+        ),
+        ("plate bent: a mark off the plane of all", f"{e['bend_m'] * 1e3:.3f} mm"),
         ("marks' noise", f"{e['noise_px']:.3f} px"),
         ("arm's noise, as the camera sees it", f"{e['arm_noise_px']:.3f} px"),
         ("marks seen / stated", f"{fit.scale[0]:.5f} ± {1.96 * fit.scale[1]:.5f}"),
@@ -133,6 +145,19 @@ def cell_report(
                 _image(overlay) + _note("Lines every 10 mm; the axes are red, y against gravity."),
             ),
             ("Uncertainty of the map, 95 %, mm", _heat(spread_mm)),
+            (
+                "Disagreement with the classic way, mm",
+                _heat(1e3 * classic_m)
+                + _note(
+                    "Hand–eye as it is usually done: the plate's pose in each picture by itself, "
+                    "then robot and camera brought together; Park's and Daniilidis' own solutions "
+                    "need turns about two axes, which this hand cannot make. It shares nothing "
+                    "with the fit above but pictures and lens, and is itself wrong by tenths "
+                    "of a millimetre. A millimetre or more where the hand was shown means that "
+                    "one of the two misunderstands the cell: check the marks' places in "
+                    "vision.jaw.discs_m, the lens, and that nothing was moved between them."
+                ),
+            ),
             (
                 "What the fit leaves, pose by pose",
                 _image(_arrows(last, fit, shown))

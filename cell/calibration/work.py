@@ -149,8 +149,9 @@ class CalibrationJob:
         else:
             shown = raw.read_cell(source)
         fit = conclude.cell_from(shown, camera, self._settings)
-        stored = conclude.stored_cell(fit, self._settings)
-        self._report("cell", cell_report(stored, fit, shown, self._settings))
+        classic_m = conclude.disagreement_m(fit, shown, camera, self._settings)
+        stored = conclude.stored_cell(fit, classic_m, self._settings)
+        self._report("cell", cell_report(stored, fit, shown, classic_m, self._settings))
         return stored
 
     def _time(self, source: Path | None) -> StoredCalibration:

@@ -79,6 +79,8 @@ def test_the_map_is_right_within_its_bound(folder):
     stored = load(folder / "calib" / "cell.yaml", "cell")
     assert off.max() < 2.0 * stored.error["map_95_m"]
     assert stored.error["held_out_rms_m"] < 2e-5
+    assert 1e-6 < stored.error["classic_rms_m"] < stored.error["classic_max_m"] < 6e-4
+    assert stored.error["bend_m"] < 1e-5
 
 
 def test_delays_roll_and_scale_are_right(folder):
