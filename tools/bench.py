@@ -195,7 +195,7 @@ def waiting() -> None:
     from bench_wait import MOST_WAITED_MS, summary, waits
 
     print("\nthe robot waits for the computer: simulated cycles at the speed of reality")
-    found = waits(30, 1)
+    found = waits(WAITS, 1, 0)
     print(summary(found))
     milliseconds = [1e3 * w.wait_s for w in found]
     report("milliseconds, 95 % of them", np.nanquantile(milliseconds, 0.95), "<=", MOST_WAITED_MS)

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
 
 import numpy as np
 
+from cell.cable.dynamics import threads
 from cell.run.findings import FilmedMotion, Filming
 from cell.run.station import Station
 from cell.run.waiting import check_arm, check_grip, wait_until
@@ -41,6 +45,7 @@ def film(
         frame_count,
         tuple(reader.sightings),
         tuple(reader.pictures),
+        reader.delay_s,
     )
 
 
@@ -77,14 +82,23 @@ def filmed_so_far(station: Station, filming: Filming, sightings: list[Sighting])
     return FilmedMotion(filming.begin_s, tuple(sightings), hand, (), time.perf_counter())
 
 
+#: A frame that is taken up so many periods later than it could have been has others behind it.
+BEHIND_PERIODS = 2.0
+
+
 class _FrameReader:
-    """Reads the frames of a recording and finds the cable in each; keeps what was seen so far."""
+    """Reads the frames of a recording and finds the cable in each; keeps what was seen so far.
+
+    Frames that wait to be looked at are looked at side by side, one on each core, until none waits:
+    a stall of the computer then costs neither frames nor time after the last of them.
+    """
 
     def __init__(self, station: Station, keep_every: int, filming: Filming | None = None) -> None:
         self._station = station
         self._keep_every = keep_every
         self.sightings: list[Sighting] = [] if filming is None else list(filming.sightings)
         self.pictures: list[Frame] = [] if filming is None else list(filming.pictures)
+        self.delay_s = np.inf if filming is None else filming.delay_s
 
     def read_until(
         self,
@@ -95,18 +109,50 @@ class _FrameReader:
 
         returns  when the last of them was taken, by the computer's own clock
         """
-        task, commands = self._station.task, self._station.commands
         camera, clock = self._station.devices.camera, self._station.devices.clock
         taken_at_s = float("nan")
         while clock.now_s() + 1.0 / camera.frame_rate_hz <= until_s:
+            frames = self._waiting_frames()
+            if not frames:
+                break
+            taken_at_s = time.perf_counter() - (clock.now_s() - frames[-1].t_s)
+            self._station.commands.check()
+            for frame, sighting in zip(frames, self._look_at(frames), strict=True):
+                self.sightings.append(sighting)
+                if frame.index % self._keep_every == 0:
+                    self.pictures.append(frame)
+                after_each(self.sightings)
+        return taken_at_s
+
+    def _waiting_frames(self) -> list[Frame]:
+        """The next frame, waiting for it, and those that wait already, as many as there are cores;
+        none = there are no more.
+        """
+        camera = self._station.devices.camera
+        frames: list[Frame] = []
+        for _ in range(threads()):
             frame = camera.read()
             if frame is None:
                 break
-            taken_at_s = time.perf_counter() - (clock.now_s() - frame.t_s)
-            commands.check()
-            previous = self.sightings[-1] if self.sightings else None
-            self.sightings.append(detect(frame.image, frame.t_s, task.view, task.vision, previous))
-            if frame.index % self._keep_every == 0:
-                self.pictures.append(frame)
-            after_each(self.sightings)
-        return taken_at_s
+            frames.append(frame)
+            late_s = self._station.devices.clock.now_s() - frame.t_s
+            self.delay_s = min(self.delay_s, late_s)
+            if late_s - self.delay_s < BEHIND_PERIODS / camera.frame_rate_hz:
+                break
+        return frames
+
+    def _look_at(self, frames: list[Frame]) -> list[Sighting]:
+        """Sightings of frames, in their order; the one before them only saves time."""
+        task, previous = self._station.task, self.sightings[-1] if self.sightings else None
+
+        def look(frame: Frame) -> Sighting:
+            return detect(frame.image, frame.t_s, task.view, task.vision, previous)
+
+        beside = [_helpers(os.getpid()).submit(look, frame) for frame in frames[1:]]
+        return [look(frames[0]), *(job.result() for job in beside)]
+
+
+@lru_cache(maxsize=1)
+def _helpers(process: int) -> ThreadPoolExecutor:
+    """Threads of this process that look at frames beside the one that reads them."""
+    return ThreadPoolExecutor(max(1, threads() - 1), thread_name_prefix="looking")

@@ -29,7 +29,8 @@ class Filming:
     """A motion that is being filmed.
 
     It began at `begin_s`, the hand rests from `rest_s`, and it is filmed until `end_s`; sightings
-    and pictures are those of the frames so far.
+    and pictures are those of the frames so far.  `delay_s` is the least time so far from a frame's
+    exposure until it was taken up, s: one that takes longer has waited.
     """
 
     begin_s: float
@@ -38,6 +39,7 @@ class Filming:
     frame_count: int
     sightings: tuple[Sighting, ...] = ()
     pictures: tuple[Frame, ...] = field(default=(), repr=False)
+    delay_s: float = float("inf")
 
 
 @dataclass(frozen=True, eq=False)
