@@ -77,6 +77,14 @@ def fit(
     effect: InModel = None,
     prior: PriorFile = None,
     config: LineModel = None,
+    profile: Annotated[
+        Path | None,
+        typer.Option(
+            "--profile",
+            help="Profile-likelihood intervals, drawn on this HTML page: each parameter is held "
+            "beside its best value and all others are refitted.",
+        ),
+    ] = None,
     as_json: Json = None,
     force: Force = False,
 ) -> None:
@@ -85,16 +93,25 @@ def fit(
     from cell.lab.doubts import fit_doubts
     from cell.lab.tables import errors_line, model_table, warning_lines
 
-    with refusing(out, as_json, force=force), working("fit") as progress:
+    with refusing(out, as_json, profile, force=force), working("fit") as progress:
         selection = session.select_effects(effect or [])
         explorer = _explorer(study, selection, prior, progress, config)
         model, candidate = session.fit_study(explorer)
         warnings = fit_doubts(explorer, candidate)
         written = model.to_dict() | {"warnings": [vars(w) for w in warnings]}
+        said: list[str] = []
+        if profile is not None:
+            from cell.lab.profiles import parameter_profiles, profile_sentences
+            from cell.lab.report import profile_page, write_page
+
+            found = parameter_profiles(explorer.prepared, candidate.fit, model, progress)
+            written["profiles"] = [p.to_json() for p in found]
+            write_page(profile_page(explorer.prepared.study.name, found), profile)
+            said = [f"{sentence}." for sentence in profile_sentences(found)]
         tables = write_result(written, out, as_json)
     if tables:
         errors = errors_line(explorer.prepared, candidate)
-        show(*warning_lines(warnings), errors, model_table(model))
+        show(*warning_lines(warnings), errors, model_table(model), *said)
 
 
 @app.command(cls=JsonCommand)

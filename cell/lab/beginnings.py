@@ -19,8 +19,8 @@ from cell.study.data import Trial
 FloatArray = NDArray[np.float64]
 
 #: A cable held by a person is let go within this of the time noted.
-RELEASE_STD_S = 0.005
-RELEASE_LIMIT_S = 0.020
+RELEASE_STD_S = 0.02
+RELEASE_LIMIT_S = 0.1
 #: Modes by which a cable may differ from its equilibrium; a force at the tip of a straight cable
 #: bends it to 3e-4 of its deflection by these.
 MODES = 4

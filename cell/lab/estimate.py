@@ -70,10 +70,12 @@ class Estimate:
 
 
 def estimate(prepared: PreparedStudy, fit: Fit) -> Estimate:
-    """The parameters of a fitted model, from all trials."""
-    whole = fit_model(
-        prepared, fit.space, fit.q, fit.begun, trials=prepared.study.trials, options=CONVERGED
-    )
+    """The parameters of a fitted model, from all trials; the fit's own if some defy simulation."""
+    trials = prepared.study.trials
+    try:
+        whole = fit_model(prepared, fit.space, fit.q, fit.begun, trials=trials, options=CONVERGED)
+    except ValueError:
+        return Estimate(fit, 1.0)
     return Estimate(whole, disagreement(prepared, whole))
 
 

@@ -140,6 +140,9 @@ class Explorer:
                 temper = TEMPER * float(np.sqrt(fit.chi2 / count))
                 tempered = fit_model(self.prepared, self.space, start, temper=temper, options=REFIT)
                 self._tempered = tempered
+                if not fit.solution.converged:
+                    again = fit_model(self.prepared, self.space, tempered.q, options=POLISH)
+                    fit = min(fit, again, key=lambda f: f.objective)
             self._known[key] = self._weigh(self.space.effects, fit)
         return self._known[key]
 
@@ -252,7 +255,11 @@ class Explorer:
             q = space.mean.copy()
             for i, name in enumerate(space.names):
                 q[i] = candidate.fit.q[candidate.fit.space.names.index(name)]
-            fit = fit_model(self.prepared, space, q, candidate.fit.begun, options=REFIT)
+            try:
+                fit = fit_model(self.prepared, space, q, candidate.fit.begun, options=REFIT)
+            except ValueError:  # a cable that only the effect kept from collapsing
+                q = cold_start(self.prepared, space)
+                fit = fit_model(self.prepared, space, q, options=REFIT)
             self._known[key] = self._weigh(rest, fit)
         return self._known[key]
 

@@ -111,20 +111,8 @@ def fit_model(
     raises  ValueError: the model cannot be simulated at the start
     """
     trials = fit_trials(prepared) if trials is None else trials
-    unknown = {t.name: b for t in trials if (b := prepared.beginning(t)).count}
-    p, std = len(space.names), _joined([b.std for b in unknown.values()])
-    limit = _joined([b.limit for b in unknown.values()])
-    precision = np.zeros((p + len(std), p + len(std)))
-    precision[:p, :p] = space.precision
-    precision[p:, p:] = np.diag(1.0 / std**2)
-    problem = gauss_newton.Problem(
-        residuals=lambda q: residuals(prepared, space, trials, q) / temper,
-        mean=np.concatenate([space.mean, np.zeros(len(std))]),
-        precision=precision,
-        step=np.concatenate([space.step, _joined([b.step for b in unknown.values()])]),
-        low=np.concatenate([space.low, -limit]),
-        high=np.concatenate([space.high, limit]),
-    )
+    p, std = len(space.names), _joined([prepared.beginning(t).std for t in trials])
+    problem = problem_of(prepared, space, trials, temper)
     begin = _nearer_beginning(prepared, space, trials, start, begun or {})
     solution = gauss_newton.minimise(problem, begin, options)
     solution = replace(
@@ -136,6 +124,29 @@ def fit_model(
     chi2 = float(solution.residual @ solution.residual)
     at_first = {name: rows[0] for name, rows in found.items()}
     return Fit(space, q, at_first, solution, chi2, solution.objective, overall(errors), std)
+
+
+def problem_of(
+    prepared: PreparedStudy, space: ParameterSpace, trials: Sequence[Trial], temper: float = 1.0
+) -> gauss_newton.Problem:
+    """What a fit minimises: over the cable's coordinates, then the trials' beginnings.
+
+    temper  residuals are divided by it
+    """
+    unknown = [prepared.beginning(t) for t in trials]
+    p, std = len(space.names), _joined([b.std for b in unknown])
+    limit = _joined([b.limit for b in unknown])
+    precision = np.zeros((p + len(std), p + len(std)))
+    precision[:p, :p] = space.precision
+    precision[p:, p:] = np.diag(1.0 / std**2)
+    return gauss_newton.Problem(
+        residuals=lambda q: residuals(prepared, space, trials, q) / temper,
+        mean=np.concatenate([space.mean, np.zeros(len(std))]),
+        precision=precision,
+        step=np.concatenate([space.step, _joined([b.step for b in unknown])]),
+        low=np.concatenate([space.low, -limit]),
+        high=np.concatenate([space.high, limit]),
+    )
 
 
 def _joined(parts: Sequence[FloatArray]) -> FloatArray:

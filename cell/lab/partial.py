@@ -17,7 +17,7 @@ from cell.cable.effects.base import Effect
 from cell.identify.noise import Noise
 from cell.lab.doubts import at_bound
 from cell.lab.explore import Candidate, Explorer
-from cell.lab.leftover import leftover, peak, removed_share
+from cell.lab.leftover import deviance, leftover, peak, removed_share
 from cell.lab.prepared import PreparedStudy, all_fitted
 from cell.lab.results import Nearest, RemainingError
 from cell.lab.rules import Rules
@@ -26,6 +26,11 @@ from cell.lab.verdict import added_effect, chance, close_rivals, errors_of
 
 #: Its error is far below what a model errs by that explains a study in part; it saves time.
 COARSE = Solver(segments=20, step_s=1.5e-3)
+
+#: All is weighed anew by the least error found if that is below this share of the one it was
+#: weighed by, so often at most.
+WEIGHED_ANEW = 0.5
+MOST_WEIGHINGS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,16 +55,16 @@ def explain_partly(
     tried    candidates so far: what the best of them leaves is the model's own error
     library  number of effects to choose from
     """
-    together = all_fitted(explorer.prepared.study)
-    weighed = PreparedStudy.of(
-        together,
-        misfit=_own_error(explorer, tried),
-        solver=COARSE,
-        work=explorer.prepared.work,
-    )
-    whole = Explorer(weighed, explorer.space, explorer.library, explorer.progress, explorer.prior_q)
-    base = whole.baseline()
-    singles = whole.add(base, whole.worth_refitting(base, rules.best))
+    error = _own_error(explorer, tried)
+    for _ in range(MOST_WEIGHINGS):
+        whole = _weighed_by(explorer, error)
+        base = whole.baseline()
+        singles = whole.add(base, whole.worth_refitting(base, rules.best))
+        before, error = error, _own_error(whole, whole.known())
+        # Fits that were stuck have an error that is no model's own; trials that weigh little are
+        # fitted from anywhere.
+        if error.std_m > WEIGHED_ANEW * before.std_m:
+            break
     steps, options = [base], singles
     while True:
         better = largest_step(whole, steps[-1], options, library - len(steps) + 1, rules)
@@ -71,7 +76,36 @@ def explain_partly(
         options = whole.add(better, whole.worth_refitting(better, rules.best))
     if len(steps) > 2:
         steps = _in_order(whole, base, _exchanged(whole, steps[-1], rules))
+    if len(steps) == 2:
+        for rival in _near(whole, steps[1], singles, rules):
+            whole.add(rival, whole.worth_refitting(rival, rules.best))
     return Partial(whole, tuple(singles), tuple(steps))
+
+
+def _near(
+    explorer: Explorer, final: Candidate, singles: Sequence[Candidate], rules: Rules
+) -> list[Candidate]:
+    """The nearest other single effects, where `final`, itself one, leaves more than noise.
+
+    Something is missing beside each of them then, as beside `final`.
+    """
+    prepared = explorer.prepared
+    left = {c.names: leftover(prepared, c).mean_square_m2 for c in singles}
+    if left[final.names] < (rules.gross_misfit * prepared.floor.noise.std_m) ** 2:
+        return []
+    by_left = sorted(singles, key=lambda c: left[c.names])[: rules.nearest]
+    return [c for c in by_left if c.names != final.names]
+
+
+def _weighed_by(explorer: Explorer, error: Noise) -> Explorer:
+    """An explorer of all trials together, with a model's own error for noise."""
+    weighed = PreparedStudy.of(
+        all_fitted(explorer.prepared.study),
+        misfit=error,
+        solver=COARSE,
+        work=explorer.prepared.work,
+    )
+    return Explorer(weighed, explorer.space, explorer.library, explorer.progress, explorer.prior_q)
 
 
 def _exchanged(explorer: Explorer, final: Candidate, rules: Rules) -> Candidate:
@@ -152,14 +186,31 @@ def largest_step(
 def tied_so_far(
     explorer: Explorer, final: Candidate, effect: type[Effect], rules: Rules
 ) -> tuple[str, ...]:
-    """Effects that leave as little in place of `effect`, of the sets of effects fitted already."""
+    """Effects that leave as little in place of `effect`, of the sets of effects fitted already.
+
+    Of a single effect that leaves more than noise also those that do with one more beside them:
+    more than one is missing then, and what is nearest alone need not be one of these.
+    """
     rest = final.names - {effect.name}
     rivals = [
         c
         for c in explorer.known()
         if rest < c.names and len(c.names) == len(final.names) and c.names != final.names
     ]
-    return tuple(next(iter(c.names - rest)) for c in close_rivals(explorer, final, rivals, rules))
+    tied = [next(iter(c.names - rest)) for c in close_rivals(explorer, final, rivals, rules)]
+    near = [] if rest else _near(explorer, final, [final, *rivals], rules)
+    most = leftover(explorer.prepared, final)
+    for alone in near:
+        name = next(iter(alone.names))
+        in_company = [
+            c
+            for c in explorer.known()
+            if alone.names < c.names and effect.name not in c.names and not _at_bound(alone, c)
+        ]
+        left = [leftover(explorer.prepared, c) for c in in_company]
+        if name not in tied and any(deviance(most, x) <= 0.0 for x in left):
+            tied.append(name)
+    return tuple(tied)
 
 
 def nearest(partial: Partial, tried: Sequence[Candidate], rules: Rules) -> tuple[Nearest, ...]:

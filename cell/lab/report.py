@@ -23,12 +23,14 @@ from cell.lab.figures import (
     Series,
     by_trial,
     history,
+    profile_curves,
     profiles,
     ranking,
     residual_maps,
     waterfall,
 )
 from cell.lab.overlay import overlay
+from cell.lab.profiles import ParameterProfile, profile_sentences
 from cell.lab.results import Diagnosis
 from cell.lab.tables import (
     comparison_sentence,
@@ -74,9 +76,11 @@ function choose(name) {
   draw();
 }
 const chooser = document.getElementById('chooser');
-chooser.addEventListener('change', () => choose(chooser.value));
 for (const part of document.querySelectorAll('details')) part.addEventListener('toggle', draw);
-choose(chooser.value);
+if (chooser) {
+  chooser.addEventListener('change', () => choose(chooser.value));
+  choose(chooser.value);
+} else draw();
 """
 
 
@@ -151,6 +155,43 @@ def comparison_page(comparisons: Sequence[Comparison]) -> str:
         ]
     parts += [f"<h2>{_FAILS}</h2>", *_where(series), "<h2>Trial by trial</h2>", *_trials(ends)]
     return _page(f"Comparison with {first.study.name}", parts)
+
+
+def profile_page(study: str, found: Sequence[ParameterProfile]) -> str:
+    """Page of a model's profile likelihoods: curves, and intervals beside those of the fit."""
+    rows = [
+        [
+            p.name,
+            f"{p.fitted:.4g}",
+            _range(*p.wald),
+            f"{p.value:.4g}",
+            _range(p.low, p.high),
+            p.unit,
+        ]
+        for p in found
+    ]
+    said = "".join(f"<p>{html.escape(s)}.</p>" for s in profile_sentences(found))
+    parts = [
+        '<p class="note">Each parameter is held at values beside its best one and everything else '
+        "refitted; the rise of −2 ln likelihood reaches 3.84, dashed, at the ends of its 95 % "
+        "interval. Where the dotted parabola departs, the fit's own intervals do too. Diamonds: "
+        "another parameter has come to its bound, and the curve is not the measurement's "
+        "alone. What the model leaves beyond noise makes every frame count for less, and the prior "
+        "for more: so the likeliest value may differ from the fitted one.</p>",
+        said,
+        _plot(profile_curves(found)),
+        _table(
+            ["parameter", "fitted", "95 % by curvature", "likeliest", "95 % by profile", "unit"],
+            rows,
+            (1, 2, 3, 4),
+        ),
+    ]
+    return _page(f"Profiles of {study}", parts)
+
+
+def _range(low: float, high: float) -> str:
+    shown = [f"{v:.4g}" if np.isfinite(v) else "open" for v in (low, high)]
+    return " … ".join(shown)
 
 
 def _series(comparisons: Sequence[Comparison]) -> list[Series]:

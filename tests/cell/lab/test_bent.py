@@ -84,6 +84,19 @@ def examined(study, *names):
     return diagnose(explorer_of(study, EffectSelection((), candidates))).diagnosis
 
 
+def test_a_release_noted_30_ms_early_is_found():
+    """A bar's was, and a late camera named: a note was believed to 5 ms, and to 20 at most."""
+    t = np.arange(0.0, 1.2, 0.002)
+    still = Motion(t, 0.0 * t, 0.0 * t, 0.0 * t)
+    t_s = np.arange(0.002, t[-1], 0.01)
+    seen = simulate(truth(), still, t_s, ARCS_M, solver=WORLD, start="straight", release_s=0.13)[0]
+    seen = seen + NOISE_M * np.random.default_rng(6).normal(size=seen.shape)
+    trial = Trial("let_go", "fit", "straight", still, Markers(t_s, seen), 0.1)
+    fit = explorer_of(Study("s", CABLE, ARCS_M, (trial,)), EffectSelection((), {})).baseline().fit
+    assert fit.begun["let_go"][0] == pytest.approx(0.03, abs=5e-4)
+    assert fit.rms_m == pytest.approx(NOISE_M, rel=0.05)
+
+
 @pytest.mark.parametrize("made", [held, moving])
 def test_the_cable_is_found_however_it_begins(made):
     study = made()

@@ -1,11 +1,13 @@
 """Parameters from all trials: trials of one cable agree, of two cables they do not."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 
 from cell.cable.effects import library
 from cell.identify.parameters import ParameterSpace
+from cell.lab import estimate as estimates
 from cell.lab.estimate import estimate
 from cell.lab.explore import cold_start
 from cell.lab.fitting import fit_model
@@ -41,3 +43,16 @@ def test_trials_of_different_cables_disagree_and_widen_the_interval(make_study):
     interval = found.intervals(mass)["mass_kg"]
     alone = estimate(*fitted(one)).intervals(mass)["mass_kg"]
     assert interval.high - interval.low > 1.5 * (alone.high - alone.low)
+
+
+def test_a_fit_whose_last_place_cannot_be_simulated_is_its_own_estimate(monkeypatch):
+    """A diagnosis ended there with "the model cannot be simulated at the start of the fit"."""
+
+    def impossible(*args, **options):
+        raise ValueError
+
+    monkeypatch.setattr(estimates, "fit_model", impossible)
+    study = SimpleNamespace(trials=())
+    fit = SimpleNamespace(space=None, q=None, begun={})
+    found = estimate(SimpleNamespace(study=study), fit)
+    assert (found.fit, found.disagreement) == (fit, 1.0)

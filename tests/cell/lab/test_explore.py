@@ -2,12 +2,14 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from cell.cable.effects import library, load_effect
 from cell.identify.parameters import ParameterSpace
 from cell.lab import explore
 from cell.lab.explore import Candidate, Explorer
+from cell.lab.fitting import space_with
 from cell.lab.prepared import PreparedStudy
 from cell.lab.terms import admissible, effect_source
 
@@ -78,3 +80,29 @@ def test_what_was_taken_as_far_as_it_goes_is_not_taken_there_again(
     for _ in range(3):
         explorer.add(base, [effect])
     assert fits.count(explore.POLISH) == polished
+
+
+def test_a_cable_that_only_an_effect_kept_from_collapsing_is_begun_anew_without_it(
+    make_study, monkeypatch
+):
+    """A diagnosis ended there with "the model cannot be simulated at the start of the fit"."""
+    effect = library()["tip_mass"]
+    study = make_study(seed=2)
+    explorer = Explorer(PreparedStudy.of(study), ParameterSpace.of(study.cable), {"x": effect})
+    space = space_with(explorer.space, [effect])
+    q = space.mean - 100.0
+    fit = SimpleNamespace(space=space, q=q, begun={})
+    begun = []
+
+    def fit_model(prepared, space, start, *args, **options):
+        begun.append(start)
+        if len(begun) == 1:
+            raise ValueError
+        return "found"
+
+    monkeypatch.setattr(explore, "fit_model", fit_model)
+    monkeypatch.setattr(explore, "cold_start", lambda *args: "cold")
+    monkeypatch.setattr(Explorer, "_weigh", lambda explorer, effects, fit: fit)
+    assert explorer.without(Candidate((effect,), fit, None, 0.0), effect) == "found"
+    assert np.array_equal(begun[0], q[:-1])
+    assert begun[1] == "cold"

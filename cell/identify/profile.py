@@ -1,0 +1,154 @@
+"""Profile likelihood: how much worse a fit becomes while one of its parameters is held elsewhere.
+
+Where the fit is not linear in its parameters, or one of them hardly matters, this is the interval,
+and the symmetric one from the curvature at the minimum is not.
+source  Venzon & Moolgavkar 1988, Appl. Stat. 37, 87; Raue et al. 2009, Bioinformatics 25, 1923
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri as normal_quantile
+
+from cell.identify.gauss_newton import Options, Problem, Solution, minimise
+
+FloatArray = NDArray[np.float64]
+
+CONFIDENCE = 0.95
+#: Points to a side on the way out, at most, and how far the next may lie beyond the last, in its
+#: distance from the minimum; what is not worse 3⁷ standard deviations away is flat.
+MOST_POINTS = 8
+FARTHER = 3.0
+#: The end is sought between two points until one of them is as near as this to 95 %, in standard
+#: deviations, with so many points more at most.
+NEAR = 0.05
+MOST_BETWEEN = 6
+TARGET = float(normal_quantile(0.5 + 0.5 * CONFIDENCE))
+#: A fit this much better than the one begun with, in standard deviations, is another minimum.
+BETTER = 0.1
+
+
+@dataclass(frozen=True)
+class ProfilePoint:
+    """The best fit with a parameter held.
+
+    q         where it is held
+    rise      of the objective above the minimum
+    at_bound  numbers of other parameters that came to a bound there: from such a point on the rise
+              is steeper or flatter than what was measured alone would say
+    """
+
+    q: float
+    rise: float
+    at_bound: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Of one parameter: points in its order, the minimum among them, and the interval of 95 %.
+
+    low, high   -∞ or ∞ where no value is excluded; the parameter's bound if that ends the interval
+    better      whether a lower minimum was found on the way: the fit was not at its best
+    """
+
+    points: tuple[ProfilePoint, ...]
+    low: float
+    high: float
+    better: bool
+
+
+def profile(problem: Problem, solution: Solution, index: int, options: Options) -> Profile:
+    """The profile of parameter `index` around a minimum, to both sides until 95 % is excluded.
+
+    problem   its residuals white and of unit size
+    solution  its minimum
+    """
+    best = ProfilePoint(float(solution.q[index]), 0.0)
+    left, low = _side(problem, solution, index, -1.0, options)
+    right, high = _side(problem, solution, index, 1.0, options)
+    points = (*reversed(left), best, *right)
+    return Profile(points, low, high, any(p.rise < -(BETTER**2) for p in points))
+
+
+def _side(
+    problem: Problem, solution: Solution, index: int, sign: float, options: Options
+) -> tuple[list[ProfilePoint], float]:
+    """Points to one side, outwards, and where the interval ends there."""
+    bound = float((problem.low if sign < 0.0 else problem.high)[index])
+    begin = float(solution.q[index])
+    points: list[ProfilePoint] = []
+    start = solution.q
+
+    def deviation(reach: float) -> float:
+        """Root of the rise so far away, in standard deviations; ∞ if it cannot be simulated."""
+        nonlocal start
+        held = begin + sign * reach
+        there = _held(problem, start, index, held, options)
+        if there is None:
+            return np.inf
+        rise = there.objective - solution.objective
+        points.append(ProfilePoint(held, rise, _bounds_met(solution, there, index)))
+        start = there.q
+        return float(np.sqrt(max(rise, 0.0)))
+
+    inside, outside = _bracket(
+        deviation, float(np.sqrt(solution.covariance[index, index])), abs(bound - begin)
+    )
+    points.sort(key=lambda p: abs(p.q - begin))
+    if outside is None:
+        return points, bound if inside[0] >= abs(bound - begin) else sign * np.inf
+    for _ in range(MOST_BETWEEN):
+        if min(TARGET - inside[1], outside[1] - TARGET) < NEAR:
+            break
+        share = 0.5
+        if np.isfinite(outside[1]):
+            share = float(np.clip((TARGET - inside[1]) / (outside[1] - inside[1]), 0.2, 0.8))
+        reach = inside[0] + share * (outside[0] - inside[0])
+        there = (reach, deviation(reach))
+        inside, outside = (there, outside) if there[1] < TARGET else (inside, there)
+    points.sort(key=lambda p: abs(p.q - begin))
+    share = (TARGET - inside[1]) / (outside[1] - inside[1])
+    return points, begin + sign * (inside[0] + share * (outside[0] - inside[0]))
+
+
+def _bracket(
+    deviation: Callable[[float], float], std: float, farthest: float
+) -> tuple[tuple[float, float], tuple[float, float] | None]:
+    """The last point inside the interval and the first outside: distance, deviation.
+
+    None if there is none before `farthest`, or on the way that is gone.
+    """
+    inside, reach = (0.0, 0.0), min(std, farthest)
+    for _ in range(MOST_POINTS):
+        if inside[0] >= farthest:
+            break
+        now = deviation(reach)
+        if now >= TARGET:
+            return inside, (reach, now)
+        wanted = 1.02 * (TARGET - now) * (reach - inside[0]) / max(now - inside[1], 1e-9)
+        nearest = 0.1 * (reach - inside[0])
+        inside = (reach, now)
+        reach = min(reach + float(np.clip(wanted, nearest, (FARTHER - 1.0) * reach)), farthest)
+    return inside, None
+
+
+def _held(
+    problem: Problem, start: FloatArray, index: int, value: float, options: Options
+) -> Solution | None:
+    """The minimum with one parameter held; None if the model cannot be simulated there."""
+    low, high, q = problem.low.copy(), problem.high.copy(), start.copy()
+    low[index] = high[index] = q[index] = value
+    try:
+        return minimise(replace(problem, low=low, high=high), q, options)
+    except ValueError:
+        return None
+
+
+def _bounds_met(solution: Solution, there: Solution, index: int) -> tuple[int, ...]:
+    """Parameters at a bound there that were inside at the minimum."""
+    met = solution.free & ~there.free
+    return tuple(int(i) for i in np.flatnonzero(met) if i != index)
