@@ -82,8 +82,8 @@ def _examined(explorer: Explorer, rules: Rules) -> Examination:
     current, cut_short = _searched(explorer, base, len(screened), rules)
     found = explains(explorer, base, current, rules)
     if found:
+        current, tied = _without_anybodys(explorer, base, current, rules)
         steps = _in_order(explorer, current)
-        tied = {e.name: _tied(explorer, current, e, rules) for e in _added(explorer, current)}
         partial = Partial(explorer, tuple(singles), (base,))
     else:
         steps, tied = (base,), {}
@@ -274,6 +274,24 @@ def _tied(
     close = close_rivals(explorer, final, rivals, rules)
     names = [next(iter(c.names - rest.names)) for c in close]
     return tuple(name for name in names if name not in final.names)
+
+
+def _without_anybodys(
+    explorer: Explorer, base: Candidate, found: Candidate, rules: Rules
+) -> tuple[Candidate, dict[str, tuple[str, ...]]]:
+    """What was found, and the ties of each effect, without one that too many others could be.
+
+    Not the only one, and only if what was found explains the study without it too: what any of
+    many effects does as well is none of them in particular.
+    """
+    added = _added(explorer, found)
+    tied = {e.name: _tied(explorer, found, e, rules) for e in added}
+    for effect in added if len(added) > 1 else ():
+        if len(tied[effect.name]) + 1 > rules.most_tied:
+            rest = explorer.without(found, effect)
+            if explains(explorer, base, rest, rules):
+                return _without_anybodys(explorer, base, rest, rules)
+    return found, tied
 
 
 def _all_found(

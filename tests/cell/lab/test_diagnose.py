@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import jsonschema
 import numpy as np
@@ -9,7 +10,8 @@ import pytest
 
 from cell.cable.effects import library
 from cell.identify.parameters import ParameterSpace
-from cell.lab.diagnose import diagnose
+from cell.lab import diagnose as diagnosis_module
+from cell.lab.diagnose import _without_anybodys, diagnose
 from cell.lab.explore import Explorer
 from cell.lab.prepared import PreparedStudy
 from cell.lab.results import to_json
@@ -178,3 +180,28 @@ def test_practice_studies(practice, name):
     assert name in (found.missing[0].effect, *found.missing[0].tied_with)
     assert len(found.missing) == 1
     assert found.missing[0].errors.heldout_rms_m < 1.05 * found.noise_m
+
+
+def test_what_any_of_many_effects_does_beside_one_is_none_of_them(monkeypatch):
+    """One compliant grip, and a second effect that seven others would do as well as: a pair of
+    which one is in truth missing was a `cannot_tell`.
+    """
+    first, second = library()["grip_compliance"], library()["linear_air_drag"]
+    pair = SimpleNamespace(effects=[first, second])
+    alone = SimpleNamespace(effects=[first])
+    explorer = SimpleNamespace(
+        space=SimpleNamespace(effects=[]),
+        without=lambda found, effect: {second: alone}.get(effect),
+    )
+    ties = {first: (), second: ("a", "b", "c", "d", "e", "f", "g")}
+    monkeypatch.setattr(diagnosis_module, "_tied", lambda _, found, effect, rules: ties[effect])
+    enough = [True]
+    monkeypatch.setattr(diagnosis_module, "explains", lambda *args: enough[0])
+    given = (explorer, None, pair, DEFAULT_RULES)
+    assert _without_anybodys(*given) == (alone, {first.name: ()})
+    enough[0] = False
+    assert _without_anybodys(*given)[0] is pair
+    enough[0], ties[second] = True, ("a",)
+    assert _without_anybodys(*given)[0] is pair
+    ties[first] = ties[second] = ("a", "b", "c")
+    assert _without_anybodys(explorer, None, alone, DEFAULT_RULES)[0] is alone
