@@ -72,7 +72,7 @@ class _Watcher:
         self.troubles: list[str] = []
 
     def watch(self, until_s: float) -> None:
-        connected = True
+        connected = False
         while time.monotonic() < until_s:
             try:
                 if not connected:
@@ -114,7 +114,6 @@ def servo(seconds: float) -> Servo:
         devices = real_devices(settings)
         with EmulatedCell(settings, seed=1) as emulated, StallProbe() as probe:
             devices.gripper.connect()
-            devices.camera.connect()
             devices.arm.connect()
             devices.gripper.grip(settings.gripper.force_n)
             emulated.controller.ask("servo_gaps")

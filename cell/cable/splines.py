@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +41,7 @@ class Spline:
     noise_std: float
     root: FloatArray | None = None
 
-    @property
+    @cached_property
     def constant(self) -> bool:
         """Whether the signal never changes."""
         return not np.any(self.value != self.value[0])
@@ -48,6 +49,8 @@ class Spline:
     def __call__(self, t_s: FloatArray, derivative: int = 0) -> FloatArray:
         """Value (0) or first derivative (1) at times of any shape."""
         t = np.asarray(t_s, dtype=np.float64)
+        if self.constant:
+            return np.full(t.shape, 0.0 if derivative else self.value[0])
         flat = np.ascontiguousarray(t).ravel()
         out = _evaluate(self.t_s, self.value, self.bend, flat, derivative)
         return np.asarray(out.reshape(t.shape))
