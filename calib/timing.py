@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,8 @@ MOST_MISFIT_M = 0.0003
 #: Longest delays that are looked for, s: a USB camera's stamps are up to 0.9 s beside the clock.
 _LONGEST_S, _LONGEST_LAG_S = 1.0, 0.5
 _SMOOTHED_S, _GRID_S = 0.04, 0.01
+#: Apart so far are two delays of which the difference is taken; steps without a search, s.
+_APART_S, _STRIDE_S, _SETTLED_S, _STEPS = 2e-4, 0.02, 1e-7, 12
 
 
 @dataclass(frozen=True)
@@ -69,16 +71,58 @@ def arm_lag(told: Trajectory, hand: Trajectory) -> Delay:
     raises  OneSidedError, MisfitError
     """
     _check_speed(hand)
+    return _delay(_lag_residuals(told, hand), 0.0, _LONGEST_LAG_S, "arm")
+
+
+def _lag_residuals(told: Trajectory, hand: Trajectory) -> Callable[[float], FloatArray]:
+    """What a lag, s, leaves: (N, 2) m."""
     start = hand.at(float(told.t_s[0]))
     measured = np.stack([hand.x_m, hand.y_m], axis=1)
     keep = hand.t_s >= told.t_s[0]
 
     def left(lag_s: float) -> FloatArray:
-        meant = servo_response(told, lag_s, start=start)
+        meant = servo_response(told, max(lag_s, 0.0), start=start)
         path = np.stack([meant.x_m, meant.y_m], axis=1)
         return np.asarray(measured[keep] - _at(meant.t_s, path, hand.t_s[keep]))
 
-    return _delay(left, 0.0, _LONGEST_LAG_S, "arm")
+    return left
+
+
+def latency_change(stamps_s: FloatArray, seen_m: FloatArray, hand: Trajectory) -> Delay:
+    """By how much stamps are still late whose latency is taken off: near 0, without a search.
+
+    Takes milliseconds; what it takes and raises is that of `camera_latency`, but for misfits.
+    """
+    keep = np.all(np.isfinite(seen_m), axis=1)
+    stamps_s, seen_m = stamps_s[keep], seen_m[keep]
+    if len(stamps_s) < LEAST_FRAMES:
+        raise TooFewError(f"the jaw was found in {len(stamps_s)} frames", "light its marks")
+    said = np.stack([hand.x_m, hand.y_m], axis=1)
+
+    def left(delay_s: float) -> FloatArray:
+        off = seen_m - _at(hand.t_s, said, stamps_s - delay_s)
+        return np.asarray(off - off.mean(axis=0), dtype=np.float64)
+
+    return _nearby(left, 0.0)
+
+
+def lag_change(told: Trajectory, hand: Trajectory, lag_s: float) -> Delay:
+    """By how much the arm follows later than `lag_s`, without a search; see `arm_lag`."""
+    left = _lag_residuals(told, hand)
+    found = _nearby(left, lag_s)
+    return replace(found, value_s=found.value_s - lag_s)
+
+
+def _nearby(left: Callable[[float], FloatArray], start_s: float) -> Delay:
+    """Delay of least squares by Gauss and Newton from a start, and its interval."""
+    value_s = start_s
+    for _ in range(_STEPS):
+        slope, rest = _slope(left, value_s), left(value_s)
+        step_s = -float(np.sum(slope * rest)) / max(float(np.sum(slope**2)), 1e-30)
+        value_s = max(value_s + float(np.clip(step_s, -_STRIDE_S, _STRIDE_S)), start_s - _LONGEST_S)
+        if abs(step_s) < _SETTLED_S:
+            break
+    return _with_interval(left, value_s)
 
 
 def _delay(left: Callable[[float], FloatArray], low_s: float, high_s: float, of: str) -> Delay:
@@ -98,16 +142,24 @@ def _delay(left: Callable[[float], FloatArray], low_s: float, high_s: float, of:
         options={"xatol": 1e-7},
     )
     value_s = float(found.x)
-    rest = left(value_s)
-    rms = float(np.sqrt(np.mean(np.sum(rest**2, axis=1))))
-    if rms > MOST_MISFIT_M:
+    delay = _with_interval(left, value_s)
+    if delay.rms_m > MOST_MISFIT_M:
         raise MisfitError(
-            f"{of}: hand as seen and as told still differ by {rms * 1e3:.2f} mm rms, allowed "
-            f"{MOST_MISFIT_M * 1e3:g} mm",
+            f"{of}: hand as seen and as told still differ by {delay.rms_m * 1e3:.2f} mm rms, "
+            f"allowed {MOST_MISFIT_M * 1e3:g} mm",
             "calibrate the cell first; check payload and mounting, and that the camera is tight",
         )
-    step_s = 2e-4
-    slope = (left(value_s + step_s) - left(value_s - step_s)) / (2.0 * step_s)
+    return delay
+
+
+def _slope(left: Callable[[float], FloatArray], value_s: float) -> FloatArray:
+    return (left(value_s + _APART_S) - left(value_s - _APART_S)) / (2.0 * _APART_S)
+
+
+def _with_interval(left: Callable[[float], FloatArray], value_s: float) -> Delay:
+    """A delay with its interval, which allows for residuals that go together in time."""
+    rest, slope = left(value_s), _slope(left, value_s)
+    rms = float(np.sqrt(np.mean(np.sum(rest**2, axis=1))))
     score = np.sum(slope * rest, axis=1)
     total = sum_variance(score)
     information = float(np.sum(slope**2))

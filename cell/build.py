@@ -16,6 +16,7 @@ from cell.files.input_error import InputError
 from cell.plan.choose import ChoiceOptions
 from cell.plan.destination import Destination
 from cell.plan.paths import MotionLimits
+from cell.run.clocks import KnownDelays
 from cell.run.cycle import Cell
 from cell.run.station import Task
 from cell.settings import Settings
@@ -239,11 +240,19 @@ def cell_task(settings: Settings, known: Calibrated | None = None) -> Task:
         force_n=settings.gripper.force_n,
         view=known.view,
         map_std_m=known.map_std_m,
+        delays=_delays(settings, known),
         vision=vision_of(settings),
         identification=identification_of(settings),
         choice=_choice(settings, known),
         model=model_hash(settings.model),
     )
+
+
+def _delays(settings: Settings, known: Calibrated) -> KnownDelays | None:
+    """How well the delays are known, and what they may change by; None = not known."""
+    if known.delays_95_s is None or settings.calibration is None:
+        return None
+    return KnownDelays(*known.delays_95_s, settings.calibration.max_time_error_s, known.remedy)
 
 
 def _choice(settings: Settings, known: Calibrated) -> ChoiceOptions:

@@ -108,6 +108,9 @@ GO_HOME = Step(movements.HOME, steps.go_home, with_rejected=True)
 
 LOWER = Step("lower", steps.lower, holding=True, may_pause=True)
 HOLD = Step("hold_and_capture", steps.hold_and_capture, holding=True, hand_waits=True)
+CHECK_CLOCKS = Step(
+    "check_clocks", steps.check_clocks, computes=True, holding=True, hand_waits=True, once=True
+)
 IDENTIFY = Step("identify", steps.identify, computes=True, holding=True, hand_waits=True)
 SIMULATE = Step("simulate", steps.simulate, computes=True, holding=True, hand_waits=True)
 CHOOSE = Step("choose", steps.choose, computes=True, holding=True, hand_waits=True)
@@ -126,6 +129,7 @@ INSERTING = Plan(
         GRASP,
         LOWER,
         HOLD,
+        CHECK_CLOCKS,
         IDENTIFY,
         Repeat((SIMULATE, CHOOSE), steps.review_choice, until=lambda f: f.decided),
         EXECUTE,

@@ -14,6 +14,7 @@ from cell.identify.individual import IdentifyOptions
 from cell.plan.choose import ChoiceOptions
 from cell.plan.destination import Destination
 from cell.plan.paths import MotionLimits
+from cell.run.clocks import KnownDelays
 from cell.run.commands import Commands
 from cell.vision.detect import VisionOptions
 from drivers.interfaces import Devices, Pose
@@ -48,6 +49,8 @@ class Task:
     model: str
     map_std_m: float = 0.0
     """Of a point's place by the view, over both axes together."""
+    delays: KnownDelays | None = None
+    """None = latency and lag are typed: nothing says how well they are known."""
 
     @property
     def lowered(self) -> Pose:

@@ -22,6 +22,7 @@ from cell.plan.measuring import Measuring, measuring_path
 from cell.plan.passage import measured_passage
 from cell.plan.paths import MotionLimits, identification_path, path_to
 from cell.records.result import Outcome
+from cell.run.clocks import delay_checks
 from cell.run.early_estimate import EarlyEstimator, simulate_offsets
 from cell.run.filming import capture, film
 from cell.run.findings import Filming, Findings, required
@@ -192,17 +193,22 @@ def grasp(station: Station, findings: Findings) -> Findings:
 
 def lower(station: Station, findings: Findings) -> Findings:
     """Begin to film the cable at rest, then move it down so that it swings."""
+    task, path = station.task, lowering_path(station)
+    return replace(
+        findings, filming=film(station, path, task.still_s, task.hold_s, KEEP_EVERY_HELD)
+    )
+
+
+def lowering_path(station: Station) -> Trajectory:
+    """The motion that makes the cable swing, from time 0."""
     task = station.task
-    path = identification_path(
+    return identification_path(
         task.home,
         task.lower_m,
         task.lowering,
         station.devices.arm.rate_hz,
         duration_s=task.lower_s,
         hold_s=0.0,
-    )
-    return replace(
-        findings, filming=film(station, path, task.still_s, task.hold_s, KEEP_EVERY_HELD)
     )
 
 
@@ -225,6 +231,36 @@ def hold_and_capture(station: Station, findings: Findings) -> Findings:
         lead_s=station.task.decide_s,
         waiting_since_s=held.seen_at_s,
     )
+
+
+def check_clocks(station: Station, findings: Findings) -> Findings:
+    """Whether latency and lag are still as calibrated, from the motion that was filmed anyway.
+
+    raises  DeviceError: they are not, with the command that mends it
+    """
+    task, held = station.task, required(findings.held)
+    if task.delays is None:
+        return findings
+    path = lowering_path(station)
+    told = replace(path, t_s=path.t_s + held.begin_s + task.still_s)
+    checks = delay_checks(
+        np.array([s.t_s for s in held.sightings]),
+        np.array([s.grip_m for s in held.sightings]),
+        held.hand,
+        told,
+        station.devices.arm.lag_s,
+        task.delays,
+    )
+    for check in checks:
+        if not check.right:
+            device, _, what = check.what.partition(": ")
+            raise DeviceError(
+                device,
+                f"{what} {check.found * 1e3:+.2f} ms since it was calibrated, at most "
+                f"{1e3 * (check.high or 0.0):.2f} ms are allowed",
+                check.remedy,
+            )
+    return replace(findings, checks=checks)
 
 
 def identify(station: Station, findings: Findings) -> Findings:

@@ -32,6 +32,8 @@ class Calibrated:
     view       pixel → plane
     latency_s  of the camera's stamps; lag_s of the arm
     map_std_m  standard deviation of a point's place by the map, over both axes; 0 = not known
+    delays_95_s  half widths of the 95 % intervals of latency and lag; None = as typed
+    remedy     the command that mends them
     notes      what a person should know
     grip       (4,) gripping point x and y in the frame of the jaw's discs, m; clamp angle against
                them, rad; free length, m; None = as typed
@@ -43,6 +45,8 @@ class Calibrated:
     map_std_m: float = 0.0
     notes: tuple[str, ...] = ()
     grip: FloatArray | None = None
+    delays_95_s: tuple[float, float] | None = None
+    remedy: str = ""
 
 
 def board_of(settings: Settings) -> Board:
@@ -115,6 +119,8 @@ def calibrated(settings: Settings, config: Path, now: datetime | None = None) ->
                 _grip_words(grip, now),
             ),
             None if grip is None else grip_of_stored(grip),
+            (float(time.error["latency_95_s"]), float(time.error["lag_95_s"])),
+            f"run `cell calibrate time --config {config}`",
         )
     except (StoreError, KeyError) as error:
         raise InputError([Problem(folder / "cell.yaml", 1, None, "", str(error))]) from error

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.errors import MisfitError, OneSidedError, TooFewError
-from calib.timing import arm_lag, camera_latency
+from calib.timing import arm_lag, camera_latency, lag_change, latency_change
 from drivers.interfaces import Trajectory
 from drivers.servo import servo_response
 
@@ -46,6 +46,16 @@ def test_latency_and_lag_are_found_apart_and_their_intervals_hold():
         lag.append(abs(b.value_s - lag_s) <= b.half_width_s)
     assert 34 <= sum(late) <= 40
     assert 34 <= sum(lag) <= 40
+
+
+@pytest.mark.parametrize("changed_s", [0.0, 0.003, -0.002, 0.06])
+def test_what_changed_since_is_found_without_a_search(changed_s):
+    rng = np.random.default_rng(8)
+    told, hand, stamps_s, seen = measured(rng, changed_s, 0.03 + abs(changed_s))
+    late, lag = latency_change(stamps_s, seen, hand), lag_change(told, hand, 0.03)
+    assert late.value_s == pytest.approx(changed_s, abs=2e-4)
+    assert lag.value_s == pytest.approx(abs(changed_s), abs=2e-4)
+    assert abs(late.value_s - changed_s) <= 2.0 * late.half_width_s < 4e-4
 
 
 def test_a_camera_that_stamps_early_has_a_negative_latency():

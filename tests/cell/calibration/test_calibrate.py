@@ -32,9 +32,9 @@ CAMERA = (
 )
 
 
-def settings_file(folder: Path, name="cell.yaml", column=1000.0, late_s=0.02) -> Path:
+def settings_file(folder: Path, name="cell.yaml", column=1000.0, late_s=0.02, lag_s=0.034) -> Path:
     text = Path("config/fake.yaml").read_text().replace(VIEW, "")
-    world = f"\nworld:\n  arm_lag_s: 0.034\n  camera: {CAMERA % (column, late_s)}\n"
+    world = f"\nworld:\n  arm_lag_s: {lag_s}\n  camera: {CAMERA % (column, late_s)}\n"
     text = text.replace("\nworld:", f"\ncalibration: {{folder: {folder / 'calib'}}}\n{world}", 1)
     held = f"{{grip_angle: {{angle_rad: {ASKEW_RAD}}}, grip_slip: {{length_m: {LONGER_M}}}}}"
     text = re.sub(r"effects: \{\}.*", f"effects: {held}", text)
@@ -117,6 +117,33 @@ def test_without_a_grip_the_cell_says_so(folder, tmp_path):
     assert known.grip is None
     assert "uncalibrated: gripping point, clamp angle and free length are as typed" in known.notes
     assert cell_task(settings, known).cable.free_length_m == settings.cable.free_length_m
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"late_s": 0.023}, r"camera: stamps late by \+3\.0\d ms since it was calibrated"),
+        ({"lag_s": 0.037}, r"arm: lag changed by \+[23]\.\d\d ms since it was calibrated"),
+    ],
+)
+def test_a_run_refuses_delays_that_changed_since_from_its_first_motion(
+    folder, tmp_path, change, words
+):
+    config = settings_file(folder, "later.yaml", **change)
+    code, out, _ = called("run", "--config", config, "--out", tmp_path, "--json")
+    result = json.loads(out)
+    assert (code, result["outcome"], result["fault"]["step"]) == (1, "failed", "check_clocks")
+    said = f"{result['fault']['device']}: {result['fault']['cause']}"
+    assert re.search(words, said), said
+    assert result["fault"]["remedy"] == f"run `cell calibrate time --config {config}`"
+
+
+def test_a_run_with_delays_as_calibrated_records_them(folder, tmp_path):
+    code, out, _ = called("run", "--config", folder / "cell.yaml", "--out", tmp_path, "--json")
+    late, lag = json.loads(out)["checks"]
+    assert code == 0
+    assert (late["what"], lag["what"]) == ("camera: stamps late by", "arm: lag changed by")
+    assert max(abs(late["found"]), abs(lag["found"])) < 2e-4
 
 
 def test_reports_and_summary_are_there(folder):

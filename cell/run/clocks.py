@@ -1,0 +1,69 @@
+"""Whether camera and arm still keep the time that was calibrated, from a cycle's own motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.timing import LEAST_FRAMES, Delay, lag_change, latency_change
+from cell.records.result import Check
+from drivers.interfaces import Trajectory
+
+FloatArray = NDArray[np.float64]
+
+#: Seen further than this beside the arm's own log, rms, the motion tells no delays, m.
+_MOST_MISFIT_M = 0.0005
+
+
+@dataclass(frozen=True)
+class KnownDelays:
+    """How well latency and lag are known, and what they may have changed by since.
+
+    latency_95_s, lag_95_s  half widths of their 95 % intervals when they were calibrated
+    most_change_s           beyond those
+    remedy                  what a person does when they have changed
+    """
+
+    latency_95_s: float
+    lag_95_s: float
+    most_change_s: float
+    remedy: str
+
+
+def delay_checks(
+    stamps_s: FloatArray,
+    seen_m: FloatArray,
+    hand: Trajectory,
+    told: Trajectory,
+    lag_s: float,
+    known: KnownDelays,
+) -> tuple[Check, ...]:
+    """Latency and lag beside those in use; nothing if the motion does not show them.
+
+    stamps_s  (N,) of frames, the latency taken off
+    seen_m    (N, 2) gripping point as seen, nan where it was not
+    hand      measured poses of the same time
+    told      the path, its times on the cell's clock
+    lag_s     that is in use
+    """
+    if np.count_nonzero(np.isfinite(seen_m[:, 0])) < LEAST_FRAMES:
+        return ()
+    found = (
+        ("camera: stamps late by", latency_change(stamps_s, seen_m, hand)),
+        ("arm: lag changed by", lag_change(told, hand, lag_s)),
+    )
+    stored = (known.latency_95_s, known.lag_95_s)
+    return tuple(
+        _check(what, delay, known.most_change_s + half_s, known.remedy)
+        for (what, delay), half_s in zip(found, stored, strict=True)
+    )
+
+
+def _check(what: str, delay: Delay, most_s: float, remedy: str) -> Check:
+    """Refuses only what its own interval does not explain."""
+    most_s += delay.half_width_s
+    if delay.rms_m > _MOST_MISFIT_M:
+        return Check(f"{what}, not told by this motion", delay.value_s, "s")
+    return Check(what, delay.value_s, "s", -most_s, most_s, remedy)
