@@ -12,6 +12,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from calib.cell import CellFit
 from calib.errors import CalibrationError
 from calib.plane import PlaneView
 from calib.store import StoredCalibration, StoreError, load, save
@@ -142,7 +143,7 @@ class CalibrationJob:
             shown = measure.show_hand(
                 self._open(),
                 self._assistant,
-                lambda some: conclude.cell_from(some, camera, self._settings),
+                lambda some: self._first_fit(some, camera),
                 self._say,
             )
             raw.save_cell(self._raw("cell"), shown)
@@ -153,6 +154,16 @@ class CalibrationJob:
         stored = conclude.stored_cell(fit, classic_m, self._settings)
         self._report("cell", cell_report(stored, fit, shown, classic_m, self._settings))
         return stored
+
+    def _first_fit(self, some: raw.ShownCell, camera: StoredCalibration) -> CellFit:
+        """The fit of the first poses, which are kept if it is refused."""
+        try:
+            return conclude.cell_from(some, camera, self._settings)
+        except CalibrationError:
+            folder = self._raw("cell")
+            raw.save_cell(folder, some)
+            self._say(f"{len(some.poses)} poses are kept in {folder}, for --from")
+            raise
 
     def _time(self, source: Path | None) -> StoredCalibration:
         told_s = 0.0

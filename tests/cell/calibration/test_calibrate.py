@@ -12,10 +12,12 @@ import pytest
 from typer.testing import CliRunner
 
 from calib.camera import picture_grid
+from calib.errors import MisfitError
 from calib.lens import Lens
 from calib.plane import PlaneView
 from calib.store import load
 from cell.build import cell_task
+from cell.calibration.raw import read_cell
 from cell.cli import app
 from cell.settings import load_settings
 from cell.settings.calibrated import calibrated
@@ -227,6 +229,24 @@ def test_an_impossible_board_is_named_with_its_file(tmp_path):
     assert code == 2
     assert f"{config}:" in refused
     assert "must be one of 4X4_50" in refused
+
+
+def test_poses_of_which_no_map_follows_are_kept_for_another_try(folder, tmp_path, monkeypatch):
+    config = settings_file(tmp_path)
+    shutil.copytree(folder / "calib", tmp_path / "calib", dirs_exist_ok=True)
+    shutil.rmtree(tmp_path / "calib" / "recorded")
+
+    def refused(*_: object) -> None:
+        raise MisfitError("the marks are beside where they must be", "check the plate")
+
+    monkeypatch.setattr("cell.calibration.conclude.cell_from", refused)
+    code, _, said = called("calibrate", "cell", "--config", config)
+    (kept,) = (tmp_path / "calib" / "recorded").glob("cell-*")
+    assert code == 2
+    assert f"9 poses are kept in {kept}, for --from" in said
+    monkeypatch.undo()
+    assert len(read_cell(kept).poses) == 9
+    assert called("calibrate", "cell", "--config", config, "--from", kept)[0] in (0, 1)
 
 
 def test_a_hand_that_does_not_rest_is_told(folder, tmp_path):
