@@ -87,6 +87,10 @@ class Solution:
     promised: float = 0.0
 
 
+class UnsimulatedError(ValueError):
+    """A fit begun where its model cannot be simulated.  Scenario: a cable too soft for its load."""
+
+
 def minimise(problem: Problem, start: FloatArray, options: Options = Options()) -> Solution:
     """Minimum near `start`.
 
@@ -94,13 +98,13 @@ def minimise(problem: Problem, start: FloatArray, options: Options = Options()) 
     costs one pass; with `options.updates` some cost one lane.  The last step, smaller than the
     tolerance, is taken without another pass: residuals and derivatives are then those of the
     linear model.
-    raises  ValueError: the residuals at `start` are not finite
+    raises  UnsimulatedError: the residuals at `start` are not finite
     source  Madsen, Nielsen & Tingleff 2004, Methods for Non-Linear Least Squares, alg. 3.16, with
             damping relative to the diagonal and 0 at first; bounds by active set
     """
     here = _linearise(problem, np.clip(start, problem.low, problem.high))
     if not here.usable:
-        raise ValueError("the model cannot be simulated at the start of the fit")
+        raise UnsimulatedError("the model cannot be simulated at the start of the fit")
     damping, growth, passes, converged, idle = 0.0, 2.0, 1, False, 0
     while True:
         normal = here.jacobian.T @ here.jacobian + problem.precision

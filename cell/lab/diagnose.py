@@ -10,13 +10,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cell.cable.effects.base import Effect
-from cell.lab.doubts import doubts, interrupted_doubt, unseen_doubt
+from cell.identify.gauss_newton import UnsimulatedError
+from cell.lab.doubts import (
+    doubts,
+    interrupted_doubt,
+    is_no_model,
+    no_model_doubt,
+    unseen_doubt,
+    unsimulated_doubt,
+)
 from cell.lab.estimate import Estimate, estimate
 from cell.lab.explore import Candidate, Explorer, Gain
 from cell.lab.leftover import leftover, removed_share
 from cell.lab.partial import Partial, explain_partly, nearest, tied_so_far, what_is_left
 from cell.lab.prepared import PreparedStudy, StoppedError
-from cell.lab.results import Diagnosis, MissingEffect, RankedEffect, Status, Verdict
+from cell.lab.results import Diagnosis, Doubt, MissingEffect, RankedEffect, Status, Verdict
 from cell.lab.rules import DEFAULT_RULES, Rules
 from cell.lab.score import holm
 from cell.lab.screen import ScreenedEffect
@@ -63,7 +71,8 @@ def diagnose(explorer: Explorer, rules: Rules = DEFAULT_RULES) -> Examination:
     held-out trials.  Then every effect found is exchanged for every other while that brings
     evidence, and each is tested again with all others in.
 
-    raises  StoppedError: stopped before the baseline was fitted; later, what is known is returned
+    raises  StoppedError, UnsimulatedError: before the baseline was fitted; later, what is known is
+            returned
     """
     try:
         return _examined(explorer, rules)
@@ -72,11 +81,18 @@ def diagnose(explorer: Explorer, rules: Rules = DEFAULT_RULES) -> Examination:
             raise
         explorer.prepared.work.stopped = False
         return _so_far(explorer, rules)
+    except UnsimulatedError:
+        if not explorer.begun():
+            raise
+        base = explorer.baseline()
+        return _unsearched(explorer, base, rules, "cannot_tell", unsimulated_doubt())
 
 
 def _examined(explorer: Explorer, rules: Rules) -> Examination:
     base = explorer.baseline()
     _LOG.info("study %s, baseline: %s", explorer.prepared.study.name, _errors_in_words(base))
+    if is_no_model(explorer, base.fit):
+        return _unsearched(explorer, base, rules, "unexplained", no_model_doubt())
     screened = explorer.screened(base)
     singles = explorer.add(base, explorer.worth_refitting(base, rules.best))
     current, cut_short = _searched(explorer, base, len(screened), rules)
@@ -114,18 +130,27 @@ def _examined(explorer: Explorer, rules: Rules) -> Examination:
 def _so_far(explorer: Explorer, rules: Rules) -> Examination:
     """What is known of a study when its diagnosis is stopped, nothing of it confirmed."""
     base = explorer.baseline()
+    tried = sum(len(c.names) == len(base.names) + 1 for c in explorer.known())
+    doubt = interrupted_doubt(f"{tried} effects were fitted so far, nothing is confirmed")
+    return _unsearched(explorer, base, rules, "cannot_tell", doubt)
+
+
+def _unsearched(
+    explorer: Explorer, base: Candidate, rules: Rules, verdict: Verdict, why: Doubt
+) -> Examination:
+    """What is known of a study without a search, or before its end; nothing of it is confirmed."""
     one_more = len(base.names) + 1
     singles = tuple(c for c in explorer.known() if len(c.names) == one_more)
     partial = Partial(explorer, singles, (base,))
     diagnosis = Diagnosis(
         noise_m=explorer.prepared.floor.noise.std_m,
         baseline=errors_of(base),
-        verdict="cannot_tell",
+        verdict=verdict,
         ranking=_ranking(explorer, base, base, singles, set(), rules),
         left=what_is_left(explorer, base, base),
         nearest=nearest(partial, singles, rules),
         warnings=(
-            interrupted_doubt(f"{len(singles)} effects were fitted so far, nothing is confirmed"),
+            why,
             *doubts(explorer, explorer, base, cut_short=False),
         ),
     )

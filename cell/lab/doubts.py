@@ -10,6 +10,10 @@ from cell.lab.results import Doubt
 
 #: A model that leaves this share of what the markers move (rms) is no model of the cable.
 HOPELESS_SHARE = 0.5
+#: One that leaves more than this many times as much is not of this cable in this frame; an effect
+#: beside it is not looked for.  Cables in need of an effect have left 1.2 times as much, mirrored
+#: ones 3 to 12.
+NO_MODEL = 2.0
 #: Error over noise from which a fit's intervals rest on the model's own error.
 BEYOND_NOISE = 3.0
 
@@ -55,6 +59,31 @@ def fit_doubts(explorer: Explorer, candidate: Candidate) -> tuple[Doubt, ...]:
             if not np.isfinite(predicted).all()
         ]
     return tuple(found)
+
+
+def is_no_model(explorer: Explorer, fit: Fit) -> bool:
+    """Whether a fit misses so much more than the markers move that no effect can be what lacks."""
+    return fit.rms_m > NO_MODEL * _moved_m(explorer)
+
+
+def no_model_doubt() -> Doubt:
+    """Of a diagnosis that looked for no effect."""
+    return Doubt(
+        "not_searched",
+        "no effect was looked for: what misses more than the markers move is no model of this "
+        "cable; mend the study first (the signs of y_m and angle_rad, gravity, the order of the "
+        "markers, the datasheet, one clock for both files)",
+    )
+
+
+def unsimulated_doubt() -> Doubt:
+    """Of a diagnosis that could not go on: it says what it knew until then."""
+    return Doubt(
+        "unsimulated",
+        "the search ended at a model that cannot be simulated; what was fitted until then is "
+        "told, nothing is confirmed: a baseline this far off hints at the study's frame, its "
+        "datasheet or its clock",
+    )
 
 
 def doubts(

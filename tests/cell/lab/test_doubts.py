@@ -10,6 +10,11 @@ from typer.testing import CliRunner
 from cell.cable.effects import library
 from cell.cable.geometry import Motion
 from cell.cli import app
+from cell.identify.gauss_newton import UnsimulatedError
+from cell.identify.parameters import ParameterSpace
+from cell.lab.diagnose import diagnose
+from cell.lab.explore import Explorer
+from cell.lab.prepared import PreparedStudy
 from cell.study.data import Markers
 from cell.study.folder import write_study
 
@@ -82,3 +87,37 @@ def test_a_held_out_trial_that_diverges_is_a_finding_not_an_end(loaded, tmp_path
     done = run(app, [*given, "--json", str(out), "--report", str(page)])
     assert done.exit_code == 0, done.output
     assert json.loads(out.read_text())["heldout_rms_m"] is None
+
+
+def test_beside_what_is_no_model_of_the_cable_nothing_is_looked_for(make_study, monkeypatch):
+    """Seen upside down: a minute went into effects that might make up for it."""
+    study = make_study(seed=2)
+    flipped = [
+        replace(t, markers=Markers(t.markers.t_s, t.markers.xy_m * [1.0, -1.0]))
+        for t in study.trials
+    ]
+    explorer = Explorer(
+        PreparedStudy.of(replace(study, trials=tuple(flipped))),
+        ParameterSpace.of(study.cable),
+        {"tip_mass": library()["tip_mass"]},
+    )
+    monkeypatch.setattr(Explorer, "add", None)
+    found = diagnose(explorer).diagnosis
+    assert (found.verdict, found.missing, found.partial) == ("unexplained", (), ())
+    assert [w.code for w in found.warnings][:2] == ["not_searched", "hopeless"]
+    assert "signs of y_m" in found.warnings[0].message
+
+
+def test_a_search_that_cannot_go_on_tells_what_it_knew(make_study, monkeypatch):
+    study = make_study(seed=2)
+    tip_mass = {"tip_mass": library()["tip_mass"]}
+    explorer = Explorer(PreparedStudy.of(study), ParameterSpace.of(study.cable), tip_mass)
+
+    def impossible(*args):
+        raise UnsimulatedError
+
+    monkeypatch.setattr(Explorer, "add", impossible)
+    found = diagnose(explorer).diagnosis
+    assert found.verdict == "cannot_tell"
+    assert [w.code for w in found.warnings] == ["unsimulated"]
+    assert found.baseline.fit_rms_m > 0.0
