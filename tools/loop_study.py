@@ -122,17 +122,19 @@ def world(
     hidden = {name: typical(library()[name], size) for name in parts}
     there = with_world(settings, hidden)
     first, later = range(1, cables + 1), range(cables + 1, 2 * cables + 1)
-    recorded = [
-        recorded_cycle(task, k, fast_cycle(there, seed, k, task=task, errors=SEEN)) for k in first
-    ]
+    begun_s = time.process_time()
+    cycles = [fast_cycle(there, seed, k, task=task, errors=SEEN) for k in first]
+    as_found = Cables.of(cycles, time.process_time() - begun_s)
+    recorded = [recorded_cycle(task, k, c) for k, c in zip(first, cycles, strict=True)]
     begun_s = time.process_time()
     lesson, asked = _learned(there, task, recorded, seed)
     lesson, judgement = best_judged(lesson, settings)
     spent_s = time.process_time() - begun_s
-    complete = _complete(settings, task, seed, cables)
-    before = run(there, task, seed, later) if parts else complete
-    after = None
+    after, before, complete = None, as_found, as_found
     promoted = lesson.best is not None and judgement.fit_for_line
+    if parts or promoted:
+        complete = _complete(settings, task, seed, cables)
+        before = run(there, task, seed, later) if parts else complete
     if promoted:
         there = there.model_copy(update={"model": section(lesson, settings.model)})
         after = run(there, cell_task(there), seed, later)
