@@ -147,13 +147,14 @@ def fast_measured(
     motion: Motion,
     *,
     task: Task,
+    hidden: CableModel,
     errors: Errors = Errors(),  # noqa: B008
 ) -> Trial:
-    """The `number`-th hidden cable of a seed, only measured with a motion."""
+    """A hidden cable only measured with a motion; the noise is of the `number`-th of a seed."""
     rng = np.random.default_rng([seed, number, 2])
     t_s = np.arange(0.001, float(motion.t_s[-1]), 1.0 / settings.camera.frame_rate_hz)
     bias = _Bias.drawn(rng, errors, len(task.arc_length_m))
-    hidden, hand = hidden_cable(settings, seed, number), _logged(motion, errors, rng)
+    hand = _logged(motion, errors, rng)
     trial = _seen(task, hidden, motion, t_s, hand, bias, errors, rng)
     return replace(trial, name="stroke")
 

@@ -3,7 +3,9 @@
 For each effect and size: cables of a world with that effect are run, `learn` and the gates work on
 what was recorded, what passes is promoted, and other cables of the same world come, once with the
 model before and once with the one promoted.  The same cables in a world without the effect show
-how well a complete model forecasts.  `none` is such a world: nothing may be promoted there.
+how well a complete model forecasts.  `none` is such a world: nothing may be promoted there.  A law
+that the library does not have (`outside_laws`; `outside` = all) is first looked for by `discover`
+in the cable that is missed most.
 `python tools/loop_study.py [--effects air_drag air_drag+tip_mass none …] [--sizes 0.5 1 2]
 [--cables 6] [--seed 300] [--worlds 1] [--json F]`
 """
@@ -12,26 +14,33 @@ from __future__ import annotations
 
 import argparse
 import json
+import tempfile
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from coverage_study import Errors
 from fast_cell import FastCycle, fast_cycle, fast_measured, typical, with_world
 from line_study import CONFIG, INSERTABLE_M
+from outside_laws import LAWS
 
 from cell.build import cell_task
-from cell.cable.effects import library
+from cell.cable.effects import ActiveEffect, Effect, library, load_effect
+from cell.identify.individual import CableRejectedError, identify
 from cell.lab.ask import MOST_ASKED, motion_that_tells, worth_it
 from cell.lab.candidate import section
 from cell.lab.cycles import RecordedCycle
+from cell.lab.discover import NothingFoundError, discover
 from cell.lab.gates import best_judged
 from cell.lab.learn import Lesson, learn
+from cell.lab.session import explorer_of, select_effects
 from cell.run.station import Task
 from cell.settings import Settings, load_settings
 from cell.settings.surroundings import Surroundings
+from cell.simulated.hidden import hidden_cable
 from cell.study.data import Study
 
 #: Of a sharp camera, assumed: nodes at the bound that `bench_vision` holds across the cable, the
@@ -119,25 +128,25 @@ def world(
 ) -> World:
     """One world from the first cable to the last."""
     parts = [] if effect == "none" else effect.split("+")
-    hidden = {name: typical(library()[name], size) for name in parts}
-    there = with_world(settings, hidden)
+    known = LAWS | library()
+    there = tuple(known[name].active(**typical(known[name], size)) for name in parts)
     first, later = range(1, cables + 1), range(cables + 1, 2 * cables + 1)
     begun_s = time.process_time()
-    cycles = [fast_cycle(there, seed, k, task=task, errors=SEEN) for k in first]
+    cycles = cycles_of(settings, task, seed, first, there)
     as_found = Cables.of(cycles, time.process_time() - begun_s)
     recorded = [recorded_cycle(task, k, c) for k, c in zip(first, cycles, strict=True)]
     begun_s = time.process_time()
-    lesson, asked = _learned(there, task, recorded, seed)
+    lesson, asked = _learned(settings, task, recorded, seed, there)
     lesson, judgement = best_judged(lesson, settings)
     spent_s = time.process_time() - begun_s
     after, before, complete = None, as_found, as_found
     promoted = lesson.best is not None and judgement.fit_for_line
     if parts or promoted:
         complete = _complete(settings, task, seed, cables)
-        before = run(there, task, seed, later) if parts else complete
+        before = run(settings, task, seed, later, there) if parts else complete
     if promoted:
-        there = there.model_copy(update={"model": section(lesson, settings.model)})
-        after = run(there, cell_task(there), seed, later)
+        new = settings.model_copy(update={"model": section(lesson, settings.model)})
+        after = run(new, cell_task(new), seed, later, there)
     return World(
         effect,
         size,
@@ -155,11 +164,17 @@ def world(
 
 
 def _learned(
-    there: Settings, task: Task, recorded: list[RecordedCycle], seed: int
+    settings: Settings,
+    task: Task,
+    recorded: list[RecordedCycle],
+    seed: int,
+    there: Sequence[ActiveEffect],
 ) -> tuple[Lesson, int]:
     """The lesson of these cables and those measured because of ties; how many these are."""
-    surroundings = Surroundings.read(CONFIG)
-    lesson = learn(recorded, task.cable, task.identification, library())
+    surroundings, tried = Surroundings.read(CONFIG), library()
+    if any(a.effect.name in LAWS for a in there):
+        tried |= _discovered(task, recorded)
+    lesson = learn(recorded, task.cable, task.identification, tried)
     for done in range(MOST_ASKED):
         try:
             suggestion = motion_that_tells(lesson, surroundings)
@@ -169,12 +184,33 @@ def _learned(
         if best is None:
             return lesson, done
         number, motion = 1000 + done, best.motion.motion()
-        trial = fast_measured(there, seed, number, motion, task=task, errors=SEEN)
+        hidden = replace(hidden_cable(settings, seed, number), effects=tuple(there))
+        trial = fast_measured(settings, seed, number, motion, task=task, hidden=hidden, errors=SEEN)
         study = Study(f"m{number}", task.cable, task.arc_length_m, (trial,))
         measured = RecordedCycle(study.name, Path(study.name), study, None, None, None)
         recorded = [*recorded, measured]
-        lesson = learn(recorded, task.cable, task.identification, library())
+        lesson = learn(recorded, task.cable, task.identification, tried)
     return lesson, MOST_ASKED
+
+
+def _discovered(task: Task, recorded: Sequence[RecordedCycle]) -> dict[str, type[Effect]]:
+    """What `cell discover` writes of the executed cable that is missed most; {} = nothing."""
+    missed = {}
+    for c in recorded:
+        if c.executed is not None and c.held is not None:
+            with suppress(CableRejectedError):
+                found = identify(c.held, task.arc_length_m, task.cable, options=task.identification)
+                missed[c.name] = found.model_error_m
+    studies = {c.name: c.study for c in recorded}
+    for name in sorted(missed, key=lambda n: -missed[n])[:1]:
+        path = Path(tempfile.mkdtemp(prefix="law-")) / "discovered.py"
+        try:
+            discover(explorer_of(studies[name], select_effects([])), path)
+        except NothingFoundError as error:
+            print(f"  {error}")
+            return {}
+        return {"discovered": load_effect(path, trusted=True)}
+    return {}
 
 
 _COMPLETE: dict[tuple[int, int], Cables] = {}
@@ -184,7 +220,7 @@ def _complete(settings: Settings, task: Task, seed: int, cables: int) -> Cables:
     """The cables that come later, in a world without an effect: the same for every effect."""
     if (seed, cables) not in _COMPLETE:
         later = range(cables + 1, 2 * cables + 1)
-        _COMPLETE[seed, cables] = run(with_world(settings, {}), task, seed, later)
+        _COMPLETE[seed, cables] = run(settings, task, seed, later, ())
     return _COMPLETE[seed, cables]
 
 
@@ -195,16 +231,44 @@ def recorded_cycle(task: Task, number: int, c: FastCycle) -> RecordedCycle:
     return RecordedCycle(f"c{number}", Path(f"c{number}"), study, c.held, c.executed, None)
 
 
-def run(settings: Settings, task: Task, seed: int, numbers: Iterable[int]) -> Cables:
-    """These cables, one after another."""
+def cycles_of(
+    settings: Settings,
+    task: Task,
+    seed: int,
+    numbers: Iterable[int],
+    there: Sequence[ActiveEffect],
+) -> list[FastCycle]:
+    """These cables of a world with these effects, one after another."""
+    complete = with_world(settings, {})
+    return [
+        fast_cycle(
+            complete,
+            seed,
+            k,
+            task=task,
+            errors=SEEN,
+            hidden=replace(hidden_cable(complete, seed, k), effects=tuple(there)),
+        )
+        for k in numbers
+    ]
+
+
+def run(
+    settings: Settings,
+    task: Task,
+    seed: int,
+    numbers: Iterable[int],
+    there: Sequence[ActiveEffect],
+) -> Cables:
+    """What became of these cables."""
     begun_s = time.process_time()
-    cycles = [fast_cycle(settings, seed, k, task=task, errors=SEEN) for k in numbers]
+    cycles = cycles_of(settings, task, seed, numbers, there)
     return Cables.of(cycles, time.process_time() - begun_s)
 
 
 def summary(worlds: Sequence[World]) -> list[str]:
     """The bars: right class, error after, inserted after, nothing worse, nothing in vain."""
-    hidden = [w for w in worlds if w.effect != "none"]
+    hidden = [w for w in worlds if w.effect != "none" and w.effect not in LAWS]
     seen = [w for w in hidden if w.shift_m > SHIFT_M]
     named = [w for w in seen if w.promoted and set(w.effect.split("+")) <= {*w.named, *w.tied}]
     right = [w for w in named if set(w.named) == set(w.effect.split("+"))]
@@ -221,11 +285,14 @@ def summary(worlds: Sequence[World]) -> list[str]:
     could = sum(w.after.insertable for w in after if w.after)
     done = sum(w.after.inserted for w in after if w.after)
     empty = [w for w in worlds if w.effect == "none"]
+    outside = [w for w in worlds if w.effect in LAWS]
+    lower = [w for w in outside if w.after and w.after.error_m <= w.before.error_m / 3.0]
     return [
         f"shift above 0.3 mm: {len(seen)} of {len(hidden)} worlds; right class promoted in "
         f"{len(right)} of them, named or tied in {len(named)}",
         f"promoted: {len(after)}; error after ≤ 1.3 × a complete world's or ≥ 5 × lower in "
         f"{len(good)}; worse than before in {len(worse)}; inserted {done} of {could}",
+        f"outside the library: {len(outside)}; error ≥ 3 × lower in {len(lower)}",
         f"complete worlds: {len(empty)}; promoted in {sum(w.promoted for w in empty)}",
     ]
 
@@ -241,7 +308,7 @@ def main() -> None:
     options = parser.parse_args()
     settings = load_settings(CONFIG)
     task, worlds = cell_task(settings), []
-    for effect in options.effects:
+    for effect in [f for e in options.effects for f in (LAWS if e == "outside" else (e,))]:
         for size in options.sizes if effect != "none" else [0.0]:
             for i in range(options.worlds):
                 worlds.append(world(settings, task, effect, size, options.cables, options.seed + i))

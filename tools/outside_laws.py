@@ -1,0 +1,136 @@
+"""Laws that no effect of the library has, to be hidden in a world; typical values shift the tip.
+
+Five are terms that `cell discover` tries, five are not.
+"""
+
+# mypy: ignore-errors
+
+from __future__ import annotations
+
+import math
+
+from cell.cable.effects.base import Effect, Parameter
+
+
+def _amplitude(name: str, unit: str, typical: float) -> tuple[Parameter, ...]:
+    return (Parameter(name, unit, -1e3 * typical, 1e3 * typical, 0.0, (typical,)),)
+
+
+class Magnet(Effect):
+    name = "magnet"
+    parameters = _amplitude("pull", "N/m", 4e-3)
+
+    @staticmethod
+    def force(cable, at, p):
+        dx, dy = -0.15 - at.x, -0.02 - at.y
+        square = dx * dx + dy * dy + 1e-4
+        pull = p.pull * 0.0025 / (square * math.sqrt(square))
+        return pull * dx, pull * dy
+
+
+class CubicDrag(Effect):
+    name = "cubic_drag"
+    parameters = _amplitude("drag", "N·s³/m⁴", 0.06)
+
+    @staticmethod
+    def force(cable, at, p):
+        across = at.vy * at.tx - at.vx * at.ty
+        return p.drag * across**3 * at.ty, -p.drag * across**3 * at.tx
+
+
+class DragAlong(Effect):
+    name = "drag_along_the_cable"
+    parameters = _amplitude("drag", "N·s/m²", 0.02)
+
+    @staticmethod
+    def force(cable, at, p):
+        along = at.vx * at.tx + at.vy * at.ty
+        return -p.drag * along * at.tx, -p.drag * along * at.ty
+
+
+class CubicBending(Effect):
+    name = "stiffening"
+    parameters = _amplitude("cubic", "m²", 2e-4)
+
+    @staticmethod
+    def moment(cable, at, m, p):
+        return p.cubic * at.rigidity * at.curvature**3
+
+
+class QuadraticViscosity(Effect):
+    name = "thick_viscosity"
+    parameters = _amplitude("viscosity", "N·m³·s²", 1e-9)
+
+    @staticmethod
+    def moment(cable, at, m, p):
+        return p.viscosity * abs(at.rate) * at.rate
+
+
+class Tether(Effect):
+    """A thread from the last third of the cable to a point."""
+
+    name = "tether"
+    parameters = _amplitude("stiffness", "N/m²", 0.1)
+
+    @staticmethod
+    def force(cable, at, p):
+        s = at.arc_length / cable.free_length_m
+        weight = p.stiffness * s**6
+        return weight * (-0.08 - at.x), weight * (-0.15 - at.y)
+
+
+class Lift(Effect):
+    """Across the way of a piece of cable, by the square of its speed."""
+
+    name = "lift"
+    parameters = _amplitude("lift", "N·s²/m³", 0.02)
+
+    @staticmethod
+    def force(cable, at, p):
+        speed = math.sqrt(at.vx * at.vx + at.vy * at.vy)
+        return -p.lift * speed * at.vy, p.lift * speed * at.vx
+
+
+class WindWithHeight(Effect):
+    """Air that blows the harder the lower."""
+
+    name = "wind_with_height"
+    parameters = _amplitude("drag", "N·s²/m³", 0.015)
+
+    @staticmethod
+    def force(cable, at, p):
+        vx, vy = at.vx - 4.0 * at.y, at.vy
+        across = vy * at.tx - vx * at.ty
+        size = p.drag * abs(across) * across
+        return size * at.ty, -size * at.tx
+
+
+class Shaking(Effect):
+    """The table shakes: all that is held moves with it, seen from the camera on it."""
+
+    name = "shaking"
+    parameters = _amplitude("force", "N/m", 3e-3)
+
+    @staticmethod
+    def force(cable, at, p):
+        return p.force * math.sin(2.0 * math.pi * 5.0 * at.time), 0.0
+
+
+class SpeedyStiffness(Effect):
+    """A moment against bending by the third power of its rate."""
+
+    name = "sudden_stiffness"
+    parameters = _amplitude("moment", "N·m⁴·s³", 1e-11)
+
+    @staticmethod
+    def moment(cable, at, m, p):
+        return p.moment * at.rate**3
+
+
+LAWS: dict[str, type[Effect]] = {
+    law.name: law
+    for law in (
+        Magnet, CubicDrag, DragAlong, CubicBending, QuadraticViscosity,
+        Tether, Lift, WindWithHeight, Shaking, SpeedyStiffness,
+    )
+}  # fmt: skip
