@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ from cell.cable import layout as at
 from cell.cable import splines
 from cell.cable.effects.base import ActiveEffect, HandMotion
 from cell.cable.effects.compiled import parameters
-from cell.cable.geometry import Motion, SmoothedMotion
+from cell.cable.geometry import Motion, MotionSplines, SmoothedMotion
 
 FloatArray = NDArray[np.float64]
 
@@ -31,13 +32,56 @@ def motions_like(motion: Motion, values: FloatArray) -> list[Motion]:
     ]
 
 
-def pose_of(motion: Motion, effects: Sequence[ActiveEffect] = ()) -> HandMotion:
-    """Pose of the gripping point against time, after the effects on the hand in their order."""
-    x, y, angle = motion.splines
+@dataclass(frozen=True)
+class _Logged:
+    """Pose against time as logged; equal for equal splines, so that what follows can be kept.
 
-    def logged(t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    instants  at which several effects will ask for it
+    known     poses there, as far as they were asked for
+    """
+
+    splines: MotionSplines
+    instants: tuple[FloatArray, ...] = field(default=(), compare=False)
+    known: dict[int, tuple[FloatArray, ...]] = field(default_factory=dict, compare=False)
+
+    def __call__(self, t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        x, y, angle = self.splines
+        for i, instants in enumerate(self.instants):
+            if t is instants:
+                if i not in self.known:
+                    self.known[i] = (x(t), y(t), angle(t))
+                at_x, at_y, at_angle = self.known[i]
+                return at_x.copy(), at_y.copy(), at_angle.copy()  # an effect may write into them
         return x(t), y(t), angle(t)
 
+
+class Instants:
+    """When the steps of a grid ask for the hand's pose; what the logs say there is found once."""
+
+    def __init__(self, start_s: float, step_s: float, steps: int, collocation: float) -> None:
+        number = np.arange(steps + 1, dtype=np.float64) + collocation
+        self.time: FloatArray = start_s + step_s * number[:-1]
+        self.edge: FloatArray = start_s + step_s * (number - 0.5)
+        self.near: tuple[FloatArray, ...] = tuple(
+            t + by for t in (self.edge, self.time) for by in (_INSTANT, -_INSTANT)
+        )
+        self._logged: dict[int, _Logged] = {}
+
+    def logged(self, motion: Motion) -> _Logged:
+        """The log of a motion that lives as long as this."""
+        if id(motion) not in self._logged:
+            self._logged[id(motion)] = _Logged(motion.splines, (self.time, *self.near))
+        return self._logged[id(motion)]
+
+
+def pose_of(
+    motion: Motion, effects: Sequence[ActiveEffect] = (), logged: _Logged | None = None
+) -> HandMotion:
+    """Pose of the gripping point against time, after the effects on the hand in their order.
+
+    logged  of the motion, with what is known of it
+    """
+    logged = _Logged(motion.splines) if logged is None else logged
     begin, end = float(motion.t_s[0]), float(motion.t_s[-1])
     pose = HandMotion(logged, begin, end)
     for active in effects:
@@ -53,15 +97,18 @@ def base_rows(
     step_s: float,
     steps: int,
     collocation: float,
+    instants: Instants | None = None,
 ) -> FloatArray:
     """(steps, BASE_FIELDS) pose, velocity and acceleration at the steps' collocation times.
 
     The acceleration is the mean over a step's length, so that a jump in the log's velocity gives
     the momentum that it should, whatever the step.
+
+    instants  of this grid, if there are other effects on the same motions
     """
-    number = np.arange(steps + 1, dtype=np.float64) + collocation
-    time: FloatArray = start_s + step_s * number[:-1]
-    edge: FloatArray = start_s + step_s * (number - 0.5)
+    if instants is None:
+        instants = Instants(start_s, step_s, steps, collocation)
+    time, edge = instants.time, instants.edge
     rows = np.zeros((steps, at.BASE_FIELDS))
     places = (
         (at.BASE_X, at.BASE_UX, at.BASE_AX),
@@ -77,10 +124,11 @@ def base_rows(
             rows[:, rate] = spline(time, 1)
             rows[:, change] = np.diff(spline(edge, 1)) / step_s
         return rows
-    pose = pose_of(motion, effects)
-    here, after, before = pose(time), pose(edge + _INSTANT), pose(edge - _INSTANT)
+    pose = pose_of(motion, effects, instants.logged(motion))
+    here = pose(time)
+    after, before, late, early = (pose(t) for t in instants.near)
     speeds = [(a - b) / (2.0 * _INSTANT) for a, b in zip(after, before, strict=True)]
-    nearby = zip(pose(time + _INSTANT), pose(time - _INSTANT), strict=True)
+    nearby = zip(late, early, strict=True)
     rates = [(a - b) / (2.0 * _INSTANT) for a, b in nearby]
     for c, (value, rate, change) in enumerate(places):
         rows[:, value] = here[c]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from cell.cable import camera
 from cell.cable import layout as at
 from cell.cable.assembly import DEFAULT_SEGMENTS, Block, assemble, marker_weights
-from cell.cable.clamp import base_rows, pose_of
+from cell.cable.clamp import Instants, base_rows, pose_of
 from cell.cable.effects.base import ActiveEffect
 from cell.cable.effects.own import run_engine
 from cell.cable.geometry import Motion, Start
@@ -416,11 +416,13 @@ def _rows(paths: Sequence[Motion], batch: Sequence[CableModel], grid: _Grid) -> 
     known: dict[object, FloatArray] = {}
     rows = []
     c = float(generalised_alpha(grid.solver.step_s, grid.solver.damping)[12])
+    of_grid = (grid.begin_s, grid.solver.step_s, grid.steps, c)
+    instants = Instants(*of_grid)
     for motion, model in zip(paths, batch, strict=True):
         acting = _on_hand(model)
         key = (id(motion), *acting)
         if key not in known:
-            known[key] = base_rows(motion, acting, grid.begin_s, grid.solver.step_s, grid.steps, c)
+            known[key] = base_rows(motion, acting, *of_grid, instants)
         rows.append(known[key])
     return rows
 

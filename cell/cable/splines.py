@@ -27,7 +27,7 @@ _PROBES = 3
 _NEAR = np.geomspace(10.0**-1.5, 10.0**1.5, 7)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Spline:
     """Cubic pieces over `t_s` (T,): values and second derivatives at the knots; held outside.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -58,6 +59,7 @@ class RobotRinging(Effect):
         return ringing
 
 
+@lru_cache(maxsize=64)
 def _stops(pose: HandMotion) -> list[tuple[float, float, float]]:
     """Time of every stop and unit vector of the motion before it."""
     t = np.arange(pose.start_s, pose.end_s + 2.0 * _LOOK_S, _LOOK_S)

@@ -16,6 +16,7 @@ from cell.cable.dynamics import (
     simulate_each,
 )
 from cell.cable.effects import library
+from cell.cable.effects.hand import _stops
 from cell.cable.geometry import Cable, Motion
 from cell.cable.model import CableModel
 
@@ -54,6 +55,21 @@ def test_lanes_with_different_effects_keep_their_order(cable, arc, jerk):
         alone = simulate(model, jerk, TIMES, arc)[0]
         assert together[lane] == pytest.approx(alone, abs=1e-13)
     assert np.abs(together[0] - together[1]).max() > 1e-4
+
+
+def test_lanes_whose_hands_ring_share_what_their_log_says(cable, arc, jerk):
+    """Each is as it is alone, to the last bit; the log's stops are looked for once."""
+    ringing = library()["robot_ringing"]
+    batch = [
+        replace(m, effects=(ringing.active(amplitude_m=1e-4 * (1 + k)),))
+        for k, m in enumerate(models(cable, 3))
+    ]
+    before = _stops.cache_info().misses
+    together = simulate(batch, jerk, TIMES, arc)
+    assert _stops.cache_info().misses == before + 1
+    for lane, model in enumerate(batch):
+        again = Motion(jerk.t_s, jerk.x_m, jerk.y_m, jerk.angle_rad)
+        assert np.array_equal(together[lane], simulate(model, again, TIMES, arc)[0])
 
 
 def test_one_model_many_motions(cable, arc, jerk):
