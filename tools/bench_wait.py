@@ -153,13 +153,27 @@ def measured(settings: Settings, seed: int, cycles: int, to_parent: Connection) 
 
 def cpu_s() -> float:
     """CPU time of this process and its children so far, s."""
-    me = os.getpid()
-    pids = [me, *(int(p) for p in Path(f"/proc/{me}/task/{me}/children").read_text().split())]
-    total_ns = 0
+    return sum(cpu_of(pid) for pid in processes())
+
+
+def processes() -> dict[int, str]:
+    """Numbers and command lines of this process and its children."""
+    pids = [os.getpid()]
+    for task in Path("/proc/self/task").iterdir():  # any thread may have started some
+        pids += [int(pid) for pid in (task / "children").read_text().split()]
+    found = {}
     for pid in pids:
         with suppress(OSError):  # it has ended
-            for task in Path(f"/proc/{pid}/task").iterdir():
-                total_ns += int((task / "schedstat").read_text().split()[0])
+            found[pid] = Path(f"/proc/{pid}/cmdline").read_text().replace("\0", " ")
+    return found
+
+
+def cpu_of(pid: int) -> float:
+    """CPU time of a process so far, s."""
+    total_ns = 0
+    with suppress(OSError):
+        for task in Path(f"/proc/{pid}/task").iterdir():
+            total_ns += int((task / "schedstat").read_text().split()[0])
     return 1e-9 * total_ns
 
 

@@ -6,7 +6,7 @@ import contextlib
 import os
 import signal
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
 from multiprocessing import get_context, parent_process
 from typing import ParamSpec, TypeVar
@@ -16,6 +16,7 @@ Returned = TypeVar("Returned")
 
 #: On a computer with too little to do both, frames are looked at first.
 _NICE = 5
+_NICEST = 19  # there is nothing beyond
 
 
 class SecondProcess(Executor):
@@ -42,6 +43,24 @@ class SecondProcess(Executor):
         self._pool = ProcessPoolExecutor(1, get_context("spawn"), initializer=_begin)
         self._pid = self._pool.submit(os.getpid)
         return self._pool.submit(fn, *args, **kwargs)
+
+    @contextlib.contextmanager
+    def hurried(self) -> Iterator[None]:
+        """Within it jobs go as this process does, because somebody waits for one; where this user
+        may not ask for that they go as before.
+        """
+        self._schedule(0)
+        try:
+            yield
+        finally:
+            self._schedule(_NICE)
+
+    def _schedule(self, nice: int) -> None:
+        if self._pool is None or not self._pid.done() or self._pid.exception() is not None:
+            return
+        with contextlib.suppress(OSError):  # not permitted, or it has ended
+            own = os.getpriority(os.PRIO_PROCESS, 0)
+            os.setpriority(os.PRIO_PROCESS, self._pid.result(), min(own + nice, _NICEST))
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """End the process: after its job if that is waited for, else at once."""

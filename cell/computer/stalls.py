@@ -58,6 +58,11 @@ class StallProbe:
         self._here.close()
         self._process.join()
 
+    @property
+    def pid(self) -> int | None:
+        """Its process, which is not to be counted among those measured."""
+        return self._process.pid
+
     def take(self) -> Stalls:
         """Stalls since the last call."""
         self._here.send(None)

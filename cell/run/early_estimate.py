@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import BrokenExecutor, Future
+from contextlib import nullcontext
 from dataclasses import replace
 from typing import TypeVar
 
@@ -11,6 +12,7 @@ import numpy as np
 from cell.cable.dynamics import DivergedError, Solver, threads
 from cell.cable.geometry import Motion
 from cell.cable.statics import UnsettledError
+from cell.computer.second_process import SecondProcess
 from cell.identify.hand import HandErrors
 from cell.identify.identified import Identified
 from cell.identify.individual import CableRejectedError, IdentifyOptions, identify, predict_frames
@@ -69,8 +71,16 @@ class EarlyEstimator:
             )
 
     def result(self) -> EarlyEstimate | None:
-        """The early estimate, waiting for it; None if the first frames were not enough."""
-        return None if self._second is None else _result(self._second, self._station.commands)
+        """The early estimate, waiting for it; None if the first frames were not enough.
+
+        No frame is looked at any more, so what computes it need not give way.
+        """
+        if self._second is None:
+            return None
+        computer = self._station.computer
+        hurry = computer.hurried() if isinstance(computer, SecondProcess) else nullcontext()
+        with hurry:
+            return _result(self._second, self._station.commands)
 
     def close(self) -> None:
         """Cancel what has not begun."""

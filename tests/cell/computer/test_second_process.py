@@ -86,3 +86,26 @@ def _runs(process: int) -> bool:
         return Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
     except OSError:
         return False
+
+
+def test_it_gives_way_except_while_somebody_waits_for_it(second: SecondProcess) -> None:
+    """On a busy computer the hand waited for a process that gave way to nobody any more."""
+
+    def niceness() -> int:
+        return second.submit(os.getpriority, os.PRIO_PROCESS, 0).result()
+
+    own = os.getpriority(os.PRIO_PROCESS, 0)
+    with second.hurried():
+        pass  # it has not begun yet
+    assert niceness() == min(own + 5, 19)
+    with second.hurried():
+        hurried = niceness()
+    assert niceness() == min(own + 5, 19)
+    if hurried != own:
+        pytest.skip("this user may not hurry a process")
+
+
+def test_one_that_has_ended_cannot_be_hurried(second: SecondProcess) -> None:
+    os.kill(second.submit(os.getpid).result(), signal.SIGKILL)
+    with second.hurried():
+        pass
