@@ -103,7 +103,7 @@ class CalibrationJob:
     def do(self, part: str, source: Path | None = None) -> StoredCalibration | None:
         """Calibrate `camera`, `cell`, `time` or `grip`, live or from a folder.
 
-        returns  None = it was left out: nobody has a cable
+        returns  None = it is left out: nobody has a cable, or its grip is known too poorly
         raises  CalibrationError, StoreError, InputError; what a device raises ends the job
         """
         self._say(f"--- {part}")
@@ -115,7 +115,7 @@ class CalibrationJob:
         }
         made = parts[part](source)
         if made is None:
-            self._say(f"{part} is left out; run `cell calibrate {part}` when it can be done")
+            self._say(f"{part} is left out: what is typed holds, or what was calibrated before")
             return None
         save(self._folder / f"{part}.yaml", made)
         self._made[part] = made
@@ -192,7 +192,10 @@ class CalibrationJob:
         fit = grip.grip_from(views, cell)
         stored = grip.stored_grip(fit, self._settings, troubles)
         self._report("grip", grip_report(stored, fit, views, shown, view))
-        return stored
+        poor = self._too_poor(stored)
+        for line in poor:  # the cell can do without, with what is typed
+            self._say(line)
+        return None if poor else stored
 
     def check(self) -> Drift:
         """Today's error against the stored one.  Raises as `do`."""
@@ -218,17 +221,17 @@ class CalibrationJob:
 
     def shortcomings(self) -> list[str]:
         """Why `cell run` would refuse what was made, each with its remedy; empty = it is good."""
+        return [line for made in self._made.values() for line in self._too_poor(made)]
+
+    def _too_poor(self, made: StoredCalibration) -> list[str]:
         limits = self._settings.calibration
         assert limits is not None
-        found = []
-        for made in self._made.values():
-            for name, bound in bounds_of(limits).items():
-                if name in made.error and not made.error[name] <= bound:
-                    found.append(
-                        f"{made.kind}: {name} = {made.error[name]:.2g}, at most {bound:g} allowed; "
-                        f"{_BETTER[made.kind]}, then run `cell calibrate --config {self._config}`"
-                    )
-        return found
+        return [
+            f"{made.kind}: {name} = {made.error[name]:.2g}, at most {bound:g} allowed; "
+            f"{_BETTER[made.kind]}, then run `cell calibrate --config {self._config}`"
+            for name, bound in bounds_of(limits).items()
+            if name in made.error and not made.error[name] <= bound
+        ]
 
     def summary(self) -> dict[str, Any]:
         """All that was found, for programs."""

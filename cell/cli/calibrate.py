@@ -137,7 +137,9 @@ def board(
 
 def _part(part: str, config: Path, source: Path | None, seed: int, as_json: bool) -> None:
     with _workshop(config, seed, as_json, live=source is None) as work:
-        work.do(part, source)
+        made = work.do(part, source)
+        if made is None:
+            raise typer.Exit(NOT_ALL_DONE)
         _end(work, as_json)
 
 

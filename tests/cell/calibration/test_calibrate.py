@@ -231,6 +231,20 @@ def test_an_impossible_board_is_named_with_its_file(tmp_path):
     assert "must be one of 4X4_50" in refused
 
 
+def test_a_grip_known_too_poorly_is_left_out_and_the_cell_runs_without_it(folder, tmp_path):
+    """An emulated cell, whose hand cannot let the cable hang, was refused because of it."""
+    config = settings_file(tmp_path)
+    shutil.copytree(folder / "calib", tmp_path / "calib", dirs_exist_ok=True)
+    (tmp_path / "calib" / "grip.yaml").unlink()
+    config.write_text(config.read_text().replace("/calib}", "/calib, max_clamp_error_rad: 1e-6}"))
+    (recorded,) = (folder / "calib" / "recorded").glob("grip-*")
+    code, out, said = called("calibrate", "grip", "--config", config, "--from", recorded)
+    assert (code, out) == (1, "")
+    assert "at most 1e-06 allowed; light the cable better, let limits.angle_rad reach" in said
+    assert "grip is left out: what is typed holds" in said
+    assert calibrated(load_settings(config), config).grip is None
+
+
 def test_poses_of_which_no_map_follows_are_kept_for_another_try(folder, tmp_path, monkeypatch):
     config = settings_file(tmp_path)
     shutil.copytree(folder / "calib", tmp_path / "calib", dirs_exist_ok=True)
