@@ -20,7 +20,7 @@ from cell.run import steps
 from cell.run.commands import INTERRUPTING, RESUMING, Commands, InterruptedByCommandError
 from cell.run.machine import CellState, Event, EventRefusedError, Machine
 from cell.run.movements import slowed
-from cell.run.plans import CONNECT, INSERTING, Plan, Repeat, Step, rehearsing
+from cell.run.plans import AGAIN_WHEN_LOST, INSERTING, Plan, Repeat, Step, rehearsing
 from cell.run.progress import Progress
 from cell.run.station import Station, Task
 from drivers.interfaces import (
@@ -166,7 +166,7 @@ class Cell:
         mode = steps.halt(self._station.devices, fault.cause)
         cable = steps.whereabouts_of_cable(self._station.devices)
         if isinstance(error, UNREACHED):
-            self._done_once.discard(CONNECT.name)
+            self._done_once -= AGAIN_WHEN_LOST
         for sent in (event, Event.DONE):
             if self.machine.can(sent):
                 self.machine.send(sent)

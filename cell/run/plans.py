@@ -34,7 +34,8 @@ class Step:
     may_pause      the cell can be held or suspended before it
     hand_waits     the hand waits for what comes next: the record is written later
     with_rejected  it is done with a rejected cable too
-    once           it is done in the first cycle only; `connect` again when devices were lost
+    once           it is done in the first cycle only; those of `AGAIN_WHEN_LOST` also after devices
+                   were lost
     every          it is done in cycles whose number is a multiple of this
     """
 
@@ -117,6 +118,9 @@ CHOOSE = Step("choose", steps.choose, computes=True, holding=True, hand_waits=Tr
 EXECUTE = Step("execute", steps.execute, holding=True)
 VERIFY = Step("verify", steps.verify, after=after_insertion, computes=True, holding=True)
 RELEASE = Step("release", steps.release, after=after_release, may_pause=True, with_rejected=True)
+
+#: What is done once is done again when devices were connected anew: their clocks may have been set.
+AGAIN_WHEN_LOST = frozenset({CONNECT.name, CHECK_CLOCKS.name})
 
 # --- the plans ----------------------------------------------------------------------------------
 
