@@ -255,7 +255,7 @@ def _page(
     title: str, says: str, parts: Sequence[tuple[str, str]], stored: StoredCalibration
 ) -> str:
     stated = [*stored.how.items(), *stored.devices.items()]
-    facts = ", ".join(f"{_plainly(k)} {v}" for k, v in stated if v is not None)
+    facts = "; ".join(_plainly(k, v) for k, v in stated if v is not None)
     body = "".join(f"<h2>{html.escape(head)}</h2>{content}" for head, content in parts)
     return (
         f"<!doctype html><html lang=en><meta charset=utf-8><title>{html.escape(title)}</title>"
@@ -265,10 +265,12 @@ def _page(
     )
 
 
-def _plainly(key: str) -> str:
-    """A key as words: its unit goes with the number that follows."""
+def _plainly(key: str, value: object) -> str:
+    """A fact as words, the unit behind its number."""
     name, _, unit = key.rpartition("_")
-    return f"{name.replace('_', ' ')}, {unit}:" if unit in ("px", "s") else key.replace("_", " ")
+    if unit not in ("px", "s"):
+        name, unit = key, ""
+    return f"{name.replace('_', ' ')}: {value} {unit}".rstrip()
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
