@@ -1,10 +1,11 @@
 """Checks detection limits on made studies: how often the true size is inside them.
 
-    python tools/limit_study.py [--studies N] [--first SEED]
+    python tools/limit_study.py [--studies N] [--first SEED] [--effect NAME]
 
 Of each study, made without an effect, every effect's limits should contain none of it.  Then one
-effect is hidden at 1 and 2 times its limit, the same cable and other noise: the limits found must
-contain it.  The diagnosis has no part in it: whatever is there, the limits must hold.
+effect, another in each study or the one named, is hidden at 0.5, 1 and 2 times its limit, the same
+cable and other noise: the limits found must contain it.  The diagnosis has no part in it: whatever
+is there, the limits must hold.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from cell.lab.prepared import PreparedStudy, all_fitted
 from cell.lab.results import Limit
 from cell.study.data import Study
 
-SIZES = (1.0, 2.0)
+SIZES = (0.5, 1.0, 2.0)
 #: Seeds of the noise of studies with an effect: another than that of the study without.
 OTHER_NOISE = 100_000
 
@@ -32,13 +33,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--studies", type=int, default=10)
     parser.add_argument("--first", type=int, default=700)
+    parser.add_argument("--effect", choices=list(library()))
     given = parser.parse_args()
     known = library()
     inside = {0.0: [0, 0], **{size: [0, 0] for size in SIZES}}
     for seed in range(given.first, given.first + given.studies):
         began = time.process_time()
-        name = list(known)[seed % len(known)]
-        found = limits(*_fitted(make_study(seed)), list(known.values()))
+        name = given.effect or list(known)[seed % len(known)]
+        tried = [known[name]] if given.effect else list(known.values())
+        found = limits(*_fitted(make_study(seed)), tried)
         none = {e: {p.name: p.default for p in known[e].parameters} for e in known}
         missed = [x for x in found if x.high is not None and not _holds(x, none[x.effect])]
         shown = [x for x in found if x.high is not None]

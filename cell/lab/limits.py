@@ -16,6 +16,7 @@ from cell.lab.doubts import interrupted_doubt
 from cell.lab.estimate import CONVERGED, LEAST_KNOWN, MIN_FREEDOM
 from cell.lab.explore import Explorer, Progress, no_progress
 from cell.lab.fitting import Fit, fit_model, fit_trials
+from cell.lab.held import HeldEffect
 from cell.lab.prepared import PreparedStudy, StoppedError, pooled
 from cell.lab.results import Limit
 from cell.lab.score import Nuisance
@@ -30,6 +31,15 @@ ROUNDS = 3
 LEAST_LEFT = 1e-6
 #: Nearer to none of the effect than this many standard deviations its slope at zero is exact.
 NEAR = 0.3
+#: A guess of an effect's shape that explains less than the best by this χ² is not its shape.
+TIE = 9.0
+#: Where everything else answers an effect as its slopes promise, give or take this share of what is
+#: left of the effect, no refit is needed.
+AS_PROMISED = 0.1
+#: Refits of an end, at most; it is found if the next would be nearer than this, in logarithm.
+REFITS, SETTLED = 3, 0.1
+#: Steepest slope believed of how a refitted end depends on where it is held.
+STEEPEST = 3.0
 
 
 def with_limits(explorer: Explorer, examination: Examination) -> Examination:
@@ -81,15 +91,17 @@ def limits(
     """95 % limits of the amplitudes of effects beside a fitted model, each effect alone.
 
     The score's estimate and standard deviation, everything that was fitted and the effect's other
-    amplitudes free, of the guess of its shape that the study shows worst; widened by what the model
-    leaves beyond noise, or by how much trials disagree on the size.  Then the effect is simulated
-    so strong, and the limit moved to where it is excluded as it is and not as its slope says.
+    amplitudes free, farthest out over the guesses of its shape that fit as well; widened by what
+    the model leaves beyond noise, or by how much trials disagree on the size.  Then the effect is
+    simulated so strong, and the limit moved to where it is excluded as it is and not as its slope
+    says.  Where everything else does not answer it as slopes promise, all of it is fitted anew with
+    the effect held there (profile likelihood).
 
     Of an amplitude of one sign the limit is one-sided, and an estimate below none of it counts as
     none: no limit is below what the study can show (a power-constrained limit).
     fit   to the `fit` trials of `prepared`
     """
-    progress("how strong other effects could be", 0, ROUNDS + 1)
+    progress("how strong other effects could be", 0, ROUNDS + 2)
     whiteners = [prepared.whiteners[t.name] for t in fit_trials(prepared)]
     inflation = variance_inflation(fit.solution.residual, whiteners, len(fit.q))
     nuisance = nuisance_of(fit)
@@ -101,21 +113,36 @@ def limits(
         for j in range(slopes.rows.shape[1])
     ]
     for done in range(ROUNDS):
-        progress("how strong other effects could be", done + 1, ROUNDS + 1)
-        sides = [(s, i) for s in found for i in s.open_sides()]
+        progress("how strong other effects could be", done + 1, ROUNDS + 2)
+        sides = [(s, side) for s in found for side in s.open_sides()]
         if not sides:
             break
-        moved = changes(prepared, fit, [s.active(i) for s, i in sides])
-        for (search, i), change in zip(sides, moved, strict=True):
-            search.simulated(i, change)
+        moved = changes(prepared, fit, [s.active(side) for s, side in sides])
+        for (search, side), change in zip(sides, moved, strict=True):
+            search.simulated(side, change)
+    progress("how strong other effects could be", ROUNDS + 1, ROUNDS + 2)
+    for search in found:
+        for side in search.open_sides():
+            search.confirm(side, prepared, fit)
     return tuple(search.limit(prepared) for search in found)
 
 
 @dataclass(eq=False)
 class _Side:
-    """One end of the range of an amplitude, as far from none of the effect as `size` says."""
+    """One end of the range of an amplitude, as far from none of the effect as `size` says.
 
+    sign    of the side
+    std     of the amplitude
+    values  of the effect's parameters: the guess of its shape that puts the end farthest out
+    rows    (n, values) slopes of its other amplitudes; others: basis of what they can imitate
+    """
+
+    sign: float
     size: float
+    std: float
+    values: FloatArray
+    rows: FloatArray
+    others: FloatArray
     change: FloatArray | None = None
     seen: bool = True
 
@@ -132,7 +159,9 @@ class _Search:
         inflation: float,
     ) -> None:
         self._effect = slopes.effect
-        self._parameter: Parameter = [p for p in slopes.effect.parameters if p.amplitude][j]
+        amplitudes = [i for i, p in enumerate(slopes.effect.parameters) if p.amplitude]
+        self._which = amplitudes[j]
+        self._parameter: Parameter = slopes.effect.parameters[self._which]
         self._nuisance = nuisance
         self._trials = trials
         self._inflation = inflation
@@ -143,28 +172,38 @@ class _Search:
             self._parameter.low - self._parameter.default,
             self._parameter.high - self._parameter.default,
         )
-        self._sides: list[_Side] = []
-        tried = []
-        for shape, rows in enumerate(slopes.rows):
-            others = nuisance.remove(np.delete(rows, j, axis=0))
-            basis = _orthonormal(others)
-            estimate = self._estimate(rows[j], basis)
-            if estimate is not None:
-                size, std = estimate
-                tried.append((abs(size) + self._reach * std, shape, basis, size, std))
-        if not tried:
-            return
-        _, shape, self._others, size, self._std = max(tried, key=lambda t: t[0])
-        self._values = slopes.values[shape]
-        self._sides = [_Side(end) for end in self._ends(size, self._std)]
+        self._sides = self._first_sides(slopes, j)
 
-    def _estimate(self, row: FloatArray, others: FloatArray) -> tuple[float, float] | None:
-        """Expected size and its standard deviation; None = the other parameters do the same."""
+    def _first_sides(self, slopes: Sensitivity, j: int) -> list[_Side]:
+        """The farthest end on each side, by slopes, over guesses of its shape that fit as well."""
+        tried: list[tuple[float, _Side]] = []
+        for shape, rows in enumerate(slopes.rows):
+            rest = np.delete(rows, j, axis=0)
+            basis = _orthonormal(self._nuisance.remove(rest))
+            left = self._left(rows[j], basis)
+            if not float(np.linalg.norm(left)) > LEAST_LEFT * float(np.linalg.norm(rows[j])):
+                continue
+            size, std = self._estimate(left)
+            explained = (max(size, 0.0) if self._one_sided else size) ** 2 / std**2
+            for sign in (1.0,) if self._one_sided else (-1.0, 1.0):
+                end = self._end(sign, size, std)
+                side = _Side(sign, end, std, slopes.values[shape], rest, basis)
+                tried.append((explained, side))
+        best = max((explained for explained, _ in tried), default=0.0)
+        kept = [side for explained, side in tried if explained >= best - TIE]
+        return [
+            max((s for s in kept if s.sign == sign), key=lambda s: s.sign * s.size)
+            for sign in sorted({s.sign for s in kept})
+        ]
+
+    def _left(self, row: FloatArray, others: FloatArray) -> FloatArray:
+        """What the other parameters do not imitate of a change."""
         left = self._nuisance.remove(row)
-        left = left - (left @ others) @ others.T
+        return np.asarray(left - (left @ others) @ others.T)
+
+    def _estimate(self, left: FloatArray) -> tuple[float, float]:
+        """Expected size and its standard deviation, by what is seen per unit of the amplitude."""
         square = float(left @ left)
-        if not np.sqrt(square) > LEAST_LEFT * float(np.linalg.norm(row)):
-            return None
         size = float(left @ self._nuisance.residual) / square
         factor = max(self._inflation, self._disagreement(left, size))
         return size, float(np.sqrt(factor / square))
@@ -180,44 +219,80 @@ class _Search:
             return 1.0
         return float(np.sum((asked - size * known)[telling] ** 2 / known[telling]) / freedom)
 
-    def _ends(self, size: float, std: float) -> list[float]:
-        """Ends of the range, from none of the effect."""
-        if self._one_sided:
-            return [max(size, 0.0) + self._reach * std]
-        return [size - self._reach * std, size + self._reach * std]
+    def _end(self, sign: float, size: float, std: float) -> float:
+        """End of the range on a side, from none of the effect."""
+        return (max(size, 0.0) if self._one_sided else size) + sign * self._reach * std
 
-    def open_sides(self) -> list[int]:
+    def open_sides(self) -> list[_Side]:
         """Ends that are within the parameter's bounds, and so are to be simulated."""
         low, high = self._room
         for side in self._sides:
             side.seen = side.seen and low < side.size < high
-        return [i for i, side in enumerate(self._sides) if side.seen]
+        return [side for side in self._sides if side.seen]
 
-    def active(self, i: int) -> ActiveEffect:
+    def active(self, side: _Side) -> ActiveEffect:
         """The effect as strong as an end says, its other amplitudes off."""
-        values = self._values.copy()
+        values = side.values.copy()
         for k, p in enumerate(self._effect.parameters):
             if p.amplitude:
-                values[k] = p.default + (self._sides[i].size if p is self._parameter else 0.0)
+                values[k] = p.default + (side.size if k == self._which else 0.0)
         return ActiveEffect(self._effect, tuple(map(float, values)))
 
-    def simulated(self, i: int, change: FloatArray) -> None:
+    def simulated(self, side: _Side, change: FloatArray) -> None:
         """Move an end to where it is excluded, by the change that the effect so strong makes."""
-        side = self._sides[i]
         if not np.all(np.isfinite(change)):
             side.seen = False
             return
         side.change = change
-        if abs(side.size) < NEAR * self._std:
+        if abs(side.size) < NEAR * side.std:
             return
-        prior = np.zeros(len(self._nuisance.residual) - len(change))
-        estimate = self._estimate(np.concatenate([change, prior]) / side.size, self._others)
-        if estimate is None:
+        row = self._with_prior(change) / side.size
+        left = self._left(row, side.others)
+        if not float(np.linalg.norm(left)) > LEAST_LEFT * float(np.linalg.norm(row)):
             side.seen = False
             return
-        new = self._ends(*estimate)[i]
-        side.change = change * (new / side.size)
-        side.size = new
+        self._move(side, self._end(side.sign, *self._estimate(left)))
+
+    def confirm(self, side: _Side, prepared: PreparedStudy, fit: Fit) -> None:
+        """Let everything else answer the effect at an end; if not as promised, refit there."""
+        if side.change is None or abs(side.size) < NEAR * side.std:
+            return
+        held = HeldEffect.beside(prepared, fit, self._effect, self._which)
+        change = self._with_prior(side.change)
+        q = held.answer(self.active(side), change, side.rows)
+        promised = self._left(change, side.others)
+        off = self._left(held.change(q), side.others) - promised
+        if float(np.linalg.norm(off)) < AS_PROMISED * float(np.linalg.norm(promised)):
+            return
+        self._refit(side, held, q if np.all(np.isfinite(off)) else None)
+
+    def _refit(self, side: _Side, held: HeldEffect, q: FloatArray | None) -> None:
+        """Move an end to where the effect held there, everything else refitted, is excluded."""
+        tried: list[tuple[float, float]] = []
+        for _ in range(REFITS):
+            try:
+                q, change = held.refitted(held.at(self.active(side), q))
+            except ValueError:
+                side.seen = False
+                return
+            size, std = self._estimate(change / side.size)
+            ratio = self._end(side.sign, size, std) / side.size
+            if not ratio > 0.0 or abs(np.log(ratio)) < SETTLED:
+                self._move(side, ratio * side.size)
+                return
+            tried.append((float(np.log(abs(side.size))), float(np.log(ratio))))
+            self._move(side, side.size * float(np.exp(_further(tried))))
+            if side not in self.open_sides():
+                return
+
+    def _with_prior(self, change: FloatArray) -> FloatArray:
+        """A change that leaves the prior's rows as they are."""
+        return np.pad(change, (0, len(self._nuisance.residual) - len(change)))
+
+    def _move(self, side: _Side, size: float) -> None:
+        if side.change is not None:
+            side.change = side.change * (size / side.size)
+        side.size = size
 
     def limit(self, prepared: PreparedStudy) -> Limit:
         """What was found."""
@@ -232,6 +307,16 @@ class _Search:
         tip_m = max(_tip_m(prepared, s.change) for s in self._sides if s.change is not None)
         lowest = p.default if self._one_sided else ends[0]
         return Limit(self._effect.name, p.name, p.unit, lowest, ends[-1], tip_m)
+
+
+def _further(tried: Sequence[tuple[float, float]]) -> float:
+    """Step of ln size towards ln ratio = 0, from (ln size, ln ratio) so far."""
+    size, ratio = tried[-1]
+    slope = -1.0
+    if len(tried) > 1 and size != tried[-2][0]:
+        slope = (ratio - tried[-2][1]) / (size - tried[-2][0])
+        slope = float(np.clip(slope, -STEEPEST, -1.0 / STEEPEST))
+    return -ratio / slope
 
 
 def _orthonormal(rows: FloatArray) -> FloatArray:

@@ -187,12 +187,17 @@ def _with(model: CableModel, active: ActiveEffect) -> CableModel:
 
 def nuisance_of(fit: Fit) -> Nuisance:
     """What the fitted parameters can imitate, their prior as further rows."""
+    root, p = prior_root(fit), len(fit.q)
+    away = np.concatenate([fit.q - fit.space.mean, fit.solution.q[p:]])
+    residual = np.concatenate([fit.solution.residual, root @ away])
+    return Nuisance.of(residual, np.vstack([fit.solution.jacobian, root]))
+
+
+def prior_root(fit: Fit) -> FloatArray:
+    """(rows, p) by which the prior's rows rise with the fit's coordinates, beginnings included."""
     p, rows = len(fit.q), len(fit.solution.q)
     precision = np.zeros((rows, rows))
     precision[:p, :p] = fit.space.precision
     if any(len(b) > 1 for b in fit.begun.values()):  # modes have a prior; a delay alone is free
         precision[p:, p:] = np.diag(1.0 / fit.begun_std**2)
-    root = covariance_root(precision).T
-    away = np.concatenate([fit.q - fit.space.mean, fit.solution.q[p:]])
-    residual = np.concatenate([fit.solution.residual, root @ away])
-    return Nuisance.of(residual, np.vstack([fit.solution.jacobian, root]))
+    return np.asarray(covariance_root(precision).T)
