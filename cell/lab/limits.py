@@ -184,7 +184,8 @@ class _Search:
             if not float(np.linalg.norm(left)) > LEAST_LEFT * float(np.linalg.norm(rows[j])):
                 continue
             size, std = self._estimate(left)
-            explained = (max(size, 0.0) if self._one_sided else size) ** 2 / std**2
+            square = float(left @ left) / self._inflation
+            explained = square * (max(size, 0.0) if self._one_sided else size) ** 2
             for sign in (1.0,) if self._one_sided else (-1.0, 1.0):
                 end = self._end(sign, size, std)
                 side = _Side(sign, end, std, slopes.values[shape], rest, basis)
