@@ -23,12 +23,13 @@ from made_studies import hidden, make_study
 from scipy import stats
 from scipy.optimize import linear_sum_assignment
 
-from cell.cable.effects import ActiveEffect, Effect, library
+from cell.cable.effects import Effect, library
 from cell.identify.parameters import ParameterSpace
 from cell.lab.diagnose import diagnose
 from cell.lab.explore import Explorer
 from cell.lab.fitting import fit_trials
 from cell.lab.prepared import PreparedStudy
+from cell.lab.results import MissingEffect
 
 SIGNIFICANCE = 0.01
 #: No motion from rest tells these apart: with one out of the library the other is right.
@@ -39,25 +40,42 @@ LEAST_RIGHT = {"one": 0.95, "unknown": 0.95, "pair": 0.8}
 
 @dataclass(frozen=True)
 class Outcome:
-    """hide: what was asked; hidden: the effects behind the data; named: classes of tied effects."""
+    """What a diagnosis said beside the truth.
+
+    hide    what was asked
+    hidden  the effects behind the data; `beside`: such that are there too and need not be named
+    named   classes of tied effects
+    """
 
     hide: str
     hidden: tuple[str, ...]
     power: float
     verdict: str
     named: tuple[frozenset[str], ...]
+    beside: tuple[str, ...] = ()
 
     @property
     def right(self) -> bool:
         if self.hide == "unknown":
             return self.verdict == "unexplained"
-        matched = linear_sum_assignment([[-(h in n) for n in self.named] for h in self.hidden])
-        all_named = sum(self.hidden[i] in self.named[j] for i, j in zip(*matched, strict=True))
-        return all_named == len(self.hidden) == len(self.named)
+        return self.has_named_all(self.named)
+
+    def has_named_all(self, named: Sequence[frozenset[str]]) -> bool:
+        """Whether these classes name all that is hidden, and nothing that is not there."""
+        there = [*self.hidden, *self.beside]
+        worth = [1.0 + (h in self.hidden) for h in there]
+        gain = [[w * (h in n) for n in named] for h, w in zip(there, worth, strict=True)]
+        pairs = zip(*linear_sum_assignment(gain, maximize=True), strict=True)
+        found = [there[i] for i, j in pairs if gain[i][j]]
+        return set(self.hidden) <= set(found) and len(found) == len(named)
 
     @property
     def wrong(self) -> bool:
-        return any(not names & set(self.hidden) for names in self.named)
+        return self.has_named_other(self.named)
+
+    def has_named_other(self, named: Sequence[frozenset[str]]) -> bool:
+        """Whether one of these classes holds nothing that is there."""
+        return any(not names & {*self.hidden, *self.beside} for names in named)
 
 
 def one(seed: int, hide: str) -> Outcome:
@@ -78,25 +96,34 @@ def one(seed: int, hide: str) -> Outcome:
     found = diagnose(Explorer(prepared, space, offered)).diagnosis
     lacking: list[list[type[Effect]]] = [[e] for e in effects] if hide == "pair" else [[]]
     spaces = [ParameterSpace.of(study.cable, effects=rest) for rest in lacking]
-    power = min(_power(seed, active, prepared, s, len(known)) for s in spaces)
-    named = tuple(frozenset({f.effect, *f.tied_with}) for f in found.missing)
-    return Outcome(hide, tuple(e.name for e in effects), power, found.verdict, named)
-
-
-def _power(
-    seed: int,
-    active: Sequence[ActiveEffect],
-    prepared: PreparedStudy,
-    space: ParameterSpace,
-    tests: int,
-) -> float:
-    """Of a test that knows the truth, against the model of `space`."""
     clean = make_study(seed, active, noise_m=1e-9, colour=0.0)
-    quiet = replace(clean, noise_std_m=prepared.noise.std_m)
-    left = Explorer(PreparedStudy.of(quiet), space, {}).baseline().fit
-    count = prepared.count(fit_trials(prepared))
-    limit = stats.chi2.isf(SIGNIFICANCE / tests, 1) + np.log(count)
-    return float(stats.ncx2.sf(limit, 1, left.chi2 * prepared.floor.effective_fraction))
+    quiet = PreparedStudy.of(replace(clean, noise_std_m=prepared.noise.std_m))
+    independent = prepared.floor.effective_fraction
+    power = min(power_of(independent * evidence(quiet, s), quiet, len(known)) for s in spaces)
+    return Outcome(
+        hide, tuple(e.name for e in effects), power, found.verdict, classes(found.missing)
+    )
+
+
+def classes(found: Sequence[MissingEffect]) -> tuple[frozenset[str], ...]:
+    """Each effect named with those that it is tied with."""
+    return tuple(frozenset({f.effect, *f.tied_with}) for f in found)
+
+
+def evidence(quiet: PreparedStudy, space: ParameterSpace) -> float:
+    """χ² that a study without noise, told its level, leaves when `space` is fitted to it."""
+    return Explorer(quiet, space, {}).baseline().fit.chi2
+
+
+def least_evidence(quiet: PreparedStudy, tests: int) -> float:
+    """χ² that a test over so many effects asks for."""
+    count = quiet.count(fit_trials(quiet))
+    return float(stats.chi2.isf(SIGNIFICANCE / tests, 1) + np.log(count))
+
+
+def power_of(independent: float, quiet: PreparedStudy, tests: int) -> float:
+    """Of a test that knows the truth, by the χ² of independent values that the effect leaves."""
+    return float(stats.ncx2.sf(least_evidence(quiet, tests), 1, independent))
 
 
 def main() -> int:

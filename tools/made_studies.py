@@ -17,6 +17,23 @@ from cell.cable.model import CableModel
 from cell.study.data import Markers, Study, Trial
 
 CABLE = Cable(0.1, 0.0074, 0.016, 0.0001)
+#: Powers of line density and free length by which a quantity of like cables grows, by its unit.
+LIKE = {
+    "kg": (1.0, 1.0),
+    "kg/m": (1.0, 0.0),
+    "m": (0.0, 1.0),
+    "1/m": (0.0, -1.0),
+    "1/m²": (0.0, -2.0),
+    "s": (0.0, 0.5),
+    "Hz": (0.0, -0.5),
+    "m/s": (0.0, 0.5),
+    "s/m": (0.0, -0.5),
+    "N·m": (1.0, 2.0),
+    "N·m²": (1.0, 3.0),
+    "N·m²·s": (1.0, 3.5),
+    "N·s/m²": (1.0, -0.5),
+    "rad/(N·m)": (-1.0, -2.0),
+}
 WORLD = Solver(segments=60, step_s=5e-4)
 FRAME_S = 0.005
 #: name, role, clamp angle, way (x, y), seconds
@@ -46,41 +63,76 @@ def make_study(
     rng = np.random.default_rng(seed)
     noise = float(np.exp(rng.uniform(np.log(5e-5), np.log(3e-4)))) if noise_m is None else noise_m
     rho = float(rng.uniform(0.0, 0.9)) if colour is None else colour
-    s = np.linspace(0.0, 1.0, 9)
-    wave = 0.2 * np.sin(2.0 * np.pi * (rng.uniform(0.4, 1.2) * s + rng.uniform()))
-    rigidity = rng.uniform(1.8e-5, 4e-5) * (1.0 + wave + rng.uniform(-0.2, 0.2) * (s - 0.5))
-    model = CableModel(
-        CABLE, rigidity, rng.uniform(0.9, 1.15), rng.uniform(4e-8, 2e-7), effects=tuple(effects)
-    )
+    model = random_model(rng, CABLE, effects)
     if noise_seed is not None:
         rng = np.random.default_rng(noise_seed)
     arcs = node_arc_lengths(CABLE.free_length_m)
     trials = []
     for name, role, angle, way, seconds in STROKES:
-        t = np.arange(0.0, 0.22 + seconds + 0.9, 0.002)
-        u = np.clip((t - 0.2) / seconds, 0.0, 1.0)
-        done = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
-        hand = (way[0] * done, way[1] * done, np.full_like(t, angle))
-        t_s = np.arange(rng.uniform(0.0, FRAME_S), t[-1], FRAME_S)
-        clean = simulate(model, Motion(t, *hand), t_s, arcs, solver=WORLD)[0]
-        seen = clean + noise * _coloured(rng, clean.shape, rho)
-        x, y = (v + 1e-5 * rng.normal(size=len(t)) for v in hand[:2])
-        motion = Motion(t, x, y, hand[2])
-        trials.append(Trial(name, "fit" if role == "fit" else "validate", "equilibrium", motion,
-                            Markers(t_s, seen)))  # fmt: skip
+        hand = stroke(angle, way, seconds)
+        t_s = np.arange(rng.uniform(0.0, FRAME_S), hand.t_s[-1], FRAME_S)
+        clean = simulate(model, hand, t_s, arcs, solver=WORLD)[0]
+        seen = clean + noise * coloured(rng, clean.shape, rho)
+        trials.append(Trial(name, "fit" if role == "fit" else "validate", "equilibrium",
+                            logged(rng, hand, 1e-5), Markers(t_s, seen)))  # fmt: skip
     return Study(f"made_{seed}", CABLE, arcs, tuple(trials))
 
 
-def hidden(effect: type[Effect], size: float) -> ActiveEffect:
-    """An effect at `size` times its typical strength, its other parameters typical."""
-    values = {
-        p.name: p.default + size * (p.starts[0] - p.default) if p.amplitude else p.starts[0]
-        for p in effect.parameters
-    }
+def random_model(
+    rng: np.random.Generator, cable: Cable, effects: Sequence[ActiveEffect]
+) -> CableModel:
+    """A cable's law of bending; of another cable than `CABLE` one that droops and swings alike."""
+    s = np.linspace(0.0, 1.0, 9)
+    wave = 0.2 * np.sin(2.0 * np.pi * (rng.uniform(0.4, 1.2) * s + rng.uniform()))
+    rigidity = rng.uniform(1.8e-5, 4e-5) * (1.0 + wave + rng.uniform(-0.2, 0.2) * (s - 0.5))
+    rigidity *= like(cable, "N·m²")
+    exponent, viscosity = rng.uniform(0.9, 1.15), rng.uniform(4e-8, 2e-7)
+    viscosity *= like(cable, "N·m²·s")
+    return CableModel(cable, rigidity, exponent, viscosity, effects=tuple(effects))
+
+
+def stroke(
+    angle_rad: float,
+    way_m: tuple[float, float],
+    seconds: float,
+    still_s: float = 0.2,
+    after_s: float = 0.9,
+) -> Motion:
+    """A smooth way of the hand that begins after `still_s`; the record goes on for `after_s`."""
+    t = np.arange(0.0, still_s + 0.02 + seconds + after_s, 0.002)
+    u = np.clip((t - still_s) / seconds, 0.0, 1.0)
+    done = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
+    return Motion(t, way_m[0] * done, way_m[1] * done, np.full_like(t, angle_rad))
+
+
+def logged(rng: np.random.Generator, hand: Motion, noise_m: float) -> Motion:
+    """The hand's motion with the noise of its log."""
+    x, y = (v + noise_m * rng.normal(size=len(v)) for v in (hand.x_m, hand.y_m))
+    return Motion(hand.t_s, x, y, hand.angle_rad)
+
+
+def like(cable: Cable, unit: str) -> float:
+    """By how much a quantity with this unit is larger in a like cable than in `CABLE`."""
+    of_density, of_length = LIKE.get(unit, (0.0, 0.0))
+    heavier = cable.line_density_kg_per_m / CABLE.line_density_kg_per_m
+    return heavier**of_density * (cable.free_length_m / CABLE.free_length_m) ** of_length
+
+
+def hidden(effect: type[Effect], size: float, cable: Cable = CABLE) -> ActiveEffect:
+    """An effect at `size` times its strength typical of a cable, its other parameters typical.
+
+    Within the parameters' bounds.  Constants of the set-up stay as they are.
+    """
+    values = {}
+    for p in effect.parameters:
+        typical = (p.starts[0] - p.default) * like(cable, p.unit)
+        value = p.default + size * typical if p.amplitude else p.starts[0] * like(cable, p.unit)
+        values[p.name] = float(np.clip(value, p.low, p.high)) if p.fitted else p.default
     return effect.active(**values)
 
 
-def _coloured(rng: np.random.Generator, shape: tuple[int, ...], rho: float) -> np.ndarray:
+def coloured(rng: np.random.Generator, shape: tuple[int, ...], rho: float) -> np.ndarray:
+    """Noise of variance 1, its first axis time, each value correlated by `rho` with the next."""
     noise = rng.normal(size=shape)
     for i in range(1, len(noise)):
         noise[i] = rho * noise[i - 1] + np.sqrt(1.0 - rho**2) * noise[i]

@@ -28,11 +28,21 @@ STILL = StillWithin(1e-4, 2e-3)
 ROUGHLY_STILL = StillWithin(1e-3, 0.01)
 
 
+#: Samples of a log in a row that a hand must be away: one or two are a glitch of the log.
+AWAY_SAMPLES = 3
+
+
 def moves_from_s(motion: Motion, still: StillWithin = STILL) -> float:
-    """Time at which the hand first leaves where it began, s; `inf` if it never does."""
+    """Time at which the hand first leaves where it began, s; `inf` if it never does.
+
+    Samples of the log that are wrong by more than the limit, `AWAY_SAMPLES` − 1 of them in a row
+    at most, are no motion.
+    """
     first = slice(0, max(1, min(10, len(motion.t_s) // 10)))
     away = np.zeros(len(motion.t_s), dtype=bool)
     for name, limit in still.by_axis().items():
         value = getattr(motion, name)
         away |= np.abs(value - np.median(value[first])) > limit
-    return float(motion.t_s[away.argmax()]) if away.any() else float("inf")
+    ahead = np.concatenate([away, np.repeat(away[-1:], AWAY_SAMPLES - 1)])
+    stays = np.lib.stride_tricks.sliding_window_view(ahead, AWAY_SAMPLES).all(axis=1)
+    return float(motion.t_s[stays.argmax()]) if stays.any() else float("inf")

@@ -21,6 +21,25 @@ def test_the_first_move_is_found_in_a_noisy_log() -> None:
     assert moves_from_s(turned) == pytest.approx(0.7)
 
 
+def test_a_glitch_of_the_log_is_no_motion() -> None:
+    """One wrong sample before a stroke, and no frame counted as still: a study was refused."""
+    u = np.clip((T_S - 0.2) / 0.3, 0.0, 1.0)
+    down_m = -0.05 * (10.0 * u**3 - 15.0 * u**4 + 6.0 * u**5)
+    level = np.zeros_like(T_S)
+    begins_s = moves_from_s(Motion(T_S, level, down_m, level))
+    wrong_m = down_m.copy()
+    wrong_m[[0, 30, 60, 61]] += 2e-4
+    assert moves_from_s(Motion(T_S, level, wrong_m, level)) == begins_s
+    wrong_m[60:63] += 2e-4
+    assert moves_from_s(Motion(T_S, level, wrong_m, level)) == T_S[60]
+
+
+def test_a_hand_that_leaves_with_the_last_sample_has_moved() -> None:
+    last_m = np.where(T_S[-1] == T_S, 1e-3, 0.0)
+    level = np.zeros_like(T_S)
+    assert moves_from_s(Motion(T_S, last_m, level, level)) == T_S[-1]
+
+
 def test_a_rough_log_may_wander_more() -> None:
     wandering_m = 5e-4 * np.sin(20.0 * T_S)
     motion = Motion(T_S, wandering_m, 0.0 * T_S, 0.0 * T_S)

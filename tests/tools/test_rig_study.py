@@ -1,0 +1,68 @@
+"""How studies with a known answer are judged, and that their rigs err as they say."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
+
+import made_studies
+import rig_study
+
+from cell.cable.effects import library
+from cell.cable.geometry import Cable
+
+TIED = frozenset({"camera_latency", "robot_lag"})
+MASS, CURVE, DRAG = (frozenset({n}) for n in ("tip_mass", "natural_curvature", "air_drag"))
+
+
+def outcome(*named, verdict="missing", partial=(), beside=("natural_curvature",)):
+    hidden = ("robot_lag",)
+    return rig_study.RigOutcome("one", hidden, 1.0, verdict, tuple(named), beside, tuple(partial))
+
+
+@pytest.mark.parametrize(
+    ("found", "judged"),
+    [
+        (outcome(TIED), "right"),
+        (outcome(TIED, CURVE), "right"),
+        (outcome(CURVE), "not named"),
+        (outcome(TIED, CURVE, beside=()), "WRONG"),
+        (outcome(TIED, DRAG), "WRONG"),
+        (outcome(verdict="complete"), "FALSE COMPLETE"),
+        (outcome(verdict="unexplained"), "not named"),
+        (outcome(verdict="unexplained", partial=[TIED]), "partial, right name"),
+        (outcome(verdict="unexplained", partial=[CURVE]), "not named"),
+        (outcome(verdict="unexplained", partial=[TIED, MASS]), "partial, wrong name"),
+    ],
+)
+def test_it_is_judged_by_all_that_is_there(found, judged):
+    assert found.judged == judged
+
+
+@pytest.mark.parametrize("updates", [1, 3])
+def test_a_rig_errs_by_what_it_says(updates):
+    rig = replace(rig_study.Rig.drawn(0, "air_drag"), updates=updates, colour=0.5)
+    shape = (4000, len(rig.arc_length_m), 2)
+    errors = rig_study._erring(np.random.default_rng(0), rig, shape)
+    assert errors.shape == shape
+    assert np.sqrt(np.mean(errors**2)) == pytest.approx(1.0, rel=0.05)
+    held = np.abs(np.diff(errors[:, 0, 0])) < 0.2 * errors[:, 0, 0].std()
+    assert held.mean() == pytest.approx(0.7 if updates == 3 else 0.15, abs=0.1)
+
+
+def test_an_effect_is_as_strong_on_a_like_cable():
+    """A connector is the same share of any cable's mass, a slip of its length."""
+    long = Cable(0.6, 0.06, 0.008, 0.008)
+    for name, power in (("tip_mass", 1), ("grip_slip", 0)):
+        here, there = (
+            made_studies.hidden(library()[name], 1.0, c) for c in (made_studies.CABLE, long)
+        )
+        assert there.values[0] / here.values[0] == pytest.approx(6.0 * (0.06 / 0.0074) ** power)
+    roll = made_studies.hidden(library()["camera_scale"], 1.0, long)
+    assert roll.named["centre_x_m"] == -0.05, "a constant of the set-up has been moved"
