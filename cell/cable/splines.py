@@ -23,6 +23,10 @@ _ROUNDS = 3
 _LEAST = 1e-6
 _PROBES = 3
 
+#: A value of the log that lies apart by more standard deviations of its noise than this is wrong;
+#: it is compared with so many neighbours on either side.
+_GLITCH, _BESIDE = 4.5, 3
+
 #: Multiples of a penalty among which that of a like curve is.
 _NEAR = np.geomspace(10.0**-1.5, 10.0**1.5, 7)
 
@@ -64,6 +68,8 @@ def fit(t_s: FloatArray, value: FloatArray) -> Spline:
     as the noise allows; cross-validation, which does not know the noise, now and then follows all
     of it.
     The penalty is then raised where the curve bends little, so that a hand at rest is still.
+    Values that lie apart from their neighbours are wrong, and made up from those beside them:
+    where they are the curve would seem to bend.
     Source: Green & Silverman, Nonparametric Regression and Generalized Linear Models, 1994, ch. 2
     (Reinsch's algorithm); Pintore et al., Biometrika 93 (2006) 113, for local penalties.
     """
@@ -78,15 +84,29 @@ def fit(t_s: FloatArray, value: FloatArray) -> Spline:
     half = min(int(_CALM_S / spacing) + 1, (len(t) - 1) // 2)
     window = np.hanning(2 * half + 3)[1:-1]
     local = np.ones_like(t)
-    signals = _with_probes(y)
+    signals, wrong = _with_probes(y), np.zeros(len(t), dtype=bool)
     multiples = np.geomspace(1e-3, 1e7, 18) * spacing**3
     for _ in range(_ROUNDS):
         smooth, root = _least_error(signals, t, noise, local, multiples)
+        while np.any(_glitches(signals[:, 0] - smooth, noise) & ~wrong):
+            wrong |= _glitches(signals[:, 0] - smooth, noise)
+            signals[wrong, 0] = np.interp(t[wrong], t[~wrong], y[~wrong])
+            smooth, root = _least_error(signals, t, noise, local, multiples)
         energy = np.convolve(_natural(t, smooth) ** 2, window / window.sum(), "same")
         if energy.max() == 0.0:
             break
         local = 1.0 / np.maximum(energy / energy.max(), _LEAST)
     return Spline(t, smooth, _natural(t, smooth), noise, root)
+
+
+def _glitches(residual: FloatArray, noise: float) -> NDArray[np.bool_]:
+    """Values that lie apart from their neighbours by more than noise does; one or two in a row.
+
+    Where a curve is smoothed too much its neighbours lie beside it as well.
+    """
+    around = np.pad(residual, _BESIDE, mode="reflect")
+    middle = np.median(np.lib.stride_tricks.sliding_window_view(around, 2 * _BESIDE + 1), axis=1)
+    return np.asarray(np.abs(residual - middle) > _GLITCH * noise)
 
 
 def refit(spline: Spline, values: FloatArray) -> list[Spline]:

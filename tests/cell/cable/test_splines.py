@@ -48,6 +48,24 @@ def test_noise_is_estimated_and_taken_out_without_smearing_the_jerk(seed):
     assert np.std(spline(FINE, 1)[FINE > 0.5]) < 5e-4  # a hand at rest is still
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_wrong_sample_moves_the_hand_no_more_than_noise_does(seed):
+    """The penalty fell where such a sample is, and the curve went through it."""
+    noisy = jerk(T) + np.random.default_rng(seed).normal(0.0, 1e-5, T.size)
+    wrong = noisy.copy()
+    wrong[[60, 260, 261, 330]] += [1e-4, -8e-5, -1e-4, 7e-5]  # in motion and at rest
+    error, without = (fit(T, log)(FINE) - jerk(FINE) for log in (wrong, noisy))
+    assert np.abs(error).max() < 2e-5
+    assert np.sqrt(np.mean(error**2)) < 1.1 * np.sqrt(np.mean(without**2))
+
+
+def test_a_sharp_start_in_a_quiet_log_is_no_wrong_sample():
+    noise = np.random.default_rng(0).normal(0.0, 1e-6, T.size)
+    corner = -0.1 * np.clip(T - 0.3, 0.0, None)
+    error = fit(T, corner + noise)(T) - corner
+    assert np.abs(error).max() < 5e-6
+
+
 def test_irregular_times():
     rng = np.random.default_rng(5)
     t = T + rng.uniform(-5e-4, 5e-4, T.size)
