@@ -36,7 +36,7 @@ compiled: $(VENV)/.dev   # machine code on disk, or each of two test processes w
 		|| { cat $$folder/log; rm -rf $$folder; exit 1; }; rm -rf $$folder
 
 tests: $(VENV)/.dev
-	$(BIN)/pytest -n 2 -m 'not xdist_group'
+	$(BIN)/pytest -n 3 -m 'not xdist_group'  # one more than cores: many tests wait
 	$(BIN)/pytest -m xdist_group --ignore tests/end_to_end/test_fault_trials.py  # in real time: alone
 
 hardware: $(VENV)/.dev   ## the conformance suite on the devices of CONFIG=file; they move
