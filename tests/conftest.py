@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
-from cell.cable.dynamics import Solver, simulate
+from cell.cable.dynamics import simulate
 from cell.cable.geometry import Cable, Motion
 from cell.cable.model import CableModel
+from cell.cable.solver import Solver
 
 HARDWARE = "hardware"
 #: Rooms of tests in which devices run in real time, as do tests that want to run alone.  A busy

@@ -26,10 +26,11 @@ from bench_task import (
 
 from cell.cable import layout as at
 from cell.cable.assembly import assemble
-from cell.cable.dynamics import Solver, generalised_alpha, simulate, threads
+from cell.cable.dynamics import simulate
 from cell.cable.effects import air as air_family
 from cell.cable.effects import library, load_effect
 from cell.cable.model import CableModel
+from cell.cable.solver import Solver, generalised_alpha, threads
 from cell.cable.statics import settle
 from cell.cable.stepping import integrate
 from cell.identify.differences import difference_points

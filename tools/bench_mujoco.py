@@ -14,7 +14,7 @@ from mujoco import rollout
 
 from cell.cable import layout as at
 from cell.cable.assembly import assemble
-from cell.cable.dynamics import threads
+from cell.cable.solver import threads
 from cell.cable.statics import settle
 
 

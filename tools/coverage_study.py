@@ -20,9 +20,10 @@ from rich.table import Table
 from scipy.stats import binomtest
 
 from calib.plane import PlaneView
-from cell.cable.dynamics import Solver, simulate
+from cell.cable.dynamics import simulate
 from cell.cable.geometry import Cable, Motion, node_arc_lengths
 from cell.cable.model import CableModel
+from cell.cable.solver import Solver
 from cell.identify.identified import Identified
 from cell.identify.individual import IdentifyOptions, hold_trial, identify
 from cell.plan.paths import MotionLimits, executed_motion, identification_path

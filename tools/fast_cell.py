@@ -13,10 +13,11 @@ from coverage_study import Errors
 from numpy.typing import NDArray
 
 from cell.build import cell_task
-from cell.cable.dynamics import Solver, simulate
+from cell.cable.dynamics import simulate
 from cell.cable.effects import Effect
 from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
+from cell.cable.solver import Solver
 from cell.identify.identified import Identified
 from cell.identify.individual import CableRejectedError, hold_trial, identify
 from cell.plan.choose import Choice, choose

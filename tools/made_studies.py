@@ -10,10 +10,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cell.cable.dynamics import Solver, simulate
+from cell.cable.dynamics import simulate
 from cell.cable.effects import ActiveEffect, Effect
 from cell.cable.geometry import Cable, Motion, node_arc_lengths
 from cell.cable.model import CableModel
+from cell.cable.solver import Solver
 from cell.study.data import Markers, Study, Trial
 
 CABLE = Cable(0.1, 0.0074, 0.016, 0.0001)

@@ -8,9 +8,10 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.cable.dynamics import Solver, simulate
+from cell.cable.dynamics import simulate
 from cell.cable.geometry import Cable, Motion, node_arc_lengths
 from cell.cable.model import CableModel
+from cell.cable.solver import Solver
 from cell.identify.identified import Identified
 from cell.identify.individual import identify
 from cell.plan.choose import Choice, choose, forecast

@@ -9,13 +9,14 @@ from cell.cable import camera
 from cell.cable import layout as at
 from cell.cable.assembly import assemble, marker_weights
 from cell.cable.clamp import base_rows, pose_of
-from cell.cable.dynamics import DivergedError, Solver, generalised_alpha, interleave
 from cell.cable.effects.base import Effect
 from cell.cable.effects.own import run_engine
 from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
+from cell.cable.solver import DivergedError, Solver, generalised_alpha
 from cell.cable.statics import settle
 from cell.cable.stepping import integrate, nodes
+from cell.cable.swing import interleave
 
 FloatArray = NDArray[np.float64]
 

@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.cable.dynamics import DivergedError, Solver, simulate, simulate_each
+from cell.cable.dynamics import simulate, simulate_each
 from cell.cable.model import CableModel
+from cell.cable.solver import DivergedError, Solver
 from cell.cable.statics import UnsettledError
 from cell.cable.still import moves_from_s
 from cell.identify import gauss_newton

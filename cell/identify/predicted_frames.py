@@ -8,8 +8,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from cell.cable.dynamics import Solver, simulate
+from cell.cable.dynamics import simulate
 from cell.cable.geometry import Motion
+from cell.cable.solver import Solver
 from cell.cable.still import STILL
 from cell.identify.differences import difference_points
 from cell.identify.hand import HandErrors, likely_motions

@@ -12,8 +12,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.cable.dynamics import threads
 from cell.cable.effects.base import Effect
+from cell.cable.solver import threads
 from cell.identify.gauss_newton import Options
 from cell.identify.parameters import ParameterSpace
 from cell.lab.fitting import (

@@ -10,9 +10,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.cable.dynamics import DivergedError, simulate
+from cell.cable.dynamics import simulate
 from cell.cable.effects.base import Effect, Parameter
 from cell.cable.geometry import Cable
+from cell.cable.solver import DivergedError
 from cell.cable.statics import UnsettledError
 from cell.identify.individual import CableRejectedError, IdentifyOptions, identify
 from cell.identify.model_class import ModelClass

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cell.cable.dynamics import Solver
 from cell.cable.effects.base import Effect
+from cell.cable.solver import Solver
 from cell.identify.noise import Noise
 from cell.lab.doubts import at_bound
 from cell.lab.explore import Candidate, Explorer

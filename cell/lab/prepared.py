@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.cable.dynamics import Solver
 from cell.cable.model import CableModel
+from cell.cable.solver import Solver
 from cell.identify.fit import Lane, predict_lanes
 from cell.identify.noise import Noise, Whitener, still_frames
 from cell.lab.beginnings import Beginning, beginning_of

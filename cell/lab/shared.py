@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc as chi2_sf
 
-from cell.cable.dynamics import Solver
 from cell.cable.effects.base import Effect
 from cell.cable.model import CableModel
+from cell.cable.solver import Solver
 from cell.identify import gauss_newton
 from cell.identify.fit import variance_inflation
 from cell.identify.noise import Whitener

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri as normal_quantile
 
-from cell.cable.dynamics import Solver, simulate_branches
+from cell.cable.branches import simulate_branches
 from cell.cable.geometry import Motion
+from cell.cable.solver import Solver
 from cell.identify.differences import difference_points
 from cell.identify.identified import Identified
 from cell.plan.destination import Destination

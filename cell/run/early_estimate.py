@@ -9,8 +9,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from cell.cable.dynamics import DivergedError, Solver, threads
 from cell.cable.geometry import Motion
+from cell.cable.solver import DivergedError, Solver, threads
 from cell.cable.statics import UnsettledError
 from cell.computer.second_process import SecondProcess
 from cell.identify.hand import HandErrors

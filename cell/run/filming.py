@@ -10,7 +10,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from cell.cable.dynamics import threads
+from cell.cable.solver import threads
 from cell.run.findings import FilmedMotion, Filming
 from cell.run.station import Station
 from cell.run.waiting import check_arm, check_grip, wait_until

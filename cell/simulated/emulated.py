@@ -17,8 +17,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.cable.dynamics import Solver
 from cell.cable.live import SwingingCable
+from cell.cable.solver import Solver
 from cell.settings import Settings
 from cell.settings import devices as given
 from cell.settings.check import STREAM

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.cable.dynamics import Solver, simulate
+from cell.cable.dynamics import simulate
 from cell.cable.effects import library, unscreened
 from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
+from cell.cable.solver import Solver
 from cell.settings import Settings
 from cell.settings.translate import cable_of
 from drivers.interfaces import Trajectory

@@ -8,10 +8,10 @@ import pytest
 from cell.cable import layout as at
 from cell.cable.assembly import assemble
 from cell.cable.clamp import base_rows
-from cell.cable.dynamics import generalised_alpha
 from cell.cable.geometry import Cable
 from cell.cable.kernel import bending, kinematics, solve
 from cell.cable.model import REFERENCE_CURVATURE_1_PER_M, REGULAR_CURVATURE_1_PER_M, CableModel
+from cell.cable.solver import generalised_alpha
 from cell.cable.stepping import integrate
 
 

@@ -8,13 +8,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from cell.cable import layout as at
-from cell.cable.dynamics import Solver, simulate
+from cell.cable.dynamics import simulate
 from cell.cable.effects import library, unscreened
 from cell.cable.effects.air import AIR_DENSITY_KG_PER_M3
 from cell.cable.effects.compiled import loops_of
 from cell.cable.effects.pointer import ADVANCE, EVALUATE, REST
 from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
+from cell.cable.solver import Solver
 
 EFFECTS = library() | unscreened()
 RIGIDITY = 3e-5

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from cell.cable.dynamics import Solver, simulate
+from cell.cable.dynamics import simulate
 from cell.cable.effects import library
 from cell.cable.model import CableModel
+from cell.cable.solver import Solver
 
 TIMES = np.arange(0.0, 1.2, 0.01)
 

@@ -5,9 +5,10 @@ import pytest
 from scipy.linalg import eigh
 from scipy.optimize import curve_fit
 
-from cell.cable.dynamics import Solver, simulate
+from cell.cable.dynamics import simulate
 from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
+from cell.cable.solver import Solver
 
 EI, RHO, LENGTH = 3e-5, 0.0074, 0.1
 FINE = Solver(60, 1e-4, 1.0)

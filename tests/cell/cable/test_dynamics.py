@@ -7,18 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cell.cable import dynamics
-from cell.cable.dynamics import (
-    DivergedError,
-    Solver,
-    simulate,
-    simulate_branches,
-    simulate_each,
-)
+from cell.cable import swing
+from cell.cable.branches import simulate_branches
+from cell.cable.dynamics import simulate, simulate_each
 from cell.cable.effects import library
 from cell.cable.effects.hand import _stops
 from cell.cable.geometry import Cable, Motion
 from cell.cable.model import CableModel
+from cell.cable.solver import DivergedError, Solver
 
 TIMES = np.arange(0.0, 1.0, 0.02)
 
@@ -124,8 +120,8 @@ def test_what_motions_share_is_simulated_once(cable, arc, jerk, monkeypatch):
         swung.append(width * base.size)
         return run_engine(integrate, own, state, width, n, base, *others)
 
-    run_engine = dynamics.run_engine
-    monkeypatch.setattr(dynamics, "run_engine", counted)
+    run_engine = swing.run_engine
+    monkeypatch.setattr(swing, "run_engine", counted)
     times, motions = np.arange(PART_S, 0.8, 0.01), parting(jerk) * 8
     simulate(models(cable, 1) * len(motions), motions, times, arc)
     every = sum(swung)

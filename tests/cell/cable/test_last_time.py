@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from cell.cable.dynamics import Solver, simulate
+from cell.cable.dynamics import simulate
 from cell.cable.geometry import Cable, Motion
 from cell.cable.model import CableModel
+from cell.cable.solver import Solver
 
 
 def test_a_last_time_that_rounds_beyond_the_last_step_is_not_left_unwritten() -> None:

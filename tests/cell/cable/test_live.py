@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cell.cable.dynamics import DivergedError, Solver, simulate
+from cell.cable.dynamics import simulate
 from cell.cable.effects import library
 from cell.cable.geometry import Cable, Motion
 from cell.cable.live import SwingingCable
 from cell.cable.model import CableModel
+from cell.cable.solver import DivergedError, Solver
 
 CABLE = Cable(0.1, 0.0074, 0.016, 1e-4)
 ARC_M = np.linspace(0.1, 0.0, 61)

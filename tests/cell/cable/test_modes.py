@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from cell.cable.dynamics import Solver, simulate
+from cell.cable.dynamics import simulate
 from cell.cable.geometry import Cable, Motion
 from cell.cable.model import CableModel
 from cell.cable.modes import ROOTS, mode_curvature
+from cell.cable.solver import Solver
 
 LENGTH_M, RIGIDITY_N_M2, DENSITY = 0.1, 3e-3, 0.0074
 STILL = Motion(np.array([0.0, 1.0]), np.zeros(2), np.zeros(2), np.zeros(2))

@@ -4,9 +4,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cell.cable.dynamics import Solver
 from cell.cable.geometry import Cable, node_arc_lengths
 from cell.cable.model import CableModel
+from cell.cable.solver import Solver
 from cell.identify.fit import FitError, FitOptions, fit, predict, still_noise
 from cell.identify.hand import HandErrors
 from cell.identify.noise import Noise

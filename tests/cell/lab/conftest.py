@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cell.cable.dynamics import Solver, simulate
+from cell.cable.dynamics import simulate
 from cell.cable.effects import ActiveEffect
 from cell.cable.geometry import Cable, Motion, node_arc_lengths
 from cell.cable.model import CableModel
+from cell.cable.solver import Solver
 from cell.study.data import Markers, Study, Trial
 
 PRACTICE = Path(__file__).parents[4] / "shared" / "data" / "practice"

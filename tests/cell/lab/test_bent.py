@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from cell.cable.dynamics import Solver, simulate
+from cell.cable.dynamics import simulate
 from cell.cable.effects import library
 from cell.cable.geometry import Cable, Motion, node_arc_lengths
 from cell.cable.model import CableModel
 from cell.cable.modes import mode_curvature
+from cell.cable.solver import Solver
 from cell.cli import app
 from cell.lab.compare import compare_model
 from cell.lab.diagnose import diagnose

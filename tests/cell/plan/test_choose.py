@@ -3,9 +3,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cell.cable import dynamics
-from cell.cable.dynamics import Solver, simulate
+from cell.cable import swing
+from cell.cable.dynamics import simulate
 from cell.cable.geometry import Cable, Motion
+from cell.cable.solver import Solver
 from cell.identify.identified import Identified
 from cell.identify.noise import Noise
 from cell.identify.parameters import ParameterSpace
@@ -130,8 +131,8 @@ def test_what_was_before_the_paths_is_simulated_once(monkeypatch: pytest.MonkeyP
         begun_s.append(start_s)
         return base_rows(motion, effects, start_s, *others)
 
-    base_rows = dynamics.base_rows
-    monkeypatch.setattr(dynamics, "base_rows", noted)
+    base_rows = swing.base_rows
+    monkeypatch.setattr(swing, "base_rows", noted)
     found = forecast(identified(0.01), OFFSETS_M, motions)
     assert sum(t_s < -0.01 for t_s in begun_s) == 2  # once at full steps, once for the slopes
     tips = simulate(SPACE.model(found.mean), motions, found.t_s, np.array([0.1]))[:, :, 0]

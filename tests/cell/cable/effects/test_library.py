@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from cell.cable.clamp import pose_of
-from cell.cable.dynamics import Solver, simulate
+from cell.cable.dynamics import simulate
 from cell.cable.effects import library, load_effect, unscreened
 from cell.cable.effects.check import check
 from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
+from cell.cable.solver import Solver
 
 NAMES = [
     "air_drag",

@@ -1,0 +1,87 @@
+"""Several motions of each cable that are the same at first: simulated once until they part."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable import camera
+from cell.cable.assembly import assemble
+from cell.cable.clamp import pose_of
+from cell.cable.dynamics import increasing, simulate
+from cell.cable.geometry import Motion
+from cell.cable.model import CableModel
+from cell.cable.solver import DEFAULT_SOLVER, Solver, threads
+from cell.cable.swing import Grid, Swing, move, on_hand
+
+FloatArray = NDArray[np.float64]
+
+#: Poses of the hand this near to each other are the same, m or rad.
+_ALIKE = 1e-9
+
+
+def simulate_branches(
+    models: Sequence[CableModel],
+    motions: Sequence[Motion],
+    alike_until_s: float,
+    times_s: FloatArray,
+    arc_length_m: FloatArray,
+    *,
+    solver: Solver = DEFAULT_SOLVER,
+) -> FloatArray:
+    """Positions of markers for every model on every motion, from equilibrium.
+
+    What the motions have in common is simulated once per model, not once per motion; only where a
+    camera shows other times than its pictures', everything is simulated.
+
+    alike_until_s  until then all motions are the same, as logged; an effect on the hand may part
+                   them earlier
+    times_s        (times,) increasing, none of them before that
+    returns        (motions, models, times, markers, 2) x, y in m
+    raises         as `simulate`; ValueError: a time before the motions part
+    """
+    times = increasing(times_s)
+    if times.size and times[0] < alike_until_s:
+        raise ValueError(f"a marker is asked for at {times[0]} s: the motions part later")
+    batch, paths = list(models) * len(motions), [m for m in motions for _ in models]
+    begin_s = float(min(m.t_s[0] for m in motions))
+    steps = int((alike_until_s - begin_s) / solver.step_s + 1e-9)
+    steps = _steps_alike(models, motions, begin_s + solver.step_s * np.arange(steps + 1.0))
+    shape = (len(motions), len(models), times.size, np.size(arc_length_m), 2)
+    if steps < 1 or camera.shifts_time(models):
+        return simulate(batch, paths, times, arc_length_m, solver=solver).reshape(shape)
+    fork_s = begin_s + steps * solver.step_s
+    workers = threads() if solver.threads is None else solver.threads
+    trunk = assemble(models, solver.segments, begin_s, workers)
+    move(
+        Swing(list(models), [motions[0]] * len(models), [np.empty(0)] * len(models), solver),
+        trunk,
+        [Grid(begin_s, steps, np.empty(0), True, solver)] * len(trunk),
+        arc_length_m,
+        [],
+    )
+    swing = Swing(batch, paths, [times] * len(batch), solver)
+    branches = assemble(batch, solver.segments, fork_s, workers)
+    for block in branches:
+        block.go_on_from(trunk)
+    grids = [Grid.of(fork_s, [times], batch[b.lanes[0]], False, solver) for b in branches]
+    out = np.empty((len(batch), *shape[2:]))
+    move(swing, branches, grids, arc_length_m, list(out))
+    return out.reshape(shape)
+
+
+def _steps_alike(models: Sequence[CableModel], motions: Sequence[Motion], t_s: FloatArray) -> int:
+    """Of the steps between these times, how many are done before the hand's motions part.
+
+    The log's splines join all samples: what differs by less than a nanometre is the same.
+    """
+    steps = len(t_s) - 1
+    for acting in {on_hand(model) for model in models if on_hand(model)}:
+        first, *others = (np.stack(pose_of(m, acting)(t_s)) for m in motions)
+        for other in others:
+            apart = np.flatnonzero(np.any(np.abs(other - first) > _ALIKE, axis=0))
+            # a step's acceleration looks half a step ahead
+            steps = min(steps, max(0, int(apart[0]) - 2)) if apart.size else steps
+    return steps
