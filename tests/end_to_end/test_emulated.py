@@ -16,7 +16,6 @@ import pytest
 from drivers.emulators.ur_addresses import FAULT_PORT
 
 pytest.importorskip("rtde_control", reason="ur-rtde has no wheel for this machine")
-pytestmark = pytest.mark.xdist_group("real time")
 
 CONFIG = Path(__file__).parents[2] / "config" / "emulated.yaml"
 
@@ -42,6 +41,7 @@ def eventually_silent(config: Path) -> None:
         time.sleep(0.05)
 
 
+@pytest.mark.xdist_group("real time")
 def test_a_cable_is_inserted_by_the_one_command(light_config: Path, tmp_path: Path) -> None:
     """Its own emulators, one cycle, and nobody left behind."""
     command = cell("run", "--config", light_config, "--json", "--out", tmp_path)
@@ -98,7 +98,7 @@ def test_addresses_that_are_taken_are_named_and_end_with_2(
 ) -> None:
     with socket.create_server((host_of(light_config), 5600)):
         command = cell("run", "--config", light_config, "--out", tmp_path / "runs")
-        done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 2
     assert f"{light_config}:1: emulated: the emulated camera: OSError" in done.stderr
     assert "in use" in done.stderr
@@ -108,6 +108,6 @@ def test_addresses_that_are_taken_are_named_and_end_with_2(
 def test_settings_of_real_devices_are_not_emulated(tmp_path: Path) -> None:
     line3 = CONFIG.with_name("line3.yaml")
     command = cell("emulate", "--config", line3)
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 2
     assert f"{line3}:1: emulated: is missing; add `emulated: {{}}`" in done.stderr

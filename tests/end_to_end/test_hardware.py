@@ -23,9 +23,6 @@ def conformance(*options: object) -> tuple[int, str]:
     return done.returncode, done.stdout + done.stderr
 
 
-pytestmark = pytest.mark.xdist_group("real time")
-
-
 @pytest.fixture(scope="module")
 def config(light_config: Path) -> Iterator[Path]:
     """Settings of a cell that answers."""
@@ -34,6 +31,7 @@ def config(light_config: Path) -> Iterator[Path]:
         yield light_config
 
 
+@pytest.mark.xdist_group("real time")
 def test_arm_camera_and_gripper_of_the_settings_are_tested(config: Path) -> None:
     some = "logs_what_it_did or stop_in_motion or exactly_the_frames or grips_and_releases"
     code, out = conformance("--hardware", "--config", config, "-k", some, "-rA")
@@ -47,6 +45,7 @@ def test_arm_camera_and_gripper_of_the_settings_are_tested(config: Path) -> None
     }
 
 
+@pytest.mark.xdist_group("real time")
 def test_a_dry_run_finds_arm_and_camera_in_order(config: Path, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "cell", "run", "--config", str(config), "--json"]
     command += ["--dry-run", "--speed", "0.5", "--out", str(tmp_path)]
