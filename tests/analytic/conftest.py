@@ -98,17 +98,19 @@ def chain():
     return Chain
 
 
-def swing_links(stiffness, damping, mass, first, second, length, motion, times, step=1e-4):
+def swing_links(length, fields, motion, times, step=1e-4):
     """Node positions (times, n + 1, 2) of a chain of n equal links hinged at the nodes.
 
-    stiffness, damping, mass, first, second (n,) from the grip out: of the hinge before each link,
-    and ∫dm, ∫s dm, ∫s² dm of the link; starts straight and at rest at the first time.
+    fields  (5, n) from the grip out: stiffness and damping of the hinge before each link, and ∫dm,
+            ∫s dm, ∫s² dm of the link
+    The chain starts straight and at rest at the first time.
     """
+    stiffness, damping, mass, first, second = np.asarray(fields)
     n = len(mass)
     (block,) = assemble([CableModel.uniform(Cable(n * length, 0.01, 0.01, 1e-4), 1.0)], n, 0.0)
-    fields = block.state.reshape(n + 1, at.FIELDS, at.LANES)
-    fields[0, [at.LENGTH, at.MASS, at.MASS_1, at.MASS_2, at.WEIGHT, at.WEIGHT_1]] = 0.0
-    links = fields[1:].swapaxes(0, 1)
+    state = block.state.reshape(n + 1, at.FIELDS, at.LANES)
+    state[0, [at.LENGTH, at.MASS, at.MASS_1, at.MASS_2, at.WEIGHT, at.WEIGHT_1]] = 0.0
+    links = state[1:].swapaxes(0, 1)
     links[at.LENGTH], links[at.PER_LENGTH] = length, 1.0
     for field, value in (
         (at.RIGIDITY, stiffness),
@@ -119,7 +121,7 @@ def swing_links(stiffness, damping, mass, first, second, length, motion, times, 
         (at.WEIGHT, mass),
         (at.WEIGHT_1, first),
     ):
-        links[field] = np.asarray(value)[:, None]
+        links[field] = value[:, None]
     steps = int(np.ceil((times[-1] - times[0]) / step))
     coefficients = generalised_alpha(step, 1.0)
     rows = base_rows(motion, (), times[0], step, steps, coefficients[12])

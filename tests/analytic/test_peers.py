@@ -59,10 +59,8 @@ def mujoco_tip(motion, times, step):
 def test_same_chain_as_mujoco(jerk, links):
     times = np.linspace(0.0, 2.0, 101)
     rods = np.full(N, MASS)
-    ours = links(
-        np.full(N, STIFFNESS), np.full(N, DAMPING), rods, rods * LENGTH / 2,
-        rods * LENGTH**2 / 3, LENGTH, jerk, times,
-    )  # fmt: skip
+    hinges = [np.full(N, STIFFNESS), np.full(N, DAMPING)]
+    ours = links(LENGTH, [*hinges, rods, rods * LENGTH / 2, rods * LENGTH**2 / 3], jerk, times)
     # MuJoCo's integrator is of first order: extrapolate
     coarse, fine = mujoco_tip(jerk, times, 2e-4), mujoco_tip(jerk, times, 1e-4)
     assert np.linalg.norm(ours[:, -1] - (2 * fine - coarse), axis=1).max() < 5e-5
@@ -246,9 +244,8 @@ def test_particles_approach_the_chain_as_the_springs_stiffen(jerk, links):
     mass[-1] /= 2  # half a segment hangs on the last node
     bending = np.full(N, STIFFNESS)
     bending[0] *= 2  # the clamp's hinge stands for half a segment
-    chain = links(
-        bending, np.full(N, DAMPING), mass, mass * LENGTH, mass * LENGTH**2, LENGTH, jerk, times
-    )
+    inertia = [mass, mass * LENGTH, mass * LENGTH**2]
+    chain = links(LENGTH, [bending, np.full(N, DAMPING), *inertia], jerk, times)
     straight = np.stack([-LENGTH * np.arange(N + 1), np.zeros(N + 1)], axis=1)
 
     def distance(voigt):

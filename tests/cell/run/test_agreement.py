@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import Phase, given, settings
@@ -17,53 +20,60 @@ from drivers.servo import servo_response
 RATE_HZ, FRAME_HZ, NOISE_M = 500.0, 200.0, 2e-5
 
 
+@dataclass(frozen=True)
+class Faults:
+    """Of an arm and a camera; `unseen` is the share of pictures without a jaw."""
+
+    lag_s: float = 0.03
+    bulge_m: float = 0.0
+    late_s: float = 0.0
+    beside_m: complex = 0.0
+    scale: float = 1.0
+    turned_rad: float = 0.0
+    bent: float = 0.0
+    unseen: float = 0.0
+    frame_hz: float = FRAME_HZ
+
+
 def made(
-    path: Trajectory,
-    began_s: float,
-    rng: np.random.Generator,
-    *,
-    lag_s: float = 0.03,
-    bulge_m: float = 0.0,
-    late_s: float = 0.0,
-    beside_m: complex = 0.0,
-    scale: float = 1.0,
-    turned_rad: float = 0.0,
-    bent: float = 0.0,
-    unseen: float = 0.0,
-    frame_hz: float = FRAME_HZ,
+    path: Trajectory, began_s: float, rng: np.random.Generator, faults: Faults
 ) -> RehearsedMotion:
     """A motion as an arm and a camera with these faults would have made it."""
     told = Trajectory(path.t_s + began_s, path.x_m, path.y_m, path.angle_rad)
-    true = servo_response(told, lag_s)
+    true = servo_response(told, faults.lag_s)
     t_s = np.arange(began_s - 0.2, true.t_s[-1] + 0.2, 1.0 / RATE_HZ)
     place = np.interp(t_s, true.t_s, true.x_m) + 1j * np.interp(t_s, true.t_s, true.y_m)
     share = np.clip((t_s - began_s) / (path.t_s[-1]), 0.0, 1.0)
-    place = place + bulge_m * np.sin(np.pi * share) * 1j * (place[-1] - place[0]) / abs(
+    place = place + faults.bulge_m * np.sin(np.pi * share) * 1j * (place[-1] - place[0]) / abs(
         place[-1] - place[0]
     )
     noise = rng.normal(scale=1e-5, size=(2, len(t_s)))
     hand = Trajectory(t_s, place.real + noise[0], place.imag + noise[1], np.zeros(len(t_s)))
-    frame_s = np.arange(t_s[0] + 0.01, t_s[-1] - 0.01, 1.0 / frame_hz)
-    seen = np.interp(frame_s - late_s, t_s, place.real) + 1j * np.interp(
-        frame_s - late_s, t_s, place.imag
+    frame_s = np.arange(t_s[0] + 0.01, t_s[-1] - 0.01, 1.0 / faults.frame_hz)
+    seen = np.interp(frame_s - faults.late_s, t_s, place.real) + 1j * np.interp(
+        frame_s - faults.late_s, t_s, place.imag
     )
-    seen = seen * scale * np.exp(1j * turned_rad) + beside_m + bent * np.abs(seen) ** 2
+    seen = (
+        seen * faults.scale * np.exp(1j * faults.turned_rad)
+        + faults.beside_m
+        + faults.bent * np.abs(seen) ** 2
+    )
     seen = seen + rng.normal(scale=NOISE_M, size=(2, len(seen))).T @ [1.0, 1j]
     jaw_m = np.column_stack([seen.real, seen.imag])
-    jaw_m[rng.random(len(jaw_m)) < unseen] = np.nan
+    jaw_m[rng.random(len(jaw_m)) < faults.unseen] = np.nan
     frame = Frame(0, 0.0, np.zeros((4, 4), dtype=np.uint8))
     return RehearsedMotion(
         "leg", path, began_s, hand, JawFilm(frame_s, frame_s, jaw_m, (frame, frame))
     )
 
 
-def checks(speed: float = 1.0, seed: int = 1, **faults: complex) -> dict[str, Check]:
+def checks(speed: float = 1.0, seed: int = 1, **faults: Any) -> dict[str, Check]:
     rng = np.random.default_rng(seed)
     brisk, gentle = (m.slowed(1.0 / speed) for m in (MotionLimits(), MotionLimits(0.2, 1.0, 10.0)))
     low = Pose(0.0, -0.05)
     down = identification_path(Pose(0.0, 0.0), 0.05, brisk, RATE_HZ, hold_s=0.0)
     left = insertion_path(low, 0.0, 0.05, gentle, RATE_HZ)
-    followed = [made(down, 10.0, rng, **faults), made(left, 30.0, rng, **faults)]
+    followed = [made(*m, rng, Faults(**faults)) for m in ((down, 10.0), (left, 30.0))]
     found = agreement(followed, lag_s=0.03, frame_rate_hz=FRAME_HZ)
     return {check.what: check for check in found}
 
