@@ -48,8 +48,21 @@ class _Strict(BaseModel):
 class _Cable(_Strict):
     free_length_m: _Positive
     line_density_kg_per_m: _Positive
-    width_m: _Positive
-    thickness_m: _Positive
+    width_m: _Positive | None = None
+    thickness_m: _Positive | None = None
+    diameter_m: _Positive | None = None
+
+    def datasheet(self) -> Cable | None:
+        """A round cable as a strip as wide that has the same section; None: neither or both."""
+        across = self.width_m, self.thickness_m
+        if self.diameter_m is not None and across == (None, None):
+            across = self.diameter_m, np.pi / 4.0 * self.diameter_m
+        elif self.diameter_m is not None:
+            return None
+        width_m, thickness_m = across
+        if width_m is None or thickness_m is None:
+            return None
+        return Cable(self.free_length_m, self.line_density_kg_per_m, width_m, thickness_m)
 
 
 class _Markers(_Strict):
@@ -84,11 +97,11 @@ def read_study(folder: Path) -> Study:
     """
     document = read_yaml(folder / "study.yaml")
     header = validate(document, _Study)
-    problems = _implausible(document, header)
-    if problems:
+    cable = header.cable.datasheet()
+    problems = _implausible(document, header, cable)
+    if cable is None or problems:
         raise InputError(problems)
 
-    cable = Cable(**header.cable.model_dump())
     arc_length_m = np.array(header.markers.arc_length_m)
     order = np.argsort(-arc_length_m)
     trials: list[Trial] = []
@@ -185,22 +198,28 @@ def _marker_columns(count: int) -> tuple[str, ...]:
     return ("t_s", *(f"{axis}{i}_m" for i in range(count) for axis in "xy"))
 
 
-def _implausible(document: Document, header: _Study) -> list[Problem]:
+def _implausible(document: Document, header: _Study, datasheet: Cable | None) -> list[Problem]:
     """What a schema cannot say: mistaken units and entries that contradict each other."""
     problems: list[Problem] = []
 
     def add(key: Key, message: str) -> None:
         problems.append(document.problem(key, message))
 
-    cable = header.cable
-    lengths = {n: getattr(cable, n) for n in ("free_length_m", "width_m", "thickness_m")}
-    for name, value in lengths.items():
-        if value > MAX_LENGTH_M:
+    for name in ("free_length_m", "width_m", "thickness_m", "diameter_m"):
+        value = getattr(header.cable, name)
+        if value is not None and value > MAX_LENGTH_M:
             add(
                 ("cable", name),
                 f"{value:g} m is beyond {MAX_LENGTH_M:g} m; give metres, not millimetres",
             )
-    implausible = Cable(**cable.model_dump()).implausible()
+    if datasheet is None:
+        given = [n for n in ("width_m", "thickness_m", "diameter_m") if getattr(header.cable, n)]
+        add(
+            ("cable",),
+            f"{' and '.join(given) or 'no section'} given; a flat cable has width_m and "
+            "thickness_m, a round one diameter_m alone",
+        )
+    implausible = datasheet.implausible() if datasheet else None
     if implausible and not problems:
         add(("cable", "line_density_kg_per_m"), implausible)
     size = np.hypot(*header.gravity_m_per_s2)
@@ -225,10 +244,10 @@ def _implausible(document: Document, header: _Study) -> list[Problem]:
 
     arcs = header.markers.arc_length_m
     for i, arc in enumerate(arcs):
-        if not 0.0 <= arc <= cable.free_length_m * (1 + 1e-9):
+        if not 0.0 <= arc <= header.cable.free_length_m * (1 + 1e-9):
             add(
                 ("markers", "arc_length_m", i),
-                f"{arc:g} m is not on the cable, 0 … {cable.free_length_m:g} m; "
+                f"{arc:g} m is not on the cable, 0 … {header.cable.free_length_m:g} m; "
                 "count from the gripping point, in metres",
             )
     sign = np.sign(np.diff(arcs))
@@ -238,7 +257,7 @@ def _implausible(document: Document, header: _Study) -> list[Problem]:
             f"{arcs[i + 1]:g} m after {arcs[i]:g} m: markers cross or coincide; "
             "order them along the cable",
         )
-    if header.noise_std_m and header.noise_std_m > MAX_NOISE_FRACTION * cable.free_length_m:
+    if header.noise_std_m and header.noise_std_m > MAX_NOISE_FRACTION * header.cable.free_length_m:
         add(
             ("noise_std_m",),
             f"{header.noise_std_m:g} m is beyond {MAX_NOISE_FRACTION:g} of the free length; "

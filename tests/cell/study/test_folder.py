@@ -169,6 +169,17 @@ def cell(row: int, column: int, value: str) -> Edit:
     return lines(change)
 
 
+def test_a_round_cable_has_the_section_of_its_diameter(tmp_path: Path) -> None:
+    write_study(study(), tmp_path)
+    header = tmp_path / "study.yaml"
+    kept = [x for x in header.read_text(encoding="utf-8").splitlines() if "width_m" not in x]
+    text = "\n".join("  diameter_m: 0.0012" if "thickness_m" in x else x for x in kept)
+    header.write_text(text, encoding="utf-8")
+    cable = read_study(tmp_path).cable
+    assert cable.width_m == 0.0012
+    assert cable.width_m * cable.thickness_m == pytest.approx(np.pi * 0.0006**2)
+
+
 MISTAKES: list[tuple[str, Edit, str]] = [
     ("study.yaml", swap("0.1", "100"), "study.yaml:4:3: cable.free_length_m: 100 m is beyond"),
     ("study.yaml", swap("0.0074", "7.4"), "kg/m, not g/m"),
@@ -177,6 +188,8 @@ MISTAKES: list[tuple[str, Edit, str]] = [
     ("study.yaml", swap("role: fit", "rôle: fit"), "did you mean 'role'?"),
     ("study.yaml", swap("role: fit\n", "role: fit\n  role: fit\n"), "given twice, first in line"),
     ("study.yaml", swap("width_m", "width_mm"), "did you mean 'width_m'?"),
+    ("study.yaml", swap("width_m: 0.016", ""), "study.yaml:3:1: cable: thickness_m given; a flat"),
+    ("study.yaml", swap("width_m", "diameter_m"), "diameter_m alone"),
     ("study.yaml", swap("width_m: 0.016", "width_m: 16 mm"), "write the number alone"),
     ("study.yaml", swap("- 0.05", "- 0.2"), "markers.arc_length_m[1]: 0.2 m is not on the cable"),
     ("study.yaml", swap("- 0.05", "- -0.05"), "-0.05 m is not on the cable, 0 … 0.1 m"),
