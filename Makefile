@@ -37,7 +37,7 @@ compiled: $(VENV)/.dev   # machine code on disk, or each of two test processes w
 
 tests: $(VENV)/.dev
 	$(BIN)/pytest -n 3 -m 'not xdist_group'  # one more than cores: many tests wait
-	$(BIN)/pytest -m xdist_group --ignore tests/end_to_end/test_fault_trials.py  # in real time: alone
+	$(BIN)/pytest -m xdist_group tests/end_to_end --ignore tests/end_to_end/test_fault_trials.py  # in real time: alone
 
 hardware: $(VENV)/.dev   ## the conformance suite on the devices of CONFIG=file; they move
 	@test -n "$(CONFIG)" || { echo "error: say which cell: make hardware CONFIG=config/line3.yaml"; exit 2; }

@@ -87,7 +87,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if not config.getoption("--hardware"):
         for item in items:
             room = item.path.relative_to(Path(__file__).parent).as_posix()
-            if room.startswith(REAL_TIME) or item.get_closest_marker("xdist_group"):
+            alone = item.get_closest_marker("xdist_group") is not None
+            if alone and not room.startswith("end_to_end/"):
+                raise pytest.UsageError(
+                    f"{item.nodeid}: `make tests` runs alone what is end_to_end"
+                )
+            if room.startswith(REAL_TIME) or alone:
                 item.add_marker(pytest.mark.flaky(reruns=2, reruns_delay=1))
         return
     on_hardware = [
