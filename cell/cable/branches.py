@@ -58,7 +58,7 @@ def simulate_branches(
     move(
         Swing(list(models), [motions[0]] * len(models), [np.empty(0)] * len(models), solver),
         trunk,
-        [Grid(begin_s, steps, np.empty(0), True, solver)] * len(trunk),
+        [Grid(begin_s, steps, True, solver)] * len(trunk),
         arc_length_m,
         [],
     )

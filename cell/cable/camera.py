@@ -42,21 +42,17 @@ def scene_times(
     return np.asarray(first + spacing * np.arange(count))
 
 
-def seen(
-    models: Sequence[CableModel], times_s: FloatArray, scene_s: FloatArray, xy: FloatArray
-) -> FloatArray:
-    """What the cameras show.
+def seen(model: CableModel, times_s: FloatArray, scene_s: FloatArray, xy: FloatArray) -> FloatArray:
+    """(times, markers, 2) what the camera shows.
 
-    models   (lanes,) with the same effects
-    times_s  (times,) of the pictures; scene_s, xy (lanes, scene, markers, 2) of `scene_times`
-    returns  (lanes, times, markers, 2)
+    times_s      (times,) of the pictures
+    scene_s, xy  (scene,) of `scene_times`, and (scene, markers, 2) where the points are then
     """
-    if shifts_time(models[:1]):
-        xy = np.stack([_shown(m, times_s, scene_s, p) for m, p in zip(models, xy, strict=True)])
-    for k, model in enumerate(models):
-        for active in model.effects:
-            if active.effect.camera_points is not None:
-                xy[k] = active.effect.camera_points(cable_data(model), xy[k], parameters(active))
+    if shifts_time([model]):
+        xy = _shown(model, times_s, scene_s, xy)
+    for active in model.effects:
+        if active.effect.camera_points is not None:
+            xy = active.effect.camera_points(cable_data(model), xy, parameters(active))
     return xy
 
 

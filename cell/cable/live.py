@@ -15,7 +15,7 @@ from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
 from cell.cable.solver import DivergedError, Solver, generalised_alpha
 from cell.cable.statics import settle
-from cell.cable.stepping import integrate, nodes
+from cell.cable.stepping import integrate, looks, nodes
 from cell.cable.swing import interleave
 
 FloatArray = NDArray[np.float64]
@@ -135,7 +135,7 @@ class SwingingCable:
             block.nonlinear,
             block.passes,
             (*effects, memory, memory_rows, begin_s),
-            np.minimum((times_s[~rested] - begin_s) / step_s, steps),
+            looks([np.minimum((times_s[~rested] - begin_s) / step_s, steps)] * block.width),
             swung.ravel(),
         )
         if bad >= 0:
@@ -157,5 +157,5 @@ class SwingingCable:
             *self._markers,
             out,
         )
-        shown: FloatArray = camera.seen([self._model], t_s, t_s, out[:1])[0]
+        shown: FloatArray = camera.seen(self._model, t_s, t_s, out[0])
         return shown

@@ -7,6 +7,7 @@ predicted collocation state, bending moments linearised about it.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -96,11 +97,33 @@ def diverged(S: FloatArray, lanes: int, n: int) -> bool:
     return not worst < math.pi
 
 
+def looks(when: Sequence[FloatArray]) -> FloatArray:
+    """When `integrate` records which lanes.
+
+    when     (times,) of every lane in steps from the start, increasing; one array for neighbours
+             that are recorded together
+    returns  (looks, 4) in the order of time: time, first lane, lane after the last, row of `out`;
+             those at the start and before are left out
+    """
+    first = [k for k, times in enumerate(when) if k == 0 or times is not when[k - 1]]
+    tables = []
+    for a, b in zip(first, [*first[1:], len(when)], strict=True):
+        table = np.empty((len(when[a]), 4))
+        table[:, 0] = when[a]
+        table[:, 1:3] = a, b
+        table[:, 3] = np.arange(len(table))
+        tables.append(table[table[:, 0] > 0.0])
+    if len(tables) == 1:
+        return tables[0]
+    table = np.concatenate(tables)
+    return table[np.argsort(table[:, 0], kind="stable")]
+
+
 @compiled
 def record(
-    S: FloatArray, lanes: int, n: int, h: float, u: float, out: FloatArray, row: int
+    S: FloatArray, first: int, last: int, n: int, h: float, u: float, out: FloatArray, row: int
 ) -> None:
-    """Bends `u` of the way through the step just made, by cubic Hermite interpolation."""
+    """Bends of lanes first … last − 1 at `u` of the step just made, by cubic interpolation."""
     u2 = u * u
     u3 = u2 * u
     p0 = 2.0 * u3 - 3.0 * u2 + 1.0
@@ -110,7 +133,7 @@ def record(
     for i in range(n + 1):
         R = S[i * BODY :]
         Q = out[(row * (n + 1) + i) * LANES :]
-        for w in range(lanes):
+        for w in range(first, last):
             Q[w] = (
                 p0 * R[w + BEND_0 * LANES]
                 + p1 * R[w + BEND * LANES]
@@ -132,11 +155,11 @@ def integrate(
     when: FloatArray,
     out: FloatArray,
 ) -> int:
-    """All steps of a block; bends (times, n + 1, LANES) into `out`; returns the step that blew up.
+    """All steps of a block; bends (rows, n + 1, LANES) into `out`; returns the step that blew up.
 
     step    coefficients of `generalised_alpha`
     passes  Newton passes of a step at most; another only if a hinge's rate has changed its sign
-    when    (times,) output times in steps from the start, increasing
+    when    (looks, 4) of `looks`
     returns −1, or the number of the first step whose bends are not below half a turn each
     """
     forces, moments, params, rows, memory, memory_rows, start = effects
@@ -189,8 +212,9 @@ def integrate(
             )
         if (j % _CHECK_EVERY == 0 or j == steps - 1) and diverged(S, lanes, n):
             return j
-        while done < when.size and when[done] <= j + 1:
-            record(S, lanes, n, h, when[done] - j, out, done)
+        while done < len(when) and when[done, 0] <= j + 1:
+            first, last, row = int(when[done, 1]), int(when[done, 2]), int(when[done, 3])
+            record(S, first, last, n, h, when[done, 0] - j, out, row)
             done += 1
     return -1
 

@@ -22,7 +22,7 @@ from cell.cable.model import CableModel
 from cell.cable.modes import mode_curvature
 from cell.cable.solver import DivergedError, Solver, generalised_alpha, threads
 from cell.cable.statics import settle
-from cell.cable.stepping import integrate, nodes, weave
+from cell.cable.stepping import integrate, looks, nodes, weave
 
 FloatArray = NDArray[np.float64]
 
@@ -56,9 +56,7 @@ def move(
         if not out:
             return
         for lane, points in zip(block.lanes, seen, strict=True):
-            times = swing.times_s[lane]
-            shared = len(times) == len(grid.times_s)
-            out[lane][:] = points if shared else points[np.searchsorted(grid.times_s, times)]
+            out[lane][:] = points
 
     workers = threads() if swing.solver.threads is None else swing.solver.threads
     if len(blocks) == 1 or workers == 1:
@@ -76,14 +74,13 @@ def _pool(process: int, workers: int) -> ThreadPoolExecutor:
 
 @dataclass(frozen=True)
 class Grid:
-    """Steps of a block, from the beginning that all blocks share, and the times of its pictures.
+    """Steps of a block, from the beginning that all blocks share.
 
     rests  whether it begins in equilibrium, not in the state that the block is in
     """
 
     begin_s: float
     steps: int
-    times_s: FloatArray
     rests: bool
     solver: Solver
 
@@ -96,14 +93,12 @@ class Grid:
         solver: Solver,
     ) -> Grid:
         """Of lanes with these times and models of one kind.  Raises ValueError: too many steps."""
-        alike = all(t is times_s[0] for t in times_s)
-        times = times_s[0] if alike else np.unique(np.concatenate(times_s))
-        last = float(times[-1]) if times.size else begin_s
+        last = max((float(t[-1]) for t in times_s if t.size), default=begin_s)
         end = last + (camera.LOOK_AHEAD_S if camera.shifts_time([model]) else 0.0)
         steps = max(1, int(np.ceil((end - begin_s) / solver.step_s - 1e-9)))
         if steps > _MOST_STEPS:
             raise ValueError(f"{steps} steps of {solver.step_s} s from {begin_s} s to {last} s")
-        return Grid(begin_s, steps, times, rests, solver)
+        return Grid(begin_s, steps, rests, solver)
 
     @property
     def end_s(self) -> float:
@@ -130,11 +125,6 @@ def _rows(paths: Sequence[Motion], batch: Sequence[CableModel], grid: Grid) -> l
             known[key] = base_rows(motion, acting, *of_grid, instants)
         rows.append(known[key])
     return rows
-
-
-def _hand(motion: Motion, model: CableModel) -> tuple[object, ...]:
-    """What the motion of the hand depends on."""
-    return (id(motion), *on_hand(model))
 
 
 def interleave(rows: Sequence[FloatArray], shape: tuple[int, int]) -> FloatArray:
@@ -167,8 +157,8 @@ def _run(
     lanes: Swing,
     cell: NDArray[np.int64],
     weights: FloatArray,
-) -> FloatArray:
-    """(lanes of the block, times, markers, 2) as the camera sees them."""
+) -> list[FloatArray]:
+    """(times, markers, 2) of every lane of the block as the camera sees it."""
     batch, paths = lanes.models, lanes.paths
     solver, n, w = grid.solver, block.segments, len(block.lanes)
     order = block.lanes + block.lanes[:1] * (block.width - w)
@@ -182,12 +172,11 @@ def _run(
         settle(block, first.ravel())
     if lanes.bent:
         _bend(block, order, lanes.bent, batch[0].cable.free_length_m)
-    models = [batch[lane] for lane in block.lanes]
-    times = camera.scene_times(models[0], grid.times_s, grid.begin_s, grid.end_s, solver.step_s)
-    moving = times > grid.begin_s
-    bends = np.empty((times.size, n + 1, at.LANES))
-    bends[~moving] = block.state.reshape(n + 1, at.FIELDS, at.LANES)[:, at.BEND]
-    swing = np.empty((int(np.count_nonzero(moving)), n + 1, at.LANES))
+    times = _needed(block, grid, lanes)
+    bends = np.zeros((max(map(len, times)), n + 1, at.LANES))
+    begun = block.state.reshape(n + 1, at.FIELDS, at.LANES)[:, at.BEND]
+    for k, t in enumerate(times):
+        bends[: int(np.searchsorted(t, grid.begin_s, "right")), :, k] = begun[:, k]
     bad = run_engine(
         integrate,
         block.own,
@@ -199,22 +188,45 @@ def _run(
         block.nonlinear,
         block.passes,
         block.effects,
-        # rounding must not put the last time behind the last step: it would never be written
-        np.minimum((times[moving] - grid.begin_s) / solver.step_s, grid.steps),
-        swing.ravel(),
+        looks(_in_steps(times, grid)),
+        bends.ravel(),
     )
     if bad >= 0:
         final = block.state.reshape(n + 1, at.FIELDS, at.LANES)[:, at.BEND, :w]
         broken = ~np.all(np.abs(final) < np.pi, axis=0)
         lane = block.lanes[int(np.argmax(broken))]
         raise DivergedError(lane, grid.begin_s + (bad + 1) * solver.step_s, solver.step_s)
-    bends[moving] = swing
+    clamp = np.zeros((len(bends), 3, at.LANES))
     known: dict[object, FloatArray] = {}
-    for lane, pose in zip(order, poses, strict=True):
-        key = _hand(paths[lane], batch[lane])
+    for k, (lane, pose, t) in enumerate(zip(order, poses, times, strict=True)):
+        key = (id(paths[lane]), *on_hand(batch[lane]), id(t))
         if key not in known:
-            known[key] = np.stack(pose(times), axis=1)
-    clamp = interleave([known[_hand(paths[lane], batch[lane])] for lane in order], (times.size, 3))
-    out = np.empty((block.width, times.size, len(cell), 2))
+            known[key] = np.stack(pose(t), axis=1)
+        clamp[: len(t), :, k] = known[key]
+    out = np.empty((block.width, len(bends), len(cell), 2))
     nodes(bends.ravel(), block.width, n, block.lengths, clamp.ravel(), cell, weights, out)
-    return camera.seen(models, grid.times_s, times, out[:w])
+    return [
+        camera.seen(batch[lane], lanes.times_s[lane], t, points[: len(t)])
+        for lane, t, points in zip(block.lanes, times[:w], out[:w], strict=True)
+    ]
+
+
+def _needed(block: Block, grid: Grid, lanes: Swing) -> list[FloatArray]:
+    """When positions are needed of all lanes computed: at the pictures, or on a fine grid."""
+    times = [lanes.times_s[lane] for lane in block.lanes]
+    earliest = min(times, key=lambda t: float(t[0]) if t.size else np.inf)
+    model, step_s = lanes.models[block.lanes[0]], grid.solver.step_s
+    if camera.shifts_time([model]):
+        scene = camera.scene_times(model, earliest, grid.begin_s, grid.end_s, step_s)
+        times = [scene] * len(times)
+    return times + times[-1:] * (block.width - len(times))
+
+
+def _in_steps(times_s: Sequence[FloatArray], grid: Grid) -> list[FloatArray]:
+    """Times of every lane in steps from the beginning; what was one array is one again."""
+    known: dict[int, FloatArray] = {}
+    for t in times_s:
+        if id(t) not in known:
+            # rounding must not put the last time behind the last step: it would never be written
+            known[id(t)] = np.minimum((t - grid.begin_s) / grid.solver.step_s, grid.steps)
+    return [known[id(t)] for t in times_s]

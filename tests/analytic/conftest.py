@@ -12,7 +12,7 @@ from cell.cable.geometry import Cable
 from cell.cable.kernel import bending, kinematics, solve
 from cell.cable.model import REFERENCE_CURVATURE_1_PER_M, REGULAR_CURVATURE_1_PER_M, CableModel
 from cell.cable.solver import generalised_alpha
-from cell.cable.stepping import integrate
+from cell.cable.stepping import integrate, looks
 
 
 class Chain:
@@ -37,7 +37,7 @@ class Chain:
         out = np.empty(0)
         bad = integrate(
             b.state, b.width, self.n, self.base(steps), self.coefficients, b.nonlinear,
-            b.passes, b.effects, out, out,
+            b.passes, b.effects, looks([out]), out,
         )  # fmt: skip
         assert bad == -1
 
@@ -129,7 +129,7 @@ def swing_links(length, fields, motion, times, step=1e-4):
     out = np.zeros(len(times) * (n + 1) * at.LANES)
     bad = integrate(
         block.state, block.width, n, base, coefficients, False, 2, block.effects,
-        (times - times[0]) / step, out,
+        looks([(times - times[0]) / step] * at.LANES), out,
     )  # fmt: skip
     assert bad == -1
     x, y, angle = (s(times) for s in motion.splines)

@@ -14,9 +14,9 @@ def test_points_that_are_nowhere_are_seen_nowhere_without_a_word():
     model = CableModel(Cable(0.1, 0.0074, 0.016, 0.0001), np.array([2e-5]), effects=(shutter,))
     times_s = np.linspace(0.1, 0.3, 5)
     scene_s = camera.scene_times(model, times_s, 0.0, 0.4, 1e-3)
-    points = np.zeros((1, len(scene_s), 2, 2))
-    points[:, len(scene_s) // 2 :, 1] = np.nan
-    seen = camera.seen([model], times_s, scene_s, points)
-    assert np.isfinite(seen[0, :, 0]).all()
-    assert np.isfinite(seen[0, 0, 1]).all()
-    assert np.isnan(seen[0, -1, 1]).all()
+    points = np.zeros((len(scene_s), 2, 2))
+    points[len(scene_s) // 2 :, 1] = np.nan
+    seen = camera.seen(model, times_s, scene_s, points)
+    assert np.isfinite(seen[:, 0]).all()
+    assert np.isfinite(seen[0, 1]).all()
+    assert np.isnan(seen[-1, 1]).all()
