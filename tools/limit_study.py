@@ -2,10 +2,10 @@
 
     python tools/limit_study.py [--studies N] [--first SEED] [--effect NAME]
 
-Of each study, made without an effect, every effect's limits should contain none of it.  Then one
-effect, another in each study or the one named, is hidden at 0.5, 1 and 2 times its limit, the same
-cable and other noise: the limits found must contain it.  The diagnosis has no part in it: whatever
-is there, the limits must hold.
+Of each study, made without an effect, the limits of every effect of both signs should contain none
+of it; those of one sign do anyway.  Then one effect, another in each study or the one named, is
+hidden at 0.5, 1 and 2 times its limit, the same cable and other noise for each: the limits found
+must contain it.  The diagnosis has no part in it: whatever is there, the limits must hold.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import argparse
 import time
 
 from made_studies import make_study
+from scipy.stats import binomtest
 
 from cell.cable.effects import library
 from cell.identify.parameters import ParameterSpace
@@ -25,7 +26,7 @@ from cell.lab.results import Limit
 from cell.study.data import Study
 
 SIZES = (0.5, 1.0, 2.0)
-#: Seeds of the noise of studies with an effect: another than that of the study without.
+#: Seeds of the noise of studies with an effect are so far apart: each size has noise of its own.
 OTHER_NOISE = 100_000
 
 
@@ -45,18 +46,20 @@ def main() -> None:
         none = {e: {p.name: p.default for p in known[e].parameters} for e in known}
         missed = [x for x in found if x.high is not None and not _holds(x, none[x.effect])]
         shown = [x for x in found if x.high is not None]
-        inside[0.0][0] += len(shown) - len(missed)
-        inside[0.0][1] += len(shown)
+        of_both_signs = [x for x in shown if x.low != none[x.effect][x.parameter]]
+        inside[0.0][0] += len(of_both_signs) - len(missed)
+        inside[0.0][1] += len(of_both_signs)
         print(f"{seed} none: {len(shown)} limits, not inside: "
               f"{', '.join(_words(x) for x in missed) or 'none'}")  # fmt: skip
         limit = next((x for x in shown if x.effect == name), None)
-        for size in SIZES if limit is not None else ():
+        for number, size in enumerate(SIZES if limit is not None else (), 1):
             assert limit is not None and limit.high is not None
             effect = known[name]
             off = next(p.default for p in effect.parameters if p.name == limit.parameter)
             values = {p.name: p.default if p.amplitude else p.starts[0] for p in effect.parameters}
             values[limit.parameter] = off + size * (limit.high - off)
-            study = make_study(seed, [effect.active(**values)], noise_seed=OTHER_NOISE + seed)
+            other = number * OTHER_NOISE + seed
+            study = make_study(seed, [effect.active(**values)], noise_seed=other)
             again = next(
                 x for x in limits(*_fitted(study), [effect]) if x.parameter == limit.parameter
             )
@@ -67,7 +70,16 @@ def main() -> None:
                   f"{_words(again)}{'' if held else ' NOT INSIDE'}")  # fmt: skip
         print(f"{seed}: {time.process_time() - began:.0f} s of CPU", flush=True)
     for size, (good, count) in inside.items():
-        print(f"true size {size:g} × the limit: inside in {good} of {count}")
+        print(f"true size {size:g} × the limit: {_share(good, count)}")
+    hidden = [inside[size] for size in SIZES]
+    print(f"at 0.5, 1 and 2 together: {_share(*map(sum, zip(*hidden, strict=True)))}")
+
+
+def _share(good: int, count: int) -> str:
+    if count == 0:
+        return "none tried"
+    sure = binomtest(good, count).proportion_ci()
+    return f"inside in {good} of {count} = {good / count:.1%} ({sure.low:.1%} … {sure.high:.1%})"
 
 
 def _fitted(study: Study) -> tuple[PreparedStudy, Fit]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtrc as chi2_sf
 from scipy.special import ndtri as normal_quantile
 
 from cell.cable.effects.base import ActiveEffect, Effect, Parameter
@@ -21,6 +22,7 @@ from cell.lab.prepared import PreparedStudy, StoppedError, pooled
 from cell.lab.results import Limit
 from cell.lab.score import Nuisance
 from cell.lab.screen import Sensitivity, changes, nuisance_of, one_sided, sensitivities
+from cell.lab.systematic import Systematic, systematic
 
 FloatArray = NDArray[np.float64]
 
@@ -103,12 +105,12 @@ def limits(
     """
     progress("how strong other effects could be", 0, ROUNDS + 2)
     whiteners = [prepared.whiteners[t.name] for t in fit_trials(prepared)]
-    inflation = variance_inflation(fit.solution.residual, whiteners, len(fit.q))
-    nuisance = nuisance_of(fit)
-    ends = np.cumsum([w.rows for w in whiteners])
-    trials = tuple(slice(end - w.rows, end) for end, w in zip(ends, whiteners, strict=True))
+    wrong = systematic(prepared, fit, fit_trials(prepared))
+    nuisance = nuisance_of(fit).moved(wrong.mesh)
+    residual = nuisance.residual[: len(wrong.mesh)]
+    inflation = variance_inflation(residual, whiteners, len(fit.q))
     found = [
-        _Search(slopes, j, nuisance, trials, inflation)
+        _Search(slopes, j, nuisance, wrong, inflation)
         for slopes in sensitivities(prepared, fit, effects)
         for j in range(slopes.rows.shape[1])
     ]
@@ -155,7 +157,7 @@ class _Search:
         slopes: Sensitivity,
         j: int,
         nuisance: Nuisance,
-        trials: Sequence[slice],
+        wrong: Systematic,
         inflation: float,
     ) -> None:
         self._effect = slopes.effect
@@ -163,7 +165,7 @@ class _Search:
         self._which = amplitudes[j]
         self._parameter: Parameter = slopes.effect.parameters[self._which]
         self._nuisance = nuisance
-        self._trials = trials
+        self._wrong = wrong
         self._inflation = inflation
         self._one_sided = one_sided(slopes.effect)
         tail = 1.0 - CONFIDENCE if self._one_sided else 0.5 * (1.0 - CONFIDENCE)
@@ -206,19 +208,25 @@ class _Search:
         """Expected size and its standard deviation, by what is seen per unit of the amplitude."""
         square = float(left @ left)
         size = float(left @ self._nuisance.residual) / square
-        factor = max(self._inflation, self._disagreement(left, size))
-        return size, float(np.sqrt(factor / square))
+        factor = self._inflation + self._wrong.variance(left) / square
+        return size, float(np.sqrt(max(factor, self._disagreement(left, size, factor)) / square))
 
-    def _disagreement(self, left: FloatArray, size: float) -> float:
-        """Cochran's Q over its freedom: by how much trials ask for sizes of their own."""
-        parts = [(left[rows], self._nuisance.residual[rows]) for rows in self._trials]
-        known = np.array([float(one @ one) for one, _ in parts])
-        asked = np.array([float(one @ residual) for one, residual in parts])
+    def _disagreement(self, left: FloatArray, size: float, expected: float) -> float:
+        """Cochran's Q over its freedom: by how much trials ask for sizes of their own.
+
+        Where that is no more than chance may do, `expected`.
+        """
+        parts = zip(
+            self._wrong.by_trial(left), self._wrong.by_trial(self._nuisance.residual), strict=True
+        )
+        known, asked = np.array([(one @ one, one @ residual) for one, residual in parts]).T
         telling = known > LEAST_KNOWN * known.sum()
         freedom = int(telling.sum()) - 1
         if freedom < MIN_FREEDOM:
-            return 1.0
-        return float(np.sum((asked - size * known)[telling] ** 2 / known[telling]) / freedom)
+            return expected
+        q = float(np.sum((asked - size * known)[telling] ** 2 / known[telling]))
+        disagree = float(chi2_sf(freedom, q / expected)) < 1.0 - CONFIDENCE
+        return q / freedom if disagree else expected
 
     def _end(self, sign: float, size: float, std: float) -> float:
         """End of the range on a side, from none of the effect."""

@@ -44,6 +44,12 @@ class Nuisance:
         basis = basis[:, strength > 1e-9 * max(strength.max(initial=0.0), 1e-300)]
         return Nuisance(basis, residual - basis @ (basis.T @ residual))
 
+    def moved(self, change: FloatArray) -> Nuisance:
+        """With a residual that is changed; the prior's rows, which come last, are not."""
+        behind = len(self.residual) - len(change)
+        moved = self.residual + self.remove(np.pad(change, (0, behind)))
+        return Nuisance(self.basis, moved)
+
     def remove(self, sensitivity: FloatArray) -> FloatArray:
         """(…, values) without what the fitted parameters can imitate."""
         return np.asarray(sensitivity - (sensitivity @ self.basis) @ self.basis.T)

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cell.cable.dynamics import Solver
 from cell.cable.effects import library
 from cell.identify.parameters import ParameterSpace
 from cell.lab.diagnose import diagnose
@@ -53,10 +54,14 @@ def misfit(prepared, fit, effect, value=None):
 
 @pytest.mark.parametrize("name", ["tip_mass", "camera_scale", "grip_compliance"])
 def test_at_its_limit_an_effect_costs_what_excludes_it(fitted, name):
-    """The misfit with the effect held there, everything else fitted anew, is that of 95 %."""
+    """The misfit with the effect held there, everything else fitted anew, is that of 95 %.
+
+    On a finer mesh than the limit was computed with: what the mesh errs by is taken off.
+    """
     prepared, fit = fitted
     effect = KNOWN[name]
     (found,) = limits(prepared, fit, [effect])
+    prepared = replace(prepared, solver=Solver(segments=64, step_s=5e-4))
     rise = misfit(prepared, fit, effect, found.high) - misfit(prepared, fit, effect)
     reach = 1.960 if name == "camera_scale" else 1.645
     assert np.sqrt(rise) == pytest.approx(reach, rel=0.15)

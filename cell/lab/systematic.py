@@ -1,0 +1,90 @@
+"""What a simulation and the hand's log are wrong by, beside the noise of the markers.
+
+With many frames an effect shows that moves a marker by a thousandth of the noise: far less than the
+mesh and the step of a simulation, or ten micrometres of noise in the hand's log, do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable.dynamics import Solver
+from cell.identify.hand import HandErrors, likely_motions
+from cell.lab.fitting import Fit
+from cell.lab.prepared import PreparedStudy
+from cell.study.data import Trial
+
+FloatArray = NDArray[np.float64]
+
+#: Motions of the hand drawn for every trial.
+MOTIONS = 8
+#: The mesh and the step are this many times finer in the simulation that tells their errors, which
+#: fall with the square of both: what it still errs by is this share of the difference.
+FINER = 2
+LEFT = 1.0 / (FINER**2 - 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Systematic:
+    """Whitened changes of what a fitted model leaves of trials.
+
+    mesh   (rows,) to what a simulation of twice the segments and half the step leaves
+    hands  (motions, rows) by other motions of the hand, as likely as its log
+    ends   (trials,) where the rows of each trial end
+    """
+
+    mesh: FloatArray
+    hands: FloatArray
+    ends: NDArray[np.int_]
+
+    def by_trial(self, rows: FloatArray) -> list[FloatArray]:
+        """Parts (…, rows of a trial) of (…, rows); the prior's rows, which come last, left out."""
+        return np.split(rows[..., : self.ends[-1]], self.ends[:-1], axis=-1)
+
+    def variance(self, left: FloatArray) -> float:
+        """Of the projection of residuals on `left` (rows,), beyond that by noise."""
+        return float(self.covariance(left[None, : self.ends[-1]])[0, 0])
+
+    def covariance(self, answer: FloatArray) -> FloatArray:
+        """(p, p) of what residuals answer linearly by `answer` (p, rows), beyond that by noise.
+
+        Each trial's hand is wrong in its own way; of the mesh, what a finer one may still err by.
+        """
+        pairs = zip(self.by_trial(self.hands), self.by_trial(answer), strict=True)
+        moved = [hands @ rows.T for hands, rows in pairs]
+        by_mesh = LEFT * (answer @ self.mesh)
+        return np.asarray(sum(m.T @ m for m in moved) / MOTIONS + np.outer(by_mesh, by_mesh))
+
+
+def systematic(prepared: PreparedStudy, fit: Fit, trials: Sequence[Trial]) -> Systematic:
+    """Of a model fitted to trials, at its parameters.  What cannot be simulated counts as none."""
+    begun = {name: values[None] for name, values in fit.begun.items()}
+    coarse = prepared.solver
+    finer = Solver(FINER * coarse.segments, coarse.step_s / FINER, coarse.damping, coarse.threads)
+    here = prepared.all_white(trials, [fit.model], begun)[0]
+    mesh = replace(prepared, solver=finer).all_white(trials, [fit.model], begun)[0] - here
+    ends = np.cumsum([prepared.whiteners[t.name].rows for t in trials])
+    hands = [
+        _by_other_hands(prepared, fit, trial, rows)
+        for trial, rows in zip(trials, np.split(here, ends[:-1]), strict=True)
+    ]
+    change = np.concatenate(hands, axis=1)
+    return Systematic(np.nan_to_num(mesh, nan=0.0), np.nan_to_num(change, nan=0.0), ends)
+
+
+def _by_other_hands(
+    prepared: PreparedStudy, fit: Fit, trial: Trial, here: FloatArray
+) -> FloatArray:
+    """(motions, rows) change from `here`, a trial's whitened residual, by other hands' motions."""
+    if all(s.noise_std == 0.0 for s in trial.grip.splines):
+        return np.zeros((MOTIONS, len(here)))
+    motions = likely_motions(trial.grip, HandErrors(MOTIONS))
+    others = [replace(trial, name=f"{trial.name}/{i}", grip=m) for i, m in enumerate(motions)]
+    begun = fit.begun.get(trial.name)
+    known = {} if begun is None else {t.name: begun[None] for t in others}
+    predicted = prepared.predict_all(others, [fit.model], known)
+    return np.asarray(prepared.white(trial, np.concatenate(predicted)) - here)
