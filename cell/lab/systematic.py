@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.cable.dynamics import Solver
+from cell.cable.solver import Solver
 from cell.identify.hand import HandErrors, likely_motions
 from cell.lab.fitting import Fit
 from cell.lab.prepared import PreparedStudy

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cell.cable.dynamics import Solver
 from cell.cable.effects import library
+from cell.cable.solver import Solver
 from cell.identify.parameters import ParameterSpace
 from cell.lab.diagnose import diagnose
 from cell.lab.explore import Explorer
