@@ -46,6 +46,8 @@ MOST_GUESSES = 9
 #: Fits of an effect from different starts; friction has several minima.
 SMOOTH_TRIES, ROUGH_TRIES = 1, 2
 PLACES = 2
+#: Two fits of the same effects are different minima if one is so much likelier (logarithm).
+LIKELIER = 0.1
 #: An effect with more shapes than this to start from acts at a place that must be sought.
 MOST_SHAPES = 50
 #: Amplitudes tried, as shares of those that the screen expects.
@@ -123,6 +125,7 @@ class Explorer:
     _prior_candidate: Candidate | None = None
     _visible: dict[tuple[frozenset[str], str], float] = field(default_factory=dict)
     _were_polished: set[frozenset[str]] = field(default_factory=set)
+    _ways_down: set[tuple[frozenset[str], frozenset[str]]] = field(default_factory=set)
 
     def baseline(self) -> Candidate:
         """The model with no effects beyond those that `space` brings along."""
@@ -205,9 +208,9 @@ class Explorer:
 
         An effect with which the cable cannot be simulated from any start is left out.
         """
-        guesses: dict[str, list[FloatArray]] = {}
+        guesses: dict[str, list[tuple[FloatArray, ...]]] = {}
         for screened in (*self.screened(base), *self._screened_elsewhere(base, effects)):
-            guesses.setdefault(screened.effect.name, []).extend(screened.starts)
+            guesses.setdefault(screened.effect.name, []).append(screened.starts)
 
         done = itertools.count(1)
 
@@ -247,21 +250,32 @@ class Explorer:
         return self._visible[key]
 
     def without(self, candidate: Candidate, effect: type[Effect]) -> Candidate:
-        """The candidate with one effect taken out, refitted."""
+        """The candidate with one effect taken out, refitted from where it was with it.
+
+        Where that set of effects is known from elsewhere, the likelier fit of the two: an effect
+        explains only what the same model without it does not, wherever its search began.
+        """
         rest = tuple(e for e in candidate.effects if e is not effect)
         key = frozenset(e.name for e in rest)
-        if key not in self._known:
-            space = space_with(candidate.fit.space, rest)
-            q = space.mean.copy()
-            for i, name in enumerate(space.names):
-                q[i] = candidate.fit.q[candidate.fit.space.names.index(name)]
-            try:
-                fit = fit_model(self.prepared, space, q, candidate.fit.begun, options=REFIT)
-            except ValueError:  # a cable that only the effect kept from collapsing
-                q = cold_start(self.prepared, space)
-                fit = fit_model(self.prepared, space, q, options=REFIT)
-            self._known[key] = self._weigh(rest, fit)
+        known, way = self._known.get(key), (candidate.names, key)
+        if known is None or (len(rest) > len(self.space.effects) and way not in self._ways_down):
+            self._ways_down.add(way)
+            found = self._weigh(rest, self._taken_out(candidate, rest))
+            if known is None or found.evidence > known.evidence + LIKELIER:
+                self._known[key] = found
         return self._known[key]
+
+    def _taken_out(self, candidate: Candidate, rest: tuple[type[Effect], ...]) -> Fit:
+        """A candidate's fit with only these of its effects."""
+        space = space_with(candidate.fit.space, rest)
+        q = space.mean.copy()
+        for i, name in enumerate(space.names):
+            q[i] = candidate.fit.q[candidate.fit.space.names.index(name)]
+        try:
+            return fit_model(self.prepared, space, q, candidate.fit.begun, options=REFIT)
+        except ValueError:  # a cable that only the effect kept from collapsing
+            q = cold_start(self.prepared, space)
+            return fit_model(self.prepared, space, q, options=REFIT)
 
     def gain(self, small: Candidate, large: Candidate) -> Gain:
         """What `large` has over `small`, which lacks one of its effects."""
@@ -287,8 +301,9 @@ class Explorer:
         )
 
     def _extend(
-        self, base: Candidate, effect: type[Effect], guesses: Sequence[FloatArray]
+        self, base: Candidate, effect: type[Effect], screens: Sequence[Sequence[FloatArray]]
     ) -> Candidate | None:
+        """The candidate with an effect added, from the starts that each screen has found."""
         effects = (*base.effects, effect)
         key = frozenset(e.name for e in effects)
         if key in self._known:
@@ -300,6 +315,7 @@ class Explorer:
         if self.prior_q is not None:
             origins.append(np.concatenate([self.prior_q, base.fit.q[len(self.prior_q) :]]))
         fits: list[Fit] = []
+        guesses = [start for starts in screens for start in starts]
         # An earlier individual is far from one with, say, a load: there slopes say little.
         values = list(guesses) if self.prior_q is None else _scaled(effect, guesses)
         shapes = int(np.prod([len(p.starts) for p in effect.parameters if is_shape(p)]))
@@ -316,6 +332,11 @@ class Explorer:
             else:
                 tries = SMOOTH_TRIES if effect.smooth else ROUGH_TRIES
                 promising = list(self._promising(space, np.array(starts), tries))
+                if shapes > 1:
+                    likeliest = np.cumsum([0, *map(len, screens)])[:-1]
+                    promising += [
+                        q for q in map(starts.__getitem__, likeliest) if _is_new(q, promising)
+                    ]
             for q in promising:
                 with contextlib.suppress(ValueError):
                     fits.append(fit_model(self._alone, space, q, base.fit.begun, options=REFIT))
@@ -386,6 +407,11 @@ def _scaled(effect: type[Effect], guesses: Sequence[FloatArray]) -> list[FloatAr
         for g in guesses
     ]
     return [*guesses, *scaled]
+
+
+def _is_new(q: FloatArray, others: Sequence[FloatArray]) -> bool:
+    """Whether a start is none of the others."""
+    return not any(np.array_equal(q, other) for other in others)
 
 
 def _typical(effect: type[Effect]) -> list[FloatArray]:

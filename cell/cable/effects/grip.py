@@ -46,7 +46,7 @@ class GripCompliance(Effect):
     name = "grip_compliance"
     parameters = (
         Parameter("rad_per_n_m", "rad/(N·m)", 0.0, 1e5, 0.0, (100.0,)),
-        Parameter("time_s", "s", 0.0, 1.0, 0.01, (0.01,), amplitude=False),
+        Parameter("time_s", "s", 0.0, 1.0, 0.01, (0.01, 0.03, 0.1), amplitude=False),
     )
 
     @staticmethod

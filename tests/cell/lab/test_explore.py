@@ -106,3 +106,36 @@ def test_a_cable_that_only_an_effect_kept_from_collapsing_is_begun_anew_without_
     assert explorer.without(Candidate((effect,), fit, None, 0.0), effect) == "found"
     assert np.array_equal(begun[0], q[:-1])
     assert begun[1] == "cold"
+
+
+def test_jaws_whose_pads_creep_are_found_from_where_softer_bending_imitates_stiff_ones(make_study):
+    """From a retardation of 10 ms alone the search always fell back to a rigid grip."""
+    effect = library()["grip_compliance"]
+    study = make_study([effect.active(rad_per_n_m=160.0, time_s=0.06)], seed=3)
+    prepared = PreparedStudy.of(study)
+    explorer = Explorer(prepared, ParameterSpace.of(study.cable), {effect.name: effect})
+    (found,) = explorer.add(explorer.baseline(), [effect])
+    values = found.fit.space.natural(found.fit.q)[-2:]
+    assert values == pytest.approx([160.0, 0.06], rel=0.1)
+
+
+def test_of_two_minima_without_an_effect_the_likelier_is_kept(make_study, monkeypatch):
+    """A poor fit of the right effect made any second one look necessary."""
+    first, second = library()["tip_mass"], library()["air_drag"]
+    study = make_study(seed=2)
+    explorer = Explorer(PreparedStudy.of(study), ParameterSpace.of(study.cable), {})
+    poor = Candidate((first,), None, None, -2000.0)
+    none = Candidate((), None, None, -3000.0)
+    explorer._known = {frozenset(): none, frozenset({"tip_mass"}): poor}
+    better = Candidate((first,), None, None, -1000.0)
+    fitted = []
+
+    def taken_out(explorer, candidate, rest):
+        fitted.append(rest)
+
+    monkeypatch.setattr(Explorer, "_taken_out", taken_out)
+    monkeypatch.setattr(Explorer, "_weigh", lambda *args: better)
+    both = Candidate((first, second), None, None, 0.0)
+    assert [explorer.without(both, second) for _ in range(2)] == [better, better]
+    assert fitted == [(first,)]
+    assert explorer.without(Candidate((first,), None, None, 0.0), first) is none
