@@ -90,14 +90,14 @@ def fit(
 ) -> None:
     """Fit the cable's parameters, and those of effects, to the study's `fit` trials."""
     from cell.lab import session
-    from cell.lab.doubts import fit_doubts
+    from cell.lab.doubts import fit_doubts, lacking_doubt
     from cell.lab.tables import errors_line, model_table, warning_lines
 
     with refusing(out, as_json, profile, force=force), working("fit") as progress:
         selection = session.select_effects(effect or [])
         explorer = _explorer(study, selection, prior, progress, config)
         model, candidate = session.fit_study(explorer)
-        warnings = fit_doubts(explorer, candidate)
+        warnings = (*fit_doubts(explorer, candidate), *lacking_doubt(model.lacks))
         written = model.to_dict() | {"warnings": [vars(w) for w in warnings]}
         said: list[str] = []
         if profile is not None:
@@ -213,7 +213,8 @@ def diagnose(
         )
         tables = write_result(to_json(examination.diagnosis), *results or [])
         if report:
-            model = identified(explorer.prepared, examination.steps[-1].fit)
+            fitted = examination.steps[-1].fit
+            model = identified(explorer.prepared, fitted, explorer.library.values())
             write_page(diagnosis_page(examination, comparisons, model, todo), report)
     diagnosis = examination.diagnosis
     if tables:

@@ -36,9 +36,10 @@ class Identified:
     frames_used, frames_total   frames with at least one marker seen, and all
     passes          batches of simulations it took
     method          "map" or "paper"
-    hand_covariance (p, p) share of the hand's errors in `covariance`
+    hand_covariance (p, p) share of the hand's errors, and of the simulation's, in `covariance`
     model_error_m   what the model misses at the tip beyond the noise, root mean square, m
     converged       False: the nearest model that was found, not a minimum
+    lacks           effects that would explain what it leaves: `covariance` allows for them
     """
 
     space: ParameterSpace
@@ -54,6 +55,7 @@ class Identified:
     hand_covariance: FloatArray
     model_error_m: float = 0.0
     converged: bool = True
+    lacks: tuple[str, ...] = ()
 
     @property
     def model(self) -> CableModel:
@@ -118,6 +120,7 @@ class Identified:
             "frames_used": self.frames_used,
             "frames_total": self.frames_total,
             "passes": self.passes,
+            **({"lacks": list(self.lacks)} if self.lacks else {}),
         }
 
     def _effect_files(self) -> dict[str, dict[str, dict[str, str]]]:
@@ -169,6 +172,7 @@ class Identified:
                 np.array(data["hand_covariance"], dtype=np.float64),
                 float(data.get("model_error_m", 0.0)),
                 bool(data.get("converged", True)),
+                tuple(map(str, data.get("lacks", ()))),
             )
         except (KeyError, TypeError) as error:
             raise ValueError(f"model: missing or mistyped entry {error}") from error

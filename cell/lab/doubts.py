@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from cell.lab.explore import Candidate, Explorer
@@ -59,6 +61,20 @@ def fit_doubts(explorer: Explorer, candidate: Candidate) -> tuple[Doubt, ...]:
             if not np.isfinite(predicted).all()
         ]
     return tuple(found)
+
+
+def lacking_doubt(lacks: Sequence[str]) -> tuple[Doubt, ...]:
+    """Of a fitted model beside which effects are seen; none if there are none."""
+    if not lacks:
+        return ()
+    return (
+        Doubt(
+            "lacks",
+            f"what the model leaves is not noise, {' and '.join(lacks)} beside it would explain "
+            "most of it: the intervals hold what the parameters would be then; `cell diagnose "
+            "STUDY` tells more",
+        ),
+    )
 
 
 def is_no_model(explorer: Explorer, fit: Fit) -> bool:

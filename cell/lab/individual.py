@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,14 +21,22 @@ from cell.identify.noise import Noise
 from cell.identify.parameters import ParameterSpace
 from cell.lab.fitting import Fit, fit_trials, space_with
 from cell.lab.prepared import PreparedStudy
+from cell.lab.systematic import systematic
+from cell.lab.unmodelled import unmodelled
 from cell.study.data import Study
 
 #: Datasheets of one kind of cable agree to this.
 SAME_CABLE = 0.01
 
 
-def identified(prepared: PreparedStudy, fit: Fit) -> Identified:
-    """A fit in the form in which models are kept; intervals widened by what it leaves."""
+def identified(
+    prepared: PreparedStudy, fit: Fit, effects: Iterable[type[Effect]] = ()
+) -> Identified:
+    """A fit in the form in which models are kept; intervals widened by what it leaves.
+
+    effects  that it may lack: where what is left is not noise, its parameters are as uncertain as
+             they move with those in that explain it
+    """
     trials = fit_trials(prepared)
     whiteners = [prepared.whiteners[t.name] for t in trials]
     solution, p = fit.solution, len(fit.q)
@@ -37,10 +45,14 @@ def identified(prepared: PreparedStudy, fit: Fit) -> Identified:
     precision = solution.jacobian.T @ solution.jacobian / inflation
     precision[:p, :p] += fit.space.precision
     precision[p:, p:] += np.diag(1.0 / fit.begun_std**2)
+    noise_only = np.linalg.inv(precision)
+    wrong = systematic(prepared, fit, trials)
+    by_hand = wrong.covariance(noise_only[:p] @ solution.jacobian.T / inflation)
+    missed = unmodelled(prepared, fit, effects, wrong)
     return Identified(
         space=fit.space,
         mean=fit.q,
-        covariance=np.asarray(np.linalg.inv(precision)[:p, :p], dtype=np.float64),
+        covariance=np.asarray(noise_only[:p, :p] + by_hand + missed.covariance),
         noise=prepared.noise,
         residual_rms_m=fit.rms_m,
         inflation=inflation,
@@ -48,7 +60,8 @@ def identified(prepared: PreparedStudy, fit: Fit) -> Identified:
         frames_total=sum(len(t.markers.t_s) for t in trials),
         passes=fit.solution.passes,
         method="map",
-        hand_covariance=np.zeros_like(fit.covariance),
+        hand_covariance=by_hand,
+        lacks=missed.effects,
     )
 
 

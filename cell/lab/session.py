@@ -239,7 +239,7 @@ def fit_study(explorer: Explorer) -> tuple[Identified, Candidate]:
     prepared = explorer.prepared
     _LOG.info("fitted %s: %.4f mm", prepared.study.name, candidate.fit.rms_m * 1e3)
     if candidate.fit.rms_m <= ERRS * prepared.noise.std_m:
-        return identified(prepared, candidate.fit), candidate
+        return identified(prepared, candidate.fit, explorer.library.values()), candidate
     left = Noise(candidate.fit.rms_m)
     coarser = Explorer(
         PreparedStudy.of(prepared.study, misfit=left, solver=prepared.solver),
@@ -248,4 +248,5 @@ def fit_study(explorer: Explorer) -> tuple[Identified, Candidate]:
         explorer.progress,
     )
     candidate = coarser.baseline()
-    return identified(coarser.prepared, candidate.fit), candidate
+    model = identified(coarser.prepared, candidate.fit, explorer.library.values())
+    return model, candidate

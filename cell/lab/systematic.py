@@ -46,18 +46,24 @@ class Systematic:
         return np.split(rows[..., : self.ends[-1]], self.ends[:-1], axis=-1)
 
     def variance(self, left: FloatArray) -> float:
-        """Of the projection of residuals on `left` (rows,), beyond that by noise."""
-        return float(self.covariance(left[None, : self.ends[-1]])[0, 0])
+        """Of the projection of residuals moved by `mesh` on `left` (rows,), beyond that by noise.
+
+        A finer mesh may still err by a share of what it differs by.
+        """
+        rows = left[: self.ends[-1]]
+        by_hand = float(self.by_hand(rows[None])[0, 0])
+        return by_hand + (LEFT * float(self.mesh @ rows)) ** 2
 
     def covariance(self, answer: FloatArray) -> FloatArray:
-        """(p, p) of what residuals answer linearly by `answer` (p, rows), beyond that by noise.
+        """(p, p) of what residuals as they are answer by `answer` (p, rows) beyond noise."""
+        by_mesh = answer @ self.mesh
+        return np.asarray(self.by_hand(answer) + np.outer(by_mesh, by_mesh))
 
-        Each trial's hand is wrong in its own way; of the mesh, what a finer one may still err by.
-        """
+    def by_hand(self, answer: FloatArray) -> FloatArray:
+        """(p, p) the hands' share of it: each trial's is wrong in its own way."""
         pairs = zip(self.by_trial(self.hands), self.by_trial(answer), strict=True)
         moved = [hands @ rows.T for hands, rows in pairs]
-        by_mesh = LEFT * (answer @ self.mesh)
-        return np.asarray(sum(m.T @ m for m in moved) / MOTIONS + np.outer(by_mesh, by_mesh))
+        return np.asarray(sum(m.T @ m for m in moved) / MOTIONS)
 
 
 def systematic(prepared: PreparedStudy, fit: Fit, trials: Sequence[Trial]) -> Systematic:

@@ -1,0 +1,189 @@
+"""What effects that a fitted model lacks may have done to its parameters.
+
+Most of an effect that is missing does not remain to be seen: the other parameters have moved to
+imitate it, by far more than what remains of noise would let them.  What remains tells which effects
+it may be and how strong, and these how far the parameters have moved.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc as chi2_sf
+
+from cell.cable.effects.base import Effect
+from cell.identify.fit import variance_inflation
+from cell.lab.fitting import Fit, fit_trials
+from cell.lab.prepared import PreparedStudy
+from cell.lab.rules import DEFAULT_RULES
+from cell.lab.screen import one_sided, prior_root, sensitivities
+from cell.lab.systematic import Systematic
+
+FloatArray = NDArray[np.float64]
+
+#: Effects taken in at most, one after another, until what is left is noise.
+MOST = 4
+#: Parts of a trial that are taken for independent where a model errs.
+PARTS = 4
+#: Less of an effect than this share is not told from what the parameters do.
+LEAST_LEFT = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Unmodelled:
+    """What is seen of effects beside a fitted model.
+
+    effects     that explain what it leaves, linearly, the one that explains most first
+    covariance  (p, p) of the fit's coordinates by their absence: how far they move with these in,
+                and how uncertain that is; 0 where what is left is noise
+    """
+
+    effects: tuple[str, ...]
+    covariance: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class _Option:
+    """An effect of one shape: rows (amplitudes, rows) by which its amplitudes change the residual.
+
+    seen  the same without what the fitted parameters imitate
+    """
+
+    effect: type[Effect]
+    rows: FloatArray
+    seen: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class _Linear:
+    """A fit, linear: residual and what its free coordinates change it by, the prior's rows last.
+
+    basis, triangle  QR of the latter
+    left             (rows,) of the residual, less the mesh's error, that nothing fitted explains
+    """
+
+    basis: FloatArray
+    triangle: FloatArray
+    left: FloatArray
+
+    @staticmethod
+    def of(fit: Fit, wrong: Systematic) -> _Linear:
+        solution, root = fit.solution, prior_root(fit)
+        slopes = np.vstack([solution.jacobian, root])[:, solution.free]
+        away = np.concatenate([fit.q - fit.space.mean, solution.q[len(fit.q) :]])
+        residual = np.concatenate([solution.residual + wrong.mesh, root @ away])
+        basis, triangle = np.linalg.qr(slopes)
+        return _Linear(basis, triangle, residual - basis @ (basis.T @ residual))
+
+    def seen(self, rows: FloatArray) -> FloatArray:
+        """(n, rows) without what the fitted coordinates imitate."""
+        return np.asarray(rows - (rows @ self.basis) @ self.basis.T)
+
+    def moved(self, rows: FloatArray) -> FloatArray:
+        """(free coordinates, n) how far they move by changes (n, rows) of the residual."""
+        return np.asarray(np.linalg.solve(self.triangle, self.basis.T @ rows.T))
+
+
+def unmodelled(
+    prepared: PreparedStudy, fit: Fit, effects: Iterable[type[Effect]], wrong: Systematic
+) -> Unmodelled:
+    """Of a model fitted to the `fit` trials, that lacks some of the effects, or others.
+
+    wrong  of the same fit and trials
+    """
+    p, none = len(fit.q), np.zeros((len(fit.q), len(fit.q)))
+    tried = [e for e in effects if e.name not in {x.name for x in fit.space.effects}]
+    linear = _Linear.of(fit, wrong)
+    options = _options(prepared, fit, tried, linear)
+    chosen, factor = _explaining(prepared, fit, options, linear, wrong)
+    if not chosen:
+        return Unmodelled((), none)
+    rows, seen = (np.vstack([getattr(o, v) for o in chosen]) for v in ("rows", "seen"))
+    amplitudes = np.linalg.lstsq(seen.T, linear.left, rcond=1e-8)[0]
+    by_each = linear.moved(rows)
+    moved = by_each @ amplitudes
+    spread = by_each @ np.linalg.pinv(seen @ seen.T) @ by_each.T * factor
+    all_of = np.zeros((len(fit.solution.q), len(fit.solution.q)))
+    free = fit.solution.free
+    all_of[np.ix_(free, free)] = np.outer(moved, moved) + spread + _by_parts(prepared, fit, linear)
+    return Unmodelled(tuple(o.effect.name for o in chosen), all_of[:p, :p])
+
+
+def _options(
+    prepared: PreparedStudy, fit: Fit, effects: Sequence[type[Effect]], linear: _Linear
+) -> list[_Option]:
+    """Effects at every guess of their shape, but those of which nothing is seen."""
+    options = []
+    for slopes in sensitivities(prepared, fit, effects) if effects else ():
+        for rows in slopes.rows:
+            seen = linear.seen(rows)
+            if np.linalg.norm(seen) > LEAST_LEFT * np.linalg.norm(rows):
+                options.append(_Option(slopes.effect, rows, seen))
+    return options
+
+
+def _explaining(
+    prepared: PreparedStudy,
+    fit: Fit,
+    options: Sequence[_Option],
+    linear: _Linear,
+    wrong: Systematic,
+) -> tuple[list[_Option], float]:
+    """Those that explain most, one after another while significant; and the variance left."""
+    whiteners = [prepared.whiteners[t.name] for t in fit_trials(prepared)]
+    chosen: list[_Option] = []
+    taken = np.zeros((0, len(linear.left)))
+    left, factor = linear.left, 1.0
+    while len(chosen) < MOST:
+        names = {o.effect.name for o in chosen}
+        found = [(o, _explained(o, taken, left)) for o in options if o.effect.name not in names]
+        best, explained = max(found, key=lambda f: float(f[1] @ f[1]), default=(None, left))
+        if best is None or not (square := float(explained @ explained)) > 0.0:
+            break
+        after = left - explained
+        inflation = variance_inflation(after[: len(wrong.mesh)], whiteners, len(fit.q))
+        expected = inflation + wrong.variance(explained) / square
+        chance = len(options) * float(chi2_sf(len(best.rows), square / expected))
+        if chance > DEFAULT_RULES.significance:
+            break
+        chosen.append(best)
+        taken, left, factor = _orthonormal_rows(taken, best.seen), after, inflation
+    return chosen, factor
+
+
+def _explained(option: _Option, taken: FloatArray, left: FloatArray) -> FloatArray:
+    """(rows,) of what is left that an option explains beside others; none by a wrong sign."""
+    beside = option.seen - (option.seen @ taken.T) @ taken
+    amplitudes = np.linalg.lstsq(beside.T, left, rcond=1e-8)[0]
+    if one_sided(option.effect) and amplitudes[0] < 0.0:
+        return np.zeros_like(left)
+    return np.asarray(amplitudes @ beside)
+
+
+def _orthonormal_rows(taken: FloatArray, more: FloatArray) -> FloatArray:
+    """(k, rows) orthonormal basis of both."""
+    rows = np.vstack([taken, more])
+    _, size, units = np.linalg.svd(rows, full_matrices=False)
+    return np.asarray(units[size > 1e-8 * size[0]])
+
+
+def _by_parts(prepared: PreparedStudy, fit: Fit, linear: _Linear) -> FloatArray:
+    """(free, free) by how much parts of trials ask for coordinates of their own.
+
+    source  Liang & Zeger 1986, Biometrika 73, 13: the sandwich of clusters within which anything
+            may depend on anything
+    """
+    inside = np.linalg.inv(linear.triangle.T @ linear.triangle)
+    asked, begin = [], 0
+    for trial in fit_trials(prepared):
+        whitener = prepared.whiteners[trial.name]
+        rows = np.arange(begin, begin + whitener.rows).reshape(-1, whitener.frames)
+        begin += whitener.rows
+        for part in np.array_split(rows, PARTS, axis=1):
+            slopes = fit.solution.jacobian[part.ravel()][:, fit.solution.free]
+            asked.append(slopes.T @ linear.left[part.ravel()])
+    by_part = np.array(asked) @ inside
+    return np.asarray(by_part.T @ by_part * len(asked) / (len(asked) - 1))
