@@ -1,33 +1,42 @@
 """How soon the line's charts notice an effect that appears, and how often they alarm falsely.
 
 Cables without pictures (`fast_cell`), judged by the chart that `cell run` uses.  First a quiet
-line; then lines of 40 of its cables, after which an effect appears in the world.
-`python tools/chart_study.py [--quiet 1000] [--lines 5] [--effects tip_mass …] [--sizes 1]
-[--seed 700] [--json F]`
+line; then lines of 40 of its cables, after which an effect appears in the world, or cables come
+warm (`warm`: EI a fifth lower and viscosity by half higher, at size 1).
+`python tools/chart_study.py [--quiet 1000] [--lines 5] [--effects tip_mass warm …] [--sizes 1]
+[--seed 700] [--json F]`: the quiet line goes to F as it comes, and is continued from there.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Iterable, Sequence
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
-from coverage_study import Errors
+import numpy as np
 from fast_cell import FastCycle, fast_cycle, typical, with_world
 from line_study import CONFIG
 from loop_study import SEEN
 
 from cell.build import cell_task
 from cell.cable.effects import library
+from cell.cable.model import CableModel
 from cell.plan.passage import height_at_mouth_m
 from cell.records.chart import signals
 from cell.records.result import Outcome, Result
 from cell.run.station import Task
 from cell.settings import Settings, load_settings
+from cell.simulated.hidden import hidden_cable
 
 #: A line is quiet for so many cables, and must then notice within so many.
 QUIET, SOON, PATIENCE = 40, 5, 40
+#: The quiet line is saved, and what it has said is printed, every so many cables.
+SAVED = 50
+#: EI and viscosity of a warm cable, times those of the same cable cold.
+SOFTER, MORE_VISCOUS = 0.8, 1.5
 
 
 def result(task: Task, number: int, c: FastCycle) -> Result:
@@ -48,12 +57,22 @@ def result(task: Task, number: int, c: FastCycle) -> Result:
 
 
 def results(
-    settings: Settings, task: Task, seed: int, numbers: Iterable[int], errors: Errors = SEEN
-) -> list[Result]:
-    """Of these cables of a seed, one after another."""
-    return [
-        result(task, k, fast_cycle(settings, seed, k, task=task, errors=errors)) for k in numbers
-    ]
+    settings: Settings, task: Task, seed: int, numbers: Iterable[int], warmth: float = 0.0
+) -> Iterator[Result]:
+    """Of these cables of a seed, one after another, each as it comes."""
+    for k in numbers:
+        hidden = warmed(hidden_cable(settings, seed, k), warmth)
+        c = fast_cycle(settings, seed, k, task=task, errors=SEEN, hidden=hidden, only_chosen=True)
+        yield result(task, k, c)
+
+
+def warmed(cable: CableModel, warmth: float) -> CableModel:
+    """A cable that is softer and more viscous by so many times what makes it `warm`."""
+    return replace(
+        cable,
+        rigidity_n_m2=np.asarray(cable.rigidity_n_m2) * SOFTER**warmth,
+        viscosity_n_m2_s=cable.viscosity_n_m2_s * MORE_VISCOUS**warmth,
+    )
 
 
 def alarms(line: Sequence[Result]) -> list[str]:
@@ -76,44 +95,56 @@ def noticed_after(quiet: Sequence[Result], later: Iterable[Result]) -> int | Non
     return None
 
 
+def quiet_line(
+    still: Settings, task: Task, seed: int, count: int, path: Path | None
+) -> list[Result]:
+    """So many cables of a world without an effect; what is in the file already is not run again."""
+    line: list[Result] = []
+    if path and path.exists():
+        line = [Result.from_json(r) for r in json.loads(path.read_text())][:count]
+    for r in results(still, task, seed, range(len(line) + 1, count + 1)):
+        line.append(r)
+        if len(line) % SAVED == 0 or len(line) == count:
+            print(f"{len(line)} quiet cycles, {len(alarms(line))} false alarms", flush=True)
+            if path:
+                path.write_text(json.dumps([q.to_json() for q in line]))
+    return line
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quiet", type=int, default=1000, help="cables of the quiet line")
     parser.add_argument("--lines", type=int, default=5, help="of each effect and size")
-    parser.add_argument("--effects", nargs="*", default=["tip_mass", "stress_relaxation"])
+    parser.add_argument("--effects", nargs="*", default=["tip_mass", "stress_relaxation", "warm"])
     parser.add_argument("--sizes", nargs="*", type=float, default=[1.0])
     parser.add_argument("--seed", type=int, default=700)
-    parser.add_argument("--json", type=Path, help="the quiet line: read if there, else written")
+    parser.add_argument("--json", type=Path, help="the quiet line: continued if there, written")
     options = parser.parse_args()
     settings = load_settings(CONFIG)
-    task = cell_task(settings)
-    if options.json and options.json.exists():
-        quiet = [Result.from_json(r) for r in json.loads(options.json.read_text())]
-    else:
-        still = with_world(settings, {})
-        quiet = results(still, task, options.seed, range(1, options.quiet + 1))
-        if options.json:
-            options.json.write_text(json.dumps([r.to_json() for r in quiet]))
+    task, still = cell_task(settings), with_world(settings, {})
+    begun_s = time.process_time()
+    quiet = quiet_line(still, task, options.seed, options.quiet, options.json)
     said = alarms(quiet)
     print(f"quiet: {len(said)} false alarms in {len(quiet)} cycles", *said, sep="\n  ", flush=True)
     for name in options.effects:
         for size in options.sizes:
-            there = with_world(settings, {name: typical(library()[name], size)})
+            warmth = size if name == "warm" else 0.0
+            hidden = {} if warmth else {name: typical(library()[name], size)}
+            there = with_world(settings, hidden)
             found = []
             for i in range(options.lines):
                 before = quiet[QUIET * i : QUIET * (i + 1)]
                 if len(before) < QUIET or signals(before):
                     continue  # it was not quiet
                 first = before[-1].cycle + 1
-                later = (
-                    results(there, task, options.seed, [k])[0]
-                    for k in range(first, first + PATIENCE)
-                )
-                found.append(noticed_after(before, later))
+                later = range(first, first + PATIENCE)
+                noticed = noticed_after(before, results(there, task, options.seed, later, warmth))
+                found.append(noticed)
             soon = sum(n is not None and n <= SOON for n in found)
             print(
                 f"{name} × {size:g}: within {SOON} in {soon} of {len(found)}: {found}", flush=True
             )
+    print(f"{time.process_time() - begun_s:.0f} s of CPU")
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ finer than the model, and its noise is what `coverage_study` found vision to hav
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -41,7 +42,8 @@ RATE_HZ = 500.0
 class FastCycle:
     """One cable: what was measured, decided and done; None = the cycle did not come so far.
 
-    best_margin_m   of all offsets, in truth: whether a perfect model could insert this cable
+    best_margin_m   of all offsets, in truth: whether a perfect model could insert this cable;
+                    nan = only the chosen one was simulated
     true_margin_m   of the offset that was chosen, or would have been
     """
 
@@ -87,8 +89,12 @@ def fast_cycle(
     task: Task | None = None,
     errors: Errors = Errors(),  # noqa: B008
     hidden: CableModel | None = None,
+    only_chosen: bool = False,
 ) -> FastCycle:
-    """One cycle with the `number`-th hidden cable of a seed."""
+    """One cycle with the `number`-th hidden cable of a seed.
+
+    only_chosen  of the offsets, for a third less time
+    """
     task = cell_task(settings) if task is None else task
     hidden = hidden_cable(settings, seed, number) if hidden is None else hidden
     rng = np.random.default_rng([seed, number, 1])
@@ -114,20 +120,23 @@ def fast_cycle(
         reason = str(error)
     truth = _truths(task, hidden, down, start_s, lag_s)
     at_s = np.arange(0.0, truth.end_s - start_s, 0.005)
-    tips = truth.tips(at_s)
-    margins = task.destination.margin_m(tips)
+    index = None if choice is None else choice.table.index(choice.best)
+    best_m = np.nan
+    if not only_chosen:
+        tips = truth.tips(at_s)
+        best_m = float(task.destination.margin_m(tips).max())
     cycle = FastCycle(
-        held, None, identified, expected, choice, None, reason, float(margins.max()), np.nan, np.nan
+        held, None, identified, expected, choice, None, reason, best_m, np.nan, np.nan
     )
-    if choice is None or expected is None:
+    if choice is None or index is None:
         return cycle
-    index = choice.table.index(choice.best)
-    tip = tips[index]
+    tip = truth.tips(at_s, [index])[0] if only_chosen else tips[index]
     predicted = np.column_stack(
         [np.interp(at_s, choice.t_s, choice.tip_m[:, axis]) for axis in (0, 1)]
     )
     clean = measured_passage(task.destination, at_s, tip, at_s, predicted)
-    cycle = replace(cycle, true_margin_m=float(margins[index]), true_tip_error_m=clean.error_m)
+    margin_m = float(task.destination.margin_m(tip[None])[0])
+    cycle = replace(cycle, true_margin_m=margin_m, true_tip_error_m=clean.error_m)
     if reason is not None:
         return cycle
     executed = _executed(task, hidden, truth.motions[index], start_s, held, bias, errors, rng)
@@ -139,6 +148,16 @@ def fast_cycle(
         choice.tip_m,
     )
     return replace(cycle, executed=executed, passage=passage)
+
+
+def best_margin_m(settings: Settings, seed: int, number: int) -> float:
+    """Of all offsets, in truth: whether a perfect model could insert this hidden cable."""
+    task, lag_s = cell_task(settings), settings.arm.lag_s
+    down = _true_hold(task, lag_s)
+    start_s = float(down.t_s[-1]) + task.decide_s
+    truth = _truths(task, hidden_cable(settings, seed, number), down, start_s, lag_s)
+    tips = truth.tips(np.arange(0.0, truth.end_s - start_s, 0.005))
+    return float(task.destination.margin_m(tips).max())
 
 
 def fast_measured(
@@ -173,10 +192,11 @@ class _Truths:
     def end_s(self) -> float:
         return max(float(m.t_s[-1]) for m in self.motions)
 
-    def tips(self, at_s: FloatArray) -> FloatArray:
-        """(offsets, times, 2) from the beginning of the execution on."""
+    def tips(self, at_s: FloatArray, which: Sequence[int] | None = None) -> FloatArray:
+        """(offsets, times, 2) from the beginning of the execution on; None = of all offsets."""
         tip = np.array([self.task.cable.free_length_m])
-        return simulate(self.hidden, self.motions, self.start_s + at_s, tip, solver=WORLD)[:, :, 0]
+        motions = self.motions if which is None else [self.motions[i] for i in which]
+        return simulate(self.hidden, motions, self.start_s + at_s, tip, solver=WORLD)[:, :, 0]
 
 
 def _truths(task: Task, hidden: CableModel, down: Motion, start_s: float, lag_s: float) -> _Truths:

@@ -18,6 +18,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import IO
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -75,11 +76,13 @@ class Commands:
     """Runs the loop's commands, and says before each what is done and about how long it will take.
 
     usual_s  first guess of what each takes; measured times correct what is left
+    log      where their output goes; None = to the terminal
     """
 
     usual_s: tuple[float, ...]
     clock: Callable[[], float] = time.monotonic
     taken_s: list[float] = field(default_factory=list)
+    log: IO[str] | None = None
 
     def left_s(self) -> float:
         """About how long the commands that are left still take."""
@@ -102,9 +105,10 @@ class Commands:
     def run(self, *arguments: object) -> int:
         """Exit code of `cell` with these words."""
         words = [str(a) for a in arguments]
-        print(f"\n{self.line()}\n$ cell {' '.join(words)}", flush=True)
+        print(f"\n{self.line()}\n$ cell {' '.join(words)}", file=self.log, flush=True)
         begun_s = self.clock()
-        code = subprocess.run([sys.executable, "-m", "cell", *words], check=False).returncode
+        command = [sys.executable, "-m", "cell", *words]
+        code = subprocess.run(command, check=False, stdout=self.log, stderr=self.log).returncode
         self.taken_s.append(self.clock() - begun_s)
         return code
 
@@ -166,7 +170,7 @@ def _draw_tip(axes: plt.Axes, before: Step, after: Step) -> None:
     axes.legend(frameon=False, fontsize=8)
 
 
-def _learn(commands: Commands, folder: Path, config: Path) -> int:
+def learned_from(commands: Commands, folder: Path, config: Path) -> int:
     """Exit code of `cell learn`, with the motions that it asks for."""
     out = folder / "candidate.yaml"
     motion, measured = folder / "candidate_motion.yaml", out.with_suffix(".measured")
@@ -204,7 +208,7 @@ def main() -> int:
     cycles_s = options.cables * CYCLE_S
     commands = Commands((cycles_s, options.cables * LEARNING_S, PROMOTING_S, cycles_s))
     commands.run("run", "--config", config, *again, "--out", folder / "before")
-    learned = _learn(commands, folder, config)
+    learned = learned_from(commands, folder, config)
     if learned == 0 and (folder / "candidate.yaml").exists():
         learned = commands.run("promote", folder / "candidate.yaml", "--config", config)
     else:

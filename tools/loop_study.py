@@ -4,10 +4,10 @@ For each effect and size: cables of a world with that effect are run, `learn` an
 what was recorded, what passes is promoted, and other cables of the same world come, once with the
 model before and once with the one promoted.  The same cables in a world without the effect show
 how well a complete model forecasts.  `none` is such a world: nothing may be promoted there.  A law
-that the library does not have (`outside_laws`; `outside` = all) is first looked for by `discover`
-in the cable that is missed most.
+that the library does not have (`outside_laws`; `outside` = all) is looked for as `cell learn
+--laws` does, and so in every world with `--laws`.
 `python tools/loop_study.py [--effects air_drag air_drag+tip_mass none …] [--sizes 0.5 1 2]
-[--cables 6] [--seed 300] [--worlds 1] [--json F]`
+[--cables 6] [--seed 300] [--worlds 1] [--laws] [--json F]`
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ import json
 import tempfile
 import time
 from collections.abc import Iterable, Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -28,15 +27,13 @@ from line_study import CONFIG, INSERTABLE_M
 from outside_laws import LAWS
 
 from cell.build import cell_task
-from cell.cable.effects import ActiveEffect, Effect, library, load_effect
-from cell.identify.individual import CableRejectedError, identify
+from cell.cable.effects import ActiveEffect, library
 from cell.lab.ask import MOST_ASKED, motion_that_tells, worth_it
 from cell.lab.candidate import section
 from cell.lab.cycles import RecordedCycle
-from cell.lab.discover import NothingFoundError, discover
+from cell.lab.discover import laws_in
 from cell.lab.gates import best_judged
 from cell.lab.learn import Lesson, learn
-from cell.lab.session import explorer_of, select_effects
 from cell.run.station import Task
 from cell.settings import Settings, load_settings
 from cell.settings.surroundings import Surroundings
@@ -124,7 +121,13 @@ class Cables:
 
 
 def world(
-    settings: Settings, task: Task, effect: str, size: float, cables: int, seed: int
+    settings: Settings,
+    task: Task,
+    effect: str,
+    size: float,
+    cables: int,
+    seed: int,
+    laws: bool = False,
 ) -> World:
     """One world from the first cable to the last."""
     parts = [] if effect == "none" else effect.split("+")
@@ -136,7 +139,7 @@ def world(
     as_found = Cables.of(cycles, time.process_time() - begun_s)
     recorded = [recorded_cycle(task, k, c) for k, c in zip(first, cycles, strict=True)]
     begun_s = time.process_time()
-    lesson, asked = _learned(settings, task, recorded, seed, there)
+    lesson, asked = _learned(settings, task, recorded, seed, there, laws)
     lesson, judgement = best_judged(lesson, settings)
     spent_s = time.process_time() - begun_s
     after, before, complete = None, as_found, as_found
@@ -169,11 +172,14 @@ def _learned(
     recorded: list[RecordedCycle],
     seed: int,
     there: Sequence[ActiveEffect],
+    laws: bool,
 ) -> tuple[Lesson, int]:
     """The lesson of these cables and those measured because of ties; how many these are."""
     surroundings, tried = Surroundings.read(CONFIG), library()
-    if any(a.effect.name in LAWS for a in there):
-        tried |= _discovered(task, recorded)
+    if laws or any(a.effect.name in LAWS for a in there):
+        tried |= laws_in(
+            Path(tempfile.mkdtemp(prefix="laws-")), [c.study for c in recorded]
+        ).effects
     lesson = learn(recorded, task.cable, task.identification, tried)
     for done in range(MOST_ASKED):
         try:
@@ -191,26 +197,6 @@ def _learned(
         recorded = [*recorded, measured]
         lesson = learn(recorded, task.cable, task.identification, tried)
     return lesson, MOST_ASKED
-
-
-def _discovered(task: Task, recorded: Sequence[RecordedCycle]) -> dict[str, type[Effect]]:
-    """What `cell discover` writes of the executed cable that is missed most; {} = nothing."""
-    missed = {}
-    for c in recorded:
-        if c.executed is not None and c.held is not None:
-            with suppress(CableRejectedError):
-                found = identify(c.held, task.arc_length_m, task.cable, options=task.identification)
-                missed[c.name] = found.model_error_m
-    studies = {c.name: c.study for c in recorded}
-    for name in sorted(missed, key=lambda n: -missed[n])[:1]:
-        path = Path(tempfile.mkdtemp(prefix="law-")) / "discovered.py"
-        try:
-            discover(explorer_of(studies[name], select_effects([])), path)
-        except NothingFoundError as error:
-            print(f"  {error}")
-            return {}
-        return {"discovered": load_effect(path, trusted=True)}
-    return {}
 
 
 _COMPLETE: dict[tuple[int, int], Cables] = {}
@@ -286,15 +272,26 @@ def summary(worlds: Sequence[World]) -> list[str]:
     done = sum(w.after.inserted for w in after if w.after)
     empty = [w for w in worlds if w.effect == "none"]
     outside = [w for w in worlds if w.effect in LAWS]
-    lower = [w for w in outside if w.after and w.after.error_m <= w.before.error_m / 3.0]
+    pairs = [w for w in hidden if "+" in w.effect]
     return [
         f"shift above 0.3 mm: {len(seen)} of {len(hidden)} worlds; right class promoted in "
         f"{len(right)} of them, named or tied in {len(named)}",
         f"promoted: {len(after)}; error after ≤ 1.3 × a complete world's or ≥ 5 × lower in "
         f"{len(good)}; worse than before in {len(worse)}; inserted {done} of {could}",
-        f"outside the library: {len(outside)}; error ≥ 3 × lower in {len(lower)}",
+        _three_times_lower("pairs", pairs),
+        _three_times_lower("outside the library", outside),
         f"complete worlds: {len(empty)}; promoted in {sum(w.promoted for w in empty)}",
     ]
+
+
+def _three_times_lower(title: str, worlds: Sequence[World]) -> str:
+    """In how many the error fell to a third; a complete world's bounds what it can fall to."""
+    can = [w for w in worlds if w.complete.error_m <= w.before.error_m / 3.0]
+    lower = [w for w in worlds if w.after and w.after.error_m <= w.before.error_m / 3.0]
+    return (
+        f"{title}: {len(worlds)}; error ≥ 3 × lower in {len(lower)}, of the {len(can)} in which a "
+        f"complete world's is so low in {len([w for w in lower if w in can])}"
+    )
 
 
 def main() -> None:
@@ -304,6 +301,7 @@ def main() -> None:
     parser.add_argument("--cables", type=int, default=6)
     parser.add_argument("--seed", type=int, default=300)
     parser.add_argument("--worlds", type=int, default=1, help="of each effect and size")
+    parser.add_argument("--laws", action="store_true", help="tried in every world")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     settings = load_settings(CONFIG)
@@ -311,7 +309,10 @@ def main() -> None:
     for effect in [f for e in options.effects for f in (LAWS if e == "outside" else (e,))]:
         for size in options.sizes if effect != "none" else [0.0]:
             for i in range(options.worlds):
-                worlds.append(world(settings, task, effect, size, options.cables, options.seed + i))
+                seed = options.seed + i
+                worlds.append(
+                    world(settings, task, effect, size, options.cables, seed, options.laws)
+                )
                 print(worlds[-1].line(), flush=True)
                 if options.json:
                     options.json.write_text(json.dumps([asdict(w) for w in worlds], indent=1))

@@ -34,6 +34,12 @@ def learn(
         list[str] | None,
         typer.Option("--effect", help="A file.py with an effect of your own, tried as well."),
     ] = None,
+    laws: Annotated[
+        Path | None,
+        typer.Option(
+            "--laws", help="Try laws that the library lacks, too; keep those found in this folder."
+        ),
+    ] = None,
 ) -> None:
     """Learn from recorded cycles of many cables which effect the line's model lacks.
 
@@ -44,6 +50,7 @@ def learn(
     """
     from cell.lab.candidate import write_candidate
     from cell.lab.cycles import read_cycles
+    from cell.lab.discover import Laws, laws_in
     from cell.lab.gates import best_judged
     from cell.lab.learn import learn as learn_from
     from cell.lab.lesson_tables import gates_table, lesson_lines, votes_table
@@ -55,12 +62,18 @@ def learn(
         settings = load_settings(config)
         cable, options = cable_of(settings), identification_of(settings)
         cycles, left_out = read_cycles(runs, cable)
-        library = select_effects([], effect or []).candidates
-        lesson = learn_from(cycles, cable, options, library, progress)
+        library, more = select_effects([], effect or []).candidates, Laws({}, ())
+        if laws is not None:
+            more = laws_in(
+                laws, [c.study for c in cycles], (*options.kind.effects, *library.values())
+            )
+        lesson = learn_from(cycles, cable, options, library | more.effects, progress)
         lesson, judgement = best_judged(lesson, settings)
+        kept = more.keep(lesson.best.effects if lesson.best else ())
         if lesson.best:
             write_candidate(out, lesson, judgement, settings.model)
-        todo = _asking(lesson, config, out, _again(runs, config, out, effect or []), progress)
+        again = _again(runs, config, out, effect or [], laws)
+        todo = _asking(lesson, config, out, again, progress)
     for line in left_out:
         print(f"left out: {line}", file=sys.stderr)
     for line in lesson_lines(lesson):
@@ -68,21 +81,25 @@ def learn(
     if lesson.best is None:
         raise typer.Exit(ALL_DONE)
     show(votes_table(lesson), gates_table(judgement.gates))
-    for line in todo:
+    for line in (*(f"its law is in {path}" for path in kept), *todo):
         print(line)
     if judgement.fit_for_line:
         print(f"written to {out}; use it with: cell promote {out} --config {config}")
         raise typer.Exit(ALL_DONE)
     failed = ", ".join(g.name for g in judgement.gates if not g.passed)
-    print(f"{out} is not fit for the line: {failed}; record more cycles and learn again")
+    more_laws = "" if laws else f", or with --laws {out.with_suffix('.laws')}"
+    print(f"{out} is not fit for the line: {failed}; record more cycles and learn again{more_laws}")
     raise typer.Exit(NOT_ALL_DONE)
 
 
-def _again(runs: Sequence[Path], config: Path, out: Path, effects: Sequence[str]) -> str:
+def _again(
+    runs: Sequence[Path], config: Path, out: Path, effects: Sequence[str], laws: Path | None
+) -> str:
     """`cell learn` with the cables measured meanwhile, too."""
     given = [*runs, *([] if _measured(out) in runs else [_measured(out)])]
     tried = (w for effect in effects for w in ("--effect", effect))
-    return _typed(["cell", "learn", *given, "--config", config, *tried, "-o", out])
+    sought = [] if laws is None else ["--laws", laws]
+    return _typed(["cell", "learn", *given, "--config", config, *tried, *sought, "-o", out])
 
 
 def _typed(words: Sequence[object]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,8 @@ from cell.lab.estimate import estimate
 from cell.lab.explore import Candidate, Explorer
 from cell.lab.fitting import fit_trials
 from cell.lab.rules import Rules
-from cell.lab.terms import admissible, effect_source
+from cell.lab.terms import Term, admissible, effect_source
+from cell.study.data import Study, Trial
 
 
 @dataclass(frozen=True)
@@ -96,12 +97,9 @@ def discover(explorer: Explorer, out: Path, rules: Rules = ALL_TERMS) -> Discove
             of the file will not do; nothing written
     """
     name = effect_name(out, [e.name for e in explorer.space.effects])
-    terms = {t.name: t for t in admissible(_box(explorer))}
+    terms = {t.name: t for t in admissible(_box(fit_trials(explorer.prepared)))}
     with tempfile.TemporaryDirectory() as folder:
-        tried = {
-            n: _loaded(Path(folder) / f"{n}.py", effect_source(n, [t], f"Candidate {n}."))
-            for n, t in terms.items()
-        }
+        tried = _each(terms.values(), Path(folder))
         search = Explorer(explorer.prepared, explorer.space, tried, explorer.progress)
         examination = diagnose(search, rules)
     base, found = search.baseline(), examination.accepted
@@ -189,8 +187,53 @@ def _loaded(path: Path, source: str) -> type[Effect]:
     return load_effect(path, trusted=True)
 
 
-def _box(explorer: Explorer) -> tuple[float, float, float, float]:
-    """Where the cable was seen in the fit trials: x low, x high, y low, y high, m."""
-    seen = np.concatenate([t.markers.xy_m.reshape(-1, 2) for t in fit_trials(explorer.prepared)])
+@dataclass(frozen=True)
+class Laws:
+    """Admissible laws as effects, for `learn` to try beside the library's.
+
+    effects  by name, each in a file of its own
+    written  files that were not there before
+    """
+
+    effects: dict[str, type[Effect]]
+    written: tuple[Path, ...]
+
+    def keep(self, used: Sequence[type[Effect]]) -> tuple[Path, ...]:
+        """Remove the files written that none of these effects is from; those of laws among them."""
+        theirs = tuple(
+            e.file.path for e in used if e.file is not None and self.effects.get(e.name) is e
+        )
+        for path in set(self.written) - set(theirs):
+            path.unlink()
+        return theirs
+
+
+def laws_in(folder: Path, studies: Sequence[Study], known: Sequence[type[Effect]] = ()) -> Laws:
+    """Laws that no effect of the library has; a file that is there already is taken as it is.
+
+    folder   of their files; a model may refer to them
+    studies  of where the cables have been
+    known    effects of the model: laws of their names are left out
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    there = {p.stem for p in folder.glob("*.py")}
+    taken = {e.name for e in known}
+    terms = admissible(_box([t for study in studies for t in study.trials]))
+    effects = {n: load_effect(folder / f"{n}.py") for n in sorted(there - taken)}
+    effects |= _each([t for t in terms if t.name not in there | taken], folder)
+    return Laws(effects, tuple(folder.resolve() / f"{n}.py" for n in effects if n not in there))
+
+
+def _each(terms: Iterable[Term], folder: Path) -> dict[str, type[Effect]]:
+    """Every term as an effect of its own, by name, from its file in the folder."""
+    about = "A law that no effect of the library has."
+    return {
+        t.name: _loaded(folder / f"{t.name}.py", effect_source(t.name, [t], about)) for t in terms
+    }
+
+
+def _box(trials: Sequence[Trial]) -> tuple[float, float, float, float]:
+    """Where the cable was seen in trials: x low, x high, y low, y high, m."""
+    seen = np.concatenate([t.markers.xy_m.reshape(-1, 2) for t in trials])
     low, high = np.nanmin(seen, axis=0), np.nanmax(seen, axis=0)
     return float(low[0]), float(high[0]), float(low[1]), float(high[1])

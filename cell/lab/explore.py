@@ -30,7 +30,7 @@ from cell.lab.fitting import (
 )
 from cell.lab.prepared import PreparedStudy
 from cell.lab.score import boundary_p_value, delta_bic
-from cell.lab.screen import ScreenedEffect, is_shape, screen
+from cell.lab.screen import MOST_SHAPES, ScreenedEffect, is_shape, screen, shapes_of
 from cell.study.data import Trial
 
 FloatArray = NDArray[np.float64]
@@ -48,8 +48,6 @@ SMOOTH_TRIES, ROUGH_TRIES = 1, 2
 PLACES = 2
 #: Two fits of the same effects are different minima if one is so much likelier (logarithm).
 LIKELIER = 0.1
-#: An effect with more shapes than this to start from acts at a place that must be sought.
-MOST_SHAPES = 50
 #: Amplitudes tried, as shares of those that the screen expects.
 SHARES = (2.0, 0.5, 0.25, 0.1)
 #: Passes of a first refit; the best few are then taken to convergence.
@@ -318,8 +316,7 @@ class Explorer:
         guesses = [start for starts in screens for start in starts]
         # An earlier individual is far from one with, say, a load: there slopes say little.
         values = list(guesses) if self.prior_q is None else _scaled(effect, guesses)
-        shapes = int(np.prod([len(p.starts) for p in effect.parameters if is_shape(p)]))
-        placed = shapes > MOST_SHAPES
+        placed = shapes_of(effect) > MOST_SHAPES
         for origin in origins[-1:] if placed else origins:
             starts = []
             for value in [*values, *_typical(effect)]:
@@ -332,7 +329,7 @@ class Explorer:
             else:
                 tries = SMOOTH_TRIES if effect.smooth else ROUGH_TRIES
                 promising = list(self._promising(space, np.array(starts), tries))
-                if shapes > 1:
+                if shapes_of(effect) > 1:
                     likeliest = np.cumsum([0, *map(len, screens)])[:-1]
                     promising += [
                         q for q in map(starts.__getitem__, likeliest) if _is_new(q, promising)

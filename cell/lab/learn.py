@@ -18,7 +18,7 @@ from cell.lab.cycles import RecordedCycle
 from cell.lab.fitting import Fit
 from cell.lab.prepared import PreparedStudy
 from cell.lab.score import holm
-from cell.lab.screen import screen
+from cell.lab.screen import MOST_SHAPES, ScreenedEffect, screen, shapes_of
 from cell.lab.shared import SharedFit, Spread, fit_shared, prepared_cycle
 
 FloatArray = NDArray[np.float64]
@@ -29,6 +29,8 @@ TRIED_ON, FITTED_TO = 4, 12
 BEST = 4
 #: Starts of a fit are compared on so many cables, with so many passes.
 START_ON, FIRST_PASSES = 1, Options(tolerance=1.0, most_passes=6)
+#: Places at which a refit begins with a force whose place is unknown.
+PLACES = 3
 #: Share of what the slope says that a refit begins with.
 A_LITTLE = 0.05
 #: Fits whose χ² is within this factor of the best are taken to convergence.
@@ -279,8 +281,8 @@ class _Search:
         fits = []
         for name in names:
             self.progress(f"refitting with {name}")
-            guesses = [s.starts[0] for found in screens for s in found if s.effect.name == name]
-            fit = self._best_start(simpler, effects[name], guesses)
+            of_it = [s for found in screens for s in found if s.effect.name == name]
+            fit = self._best_start(simpler, effects[name], of_it)
             if fit is not None:
                 fits.append((effects[name], fit))
         if not fits:
@@ -321,7 +323,7 @@ class _Search:
         return min(found, key=lambda f: f.chi2)
 
     def _best_start(
-        self, simpler: EffectFit | None, effect: type[Effect], guesses: Sequence[FloatArray]
+        self, simpler: EffectFit | None, effect: type[Effect], screened: Sequence[ScreenedEffect]
     ) -> SharedFit | None:
         """The effect fitted to all cables, from the start that leads furthest on a few."""
         effects = (effect,) if simpler is None else (*simpler.effects, effect)
@@ -329,8 +331,11 @@ class _Search:
         # The slope says how much of it there is, but the cables were fitted without it: from a
         # little of it all parameters move together.
         off = np.array([p.default if p.amplitude else np.nan for p in effect.parameters])
-        most = np.median(np.array(guesses), axis=0)
-        places = [np.where(np.isnan(off), most, off + A_LITTLE * (most - off))]
+        most = [np.median(np.array([s.starts[0] for s in screened]), axis=0)]
+        if shapes_of(effect) > MOST_SHAPES:  # the middle of several places is none of them
+            clearest = max(screened, key=lambda s: s.score.statistic)
+            most = [*clearest.starts[:PLACES]]
+        places = [np.where(np.isnan(off), m, off + A_LITTLE * (m - off)) for m in most]
         if not effect.smooth:
             places += [
                 np.array([p.starts[min(k, len(p.starts) - 1)] for p in effect.parameters])

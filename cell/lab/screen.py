@@ -24,6 +24,8 @@ NUDGE = 0.05
 #: cannot be simulated, is made smaller, this often.
 LARGEST_CHANGE = 300.0
 TRIES = 6
+#: An effect with more shapes than this to start from acts at a place that must be sought.
+MOST_SHAPES = 50
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,6 +153,11 @@ def _guesses(effect: type[Effect]) -> list[_Guess]:
                 nudged = (*values[:i], p.default + nudge, *values[i + 1 :])
                 guesses.append(_Guess(effect, shape, nudged, i, nudge))
     return guesses
+
+
+def shapes_of(effect: type[Effect]) -> int:
+    """Number of shapes that an effect is tried with."""
+    return int(np.prod([len(p.starts) for p in effect.parameters if is_shape(p)]))
 
 
 def is_shape(parameter: Parameter) -> bool:

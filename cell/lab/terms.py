@@ -71,6 +71,23 @@ def _forces(box_m: tuple[float, float, float, float]) -> tuple[Term, ...]:
                 "fy += p.slope_xy * at.x + p.slope_yy * at.y",
             ),
         ),
+        Term(
+            "spring",
+            "force",
+            "force (a − k x, b − k y) per metre, that of a spring to a point, weighted along the "
+            "cable as (m + 1)(s/L)^m",
+            (
+                _one("spring_x", "N/m", 1e-3),
+                _one("spring_y", "N/m", 1e-3),
+                _one("stiffness", "N/m²", 1e-2),
+                Parameter("share", "1", 0.01, 50.0, 0.05, (0.05, 2.0, 8.0), amplitude=False),
+            ),
+            (
+                "part = (p.share + 1.0) * (at.arc_length / cable.free_length_m) ** p.share",
+                "fx += part * (p.spring_x - p.stiffness * at.x)",
+                "fy += part * (p.spring_y - p.stiffness * at.y)",
+            ),
+        ),
         _attractor(box_m),
         Term(
             "drag_along",

@@ -15,7 +15,7 @@ import pytest
 from typer.testing import CliRunner
 
 from cell.build import cell_task
-from cell.cable.effects import library
+from cell.cable.effects import library, load_effect
 from cell.cli import app
 from cell.files.input_error import InputError
 from cell.files.yaml_document import yaml_text
@@ -24,12 +24,14 @@ from cell.identify.individual import IdentifyOptions, identify
 from cell.lab.ask import _of_the_next_cable, asked, motion_that_tells, worth_it
 from cell.lab.candidate import section, write_candidate
 from cell.lab.cycles import RecordedCycle, read_cycles
+from cell.lab.discover import Laws
 from cell.lab.gates import ForecastPair, Judgement, best_judged, forecasts, gates, judge
 from cell.lab.learn import Lesson, learn
 from cell.lab.lesson_tables import lesson_lines
 from cell.lab.motion_file import load_motion
 from cell.lab.session import explorer_of, read_kind, select_effects
 from cell.lab.shared import Spread
+from cell.lab.terms import admissible
 from cell.settings import load_settings
 from cell.settings.model import Model
 from cell.settings.promotion import read_candidate
@@ -334,3 +336,29 @@ def test_after_two_motions_nothing_more_is_asked_for(
     found = CliRunner().invoke(app, words)
     assert "2 motions did not tell them apart" in found.output, found.output
     assert not (tmp_path / "c_motion.yaml").exists()
+
+
+def test_a_law_that_the_library_lacks_is_learned_and_kept_in_a_file(
+    dragged: list[RecordedCycle], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Air drag as a law, the effect taken out of the library."""
+    drag = next(t for t in admissible((-0.1, 0.0, -0.1, 0.0)) if t.name == "drag_cubic")
+    lines = tuple(line.replace("across**3", "abs(across) * across") for line in drag.lines)
+    square = replace(drag, name="square_drag", lines=lines)
+    monkeypatch.setattr("cell.lab.discover.admissible", lambda _: (square,))
+    monkeypatch.setattr("cell.lab.session.library", lambda: {"tip_mass": library()["tip_mass"]})
+    for cycle in dragged[:1]:
+        write_study(cycle.study, tmp_path / "runs" / cycle.name)
+    monkeypatch.chdir(tmp_path)
+    runs = [f"runs/{dragged[0].name}"]
+    words = ["learn", *runs, "--config", str(CONFIG), "--laws", "laws", "-o", "c.yaml"]
+    found = CliRunner().invoke(app, words)
+    assert "missing: square_drag" in found.output, found.output
+    assert [p.name for p in (tmp_path / "laws").iterdir()] == ["square_drag.py"]
+    (entry,) = read_candidate(tmp_path / "c.yaml").model.effects
+    path = tmp_path / "laws" / "square_drag.py"
+    assert entry.effect == str(path)
+    law = load_effect(path, trusted=True)
+    assert Laws({law.name: law}, (path,)).keep([law]) == (path,)
+    assert Laws({law.name: law}, (path,)).keep([]) == ()
+    assert not path.exists(), "what is not needed leaves no file"
