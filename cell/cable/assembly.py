@@ -84,7 +84,7 @@ def assemble(
 def _block(
     models: list[CableModel], lanes: tuple[int, ...], n: int, hooks: Hooks, start_s: float
 ) -> Block:
-    state = np.zeros((n + 1, at.FIELDS, at.LANES))
+    state = at.vectors(n + 1, at.FIELDS)
     w = len(models)
 
     def each(value: Any) -> FloatArray:

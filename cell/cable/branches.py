@@ -12,9 +12,10 @@ from cell.cable.assembly import assemble
 from cell.cable.clamp import pose_of
 from cell.cable.dynamics import increasing, simulate
 from cell.cable.geometry import Motion
+from cell.cable.hands import on_hand
 from cell.cable.model import CableModel
 from cell.cable.solver import DEFAULT_SOLVER, Solver, threads
-from cell.cable.swing import Grid, Swing, move, on_hand
+from cell.cable.swing import Grid, Swing, move
 
 FloatArray = NDArray[np.float64]
 
@@ -68,7 +69,7 @@ def simulate_branches(
         block.go_on_from(trunk)
     grids = [Grid.of(fork_s, [times], batch[b.lanes[0]], False, solver) for b in branches]
     out = np.empty((len(batch), *shape[2:]))
-    move(swing, branches, grids, arc_length_m, list(out))
+    move(swing, branches, grids, arc_length_m, out)
     return out.reshape(shape)
 
 

@@ -13,9 +13,14 @@ from cell.cable import splines
 from cell.cable.effects.base import ActiveEffect, HandMotion
 from cell.cable.effects.compiled import parameters
 from cell.cable.geometry import Motion, MotionSplines, SmoothedMotion
+from cell.cable.splines import Steps, spread_steps
 
 FloatArray = NDArray[np.float64]
 
+#: Axes of a pose.  Of an axis' three fields each is so many behind the one before: see `layout`.
+_AXES = 3
+#: The only lane there is.
+ONLY = np.zeros(1, dtype=np.int64)
 #: Half the interval over which a pose changed by an effect is differentiated, s.
 _INSTANT = 1e-5
 
@@ -58,12 +63,12 @@ class _Logged:
 class Instants:
     """When the steps of a grid ask for the hand's pose; what the logs say there is found once."""
 
-    def __init__(self, start_s: float, step_s: float, steps: int, collocation: float) -> None:
-        number = np.arange(steps + 1, dtype=np.float64) + collocation
-        self.time: FloatArray = start_s + step_s * number[:-1]
-        self.edge: FloatArray = start_s + step_s * (number - 0.5)
+    def __init__(self, steps: Steps) -> None:
+        number = np.arange(steps.number + 1, dtype=np.float64) + steps.collocation
+        self.time: FloatArray = steps.start_s + steps.step_s * number[:-1]
+        edge: FloatArray = steps.start_s + steps.step_s * (number - 0.5)
         self.near: tuple[FloatArray, ...] = tuple(
-            t + by for t in (self.edge, self.time) for by in (_INSTANT, -_INSTANT)
+            t + by for t in (edge, self.time) for by in (_INSTANT, -_INSTANT)
         )
         self._logged: dict[int, _Logged] = {}
 
@@ -93,10 +98,7 @@ def pose_of(
 def base_rows(
     motion: Motion,
     effects: Sequence[ActiveEffect],
-    start_s: float,
-    step_s: float,
-    steps: int,
-    collocation: float,
+    steps: Steps,
     instants: Instants | None = None,
 ) -> FloatArray:
     """(steps, BASE_FIELDS) pose, velocity and acceleration at the steps' collocation times.
@@ -104,34 +106,20 @@ def base_rows(
     The acceleration is the mean over a step's length, so that a jump in the log's velocity gives
     the momentum that it should, whatever the step.
 
-    instants  of this grid, if there are other effects on the same motions
+    instants  of these steps, if there are other effects on the same motions
     """
-    if instants is None:
-        instants = Instants(start_s, step_s, steps, collocation)
-    time, edge = instants.time, instants.edge
-    rows = np.zeros((steps, at.BASE_FIELDS))
-    places = (
-        (at.BASE_X, at.BASE_UX, at.BASE_AX),
-        (at.BASE_Y, at.BASE_UY, at.BASE_AY),
-        (at.BASE_ANGLE, at.BASE_SPIN, at.BASE_AA),
-    )
+    rows = np.empty((steps.number, at.BASE_FIELDS))
+    by_axis = [rows[:, axis::_AXES] for axis in range(_AXES)]  # value, rate and its change
     if not any(a.effect.clamp is not None for a in effects):
-        for spline, (value, rate, change) in zip(motion.splines, places, strict=True):
-            if spline.constant:
-                rows[:, value] = spline.value[0]
-                continue
-            rows[:, value] = spline(time)
-            rows[:, rate] = spline(time, 1)
-            rows[:, change] = np.diff(spline(edge, 1)) / step_s
+        for spline, out in zip(motion.splines, by_axis, strict=True):
+            spread_steps(*spline.pieces, steps, ONLY, out[:, :, None])
         return rows
+    instants = Instants(steps) if instants is None else instants
     pose = pose_of(motion, effects, instants.logged(motion))
-    here = pose(time)
+    here = pose(instants.time)
     after, before, late, early = (pose(t) for t in instants.near)
-    speeds = [(a - b) / (2.0 * _INSTANT) for a, b in zip(after, before, strict=True)]
-    nearby = zip(late, early, strict=True)
-    rates = [(a - b) / (2.0 * _INSTANT) for a, b in nearby]
-    for c, (value, rate, change) in enumerate(places):
-        rows[:, value] = here[c]
-        rows[:, rate] = rates[c]
-        rows[:, change] = np.diff(speeds[c]) / step_s
+    for c, out in enumerate(by_axis):
+        out[:, 0] = here[c]
+        out[:, 1] = (late[c] - early[c]) / (2.0 * _INSTANT)
+        out[:, 2] = np.diff((after[c] - before[c]) / (2.0 * _INSTANT)) / steps.step_s
     return rows

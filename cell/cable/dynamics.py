@@ -47,7 +47,7 @@ def simulate(
     times = increasing(times_s)
     out = np.empty((len(batch), times.size, np.size(arc_length_m), 2))
     begin = _Begin.of(start, release_s, bent, len(batch))
-    _simulate(batch, paths, [times] * len(batch), arc_length_m, list(out), solver, begin)
+    _simulate(batch, paths, [times] * len(batch), arc_length_m, out, solver, begin)
     return out
 
 
@@ -102,7 +102,7 @@ def _simulate(
     paths: list[Motion],
     times_s: list[FloatArray],
     arc_length_m: FloatArray,
-    out: list[FloatArray],
+    out: Sequence[FloatArray] | FloatArray,
     solver: Solver,
     how: _Begin,
 ) -> None:

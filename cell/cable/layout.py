@@ -8,9 +8,18 @@ Body 0 is the half segment in the grip, bodies 1 … n−1 are segments, body n 
 the tip; hinge `i` is the near end of body `i`.  Suffix `_C` = at the collocation time of a step.
 """
 
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
 LANES = 16
 #: Lanes are computed in multiples of this: a vector register of the widest kind.
 VECTOR = 8
+#: Numbers on a line of the processor's cache.
+_CACHE_LINE = 8
 
 # --- state ------------------------------------------------------------------------------------
 BEND = 0  # bend angle φ of the hinge, rad
@@ -78,3 +87,14 @@ BASE_AX = 6
 BASE_AY = 7
 BASE_AA = 8
 BASE_FIELDS = 9
+
+
+def vectors(*shape: int) -> NDArray[np.float64]:
+    """(shape…, LANES) zeros that begin on a cache line: none of their vectors lies on two.
+
+    A vector on two lines takes two reads; it made a step a quarter slower.
+    """
+    size = math.prod(shape) * LANES
+    raw = np.zeros(size + _CACHE_LINE)
+    begin = -(raw.ctypes.data // raw.itemsize) % _CACHE_LINE
+    return raw[begin : begin + size].reshape(*shape, LANES)

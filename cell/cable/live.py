@@ -8,15 +8,15 @@ from numpy.typing import NDArray
 from cell.cable import camera
 from cell.cable import layout as at
 from cell.cable.assembly import assemble, marker_weights
-from cell.cable.clamp import base_rows, pose_of
 from cell.cable.effects.base import Effect
 from cell.cable.effects.own import run_engine
 from cell.cable.geometry import Motion
+from cell.cable.hands import Hands
 from cell.cable.model import CableModel
 from cell.cable.solver import DivergedError, Solver, generalised_alpha
+from cell.cable.splines import Steps
 from cell.cable.statics import settle
 from cell.cable.stepping import integrate, looks, nodes
-from cell.cable.swing import interleave
 
 FloatArray = NDArray[np.float64]
 
@@ -25,6 +25,8 @@ FloatArray = NDArray[np.float64]
 _LATER = 6
 #: Poses kept; far more than a spline feels.
 _KEPT = 64
+#: The motion's number for each of the lanes, of which all are the same cable.
+_ALL_LANES = (0,) * at.LANES
 
 
 def shown_live(effect: type[Effect]) -> bool:
@@ -122,7 +124,8 @@ class SwingingCable:
         if not keep:
             state, memory = state.copy(), memory.copy()
         coefficients = generalised_alpha(step_s, solver.damping)
-        base = base_rows(motion, (), begin_s, step_s, steps, float(coefficients[12]))
+        in_steps = Steps(begin_s, step_s, steps, float(coefficients[12]))
+        base = Hands([motion], [self._model]).at_steps(_ALL_LANES, in_steps)
         swung = np.empty((int(np.count_nonzero(~rested)), block.segments + 1, at.LANES))
         bad = run_engine(
             integrate,
@@ -130,7 +133,7 @@ class SwingingCable:
             state,
             block.width,
             block.segments,
-            interleave([base] * at.LANES, base.shape).ravel(),
+            base.ravel(),
             coefficients,
             block.nonlinear,
             block.passes,
@@ -144,9 +147,7 @@ class SwingingCable:
         return bends
 
     def _positions(self, motion: Motion, t_s: FloatArray, bends: FloatArray) -> FloatArray:
-        x, y, angle = pose_of(motion)(t_s)
-        held = np.column_stack([x, y, angle])
-        clamp = interleave([held] * at.LANES, held.shape)
+        clamp = Hands([motion], [self._model]).at_times(_ALL_LANES, [t_s] * at.LANES)
         out = np.empty((self._block.width, len(t_s), len(self._markers[0]), 2))
         nodes(
             bends.ravel(),

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.cable.compiling import compiled
+from cell.cable.compiling import compiled, inline
 
 FloatArray = NDArray[np.float64]
 
@@ -31,6 +32,15 @@ _GLITCH, _BESIDE = 4.5, 3
 _NEAR = np.geomspace(10.0**-1.5, 10.0**1.5, 7)
 
 
+class Steps(NamedTuple):
+    """Equal steps in time; their equation holds at `collocation`, a share of a step."""
+
+    start_s: float
+    step_s: float
+    number: int
+    collocation: float
+
+
 @dataclass(frozen=True, eq=False)
 class Spline:
     """Cubic pieces over `t_s` (T,): values and second derivatives at the knots; held outside.
@@ -46,6 +56,11 @@ class Spline:
     root: FloatArray | None = None
 
     @cached_property
+    def pieces(self) -> tuple[FloatArray, FloatArray]:
+        """(T,) knots and (T, 4) coefficients of the pieces after them, for compiled functions."""
+        return self.t_s, _cubic(self.t_s, self.value, self.bend)
+
+    @cached_property
     def constant(self) -> bool:
         """Whether the signal never changes."""
         return not np.any(self.value != self.value[0])
@@ -56,7 +71,7 @@ class Spline:
         if self.constant:
             return np.full(t.shape, 0.0 if derivative else self.value[0])
         flat = np.ascontiguousarray(t).ravel()
-        out = _evaluate(self.t_s, self.value, self.bend, flat, derivative)
+        out = _evaluate(*self.pieces, flat, derivative)
         return np.asarray(out.reshape(t.shape))
 
 
@@ -267,36 +282,96 @@ def _solve(t: FloatArray, y: FloatArray, root: FloatArray, scaled: bool) -> Floa
 
 
 @compiled
-def _evaluate(
-    t: FloatArray, y: FloatArray, bend: FloatArray, at: FloatArray, derivative: int
-) -> FloatArray:
+def _cubic(t: FloatArray, y: FloatArray, bend: FloatArray) -> FloatArray:
+    """(T, 4) coefficients of every piece, by the time since its knot; behind the last, at rest."""
+    pieces = np.zeros((t.size, 4))
+    pieces[:, 0] = y
+    for j in range(t.size - 1):
+        h = t[j + 1] - t[j]
+        pieces[j, 1] = (y[j + 1] - y[j]) / h - h * (2.0 * bend[j] + bend[j + 1]) / 6.0
+        pieces[j, 2] = 0.5 * bend[j]
+        pieces[j, 3] = (bend[j + 1] - bend[j]) / (6.0 * h)
+    return pieces
+
+
+@inline
+def _piece(t: FloatArray, x: float, j: int) -> int:
+    """Number of the piece that x is in, 0 before the first; sought from piece j on, knot by knot.
+
+    Times come in order: to search all knots took six times as long.
+    """
+    while j + 1 < t.size and x >= t[j + 1]:
+        j += 1
+    while j > 0 and x < t[j]:
+        j -= 1
+    return j
+
+
+@inline
+def _value(t: FloatArray, pieces: FloatArray, x: float, j: int) -> float:
+    """Value at x in piece j."""
+    u = max(x - t[j], 0.0) if j + 1 < t.size else 0.0
+    return float(pieces[j, 0] + u * (pieces[j, 1] + u * (pieces[j, 2] + u * pieces[j, 3])))
+
+
+@inline
+def _slope(t: FloatArray, pieces: FloatArray, x: float, j: int) -> float:
+    """First derivative at x in piece j."""
+    u = x - t[j]
+    slope = pieces[j, 1] + u * (2.0 * pieces[j, 2] + u * 3.0 * pieces[j, 3])
+    return float(slope) if x > t[0] else 0.0
+
+
+@compiled
+def _evaluate(t: FloatArray, pieces: FloatArray, at: FloatArray, derivative: int) -> FloatArray:
     out = np.empty(at.size)
-    last = t.size - 2
     j = 0
     for k in range(at.size):
         x = at[k]
-        if x <= t[0] or x >= t[last + 1]:
-            edge = y[0] if x <= t[0] else y[last + 1]
-            out[k] = edge if derivative == 0 else 0.0
-            continue
-        if x < t[j]:
-            j = 0
-        if x >= t[j + 1]:
-            if j < last and x < t[j + 2]:
-                j += 1
-            else:
-                j = min(np.searchsorted(t, x, side="right") - 1, last)
-        h = t[j + 1] - t[j]
-        b = (x - t[j]) / h
-        a = 1.0 - b
-        if derivative == 0:
-            out[k] = (
-                a * y[j]
-                + b * y[j + 1]
-                + ((a**3 - a) * bend[j] + (b**3 - b) * bend[j + 1]) * h * h / 6.0
-            )
-        else:
-            out[k] = (y[j + 1] - y[j]) / h + (
-                (3.0 * b * b - 1.0) * bend[j + 1] - (3.0 * a * a - 1.0) * bend[j]
-            ) * h / 6.0
+        j = _piece(t, x, j)
+        out[k] = _value(t, pieces, x, j) if derivative == 0 else _slope(t, pieces, x, j)
     return out
+
+
+@compiled
+def spread_values(
+    t: FloatArray, pieces: FloatArray, at: FloatArray, lanes: NDArray[np.int64], out: FloatArray
+) -> None:
+    """A spline's values at times (N,) into some lanes of `out` (N, LANES)."""
+    j = 0
+    for k in range(at.size):
+        x = at[k]
+        j = _piece(t, x, j)
+        value = _value(t, pieces, x, j)
+        for w in lanes:
+            out[k, w] = value
+
+
+@compiled
+def spread_steps(
+    t: FloatArray, pieces: FloatArray, steps: Steps, lanes: NDArray[np.int64], out: FloatArray
+) -> None:
+    """A spline at the collocation times of steps into some lanes of `out` (steps, 3, LANES).
+
+    Value, rate, and the change of the rate over a step's length around that time, per second.
+    """
+    start_s, step_s, count, collocation = steps
+    per_s = 1.0 / step_s
+    i, j = 0, 0
+    before = 0.0
+    for k in range(-1, count):
+        edge = start_s + step_s * (k + collocation + 0.5)
+        j = _piece(t, edge, j)
+        after = _slope(t, pieces, edge, j)
+        if k >= 0:
+            x = start_s + step_s * (k + collocation)
+            i = _piece(t, x, i)
+            value = _value(t, pieces, x, i)
+            rate = _slope(t, pieces, x, i)
+            change = (after - before) * per_s
+            for n in range(lanes.size):
+                w = lanes[n]
+                out[k, 0, w] = value
+                out[k, 1, w] = rate
+                out[k, 2, w] = change
+        before = after

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.cable.compiling import compiled
+from cell.cable.compiling import compiled, inline
 from cell.cable.effects.pointer import ADVANCE, EVALUATE, call_force, call_moment
 from cell.cable.kernel import bending, kinematics, solve
 from cell.cable.layout import (
@@ -28,6 +28,7 @@ from cell.cable.layout import (
     LANES,
     RATE,
     RATE_C,
+    VECTOR,
 )
 from cell.cable.numerics import sincos
 
@@ -142,6 +143,14 @@ def record(
             )
 
 
+@inline
+def _aligned(size: int) -> FloatArray:
+    """An array that begins on a cache line; see `layout.vectors`."""
+    raw = np.empty(size + VECTOR)
+    begin = -(raw.ctypes.data // 8) % VECTOR
+    return raw[begin : begin + size]
+
+
 @compiled
 def integrate(
     S: FloatArray,
@@ -163,7 +172,7 @@ def integrate(
     returns −1, or the number of the first step whose bends are not below half a turn each
     """
     forces, moments, params, rows, memory, memory_rows, start = effects
-    T = np.zeros(9 * LANES)
+    T = _aligned(9 * LANES)
     h = step[0]
     dq = step[1]
     dv = step[2]
@@ -236,10 +245,11 @@ def nodes(
     lengths  (LANES,) of a full segment, m
     clamp    (times · 3 · LANES,) x, y, angle of the gripping point
     cell     (markers,) segment of each marker; weights (markers, 4) of its ends and end tangents
-    out      (lanes, times, markers, 2)
+    out      (lanes, times, markers, 2), of these lanes or of the first of them
     """
     times = out.shape[1]
-    X = np.empty((n + 1) * 4 * LANES)
+    X = _aligned((n + 1) * 4 * LANES)
+    P = _aligned(cell.size * 2 * LANES)
     for j in range(times):
         held = clamp[j * 3 * LANES :]
         o = j * (n + 1) * LANES
@@ -267,23 +277,26 @@ def nodes(
         for m in range(cell.size):
             R = X[cell[m] * 4 * LANES :]
             a, b, c0, c1 = weights[m, 0], weights[m, 1], weights[m, 2], weights[m, 3]
+            Q = P[m * 2 * LANES :]
             for w in range(lanes):
                 q = w + 4 * LANES
-                out[w, j, m, 0] = (
-                    a * R[w] + b * R[q] + c0 * R[w + 2 * LANES] + c1 * R[q + 2 * LANES]
-                )
-                out[w, j, m, 1] = (
+                Q[w] = a * R[w] + b * R[q] + c0 * R[w + 2 * LANES] + c1 * R[q + 2 * LANES]
+                Q[w + LANES] = (
                     a * R[w + LANES]
                     + b * R[q + LANES]
                     + c0 * R[w + 3 * LANES]
                     + c1 * R[q + 3 * LANES]
                 )
+        for w in range(out.shape[0]):
+            for m in range(cell.size):
+                out[w, j, m, 0] = P[m * 2 * LANES + w]
+                out[w, j, m, 1] = P[(m * 2 + 1) * LANES + w]
 
 
 @compiled
-def weave(rows: FloatArray, out: FloatArray) -> None:
-    """(lanes, a, b) rows → (a, b, LANES) out."""
-    for i in range(rows.shape[1]):
-        for j in range(rows.shape[2]):
-            for w in range(rows.shape[0]):
-                out[i, j, w] = rows[w, i, j]
+def spread_rows(rows: FloatArray, lanes: NDArray[np.int64], out: FloatArray) -> None:
+    """Rows (N, fields) into some lanes of `out` (N, fields, LANES)."""
+    for i in range(rows.shape[0]):
+        for j in range(rows.shape[1]):
+            for w in lanes:
+                out[i, j, w] = rows[i, j]

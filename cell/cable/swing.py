@@ -14,15 +14,15 @@ from numpy.typing import NDArray
 from cell.cable import camera
 from cell.cable import layout as at
 from cell.cable.assembly import Block, marker_weights
-from cell.cable.clamp import Instants, base_rows, pose_of
-from cell.cable.effects.base import ActiveEffect
 from cell.cable.effects.own import run_engine
 from cell.cable.geometry import Motion
+from cell.cable.hands import Hands
 from cell.cable.model import CableModel
 from cell.cable.modes import mode_curvature
 from cell.cable.solver import DivergedError, Solver, generalised_alpha, threads
+from cell.cable.splines import Steps
 from cell.cable.statics import settle
-from cell.cable.stepping import integrate, looks, nodes, weave
+from cell.cable.stepping import integrate, looks, nodes
 
 FloatArray = NDArray[np.float64]
 
@@ -45,18 +45,15 @@ def move(
     blocks: Sequence[Block],
     grids: Sequence[Grid],
     arc_length_m: FloatArray,
-    out: list[FloatArray],
+    out: Sequence[FloatArray] | FloatArray,
 ) -> None:
     """Move all blocks along; write (times, markers, 2) of each lane to `out`, if it has any."""
     cell, weights = marker_weights(swing.models, arc_length_m, swing.solver.segments)
-    rows = _rows(swing.paths, swing.models, max(grids, key=lambda grid: grid.steps))
+    longest = max(grids, key=lambda grid: grid.steps)
+    hands = Hands(swing.paths, swing.models, longest.in_equal_steps)
 
     def run(block: Block, grid: Grid) -> None:
-        seen = _run(block, grid, rows, swing, cell, weights)
-        if not out:
-            return
-        for lane, points in zip(block.lanes, seen, strict=True):
-            out[lane][:] = points
+        _run(block, grid, hands, swing, (cell, weights), out)
 
     workers = threads() if swing.solver.threads is None else swing.solver.threads
     if len(blocks) == 1 or workers == 1:
@@ -105,36 +102,11 @@ class Grid:
         """Time of the last step's end."""
         return self.begin_s + self.steps * self.solver.step_s
 
-
-def on_hand(model: CableModel) -> tuple[ActiveEffect, ...]:
-    """The effects that change how the hand moves."""
-    return tuple(a for a in model.effects if a.effect.clamp is not None)
-
-
-def _rows(paths: Sequence[Motion], batch: Sequence[CableModel], grid: Grid) -> list[FloatArray]:
-    """Clamp motion of each lane; equal ones are computed once."""
-    known: dict[object, FloatArray] = {}
-    rows = []
-    c = float(generalised_alpha(grid.solver.step_s, grid.solver.damping)[12])
-    of_grid = (grid.begin_s, grid.solver.step_s, grid.steps, c)
-    instants = Instants(*of_grid)
-    for motion, model in zip(paths, batch, strict=True):
-        acting = on_hand(model)
-        key = (id(motion), *acting)
-        if key not in known:
-            known[key] = base_rows(motion, acting, *of_grid, instants)
-        rows.append(known[key])
-    return rows
-
-
-def interleave(rows: Sequence[FloatArray], shape: tuple[int, int]) -> FloatArray:
-    """(shape…, LANES) with lane k from the first of rows[k]; cheap when lanes share one array."""
-    result = np.zeros((*shape, at.LANES))
-    if all(r is rows[0] for r in rows):
-        result[:] = rows[0][: shape[0], :, None]
-    else:
-        weave(np.stack([r[: shape[0]] for r in rows]), result)
-    return result
+    @property
+    def in_equal_steps(self) -> Steps:
+        """The steps, and when in each of them the solver's equation holds."""
+        collocation = float(generalised_alpha(self.solver.step_s, self.solver.damping)[12])
+        return Steps(self.begin_s, self.solver.step_s, self.steps, collocation)
 
 
 def _bend(block: Block, order: Sequence[int], bent: Sequence[FloatArray], length_m: float) -> None:
@@ -153,29 +125,46 @@ def _bend(block: Block, order: Sequence[int], bent: Sequence[FloatArray], length
 def _run(
     block: Block,
     grid: Grid,
-    rows: Sequence[FloatArray],
-    lanes: Swing,
-    cell: NDArray[np.int64],
-    weights: FloatArray,
-) -> list[FloatArray]:
-    """(times, markers, 2) of every lane of the block as the camera sees it."""
-    batch, paths = lanes.models, lanes.paths
-    solver, n, w = grid.solver, block.segments, len(block.lanes)
-    order = block.lanes + block.lanes[:1] * (block.width - w)
-    base = interleave([rows[lane] for lane in order], (grid.steps, at.BASE_FIELDS))
-    poses = [pose_of(paths[lane], batch[lane].effects) for lane in order]
+    hands: Hands,
+    swing: Swing,
+    markers: tuple[NDArray[np.int64], FloatArray],
+    out: Sequence[FloatArray] | FloatArray,
+) -> None:
+    """Move a block along, and write what the camera sees of each lane to `out`, if it has any."""
+    lanes = block.lanes
+    order = lanes + lanes[:1] * (block.width - len(lanes))
     if grid.rests:
-        first = np.zeros((1, at.BASE_FIELDS, at.LANES))
-        for k, pose in enumerate(poses):
-            x, y, angle = pose(np.array([grid.begin_s]))
-            first[0, :3, k] = x[0], y[0], angle[0]
+        first = np.zeros((at.BASE_FIELDS, at.LANES))
+        first[:3] = hands.at_times(order, [np.array([grid.begin_s])] * len(order))[0]
         settle(block, first.ravel())
-    if lanes.bent:
-        _bend(block, order, lanes.bent, batch[0].cable.free_length_m)
-    times = _needed(block, grid, lanes)
-    bends = np.zeros((max(map(len, times)), n + 1, at.LANES))
+    if swing.bent:
+        _bend(block, order, swing.bent, swing.models[0].cable.free_length_m)
+    times = _needed(block, grid, swing)
+    bends = _integrate(block, grid, hands.at_steps(order, grid.in_equal_steps), times)
+    if not len(out):
+        return
+    place = out[lanes[0] : lanes[0] + len(lanes)]
+    alike = all(t is swing.times_s[lanes[0]] for t in times)
+    direct = isinstance(place, np.ndarray) and alike and lanes[-1] == lanes[0] + len(lanes) - 1
+    fresh = (len(lanes), len(bends), len(markers[0]), 2)
+    points = place if isinstance(place, np.ndarray) and direct else np.empty(fresh)
+    held = hands.at_times(order, times)
+    nodes(bends.ravel(), block.width, block.segments, block.lengths, held.ravel(), *markers, points)
+    for lane, t, here in zip(lanes, times, points, strict=False):
+        there = here[: len(t)]
+        seen = camera.seen(swing.models[lane], swing.times_s[lane], t, there)
+        if seen is not there or not direct:
+            out[lane][:] = seen
+
+
+def _integrate(
+    block: Block, grid: Grid, base: FloatArray, times_s: Sequence[FloatArray]
+) -> FloatArray:
+    """(times, n + 1, LANES) bends of all lanes at their times.  Raises DivergedError."""
+    solver, n = grid.solver, block.segments
+    bends = at.vectors(max(map(len, times_s)), n + 1)
     begun = block.state.reshape(n + 1, at.FIELDS, at.LANES)[:, at.BEND]
-    for k, t in enumerate(times):
+    for k, t in enumerate(times_s):
         bends[: int(np.searchsorted(t, grid.begin_s, "right")), :, k] = begun[:, k]
     bad = run_engine(
         integrate,
@@ -188,27 +177,15 @@ def _run(
         block.nonlinear,
         block.passes,
         block.effects,
-        looks(_in_steps(times, grid)),
+        looks(_in_steps(times_s, grid)),
         bends.ravel(),
     )
     if bad >= 0:
-        final = block.state.reshape(n + 1, at.FIELDS, at.LANES)[:, at.BEND, :w]
+        final = begun[:, : len(block.lanes)]
         broken = ~np.all(np.abs(final) < np.pi, axis=0)
         lane = block.lanes[int(np.argmax(broken))]
         raise DivergedError(lane, grid.begin_s + (bad + 1) * solver.step_s, solver.step_s)
-    clamp = np.zeros((len(bends), 3, at.LANES))
-    known: dict[object, FloatArray] = {}
-    for k, (lane, pose, t) in enumerate(zip(order, poses, times, strict=True)):
-        key = (id(paths[lane]), *on_hand(batch[lane]), id(t))
-        if key not in known:
-            known[key] = np.stack(pose(t), axis=1)
-        clamp[: len(t), :, k] = known[key]
-    out = np.empty((block.width, len(bends), len(cell), 2))
-    nodes(bends.ravel(), block.width, n, block.lengths, clamp.ravel(), cell, weights, out)
-    return [
-        camera.seen(batch[lane], lanes.times_s[lane], t, points[: len(t)])
-        for lane, t, points in zip(block.lanes, times[:w], out[:w], strict=True)
-    ]
+    return bends
 
 
 def _needed(block: Block, grid: Grid, lanes: Swing) -> list[FloatArray]:

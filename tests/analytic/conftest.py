@@ -12,6 +12,7 @@ from cell.cable.geometry import Cable
 from cell.cable.kernel import bending, kinematics, solve
 from cell.cable.model import REFERENCE_CURVATURE_1_PER_M, REGULAR_CURVATURE_1_PER_M, CableModel
 from cell.cable.solver import generalised_alpha
+from cell.cable.splines import Steps
 from cell.cable.stepping import integrate, looks
 
 
@@ -124,7 +125,7 @@ def swing_links(length, fields, motion, times, step=1e-4):
         links[field] = value[:, None]
     steps = int(np.ceil((times[-1] - times[0]) / step))
     coefficients = generalised_alpha(step, 1.0)
-    rows = base_rows(motion, (), times[0], step, steps, coefficients[12])
+    rows = base_rows(motion, (), Steps(times[0], step, steps, coefficients[12]))
     base = np.repeat(rows[:, :, None], at.LANES, axis=2).ravel()
     out = np.zeros(len(times) * (n + 1) * at.LANES)
     bad = integrate(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from cell.cable.splines import fit, refit
+from cell.cable.splines import Steps, fit, refit, spread_steps
 
 T = np.arange(0.0, 0.8, 0.002)
 FINE = np.linspace(0.0, 0.798, 3001)
@@ -29,6 +29,22 @@ def test_it_is_the_natural_spline():
     inside = np.linspace(t[0], t[-1], 200)[1:-1]
     assert fit(t, y)(inside) == pytest.approx(peer(inside), abs=1e-12)
     assert fit(t, y)(inside, 1) == pytest.approx(peer(inside, 1), abs=1e-9)
+
+
+def test_knots_and_steps_in_any_order():
+    t = np.sort(np.random.default_rng(0).uniform(0, 1, 15))
+    spline, peer = fit(t, np.sin(9 * t)), CubicSpline(t, np.sin(9 * t), bc_type="natural")
+    back = np.concatenate([t[13:0:-1], t[1:14:4], t[13:0:-6]])
+    assert spline(back, 1) == pytest.approx(peer(back, 1), abs=1e-9)
+    steps = Steps(t[3], 1e-3, 1, 0.0)
+    out = np.zeros((1, 3, 4))
+    spread_steps(*spline.pieces, steps, np.array([1, 3]), out)
+    half = 0.5 * steps.step_s
+    change = np.diff(peer([t[3] - half, t[3] + half], 1))[0] / steps.step_s
+    assert out[0, :, 1] == pytest.approx(
+        [*map(float, (peer(t[3]), peer(t[3], 1), change))], abs=1e-8
+    )
+    assert np.all(out[0, :, 3] == out[0, :, 1]) and not out[0, :, ::2].any()
 
 
 def test_it_is_held_outside():

@@ -3,9 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cell.cable import swing
 from cell.cable.dynamics import simulate
 from cell.cable.geometry import Cable, Motion
+from cell.cable.hands import Hands
 from cell.cable.solver import Solver
 from cell.identify.identified import Identified
 from cell.identify.noise import Noise
@@ -125,16 +125,18 @@ def test_what_was_before_the_paths_is_simulated_once(monkeypatch: pytest.MonkeyP
     lowered_m = -0.05 * down**3 * (10 - 15 * down + 6 * down**2)
     history = Motion(before_s, 0 * before_s, lowered_m, 0 * before_s)
     motions = [executed_motion(p, 0.03, settle_s=0.1, history=history) for p in paths]
-    begun_s = []
+    lanes_before = []
 
-    def noted(motion, effects, start_s, *others):
-        begun_s.append(start_s)
-        return base_rows(motion, effects, start_s, *others)
+    def noted(self, order, steps):
+        if steps.start_s < -0.01:
+            lanes_before.extend(set(order))
+        return at_steps(self, order, steps)
 
-    base_rows = swing.base_rows
-    monkeypatch.setattr(swing, "base_rows", noted)
+    at_steps = Hands.at_steps
+    monkeypatch.setattr(Hands, "at_steps", noted)
     found = forecast(identified(0.01), OFFSETS_M, motions)
-    assert sum(t_s < -0.01 for t_s in begun_s) == 2  # once at full steps, once for the slopes
+    # once at full steps, and each of the neighbours for the slopes
+    assert len(lanes_before) == 1 + 1 + len(found.mean)
     tips = simulate(SPACE.model(found.mean), motions, found.t_s, np.array([0.1]))[:, :, 0]
     np.testing.assert_allclose(found.tip_m, tips, atol=1e-7)
 
