@@ -90,15 +90,22 @@ def fit(
 ) -> None:
     """Fit the cable's parameters, and those of effects, to the study's `fit` trials."""
     from cell.lab import session
+    from cell.lab.agreement import agreement
     from cell.lab.doubts import fit_doubts, lacking_doubt
-    from cell.lab.tables import errors_line, model_table, warning_lines
+    from cell.lab.results import agreement_json
+    from cell.lab.tables import agreement_table, errors_line, model_table, warning_lines
+    from cell.lab.wording import agreement_sentence
 
     with refusing(out, as_json, profile, force=force), working("fit") as progress:
         selection = session.select_effects(effect or [])
         explorer = _explorer(study, selection, prior, progress, config)
         model, candidate = session.fit_study(explorer)
         warnings = (*fit_doubts(explorer, candidate), *lacking_doubt(model.lacks))
-        written = model.to_dict() | {"warnings": [vars(w) for w in warnings]}
+        trials = agreement(explorer.prepared, candidate.fit, progress)
+        written = model.to_dict() | {
+            "warnings": [vars(w) for w in warnings],
+            "agreement": agreement_json(trials),
+        }
         said: list[str] = []
         if profile is not None:
             from cell.lab.profiles import parameter_profiles, profile_sentences
@@ -111,7 +118,8 @@ def fit(
         tables = write_result(written, out, as_json)
     if tables:
         errors = errors_line(explorer.prepared, candidate)
-        show(*warning_lines(warnings), errors, model_table(model), *said)
+        apart = [agreement_sentence(trials), agreement_table(trials)] if trials else []
+        show(*warning_lines(warnings), errors, model_table(model), *apart, *said)
 
 
 @app.command(cls=JsonCommand)
@@ -180,6 +188,7 @@ def diagnose(
     """Tell which physical effect the model lacks, none, an unknown one, or that one cannot tell."""
     from cell.lab import session
     from cell.lab.advice import Paths, advice
+    from cell.lab.agreement import with_agreement
     from cell.lab.compare import compare_model
     from cell.lab.diagnose import diagnose as diagnose_study
     from cell.lab.individual import identified
@@ -187,6 +196,7 @@ def diagnose(
     from cell.lab.report import diagnosis_page, write_page
     from cell.lab.results import to_json
     from cell.lab.tables import (
+        agreement_table,
         limits_table,
         nearest_table,
         ranking_table,
@@ -196,12 +206,14 @@ def diagnose(
         warning_lines,
         waterfall_table,
     )
+    from cell.lab.wording import agreement_sentence
 
     with refusing(*results or [], report, force=force), working("diagnose") as progress:
         selection = session.select_for_diagnosis(effect or [], known or [])
         explorer = _explorer(study, selection, prior, progress, config)
         with stoppable(explorer.prepared.work.stop):
             examination = with_limits(explorer, diagnose_study(explorer))
+            examination = with_agreement(explorer, examination)
         steps = [explorer.prior_candidate(), *examination.steps[1:]]
         comparisons = [compare_model(explorer.prepared.study, c.fit.model) for c in steps]
         in_model = explorer.space.effects
@@ -223,10 +235,12 @@ def diagnose(
             sentence(diagnosis, comparisons[0], comparisons[-1]),
             verdict_line(diagnosis),
             *warning_lines(diagnosis.warnings),
+            *([agreement_sentence(diagnosis.agreement)] if diagnosis.agreement else []),
             waterfall_table(diagnosis),
             *more,
             ranking_table(diagnosis),
             *([limits_table(diagnosis)] if diagnosis.limits else []),
+            *([agreement_table(diagnosis.agreement)] if diagnosis.agreement else []),
             steps_text(todo),
         )
     if any(w.code == "interrupted" for w in diagnosis.warnings):

@@ -133,6 +133,8 @@ class Explorer:
             self.progress(f"looking where to begin with {names}", 0, 3)
             start = cold_start(self.prepared, self.space)
             self.progress(f"fitting the model with {names}", 1, 3)
+            if self.prior_q is None:
+                start = self._of_likeliest_shape(start)
             fit = fit_model(self.prepared, self.space, start, options=POLISH)
             self.progress(f"weighing the model with {names}", 2, 3)
             count = self.prepared.count(fit_trials(self.prepared))
@@ -146,6 +148,29 @@ class Explorer:
                     fit = min(fit, again, key=lambda f: f.objective)
             self._known[key] = self._weigh(self.space.effects, fit)
         return self._known[key]
+
+    def _of_likeliest_shape(self, start: FloatArray) -> FloatArray:
+        """Where first refits end from a start, and from it with effects of other shapes."""
+        starts = [start]
+        for effect in self.space.effects:
+            index = {
+                p: self.space.names.index(name)
+                for p in effect.parameters
+                if (name := f"{effect.name}.{p.name}") in self.space.names
+            }
+            shapes = itertools.product(*(p.starts if is_shape(p) else p.starts[:1] for p in index))
+            for values in list(shapes)[1:MOST_GUESSES]:
+                natural = self.space.natural(start)
+                natural[list(index.values())] = values
+                inside = np.clip(self.space.coordinates(natural), self.space.low, self.space.high)
+                starts.append(inside)
+        if len(starts) == 1:
+            return start
+        fits = []
+        for q in starts:
+            with contextlib.suppress(ValueError):
+                fits.append(fit_model(self.prepared, self.space, q, options=REFIT))
+        return min(fits, key=lambda f: f.objective).q if fits else start
 
     def prior_candidate(self) -> Candidate:
         """The earlier individual's model as it is; the baseline if there is none."""

@@ -38,7 +38,17 @@ from cell.lab.tables import (
     sentence,
 )
 from cell.lab.trial_residual import TrialResidual
-from cell.lab.wording import LIMIT_HEADS, LIMIT_NOTE, left_in_words, limit_rows, noise_in_words
+from cell.lab.wording import (
+    AGREEMENT_NOTE,
+    LIMIT_HEADS,
+    LIMIT_NOTE,
+    agreement_heads,
+    agreement_rows,
+    agreement_sentence,
+    left_in_words,
+    limit_rows,
+    noise_in_words,
+)
 
 #: Signals that a residual goes with, listed if the correlation is at least this.
 LEAST_CORRELATION = 0.2
@@ -129,6 +139,7 @@ def diagnosis_page(
         _plot(ranking(diagnosis)),
         _everything(examination),
         *_limits(diagnosis),
+        *_agreement(diagnosis),
         f"<h2>{'What is left' if diagnosis.verdict == 'complete' else _FAILS}</h2>",
         *_where(series),
         "<h2>Trial by trial</h2>",
@@ -338,6 +349,17 @@ def _limits(diagnosis: Diagnosis) -> list[str]:
         return []
     table = _table(LIMIT_HEADS, limit_rows(diagnosis), (2, 3))
     return ["<h2>What the study excludes</h2>", f'<p class="note">{LIMIT_NOTE}.</p>', table]
+
+
+def _agreement(diagnosis: Diagnosis) -> list[str]:
+    """Whether the trials agree, and what each of them says, if there are several."""
+    found = diagnosis.agreement
+    if not found:
+        return []
+    said = html.escape(agreement_sentence(found))
+    table = _table(agreement_heads(found), agreement_rows(found), range(1, len(found) + 1))
+    note = f'<p class="note">{AGREEMENT_NOTE}.</p>'
+    return ["<h2>What each trial says</h2>", f"<p>{said}</p>", table, note]
 
 
 def _cable(model: Identified) -> str:

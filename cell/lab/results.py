@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -117,6 +118,34 @@ class Limit:
 
 
 @dataclass(frozen=True)
+class TrialValue:
+    """What one trial alone says of a parameter, with its 95 % interval; None = nothing."""
+
+    trial: str
+    value: float | None
+    low: float | None
+    high: float | None
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """What each trial alone says of a parameter, and whether that is one value.
+
+    value    of all trials together
+    spread   standard deviation between trials beyond what each of them is uncertain by, in `unit`
+    p_value  of trials that differ so much if they agree, adjusted for the number of parameters
+    """
+
+    parameter: str
+    unit: str
+    value: float
+    spread: float
+    p_value: float
+    agrees: bool
+    by_trial: tuple[TrialValue, ...]
+
+
+@dataclass(frozen=True)
 class Doubt:
     """A reason to doubt a result: a `code` for programs, a `message` for people."""
 
@@ -143,6 +172,7 @@ class Diagnosis:
     partial   of an unexplained study: what explains most of the error, not all
     nearest   of an unexplained study: the single effects that leave least
     limits    how strong the effects could be that are neither named nor tied
+    agreement  of the trials, in each parameter of the final model; none of a single trial
     """
 
     noise_m: float
@@ -155,6 +185,7 @@ class Diagnosis:
     nearest: tuple[Nearest, ...] = ()
     warnings: tuple[Doubt, ...] = ()
     limits: tuple[Limit, ...] = ()
+    agreement: tuple[Agreement, ...] = ()
 
 
 def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
@@ -188,7 +219,13 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         ],
         "warnings": [vars(w) for w in diagnosis.warnings],
         "limits": [vars(limit) for limit in diagnosis.limits],
+        "agreement": agreement_json(diagnosis.agreement),
     }
+
+
+def agreement_json(agreement: Sequence[Agreement]) -> list[dict[str, Any]]:
+    """What each trial alone says, as plain data."""
+    return [vars(a) | {"by_trial": [vars(t) for t in a.by_trial]} for a in agreement]
 
 
 def _found(found: MissingEffect) -> dict[str, Any]:

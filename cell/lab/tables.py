@@ -16,11 +16,14 @@ from cell.lab.advice import STATUSES, VERDICTS, Step
 from cell.lab.compare import Comparison
 from cell.lab.explore import Candidate
 from cell.lab.prepared import PreparedStudy
-from cell.lab.results import Diagnosis, Doubt
+from cell.lab.results import Agreement, Diagnosis, Doubt
 from cell.lab.rules import DEFAULT_RULES
 from cell.lab.wording import (
+    AGREEMENT_NOTE,
     LIMIT_HEADS,
     LIMIT_NOTE,
+    agreement_heads,
+    agreement_rows,
     interrupted,
     limit_rows,
     noise_like,
@@ -177,6 +180,17 @@ def limits_table(diagnosis: Diagnosis) -> Table:
     for row in limit_rows(diagnosis):
         table.add_row(*map(Text, row))
     table.caption = LIMIT_NOTE
+    return table
+
+
+def agreement_table(found: Sequence[Agreement]) -> Table:
+    """What each trial alone says of what the model has."""
+    table = Table(title="What each trial alone says", box=SIMPLE_HEAD)
+    for column in agreement_heads(found):
+        table.add_column(column)
+    for row in agreement_rows(found):
+        table.add_row(*map(Text, row))
+    table.caption = AGREEMENT_NOTE
     return table
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from cell.lab.compare import NOTICEABLE, Comparison
 from cell.lab.prepared import ERRS
-from cell.lab.results import Diagnosis, Limit, MissingEffect, Peak
+from cell.lab.results import Agreement, Diagnosis, Limit, MissingEffect, Peak, TrialValue
 from cell.lab.trial_residual import TrialResidual
 
 #: Table of detection limits.
@@ -14,6 +16,12 @@ LIMIT_HEADS = ("effect", "parameter", "possible (95 %)", "moves the tip by, mm")
 LIMIT_NOTE = (
     "Each effect alone beside the model found, of the shape that this study shows worst; what the "
     "model leaves counts as noise. Beyond that range it is excluded; within it could be there"
+)
+
+#: Table of what each trial says.
+AGREEMENT_NOTE = (
+    "Each trial's own value, 95 %, were the shape of EI along the cable and the exponent known as "
+    "all trials together say; “spread”: standard deviation between trials beyond these intervals"
 )
 
 
@@ -122,6 +130,59 @@ def limit_rows(diagnosis: Diagnosis) -> list[list[str]]:
         ]
         for limit in sorted(diagnosis.limits, key=lambda one: one.high is None)
     ]
+
+
+def agreement_sentence(found: Sequence[Agreement]) -> str:
+    """Whether the trials agree, and on what they do not; "" of a single trial."""
+    if not found:
+        return ""
+    trials = f"The {len(found[0].by_trial)} trials"
+    one = [plain(a.parameter) for a in found if a.agrees]
+    apart = [f"{plain(a.parameter)}: {_said_by_trials(a)}" for a in found if not a.agrees]
+    if not apart:
+        return f"{trials} agree on {_listed(one)}."
+    others = f" They agree on {_listed(one)}." if one else ""
+    return f"{trials} disagree on {'; on '.join(apart)}.{others}"
+
+
+def _said_by_trials(agreement: Agreement) -> str:
+    """The range of what trials say of a parameter alone, and how surely they differ."""
+    values = [t.value for t in agreement.by_trial if t.value is not None]
+    unit = "" if agreement.unit == "1" else f" {agreement.unit}"
+    return (
+        f"alone they say {min(values):.3g} … {max(values):.3g}{unit} (p = {agreement.p_value:.1g})"
+    )
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Names as a person lists them."""
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def agreement_heads(found: Sequence[Agreement]) -> list[str]:
+    """Heads of the table of what each trial says."""
+    return ["trial", *(f"{a.parameter}{'' if a.unit == '1' else f', {a.unit}'}" for a in found)]
+
+
+def agreement_rows(found: Sequence[Agreement]) -> list[list[str]]:
+    """What every trial says of every parameter, all together, their spread, and whether it is one.
+
+    By `agreement_heads`.
+    """
+    trials = zip(*(a.by_trial for a in found), strict=True)
+    return [
+        *([values[0].trial, *map(_own_value, values)] for values in trials),
+        ["all together", *(f"{a.value:.4g}" for a in found)],
+        ["spread", *(f"{a.spread:.2g}" for a in found)],
+        ["they agree", *("yes" if a.agrees else f"no, p = {a.p_value:.1g}" for a in found)],
+    ]
+
+
+def _own_value(said: TrialValue) -> str:
+    if said.value is None or said.low is None or said.high is None:
+        return "–"
+    low, high = apart(said.low, said.high)
+    return f"{said.value:.4g} ({low} … {high})"
 
 
 def _range(limit: Limit) -> str:

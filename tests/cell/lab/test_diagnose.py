@@ -11,6 +11,7 @@ import pytest
 from cell.cable.effects import library
 from cell.identify.parameters import ParameterSpace
 from cell.lab import diagnose as diagnosis_module
+from cell.lab.agreement import with_agreement
 from cell.lab.diagnose import _without_anybodys, diagnose
 from cell.lab.explore import Explorer
 from cell.lab.prepared import PreparedStudy
@@ -24,7 +25,7 @@ SCHEMA = {
     "additionalProperties": False,
     "required": [
         "format", "noise_m", "baseline", "verdict", "missing", "ranking", "left", "partial",
-        "nearest", "warnings", "limits",
+        "nearest", "warnings", "limits", "agreement",
     ],
     "properties": {
         "format": {"const": "cable-diagnosis/1"},
@@ -36,6 +37,14 @@ SCHEMA = {
         "warnings": {"items": {"required": ["code", "message"]}},
         "limits": {
             "items": {"required": ["effect", "parameter", "unit", "low", "high", "tip_m"]},
+        },
+        "agreement": {
+            "items": {
+                "required": ["parameter", "unit", "value", "spread", "p_value", "agrees"],
+                "properties": {
+                    "by_trial": {"items": {"required": ["trial", "value", "low", "high"]}},
+                },
+            },
         },
         "verdict": {"enum": ["complete", "missing", "unexplained", "cannot_tell"]},
         "missing": {
@@ -93,9 +102,11 @@ def test_a_complete_model_is_called_complete(make_study):
 
 def test_a_hidden_effect_is_named_measured_and_removed(make_study):
     drag = library()["air_drag"].active(drag_coefficient=2.0)
-    found = diagnose(explore(make_study([drag], seed=6))).diagnosis
+    explorer = explore(make_study([drag], seed=6))
+    found = with_agreement(explorer, diagnose(explorer)).diagnosis
     assert found.verdict == "missing"
     assert [f.effect for f in found.missing] == ["air_drag"]
+    assert {a.parameter: a.agrees for a in found.agreement}["air_drag.drag_coefficient"]
     value = found.missing[0].parameters["drag_coefficient"]
     assert value.low < 2.0 < value.high
     assert value.high - value.low < 0.6

@@ -1,0 +1,62 @@
+"""Whether the trials of a study agree on what they say of the cable and its effects."""
+
+from dataclasses import replace
+
+import pytest
+
+from cell.cable.effects import library
+from cell.identify.parameters import ParameterSpace
+from cell.lab.agreement import agreement
+from cell.lab.explore import Explorer
+from cell.lab.prepared import PreparedStudy
+from cell.lab.wording import agreement_heads, agreement_rows, agreement_sentence
+from cell.study.data import Markers
+
+LATENCY = library()["camera_latency"]
+
+
+def agreement_of(study):
+    prepared = PreparedStudy.of(study)
+    space = ParameterSpace.of(study.cable, effects=(LATENCY,))
+    return agreement(prepared, Explorer(prepared, space, {}).baseline().fit)
+
+
+@pytest.fixture(scope="module")
+def study(make_study):
+    return make_study([LATENCY.active(delay_s=0.004)], seed=31)
+
+
+def test_trials_of_one_cable_agree_each_about_the_truth(study):
+    found = agreement_of(study)
+    assert [a.parameter for a in found] == ["rigidity", "viscosity", "camera_latency.delay_s"]
+    assert all(a.agrees for a in found)
+    latency = found[-1]
+    assert [t.trial for t in latency.by_trial] == [t.name for t in study.trials]
+    assert [t.value for t in latency.by_trial] == pytest.approx([0.004] * 4, abs=3e-4)
+    assert sum(t.low < 0.004 < t.high for t in latency.by_trial) >= 3
+    assert latency.spread < 1e-4
+    assert agreement_sentence(found).startswith("The 4 trials agree on rigidity, viscosity and")
+
+
+def test_a_trial_whose_pictures_are_later_than_those_of_others_is_told(study):
+    late = study.trials[2]
+    later = replace(late, markers=Markers(late.markers.t_s + 0.003, late.markers.xy_m))
+    found = agreement_of(replace(study, trials=(*study.trials[:2], later, study.trials[3])))
+    assert [a.agrees for a in found] == [True, True, False]
+    latency = found[-1]
+    assert latency.by_trial[2].value == pytest.approx(0.007, abs=4e-4)
+    assert latency.spread == pytest.approx(0.0015, rel=0.2)
+    said = agreement_sentence(found)
+    assert said.startswith("The 4 trials disagree on camera latency.delay s: alone they say 0.00")
+    assert said.endswith("They agree on rigidity and viscosity.")
+    heads, rows = agreement_heads(found), agreement_rows(found)
+    assert heads[3] == "camera_latency.delay_s, s"
+    assert rows[2][0] == "left"
+    assert rows[2][3].startswith("0.00")
+    assert rows[-1][3].startswith("no, p = ")
+
+
+def test_a_single_trial_agrees_with_nothing(study):
+    alone = replace(study, trials=study.trials[:1])
+    assert agreement_of(alone) == ()
+    assert agreement_sentence(()) == ""
