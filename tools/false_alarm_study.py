@@ -1,14 +1,29 @@
-"""How often the lab claims an effect where none is: complete studies, AR(1) noise of 0 … 0.9.
+"""How often the lab claims an effect where none is, or calls complete what errs.
 
-python tools/false_alarm_study.py [--studies 200] [--first 0]
+    python tools/false_alarm_study.py [--studies 200] [--first 0] [--bad-priors]
+
+Complete studies, AR(1) noise of 0 … 0.9.  With `--bad-priors` each study is diagnosed beside the
+model of another that is no model of it, one of four kinds in turn:
+
+    plain         the study has a load or another effect of 0.5 … 5 times its typical size, the
+                  prior is a plain fit to a like cable without it
+    of a loaded   the other way round: the prior is a plain fit to a cable with the effect
+    stiffer       the prior's cable is three times as stiff
+    wrong shapes  the prior's study has markers wrong by 2 … 5 mm, the same for four frames, and
+                  says so; the study has an effect
+
+None may be called complete that errs by more than 3 times its noise.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import replace
+from pathlib import Path
 
-from made_studies import make_study
+import numpy as np
+from made_studies import coloured, hidden, make_study
 from scipy import stats
 
 from cell.cable.effects import library
@@ -16,15 +31,31 @@ from cell.identify.parameters import ParameterSpace
 from cell.lab.diagnose import diagnose
 from cell.lab.explore import Explorer
 from cell.lab.prepared import PreparedStudy
+from cell.lab.results import Diagnosis
+from cell.lab.session import EffectSelection, explorer_of, fit_study
+from cell.study.data import Markers, Study
+
+BAD_PRIORS = ("plain", "of a loaded", "stiffer", "wrong shapes")
+#: Error over noise from which a model must not be called complete.
+MOST_LEFT = 3.0
+#: Frames for which a wrong shape stays the same.
+UPDATES = 4
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--studies", type=int, default=200)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--bad-priors", action="store_true")
     given = parser.parse_args()
+    seeds = range(given.first, given.first + given.studies)
+    return _with_bad_priors(seeds) if given.bad_priors else _complete(seeds)
+
+
+def _complete(seeds: range) -> int:
+    """Studies that lack nothing."""
     verdicts: dict[str, int] = {}
-    for seed in range(given.first, given.first + given.studies):
+    for seed in seeds:
         study = make_study(seed)
         prepared = PreparedStudy.of(study)
         found = diagnose(Explorer(prepared, ParameterSpace.of(study.cable), library())).diagnosis
@@ -33,11 +64,74 @@ def main() -> int:
         noise = prepared.floor.noise
         print(f"{seed:4d}  noise {noise.std_m * 1e3:.3f} mm, AR {noise.colour:.2f}  "
               f"{found.verdict} {named}", flush=True)  # fmt: skip
-    false = given.studies - verdicts.get("complete", 0)
-    high = stats.beta.ppf(0.975, false + 1, given.studies - false)
-    print(f"\n{verdicts}\nfalse claims: {false} of {given.studies} = {false / given.studies:.1%} "
-          f"(95 %: up to {high:.1%})")  # fmt: skip
-    return 0 if false <= 0.05 * given.studies else 1
+    false = len(seeds) - verdicts.get("complete", 0)
+    print(f"\n{verdicts}\nfalse claims: {_share(false, len(seeds))}")
+    return 0 if false <= 0.05 * len(seeds) else 1
+
+
+def _with_bad_priors(seeds: range) -> int:
+    """Studies beside a model that is none of theirs."""
+    verdicts: dict[str, int] = {}
+    false = wrong = 0
+    for seed in seeds:
+        kind = BAD_PRIORS[seed % len(BAD_PRIORS)]
+        there, found = beside_bad_prior(seed, kind)
+        worst_m = max(found.baseline.fit_rms_m, found.baseline.heldout_rms_m)
+        over = worst_m / found.noise_m
+        claims = [{f.effect, *f.tied_with} for f in (*found.missing, *found.partial)]
+        false += found.verdict == "complete" and over > MOST_LEFT
+        wrong += any(not names & set(there) for names in claims)
+        verdicts[found.verdict] = verdicts.get(found.verdict, 0) + 1
+        said = ", ".join(" or ".join(sorted(names)) for names in claims)
+        print(f"{seed:4d}  prior {kind}; hidden {', '.join(there) or 'nothing'}: {found.verdict}, "
+              f"error over noise {over:.1f}; {said}", flush=True)  # fmt: skip
+    print(
+        f"\n{verdicts}\ncomplete above {MOST_LEFT:g} times the noise: "
+        f"{_share(false, len(seeds))}\nclaims of what is not there: {_share(wrong, len(seeds))}"
+    )
+    return 0 if false == 0 else 1
+
+
+def beside_bad_prior(seed: int, kind: str) -> tuple[tuple[str, ...], Diagnosis]:
+    """The effects hidden in a study, and what is said of it beside a prior of a kind."""
+    rng = np.random.default_rng([seed, 3])
+    known = library()
+    name = "tip_mass" if rng.uniform() < 0.4 else str(rng.choice(list(known)))
+    effect = hidden(known[name], float(np.exp(rng.uniform(np.log(0.5), np.log(5.0)))))
+    there = [] if kind in ("of a loaded", "stiffer") else [effect]
+    earlier = make_study(20_000 + seed, [effect] if kind == "of a loaded" else [])
+    if kind == "wrong shapes":
+        earlier = _with_wrong_shapes(rng, earlier)
+    model, _ = fit_study(explorer_of(earlier, EffectSelection((), library())))
+    if kind == "stiffer":
+        mean = model.mean + np.log(3.0) * np.isin(
+            np.arange(len(model.mean)), range(model.space.knots)
+        )
+        model = replace(model, mean=mean)
+    study = make_study(seed, there)
+    prior = (Path("earlier.json"), model)
+    found = diagnose(explorer_of(study, EffectSelection((), library()), prior)).diagnosis
+    return tuple(a.effect.name for a in there), found
+
+
+def _with_wrong_shapes(rng: np.random.Generator, study: Study) -> Study:
+    """Markers wrong by millimetres, smoothly along the cable, as a fitted shape is; it says so."""
+    error_m = rng.uniform(2e-3, 5e-3)
+    trials = []
+    for trial in study.trials:
+        frames, markers, _ = trial.markers.xy_m.shape
+        drawn = coloured(rng, (frames // UPDATES + 1, 3, 2), 0.5)
+        along = np.vander(np.linspace(0.0, 1.0, markers), 4)[:, :3]
+        along /= np.sqrt(np.mean(np.sum(along**2, axis=1)))
+        wrong = error_m * np.einsum("mk,tkc->tmc", along, np.repeat(drawn, UPDATES, axis=0))
+        seen = Markers(trial.markers.t_s, trial.markers.xy_m + wrong[:frames])
+        trials.append(replace(trial, markers=seen))
+    return replace(study, trials=tuple(trials), noise_std_m=error_m)
+
+
+def _share(count: int, of: int) -> str:
+    high = stats.beta.ppf(0.975, count + 1, of - count)
+    return f"{count} of {of} = {count / of:.1%} (95 %: up to {high:.1%})"
 
 
 if __name__ == "__main__":
