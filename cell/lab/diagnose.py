@@ -328,7 +328,7 @@ def _all_found(
     """What each step after the first has added."""
     if len(steps) == 1:
         return ()
-    final = estimate(explorer.prepared, steps[-1].fit)
+    final = estimate(explorer.prepared, steps[-1].fit, explorer.library.values())
     noise_m = explorer.prepared.floor.noise.std_m
     left = [leftover(explorer.prepared, c) for c in steps]
     return tuple(

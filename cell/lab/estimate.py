@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,8 +12,10 @@ from scipy.special import ndtri as normal_quantile
 from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import Options
 from cell.lab.fitting import Fit, fit_model
-from cell.lab.prepared import PreparedStudy
+from cell.lab.prepared import PreparedStudy, pooled
 from cell.lab.results import Interval
+from cell.lab.systematic import systematic
+from cell.lab.unmodelled import unmodelled
 
 FloatArray = NDArray[np.float64]
 
@@ -32,15 +35,18 @@ class Estimate:
     fit           to all trials, those held out included: they have done their work as judges
     disagreement  mean square by which trials differ in the parameters that each asks for, 1 if by
                   their noise alone; the covariance is multiplied by it
+    beside        (p, p) covariance beside that by noise: by the hand's log, the mesh, and effects
+                  that the model lacks
     """
 
     fit: Fit
     disagreement: float
+    beside: FloatArray | float = 0.0
 
     @property
     def covariance(self) -> FloatArray:
         """(p, p) of the fit's coordinates."""
-        return np.asarray(self.fit.covariance * self.disagreement)
+        return np.asarray(self.fit.covariance * self.disagreement + self.beside)
 
     def intervals(self, effect: type[Effect]) -> dict[str, Interval]:
         """Values and 95 % intervals of an effect's parameters."""
@@ -69,14 +75,21 @@ class Estimate:
         }
 
 
-def estimate(prepared: PreparedStudy, fit: Fit) -> Estimate:
-    """The parameters of a fitted model, from all trials; the fit's own if some defy simulation."""
+def estimate(prepared: PreparedStudy, fit: Fit, effects: Iterable[type[Effect]] = ()) -> Estimate:
+    """The parameters of a fitted model, from all trials; the fit's own if some defy simulation.
+
+    effects  that it may lack
+    """
     trials = prepared.study.trials
     try:
         whole = fit_model(prepared, fit.space, fit.q, fit.begun, trials=trials, options=CONVERGED)
     except ValueError:
         return Estimate(fit, 1.0)
-    return Estimate(whole, disagreement(prepared, whole))
+    together = pooled(prepared)
+    wrong = systematic(together, whole, trials)
+    beside = wrong.covariance((whole.solution.covariance @ whole.solution.jacobian.T)[: len(fit.q)])
+    beside = beside + unmodelled(together, whole, effects, wrong).covariance
+    return Estimate(whole, disagreement(prepared, whole), beside)
 
 
 def disagreement(prepared: PreparedStudy, whole: Fit) -> float:

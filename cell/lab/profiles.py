@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri as normal_quantile
 
 from cell.identify.gauss_newton import Options, minimise
 from cell.identify.identified import Identified
@@ -70,7 +71,8 @@ def parameter_profiles(
     """Profiles of all parameters that are free, everything else refitted at every point.
 
     What the model leaves beyond noise weighs as in its other intervals: all but the prior is
-    divided by the root of its inflation, so that the likeliest value is nearer to the prior.
+    divided by the root of its inflation, so that the likeliest value is nearer to the prior.  What
+    effects that it lacks would make of its parameters is in those alone, not in a profile.
     model  of the fit: with the noise that it was fitted with
     """
     space = fit.space
@@ -82,7 +84,11 @@ def parameter_profiles(
     )
     minimum = minimise(problem, fit.solution.q, _POINT)
     free = [i for i in range(len(space.names)) if problem.low[i] < problem.high[i]]
-    low, high = model.interval()
+    reach = float(normal_quantile(0.975)) * np.sqrt(np.diag(minimum.covariance))
+    low, high = (
+        space.natural(np.clip((minimum.q + side * reach)[: len(fit.q)], space.low, space.high))
+        for side in (-1.0, 1.0)
+    )
     found = []
     for done, i in enumerate(free):
         progress(f"profile of {space.names[i]}", done, len(free))
