@@ -22,14 +22,16 @@ from scipy.stats import binomtest
 from cell.cable.effects import ActiveEffect, Effect, library
 from cell.cable.model import CableModel
 from cell.identify.identified import Identified
+from cell.lab.estimate import estimate
+from cell.lab.explore import Explorer
 from cell.lab.session import EffectSelection, explorer_of, fit_study
 
 #: Parameters of effects that are no amplitudes count apart.
 KINDS = ("EI", "exponent", "viscosity", "amplitude", "shape")
 
 
-def one(seed: int, size: float, unknown: bool) -> tuple[str, Identified, CableModel]:
-    """A study's two effects in words, what was fitted with the first in, and the truth."""
+def drawn(seed: int, size: float, unknown: bool) -> tuple[str, Explorer, CableModel]:
+    """A study's two effects in words, the study with the first in the model, and the truth."""
     known = library()
     names = sorted(known)
     rng = np.random.default_rng([seed, 7])
@@ -46,8 +48,8 @@ def one(seed: int, size: float, unknown: bool) -> tuple[str, Identified, CableMo
     out = {lacking.name} if unknown else set()
     out |= ONE_CLASS if out & ONE_CLASS else set()
     offered: dict[str, type[Effect]] = {n: e for n, e in known.items() if n not in out}
-    model, _ = fit_study(explorer_of(study, EffectSelection((present,), offered)))
-    return " without ".join(a.effect.name for a in there), model, truth
+    explorer = explorer_of(study, EffectSelection((present,), offered))
+    return " without ".join(a.effect.name for a in there), explorer, truth
 
 
 def held(model: Identified, truth: CableModel) -> Iterator[tuple[str, str, bool]]:
@@ -66,26 +68,41 @@ def held(model: Identified, truth: CableModel) -> Iterator[tuple[str, str, bool]
             yield name, kind, bool(low[i] <= true[i] <= high[i])
 
 
+def held_by_all(explorer: Explorer, truth: CableModel) -> Iterator[tuple[str, str, bool]]:
+    """The same of the effect's parameters from all trials, as in a diagnosis."""
+    present: ActiveEffect = truth.effects[0]
+    found = estimate(explorer.prepared, explorer.baseline().fit, explorer.library.values())
+    true = dict(zip((p.name for p in present.effect.parameters), present.values, strict=True))
+    amplitudes = {p.name for p in present.effect.parameters if p.amplitude}
+    for name, interval in found.intervals(present.effect).items():
+        kind = "amplitude" if name in amplitudes else "shape"
+        yield name, kind, interval.low <= true[name] <= interval.high
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--studies", type=int, default=40)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--size", type=float, default=0.5)
     parser.add_argument("--unknown", action="store_true")
+    parser.add_argument("--all-trials", action="store_true")
     given = parser.parse_args()
     good: Counter[str] = Counter()
     count: Counter[str] = Counter()
     for seed in range(given.first, given.first + given.studies):
-        words, model, truth = one(seed, given.size, given.unknown)
+        words, explorer, truth = drawn(seed, given.size, given.unknown)
+        if given.all_trials:
+            asked = held_by_all(explorer, truth)
+        else:
+            model, _ = fit_study(explorer)
+            words += f", seen beside it: {', '.join(model.lacks) or 'nothing'}"
+            asked = held(model, truth)
         missed = []
-        for name, kind, inside in held(model, truth):
+        for name, kind, inside in asked:
             good[kind] += inside
             count[kind] += 1
             missed += [] if inside else [name]
-        over = model.residual_rms_m / model.noise.std_m
-        print(f"{seed} {words}: error over noise {over:.2f}, seen beside it: "
-              f"{', '.join(model.lacks) or 'nothing'}; missed: {', '.join(missed) or 'none'}",
-              flush=True)  # fmt: skip
+        print(f"{seed} {words}; missed: {', '.join(missed) or 'none'}", flush=True)
     for kind in (k for k in KINDS if count[k]):
         sure = binomtest(good[kind], count[kind]).proportion_ci()
         print(f"{kind}: {good[kind]} of {count[kind]} = {good[kind] / count[kind]:.1%} "
