@@ -1,6 +1,7 @@
 """How often the 95 % intervals of `cell fit` hold the truth where the model lacks an effect.
 
-    python tools/interval_study.py [--studies 40] [--first 0] [--size 0.5] [--unknown] [--all-trials]
+    python tools/interval_study.py [--studies 40] [--first 0] [--size 0.5] [--unknown]
+                                   [--all-trials]
 
 Each study has two effects: one is in the model, the other, `--size` times as strong as is typical
 (0 = there is none), is left out.  `--unknown` takes that out of the library too, and with it what
