@@ -15,8 +15,9 @@ from cell.cable.model import CableModel
 #: A camera's clock may be ahead by this much, s.
 LOOK_AHEAD_S = 0.12
 
-#: Steps between the times at which a scene is kept for interpolation.
-_EVERY = 2
+#: Steps between the times at which a scene is kept for interpolation, and largest time between them
+#: where steps are long, s.
+_EVERY, _LONGEST_S = 2, 2e-3
 #: A point's time depends on its place, which depends on its time: shutter speeds are far below
 #: the picture's height per millisecond, so this many rounds reach rounding error.
 _ROUNDS = 4
@@ -33,7 +34,7 @@ def scene_times(
     """Times at which positions are needed: the pictures', or a fine grid around them."""
     if not shifts_time([model]):
         return times_s
-    spacing = _EVERY * step_s
+    spacing = min(_EVERY * step_s, _LONGEST_S)
     # Counted from the beginning: where a grid lies must not depend on which lanes share a block, or
     # what interpolation errs by would differ between lanes, and spoil differences of them.
     before = (float(times_s[0]) - LOOK_AHEAD_S - begin_s) / spacing - 2.0

@@ -31,6 +31,8 @@ class Problem:
 
     mean, step, low, high  (p,); `step` is that of the finite differences, taken away from a bound
     precision              (p, p) of the prior
+    slopes                 residuals that cost less and whose differences are as good, if there are
+                           any: the Jacobian is theirs
     """
 
     residuals: Residuals
@@ -39,6 +41,7 @@ class Problem:
     step: FloatArray
     low: FloatArray
     high: FloatArray
+    slopes: Residuals | None = None
 
 
 @dataclass(frozen=True)
@@ -95,7 +98,8 @@ def minimise(problem: Problem, start: FloatArray, options: Options = Options()) 
     """Minimum near `start`.
 
     Every pass simulates a point and its finite differences together, so that an accepted step
-    costs one pass; with `options.updates` some cost one lane.  The last step, smaller than the
+    costs one pass; with `options.updates` some cost one lane.  Where `problem.slopes` are to be had
+    only points that lie lower get their finite differences.  The last step, smaller than the
     tolerance, is taken without another pass: residuals and derivatives are then those of the
     linear model.
     raises  UnsimulatedError: the residuals at `start` are not finite
@@ -129,7 +133,7 @@ def minimise(problem: Problem, start: FloatArray, options: Options = Options()) 
         if damping > 0.0:
             step = _bounded_step(problem, here.q, normal, slope, damping)
         passes += 1
-        if here.updates < options.updates:
+        if here.updates < options.updates or problem.slopes is not None:
             there = _updated(problem, here, step, np.diag(normal))
         else:
             there = _linearise(problem, here.q + step)
@@ -137,7 +141,8 @@ def minimise(problem: Problem, start: FloatArray, options: Options = Options()) 
             fall = here.objective - there.objective
             gain = fall / -float(step @ (2.0 * slope + normal @ step))
             small = fall < options.least_gain * here.objective
-            if there.updates and (small or abs(gain - 1.0) > _AS_PROMISED):
+            too_often = there.updates > options.updates
+            if too_often or (there.updates and (small or abs(gain - 1.0) > _AS_PROMISED)):
                 there = _computed(problem, there)
             if not (small and here.updates):
                 idle = idle + 1 if small else 0
@@ -184,21 +189,36 @@ class _Point:
         return bool(np.all(np.isfinite(self.residual)) and np.all(np.isfinite(self.jacobian)))
 
 
-def _linearise(problem: Problem, q: FloatArray) -> _Point:
-    """The point at q, its Jacobian by finite differences."""
+def _linearise(problem: Problem, q: FloatArray, known: FloatArray | None = None) -> _Point:
+    """The point at q, its Jacobian by finite differences.
+
+    known  residual there, where the slopes come from elsewhere
+    """
     step = one_sided_steps(q, problem.step, problem.high)
-    lanes = problem.residuals(difference_points(q, step))
-    jacobian = np.full((lanes.shape[1], len(q)), np.nan)
+    if problem.slopes is None:
+        lanes = problem.residuals(difference_points(q, step))
+        residual = lanes[0]
+    else:
+        residual = problem.residuals(q[None])[0] if known is None else known
+        lanes = problem.slopes(difference_points(q, step))
+        if not np.all(np.isfinite(lanes)) and np.all(np.isfinite(residual)):
+            lanes = problem.residuals(difference_points(q, step))
+    jacobian = np.full((len(residual), len(q)), np.nan)
     if np.all(np.isfinite(lanes)):
         jacobian = (lanes[1:] - lanes[0]).T / step
-    return _Point(q, lanes[0], jacobian, _objective(problem, q, lanes[0]))
+    return _Point(q, residual, jacobian, _objective(problem, q, residual))
+
+
+def jacobian_at(problem: Problem, q: FloatArray) -> FloatArray:
+    """(rows, p) by finite differences at q; not finite where it cannot be simulated."""
+    return _linearise(problem, q).jacobian
 
 
 def _computed(problem: Problem, point: _Point) -> _Point:
     """The point with a Jacobian that is not updated, unless none can be computed there."""
     if not point.updates:
         return point
-    computed = _linearise(problem, point.q)
+    computed = _linearise(problem, point.q, point.residual)
     return computed if computed.usable else point
 
 

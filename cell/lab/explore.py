@@ -31,6 +31,7 @@ from cell.lab.fitting import (
 from cell.lab.prepared import PreparedStudy
 from cell.lab.score import boundary_p_value, delta_bic
 from cell.lab.screen import MOST_SHAPES, ScreenedEffect, is_shape, screen, shapes_of
+from cell.lab.slopes import with_slopes
 from cell.study.data import Trial
 
 FloatArray = NDArray[np.float64]
@@ -146,6 +147,7 @@ class Explorer:
                 if not fit.solution.converged:
                     again = fit_model(self.prepared, self.space, tempered.q, options=POLISH)
                     fit = min(fit, again, key=lambda f: f.objective)
+            self.prepared, fit = with_slopes(self.prepared, fit)
             self._known[key] = self._weigh(self.space.effects, fit)
         return self._known[key]
 

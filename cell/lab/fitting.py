@@ -118,7 +118,7 @@ def fit_model(
     solution = replace(
         solution, residual=solution.residual * temper, jacobian=solution.jacobian * temper
     )
-    q, found = solution.q[:p], _by_trial(prepared, trials, solution.q[None, p:])
+    q, found = solution.q[:p], by_trial(prepared, trials, solution.q[None, p:])
     predicted = prepared.predict_all(trials, [space.model(q)], found)
     errors = [t.markers.xy_m - points[0] for t, points in zip(trials, predicted, strict=True)]
     chi2 = float(solution.residual @ solution.residual)
@@ -139,8 +139,16 @@ def problem_of(
     precision = np.zeros((p + len(std), p + len(std)))
     precision[:p, :p] = space.precision
     precision[p:, p:] = np.diag(1.0 / std**2)
+    slopes = None
+    if prepared.slopes is not None:
+        near = replace(prepared, solver=prepared.slopes, slopes=None)
+
+        def slopes(q: FloatArray) -> FloatArray:
+            return residuals(near, space, trials, q) / temper
+
     return gauss_newton.Problem(
         residuals=lambda q: residuals(prepared, space, trials, q) / temper,
+        slopes=slopes,
         mean=np.concatenate([space.mean, np.zeros(len(std))]),
         precision=precision,
         step=np.concatenate([space.step, _joined([b.step for b in unknown])]),
@@ -153,7 +161,7 @@ def _joined(parts: Sequence[FloatArray]) -> FloatArray:
     return np.concatenate([np.zeros(0), *parts])
 
 
-def _by_trial(
+def by_trial(
     prepared: PreparedStudy, trials: Sequence[Trial], rows: FloatArray
 ) -> dict[str, FloatArray]:
     """Unknowns of the trials' beginnings (lanes, all of them) by the trials that have any."""
@@ -199,7 +207,7 @@ def residuals(
         return _each_once(prepared, space, trials, q)
     models = [space.model(row) for row in q[:, :p]]
     if q.shape[1] > p or not any(t.bent for t in trials):
-        begun = _by_trial(prepared, trials, q[:, p:]) if q.shape[1] > p else {}
+        begun = by_trial(prepared, trials, q[:, p:]) if q.shape[1] > p else {}
     else:
         begun = first_look(prepared, trials, models)
     return prepared.all_white(trials, models, begun)
@@ -210,7 +218,7 @@ def _each_once(
 ) -> FloatArray:
     """The same; lanes that differ in how another trial begins are simulated once in each trial."""
     p = len(space.names)
-    begun, parts = _by_trial(prepared, trials, q[:, p:]), []
+    begun, parts = by_trial(prepared, trials, q[:, p:]), []
     for trial in trials:
         own = begun.get(trial.name, q[:, :0])
         rows, lane = np.unique(np.hstack([q[:, :p], own]), axis=0, return_inverse=True)
@@ -234,17 +242,13 @@ def heldout(prepared: PreparedStudy, fit: Fit) -> Heldout | None:
     lanes = [space.model(q) for q in difference_points(fit.q, steps)]
     begun, more = _begun_and_moved(prepared, fit.model, trials, len(lanes))
     lanes += [fit.model] * more
-    predicted: dict[str, FloatArray] = {}
-    rows, slopes, extra = [], [], []
-    for trial, points in zip(trials, prepared.predict_all(trials, lanes, begun), strict=True):
-        white = prepared.white(trial, points)
-        predicted[trial.name] = points[0]
-        rows.append(white[0])
-        slopes.append((white[1 : p + 1] - white[0]).T / steps)
-        extra.append(_spread_of_beginning(prepared, trial, white[p + 1 :] - white[0]))
+    here = prepared.predict_all(trials, lanes[:1], {n: rows[:1] for n, rows in begun.items()})
+    predicted = {t.name: points[0] for t, points in zip(trials, here, strict=True)}
     errors = {t.name: t.markers.xy_m - predicted[t.name] for t in trials}
+    rows = [prepared.white(t, points)[0] for t, points in zip(trials, here, strict=True)]
     residual = np.concatenate(rows)
-    sensitivity = np.vstack(slopes)
+    near = prepared.white_near(trials, lanes, begun)
+    sensitivity = (near[1 : p + 1] - near[0]).T / steps
     if not (np.all(np.isfinite(residual)) and np.all(np.isfinite(sensitivity))):
         return Heldout(
             rms_m=np.inf,
@@ -257,11 +261,9 @@ def heldout(prepared: PreparedStudy, fit: Fit) -> Heldout | None:
             predicted_m=predicted,
         )
     spread = sensitivity @ covariance_root(fit.covariance)
-    for i, block in enumerate(extra):
-        column = np.zeros((len(residual), block.shape[1]))
-        first = sum(len(r) for r in rows[:i])
-        column[first : first + len(rows[i])] = block
-        spread = np.hstack([spread, column])
+    if more:
+        moved = _spread_of_beginnings(prepared, trials, near[p + 1 :] - near[0])
+        spread = np.hstack([spread, moved])
     chi2, log_det = marginal_chi2(residual, spread)
     splits = np.cumsum([len(r) for r in rows])[:-1]
     smooth = [
@@ -300,7 +302,7 @@ def visible(prepared: PreparedStudy, fit: Fit, effect: type[Effect]) -> float:
     begun, more = _begun_and_moved(prepared, fit.model, trials, len(lanes))
     if not any(t.bent for t in trials):
         begun, more = {name: rows[: len(lanes)] for name, rows in begun.items()}, 0
-    white = prepared.all_white(trials, [*lanes, *[fit.model] * more], begun)
+    white = prepared.white_near(trials, [*lanes, *[fit.model] * more], begun)
     moved, white = white[len(lanes) :], white[: len(lanes)]
     if not (np.all(np.isfinite(white[:-1])) and np.all(np.isfinite(moved))):
         return 0.0

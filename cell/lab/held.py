@@ -6,6 +6,7 @@ what is left is small beside the curvature of both, and only a fit with the effe
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from cell.cable.effects.base import ActiveEffect, Effect
 from cell.identify.gauss_newton import Options
 from cell.identify.parameters import ParameterSpace
-from cell.lab.fitting import Fit, extended, fit_model, fit_trials, residuals, space_with
+from cell.lab.fitting import Fit, by_trial, extended, fit_model, fit_trials, space_with
 from cell.lab.prepared import PreparedStudy
 from cell.lab.screen import prior_root
 
@@ -76,11 +77,6 @@ class HeldEffect:
                 moved[k] = q[k]
         return moved
 
-    def change(self, q: FloatArray) -> FloatArray:
-        """(rows,) change from the fit to the model at q (p + unknowns of beginnings,)."""
-        white = residuals(self.prepared, self.space, fit_trials(self.prepared), q[None])[0]
-        return self._change(q, white)
-
     def refitted(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The model's coordinates fitted anew from q, the effect held as there, and the change.
 
@@ -93,9 +89,28 @@ class HeldEffect:
                 low[k] = high[k] = q[k]
         space = replace(self.space, low=low, high=high)
         fit = fit_model(self.prepared, space, q[: len(space.names)], self.fit.begun, options=_REFIT)
-        return fit.solution.q, self._change(fit.solution.q, fit.solution.residual)
+        change = self.fit.solution.residual - fit.solution.residual
+        return fit.solution.q, self._with_prior(fit.solution.q, change)
 
-    def _change(self, q: FloatArray, white: FloatArray) -> FloatArray:
+    def _with_prior(self, q: FloatArray, change: FloatArray) -> FloatArray:
         p, fit = len(self.fit.q), self.fit
         moved = np.concatenate([q[:p], q[len(self.space.names) :]]) - fit.solution.q
-        return np.concatenate([fit.solution.residual - white, -prior_root(fit) @ moved])
+        return np.concatenate([change, -prior_root(fit) @ moved])
+
+
+def all_changes(held: Sequence[HeldEffect], q: Sequence[FloatArray]) -> list[FloatArray]:
+    """(rows,) change from the fit to the model of each effect at its q, simulated together.
+
+    held  beside the same fit
+    q     (p + unknowns of beginnings,) of each
+    """
+    if not held:
+        return []
+    prepared, fit = held[0].prepared, held[0].fit
+    trials = fit_trials(prepared)
+    places = [(h, len(h.space.names), one) for h, one in zip(held, q, strict=True)]
+    models = [fit.model, *(h.space.model(one[:p]) for h, p, one in places)]
+    rest = np.stack([fit.solution.q[len(fit.q) :], *(one[p:] for _, p, one in places)])
+    white = prepared.white_near(trials, models, by_trial(prepared, trials, rest))
+    changes = white[0] - white[1:]
+    return [h._with_prior(one, row) for (h, _, one), row in zip(places, changes, strict=True)]

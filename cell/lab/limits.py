@@ -17,7 +17,7 @@ from cell.lab.doubts import interrupted_doubt
 from cell.lab.estimate import CONVERGED, LEAST_KNOWN, MIN_FREEDOM
 from cell.lab.explore import Explorer, Progress, no_progress
 from cell.lab.fitting import Fit, fit_model, fit_trials
-from cell.lab.held import HeldEffect
+from cell.lab.held import HeldEffect, all_changes
 from cell.lab.prepared import PreparedStudy, StoppedError, pooled
 from cell.lab.results import Limit
 from cell.lab.score import Nuisance
@@ -27,8 +27,9 @@ from cell.lab.systematic import Systematic, systematic
 FloatArray = NDArray[np.float64]
 
 CONFIDENCE = 0.95
-#: A limit is simulated, and moved to where the effect so strong is excluded, this often.
-ROUNDS = 3
+#: A limit is simulated, and moved to where the effect so strong is excluded, this often; not again
+#: if that was by less than this share.
+ROUNDS, NEARLY = 3, 0.01
 #: Less of a sensitivity than this share is not told from what the other parameters do.
 LEAST_LEFT = 1e-6
 #: Nearer to none of the effect than this many standard deviations its slope at zero is exact.
@@ -116,16 +117,23 @@ def limits(
     ]
     for done in range(ROUNDS):
         progress("how strong other effects could be", done + 1, ROUNDS + 2)
-        sides = [(s, side) for s in found for side in s.open_sides()]
+        sides = [(s, side) for s in found for side in s.open_sides() if not side.settled]
         if not sides:
             break
         moved = changes(prepared, fit, [s.active(side) for s, side in sides])
         for (search, side), change in zip(sides, moved, strict=True):
             search.simulated(side, change)
     progress("how strong other effects could be", ROUNDS + 1, ROUNDS + 2)
-    for search in found:
-        for side in search.open_sides():
-            search.confirm(side, prepared, fit)
+    answered = [
+        (search, side, HeldEffect.beside(prepared, fit, search.effect, search.which))
+        for search in found
+        for side in search.open_sides()
+        if not search.exact(side)
+    ]
+    q = [search.answer(side, held) for search, side, held in answered]
+    changed = all_changes([held for _, _, held in answered], q)
+    for (search, side, held), near, change in zip(answered, q, changed, strict=True):
+        search.confirm(side, held, near, change)
     return tuple(search.limit(prepared) for search in found)
 
 
@@ -137,6 +145,7 @@ class _Side:
     std     of the amplitude
     values  of the effect's parameters: the guess of its shape that puts the end farthest out
     rows    (n, values) slopes of its other amplitudes; others: basis of what they can imitate
+    change  of what is seen, by the effect so strong; settled: more simulations tell no more
     """
 
     sign: float
@@ -146,6 +155,7 @@ class _Side:
     rows: FloatArray
     others: FloatArray
     change: FloatArray | None = None
+    settled: bool = False
     seen: bool = True
 
 
@@ -160,10 +170,10 @@ class _Search:
         wrong: Systematic,
         inflation: float,
     ) -> None:
-        self._effect = slopes.effect
+        self.effect = slopes.effect
         amplitudes = [i for i, p in enumerate(slopes.effect.parameters) if p.amplitude]
-        self._which = amplitudes[j]
-        self._parameter: Parameter = slopes.effect.parameters[self._which]
+        self.which = amplitudes[j]
+        self._parameter: Parameter = slopes.effect.parameters[self.which]
         self._nuisance = nuisance
         self._wrong = wrong
         self._inflation = inflation
@@ -242,10 +252,10 @@ class _Search:
     def active(self, side: _Side) -> ActiveEffect:
         """The effect as strong as an end says, its other amplitudes off."""
         values = side.values.copy()
-        for k, p in enumerate(self._effect.parameters):
+        for k, p in enumerate(self.effect.parameters):
             if p.amplitude:
-                values[k] = p.default + (side.size if k == self._which else 0.0)
-        return ActiveEffect(self._effect, tuple(map(float, values)))
+                values[k] = p.default + (side.size if k == self.which else 0.0)
+        return ActiveEffect(self.effect, tuple(map(float, values)))
 
     def simulated(self, side: _Side, change: FloatArray) -> None:
         """Move an end to where it is excluded, by the change that the effect so strong makes."""
@@ -253,24 +263,35 @@ class _Search:
             side.seen = False
             return
         side.change = change
-        if abs(side.size) < NEAR * side.std:
+        if self.exact(side):
+            side.settled = True
             return
         row = self._with_prior(change) / side.size
         left = self._left(row, side.others)
         if not float(np.linalg.norm(left)) > LEAST_LEFT * float(np.linalg.norm(row)):
             side.seen = False
             return
+        before = side.size
         self._move(side, self._end(side.sign, *self._estimate(left)))
+        side.settled = abs(side.size - before) < NEARLY * abs(before)
 
-    def confirm(self, side: _Side, prepared: PreparedStudy, fit: Fit) -> None:
-        """Let everything else answer the effect at an end; if not as promised, refit there."""
-        if side.change is None or abs(side.size) < NEAR * side.std:
-            return
-        held = HeldEffect.beside(prepared, fit, self._effect, self._which)
-        change = self._with_prior(side.change)
-        q = held.answer(self.active(side), change, side.rows)
-        promised = self._left(change, side.others)
-        off = self._left(held.change(q), side.others) - promised
+    def exact(self, side: _Side) -> bool:
+        """Whether an end is so near to none of the effect that its slope there is all there is."""
+        return side.change is None or abs(side.size) < NEAR * side.std
+
+    def answer(self, side: _Side, held: HeldEffect) -> FloatArray:
+        """Where everything else goes, by its slopes, with the effect at an end."""
+        assert side.change is not None
+        return held.answer(self.active(side), self._with_prior(side.change), side.rows)
+
+    def confirm(self, side: _Side, held: HeldEffect, q: FloatArray, change: FloatArray) -> None:
+        """Keep an end if everything else answers the effect as promised; if not, refit there.
+
+        change  of what is seen where it answers, at q
+        """
+        assert side.change is not None
+        promised = self._left(self._with_prior(side.change), side.others)
+        off = self._left(change, side.others) - promised
         if float(np.linalg.norm(off)) < AS_PROMISED * float(np.linalg.norm(promised)):
             return
         self._refit(side, held, q if np.all(np.isfinite(off)) else None)
@@ -311,11 +332,11 @@ class _Search:
             s.seen and s.change is not None and low < s.size < high for s in self._sides
         )
         if not seen:
-            return Limit(self._effect.name, p.name, p.unit, None, None, None)
+            return Limit(self.effect.name, p.name, p.unit, None, None, None)
         ends = [p.default + s.size for s in self._sides]
         tip_m = max(_tip_m(prepared, s.change) for s in self._sides if s.change is not None)
         lowest = p.default if self._one_sided else ends[0]
-        return Limit(self._effect.name, p.name, p.unit, lowest, ends[-1], tip_m)
+        return Limit(self.effect.name, p.name, p.unit, lowest, ends[-1], tip_m)
 
 
 def _further(tried: Sequence[tuple[float, float]]) -> float:

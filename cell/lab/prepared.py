@@ -57,6 +57,7 @@ class PreparedStudy:
     work   what has been simulated of it
     noise  used for whitening: the floor's, or larger where an earlier individual's model is known
            to err by more
+    slopes of which only differences of simulations are taken, where that is measured to do no harm
     """
 
     study: Study
@@ -65,6 +66,7 @@ class PreparedStudy:
     whiteners: dict[str, Whitener]
     solver: Solver
     work: Work = field(default_factory=Work)
+    slopes: Solver | None = None
 
     @staticmethod
     def of(
@@ -132,7 +134,8 @@ class PreparedStudy:
 
     def on_one_core(self) -> PreparedStudy:
         """The same, simulated without threads of its own: for several fits side by side."""
-        return replace(self, solver=replace(self.solver, threads=1))
+        slopes = None if self.slopes is None else replace(self.slopes, threads=1)
+        return replace(self, solver=replace(self.solver, threads=1), slopes=slopes)
 
     def white(self, trial: Trial, predicted_m: FloatArray) -> FloatArray:
         """(lanes, rows) whitened residuals of predictions (lanes, times, markers, 2)."""
@@ -148,6 +151,20 @@ class PreparedStudy:
         predicted = self.predict_all(trials, models, begun)
         parts = [self.white(t, points) for t, points in zip(trials, predicted, strict=True)]
         return np.concatenate(parts, axis=1)
+
+    def white_near(
+        self,
+        trials: Sequence[Trial],
+        models: Sequence[CableModel],
+        begun: Mapping[str, FloatArray] | None = None,
+    ) -> FloatArray:
+        """As `all_white`, of models near the first: only the differences from it count."""
+        if self.slopes is not None:
+            near = replace(self, solver=self.slopes, slopes=None)
+            white = near.all_white(trials, models, begun)
+            if np.all(np.isfinite(white[0])):
+                return white
+        return self.all_white(trials, models, begun)
 
     def count(self, trials: Sequence[Trial]) -> int:
         """Coordinates seen in trials."""

@@ -136,7 +136,7 @@ def changes(prepared: PreparedStudy, fit: Fit, active: Sequence[ActiveEffect]) -
     model = fit.model
     models = [model, *(_with(model, a) for a in active)]
     begun = {name: np.tile(values, (len(models), 1)) for name, values in fit.begun.items()}
-    white = prepared.all_white(fit_trials(prepared), models, begun)
+    white = prepared.white_near(fit_trials(prepared), models, begun)
     return np.asarray(white[0] - white[1:])
 
 

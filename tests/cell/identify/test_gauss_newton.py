@@ -130,3 +130,28 @@ def test_far_along_a_narrow_valley_is_not_called_converged(updates: int) -> None
     solution = minimise(problem, np.array([-1.2, 1.44]), Options(most_passes=100, updates=updates))
     assert solution.converged
     assert solution.q == pytest.approx([1.0, 1.0], abs=1e-4)
+
+
+@pytest.mark.parametrize("updates", [0, 3])
+def test_slopes_may_come_from_residuals_that_are_all_wrong_by_as_much(updates: int) -> None:
+    """As a coarser simulation's are: the minimum is that of the residuals themselves."""
+    exact, asked = misra(), []
+
+    def residuals(lanes: np.ndarray) -> np.ndarray:
+        asked.append(len(lanes))
+        return exact.residuals(lanes)
+
+    near = replace(exact, residuals=residuals, slopes=lambda q: exact.residuals(q) + 3.0)
+    solution = minimise(near, np.log((250.0, 5e-4)), Options(tolerance=1e-4, updates=updates))
+    assert solution.converged
+    np.testing.assert_allclose(np.exp(solution.q), CERTIFIED, rtol=1e-5)
+    np.testing.assert_allclose(
+        np.sqrt(np.diag(solution.covariance)) * CERTIFIED, CERTIFIED_STD, rtol=1e-3
+    )
+    assert set(asked) == {1}  # never beside their finite differences
+
+
+def test_slopes_that_cannot_be_had_are_taken_from_the_residuals() -> None:
+    near = replace(misra(), slopes=lambda q: np.full((len(q), len(MISRA1A)), np.nan))
+    solution = minimise(near, np.log((250.0, 5e-4)), Options(tolerance=1e-4))
+    np.testing.assert_allclose(np.exp(solution.q), CERTIFIED, rtol=1e-5)
