@@ -82,9 +82,10 @@ def assemble(
 
 
 def _block(
-    models: list[CableModel], lanes: tuple[int, ...], n: int, hooks: Hooks, start_s: float
+    batch: list[CableModel], lanes: tuple[int, ...], n: int, hooks: Hooks, start_s: float
 ) -> Block:
     state = at.vectors(n + 1, at.FIELDS)
+    models = list({id(model): model for model in batch}.values())  # each once
     w = len(models)
 
     def each(value: Any) -> FloatArray:
@@ -129,18 +130,18 @@ def _block(
     gravity = np.array([m.gravity_m_per_s2 for m in models]).reshape(w, 2)
     put(at.GX, gravity[:, 0])
     put(at.GY, gravity[:, 1])
-    lengths = np.full(at.LANES, length[0])
-    lengths[:w] = length
-    state[:, :, w:] = state[:, :, :1]
+    place = {id(model): k for k, model in enumerate(models)}
+    order = [place[id(model)] for model in batch] + [0] * (at.LANES - len(batch))
+    state[:] = state[:, :, order]
     return Block(
         lanes,
-        -(-w // at.VECTOR) * at.VECTOR,
+        -(-len(batch) // at.VECTOR) * at.VECTOR,
         n,
         state.ravel(),
-        lengths,
+        length[order],
         bool(np.any(power != 0.0)),
         hooks.passes,
-        hooks.arguments(models, n, start_s),
+        hooks.arguments(batch, n, start_s),
         with_compiled_hooks(a.effect for a in models[0].effects),
     )
 

@@ -40,12 +40,13 @@ class Hands:
     ) -> None:
         self._paths = paths
         self._acting = [on_hand(model) for model in models]
+        self._keys = [(id(p), *a) for p, a in zip(paths, self._acting, strict=True)]
         self._rows: dict[Hashable, FloatArray] = {}
         if steps is None or not any(self._acting):
             return
         instants = Instants(steps)
         for lane, acting in enumerate(self._acting):
-            key = self._key(lane)
+            key = self._keys[lane]
             if acting and key not in self._rows:
                 self._rows[key] = base_rows(paths[lane], acting, steps, instants)
 
@@ -54,7 +55,7 @@ class Hands:
         base = at.vectors(steps.number, at.BASE_FIELDS)
         for lane, there in self._alike(order):
             if self._acting[lane]:
-                spread_rows(self._rows[self._key(lane)][: steps.number], there, base)
+                spread_rows(self._rows[self._keys[lane]][: steps.number], there, base)
                 continue
             for axis, spline in enumerate(self._paths[lane].splines):
                 spread_steps(*spline.pieces, steps, there, base[:, axis::_AXES])
@@ -73,17 +74,13 @@ class Hands:
                 spread_values(*spline.pieces, t_s, there, poses[:, axis])
         return poses
 
-    def _key(self, lane: int) -> Hashable:
-        """What the motion of a lane's hand depends on."""
-        return (id(self._paths[lane]), *self._acting[lane])
-
     def _alike(
         self, order: Sequence[int], times_s: Sequence[FloatArray] = ()
     ) -> Iterator[tuple[int, Lanes]]:
         """A lane of every motion (and array of times), and the places in the order that have it."""
         places: dict[Hashable, list[int]] = {}
         for place, lane in enumerate(order):
-            key = self._key(lane), id(times_s[place]) if times_s else None
+            key = self._keys[lane], id(times_s[place]) if times_s else None
             places.setdefault(key, []).append(place)
         for there in places.values():
             yield order[there[0]], np.array(there, dtype=np.int64)

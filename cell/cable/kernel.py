@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.cable.compiling import compiled
+from cell.cable.compiling import compiled, widest_vectors
 from cell.cable.layout import (
     ACCEL_C,
     ANGLE,
@@ -81,6 +81,7 @@ def kinematics(
     S: FloatArray, lanes: int, n: int, B: FloatArray, row: int, accelerations: bool
 ) -> None:
     """Angles, tangents, positions and velocities at the collocation time, from the clamp out."""
+    widest_vectors()
     C = B[row * BASE_FIELDS * LANES :]
     for w in range(lanes):
         angle = C[w + BASE_ANGLE * LANES] + S[w + BEND_C * LANES]
@@ -134,6 +135,7 @@ def kinematics(
 @compiled
 def bending(S: FloatArray, lanes: int, n: int, nonlinear: bool, dq: float, dv: float) -> None:
     """The cable's own bending moments and their slope against the step's acceleration."""
+    widest_vectors()
     for w in range(lanes):
         spring = S[w + SPRING * LANES]
         loss = S[w + VISCOSITY * LANES]
@@ -181,6 +183,7 @@ def solve(
 
     T (≥ 9·LANES,) carries the articulated inertia and bias from body to body.
     """
+    widest_vectors()
     for w in range(9 * LANES):
         T[w] = 0.0
     for i in range(n, -1, -1):

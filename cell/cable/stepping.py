@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.cable.compiling import compiled, inline
+from cell.cable.compiling import compiled, inline, widest_vectors
 from cell.cable.effects.pointer import ADVANCE, EVALUATE, call_force, call_moment
 from cell.cable.kernel import bending, kinematics, solve
 from cell.cable.layout import (
@@ -43,6 +43,7 @@ _STILL_RAD2_PER_S2 = 1e-10
 @compiled
 def predict(S: FloatArray, lanes: int, n: int, step: FloatArray) -> None:
     """Bends and rates at the collocation time, were the acceleration the predicted one."""
+    widest_vectors()
     for i in range(n + 1):
         R = S[i * BODY :]
         for w in range(lanes):
@@ -58,6 +59,7 @@ def predict(S: FloatArray, lanes: int, n: int, step: FloatArray) -> None:
 @compiled
 def turned(S: FloatArray, lanes: int, n: int, step: FloatArray) -> bool:
     """Whether a hinge's rate has another sign than the one that its moment was taken at."""
+    widest_vectors()
     worst = 0.0
     for i in range(n + 1):
         R = S[i * BODY :]
@@ -72,6 +74,7 @@ def turned(S: FloatArray, lanes: int, n: int, step: FloatArray) -> bool:
 @compiled
 def advance(S: FloatArray, lanes: int, n: int, step: FloatArray) -> None:
     """State at the end of the step from the acceleration in its equation."""
+    widest_vectors()
     for i in range(n + 1):
         R = S[i * BODY :]
         for w in range(lanes):
@@ -89,6 +92,7 @@ def advance(S: FloatArray, lanes: int, n: int, step: FloatArray) -> None:
 @compiled
 def diverged(S: FloatArray, lanes: int, n: int) -> bool:
     """Whether any hinge is bent by half a turn or more, or not finite."""
+    widest_vectors()
     worst = 0.0
     for i in range(n + 1):
         R = S[i * BODY :]
@@ -125,6 +129,7 @@ def record(
     S: FloatArray, first: int, last: int, n: int, h: float, u: float, out: FloatArray, row: int
 ) -> None:
     """Bends of lanes first … last − 1 at `u` of the step just made, by cubic interpolation."""
+    widest_vectors()
     u2 = u * u
     u3 = u2 * u
     p0 = 2.0 * u3 - 3.0 * u2 + 1.0
@@ -171,6 +176,7 @@ def integrate(
     when    (looks, 4) of `looks`
     returns −1, or the number of the first step whose bends are not below half a turn each
     """
+    widest_vectors()
     forces, moments, params, rows, memory, memory_rows, start = effects
     T = _aligned(9 * LANES)
     h = step[0]
@@ -247,6 +253,7 @@ def nodes(
     cell     (markers,) segment of each marker; weights (markers, 4) of its ends and end tangents
     out      (lanes, times, markers, 2), of these lanes or of the first of them
     """
+    widest_vectors()
     times = out.shape[1]
     X = _aligned((n + 1) * 4 * LANES)
     P = _aligned(cell.size * 2 * LANES)

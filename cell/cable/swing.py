@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
@@ -133,13 +133,14 @@ def _run(
     """Move a block along, and write what the camera sees of each lane to `out`, if it has any."""
     lanes = block.lanes
     order = lanes + lanes[:1] * (block.width - len(lanes))
+    times = _needed(block, grid, swing)
+    held = hands.at_times(order, _each_once(lambda t: np.append(grid.begin_s, t), times))
     if grid.rests:
         first = np.zeros((at.BASE_FIELDS, at.LANES))
-        first[:3] = hands.at_times(order, [np.array([grid.begin_s])] * len(order))[0]
+        first[: held.shape[1]] = held[0]
         settle(block, first.ravel())
     if swing.bent:
         _bend(block, order, swing.bent, swing.models[0].cable.free_length_m)
-    times = _needed(block, grid, swing)
     bends = _integrate(block, grid, hands.at_steps(order, grid.in_equal_steps), times)
     if not len(out):
         return
@@ -200,10 +201,17 @@ def _needed(block: Block, grid: Grid, lanes: Swing) -> list[FloatArray]:
 
 
 def _in_steps(times_s: Sequence[FloatArray], grid: Grid) -> list[FloatArray]:
-    """Times of every lane in steps from the beginning; what was one array is one again."""
-    known: dict[int, FloatArray] = {}
-    for t in times_s:
-        if id(t) not in known:
-            # rounding must not put the last time behind the last step: it would never be written
-            known[id(t)] = np.minimum((t - grid.begin_s) / grid.solver.step_s, grid.steps)
-    return [known[id(t)] for t in times_s]
+    """Times of every lane in steps from the beginning."""
+    # rounding must not put the last time behind the last step: it would never be written
+    return _each_once(
+        lambda t: np.minimum((t - grid.begin_s) / grid.solver.step_s, grid.steps), times_s
+    )
+
+
+def _each_once(
+    function: Callable[[FloatArray], FloatArray], arrays: Sequence[FloatArray]
+) -> list[FloatArray]:
+    """What a function makes of arrays; what was one array is one again."""
+    made = {id(a): a for a in arrays}
+    made = {number: function(a) for number, a in made.items()}
+    return [made[id(a)] for a in arrays]

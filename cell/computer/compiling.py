@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
-from numba import njit
+from numba import njit, types
+from numba.extending import intrinsic
 
 #: Fused multiply-add is allowed, reordering is not: results do not depend on the vector width.
 FASTMATH = {"contract", "nsz"}
@@ -48,3 +49,21 @@ def compiler(fingerprint: Callable[[], str]) -> Callable[[F], F]:
         return dispatcher  # type: ignore[no-any-return]
 
     return compiled
+
+
+def _widest_vectors(typing_context: Any) -> Any:
+    """Have the function that calls this use the widest vectors that the processor has.
+
+    LLVM keeps to half of them, because they slow some processors' clocks; the engine's steps take
+    a seventh less time with them.
+    """
+
+    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        # llvmlite knows no such attribute, but writes what it is given
+        set.add(builder.function.attributes, '"prefer-vector-width"="512"')
+        return context.get_dummy_value()
+
+    return types.void(), code
+
+
+widest_vectors: Any = intrinsic(_widest_vectors)

@@ -108,11 +108,11 @@ class Hooks:
 
     def arguments(self, models: Sequence[Model], segments: int, start_s: float) -> Any:
         """`effects` of the compiled functions for up to LANES models with these effects."""
-        table = np.zeros((4 + sum(len(a.values) for a in models[0].effects), at.LANES))
-        for w, model in enumerate(models):
-            table[:, w] = (*cable_data(model), *(v for a in model.effects for v in a.values))
+        table = at.vectors(4 + sum(len(a.values) for a in models[0].effects))
+        columns = [(*cable_data(m), *(v for a in m.effects for v in a.values)) for m in models]
+        table[:, : len(models)] = np.array(columns).T
         table[:, len(models) :] = table[:, :1]
-        memory = np.zeros(max(1, self.memory_count) * (segments + 1) * at.LANES)
+        memory = at.vectors(max(1, self.memory_count) * (segments + 1)).ravel()
         return (
             self.forces,
             self.moments,

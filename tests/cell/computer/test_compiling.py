@@ -6,9 +6,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
+import pytest
+from llvmlite.binding import get_host_cpu_features
+from numba import njit
+
 import calib.lens
 import cell.vision
-from cell.computer.compiling import compiler, hash_of
+from cell.computer.compiling import compiler, hash_of, widest_vectors
 from cell.vision.compiling import compiled
 
 
@@ -32,6 +37,21 @@ def test_code_is_stamped_with_all_sources_of_its_package() -> None:
         for decorate in (compiled, compiler(lambda: "another"))
     ]
     assert stamps == [hash_of(package), "another"]
+
+
+@pytest.mark.skipif(
+    not get_host_cpu_features().get("avx512f"), reason="the processor has no wider vectors"
+)
+def test_widest_vectors_are_used_where_they_are_asked_for() -> None:
+    @njit
+    def double(x):
+        widest_vectors()
+        for i in range(x.size):
+            x[i] *= 2.0
+
+    double(np.ones(16))
+    (code,) = double.inspect_asm().values()
+    assert "zmm" in code
 
 
 _PROGRAM = """
