@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cell.cable import layout as at
 from cell.cable.effects.base import Effect
-from cell.cable.effects.compiled import Hooks, cable_data, hooks_of, parameters
+from cell.cable.effects.compiled import Hooks, cable_data, hooks_of, in_steps, parameters
 from cell.cable.effects.own import with_compiled_hooks
 from cell.cable.model import CableModel, knot_basis
 
@@ -23,7 +23,7 @@ DEFAULT_SEGMENTS = 28
 
 @dataclass(frozen=True)
 class Block:
-    """Up to LANES models with the same effects, ready to run.
+    """Up to LANES models whose steps call the same effects, ready to run.
 
     lanes      their numbers in the batch
     width      lanes computed: those above rounded up to whole vectors with copies of the first
@@ -65,12 +65,12 @@ class Block:
 def assemble(
     models: Sequence[CableModel], segments: int, start_s: float, threads: int = 1
 ) -> list[Block]:
-    """Blocks for all models; models with different sets of effects go to different blocks."""
+    """Blocks for all models; those whose steps call different effects go to different blocks."""
     if segments < 4:
         raise ValueError(f"segments = {segments}: must be ≥ 4")
-    groups: dict[tuple[type, ...], list[int]] = {}
+    groups: dict[object, list[int]] = {}
     for i, model in enumerate(models):
-        groups.setdefault(tuple(a.effect for a in model.effects), []).append(i)
+        groups.setdefault(_kind(model), []).append(i)
     blocks = []
     for members in groups.values():
         hooks = hooks_of(models[members[0]].effects)
@@ -79,6 +79,12 @@ def assemble(
             lanes = tuple(members[first : first + width])
             blocks.append(_block([models[i] for i in lanes], lanes, segments, hooks, start_s))
     return blocks
+
+
+def _kind(model: CableModel) -> object:
+    """Equal for models that may share a block: alike in each step, and seen at alike times."""
+    at_times = any(a.effect.camera_time is not None for a in model.effects)
+    return at_times, tuple(a.effect for a in in_steps(model.effects))
 
 
 def _block(
@@ -119,7 +125,7 @@ def _block(
     arc_hinge = hinge_fraction[:, None] * total
     put(at.ARC_HINGE, arc_hinge)
     put(at.ARC_MIDDLE, middle_fraction[:, None] * total)
-    if models[0].effects:
+    if any(model.effects for model in models):
         for i, model in enumerate(models):
             state[:, at.REST, i] = _rest(model, arc_hinge[:, i])
     put(at.FREE, 1.0)

@@ -144,7 +144,6 @@ def compare(
     """
     from cell.lab import session
     from cell.lab.compare import compare_model, comparisons_json, model_names
-    from cell.lab.report import comparison_page, write_page
     from cell.lab.tables import (
         comparison_sentence,
         comparison_table,
@@ -162,6 +161,8 @@ def compare(
             comparisons.append(compare_model(opened, m.model, name))
         tables = write_result(comparisons_json(comparisons), *results or [])
         if report:
+            from cell.lab.report import comparison_page, write_page
+
             write_page(comparison_page(comparisons), report)
     if tables:
         last = comparisons[-1]
@@ -193,7 +194,6 @@ def diagnose(
     from cell.lab.diagnose import diagnose as diagnose_study
     from cell.lab.individual import identified
     from cell.lab.limits import with_limits
-    from cell.lab.report import diagnosis_page, write_page
     from cell.lab.results import to_json
     from cell.lab.tables import (
         agreement_table,
@@ -215,7 +215,8 @@ def diagnose(
             examination = with_limits(explorer, diagnose_study(explorer))
             examination = with_agreement(explorer, examination)
         steps = [explorer.prior_candidate(), *examination.steps[1:]]
-        comparisons = [compare_model(explorer.prepared.study, c.fit.model) for c in steps]
+        shown = steps if report else [steps[0], *steps[1:][-1:]]
+        comparisons = [compare_model(explorer.prepared.study, c.fit.model) for c in shown]
         in_model = explorer.space.effects
         todo = advice(
             examination.diagnosis,
@@ -225,6 +226,8 @@ def diagnose(
         )
         tables = write_result(to_json(examination.diagnosis), *results or [])
         if report:
+            from cell.lab.report import diagnosis_page, write_page
+
             fitted = examination.steps[-1].fit
             model = identified(explorer.prepared, fitted, explorer.library.values())
             write_page(diagnosis_page(examination, comparisons, model, todo), report)

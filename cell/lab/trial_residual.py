@@ -169,21 +169,19 @@ def _stop_s(motion: Motion) -> float:
 
 def spectrum(t_s: FloatArray, residual_m: FloatArray, noise: Noise) -> Spectrum:
     """Mean power over all coordinates against that of the noise (Lomb and Scargle: any stamps)."""
-    from scipy.signal import lombscargle  # half a second, of which not every command has need
-
     span_s = float(t_s[-1] - t_s[0])
     highest = 0.5 / float(np.median(np.diff(t_s)))
     count = int(min(MAX_FREQUENCIES, max(3, highest * span_s)))
     frequency = np.arange(1, count) * highest / count  # short of Nyquist, where phase is lost
-    series = residual_m.reshape(len(t_s), -1).T
+    series = residual_m.reshape(len(t_s), -1)
+    seen = np.isfinite(series)
     power, used = np.zeros(len(frequency)), 0
-    for values in series:
-        seen = np.isfinite(values)
-        if seen.sum() < 4:
+    for frames in np.unique(seen, axis=1).T:
+        alike = series[frames][:, np.all(frames == seen.T, axis=1)]
+        if len(alike) < 4:
             continue
-        centred = values[seen] - values[seen].mean()
-        power += lombscargle(t_s[seen], centred, 2 * np.pi * frequency)
-        used += 1
+        power += lomb_scargle(t_s[frames], alike - alike.mean(axis=0), frequency).sum(axis=1)
+        used += alike.shape[1]
     power *= 2.0 * float(np.median(np.diff(t_s))) / max(used, 1)
     frame_s = float(np.median(np.diff(t_s)))
     colour = noise.colour
@@ -191,6 +189,19 @@ def spectrum(t_s: FloatArray, residual_m: FloatArray, noise: Noise) -> Spectrum:
         1.0 - 2.0 * colour * np.cos(2.0 * np.pi * frequency * frame_s) + colour**2
     )
     return Spectrum(frequency, power, 2.0 * noise.std_m**2 * frame_s * shape)
+
+
+def lomb_scargle(t_s: FloatArray, values: FloatArray, frequency_hz: FloatArray) -> FloatArray:
+    """(frequencies, series) periodogram of values (times, series) at any times.
+
+    Half the square that a sine of this frequency takes off; scipy's takes half a second to import.
+    source  Scargle 1982, Astrophys. J. 263, 835
+    """
+    phase = 2.0 * np.pi * frequency_hz[:, None] * t_s
+    phase -= 0.5 * np.arctan2(np.sin(2.0 * phase).sum(1), np.cos(2.0 * phase).sum(1))[:, None]
+    parts = (np.cos(phase), np.sin(phase))
+    squares = [(wave @ values) ** 2 / np.sum(wave**2, axis=1)[:, None] for wave in parts]
+    return np.asarray(0.5 * (squares[0] + squares[1]))
 
 
 def ljung_box(white: FloatArray, lags: int = LAGS) -> float:
@@ -220,8 +231,6 @@ def correlations(
     The whitened residual along the cable's normal is correlated with each signal at that marker;
     its p-value counts only the independent values of the two series (Bartlett 1935).
     """
-    from scipy.signal import savgol_filter  # half a second, of which not every command has need
-
     t_s = trial.markers.t_s
     if len(t_s) < 2 * LAGS:
         return ()
@@ -229,7 +238,7 @@ def correlations(
     normal = across_tip(trial, predicted_m)
     velocity = np.sum(np.gradient(predicted_m[:, 0], t_s, axis=0) * normal, axis=1)
     smooth = min(len(t_s) - (1 - len(t_s) % 2), 11)
-    hand = savgol_filter(grip, smooth, 3, axis=0)
+    hand = smoothed(grip, smooth)
     acceleration = np.gradient(np.gradient(hand, t_s, axis=0), t_s, axis=0)
     chord = np.unwrap(np.arctan2(-normal[:, 0], normal[:, 1]))
     signals = {
@@ -245,6 +254,20 @@ def correlations(
     error = np.where(seen.any(axis=1), error, np.nan)
     found = [Correlation(name, *_correlation(error, values)) for name, values in signals.items()]
     return tuple(sorted(found, key=lambda f: -abs(f.correlation)))
+
+
+def smoothed(values: FloatArray, window: int) -> FloatArray:
+    """Values (times, series) by cubics fitted to windows of an odd number of neighbours.
+
+    At either end by the cubic of the first and last window; scipy's takes half a second to import.
+    source  Savitzky & Golay 1964, Anal. Chem. 36, 1627
+    """
+    half = window // 2
+    design = np.vander(np.arange(-half, half + 1) / half, 4, increasing=True)
+    fit = design @ np.linalg.pinv(design)
+    around = np.lib.stride_tricks.sliding_window_view(values, window, axis=0)
+    first, last = fit[:half] @ values[:window], fit[half + 1 :] @ values[-window:]
+    return np.concatenate([first, around @ fit[half], last])
 
 
 def across_tip(trial: Trial, predicted_m: FloatArray) -> FloatArray:

@@ -107,9 +107,11 @@ class Hooks:
     passes: int
 
     def arguments(self, models: Sequence[Model], segments: int, start_s: float) -> Any:
-        """`effects` of the compiled functions for up to LANES models with these effects."""
-        table = at.vectors(4 + sum(len(a.values) for a in models[0].effects))
-        columns = [(*cable_data(m), *(v for a in m.effects for v in a.values)) for m in models]
+        """`effects` of the compiled functions for up to LANES models with these in their steps."""
+        columns = [
+            (*cable_data(m), *(v for a in in_steps(m.effects) for v in a.values)) for m in models
+        ]
+        table = at.vectors(len(columns[0]))
         table[:, : len(models)] = np.array(columns).T
         table[:, len(models) :] = table[:, :1]
         memory = at.vectors(max(1, self.memory_count) * (segments + 1)).ravel()
@@ -124,11 +126,16 @@ class Hooks:
         )
 
 
+def in_steps(effects: Sequence[ActiveEffect]) -> list[ActiveEffect]:
+    """Those that every step calls; what others do is known before, or done after."""
+    return [a for a in effects if a.effect.force is not None or a.effect.moment is not None]
+
+
 def hooks_of(effects: Sequence[ActiveEffect]) -> Hooks:
-    """Loops and rows of parameters and memory, forces first."""
+    """Loops and rows of parameters and memory of those that every step calls, forces first."""
     forces, force_rows, moments, moment_rows, memory_rows = [], [], [], [], []
     row, memory = 4, 0
-    for active in effects:
+    for active in in_steps(effects):
         loops = loops_of(active.effect)
         if loops.force is not None:
             forces.append(loops.force)

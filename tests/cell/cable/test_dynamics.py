@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from cell.cable import swing
+from cell.cable.assembly import assemble
 from cell.cable.branches import simulate_branches
 from cell.cable.dynamics import simulate, simulate_each
 from cell.cable.effects import library
@@ -288,3 +289,22 @@ def test_every_lane_is_recorded_at_its_own_times_only():
     assert table[:, 0].tolist() == [0.5, 1.0, 2.0, 2.0]
     assert table[:, 1:3].tolist() == [[0, 2], [2, 3], [0, 2], [2, 3]]
     assert table[:, 3].tolist() == [2, 0, 3, 1]
+
+
+def test_models_that_differ_in_what_no_step_calls_share_a_block(cable, arc, jerk):
+    """Each effect had a block of its own, of a vector that was mostly empty."""
+    kinds = library()
+    names = ("tip_mass", "grip_angle", "natural_curvature", "camera_scale", "grip_compliance")
+    batch = []
+    for name in names:
+        values = {p.name: p.starts[0] for p in kinds[name].parameters}
+        batch.append(
+            CableModel.uniform(cable, 3e-5, 1.1, 1e-7, effects=(kinds[name].active(**values),))
+        )
+    drag = kinds["air_drag"].active(drag_coefficient=2.0)
+    batch.append(CableModel.uniform(cable, 3e-5, 1.1, 1e-7, effects=(drag, *batch[0].effects)))
+    batch.append(CableModel.uniform(cable, 3e-5, 1.1, 1e-7, effects=(*batch[1].effects, drag)))
+    assert [len(b.lanes) for b in assemble(batch, 8, 0.0)] == [5, 2]
+    together = simulate(batch, jerk, TIMES, arc)
+    for model, found in zip(batch, together, strict=True):
+        np.testing.assert_allclose(found, simulate(model, jerk, TIMES, arc)[0], atol=1e-12)

@@ -8,8 +8,10 @@ from cell.lab.trial_residual import (
     PHASES,
     across_tip,
     ljung_box,
+    lomb_scargle,
     phase_of,
     rms,
+    smoothed,
     spectrum,
     trial_residual,
 )
@@ -88,3 +90,18 @@ def test_across_the_tip_is_square_to_the_cable(make_study, markers):
 def test_no_frequency_is_at_nyquist_where_half_the_power_is_lost():
     found = spectrum(np.arange(400) * 0.005, np.ones((400, 3, 2)), Noise(1e-4))
     assert 99.0 < found.frequency_hz[-1] < 100.0
+
+
+def test_periodogram_and_smoothing_are_those_of_scipy():
+    """Which takes half a second to import."""
+    signal = pytest.importorskip("scipy.signal")
+    rng = np.random.default_rng(3)
+    t_s, frequency = np.sort(rng.uniform(0.0, 1.5, 300)), np.linspace(0.7, 90.0, 40)
+    values = rng.normal(size=(300, 3))
+    theirs = [signal.lombscargle(t_s, v, 2.0 * np.pi * frequency) for v in values.T]
+    np.testing.assert_allclose(
+        lomb_scargle(t_s, values, frequency), np.transpose(theirs), rtol=1e-9
+    )
+    for window in (11, 5):
+        theirs = signal.savgol_filter(values, window, 3, axis=0)
+        np.testing.assert_allclose(smoothed(values, window), theirs, atol=1e-12)
