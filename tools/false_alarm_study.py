@@ -2,15 +2,16 @@
 
     python tools/false_alarm_study.py [--studies 200] [--first 0] [--bad-priors]
 
-Complete studies, AR(1) noise of 0 … 0.9.  With `--bad-priors` each study is diagnosed beside the
-model of another that is no model of it, one of four kinds in turn:
+Complete studies, AR(1) noise of 0 … 0.9.  With `--bad-priors` each study, of one fitted trial and
+one held out, is diagnosed beside the model of another that is no model of it, one of four kinds in
+turn:
 
-    plain         the study has a load or another effect of 0.5 … 5 times its typical size, the
-                  prior is a plain fit to a like cable without it
-    of a loaded   the other way round: the prior is a plain fit to a cable with the effect
-    stiffer       the prior's cable is three times as stiff
-    wrong shapes  the prior's study has markers wrong by 2 … 5 mm, the same for four frames, and
-                  says so; the study has an effect
+    plain         a plain fit to the same cable with an effect of 1 … 5 times its typical size,
+                  which the study has as well, and a load besides
+    another       a plain fit to another cable; the study has an effect
+    stiffer       a plain fit to the same cable, all of EI three times as large; nothing is hidden
+    wrong shapes  a plain fit to another cable, its markers wrong by 2 … 5 mm, the same for four
+                  frames, which its study states; the study has an effect
 
 None may be called complete that errs by more than 3 times its noise.
 """
@@ -35,7 +36,9 @@ from cell.lab.results import Diagnosis
 from cell.lab.session import EffectSelection, explorer_of, fit_study
 from cell.study.data import Markers, Study
 
-BAD_PRIORS = ("plain", "of a loaded", "stiffer", "wrong shapes")
+BAD_PRIORS = ("plain", "another", "stiffer", "wrong shapes")
+#: Trials of a study beside a bad prior.
+TRIALS = ("identify", "deep")
 #: Error over noise from which a model must not be called complete.
 MOST_LEFT = 3.0
 #: Frames for which a wrong shape stays the same.
@@ -78,7 +81,8 @@ def _with_bad_priors(seeds: range) -> int:
         there, found = beside_bad_prior(seed, kind)
         worst_m = max(found.baseline.fit_rms_m, found.baseline.heldout_rms_m)
         over = worst_m / found.noise_m
-        claims = [{f.effect, *f.tied_with} for f in (*found.missing, *found.partial)]
+        named = found.missing if found.verdict == "missing" else found.partial
+        claims = [{f.effect, *f.tied_with} for f in named]
         false += found.verdict == "complete" and over > MOST_LEFT
         wrong += any(not names & set(there) for names in claims)
         verdicts[found.verdict] = verdicts.get(found.verdict, 0) + 1
@@ -96,22 +100,32 @@ def beside_bad_prior(seed: int, kind: str) -> tuple[tuple[str, ...], Diagnosis]:
     """The effects hidden in a study, and what is said of it beside a prior of a kind."""
     rng = np.random.default_rng([seed, 3])
     known = library()
-    name = "tip_mass" if rng.uniform() < 0.4 else str(rng.choice(list(known)))
-    effect = hidden(known[name], float(np.exp(rng.uniform(np.log(0.5), np.log(5.0)))))
-    there = [] if kind in ("of a loaded", "stiffer") else [effect]
-    earlier = make_study(20_000 + seed, [effect] if kind == "of a loaded" else [])
+    name = str(rng.choice([n for n in known if n != "tip_mass"]))
+    there = [hidden(known[name], float(np.exp(rng.uniform(0.0, np.log(5.0)))))]
+    before = list(there) if kind == "plain" else []
+    if kind == "plain":
+        there.append(hidden(known["tip_mass"], float(np.exp(rng.uniform(0.0, np.log(5.0))))))
+    elif kind == "stiffer":
+        there = []
+    same = kind in ("plain", "stiffer")
+    other = 50_000 + seed
+    earlier = _short(make_study(seed if same else other, before, noise_seed=other))
     if kind == "wrong shapes":
         earlier = _with_wrong_shapes(rng, earlier)
     model, _ = fit_study(explorer_of(earlier, EffectSelection((), library())))
     if kind == "stiffer":
-        mean = model.mean + np.log(3.0) * np.isin(
-            np.arange(len(model.mean)), range(model.space.knots)
-        )
+        mean = model.mean.copy()
+        mean[: model.space.knots] += np.log(3.0)
         model = replace(model, mean=mean)
-    study = make_study(seed, there)
+    study = _short(make_study(seed, there))
     prior = (Path("earlier.json"), model)
     found = diagnose(explorer_of(study, EffectSelection((), library()), prior)).diagnosis
     return tuple(a.effect.name for a in there), found
+
+
+def _short(study: Study) -> Study:
+    """The study with few of its trials."""
+    return replace(study, trials=tuple(t for t in study.trials if t.name in TRIALS))
 
 
 def _with_wrong_shapes(rng: np.random.Generator, study: Study) -> Study:
@@ -130,7 +144,7 @@ def _with_wrong_shapes(rng: np.random.Generator, study: Study) -> Study:
 
 
 def _share(count: int, of: int) -> str:
-    high = stats.beta.ppf(0.975, count + 1, of - count)
+    high = stats.beta.ppf(0.975, count + 1, of - count) if count < of else 1.0
     return f"{count} of {of} = {count / of:.1%} (95 %: up to {high:.1%})"
 
 

@@ -16,6 +16,7 @@ from cell.lab.doubts import (
     interrupted_doubt,
     is_no_model,
     no_model_doubt,
+    prior_only_doubt,
     unseen_doubt,
     unsimulated_doubt,
 )
@@ -24,6 +25,7 @@ from cell.lab.explore import Candidate, Explorer, Gain
 from cell.lab.leftover import leftover, removed_share
 from cell.lab.partial import Partial, explain_partly, nearest, tied_so_far, what_is_left
 from cell.lab.prepared import PreparedStudy, StoppedError
+from cell.lab.prior_check import asked_by_prior_only
 from cell.lab.results import Diagnosis, Doubt, MissingEffect, RankedEffect, Status, Verdict
 from cell.lab.rules import DEFAULT_RULES, Rules
 from cell.lab.score import holm
@@ -105,7 +107,9 @@ def _examined(explorer: Explorer, rules: Rules) -> Examination:
         steps, tied = (base,), {}
         partial = explain_partly(explorer, explorer.known(), len(screened), rules)
     unseen = unconfirmed(explorer, current, rules) if found else ()
-    verdict: Verdict = verdict_of(base, current, tied, unseen, rules) if found else "unexplained"
+    asked = asked_by_prior_only(explorer, base, current, rules) if found else ()
+    doubted = (*unseen, *asked)
+    verdict: Verdict = verdict_of(base, current, tied, doubted, rules) if found else "unexplained"
     whole, most = partial.explorer, partial.steps
     also = {e.name: tied_so_far(whole, most[-1], e, rules) for e in _added(whole, most[-1])}
     final = current if found else most[-1]
@@ -120,7 +124,11 @@ def _examined(explorer: Explorer, rules: Rules) -> Examination:
         left=what_is_left(whole, most[0], final),
         partial=_all_found(whole, most, also, len(screened)),
         nearest=() if found else nearest(partial, singles, rules),
-        warnings=(*doubts(explorer, whole, final, cut_short), *map(unseen_doubt, unseen)),
+        warnings=(
+            *doubts(explorer, whole, final, cut_short),
+            *map(unseen_doubt, unseen),
+            *map(prior_only_doubt, asked),
+        ),
     )
     return Examination(
         diagnosis, steps, tuple(screened), tuple(singles), current, final, whole.prepared, most

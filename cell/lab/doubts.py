@@ -136,6 +136,15 @@ def unseen_doubt(effect: str) -> Doubt:
     )
 
 
+def prior_only_doubt(effect: str) -> Doubt:
+    """Of an effect that another cable than the prior's would do without."""
+    return Doubt(
+        "prior_only",
+        f"the prior alone asks for {effect}: without it the study is explained to its noise with "
+        f"no {effect}, so this may be another cable than the prior's; give the prior of this one",
+    )
+
+
 def _moved_m(explorer: Explorer) -> float:
     """rms distance of the fit trials' markers from their own means, per coordinate, m."""
     square, count = 0.0, 0

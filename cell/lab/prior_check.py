@@ -1,0 +1,57 @@
+"""Whether effects named beside an earlier individual's model are asked for by that model alone."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.special import chdtrc as chi2_sf
+
+from cell.identify.parameters import ParameterSpace
+from cell.lab.explore import Candidate, Explorer
+from cell.lab.fitting import space_with
+from cell.lab.prepared import PreparedStudy
+from cell.lab.rules import Rules
+from cell.lab.verdict import above_noise, explains
+
+#: A cable is not the prior's if its parameters are as far from it with less chance than this.
+ANOTHER = 1e-3
+
+
+def asked_by_prior_only(
+    explorer: Explorer, base: Candidate, final: Candidate, rules: Rules
+) -> tuple[str, ...]:
+    """Effects that another cable than the prior's would do without.
+
+    None where, with all of them in, parameters that agree with the prior explain the study to the
+    measurement's noise: then one effect accounts for all that sets this cable apart.  Otherwise the
+    study is asked without the prior: what fewer effects leave to the noise then needs no more.
+    """
+    if explorer.prior_q is None or final is base or _of_this_cable(explorer, final, rules):
+        return ()
+    added = [e for e in final.effects if e not in explorer.space.effects]
+    prepared, space = explorer.prepared, explorer.space
+    free = ParameterSpace.of(space.cable, gravity_m_per_s2=space.gravity_m_per_s2)
+    alone = Explorer(
+        PreparedStudy.of(prepared.study, solver=prepared.solver, work=prepared.work),
+        space_with(free, space.effects),
+        explorer.library,
+        explorer.progress,
+    )
+    plain = alone.baseline()
+    fewer = [plain] if explains(alone, plain, plain, rules) else []
+    if not fewer and len(added) > 1:
+        fewer = [c for c in alone.add(plain, added) if explains(alone, plain, c, rules)]
+    if not fewer:
+        return ()
+    needed = max(fewer, key=lambda c: c.evidence).names
+    return tuple(e.name for e in added if e.name not in needed)
+
+
+def _of_this_cable(explorer: Explorer, final: Candidate, rules: Rules) -> bool:
+    """Whether a model explains the study to the measurement's noise, and agrees with the prior."""
+    if above_noise(explorer, final) > rules.gross_misfit:
+        return False
+    space = explorer.space
+    own = [final.fit.space.names.index(n) for n in space.names]
+    away = final.fit.q[own] - space.mean
+    square = float(away @ space.precision @ away)
+    return bool(np.isfinite(square) and float(chi2_sf(len(away), square)) > ANOTHER)
