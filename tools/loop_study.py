@@ -14,9 +14,10 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import tempfile
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -180,7 +181,7 @@ def _learned(
         tried |= laws_in(
             Path(tempfile.mkdtemp(prefix="laws-")), [c.study for c in recorded]
         ).effects
-    lesson = learn(recorded, task.cable, task.identification, tried)
+    lesson = learn(recorded, task.cable, task.identification, tried, _said())
     for done in range(MOST_ASKED):
         try:
             suggestion = motion_that_tells(lesson, surroundings)
@@ -195,8 +196,18 @@ def _learned(
         study = Study(f"m{number}", task.cable, task.arc_length_m, (trial,))
         measured = RecordedCycle(study.name, Path(study.name), study, None, None, None)
         recorded = [*recorded, measured]
-        lesson = learn(recorded, task.cable, task.identification, tried)
+        lesson = learn(recorded, task.cable, task.identification, tried, _said())
     return lesson, MOST_ASKED
+
+
+def _said() -> Callable[[str], None]:
+    """Says what is being done, and how much CPU time has gone by, beside the table."""
+    begun_s = time.process_time()
+
+    def said(text: str) -> None:
+        print(f"  {time.process_time() - begun_s:6.1f} s  {text}", file=sys.stderr, flush=True)
+
+    return said
 
 
 _COMPLETE: dict[tuple[int, int], Cables] = {}

@@ -17,8 +17,10 @@ from cell.cable.solver import DivergedError
 from cell.cable.statics import UnsettledError
 from cell.identify.individual import CableRejectedError, IdentifyOptions, identify
 from cell.identify.model_class import ModelClass
+from cell.identify.noise import across
 from cell.lab.cycles import RecordedCycle
 from cell.lab.learn import EffectFit, Lesson
+from cell.lab.shared import BIAS_M
 from cell.plan.destination import Destination
 from cell.plan.passage import measured_passage
 from cell.settings import Settings
@@ -49,8 +51,9 @@ class ForecastPair:
     of       an execution, forecast from that cycle's own hold; of a cable that was rejected the
              rest of the hold, forecast from its first frames
 
-    present_m, candidate_m   largest error of the tip in the destination; the candidate's effects
-                             are those that the other cables show
+    present_m, candidate_m   largest error of the tip in the destination, beyond how far along the
+                             cable its end is seen in all pictures; the candidate's effects are
+                             those that the other cables show
     present_s, candidate_s   of the computer, for the identification
     """
 
@@ -184,20 +187,38 @@ def _forecast_m(
     try:
         found = identify(first, cycle.study.arc_length_m, cable, options=options)
         spent_s = time.process_time() - begun_s
-        tip = simulate(
-            found.model,
-            later.grip,
-            markers.t_s,
-            np.array([cable.free_length_m]),
-            solver=options.fit.solver,
-        )[0, :, 0]
+        held, tip = (
+            simulate(
+                found.model,
+                trial.grip,
+                trial.markers.t_s,
+                np.array([cable.free_length_m]),
+                solver=options.fit.solver,
+            )[0, :, 0]
+            for trial in (first, later)
+        )
     except (CableRejectedError, DivergedError, UnsettledError):
         return float("inf"), time.process_time() - begun_s
+    seen = markers.xy_m[:, 0] - _seen_beyond_m(first, held) * _along(later)
     if cycle.executed is None:
-        error = np.linalg.norm(markers.xy_m[:, 0] - tip, axis=1)
-        return float(np.nanmax(error)), spent_s
-    passage = measured_passage(destination, markers.t_s, markers.xy_m[:, 0], markers.t_s, tip)
+        return float(np.nanmax(np.linalg.norm(seen - tip, axis=1))), spent_s
+    passage = measured_passage(destination, markers.t_s, seen, markers.t_s, tip)
     return passage.error_m, spent_s
+
+
+def _seen_beyond_m(held: Trial, tip: FloatArray) -> float:
+    """How far along the cable its end is seen from where it is, constant in all its pictures, m.
+
+    As a hold tells; no more than pictures may do so: the rest is an error of the model.
+    """
+    beyond = np.sum((held.markers.xy_m[:, 0] - tip) * _along(held), axis=1)
+    return float(np.clip(np.nanmean(beyond), -2.0 * BIAS_M, 2.0 * BIAS_M))
+
+
+def _along(trial: Trial) -> FloatArray:
+    """(T, 2) unit vectors along the cable at its end."""
+    normal = across(trial.markers.xy_m)[:, 0]
+    return np.stack([normal[:, 1], -normal[:, 0]], axis=1)
 
 
 def _parted(held: Trial) -> tuple[Trial, Trial]:

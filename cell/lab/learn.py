@@ -372,7 +372,7 @@ def _on_all(
 ) -> EffectFit:
     q = plausible.copy()
     q[: len(best.fit.q)] = best.fit.q
-    fit = fit_shared(prepared, base, q, best.effects, _natural(best.fit))
+    fit = fit_shared(prepared, base, q, best.effects, _natural(best.fit), options=ALL_PASSES)
     fall = (simpler.chi2 - fit.chi2) / fit.inflation
     return replace(best, fit=fit, fall=float(fall))
 

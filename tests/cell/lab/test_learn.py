@@ -121,6 +121,28 @@ def test_of_a_rejected_cable_the_rest_of_its_hold_is_forecast(lesson: Lesson) ->
     assert found.candidate_m < 0.7 * found.present_m
 
 
+def test_an_end_that_pictures_place_too_far_along_is_no_error_of_a_forecast(lesson: Lesson) -> None:
+    """60 µm of it hid what a model gains of that size; a millimetre is not the pictures'."""
+    task = cell_task(SETTINGS)
+    (cycle,) = cycles_in({"air_drag": {"drag_coefficient": 2.0}}, 1, 6, sharp=True)
+
+    def forecast_m(beyond_m: float) -> float:
+        trials = []
+        for t in (cycle.held, cycle.executed):
+            assert t is not None
+            xy = t.markers.xy_m.copy()
+            along = xy[:, 0] - xy[:, 1]
+            xy[:, 0] += beyond_m * along / np.linalg.norm(along, axis=1, keepdims=True)
+            trials.append(replace(t, markers=replace(t.markers, xy_m=xy)))
+        moved = replace(cycle, held=trials[0], executed=trials[1])
+        found = replace(lesson, cycles=(moved,))
+        (pair,) = forecasts(found, task.cable, task.identification, task.destination)
+        return pair.candidate_m
+
+    assert forecast_m(-6e-5) < 5e-5
+    assert forecast_m(1e-3) > 8e-4
+
+
 def test_with_the_effect_learned_another_cable_is_followed(lesson: Lesson) -> None:
     """A cable that was not learned from: the model misses it by the noise alone."""
     task = cell_task(SETTINGS)
