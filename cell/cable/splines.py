@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -27,6 +28,15 @@ _PROBES = 3
 #: A value of the log that lies apart by more standard deviations of its noise than this is wrong;
 #: it is compared with so many neighbours on either side.
 _GLITCH, _BESIDE = 4.5, 3
+#: More of them in a row are none: the curve turns sharply there, and is smoothed too much.
+_TOGETHER = 3
+#: A single value is wrong, however little noise there is, if with it made up from those beside it
+#: no more is left than this share of the fourth differences' squares around it (of a corner in the
+#: curve 4.7 % would be), and if it lies apart by more than this, m or rad, and so many standard
+#: deviations of the noise: a smoothing follows these.
+_ROUGH, _LEAST_APART, _ALONE = 0.03, 1e-5, 12.0
+#: Fourth differences looked at for single wrong values: the largest of the log.
+_MOST_WRONG = 50
 
 #: Multiples of a penalty among which that of a like curve is.
 _NEAR = np.geomspace(10.0**-1.5, 10.0**1.5, 7)
@@ -47,6 +57,7 @@ class Spline:
 
     noise_std  estimated standard deviation of the noise that was smoothed, 0 = interpolated
     root       (T,) √penalty on curvature with which it was smoothed; None = interpolated
+    wrong      numbers of the log's values that were left out, and made up from those beside them
     """
 
     t_s: FloatArray
@@ -54,6 +65,7 @@ class Spline:
     bend: FloatArray
     noise_std: float
     root: FloatArray | None = None
+    wrong: tuple[int, ...] = ()
 
     @cached_property
     def pieces(self) -> tuple[FloatArray, FloatArray]:
@@ -92,26 +104,92 @@ def fit(t_s: FloatArray, value: FloatArray) -> Spline:
     y = np.ascontiguousarray(value, dtype=np.float64)
     if len(t) < 3 or np.ptp(y) == 0.0:
         return Spline(t, y, np.zeros_like(y), 0.0)
-    noise = _noise(t, y) if len(t) >= 16 else 0.0
+    noise, alone = 0.0, tuple[int, ...]()
+    if len(t) >= 16:
+        noise = _noise(t, y)
+        alone = _wrong_alone(t, y, noise)
+        y = _made_up(t, y, alone)
     if noise < NEGLIGIBLE_NOISE:
-        return Spline(t, y, _natural(t, y), 0.0)
+        return Spline(t, y, _natural(t, y), 0.0, wrong=tuple(sorted(alone)))
     spacing = (t[-1] - t[0]) / (len(t) - 1)
     half = min(int(_CALM_S / spacing) + 1, (len(t) - 1) // 2)
     window = np.hanning(2 * half + 3)[1:-1]
     local = np.ones_like(t)
-    signals, wrong = _with_probes(y), np.zeros(len(t), dtype=bool)
+    signals, wrong, turns_slowly = _with_probes(y), np.zeros(len(t), dtype=bool), True
     multiples = np.geomspace(1e-3, 1e7, 18) * spacing**3
     for _ in range(_ROUNDS):
         smooth, root = _least_error(signals, t, noise, local, multiples)
-        while np.any(_glitches(signals[:, 0] - smooth, noise) & ~wrong):
-            wrong |= _glitches(signals[:, 0] - smooth, noise)
+        while turns_slowly and np.any(more := _glitches(signals[:, 0] - smooth, noise) & ~wrong):
+            wrong |= more
+            turns_slowly = _longest_run(wrong) <= _TOGETHER
+            wrong &= turns_slowly
+            signals[:, 0] = y
             signals[wrong, 0] = np.interp(t[wrong], t[~wrong], y[~wrong])
             smooth, root = _least_error(signals, t, noise, local, multiples)
         energy = np.convolve(_natural(t, smooth) ** 2, window / window.sum(), "same")
         if energy.max() == 0.0:
             break
         local = 1.0 / np.maximum(energy / energy.max(), _LEAST)
-    return Spline(t, smooth, _natural(t, smooth), noise, root)
+    left_out = tuple(sorted({*alone, *np.flatnonzero(wrong).tolist()}))
+    return Spline(t, smooth, _natural(t, smooth), noise, root, left_out)
+
+
+def _wrong_alone(t: FloatArray, y: FloatArray, noise: float) -> tuple[int, ...]:
+    """Numbers of single wrong values among good ones, be these ever so exact; the largest first.
+
+    A smoothing that follows the noise closely follows a wrong value too.
+    """
+    found: tuple[int, ...] = ()
+    mended, rough = y, _fourth_differences(t, y)
+    size, looked = np.abs(rough), np.zeros(len(rough), dtype=bool)
+    for _ in range(_MOST_WRONG):
+        i = int(np.argmax(np.where(looked, 0.0, size)))
+        number = _alone(t, rough, i, noise)
+        if number is None or number in found:
+            looked[i] = True
+            continue
+        found = (*found, number)
+        mended = _made_up(t, y, found)
+        rough = _fourth_differences(t, mended)
+        size = np.abs(rough)
+    return found
+
+
+def _alone(t: FloatArray, rough: FloatArray, i: int, noise: float) -> int | None:
+    """The value among those of fourth difference i that is wrong, if one alone is."""
+    least, best = np.inf, None
+    for number in range(i, i + 5):
+        first, end = max(0, number - 6), min(len(t), number + 7)
+        unit = (np.arange(first, end) == number).astype(np.float64)
+        shape, seen = _fourth_differences(t[first:end], unit), rough[first : end - 4]
+        size = float(np.sqrt(shape @ shape))
+        apart = float(shape @ seen) / size**2
+        left = float(np.sum((seen - apart * shape) ** 2))
+        most = _ROUGH * float(seen @ seen)
+        sure = abs(apart) > max(_LEAST_APART, _ALONE * noise, _GLITCH * noise / size)
+        at_end = size < 0.2  # first or last: no corner can be told from it, nor its neighbour
+        if at_end and sure and left < max(most, 4.0 * len(seen) * noise**2):
+            return number
+        if sure and left < min(most, least):
+            least, best = left, number
+    return best
+
+
+def _made_up(t: FloatArray, y: FloatArray, wrong: Sequence[int]) -> FloatArray:
+    """Values with the wrong ones made up: cubics between two on either side, held at the ends."""
+    if not wrong:
+        return y
+    good = np.setdiff1d(np.arange(len(t)), wrong)
+    y = y.copy()
+    for i in wrong:
+        place = int(np.searchsorted(good, i))
+        if 2 <= place <= len(good) - 2:
+            beside = good[place - 2 : place + 2]
+            cubic = np.polynomial.Polynomial.fit(t[beside], y[beside], 3)
+            y[i] = cubic(t[i])
+        else:
+            y[i] = y[good[min(place, len(good) - 1)]]
+    return y
 
 
 def _glitches(residual: FloatArray, noise: float) -> NDArray[np.bool_]:
@@ -122,6 +200,12 @@ def _glitches(residual: FloatArray, noise: float) -> NDArray[np.bool_]:
     around = np.pad(residual, _BESIDE, mode="reflect")
     middle = np.median(np.lib.stride_tricks.sliding_window_view(around, 2 * _BESIDE + 1), axis=1)
     return np.asarray(np.abs(residual - middle) > _GLITCH * noise)
+
+
+def _longest_run(wrong: NDArray[np.bool_]) -> int:
+    """Most of them in a row."""
+    edges = np.flatnonzero(np.diff(np.pad(wrong.astype(np.int8), 1)))
+    return int(np.max(edges[1::2] - edges[::2], initial=0))
 
 
 def refit(spline: Spline, values: FloatArray) -> list[Spline]:

@@ -30,8 +30,8 @@ class Rules:
     smooth_misfit, gross_smooth_misfit, smooth_share   the same for the smooth part's mean square
     most_share       of the error beyond noise that an effect removes if it explains most, not all
     nearest          effects that an unexplained study is told of
-    most_simulated_s  after so many seconds of motion simulated no further effect is sought; three
-                     times what the longest search on a practice study takes before its last
+    most_simulated_s  after so many seconds of motion simulated no further effect is sought; some
+                     twenty seconds on two cores, and as much again for what was begun
     first_effects, hopeless_left   after so many effects no more are sought if a larger share than
                      this of the error beyond noise is left
     """
@@ -57,7 +57,7 @@ class Rules:
     smooth_share: float = 0.01
     most_share: float = 0.5
     nearest: int = 3
-    most_simulated_s: float = 20_000.0
+    most_simulated_s: float = 30_000.0
     first_effects: int = 2
     hopeless_left: float = 0.1
 

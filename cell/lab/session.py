@@ -5,13 +5,13 @@ from __future__ import annotations
 import difflib
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from cell.cable.effects import Effect, library
-from cell.cable.geometry import Cable
+from cell.cable.geometry import Cable, Motion
 from cell.files.input_error import InputError, Problem
 from cell.identify.identified import Identified
 from cell.identify.model_class import ModelClass, effect_from, known_effects
@@ -36,6 +36,8 @@ _LOG = logging.getLogger(__name__)
 
 #: A uniform clamped strip that droops by δ swings at ω² = 1.545 g/δ (β₁L = 1.8751).
 SWING = 1.545
+#: Wrong values of a hand's log that are told of a column.
+TOLD = 3
 
 
 @dataclass(frozen=True)
@@ -121,7 +123,27 @@ def open_study(folder: Path) -> Study:
         problems.append(Problem(folder / "study.yaml", 1, None, "trials", message))
     if problems:
         raise InputError(problems)
-    return study
+    told = [note for t in study.trials for note in _left_out(folder / t.name / "grip.csv", t.grip)]
+    return replace(study, notes=(*study.notes, *told))
+
+
+def _left_out(log: Path, grip: Motion) -> list[str]:
+    """Of every column of a hand's log, what values are no motion: how many, where, how large."""
+    notes = []
+    splines = dict(zip(("x_m", "y_m", "angle_rad"), grip.splines, strict=True))
+    for column, spline in splines.items():
+        apart = {i: float(getattr(grip, column)[i] - spline.value[i]) for i in spline.wrong}
+        largest = sorted(apart, key=lambda i: -abs(apart[i]))[:TOLD]
+        if not largest:
+            continue
+        unit = "mrad" if column == "angle_rad" else "mm"
+        shown = [f"line {i + 2} by {apart[i] * 1e3:+.2g} {unit}" for i in largest]
+        more = f" and {len(apart) - TOLD} more" if len(apart) > TOLD else ""
+        notes.append(
+            f"{log}: {column} jumps for a sample or two, which no hand does: {', '.join(shown)}"
+            f"{more}; left out"
+        )
+    return notes
 
 
 def _too_short(study: Study, trial: Trial) -> str | None:

@@ -107,3 +107,23 @@ def test_values_like_those_of_a_clean_log_are_interpolated():
     first, still = refit(fit(T, jerk(T)), others)
     assert first(FINE) == pytest.approx(fit(T, others[0])(FINE), abs=1e-15)
     assert still.constant
+
+
+@pytest.mark.parametrize("noise_m", [0.0, 1e-6, 5e-6])
+@pytest.mark.parametrize("wrong", [(0,), (50,), (0, 60, 250), (399,)])
+def test_single_wrong_values_are_left_out_however_exact_the_others_are(noise_m, wrong):
+    """The less noise a log has, the more closely a smoothing follows what is wrong in it."""
+    log = jerk(T) + np.random.default_rng(1).normal(0.0, noise_m, T.size)
+    log[list(wrong)] += 65e-6
+    spline = fit(T, log)
+    assert spline.wrong == wrong
+    assert np.abs(spline(T) - jerk(T)).max() < 1e-7 + 1.5 * noise_m
+
+
+@pytest.mark.parametrize("noise_m", [0.0, 1e-6, 1e-5])
+def test_a_hand_that_stops_at_once_is_followed(noise_m):
+    """Its values after the stop were taken for wrong ones, one after the other."""
+    stops = -0.3 * np.clip(T - 0.2, 0.0, 0.3) ** 2
+    spline = fit(T, stops + np.random.default_rng(0).normal(0.0, noise_m, T.size))
+    assert len(spline.wrong) <= 1
+    assert np.abs(spline(T) - stops).max() < 6e-4

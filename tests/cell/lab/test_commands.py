@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 
 from cell.cable.effects import library
 from cell.cli.lab import app
+from cell.lab.session import open_study
 from cell.study.folder import read_study, write_study
 
 run = CliRunner().invoke
@@ -113,6 +114,19 @@ def test_bad_studies_are_refused_and_nothing_is_written(folder, tmp_path, comman
     assert done.exit_code == 2
     assert says in done.output
     assert list(out.iterdir()) == []
+
+
+def test_wrong_values_of_a_hands_log_are_told_with_their_place_and_size(folder, tmp_path):
+    """One of them in the first line made the model swing by millimetres before the hand moved."""
+
+    def jumps(lines):
+        t, x, *rest = lines[1].split(",")
+        return [lines[0], ",".join([t, str(float(x) + 1.2e-4), *rest]), *lines[2:]]
+
+    path = broken(folder, tmp_path, lambda p: change_lines(p, jumps, "grip.csv"))
+    (note,) = open_study(path).notes
+    assert note.startswith(str(path / "identify" / "grip.csv"))
+    assert "x_m jumps" in note and "line 2 by +0.12 mm; left out" in note
 
 
 def test_a_prior_of_another_cable_is_refused(folder, tmp_path):
