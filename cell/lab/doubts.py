@@ -137,11 +137,11 @@ def unseen_doubt(effect: str) -> Doubt:
 
 
 def prior_only_doubt(effect: str) -> Doubt:
-    """Of an effect that another cable than the prior's would do without."""
+    """Of an effect that without the prior is not needed, or explains nothing."""
     return Doubt(
         "prior_only",
-        f"the prior alone asks for {effect}: without it the study is explained to its noise with "
-        f"no {effect}, so this may be another cable than the prior's; give the prior of this one",
+        f"the prior alone asks for {effect}: without it, as another cable than the prior's, the "
+        f"study does not bear {effect} out; give the prior of this cable, or none",
     )
 
 

@@ -1,4 +1,4 @@
-"""Whether effects named beside an earlier individual's model are asked for by that model alone."""
+"""Whether effects named beside an earlier individual's model are there without it too."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ ANOTHER = 1e-3
 def asked_by_prior_only(
     explorer: Explorer, base: Candidate, final: Candidate, rules: Rules
 ) -> tuple[str, ...]:
-    """Effects that another cable than the prior's would do without.
+    """Effects that another cable than the prior's would do without, or that do not explain it.
 
     None where, with all of them in, parameters that agree with the prior explain the study to the
-    measurement's noise: then one effect accounts for all that sets this cable apart.  Otherwise the
-    study is asked without the prior: what fewer effects leave to the noise then needs no more.
+    measurement's noise: then they account for all that sets this cable apart.  Otherwise the
+    study is asked without the prior: the fewest of them that explain it to its noise are needed.
     """
     if explorer.prior_q is None or final is base or _of_this_cable(explorer, final, rules):
         return ()
@@ -36,14 +36,16 @@ def asked_by_prior_only(
         explorer.library,
         explorer.progress,
     )
-    plain = alone.baseline()
-    fewer = [plain] if explains(alone, plain, plain, rules) else []
-    if not fewer and len(added) > 1:
-        fewer = [c for c in alone.add(plain, added) if explains(alone, plain, c, rules)]
-    if not fewer:
-        return ()
-    needed = max(fewer, key=lambda c: c.evidence).names
-    return tuple(e.name for e in added if e.name not in needed)
+    tried = [alone.baseline()]
+    while tried:
+        fewest = [c for c in tried if explains(alone, alone.baseline(), c, rules)]
+        if fewest:
+            needed = max(fewest, key=lambda c: c.evidence).names
+            return tuple(e.name for e in added if e.name not in needed)
+        rest = [[e for e in added if e.name not in c.names] for c in tried]
+        more = [alone.add(c, others) for c, others in zip(tried, rest, strict=True) if others]
+        tried = list({c.names: c for found in more for c in found}.values())
+    return tuple(e.name for e in added)
 
 
 def _of_this_cable(explorer: Explorer, final: Candidate, rules: Rules) -> bool:
