@@ -62,14 +62,16 @@ def _shown(
 ) -> FloatArray:
     """(times, markers, 2) positions at each point's own time."""
     picture = np.repeat(times_s[:, None], xy.shape[1], axis=1)
-    points = _at(scene_s, xy, picture)
+    points, before = _at(scene_s, xy, picture), np.zeros_like(picture)
     for _ in range(_ROUNDS):
         shift = np.zeros_like(picture)
         for active in model.effects:
             hook = active.effect.camera_time
             if hook is not None:
                 shift += hook(cable_data(model), picture, points, parameters(active)) - picture
-        points = _at(scene_s, xy, picture + shift)
+        if np.array_equal(shift, before):
+            break
+        points, before = _at(scene_s, xy, picture + shift), shift
     return points
 
 

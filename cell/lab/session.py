@@ -27,8 +27,6 @@ from cell.lab.individual import (
     read_model,
 )
 from cell.lab.prepared import ERRS, PreparedStudy
-from cell.settings import load_settings
-from cell.settings.translate import model_class_of
 from cell.study.data import Study, Trial
 from cell.study.folder import read_study, study_folder
 
@@ -199,7 +197,12 @@ def read_kind(config: Path | None) -> ModelClass:
 
     raises  InputError
     """
-    return ModelClass() if config is None else model_class_of(load_settings(config).model)
+    if config is None:
+        return ModelClass()
+    from cell.settings import load_settings  # a fifth of a second, which few have need of
+    from cell.settings.translate import model_class_of
+
+    return model_class_of(load_settings(config).model)
 
 
 def _least_rms_m(
