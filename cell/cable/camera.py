@@ -21,6 +21,8 @@ _EVERY, _LONGEST_S = 2, 2e-3
 #: A point's time depends on its place, which depends on its time: shutter speeds are far below
 #: the picture's height per millisecond, so this many rounds reach rounding error.
 _ROUNDS = 4
+#: Of a cable in motion the past is told from positions this far apart, s.
+_PAST_S = 4e-3
 
 
 def shifts_time(models: Sequence[CableModel]) -> bool:
@@ -43,14 +45,22 @@ def scene_times(
     return np.asarray(first + spacing * np.arange(count))
 
 
-def seen(model: CableModel, times_s: FloatArray, scene_s: FloatArray, xy: FloatArray) -> FloatArray:
+def seen(
+    model: CableModel,
+    times_s: FloatArray,
+    scene_s: FloatArray,
+    xy: FloatArray,
+    *,
+    in_motion: bool = False,
+) -> FloatArray:
     """(times, markers, 2) what the camera shows.
 
     times_s      (times,) of the pictures
     scene_s, xy  (scene,) of `scene_times`, and (scene, markers, 2) where the points are then
+    in_motion    the cable moves before the scene begins too, not at rest until then
     """
     if shifts_time([model]):
-        xy = _shown(model, times_s, scene_s, xy)
+        xy = _shown(model, times_s, scene_s, xy, in_motion)
     for active in model.effects:
         if active.effect.camera_points is not None:
             xy = active.effect.camera_points(cable_data(model), xy, parameters(active))
@@ -58,7 +68,11 @@ def seen(model: CableModel, times_s: FloatArray, scene_s: FloatArray, xy: FloatA
 
 
 def _shown(
-    model: CableModel, times_s: FloatArray, scene_s: FloatArray, xy: FloatArray
+    model: CableModel,
+    times_s: FloatArray,
+    scene_s: FloatArray,
+    xy: FloatArray,
+    in_motion: bool,
 ) -> FloatArray:
     """(times, markers, 2) positions at each point's own time."""
     picture = np.repeat(times_s[:, None], xy.shape[1], axis=1)
@@ -72,7 +86,19 @@ def _shown(
         if np.array_equal(shift, before):
             break
         points, before = _at(scene_s, xy, picture + shift), shift
+        if in_motion:
+            early = (picture + shift < scene_s[0])[..., None]
+            points = np.where(early, _before(scene_s, xy, picture + shift), points)
     return points
+
+
+def _before(scene_s: FloatArray, xy: FloatArray, t: FloatArray) -> FloatArray:
+    """(times, markers, 2) where the points were a little before the scene begins, by parabolas."""
+    apart = max(1, min(round(_PAST_S / (scene_s[1] - scene_s[0])), (len(scene_s) - 1) // 2))
+    u = ((t - scene_s[0]) / (scene_s[apart] - scene_s[0]))[..., None]
+    first, second, third = xy[0], xy[apart], xy[2 * apart]
+    bend = third - 2.0 * second + first
+    return np.asarray(first + u * (second - first) + 0.5 * u * (u - 1.0) * bend)
 
 
 @compiled

@@ -153,7 +153,9 @@ def _run(
     nodes(bends.ravel(), block.width, block.segments, block.lengths, held.ravel(), *markers, points)
     for lane, t, here in zip(lanes, times, points, strict=False):
         there = here[: len(t)]
-        seen = camera.seen(swing.models[lane], swing.times_s[lane], t, there)
+        seen = camera.seen(
+            swing.models[lane], swing.times_s[lane], t, there, in_motion=bool(swing.bent)
+        )
         if seen is not there or not direct:
             out[lane][:] = seen
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from cell.cable.dynamics import simulate
+from cell.cable.effects import library
 from cell.cable.geometry import Cable, Motion
 from cell.cable.model import CableModel
 from cell.cable.modes import ROOTS, mode_curvature
@@ -53,3 +54,25 @@ def test_only_a_cable_that_is_bent_has_bends():
         simulate(*asked, bent=[np.zeros((2, 3))])
     with pytest.raises(ValueError, match="'held' have a release"):
         simulate(*asked, start="held", bent=[np.zeros((2, 3))])
+
+
+@pytest.mark.parametrize("delay_s", [0.003, 0.012])
+def test_a_late_camera_shows_what_moved_before_the_first_picture(delay_s):
+    """From a turning point without loss a swing goes back the way it came.
+
+    It was shown as if the cable had stood still until then; a lag of the hand was named instead.
+    """
+    latency = library()["camera_latency"].active(delay_s=delay_s)
+    hand = Motion(np.array([0.0, 2.0]), *np.zeros((3, 2)))
+    arcs, bent = np.array([LENGTH_M]), [np.array([[0.02], [0.0]])]
+
+    def shown(t_s, *effects):
+        cable = CableModel.uniform(Cable(LENGTH_M, DENSITY, 0.016, 1e-4), 3e-5, effects=effects)
+        return simulate(cable, hand, t_s, arcs, start="moving", bent=bent)[0]
+
+    t_s = 1.0 + np.array([0.0, 0.1, 0.2])
+    late = shown(t_s, latency)
+    known = shown(np.array([1.0, 1.0 + delay_s, 1.1 - delay_s, 1.2 - delay_s]))
+    moved_m = np.abs(known[1] - known[0]).max()
+    assert late[1:] == pytest.approx(known[2:], abs=2e-6)
+    assert np.abs(late[0] - known[1]).max() < 1e-6 + 0.02 * moved_m
