@@ -21,8 +21,6 @@ FloatArray = NDArray[np.float64]
 _AXES = 3
 #: The only lane there is.
 ONLY = np.zeros(1, dtype=np.int64)
-#: Half the interval over which a pose changed by an effect is differentiated, s.
-_INSTANT = 1e-5
 
 
 def motions_like(motion: Motion, values: FloatArray) -> list[Motion]:
@@ -42,40 +40,38 @@ class _Logged:
     """Pose against time as logged; equal for equal splines, so that what follows can be kept.
 
     instants  at which several effects will ask for it
-    known     poses there, as far as they were asked for
+    known     the pose there, once it was asked for
     """
 
     splines: MotionSplines
-    instants: tuple[FloatArray, ...] = field(default=(), compare=False)
-    known: dict[int, tuple[FloatArray, ...]] = field(default_factory=dict, compare=False)
+    instants: FloatArray | None = field(default=None, compare=False)
+    known: list[tuple[FloatArray, ...]] = field(default_factory=list, compare=False)
 
     def __call__(self, t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         x, y, angle = self.splines
-        for i, instants in enumerate(self.instants):
-            if t is instants:
-                if i not in self.known:
-                    self.known[i] = (x(t), y(t), angle(t))
-                at_x, at_y, at_angle = self.known[i]
-                return at_x.copy(), at_y.copy(), at_angle.copy()  # an effect may write into them
-        return x(t), y(t), angle(t)
+        if t is not self.instants:
+            return x(t), y(t), angle(t)
+        if not self.known:
+            self.known.append((x(t), y(t), angle(t)))
+        at_x, at_y, at_angle = self.known[0]
+        return at_x.copy(), at_y.copy(), at_angle.copy()  # an effect may write into them
 
 
 class Instants:
-    """When the steps of a grid ask for the hand's pose; what the logs say there is found once."""
+    """When steps ask for the hand's pose, two before and two after them included.
+
+    What the logs say there is found once.
+    """
 
     def __init__(self, steps: Steps) -> None:
-        number = np.arange(steps.number + 1, dtype=np.float64) + steps.collocation
-        self.time: FloatArray = steps.start_s + steps.step_s * number[:-1]
-        edge: FloatArray = steps.start_s + steps.step_s * (number - 0.5)
-        self.near: tuple[FloatArray, ...] = tuple(
-            t + by for t in (edge, self.time) for by in (_INSTANT, -_INSTANT)
-        )
+        number = np.arange(-2.0, steps.number + 2.0) + steps.collocation
+        self.time: FloatArray = steps.start_s + steps.step_s * number
         self._logged: dict[int, _Logged] = {}
 
     def logged(self, motion: Motion) -> _Logged:
         """The log of a motion that lives as long as this."""
         if id(motion) not in self._logged:
-            self._logged[id(motion)] = _Logged(motion.splines, (self.time, *self.near))
+            self._logged[id(motion)] = _Logged(motion.splines, self.time)
         return self._logged[id(motion)]
 
 
@@ -104,7 +100,9 @@ def base_rows(
     """(steps, BASE_FIELDS) pose, velocity and acceleration at the steps' collocation times.
 
     The acceleration is the mean over a step's length, so that a jump in the log's velocity gives
-    the momentum that it should, whatever the step.
+    the momentum that it should, whatever the step.  A hand that an effect moves may jump when it
+    likes: there the mean is weighted towards the middle of two steps' length, so that an
+    effect's instant counts, not only the step that it is in.
 
     instants  of these steps, if there are other effects on the same motions
     """
@@ -115,11 +113,12 @@ def base_rows(
             spread_steps(*spline.pieces, steps, ONLY, out[:, :, None])
         return rows
     instants = Instants(steps) if instants is None else instants
-    pose = pose_of(motion, effects, instants.logged(motion))
-    here = pose(instants.time)
-    after, before, late, early = (pose(t) for t in instants.near)
-    for c, out in enumerate(by_axis):
-        out[:, 0] = here[c]
-        out[:, 1] = (late[c] - early[c]) / (2.0 * _INSTANT)
-        out[:, 2] = np.diff((after[c] - before[c]) / (2.0 * _INSTANT)) / steps.step_s
+    pose = pose_of(motion, effects, instants.logged(motion))(instants.time)
+    step_s = steps.step_s
+    for out, place in zip(by_axis, pose, strict=True):
+        bent = place[2:] - 2.0 * place[1:-1] + place[:-2]
+        out[:, 0] = place[2:-2]
+        out[:, 1] = (8.0 * (place[3:-1] - place[1:-3]) - (place[4:] - place[:-4])) / (12.0 * step_s)
+        # as narrow a mean as that over one step, to the fourth order
+        out[:, 2] = (bent[1:-1] - (bent[2:] - 2.0 * bent[1:-1] + bent[:-2]) / 24.0) / step_s**2
     return rows

@@ -9,10 +9,13 @@ import numpy as np
 
 from cell.cable.effects.base import Effect, FloatArray, HandMotion, Parameter
 
-#: The hand is still below this share of the log's highest speed.  It rests for good a little later:
-#: a motion ends with its speed falling as the square of the time left, which two speeds tell.
-_STILL, _SLOW = 0.02, 0.05
+#: The hand is still below this share of the log's highest speed.
+_STILL = 0.02
+#: Shares of a motion's length that are still left where its end is extrapolated from.
+_NEAR, _FAR = 1e-3, 0.03
 _LOOK_S = 1e-3
+#: Looks in a row for which a hand must be faster to have begun to move; least for an extrapolation.
+_LASTS, _LEAST_SAMPLES = 10, 5
 
 
 class RobotLag(Effect):
@@ -67,7 +70,8 @@ def _stops(pose: HandMotion) -> list[tuple[float, float, float]]:
     speed = np.hypot(np.diff(x), np.diff(y)) / _LOOK_S
     if speed.max() == 0.0:
         return []
-    moving = speed > _STILL * speed.max()
+    still = _STILL * speed.max()
+    moving = speed > still
     begins = np.flatnonzero(moving[1:] & ~moving[:-1]) + 1
     ends = np.flatnonzero(moving[:-1] & ~moving[1:]) + 1
     stops = []
@@ -75,18 +79,28 @@ def _stops(pose: HandMotion) -> list[tuple[float, float, float]]:
         begin = max((b for b in begins if b < end), default=0)
         if speed[begin:end].max() < 0.2 * speed.max():
             continue
-        dx, dy = x[end] - x[begin], y[end] - y[begin]
-        length = float(np.hypot(dx, dy))
-        if length > 0.0:
-            stop_s = float(t[end]) + _left_s(speed[begin : end + 1] / speed.max())
-            stops.append((stop_s, float(dx) / length, float(dy) / length))
+        # noise that rises above the limit of speed now and then is no new motion
+        after = next((b for b in begins if b > end and speed[b : b + _LASTS].min() > still), len(x))
+        rest = slice(min(end + (after - end) // 2, len(x) - 1), after)
+        rest_x, rest_y = float(np.median(x[rest])), float(np.median(y[rest]))
+        left = np.hypot(x[begin:end] - rest_x, y[begin:end] - rest_y)
+        if left[0] > 0.0:
+            along = (rest_x - float(x[begin])) / left[0], (rest_y - float(y[begin])) / left[0]
+            stops.append((_end_s(t[begin:end], left / left[0]), *along))
     return stops
 
 
-def _left_s(share: FloatArray) -> float:
-    """Time until rest after the last of these speeds, shares of the highest, `_LOOK_S` apart."""
-    late = np.flatnonzero(share > _SLOW)[-1]
-    fast, slow = np.sqrt(share[late]), np.sqrt(share[-1])
-    if not fast > slow:
-        return 0.0
-    return float(_LOOK_S * (len(share) - 1 - late) * slow / (fast - slow))
+def _end_s(t: FloatArray, left: FloatArray) -> float:
+    """When a motion ends, of which these shares (T,) are left at times t.
+
+    What is left falls as the cube of the time left, at first.  Extrapolated from there, because
+    where so little is left that it could be left out the log's noise would decide.
+    """
+    far = np.flatnonzero(left > _FAR)
+    begin = int(far[-1]) if far.size else 0
+    near = left[begin:] > _NEAR
+    root = np.cbrt(left[begin:][near])
+    if len(root) < _LEAST_SAMPLES:
+        return float(t[-1])
+    # noise moves a time by itself over the speed, which falls as the square of the time left
+    return float(np.polyfit(root, t[begin:][near], 2, w=root**2)[-1])
