@@ -145,7 +145,7 @@ def _wrong_alone(t: FloatArray, y: FloatArray, noise: float) -> tuple[int, ...]:
     for _ in range(_MOST_WRONG):
         i = int(np.argmax(np.where(looked, 0.0, size)))
         number = _alone(t, rough, i, noise)
-        if number is None or number in found:
+        if number < 0 or number in found:
             looked[i] = True
             continue
         found = (*found, number)
@@ -155,20 +155,28 @@ def _wrong_alone(t: FloatArray, y: FloatArray, noise: float) -> tuple[int, ...]:
     return found
 
 
-def _alone(t: FloatArray, rough: FloatArray, i: int, noise: float) -> int | None:
-    """The value among those of fourth difference i that is wrong, if one alone is."""
-    least, best = np.inf, None
+@compiled
+def _alone(t: FloatArray, rough: FloatArray, i: int, noise: float) -> int:
+    """The value among those of fourth difference i that is wrong, if one alone is; else −1."""
+    least, best = np.inf, -1
     for number in range(i, i + 5):
-        first, end = max(0, number - 6), min(len(t), number + 7)
-        unit = (np.arange(first, end) == number).astype(np.float64)
+        first, end = max(0, number - 6), min(t.size, number + 7)
+        unit = np.zeros(end - first)
+        unit[number - first] = 1.0
         shape, seen = _fourth_differences(t[first:end], unit), rough[first : end - 4]
-        size = float(np.sqrt(shape @ shape))
-        apart = float(shape @ seen) / size**2
-        left = float(np.sum((seen - apart * shape) ** 2))
-        most = _ROUGH * float(seen @ seen)
+        square, along, total = 0.0, 0.0, 0.0
+        for k in range(shape.size):
+            square += shape[k] * shape[k]
+            along += shape[k] * seen[k]
+            total += seen[k] * seen[k]
+        size, apart = math.sqrt(square), along / square
+        left = 0.0
+        for k in range(shape.size):
+            left += (seen[k] - apart * shape[k]) ** 2
+        most = _ROUGH * total
         sure = abs(apart) > max(_LEAST_APART, _ALONE * noise, _GLITCH * noise / size)
         at_end = size < 0.2  # first or last: no corner can be told from it, nor its neighbour
-        if at_end and sure and left < max(most, 4.0 * len(seen) * noise**2):
+        if at_end and sure and left < max(most, 4.0 * seen.size * noise**2):
             return number
         if sure and left < min(most, least):
             least, best = left, number
