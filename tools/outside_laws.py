@@ -1,6 +1,6 @@
 """Laws that no effect of the library has, to be hidden in a world; typical values shift the tip.
 
-Five are terms that `cell discover` tries, five are not.
+Six are terms that `cell discover` tries, four are not.
 """
 
 # mypy: ignore-errors
