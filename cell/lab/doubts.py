@@ -18,6 +18,8 @@ HOPELESS_SHARE = 0.5
 NO_MODEL = 2.0
 #: Error over noise from which a fit's intervals rest on the model's own error.
 BEYOND_NOISE = 3.0
+#: An amplitude is at its bound within this share of the way there from none of the effect.
+NEAR_BOUND = 0.01
 
 
 def fit_doubts(explorer: Explorer, candidate: Candidate) -> tuple[Doubt, ...]:
@@ -158,16 +160,21 @@ def _moved_m(explorer: Explorer) -> float:
 
 
 def at_bound(fit: Fit) -> list[tuple[str, float, str]]:
-    """Fitted parameters that lie at a bound, except amplitudes that are absent there."""
+    """Fitted parameters that lie at a bound, except amplitudes that are absent there.
+
+    An amplitude that is all but there is there: the last of the way costs a search nothing.
+    """
     space, q = fit.space, fit.q
     absent = {
         f"{e.name}.{p.name}": p.default for e in space.effects for p in e.parameters if p.amplitude
     }
     values = space.natural(q)
-    return [
-        (name, float(values[i]), space.units[i])
-        for i, name in enumerate(space.names)
-        if space.low[i] < space.high[i]
-        and (q[i] <= space.low[i] or q[i] >= space.high[i])
-        and absent.get(name) != values[i]
-    ]
+    found = []
+    for i, name in enumerate(space.names):
+        default = absent.get(name)
+        ends = space.natural(space.low)[i], space.natural(space.high)[i]
+        near = [0.0 if default is None else NEAR_BOUND * abs(end - default) for end in ends]
+        outside = values[i] <= ends[0] + near[0] or values[i] >= ends[1] - near[1]
+        if space.low[i] < space.high[i] and outside and default != values[i]:
+            found.append((name, float(values[i]), space.units[i]))
+    return found

@@ -2,17 +2,19 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from cell.cable.effects import library
-from cell.cable.geometry import Motion
+from cell.cable.geometry import Cable, Motion
 from cell.cli import app
 from cell.identify.gauss_newton import UnsimulatedError
 from cell.identify.parameters import ParameterSpace
 from cell.lab.diagnose import diagnose
+from cell.lab.doubts import at_bound
 from cell.lab.explore import Explorer
 from cell.lab.prepared import PreparedStudy
 from cell.study.data import Markers
@@ -57,6 +59,19 @@ def test_an_answer_at_its_bound_is_flagged(make_study, tmp_path):
     model, said = fitted(tmp_path / "late", tmp_path, "--effect", "camera_latency")
     assert "at_bound" in {w["code"] for w in model["warnings"]}
     assert "camera_latency.delay_s is at its bound" in " ".join(said.split())
+
+
+@pytest.mark.parametrize(("kg_per_m", "flagged"), [(0.9989, True), (1.0, True), (0.9, False)])
+def test_what_is_all_but_at_its_bound_is_there(kg_per_m, flagged):
+    """An added mass of 0.9989 kg/m, bound 1, was named as what a study lacks."""
+    cable = Cable(0.1, 0.0074, 0.016, 1e-4)
+    space = ParameterSpace.of(cable, effects=(library()["added_mass"],))
+    space.low[-1] = space.high[-1]  # `along` is a constant
+    q = space.mean.copy()
+    q[-2] = kg_per_m
+    assert bool(at_bound(SimpleNamespace(space=space, q=q))) is flagged
+    q[-2] = 0.0
+    assert at_bound(SimpleNamespace(space=space, q=q)) == []
 
 
 def test_a_prior_and_an_effect_that_it_lacks_go_together(loaded, tmp_path):
