@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc as chi2_sf
 from scipy.special import ndtri as normal_quantile
 
+from cell.cable.solver import threads
 from cell.identify.fit import variance_inflation
 from cell.identify.gauss_newton import Options
 from cell.identify.parameters import ParameterSpace
@@ -104,10 +107,16 @@ def agreement(
     whole = _of_all(prepared, fit)
     quantities = _quantities(whole)
     common = _common(whole.space)
-    alone = []
-    for done, trial in enumerate(trials):
-        progress(f"asking {trial.name} alone", done, len(trials))
-        alone.append(_alone(prepared, whole, trial, quantities, common))
+    done, on_one_core = itertools.count(1), prepared.on_one_core()
+
+    def one(trial: Trial) -> _Alone | None:
+        found = _alone(on_one_core, whole, trial, quantities, common)
+        progress(f"asked {trial.name} alone", next(done), len(trials))
+        return found
+
+    progress("asking each trial alone", 0, len(trials))
+    with ThreadPoolExecutor(threads()) as pool:
+        alone = list(pool.map(one, trials))
     inflation = float(np.mean([a.inflation for a in alone if a is not None] or [1.0]))
     uncertain = inflation * common.T @ whole.covariance @ common
     rows = [_said(i, quantities, alone, trials, uncertain) for i in range(len(quantities))]

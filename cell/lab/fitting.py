@@ -141,7 +141,7 @@ def problem_of(
     precision[p:, p:] = np.diag(1.0 / std**2)
     slopes = None
     if prepared.slopes is not None:
-        near = replace(prepared, solver=prepared.slopes, slopes=None)
+        near = prepared.coarser(prepared.slopes)
 
         def slopes(q: FloatArray) -> FloatArray:
             return residuals(near, space, trials, q) / temper

@@ -58,6 +58,8 @@ class PreparedStudy:
     noise  used for whitening: the floor's, or larger where an earlier individual's model is known
            to err by more
     slopes of which only differences of simulations are taken, where that is measured to do no harm
+    counted   as which simulations count as work, if not as those of `solver`: how far a search goes
+              must not depend on whether slopes may be coarser
     """
 
     study: Study
@@ -67,6 +69,7 @@ class PreparedStudy:
     solver: Solver
     work: Work = field(default_factory=Work)
     slopes: Solver | None = None
+    counted: Solver | None = None
 
     @staticmethod
     def of(
@@ -116,7 +119,7 @@ class PreparedStudy:
         alike: dict[object, list[tuple[str, int, Lane]]] = {}
         for trial in trials:
             t_s, beginning = trial.markers.t_s, self.beginning(trial)
-            self.work.add(len(models), float(t_s[-1] - t_s[0]), self.solver)
+            self.work.add(len(models), float(t_s[-1] - t_s[0]), self.counted or self.solver)
             unknown = (begun or {}).get(trial.name, np.zeros((len(models), beginning.count)))
             late = beginning.delay_s(unknown)
             times = {float(d): t_s - d for d in np.unique(late)}
@@ -152,6 +155,10 @@ class PreparedStudy:
         parts = [self.white(t, points) for t, points in zip(trials, predicted, strict=True)]
         return np.concatenate(parts, axis=1)
 
+    def coarser(self, slopes: Solver) -> PreparedStudy:
+        """The same, everything simulated so, and counted as if it were not."""
+        return replace(self, solver=slopes, slopes=None, counted=self.solver)
+
     def white_near(
         self,
         trials: Sequence[Trial],
@@ -160,8 +167,7 @@ class PreparedStudy:
     ) -> FloatArray:
         """As `all_white`, of models near the first: only the differences from it count."""
         if self.slopes is not None:
-            near = replace(self, solver=self.slopes, slopes=None)
-            white = near.all_white(trials, models, begun)
+            white = self.coarser(self.slopes).all_white(trials, models, begun)
             if np.all(np.isfinite(white[0])):
                 return white
         return self.all_white(trials, models, begun)

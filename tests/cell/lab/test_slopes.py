@@ -41,3 +41,14 @@ def test_where_a_longer_step_would_do_harm_none_is_taken(fitted):
     rough = replace(prepared, solver=Solver(segments=32, step_s=8e-3))
     fit = fit_model(rough, fit.space, fit.q)
     assert with_slopes(rough, fit)[0].slopes is None
+
+
+def test_how_far_a_search_goes_does_not_depend_on_the_step_of_slopes(fitted):
+    prepared, fit = fitted
+    trials = fit_trials(prepared)
+    counted = []
+    for study in (prepared, replace(prepared, slopes=Solver(32, 3e-3))):
+        before = study.work.simulated_s
+        study.white_near(trials, [fit.model] * 3)
+        counted.append(study.work.simulated_s - before)
+    assert counted[0] == counted[1] > 0.0
