@@ -26,6 +26,9 @@ CHARTS = 4
 WEIGHT = 0.2
 #: Cycles that must have been before a cycle is judged by them.
 FEWEST_BEFORE = 8
+#: Added, in square, to the scatter (logarithm) that cables show of what a model misses over the
+#: noise: one in some hundreds is odd without any effect.
+LEAST_SCATTER = 0.05
 
 
 @dataclass(frozen=True)
@@ -72,7 +75,7 @@ def signals(results: Sequence[Result]) -> list[Signal]:
     ]
     misses = np.array([m for _, m, _ in swung])
     ratio = np.log([m / n for _, m, n in swung]) if swung else np.zeros(0)
-    if (change := _change(ratio)) is not None:
+    if (change := _change(ratio, LEAST_SCATTER)) is not None:
         found.append(
             _signal("the model misses the swing by more", [c for c, _, _ in swung], misses, change)
         )
@@ -90,9 +93,12 @@ def _signal(
     return Signal(what, folders[since], folders[at], len(folders) - since, before, after)
 
 
-def _change(values: FloatArray) -> tuple[int, int] | None:
-    """Index of the first value after a change, and of the one at which it shows; None if none."""
-    q = standard_normal(values)
+def _change(values: FloatArray, least: float = 0.0) -> tuple[int, int] | None:
+    """Index of the first value after a change, and of the one at which it shows; None if none.
+
+    least  as in `standard_normal`
+    """
+    q = standard_normal(values, least)
     per_chart = FALSE_ALARM_CYCLES * CHARTS
     limit = -float(special.ndtri(0.5 / per_chart))
     reach = ewma_limit(per_chart, WEIGHT) * np.sqrt(WEIGHT / (2.0 - WEIGHT))
@@ -110,11 +116,12 @@ def _change(values: FloatArray) -> tuple[int, int] | None:
     return None
 
 
-def standard_normal(values: FloatArray) -> FloatArray:
+def standard_normal(values: FloatArray, least: float = 0.0) -> FloatArray:
     """(n,) independent standard normal values if `values` are normal of any mean and size.
 
     Each is judged by those before it alone, so that nobody has to know mean and size beforehand;
     nan while they are too few.
+    least   added to their size, in square: with it what is smaller is no change
     source  Quesenberry 1991, SPC Q charts for start-up processes, J. Qual. Technol. 23, 213
     """
     q = np.full(len(values), np.nan)
@@ -124,7 +131,7 @@ def standard_normal(values: FloatArray) -> FloatArray:
     centred = values - values[0]  # so that sums of squares lose no digits
     mean = np.cumsum(centred)[before - 1] / before
     square = np.cumsum(centred**2)[before - 1] / before - mean**2
-    size = np.sqrt(np.maximum(square, 0.0) * before / (before - 1.0))
+    size = np.sqrt(np.maximum(square, 0.0) * before / (before - 1.0) + least**2)
     known = size > 1e-12 * np.abs(values[before])
     t = np.sqrt(before / (before + 1.0)) * (centred[before] - mean) / np.where(known, size, 1.0)
     q[before] = np.where(known, -special.ndtri(special.stdtr(before - 1, -t)), np.nan)

@@ -73,6 +73,14 @@ def test_a_quiet_line_is_left_alone() -> None:
     assert alarms <= 43  # 30 expected at the stated rate, 99 % of binomials below this
 
 
+def test_one_odd_cable_is_no_change_of_the_line() -> None:
+    """A model with fewer knots than cables have bends missed one of 200 by 1.36 times the noise."""
+    rng = np.random.default_rng(3)
+    misses = 5e-5 * np.exp(0.07 + 0.05 * rng.normal(size=60))
+    misses[46] = 1.36 * 5e-5
+    assert signals(line(1e-4 * rng.normal(size=60), misses)) == []
+
+
 def test_nothing_is_said_of_a_few_cables() -> None:
     assert signals(line(np.array([0.0, 1e-2, -1e-2]), np.array([5e-5, 5e-4, 5e-3]))) == []
     assert signals([]) == []
