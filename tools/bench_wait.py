@@ -15,9 +15,11 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
+import sys
 import tempfile
 import time
-from contextlib import suppress
+from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from multiprocessing import get_context
@@ -29,6 +31,8 @@ import numpy as np
 
 from cell.build import cell_with, twin_devices
 from cell.computer.stalls import StallProbe
+from cell.records.result import Result
+from cell.run.cycle import Cell
 from cell.run.plans import EXECUTE, HOLD, IDENTIFY
 from cell.settings import Settings, load_settings
 from cell.simulated.twins import build_twins
@@ -124,6 +128,7 @@ class Player:
 
 def measured(settings: Settings, seed: int, cycles: int, to_parent: Connection) -> None:
     """Run the cycles whose pictures come through the pipe, and send back what they took."""
+    end_in_order()
     take_precedence()  # as a cell does whose devices are real
     twins = build_twins(settings, seed, cycles)
     player = Player(twins.world.clock, twins.camera.frame_rate_hz)
@@ -135,20 +140,41 @@ def measured(settings: Settings, seed: int, cycles: int, to_parent: Connection) 
             if step in (HOLD.name, IDENTIFY.name, EXECUTE.name):  # to ask takes 0.5 ms itself
                 began[step] = time.perf_counter(), cpu_s()
 
-        cell = cell_with(settings, devices, Path(runs), on_step)
-        for number in range(1, cycles + 1):
-            player.recordings, player.late_s = to_parent.recv(), []
-            began.clear()
-            result = cell.run_cycle(number)
-            hold = player.late_s[0]
-            behind_s = hold[-1] - min(hold)
-            waited_s = np.nan if result.wait_s is None else result.wait_s + behind_s
-            hold = spent(began, HOLD.name, IDENTIFY.name)
-            left = spent(began, IDENTIFY.name, EXECUTE.name)
-            share = hold[1] / (2.0 * hold[0])
-            load = os.getloadavg()[0]
-            to_parent.send(Wait(result.outcome.value, waited_s, behind_s, share, left[1], load))
-        cell.close()
+        ended = suppress(EOFError, BrokenPipeError, ConnectionResetError)  # the other process was
+        with ended, closing(cell_with(settings, devices, Path(runs), on_step)) as cell:
+            for number in range(1, cycles + 1):
+                player.recordings, player.late_s = to_parent.recv(), []
+                began.clear()
+                result = cycle_of(cell, number)
+                hold = player.late_s[0]
+                behind_s = hold[-1] - min(hold)
+                waited_s = np.nan if result.wait_s is None else result.wait_s + behind_s
+                hold = spent(began, HOLD.name, IDENTIFY.name)
+                left = spent(began, IDENTIFY.name, EXECUTE.name)
+                share = hold[1] / (2.0 * hold[0])
+                load = os.getloadavg()[0]
+                to_parent.send(Wait(result.outcome.value, waited_s, behind_s, share, left[1], load))
+
+
+_SIGNALS: list[int] = []
+
+
+def end_in_order() -> None:
+    """Have SIGTERM end this process as its last line would: else what it shares stays behind."""
+
+    def end(number: int, frame: object) -> None:
+        _SIGNALS.append(number)
+        sys.exit(128 + number)
+
+    signal.signal(signal.SIGTERM, end)
+
+
+def cycle_of(cell: Cell, number: int) -> Result:
+    """Run a cycle, which takes whatever stops it for a fault; end after it if this is to end."""
+    result = cell.run_cycle(number)
+    if _SIGNALS:
+        sys.exit(128 + _SIGNALS[0])
+    return result
 
 
 def cpu_s() -> float:
@@ -193,6 +219,7 @@ def burn() -> None:
 
 def waits(cycles: int, seed: int, burners: int) -> list[Wait]:
     """Every cycle's wait, told as it comes."""
+    end_in_order()
     settings = load_settings(CONFIG)
     real = settings.world.model_copy(update={"real_time_factor": 1.0})
     context = get_context("spawn")
@@ -206,12 +233,17 @@ def waits(cycles: int, seed: int, burners: int) -> list[Wait]:
     found = []
     for _ in range(burners):
         context.Process(target=burn, daemon=True).start()
-    with tempfile.TemporaryDirectory() as runs, StallProbe() as probe:
+    with ExitStack() as stack:
+        stack.callback(child.join)
+        stack.callback(here.close)
+        runs = stack.enter_context(tempfile.TemporaryDirectory())
+        probe = stack.enter_context(StallProbe())
         devices = replace(twin_devices(twins), camera=recorder)
         cell = cell_with(settings, devices, Path(runs), lambda number, step: None)
+        stack.callback(cell.close)
         for number in range(1, cycles + 1):
             recorder.recordings = []
-            cell.run_cycle(number)
+            cycle_of(cell, number)
             probe.take()
             here.send(recorder.recordings)
             recorder.recordings = []
@@ -225,8 +257,6 @@ def waits(cycles: int, seed: int, burners: int) -> list[Wait]:
                 f"load {w.load:.1f}",
                 flush=True,
             )
-        cell.close()
-    child.join()
     return found
 
 

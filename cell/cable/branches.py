@@ -19,6 +19,8 @@ from cell.cable.swing import Grid, Swing, move
 
 FloatArray = NDArray[np.float64]
 
+#: Whether motions are alike is looked at in one step of so many, and in each of so many last ones.
+_SELDOM, _OFTEN = 16, 128
 #: Poses of the hand this near to each other are the same, m or rad.
 _ALIKE = 1e-9
 
@@ -79,10 +81,14 @@ def _steps_alike(models: Sequence[CableModel], motions: Sequence[Motion], t_s: F
     The log's splines join all samples: what differs by less than a nanometre is the same.
     """
     steps = len(t_s) - 1
+    # an effect parts the motions a little before their logs part, if at all
+    looked = np.unique(np.append(np.arange(0, steps, _SELDOM), np.arange(len(t_s))[-_OFTEN:]))
     for acting in {on_hand(model) for model in models if on_hand(model)}:
-        first, *others = (np.stack(pose_of(m, acting)(t_s)) for m in motions)
+        first, *others = (np.stack(pose_of(m, acting)(t_s[looked])) for m in motions)
         for other in others:
-            apart = np.flatnonzero(np.any(np.abs(other - first) > _ALIKE, axis=0))
-            # a step's acceleration looks half a step ahead
-            steps = min(steps, max(0, int(apart[0]) - 2)) if apart.size else steps
+            apart = looked[np.any(np.abs(other - first) > _ALIKE, axis=0)]
+            if apart.size:
+                # alike where it was looked before that; a step looks two steps ahead
+                alike = looked[looked < apart[0]]
+                steps = min(steps, max(0, int(alike[-1]) - 2 if alike.size else 0))
     return steps

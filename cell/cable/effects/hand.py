@@ -50,12 +50,16 @@ class RobotRinging(Effect):
         """True pose against time."""
         stops = _stops(pose)
         omega = 2.0 * np.pi * p.frequency_hz
+        decay = p.damping * omega
 
         def ringing(t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
             x, y, angle = pose(t)
             for stop_s, along_x, along_y in stops:
-                since = np.maximum(np.asarray(t) - stop_s - p.onset_s, 0.0)
-                a = p.amplitude_m * np.exp(-p.damping * omega * since) * np.sin(omega * since)
+                since = np.asarray(t) - stop_s - p.onset_s
+                rings = since > 0.0
+                after = since[rings]
+                a = np.zeros_like(since)
+                a[rings] = p.amplitude_m * np.exp(-decay * after) * np.sin(omega * after)
                 x, y = x + a * along_x, y + a * along_y
             return x, y, angle
 
