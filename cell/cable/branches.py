@@ -36,8 +36,8 @@ def simulate_branches(
 ) -> FloatArray:
     """Positions of markers for every model on every motion, from equilibrium.
 
-    What the motions have in common is simulated once per model, not once per motion; only where a
-    camera shows other times than its pictures', everything is simulated.
+    What the motions have in common is simulated once per model, not once per motion; where a camera
+    shows other times than its pictures', the motions are taken apart as much before.
 
     alike_until_s  until then all motions are the same, as logged; an effect on the hand may part
                    them earlier
@@ -52,8 +52,11 @@ def simulate_branches(
     begin_s = float(min(m.t_s[0] for m in motions))
     steps = int((alike_until_s - begin_s) / solver.step_s + 1e-9)
     steps = _steps_alike(models, motions, begin_s + solver.step_s * np.arange(steps + 1.0))
+    steps -= camera.earlier_steps(models, solver.step_s)
+    if camera.shifts_time(models):
+        steps -= steps % camera.EVERY  # scenes are kept at the same times as without branches
     shape = (len(motions), len(models), times.size, np.size(arc_length_m), 2)
-    if steps < 1 or camera.shifts_time(models):
+    if steps < 1:
         return simulate(batch, paths, times, arc_length_m, solver=solver).reshape(shape)
     fork_s = begin_s + steps * solver.step_s
     workers = threads() if solver.threads is None else solver.threads

@@ -17,7 +17,7 @@ LOOK_AHEAD_S = 0.12
 
 #: Steps between the times at which a scene is kept for interpolation, and largest time between them
 #: where steps are long, s.
-_EVERY, _LONGEST_S = 2, 2e-3
+EVERY, _LONGEST_S = 2, 2e-3
 #: A point's time depends on its place, which depends on its time: shutter speeds are far below
 #: the picture's height per millisecond, so this many rounds reach rounding error.
 _ROUNDS = 4
@@ -30,13 +30,23 @@ def shifts_time(models: Sequence[CableModel]) -> bool:
     return any(a.effect.camera_time is not None for m in models for a in m.effects)
 
 
+def earlier_steps(models: Sequence[CableModel], step_s: float) -> int:
+    """Steps before a picture from which on its camera may show points; whole spacings of a scene.
+
+    Two spacings more than the clock's, which `scene_times` adds, and one for rounding.
+    """
+    if not shifts_time(models):
+        return 0
+    return EVERY * (math.ceil(LOOK_AHEAD_S / (EVERY * step_s)) + 3)
+
+
 def scene_times(
     model: CableModel, times_s: FloatArray, begin_s: float, end_s: float, step_s: float
 ) -> FloatArray:
     """Times at which positions are needed: the pictures', or a fine grid around them."""
     if not shifts_time([model]):
         return times_s
-    spacing = min(_EVERY * step_s, _LONGEST_S)
+    spacing = min(EVERY * step_s, _LONGEST_S)
     # Counted from the beginning: where a grid lies must not depend on which lanes share a block, or
     # what interpolation errs by would differ between lanes, and spoil differences of them.
     before = (float(times_s[0]) - LOOK_AHEAD_S - begin_s) / spacing - 2.0

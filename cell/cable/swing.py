@@ -196,7 +196,7 @@ def _needed(block: Block, grid: Grid, lanes: Swing) -> list[FloatArray]:
     times = [lanes.times_s[lane] for lane in block.lanes]
     earliest = min(times, key=lambda t: float(t[0]) if t.size else np.inf)
     model, step_s = lanes.models[block.lanes[0]], grid.solver.step_s
-    if camera.shifts_time([model]):
+    if earliest.size and camera.shifts_time([model]):
         scene = camera.scene_times(model, earliest, grid.begin_s, grid.end_s, step_s)
         times = [scene] * len(times)
     return times + times[-1:] * (block.width - len(times))

@@ -95,6 +95,7 @@ def parting(jerk: Motion) -> list[Motion]:
         ("stress_relaxation", 0),
         ("bending_hysteresis", 0),
         ("camera_latency", 0),
+        ("rolling_shutter", 0),
         ("robot_lag", 0),
         ("robot_lag", 1),  # the hand is ahead: its motions part before those of the log
     ],
