@@ -26,9 +26,10 @@ CHARTS = 4
 WEIGHT = 0.2
 #: Cycles that must have been before a cycle is judged by them.
 FEWEST_BEFORE = 8
-#: Added, in square, to the scatter (logarithm) that cables show of what a model misses over the
-#: noise: one in some hundreds is odd without any effect.
-LEAST_SCATTER = 0.05
+#: Added, in square, to the scatter that cables show, because one in a hundred is odd without any
+#: effect: of the forecast's error over what it expects, and of what a model misses over the noise
+#: (logarithm).
+LEAST_FORECAST, LEAST_MISSED = 0.25, 0.05
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ def signals(results: Sequence[Result]) -> list[Signal]:
     ]
     errors = np.array([e for _, e, _ in executed])
     standard = np.array([e / s for _, e, s in executed])
-    if (change := _change(standard)) is not None:
+    if (change := _change(standard, LEAST_FORECAST)) is not None:
         found.append(
             _signal("forecasts err by more", [c for c, _, _ in executed], np.abs(errors), change)
         )
@@ -75,7 +76,7 @@ def signals(results: Sequence[Result]) -> list[Signal]:
     ]
     misses = np.array([m for _, m, _ in swung])
     ratio = np.log([m / n for _, m, n in swung]) if swung else np.zeros(0)
-    if (change := _change(ratio, LEAST_SCATTER)) is not None:
+    if (change := _change(ratio, LEAST_MISSED)) is not None:
         found.append(
             _signal("the model misses the swing by more", [c for c, _, _ in swung], misses, change)
         )

@@ -74,11 +74,15 @@ def test_a_quiet_line_is_left_alone() -> None:
 
 
 def test_one_odd_cable_is_no_change_of_the_line() -> None:
-    """A model with fewer knots than cables have bends missed one of 200 by 1.36 times the noise."""
+    """Measured: of 300 cables one was missed by 1.36 times the noise; of 400, whose forecasts err
+    by a quarter of what they expect, one erred by 1.1 times that.
+    """
     rng = np.random.default_rng(3)
     misses = 5e-5 * np.exp(0.07 + 0.05 * rng.normal(size=60))
     misses[46] = 1.36 * 5e-5
-    assert signals(line(1e-4 * rng.normal(size=60), misses)) == []
+    errors = 2.5e-5 * rng.normal(size=60)
+    errors[50] = 1.12e-4
+    assert signals(line(errors, misses)) == []
 
 
 def test_nothing_is_said_of_a_few_cables() -> None:
