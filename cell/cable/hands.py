@@ -71,7 +71,7 @@ class Hands:
                 spread_rows(rows, there, poses)
                 continue
             for axis, spline in enumerate(self._paths[lane].splines):
-                spread_values(*spline.pieces, t_s, there, poses[:, axis])
+                spread_values(*spline.pieces, t_s, there, poses, axis)
         return poses
 
     def _alike(

@@ -10,11 +10,11 @@ from cell.cable import layout as at
 from cell.cable.assembly import assemble, marker_weights
 from cell.cable.effects.base import Effect
 from cell.cable.effects.own import run_engine
-from cell.cable.geometry import Motion
+from cell.cable.geometry import Motion, SmoothedMotion
 from cell.cable.hands import Hands
 from cell.cable.model import CableModel
 from cell.cable.solver import DivergedError, Solver, generalised_alpha
-from cell.cable.splines import Steps
+from cell.cable.splines import Steps, fit
 from cell.cable.statics import settle
 from cell.cable.stepping import integrate, looks, nodes
 
@@ -98,9 +98,14 @@ class SwingingCable:
         self._poses = before
 
     def _motion(self) -> Motion:
-        """The poses, and one more at the speed of the last, where the spline ends."""
+        """The poses, and one more at the speed of the last, where the spline ends.
+
+        A hand that gains speed is elsewhere by then: that one is no wrong sample of a log.
+        """
         last, before = self._poses[-1], self._poses[-2]
-        return Motion(*np.concatenate([self._poses, [2.0 * last - before]]).T)
+        t_s, *pose = np.concatenate([self._poses, [2.0 * last - before]]).T
+        x, y, angle = (fit(t_s, values, checked=True) for values in pose)
+        return SmoothedMotion(t_s, *pose, smoothed=(x, y, angle))
 
     def _swing(
         self,

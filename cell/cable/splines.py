@@ -87,8 +87,10 @@ class Spline:
         return np.asarray(out.reshape(t.shape))
 
 
-def fit(t_s: FloatArray, value: FloatArray) -> Spline:
+def fit(t_s: FloatArray, value: FloatArray, *, checked: bool = False) -> Spline:
     """Spline through `value`, or near it if white noise is found in it.
+
+    checked  no value is wrong: none is looked for
 
     The noise is taken from the median fourth divided difference.  The penalty on curvature is the
     one with the least expected error of the curve (Mallows' C_p), so a jerk is followed as closely
@@ -107,7 +109,7 @@ def fit(t_s: FloatArray, value: FloatArray) -> Spline:
     noise, alone = 0.0, tuple[int, ...]()
     if len(t) >= 16:
         noise = _noise(t, y)
-        alone = _wrong_alone(t, y, noise)
+        alone = () if checked else _wrong_alone(t, y, noise)
         y = _made_up(t, y, alone)
     if noise < NEGLIGIBLE_NOISE:
         return Spline(t, y, _natural(t, y), 0.0, wrong=tuple(sorted(alone)))
@@ -115,7 +117,7 @@ def fit(t_s: FloatArray, value: FloatArray) -> Spline:
     half = min(int(_CALM_S / spacing) + 1, (len(t) - 1) // 2)
     window = np.hanning(2 * half + 3)[1:-1]
     local = np.ones_like(t)
-    signals, wrong, turns_slowly = _with_probes(y), np.zeros(len(t), dtype=bool), True
+    signals, wrong, turns_slowly = _with_probes(y), np.zeros(len(t), dtype=bool), not checked
     multiples = np.geomspace(1e-3, 1e7, 18) * spacing**3
     for _ in range(_ROUNDS):
         smooth, root = _least_error(signals, t, noise, local, multiples)
@@ -427,16 +429,21 @@ def _evaluate(t: FloatArray, pieces: FloatArray, at: FloatArray, derivative: int
 
 @compiled
 def spread_values(
-    t: FloatArray, pieces: FloatArray, at: FloatArray, lanes: NDArray[np.int64], out: FloatArray
+    t: FloatArray,
+    pieces: FloatArray,
+    at: FloatArray,
+    lanes: NDArray[np.int64],
+    out: FloatArray,
+    axis: int,
 ) -> None:
-    """A spline's values at times (N,) into some lanes of `out` (N, LANES)."""
+    """A spline's values at times (N,) into an axis and some lanes of `out` (N, axes, LANES)."""
     j = 0
     for k in range(at.size):
         x = at[k]
         j = _piece(t, x, j)
         value = _value(t, pieces, x, j)
         for w in lanes:
-            out[k, w] = value
+            out[k, axis, w] = value
 
 
 @compiled
