@@ -34,10 +34,11 @@ imports: $(VENV)/.dev
 compiled: $(VENV)/.dev   # machine code on disk, or each of two test processes would compile it
 	@folder=$$(mktemp -d) && $(BIN)/cell run --config config/fake.yaml --cycles 1 --out $$folder/runs > $$folder/log 2>&1 \
 		|| { cat $$folder/log; rm -rf $$folder; exit 1; }; rm -rf $$folder
+	@$(BIN)/python -c "from drivers.ur_kinematics import load_code; load_code()"
 
 tests: $(VENV)/.dev
-	$(BIN)/pytest -n 3 -m 'not xdist_group'  # one more than cores: many tests wait
-	$(BIN)/pytest -m xdist_group tests/end_to_end --ignore tests/end_to_end/test_fault_trials.py  # in real time: alone
+	$(BIN)/pytest -n 3 --dist loadgroup -m 'not real_time'  # one more than cores: many tests wait
+	$(BIN)/pytest -m real_time tests/end_to_end --ignore tests/end_to_end/test_fault_trials.py  # in real time: alone
 
 hardware: $(VENV)/.dev   ## the conformance suite on the devices of CONFIG=file; they move
 	@test -n "$(CONFIG)" || { echo "error: say which cell: make hardware CONFIG=config/line3.yaml"; exit 2; }

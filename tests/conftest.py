@@ -87,7 +87,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if not config.getoption("--hardware"):
         for item in items:
             room = item.path.relative_to(Path(__file__).parent).as_posix()
-            alone = item.get_closest_marker("xdist_group") is not None
+            alone = item.get_closest_marker("real_time") is not None
             if alone and not room.startswith("end_to_end/"):
                 raise pytest.UsageError(
                     f"{item.nodeid}: `make tests` runs alone what is end_to_end"

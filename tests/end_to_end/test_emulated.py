@@ -41,7 +41,7 @@ def eventually_silent(config: Path) -> None:
         time.sleep(0.05)
 
 
-@pytest.mark.xdist_group("real time")
+@pytest.mark.real_time
 def test_a_cable_is_inserted_by_the_one_command(light_config: Path, tmp_path: Path) -> None:
     """Its own emulators, one cycle, and nobody left behind."""
     command = cell("run", "--config", light_config, "--json", "--out", tmp_path)

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("rtde_control", reason="ur-rtde has no wheel for this machine")
-pytestmark = pytest.mark.xdist_group("real time")
+pytestmark = pytest.mark.real_time
 
 TOOL = Path(__file__).parents[2] / "tools" / "fault_trials.py"
 

@@ -31,7 +31,7 @@ def config(light_config: Path) -> Iterator[Path]:
         yield light_config
 
 
-@pytest.mark.xdist_group("real time")
+@pytest.mark.real_time
 def test_arm_camera_and_gripper_of_the_settings_are_tested(config: Path) -> None:
     some = "logs_what_it_did or stop_in_motion or exactly_the_frames or grips_and_releases"
     code, out = conformance("--hardware", "--config", config, "-k", some, "-rA")
@@ -45,7 +45,7 @@ def test_arm_camera_and_gripper_of_the_settings_are_tested(config: Path) -> None
     }
 
 
-@pytest.mark.xdist_group("real time")
+@pytest.mark.real_time
 def test_a_dry_run_finds_arm_and_camera_in_order(config: Path, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "cell", "run", "--config", str(config), "--json"]
     command += ["--dry-run", "--speed", "0.5", "--out", str(tmp_path)]

@@ -9,6 +9,8 @@ from cell.cli import app
 from cell.lab.individual import read_model
 from cell.study.folder import write_study
 
+pytestmark = pytest.mark.xdist_group("profiles")
+
 run = CliRunner().invoke
 
 
