@@ -127,7 +127,7 @@ def views_of(
 ) -> tuple[tuple[GripView, ...], tuple[str, ...]]:
     """The cable measured in every picture, and why not in others.
 
-    raises  TooFewError, which names what is wrong with most pictures
+    raises  TooFewError, which names what is wrong with the pictures, and what to do first
     """
     look = cable_look(settings)
     found, wrong = [], []
@@ -149,6 +149,8 @@ def views_of(
     counts = {why: wrong.count(why) for why in wrong}
     if len(found) < LEAST_POSES:
         most = max(counts, key=lambda why: counts[why], default="no_cable")
+        # beside a second cable the first one's length is mistaken too, and its end not found
+        most = "two_cables" if "two_cables" in counts else most
         why = ", ".join(f"{w.replace('_', ' ')} in {n}" for w, n in counts.items()) or "no pictures"
         raise TooFewError(
             f"the cable was measured in {len(found)} of {len(shown.poses)} pictures, at least "

@@ -28,8 +28,6 @@ from drivers.servo import SETTLING_LAGS
 from drivers.sim.arm import ArmFaults, ArmTwinOptions, SimArm
 from drivers.sim.camera import CameraFaults
 
-pytestmark = pytest.mark.xdist_group("dry run")
-
 Live = Callable[..., SimpleNamespace]
 
 

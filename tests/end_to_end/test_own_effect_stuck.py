@@ -14,8 +14,6 @@ from cell.cable.model import CableModel
 from cell.study.data import Markers, Study, Trial
 from cell.study.folder import write_study
 
-pytestmark = pytest.mark.xdist_group("own effect stuck")
-
 PROGRAM = """
 import sys
 from cell.computer import watched

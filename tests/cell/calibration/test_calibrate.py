@@ -25,8 +25,6 @@ from drivers.interfaces import DeviceLostError
 from drivers.sim.camera import SimCamera
 from drivers.sim.pinhole import Pinhole
 
-pytestmark = pytest.mark.xdist_group("calibrate")
-
 VIEW = "  view: {metres_per_pixel: 0.0002, origin_column_px: 1000, origin_row_px: 150}\n"
 TILT_RAD = np.radians(12.0)
 ASKEW_RAD, LONGER_M = 0.02, 0.0012

@@ -98,6 +98,12 @@ def plate(hand: Pose, marks: int, size: float, bend_m: float) -> list[Patches]:
     ]
 
 
+@pytest.fixture(autouse=True)
+def noise_of_its_own() -> None:
+    """Whatever other tests this process has run before."""
+    RNG.bit_generator.state = np.random.default_rng(17).bit_generator.state
+
+
 def from_cable(*, cable: bool = True, second: bool = False, y_m: float = 0.0) -> object:
     """A grip from pictures of a cable at rest, drawn as an arc."""
     view, bow, s = PlaneView.from_pose(lens_of(EYE), EYE.X_CP), 8.0, np.linspace(0.1, 0.0, 121)
@@ -181,7 +187,7 @@ def smeared(image: Image) -> Image:
         ),
         pytest.param(
             lambda: from_cable(second=True),
-            TooFewError, r"two cables in \d; take the second", id="two cables",
+            TooFewError, r"two cables in \d.*; take the second", id="two cables",
         ),
         pytest.param(
             lambda: from_cable(y_m=-0.11),

@@ -20,8 +20,6 @@ from cell.lab.prepared import PreparedStudy
 from cell.study.data import Markers
 from cell.study.folder import write_study
 
-pytestmark = pytest.mark.xdist_group("doubts")
-
 run = CliRunner().invoke
 
 

@@ -40,8 +40,6 @@ from cell.settings.translate import identification_of
 from cell.study.data import Study
 from cell.study.folder import write_study
 
-pytestmark = pytest.mark.xdist_group("learn")
-
 ROOT = Path(__file__).parents[3]
 CONFIG = ROOT / "config" / "fake.yaml"
 SETTINGS = load_settings(CONFIG)

@@ -12,8 +12,6 @@ from cell.cli import app
 from cell.lab import session
 from cell.study.folder import write_study
 
-pytestmark = pytest.mark.xdist_group("own effects")
-
 run = CliRunner().invoke
 
 PULL = '''

@@ -16,8 +16,6 @@ from cell.lab.partial import largest_step, tied_so_far
 from cell.lab.prepared import PreparedStudy
 from cell.lab.rules import DEFAULT_RULES
 
-pytestmark = pytest.mark.xdist_group("partial")
-
 KNOWN = library()
 
 

@@ -9,8 +9,6 @@ from cell.cli import app
 from cell.lab.individual import read_model
 from cell.study.folder import write_study
 
-pytestmark = pytest.mark.xdist_group("profiles")
-
 run = CliRunner().invoke
 
 

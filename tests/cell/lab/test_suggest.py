@@ -24,8 +24,6 @@ from cell.settings.surroundings import CLEARANCE_M, Surroundings, Swept, jaw_poi
 from cell.settings.translate import cable_of
 from drivers.guard import ArmLimits, check_path
 
-pytestmark = pytest.mark.xdist_group("suggest")
-
 FAKE = Path(__file__).parents[3] / "config" / "fake.yaml"
 
 

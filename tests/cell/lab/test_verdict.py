@@ -18,8 +18,6 @@ from cell.lab.prepared import PreparedStudy
 from cell.lab.results import to_json
 from cell.lab.tables import sentence, steps_text
 
-pytestmark = pytest.mark.xdist_group("verdict")
-
 
 def explore(study, names, misfit=None):
     known = library()
