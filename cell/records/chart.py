@@ -26,9 +26,9 @@ CHARTS = 4
 WEIGHT = 0.2
 #: Cycles that must have been before a cycle is judged by them.
 FEWEST_BEFORE = 8
-#: Added, in square, to the scatter that cables show, because one in a hundred is odd without any
-#: effect: of the forecast's error over what it expects, and of what a model misses over the noise
-#: (logarithm).
+#: Added, in square, to the scatter that cables show, because a few are odd without any effect (5
+#: of 700 simulated ones gave an alarm): of the forecast's error over what it expects, and of what
+#: a model misses over the noise (logarithm).
 LEAST_FORECAST, LEAST_MISSED = 0.25, 0.05
 
 
