@@ -155,7 +155,7 @@ def test_a_starved_call_has_the_rest_of_its_time_when_it_is_given_the_core(
 
 
 _AT_ONCE = """
-import os, signal, sys
+import os, signal, sys, time
 from cell.computer import watched
 
 fork = os.fork
@@ -164,6 +164,9 @@ def interrupted_fork():
     child = fork()
     if child:
         os.kill(os.getpid(), signal.SIGINT)
+    else:  # the child must not be under way before it is handed on: who comes first is chance
+        while signal.SIGINT not in signal.sigpending():
+            time.sleep(0.01)
     return child
 
 os.fork = interrupted_fork
