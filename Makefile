@@ -37,7 +37,7 @@ compiled: $(VENV)/.dev   # machine code on disk, or each of two test processes w
 	@$(BIN)/python -c "from drivers.ur_kinematics import load_code; load_code()"
 
 tests: $(VENV)/.dev
-	$(BIN)/pytest -n 3 -m 'not real_time'  # one more than cores: many tests wait
+	$(BIN)/pytest -n 3 --dist worksteal -m 'not real_time'  # one more than cores: many tests wait
 	$(BIN)/pytest -m real_time tests/end_to_end --ignore tests/end_to_end/test_fault_trials.py  # in real time: alone
 
 hardware: $(VENV)/.dev   ## the conformance suite on the devices of CONFIG=file; they move
