@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable import layout as at
+from cell.cable.compiling import WIDEST
 from cell.cable.effects.base import Effect
 from cell.cable.effects.compiled import Hooks, cable_data, hooks_of, in_steps, parameters
 from cell.cable.effects.own import with_compiled_hooks
@@ -141,7 +142,7 @@ def _block(
     state[:] = state[:, :, order]
     return Block(
         lanes,
-        -(-len(batch) // at.VECTOR) * at.VECTOR,
+        -(-len(batch) // WIDEST) * WIDEST,
         n,
         state.ravel(),
         length[order],

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 LANES = 16
-#: Lanes are computed in multiples of this: a vector register of the widest kind.
+#: Lanes of a small block: a vector register of the widest kind.
 VECTOR = 8
 #: Numbers on a line of the processor's cache.
 _CACHE_LINE = 8

@@ -8,11 +8,15 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
+from llvmlite.binding import get_host_cpu_features
 from numba import njit, types
 from numba.extending import intrinsic
 
 #: Fused multiply-add is allowed, reordering is not: results do not depend on the vector width.
 FASTMATH = {"contract", "nsz"}
+
+#: Numbers side by side in a vector register of this processor; 4 where there are fewer.
+WIDEST = 8 if get_host_cpu_features().get("avx512f") else 4
 
 F = TypeVar("F", bound=Callable[..., Any])
 
