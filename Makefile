@@ -100,7 +100,7 @@ $(VENV)/.user: pyproject.toml | $(VENV)/bin/python
 	@touch $@
 
 $(VENV)/.dev: pyproject.toml | $(VENV)/bin/python
-	$(BIN)/pip install --quiet --disable-pip-version-check -e ".[dev]"
+	$(BIN)/pip install --quiet --disable-pip-version-check --no-compile -e ".[dev]"  # of 10,000 modules few are used
 	@touch $(VENV)/.user $@
 
 clean:           ## remove the environment and caches

@@ -1,4 +1,4 @@
-"""A simulated cell that is quick: fewer frames and offsets, everything else as shipped."""
+"""A simulated cell that is quick: fewer and smaller pictures, fewer offsets, else as shipped."""
 
 from __future__ import annotations
 
@@ -23,15 +23,33 @@ _QUICK = [
 ]
 
 
-@pytest.fixture(scope="session")
-def quick_config(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    text = CONFIG.read_text(encoding="utf-8")
-    for old, new in _QUICK:
+#: The pictures of the emulated cell: the same field of view.
+_SMALL = [
+    ("width_px: 1280", "width_px: 800"),
+    ("height_px: 1024", "height_px: 640"),
+    ("metres_per_pixel: 0.0002,", "metres_per_pixel: 0.00032,"),
+    ("origin_column_px: 1000, origin_row_px: 150", "origin_column_px: 625, origin_row_px: 93.75"),
+]
+
+
+def changed(config: Path, path: Path, changes: list[tuple[str, str]]) -> Path:
+    text = config.read_text(encoding="utf-8")
+    for old, new in changes:
         assert old in text
         text = text.replace(old, new)
-    path = tmp_path_factory.mktemp("config") / "quick.yaml"
     path.write_text(text, encoding="utf-8")
     return path
+
+
+@pytest.fixture(scope="session")
+def sharp_config(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Pictures as large as shipped, for what is measured to a hundredth of a millimetre."""
+    return changed(CONFIG, tmp_path_factory.mktemp("config") / "sharp.yaml", _QUICK)
+
+
+@pytest.fixture(scope="session")
+def quick_config(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return changed(CONFIG, tmp_path_factory.mktemp("config") / "quick.yaml", [*_QUICK, *_SMALL])
 
 
 @pytest.fixture(scope="session")
@@ -85,15 +103,9 @@ def light_config(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("emulated")
     worker = os.getpid() % 60000
     host = f"127.{120 + worker // 250 % 100}.{1 + worker % 250}.9"
-    text = EMULATED.read_text(encoding="utf-8")
-    for old, new in (
-        *_LIGHT,
+    addresses = [
         ("host: 127.0.0.2", f"host: {host}"),
         ("tcp://127.0.0.2:", f"tcp://{host}:"),
         ("/tmp/cable-cell-gripper", str(folder / "gripper")),
-    ):
-        assert old in text
-        text = text.replace(old, new)
-    path = folder / "light.yaml"
-    path.write_text(text, encoding="utf-8")
-    return path
+    ]
+    return changed(EMULATED, folder / "light.yaml", [*_LIGHT, *addresses])

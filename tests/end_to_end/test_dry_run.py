@@ -91,13 +91,13 @@ def test_a_slow_dry_run_is_slower_by_as_much(
 def test_pictures_show_where_arm_and_camera_see_the_hand(dry_runs: dict[float, Result]) -> None:
     picture = cv2.imread(str(Path(dry_runs[1.0].folder) / "2_go_in_end.png"))
     assert picture is not None
-    picture = picture[:850]  # the legend below it has the same colours
+    picture = picture[:466]  # the legend below it has the same colours
     blue, green, red = (picture[:, :, i].astype(int) for i in range(3))
     by_camera = np.argwhere((green - red > 80) & (green - blue > 80)).mean(axis=0)
     by_arm = np.argwhere((red - blue > 80) & (green - blue > 60)).max(axis=1)
     assert len(by_arm)
-    # the end of the first stroke: 50 mm down and 50 mm left of column 1000, row 150, at 0.2 mm
-    assert by_camera == pytest.approx([400.0, 750.0], abs=3.0)
+    # the end of the first stroke: 50 mm down and 50 mm left of column 625, row 93.75, at 0.32 mm
+    assert by_camera == pytest.approx([250.0, 468.75], abs=1.9)
 
 
 def test_the_jaws_stay_as_they_are_and_no_cable_is_taken(live: Live) -> None:

@@ -19,7 +19,7 @@ from cell.records.folder import read_record
 from cell.records.result import Outcome
 from cell.run.machine import CellState, Event
 from cell.run.plans import measuring
-from cell.settings import Settings
+from cell.settings import Settings, load_settings
 from cell.simulated.hidden import hidden_cable
 from cell.study.folder import read_study
 
@@ -34,6 +34,17 @@ moves:
   - {x_m: -0.01, y_m: -0.05, angle_rad: 0.5, duration_s: 0.27}
 hold_s: 0.4
 """
+
+
+@pytest.fixture(scope="module")
+def quick_config(sharp_config: Path) -> Path:
+    """Here it counts how exactly pictures measure."""
+    return sharp_config
+
+
+@pytest.fixture(scope="module")
+def quick(quick_config: Path) -> Settings:
+    return load_settings(quick_config)
 
 
 @pytest.fixture
