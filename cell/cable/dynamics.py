@@ -9,11 +9,11 @@ from typing import get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.cable.assembly import assemble
+from cell.cable.assembly import Block, assemble
 from cell.cable.geometry import Motion, Start
 from cell.cable.model import CableModel
-from cell.cable.solver import DEFAULT_SOLVER, Solver, threads
-from cell.cable.swing import Grid, Swing, move
+from cell.cable.solver import DEFAULT_SOLVER, LanesError, Solver, threads
+from cell.cable.swing import Grid, Swing, failures
 
 FloatArray = NDArray[np.float64]
 
@@ -47,7 +47,9 @@ def simulate(
     times = increasing(times_s)
     out = np.empty((len(batch), times.size, np.size(arc_length_m), 2))
     begin = _Begin.of(start, release_s, bent, len(batch))
-    _simulate(batch, paths, [times] * len(batch), arc_length_m, out, solver, begin)
+    _simulate(
+        Swing(batch, paths, [times] * len(batch), solver, begin.bent), begin, arc_length_m, out
+    )
     return out
 
 
@@ -61,10 +63,13 @@ def simulate_each(
     start: Start = "equilibrium",
     release_s: float | None = None,
     bent: Sequence[FloatArray] = (),
+    impossible: float | None = None,
 ) -> list[FloatArray]:
     """Positions of markers of each lane at its own times, (times, markers, 2); as `simulate`.
 
     All lanes begin when the first of them does, and share one grid of steps.
+    impossible  value of lanes that cannot be simulated, which do not spoil the others; None: they
+                raise
     """
     batch, paths = _lanes(models, motions)
     times = [increasing(t) for t in times_s]
@@ -72,7 +77,8 @@ def simulate_each(
         raise ValueError(f"times of {len(times)} lanes for {len(batch)}: give one array per lane")
     out = [np.empty((t.size, np.size(arc_length_m), 2)) for t in times]
     begin = _Begin.of(start, release_s, bent, len(batch))
-    _simulate(batch, paths, times, arc_length_m, out, solver, begin)
+    swing = Swing(batch, paths, times, solver, begin.bent)
+    _simulate(swing, begin, arc_length_m, out, impossible)
     return out
 
 
@@ -98,27 +104,45 @@ def increasing(times_s: FloatArray) -> FloatArray:
 
 
 def _simulate(
-    batch: list[CableModel],
-    paths: list[Motion],
-    times_s: list[FloatArray],
+    swing: Swing,
+    how: _Begin,
     arc_length_m: FloatArray,
     out: Sequence[FloatArray] | FloatArray,
-    solver: Solver,
-    how: _Begin,
+    impossible: float | None = None,
 ) -> None:
-    """Write (times, markers, 2) of each lane to `out`."""
-    first = [float(t[0]) for t in times_s if t.size]
+    """Write (times, markers, 2) of each lane to `out`; lanes that cannot be simulated as told."""
+    first = [float(t[0]) for t in swing.times_s if t.size]
     if not first:
         return
-    begin = how.time_s(first, paths)
+    begin_s, rests = how.time_s(first, swing.paths), how.start != "straight"
+    left = list(range(len(swing.models)))
+    while left:
+        part, places = swing.of(left), [out[i] for i in left]
+        failed = _moved(part, begin_s, rests, arc_length_m, out if part is swing else places)
+        if impossible is None:
+            for _, error in failed:
+                raise error
+        for lane in (lane for _, error in failed for lane in error.lanes):
+            places[lane][:] = impossible
+        left = [left[i] for block, error in failed for i in block.lanes if i not in error.lanes]
+
+
+def _moved(
+    swing: Swing,
+    begin_s: float,
+    rests: bool,
+    arc_length_m: FloatArray,
+    out: Sequence[FloatArray] | FloatArray,
+) -> list[tuple[Block, LanesError]]:
+    """Write (times, markers, 2) of each lane to `out`; blocks with lanes that cannot be."""
+    solver, times_s, models = swing.solver, swing.times_s, swing.models
     workers = threads() if solver.threads is None else solver.threads
-    blocks = assemble(batch, solver.segments, begin, workers)
-    rests = how.start != "straight"
+    blocks = assemble(models, solver.segments, begin_s, workers)
     grids = [
-        Grid.of(begin, [times_s[i] for i in b.lanes], batch[b.lanes[0]], rests, solver)
+        Grid.of(begin_s, [times_s[i] for i in b.lanes], models[b.lanes[0]], rests, solver)
         for b in blocks
     ]
-    move(Swing(batch, paths, times_s, solver, how.bent), blocks, grids, arc_length_m, out)
+    return failures(swing, blocks, grids, arc_length_m, out)
 
 
 @dataclass(frozen=True)

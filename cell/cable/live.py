@@ -147,7 +147,7 @@ class SwingingCable:
             swung.ravel(),
         )
         if bad >= 0:
-            raise DivergedError(0, begin_s + (bad + 1) * step_s, step_s)
+            raise DivergedError([0], begin_s + (bad + 1) * step_s, step_s)
         bends[~rested] = swung
         return bends
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,15 +43,26 @@ class Solver:
 DEFAULT_SOLVER = Solver()
 
 
-class DivergedError(RuntimeError):
-    """A simulation left the possible.  Scenario: a step far too long for a fast, soft cable."""
+class LanesError(RuntimeError):
+    """Lanes of a batch cannot be simulated; `lanes` are their numbers."""
 
-    def __init__(self, lane: int, time_s: float, step_s: float) -> None:
+    def __init__(self, lanes: Sequence[int], message: str) -> None:
+        super().__init__(message)
+        self.lanes = tuple(lanes)
+
+
+class DivergedError(LanesError):
+    """A simulation left the possible.  Scenario: a step far too long for a fast, soft cable.
+
+    lanes   those that had left it when it was seen, the first of them in the message
+    """
+
+    def __init__(self, lanes: Sequence[int], time_s: float, step_s: float) -> None:
         super().__init__(
-            f"lane {lane} diverged at t = {time_s:.4f} s (not finite, or a hinge bent by half a "
-            f"turn); use a shorter step than {step_s * 1e3:g} ms or check the parameters"
+            lanes,
+            f"lane {lanes[0]} diverged at t = {time_s:.4f} s (not finite, or a hinge bent by half "
+            f"a turn); use a shorter step than {step_s * 1e3:g} ms or check the parameters",
         )
-        self.lane = lane
         self.time_s = time_s
 
 

@@ -31,6 +31,7 @@ from cell.cable.layout import (
     WEIGHT,
     WEIGHT_1,
 )
+from cell.cable.solver import LanesError
 
 FloatArray = NDArray[np.float64]
 
@@ -164,7 +165,7 @@ def _tridiagonal(
     return True
 
 
-class UnsettledError(RuntimeError):
+class UnsettledError(LanesError):
     """No static equilibrium was found.  Scenario: an effect's force that grows without bound."""
 
 
@@ -186,6 +187,7 @@ def settle(block: Block, base: FloatArray) -> None:
     if lane >= 0:
         number = block.lanes[lane] if lane < len(block.lanes) else block.lanes[0]
         raise UnsettledError(
+            [number],
             f"lane {number}: no static equilibrium found; the cable may be too soft for its "
-            "weight, or an effect's force may grow without bound"
+            "weight, or an effect's force may grow without bound",
         )

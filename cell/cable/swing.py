@@ -19,7 +19,7 @@ from cell.cable.geometry import Motion
 from cell.cable.hands import Hands
 from cell.cable.model import CableModel
 from cell.cable.modes import mode_curvature
-from cell.cable.solver import DivergedError, Solver, generalised_alpha, threads
+from cell.cable.solver import DivergedError, LanesError, Solver, generalised_alpha, threads
 from cell.cable.splines import Steps
 from cell.cable.statics import settle
 from cell.cable.stepping import integrate, looks, nodes
@@ -39,6 +39,18 @@ class Swing:
     solver: Solver
     bent: tuple[FloatArray, ...] = ()
 
+    def of(self, lanes: Sequence[int]) -> Swing:
+        """The same of some of the lanes, in order; of all of them itself."""
+        if len(lanes) == len(self.models):
+            return self
+        return Swing(
+            [self.models[i] for i in lanes],
+            [self.paths[i] for i in lanes],
+            [self.times_s[i] for i in lanes],
+            self.solver,
+            tuple(self.bent[i] for i in lanes if self.bent),
+        )
+
 
 def move(
     swing: Swing,
@@ -47,20 +59,39 @@ def move(
     arc_length_m: FloatArray,
     out: Sequence[FloatArray] | FloatArray,
 ) -> None:
-    """Move all blocks along; write (times, markers, 2) of each lane to `out`, if it has any."""
+    """Move all blocks along; write (times, markers, 2) of each lane to `out`, if it has any.
+
+    raises  DivergedError, statics.UnsettledError: of the first block with such a lane
+    """
+    for _, error in failures(swing, blocks, grids, arc_length_m, out):
+        raise error
+
+
+def failures(
+    swing: Swing,
+    blocks: Sequence[Block],
+    grids: Sequence[Grid],
+    arc_length_m: FloatArray,
+    out: Sequence[FloatArray] | FloatArray,
+) -> list[tuple[Block, LanesError]]:
+    """The same; blocks of which lanes cannot be simulated, with why.  None of theirs is written."""
     cell, weights = marker_weights(swing.models, arc_length_m, swing.solver.segments)
     longest = max(grids, key=lambda grid: grid.steps)
     hands = Hands(swing.paths, swing.models, longest.in_equal_steps)
 
-    def run(block: Block, grid: Grid) -> None:
-        _run(block, grid, hands, swing, (cell, weights), out)
+    def run(block: Block, grid: Grid) -> LanesError | None:
+        try:
+            _run(block, grid, hands, swing, (cell, weights), out)
+        except LanesError as error:
+            return error
+        return None
 
     workers = threads() if swing.solver.threads is None else swing.solver.threads
     if len(blocks) == 1 or workers == 1:
-        for block, grid in zip(blocks, grids, strict=True):
-            run(block, grid)
+        errors = [run(block, grid) for block, grid in zip(blocks, grids, strict=True)]
     else:
-        list(_pool(os.getpid(), workers).map(run, blocks, grids))
+        errors = list(_pool(os.getpid(), workers).map(run, blocks, grids))
+    return [(b, error) for b, error in zip(blocks, errors, strict=True) if error is not None]
 
 
 @lru_cache(maxsize=2)
@@ -186,8 +217,9 @@ def _integrate(
     if bad >= 0:
         final = begun[:, : len(block.lanes)]
         broken = ~np.all(np.abs(final) < np.pi, axis=0)
-        lane = block.lanes[int(np.argmax(broken))]
-        raise DivergedError(lane, grid.begin_s + (bad + 1) * solver.step_s, solver.step_s)
+        lanes = [lane for lane, gone in zip(block.lanes, broken, strict=True) if gone]
+        time_s = grid.begin_s + (bad + 1) * solver.step_s
+        raise DivergedError(lanes or block.lanes, time_s, solver.step_s)
     return bends
 
 

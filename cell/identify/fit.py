@@ -253,23 +253,17 @@ def predict_lanes(
     impossible  value of a lane that cannot be simulated
     """
     trial = lanes[0].trial
-    try:
-        return simulate_each(
-            [lane.model for lane in lanes],
-            [lane.trial.grip for lane in lanes],
-            [lane.times_s for lane in lanes],
-            arc_length_m,
-            solver=solver,
-            start=trial.start,
-            release_s=trial.release_s,
-            bent=[lane.modes for lane in lanes if lane.modes is not None],
-        )
-    except (DivergedError, UnsettledError):
-        if len(lanes) == 1:
-            return [np.full((len(lanes[0].times_s), len(arc_length_m), 2), impossible)]
-        half = len(lanes) // 2
-        parts = lanes[:half], lanes[half:]
-        return [p for part in parts for p in predict_lanes(part, arc_length_m, solver, impossible)]
+    return simulate_each(
+        [lane.model for lane in lanes],
+        [lane.trial.grip for lane in lanes],
+        [lane.times_s for lane in lanes],
+        arc_length_m,
+        solver=solver,
+        start=trial.start,
+        release_s=trial.release_s,
+        bent=[lane.modes for lane in lanes if lane.modes is not None],
+        impossible=impossible,
+    )
 
 
 def predict(

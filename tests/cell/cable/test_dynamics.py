@@ -14,6 +14,7 @@ from cell.cable.dynamics import simulate, simulate_each
 from cell.cable.effects import library
 from cell.cable.effects.hand import _stops
 from cell.cable.geometry import Cable, Motion
+from cell.cable.layout import LANES
 from cell.cable.model import CableModel
 from cell.cable.solver import DivergedError, Solver
 from cell.cable.stepping import looks
@@ -258,7 +259,35 @@ def test_divergence_is_named_and_gives_no_numbers(cable, arc, jerk):
     batch = [CableModel.uniform(cable, ei, viscosity_n_m2_s=1e-7) for ei in (3e-5, 1e-9)]
     with pytest.raises(DivergedError, match=r"lane 1 diverged at t = .* shorter step") as caught:
         simulate(batch, [jerk, far_too_fast], TIMES, arc, solver=Solver(20, 5e-3))
-    assert caught.value.lane == 1
+    assert caught.value.lanes == (1,)
+
+
+def test_lanes_that_cannot_be_simulated_cost_the_others_of_their_block_one_more_run(
+    cable, arc, jerk, monkeypatch
+):
+    far_too_fast = Motion(jerk.t_s, jerk.x_m, 400.0 * jerk.y_m, jerk.angle_rad)
+    stiff, soft = (CableModel.uniform(cable, ei, viscosity_n_m2_s=1e-7) for ei in (3e-5, 1e-9))
+    batch = [stiff] * 40
+    batch[3] = batch[5] = batch[30] = soft
+    motions = [far_too_fast if model is soft else jerk for model in batch]
+    blocks = []
+    run = swing._run
+    monkeypatch.setattr(
+        swing, "_run", lambda block, *rest: blocks.append(block) or run(block, *rest)
+    )
+    solver = Solver(20, 5e-3, threads=1)
+    found = simulate_each(batch, motions, [TIMES] * 40, arc, solver=solver, impossible=np.nan)
+    assert all(
+        np.isnan(points).all() == (m is soft) for points, m in zip(found, batch, strict=True)
+    )
+    right = simulate(stiff, jerk, TIMES, arc, solver=solver)[0]
+    np.testing.assert_array_equal(
+        [p for p, m in zip(found, batch, strict=True) if m is stiff], 37 * [right]
+    )
+    again = sum(len(block.lanes) for block in blocks) - 40
+    assert 0 < again <= 2 * LANES
+    with pytest.raises(DivergedError, match="lane 3 diverged"):
+        simulate_each(batch, motions, [TIMES] * 40, arc, solver=solver)
 
 
 def test_a_second_process_starts_in_under_three_seconds(cable, arc, jerk, tmp_path):
