@@ -21,6 +21,9 @@ _FIRST_DAMPING = 1e-2
 _HOPELESS_DAMPING = 1e8
 #: Mean square of white residuals from which a model errs by more than the noise.
 _ERRS = 2.0
+#: A fit is as good as it gets if this many passes in a row, together, have not lowered the objective
+#: by the tolerance, where one standard deviation of it is all that is promised.
+_STUCK_PASSES = 4
 #: A step is as promised if the objective fell by the promise, give or take this share of it.
 _AS_PROMISED = 0.5
 
@@ -110,6 +113,7 @@ def minimise(problem: Problem, start: FloatArray, options: Options = Options()) 
     if not here.usable:
         raise UnsimulatedError("the model cannot be simulated at the start of the fit")
     damping, growth, passes, converged, idle = 0.0, 2.0, 1, False, 0
+    stuck, stuck_at = 0, here.objective
     while True:
         normal = here.jacobian.T @ here.jacobian + problem.precision
         slope = here.jacobian.T @ here.residual + problem.precision @ (here.q - problem.mean)
@@ -119,7 +123,10 @@ def minimise(problem: Problem, start: FloatArray, options: Options = Options()) 
         scale = max(1.0, square / max(1, int(np.count_nonzero(here.residual))))
         promised = -float(step @ (2.0 * slope + normal @ step))
         near = float(step @ normal @ step) <= options.tolerance**2 * scale
+        if stuck_at - here.objective > options.tolerance * scale or promised > scale:
+            stuck, stuck_at = 0, here.objective
         last = passes >= options.most_passes or (idle == 2 and scale > _ERRS)
+        last = last or stuck >= _STUCK_PASSES
         if near or last:
             computed = _computed(problem, here)
             if computed is not here:
@@ -132,7 +139,7 @@ def minimise(problem: Problem, start: FloatArray, options: Options = Options()) 
             break
         if damping > 0.0:
             step = _bounded_step(problem, here.q, normal, slope, damping)
-        passes += 1
+        passes, stuck = passes + 1, stuck + 1
         if here.updates < options.updates or problem.slopes is not None:
             there = _updated(problem, here, step, np.diag(normal))
         else:
