@@ -23,6 +23,7 @@ from cell.lab.fitting import Fit
 from cell.lab.limits import limits
 from cell.lab.prepared import PreparedStudy, all_fitted
 from cell.lab.results import Limit
+from cell.lab.whole import Whole
 from cell.study.data import Study
 
 SIZES = (0.5, 1.0, 2.0)
@@ -42,7 +43,7 @@ def main() -> None:
         began = time.process_time()
         name = given.effect or list(known)[seed % len(known)]
         tried = [known[name]] if given.effect else list(known.values())
-        found = limits(*_fitted(make_study(seed)), tried)
+        found = limits(Whole(*_fitted(make_study(seed))), tried)
         none = {e: {p.name: p.default for p in known[e].parameters} for e in known}
         missed = [x for x in found if x.high is not None and not _holds(x, none[x.effect])]
         shown = [x for x in found if x.high is not None]
@@ -61,7 +62,9 @@ def main() -> None:
             other = number * OTHER_NOISE + seed
             study = make_study(seed, [effect.active(**values)], noise_seed=other)
             again = next(
-                x for x in limits(*_fitted(study), [effect]) if x.parameter == limit.parameter
+                x
+                for x in limits(Whole(*_fitted(study)), [effect])
+                if x.parameter == limit.parameter
             )
             held = again.high is None or _holds(again, values)
             inside[size][0] += held

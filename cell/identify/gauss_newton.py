@@ -21,9 +21,10 @@ _FIRST_DAMPING = 1e-2
 _HOPELESS_DAMPING = 1e8
 #: Mean square of white residuals from which a model errs by more than the noise.
 _ERRS = 2.0
-#: A fit is as good as it gets if this many passes in a row, together, have not lowered the objective
-#: by the tolerance, where one standard deviation of it is all that is promised.
-_STUCK_PASSES = 4
+#: A fit is as good as it gets if so many passes in a row, together, have not lowered the objective
+#: by the tolerance: where one standard deviation is all that is promised, and where more is, as by
+#: a rough objective again and again.
+_STUCK_PASSES, _ROUGH_PASSES = 4, 6
 #: A step is as promised if the objective fell by the promise, give or take this share of it.
 _AS_PROMISED = 0.5
 
@@ -56,6 +57,8 @@ class Options:
     least_gain  share of the objective by which passes must lower it where the model errs by more
                 than the noise; after two that do not, what more of them would find is far below
                 what the answer could be wrong by
+    above       an objective, and after how many passes a fit is given up that is still above it;
+                its last Jacobian may be an updated one
     updates     steps in a row, at most, after which the Jacobian is only updated by the residuals
                 that they led to, where these were as promised; it pays where one lane costs far
                 less than a batch.  The last Jacobian is never an updated one
@@ -65,6 +68,7 @@ class Options:
     most_passes: int = 25
     least_gain: float = 0.0
     updates: int = 0
+    above: tuple[float, int] = (np.inf, 0)
 
 
 @dataclass(frozen=True)
@@ -79,6 +83,7 @@ class Solution:
     objective   |r|² plus the prior's term
     passes      places tried, the start included
     converged   whether the last step was within the tolerance
+    settled     whether it was, or nothing more was gained
     promised    by which the objective would still fall there, if the model were linear
     """
 
@@ -91,6 +96,7 @@ class Solution:
     passes: int
     converged: bool
     promised: float = 0.0
+    settled: bool = True
 
 
 class UnsimulatedError(ValueError):
@@ -113,7 +119,7 @@ def minimise(problem: Problem, start: FloatArray, options: Options = Options()) 
     if not here.usable:
         raise UnsimulatedError("the model cannot be simulated at the start of the fit")
     damping, growth, passes, converged, idle = 0.0, 2.0, 1, False, 0
-    stuck, stuck_at = 0, here.objective
+    stuck, stuck_at, settled = 0, here.objective, False
     while True:
         normal = here.jacobian.T @ here.jacobian + problem.precision
         slope = here.jacobian.T @ here.residual + problem.precision @ (here.q - problem.mean)
@@ -123,10 +129,13 @@ def minimise(problem: Problem, start: FloatArray, options: Options = Options()) 
         scale = max(1.0, square / max(1, int(np.count_nonzero(here.residual))))
         promised = -float(step @ (2.0 * slope + normal @ step))
         near = float(step @ normal @ step) <= options.tolerance**2 * scale
-        if stuck_at - here.objective > options.tolerance * scale or promised > scale:
+        if stuck_at - here.objective > options.tolerance * scale:
             stuck, stuck_at = 0, here.objective
-        last = passes >= options.most_passes or (idle == 2 and scale > _ERRS)
-        last = last or stuck >= _STUCK_PASSES
+        settled = stuck >= (_STUCK_PASSES if promised <= scale else _ROUGH_PASSES)
+        last = settled or passes >= options.most_passes or (idle == 2 and scale > _ERRS)
+        limit, enough = options.above
+        if passes >= enough and here.objective > limit:
+            break
         if near or last:
             computed = _computed(problem, here)
             if computed is not here:
@@ -174,6 +183,7 @@ def minimise(problem: Problem, start: FloatArray, options: Options = Options()) 
         passes,
         converged,
         0.0 if converged else promised,
+        converged or settled,
     )
 
 

@@ -24,6 +24,7 @@ from cell.lab.fitting import Fit, fit_model
 from cell.lab.prepared import PreparedStudy, StoppedError
 from cell.lab.results import Agreement, TrialValue
 from cell.lab.score import holm
+from cell.lab.whole import of_all_trials
 from cell.study.data import Trial
 
 FloatArray = NDArray[np.float64]
@@ -137,9 +138,8 @@ def agreement(
 
 def _of_all(prepared: PreparedStudy, fit: Fit) -> Fit:
     """The model fitted to all trials; as it was fitted if some cannot be simulated."""
-    trials = prepared.study.trials
     try:
-        return fit_model(prepared, fit.space, fit.q, fit.begun, trials=trials, options=ALONE)
+        return of_all_trials(prepared, fit).fit
     except ValueError:
         return fit
 

@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 from scipy.special import ndtri as normal_quantile
 
 from cell.cable.effects.base import Effect
-from cell.identify.gauss_newton import Options
-from cell.lab.fitting import Fit, fit_model
-from cell.lab.prepared import PreparedStudy, pooled
+from cell.lab.fitting import Fit
+from cell.lab.prepared import PreparedStudy
 from cell.lab.results import Interval
-from cell.lab.systematic import systematic
 from cell.lab.unmodelled import unmodelled
+from cell.lab.whole import of_all_trials
 
 FloatArray = NDArray[np.float64]
 
@@ -25,7 +24,6 @@ MODEL_ERROR = 0.01
 LEAST_KNOWN = 0.01
 #: Trials that share fewer degrees of freedom than this cannot be said to disagree.
 MIN_FREEDOM = 4
-CONVERGED = Options(tolerance=0.03, most_passes=40)
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,16 +78,14 @@ def estimate(prepared: PreparedStudy, fit: Fit, effects: Iterable[type[Effect]] 
 
     effects  that it may lack
     """
-    trials = prepared.study.trials
     try:
-        whole = fit_model(prepared, fit.space, fit.q, fit.begun, trials=trials, options=CONVERGED)
+        whole = of_all_trials(prepared, fit)
     except ValueError:
         return Estimate(fit, 1.0)
-    together = pooled(prepared)
-    wrong = systematic(together, whole, trials)
-    beside = wrong.covariance((whole.solution.covariance @ whole.solution.jacobian.T)[: len(fit.q)])
-    beside = beside + unmodelled(together, whole, effects, wrong).covariance
-    return Estimate(whole, disagreement(prepared, whole), beside)
+    solution = whole.fit.solution
+    beside = whole.wrong.covariance((solution.covariance @ solution.jacobian.T)[: len(fit.q)])
+    beside = beside + unmodelled(whole, effects).covariance
+    return Estimate(whole.fit, disagreement(prepared, whole.fit), beside)
 
 
 def disagreement(prepared: PreparedStudy, whole: Fit) -> float:

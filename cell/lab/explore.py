@@ -6,7 +6,7 @@ import contextlib
 import itertools
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -52,9 +52,12 @@ LIKELIER = 0.1
 #: Amplitudes tried, as shares of those that the screen expects.
 SHARES = (2.0, 0.5, 0.25, 0.1)
 #: Passes of a first refit; the best few are then taken to convergence.
-REFIT = Options(tolerance=0.1, most_passes=12, least_gain=1e-3, updates=3)
+REFIT = Options(tolerance=0.3, most_passes=12, least_gain=1e-3, updates=3)
 POLISH = Options(tolerance=0.1, most_passes=40, least_gain=1e-3, updates=3)
 POLISHED = 3
+#: A first refit is given up if after some passes its objective is so many times that of the best of
+#: the first few effects, the likeliest by the screen.
+FAR_ABOVE, ENOUGH_PASSES, FIRST = 10.0, 5, 2
 #: A place is sought with residuals tempered by this much more.
 SEARCH = Options(tolerance=0.3, most_passes=10, least_gain=1e-3, updates=3)
 
@@ -239,21 +242,28 @@ class Explorer:
 
         done = itertools.count(1)
 
-        def one(effect: type[Effect]) -> Candidate | None:
-            candidate = self._extend(base, effect, guesses[effect.name])
+        def one(effect: type[Effect], options: Options = REFIT) -> Candidate | None:
+            candidate = self._extend(base, effect, guesses[effect.name], options)
             self.progress(f"refitted with {effect.name}", next(done), len(effects))
             return candidate
 
         self.progress("refitting with one effect more", 0, len(effects))
         with ThreadPoolExecutor(threads()) as pool:
-            found = [c for c in pool.map(one, effects) if c is not None]
-            best = sorted(found, key=lambda c: -c.evidence)[:POLISHED]
-            better = {c.names: p for c, p in zip(best, pool.map(self._polished, best), strict=True)}
+            found = [c for c in pool.map(one, effects[:FIRST]) if c is not None]
+            best = min((c.fit.objective for c in found), default=np.inf)
+            hurried = replace(REFIT, above=(FAR_ABOVE * best, ENOUGH_PASSES))
+            rest = pool.map(lambda effect: one(effect, hurried), effects[FIRST:])
+            found += [c for c in rest if c is not None]
+            far = FAR_ABOVE * min((c.fit.objective for c in found), default=np.inf)
+            likely = sorted(found, key=lambda c: -c.evidence)[:POLISHED]
+            likely = [c for c in likely if c.fit.objective <= far]
+            polished = pool.map(self._polished, likely)
+            better = {c.names: p for c, p in zip(likely, polished, strict=True)}
         return [better.get(c.names, c) for c in found]
 
     def _polished(self, candidate: Candidate) -> Candidate:
         """The candidate taken to convergence, or as near as it once came."""
-        if candidate.fit.solution.converged or candidate.names in self._were_polished:
+        if candidate.fit.solution.settled or candidate.names in self._were_polished:
             return candidate
         fit = fit_model(
             self._alone,
@@ -326,7 +336,11 @@ class Explorer:
         )
 
     def _extend(
-        self, base: Candidate, effect: type[Effect], screens: Sequence[Sequence[FloatArray]]
+        self,
+        base: Candidate,
+        effect: type[Effect],
+        screens: Sequence[Sequence[FloatArray]],
+        options: Options,
     ) -> Candidate | None:
         """The candidate with an effect added, from the starts that each screen has found."""
         effects = (*base.effects, effect)
@@ -363,7 +377,7 @@ class Explorer:
                     ]
             for q in promising:
                 with contextlib.suppress(ValueError):
-                    fits.append(fit_model(self._alone, space, q, base.fit.begun, options=REFIT))
+                    fits.append(fit_model(self._alone, space, q, base.fit.begun, options=options))
         if not fits:
             return None
         # Of a force at a place, what follows the fitted motions best may do anything beyond them.

@@ -21,8 +21,8 @@ from cell.identify.noise import Noise
 from cell.identify.parameters import ParameterSpace
 from cell.lab.fitting import Fit, fit_trials, space_with
 from cell.lab.prepared import PreparedStudy
-from cell.lab.systematic import systematic
 from cell.lab.unmodelled import unmodelled
+from cell.lab.whole import Whole
 from cell.study.data import Study
 
 #: Datasheets of one kind of cable agree to this.
@@ -46,9 +46,9 @@ def identified(
     precision[:p, :p] += fit.space.precision
     precision[p:, p:] += np.diag(1.0 / fit.begun_std**2)
     noise_only = np.linalg.inv(precision)
-    wrong = systematic(prepared, fit, trials)
-    by_hand = wrong.covariance(noise_only[:p] @ solution.jacobian.T / inflation)
-    missed = unmodelled(prepared, fit, effects, wrong)
+    whole = Whole(prepared, fit)
+    by_hand = whole.wrong.covariance(noise_only[:p] @ solution.jacobian.T / inflation)
+    missed = unmodelled(whole, effects)
     return Identified(
         space=fit.space,
         mean=fit.q,

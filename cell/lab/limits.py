@@ -14,15 +14,16 @@ from cell.cable.effects.base import ActiveEffect, Effect, Parameter
 from cell.identify.fit import variance_inflation
 from cell.lab.diagnose import Examination
 from cell.lab.doubts import interrupted_doubt
-from cell.lab.estimate import CONVERGED, LEAST_KNOWN, MIN_FREEDOM
+from cell.lab.estimate import LEAST_KNOWN, MIN_FREEDOM
 from cell.lab.explore import Explorer, Progress, no_progress
-from cell.lab.fitting import Fit, fit_model, fit_trials
+from cell.lab.fitting import fit_trials
 from cell.lab.held import HeldEffect, all_changes
-from cell.lab.prepared import PreparedStudy, StoppedError, pooled
+from cell.lab.prepared import PreparedStudy, StoppedError
 from cell.lab.results import Limit
 from cell.lab.score import Nuisance
-from cell.lab.screen import Sensitivity, changes, nuisance_of, one_sided, sensitivities
-from cell.lab.systematic import Systematic, systematic
+from cell.lab.screen import Sensitivity, changes, nuisance_of, one_sided
+from cell.lab.systematic import Systematic
+from cell.lab.whole import Whole, of_all_trials
 
 FloatArray = NDArray[np.float64]
 
@@ -78,18 +79,11 @@ def _limits(explorer: Explorer, examination: Examination) -> tuple[Limit, ...]:
         for name, effect in explorer.library.items()
         if name not in named and name not in final.names
     ]
-    prepared, fit = examination.weighed, final.fit
-    if any(t.role != "fit" for t in prepared.study.trials):
-        prepared = pooled(prepared)
-        fit = fit_model(prepared, fit.space, fit.q, fit.begun, options=CONVERGED)
-    return limits(prepared, fit, absent, explorer.progress)
+    return limits(of_all_trials(examination.weighed, final.fit), absent, explorer.progress)
 
 
 def limits(
-    prepared: PreparedStudy,
-    fit: Fit,
-    effects: Sequence[type[Effect]],
-    progress: Progress = no_progress,
+    whole: Whole, effects: Sequence[type[Effect]], progress: Progress = no_progress
 ) -> tuple[Limit, ...]:
     """95 % limits of the amplitudes of effects beside a fitted model, each effect alone.
 
@@ -102,17 +96,16 @@ def limits(
 
     Of an amplitude of one sign the limit is one-sided, and an estimate below none of it counts as
     none: no limit is below what the study can show (a power-constrained limit).
-    fit   to the `fit` trials of `prepared`
     """
+    prepared, fit, wrong = whole.prepared, whole.fit, whole.wrong
     progress("how strong other effects could be", 0, ROUNDS + 2)
     whiteners = [prepared.whiteners[t.name] for t in fit_trials(prepared)]
-    wrong = systematic(prepared, fit, fit_trials(prepared))
     nuisance = nuisance_of(fit).moved(wrong.mesh)
     residual = nuisance.residual[: len(wrong.mesh)]
     inflation = variance_inflation(residual, whiteners, len(fit.q))
     found = [
         _Search(slopes, j, nuisance, wrong, inflation)
-        for slopes in sensitivities(prepared, fit, effects)
+        for slopes in whole.sensitivities(effects)
         for j in range(slopes.rows.shape[1])
     ]
     for done in range(ROUNDS):

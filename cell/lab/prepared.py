@@ -179,6 +179,8 @@ class PreparedStudy:
 
 def pooled(prepared: PreparedStudy) -> PreparedStudy:
     """The same with every trial to be fitted to."""
+    if all(t.role == "fit" for t in prepared.study.trials):
+        return prepared
     return replace(prepared, study=all_fitted(prepared.study))
 
 

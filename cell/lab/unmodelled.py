@@ -19,8 +19,9 @@ from cell.identify.fit import variance_inflation
 from cell.lab.fitting import Fit, fit_trials
 from cell.lab.prepared import PreparedStudy
 from cell.lab.rules import DEFAULT_RULES
-from cell.lab.screen import one_sided, prior_root, sensitivities
+from cell.lab.screen import one_sided, prior_root
 from cell.lab.systematic import Systematic
+from cell.lab.whole import Whole
 
 FloatArray = NDArray[np.float64]
 
@@ -87,17 +88,13 @@ class _Linear:
         return np.asarray(np.linalg.solve(self.triangle, self.basis.T @ rows.T))
 
 
-def unmodelled(
-    prepared: PreparedStudy, fit: Fit, effects: Iterable[type[Effect]], wrong: Systematic
-) -> Unmodelled:
-    """Of a model fitted to the `fit` trials, that lacks some of the effects, or others.
-
-    wrong  of the same fit and trials
-    """
+def unmodelled(whole: Whole, effects: Iterable[type[Effect]]) -> Unmodelled:
+    """Of a fitted model that lacks some of the effects, or others."""
+    prepared, fit, wrong = whole.prepared, whole.fit, whole.wrong
     p, none = len(fit.q), np.zeros((len(fit.q), len(fit.q)))
     tried = [e for e in effects if e.name not in {x.name for x in fit.space.effects}]
     linear = _Linear.of(fit, wrong)
-    options = _options(prepared, fit, tried, linear)
+    options = _options(whole, tried, linear)
     chosen, factor = _explaining(prepared, fit, options, linear, wrong)
     if not chosen:
         return Unmodelled((), none)
@@ -112,12 +109,10 @@ def unmodelled(
     return Unmodelled(tuple(o.effect.name for o in chosen), all_of[:p, :p])
 
 
-def _options(
-    prepared: PreparedStudy, fit: Fit, effects: Sequence[type[Effect]], linear: _Linear
-) -> list[_Option]:
+def _options(whole: Whole, effects: Sequence[type[Effect]], linear: _Linear) -> list[_Option]:
     """Effects at every guess of their shape, but those of which nothing is seen."""
     options = []
-    for slopes in sensitivities(prepared, fit, effects) if effects else ():
+    for slopes in whole.sensitivities(effects):
         for rows in slopes.rows:
             seen = linear.seen(rows)
             if np.linalg.norm(seen) > LEAST_LEFT * np.linalg.norm(rows):

@@ -15,6 +15,7 @@ from cell.lab.fitting import extended, fit_model, space_with
 from cell.lab.limits import limits, with_limits
 from cell.lab.prepared import PreparedStudy, all_fitted
 from cell.lab.results import to_json
+from cell.lab.whole import Whole
 from cell.lab.wording import limit_rows
 from cell.study.data import Markers
 
@@ -60,7 +61,7 @@ def test_at_its_limit_an_effect_costs_what_excludes_it(fitted, name):
     """
     prepared, fit = fitted
     effect = KNOWN[name]
-    (found,) = limits(prepared, fit, [effect])
+    (found,) = limits(Whole(prepared, fit), [effect])
     prepared = replace(prepared, solver=Solver(segments=64, step_s=5e-4))
     rise = misfit(prepared, fit, effect, found.high) - misfit(prepared, fit, effect)
     reach = 1.960 if name == "camera_scale" else 1.645
@@ -69,7 +70,7 @@ def test_at_its_limit_an_effect_costs_what_excludes_it(fitted, name):
 
 def test_a_limit_is_of_one_sign_where_the_effect_is(fitted):
     prepared, fit = fitted
-    drag, roll = limits(prepared, fit, [KNOWN["air_drag"], KNOWN["camera_roll"]])
+    drag, roll = limits(Whole(prepared, fit), [KNOWN["air_drag"], KNOWN["camera_roll"]])
     assert (drag.low, drag.unit) == (0.0, "1")
     assert 0.0 < drag.high < 2.0
     assert roll.low < roll.high
@@ -78,24 +79,24 @@ def test_a_limit_is_of_one_sign_where_the_effect_is(fitted):
 
 
 def test_of_two_amplitudes_each_has_its_own_limit(fitted):
-    found = limits(*fitted, [KNOWN["natural_curvature"]])
+    found = limits(Whole(*fitted), [KNOWN["natural_curvature"]])
     assert [f.parameter for f in found] == ["curvature_1_per_m", "gradient_1_per_m2"]
 
 
 def test_what_softer_bending_near_the_clamp_imitates_is_not_excluded(make_study, fitted):
     """EI(s) was fitted without the jaws' compliance and has taken it up."""
     effect = KNOWN["grip_compliance"]
-    (limit,) = limits(*fitted, [effect])
+    (limit,) = limits(Whole(*fitted), [effect])
     true = 2.0 * limit.high
     study = make_study([effect.active(rad_per_n_m=true)], seed=22)
-    (found,) = limits(*baseline(study), [effect])
+    (found,) = limits(Whole(*baseline(study)), [effect])
     assert true < found.high < 3.0 * true + limit.high
 
 
 def test_limits_hold_for_every_shape_that_fits_as_well(make_study):
     """A ringing that soon dies away must be stronger than one that lasts to be seen as well."""
     ringing = KNOWN["robot_ringing"].active(amplitude_m=6e-5, frequency_hz=12.0, damping=0.05)
-    (found,) = limits(*baseline(make_study([ringing], seed=21)), [ringing.effect])
+    (found,) = limits(Whole(*baseline(make_study([ringing], seed=21))), [ringing.effect])
     assert found.low < 6e-5 < found.high
 
 
@@ -104,7 +105,7 @@ def test_what_nothing_shows_is_not_excluded(make_study):
     study = make_study([], seed=21)
     still = [_at_rest(t) for t in study.trials[:1]]
     prepared, fit = baseline(replace(study, trials=tuple(still)))
-    latency, angle = limits(prepared, fit, [KNOWN["camera_latency"], KNOWN["grip_slip"]])
+    latency, angle = limits(Whole(prepared, fit), [KNOWN["camera_latency"], KNOWN["grip_slip"]])
     assert (latency.low, latency.high, latency.tip_m) == (None, None, None)
     assert angle.high is not None
 
@@ -117,7 +118,7 @@ def test_where_trials_disagree_on_an_effect_its_limits_are_wider(make_study):
     xy_m = turned.markers.xy_m @ np.array([[c, s], [-s, c]])
     turned = replace(turned, name="turned", markers=Markers(turned.markers.t_s, xy_m))
     prepared, fit = baseline(replace(study, trials=(*study.trials, turned)))
-    (roll,) = limits(prepared, fit, [KNOWN["camera_roll"]])
+    (roll,) = limits(Whole(prepared, fit), [KNOWN["camera_roll"]])
     assert roll.low < 0.0 < roll.high
 
 
