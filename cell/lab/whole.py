@@ -1,0 +1,48 @@
+"""A fitted model and what several questions ask of it, each worked out once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+
+from cell.cable.effects.base import Effect
+from cell.identify.gauss_newton import Options
+from cell.lab.fitting import Fit, fit_model, fit_trials
+from cell.lab.prepared import PreparedStudy, pooled
+from cell.lab.screen import Sensitivity, sensitivities
+from cell.lab.systematic import Systematic, systematic
+
+CONVERGED = Options(tolerance=0.03, most_passes=40)
+
+
+@dataclass(frozen=True, eq=False)
+class Whole:
+    """A model fitted to the `fit` trials of a study, what may be wrong with it, and its slopes."""
+
+    prepared: PreparedStudy
+    fit: Fit
+    _slopes: dict[type[Effect], Sensitivity] = field(default_factory=dict)
+
+    @cached_property
+    def wrong(self) -> Systematic:
+        """By what the hand's log and the mesh may err."""
+        return systematic(self.prepared, self.fit, fit_trials(self.prepared))
+
+    def sensitivities(self, effects: Iterable[type[Effect]]) -> list[Sensitivity]:
+        """What the amplitudes of effects do to the trials, in the order of the effects."""
+        asked = list(effects)
+        new = [e for e in asked if e not in self._slopes]
+        if new:
+            self._slopes.update({s.effect: s for s in sensitivities(self.prepared, self.fit, new)})
+        return [self._slopes[e] for e in asked]
+
+
+@lru_cache(maxsize=4)
+def of_all_trials(prepared: PreparedStudy, fit: Fit) -> Whole:
+    """The model of a fit, fitted to every trial of its study.
+
+    raises  ValueError: a trial cannot be simulated
+    """
+    together = pooled(prepared)
+    return Whole(together, fit_model(together, fit.space, fit.q, fit.begun, options=CONVERGED))
