@@ -178,7 +178,9 @@ def _searched(
     """The baseline with the effects that are believed; whether the search was cut short."""
     current = base
     for _ in range(rules.most_effects):
-        if _below_stated(explorer, current, rules) or hopeless_search(explorer, current, rules):
+        if _below_stated(explorer, current, rules):
+            break
+        if hopeless_search(explorer, current, rules, rules.hopeless_left):
             break
         spent = explorer.prepared.work.simulated_s > rules.most_simulated_s
         if spent and current is not base:  # beside the baseline, all were refitted already
@@ -187,7 +189,9 @@ def _searched(
         better = _accepted(explorer, current, options, library, rules)
         if better is None:
             break
-        current = _pruned(explorer, _exchanged(explorer, better, rules), rules)
+        if not hopeless_search(explorer, better, rules, rules.unexchanged_left):
+            better = _exchanged(explorer, better, rules)
+        current = _pruned(explorer, better, rules)
         _LOG.info("with %s: %s", ", ".join(sorted(current.names)), _errors_in_words(current))
     return current, False
 

@@ -32,8 +32,10 @@ class Rules:
     nearest          effects that an unexplained study is told of
     most_simulated_s  after so many seconds of motion simulated no further effect is sought; some
                      twenty seconds on two cores, and as much again for what was begun
-    first_effects, hopeless_left   after so many effects no more are sought if a larger share than
-                     this of the error beyond noise is left
+    first_effects, hopeless_left, unexchanged_left   after so many effects no more are sought if a
+                     larger share than this of the error beyond noise is left, and none exchanged
+                     if more than the last is: of two that together explain it, one alone explains
+                     half, unless they work against each other
     """
 
     significance: float = 0.01
@@ -60,6 +62,7 @@ class Rules:
     most_simulated_s: float = 30_000.0
     first_effects: int = 2
     hopeless_left: float = 0.1
+    unexchanged_left: float = 0.5
 
 
 DEFAULT_RULES = Rules()

@@ -55,17 +55,17 @@ def unconfirmed(explorer: Explorer, final: Candidate, rules: Rules) -> tuple[str
     return tuple(e.name for e in found if explorer.visible(final, e) < rules.least_visible)
 
 
-def hopeless_search(explorer: Explorer, current: Candidate, rules: Rules) -> bool:
-    """Whether one more effect cannot be hoped to make the residual noise.
+def hopeless_search(explorer: Explorer, current: Candidate, rules: Rules, most_left: float) -> bool:
+    """Whether one more effect, or another for one found, cannot be hoped to make the residual noise.
 
-    So it is if two have been found, and still most of the error is left.
+    So it is if two have been found, and still more than a share `most_left` of the error is left.
     """
     if len(current.names) - len(explorer.space.effects) < rules.first_effects:
         return False
     prepared = explorer.prepared
     before, after = leftover(prepared, explorer.baseline()), leftover(prepared, current)
     left = 1.0 - removed_share(prepared.floor.noise.std_m, before, after)
-    return left > rules.hopeless_left
+    return left > most_left
 
 
 def _at_measurement_noise(explorer: Explorer, candidate: Candidate, rules: Rules) -> bool:
