@@ -56,7 +56,7 @@ def unconfirmed(explorer: Explorer, final: Candidate, rules: Rules) -> tuple[str
 
 
 def hopeless_search(explorer: Explorer, current: Candidate, rules: Rules, most_left: float) -> bool:
-    """Whether one more effect, or another for one found, cannot be hoped to make the residual noise.
+    """Whether no further effect, nor another for one found, can be hoped to leave noise.
 
     So it is if two have been found, and still more than a share `most_left` of the error is left.
     """

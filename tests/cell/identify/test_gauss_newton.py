@@ -155,3 +155,30 @@ def test_slopes_that_cannot_be_had_are_taken_from_the_residuals() -> None:
     near = replace(misra(), slopes=lambda q: np.full((len(q), len(MISRA1A)), np.nan))
     solution = minimise(near, np.log((250.0, 5e-4)), Options(tolerance=1e-4))
     np.testing.assert_allclose(np.exp(solution.q), CERTIFIED, rtol=1e-5)
+
+
+def test_a_rough_objective_is_left_once_passes_gain_nothing() -> None:
+    """Ripples of 0.3 in χ² all over a valley, as friction makes them: each promises a way down."""
+
+    def residuals(lanes: np.ndarray) -> np.ndarray:
+        ripples = 5.0 + 0.03 * np.sin(1e3 * lanes)
+        return np.hstack([300.0 * (lanes - 1.0), ripples, np.ones((len(lanes), 100))])
+
+    bounds, none = np.full(2, np.inf), np.zeros(2)
+    rough = Problem(residuals, none, 1e-9 * np.eye(2), np.full(2, 1e-4), -bounds, bounds)
+    solution = minimise(rough, np.array([3.0, -2.0]), Options(most_passes=40, updates=3))
+    assert solution.settled
+    assert solution.passes <= 12
+    np.testing.assert_allclose(solution.q, 1.0, atol=1.0 / 300.0)
+
+
+def test_a_fit_that_stays_far_above_another_is_given_up() -> None:
+    begin = np.log([500.0, 1e-4])
+    whole = minimise(misra(), begin, Options(tolerance=1e-4))
+    hurried = Options(tolerance=1e-4, above=(1e2 * whole.objective, 3))
+    given_up = minimise(misra(), begin, hurried)
+    assert given_up.passes == 3 < whole.passes
+    assert not given_up.converged and not given_up.settled
+    assert given_up.objective > 1e2 * whole.objective
+    kept = minimise(misra(), begin, replace(hurried, above=(1e9 * whole.objective, 3)))
+    np.testing.assert_array_equal(kept.q, whole.q)
