@@ -63,13 +63,11 @@ def simulate_each(
     start: Start = "equilibrium",
     release_s: float | None = None,
     bent: Sequence[FloatArray] = (),
-    impossible: float | None = None,
 ) -> list[FloatArray]:
     """Positions of markers of each lane at its own times, (times, markers, 2); as `simulate`.
 
-    All lanes begin when the first of them does, and share one grid of steps.
-    impossible  value of lanes that cannot be simulated, which do not spoil the others; None: they
-                raise
+    All lanes begin when the first of them does, and share one grid of steps.  Lanes that cannot be
+    simulated are nan instead of raising, and do not spoil the others.
     """
     batch, paths = _lanes(models, motions)
     times = [increasing(t) for t in times_s]
@@ -78,7 +76,7 @@ def simulate_each(
     out = [np.empty((t.size, np.size(arc_length_m), 2)) for t in times]
     begin = _Begin.of(start, release_s, bent, len(batch))
     swing = Swing(batch, paths, times, solver, begin.bent)
-    _simulate(swing, begin, arc_length_m, out, impossible)
+    _simulate(swing, begin, arc_length_m, out, spared=True)
     return out
 
 
@@ -108,9 +106,13 @@ def _simulate(
     how: _Begin,
     arc_length_m: FloatArray,
     out: Sequence[FloatArray] | FloatArray,
-    impossible: float | None = None,
+    *,
+    spared: bool = False,
 ) -> None:
-    """Write (times, markers, 2) of each lane to `out`; lanes that cannot be simulated as told."""
+    """Write (times, markers, 2) of each lane to `out`.
+
+    spared  lanes that can be simulated, by those that cannot: these are nan instead of raising
+    """
     first = [float(t[0]) for t in swing.times_s if t.size]
     if not first:
         return
@@ -119,11 +121,11 @@ def _simulate(
     while left:
         part, places = swing.of(left), [out[i] for i in left]
         failed = _moved(part, begin_s, rests, arc_length_m, out if part is swing else places)
-        if impossible is None:
-            for _, error in failed:
+        for _, error in failed:
+            if not spared:
                 raise error
-        for lane in (lane for _, error in failed for lane in error.lanes):
-            places[lane][:] = impossible
+            for lane in error.lanes:
+                places[lane][:] = np.nan
         left = [left[i] for block, error in failed for i in block.lanes if i not in error.lanes]
 
 

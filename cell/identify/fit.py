@@ -253,7 +253,7 @@ def predict_lanes(
     impossible  value of a lane that cannot be simulated
     """
     trial = lanes[0].trial
-    return simulate_each(
+    found = simulate_each(
         [lane.model for lane in lanes],
         [lane.trial.grip for lane in lanes],
         [lane.times_s for lane in lanes],
@@ -262,8 +262,8 @@ def predict_lanes(
         start=trial.start,
         release_s=trial.release_s,
         bent=[lane.modes for lane in lanes if lane.modes is not None],
-        impossible=impossible,
     )
+    return [np.full_like(p, impossible) if np.isnan(p).all() else p for p in found]
 
 
 def predict(

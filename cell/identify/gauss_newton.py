@@ -133,8 +133,7 @@ def minimise(problem: Problem, start: FloatArray, options: Options = Options()) 
             stuck, stuck_at = 0, here.objective
         settled = stuck >= (_STUCK_PASSES if promised <= scale else _ROUGH_PASSES)
         last = settled or passes >= options.most_passes or (idle == 2 and scale > _ERRS)
-        limit, enough = options.above
-        if passes >= enough and here.objective > limit:
+        if passes >= options.above[1] and here.objective > options.above[0]:
             break
         if near or last:
             computed = _computed(problem, here)
@@ -143,8 +142,7 @@ def minimise(problem: Problem, start: FloatArray, options: Options = Options()) 
                 continue
             converged = near and not here.updates
             if converged:
-                residual = here.residual + here.jacobian @ step
-                here = replace(here, q=here.q + step, residual=residual)
+                here = replace(here, q=here.q + step, residual=here.residual + here.jacobian @ step)
             break
         if damping > 0.0:
             step = _bounded_step(problem, here.q, normal, slope, damping)

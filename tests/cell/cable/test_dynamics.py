@@ -276,7 +276,7 @@ def test_lanes_that_cannot_be_simulated_cost_the_others_of_their_block_one_more_
         swing, "_run", lambda block, *rest: blocks.append(block) or run(block, *rest)
     )
     solver = Solver(20, 5e-3, threads=1)
-    found = simulate_each(batch, motions, [TIMES] * 40, arc, solver=solver, impossible=np.nan)
+    found = simulate_each(batch, motions, [TIMES] * 40, arc, solver=solver)
     assert all(
         np.isnan(points).all() == (m is soft) for points, m in zip(found, batch, strict=True)
     )
@@ -286,8 +286,6 @@ def test_lanes_that_cannot_be_simulated_cost_the_others_of_their_block_one_more_
     )
     again = sum(len(block.lanes) for block in blocks) - 40
     assert 0 < again <= 2 * LANES
-    with pytest.raises(DivergedError, match="lane 3 diverged"):
-        simulate_each(batch, motions, [TIMES] * 40, arc, solver=solver)
 
 
 def test_a_second_process_starts_in_under_three_seconds(cable, arc, jerk, tmp_path):
