@@ -33,7 +33,7 @@ def test_of_places_of_a_force_the_one_is_kept_that_holds_beyond_the_motions_fitt
     weighed = []
 
     def fit_model(*args, **options):
-        return SimpleNamespace(objective=next(objectives), solution=SimpleNamespace(converged=True))
+        return SimpleNamespace(objective=next(objectives), solution=SimpleNamespace(settled=True))
 
     def weigh(explorer, effects, fit):
         weighed.append(fit.objective)
@@ -70,7 +70,7 @@ def test_what_was_taken_as_far_as_it_goes_is_not_taken_there_again(
             begun={},
             space=None,
             q=None,
-            solution=SimpleNamespace(converged=False, passes=passes),
+            solution=SimpleNamespace(settled=False, passes=passes),
         )
 
     monkeypatch.setattr(explore, "fit_model", fit_model)
