@@ -79,7 +79,11 @@ def _limits(explorer: Explorer, examination: Examination) -> tuple[Limit, ...]:
         for name, effect in explorer.library.items()
         if name not in named and name not in final.names
     ]
-    return limits(of_all_trials(examination.weighed, final.fit), absent, explorer.progress)
+    try:
+        whole = of_all_trials(examination.weighed, final.fit)
+    except ValueError:  # as far as the fitted trials tell
+        whole = Whole(examination.weighed, final.fit)
+    return limits(whole, absent, explorer.progress)
 
 
 def limits(

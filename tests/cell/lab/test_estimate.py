@@ -7,7 +7,7 @@ import numpy as np
 
 from cell.cable.effects import library
 from cell.identify.parameters import ParameterSpace
-from cell.lab import estimate as estimates
+from cell.lab import whole
 from cell.lab.estimate import estimate
 from cell.lab.explore import cold_start
 from cell.lab.fitting import fit_model
@@ -51,8 +51,10 @@ def test_a_fit_whose_last_place_cannot_be_simulated_is_its_own_estimate(monkeypa
     def impossible(*args, **options):
         raise ValueError
 
-    monkeypatch.setattr(estimates, "fit_model", impossible)
-    study = SimpleNamespace(trials=())
-    fit = SimpleNamespace(space=None, q=None, begun={})
-    found = estimate(SimpleNamespace(study=study), fit)
+    class Stub(SimpleNamespace):
+        __hash__ = object.__hash__
+
+    monkeypatch.setattr(whole, "fit_model", impossible)
+    fit = Stub(space=None, q=None, begun={})
+    found = estimate(Stub(study=Stub(trials=())), fit)
     assert (found.fit, found.disagreement) == (fit, 1.0)
