@@ -107,7 +107,7 @@ def _examined(explorer: Explorer, rules: Rules) -> Examination:
         steps, tied = (base,), {}
         partial = explain_partly(explorer, explorer.known(), len(screened), rules)
     unseen = unconfirmed(explorer, current, rules) if found else ()
-    asked = asked_by_prior_only(explorer, base, current, rules) if found else ()
+    asked = asked_by_prior_only(explorer, base, current, tied, rules) if found else ()
     doubted = (*unseen, *asked)
     verdict: Verdict = verdict_of(base, current, tied, doubted, rules) if found else "unexplained"
     whole, most = partial.explorer, partial.steps

@@ -101,6 +101,29 @@ def deviance(better: Leftover, worse: Leftover) -> float:
     return better.independent * float(np.log(worse.mean_square_m2 / better.mean_square_m2))
 
 
+def advantage(
+    prepared: PreparedStudy, better: Candidate, worse: Candidate, lag_share: float = 0.25
+) -> float:
+    """By how many standard deviations one candidate leaves less than another, both of them wrong.
+
+    What they differ by is summed over channels and trials frame by frame, so that trials which
+    repeat each other count as the one motion that they are, and its standard deviation is that of
+    a coloured series: an advantage of a single moment of the motion is worth little.
+    lag_share  largest lag of the covariances, of the longest trial's frames
+    source     Vuong 1989, Econometrica 57, 307; long-run variance after Newey and West 1987,
+               Econometrica 55, 703
+    """
+    mine, others = residuals_m(prepared, better), residuals_m(prepared, worse)
+    gained = np.zeros(max(len(e) for e in mine.values()))
+    for name, error in mine.items():
+        gained[: len(error)] += np.nansum(others[name] ** 2 - error**2, axis=1)
+    about, lags = gained - gained.mean(), int(lag_share * len(gained))
+    variance = float(about @ about)
+    for lag in range(1, lags + 1):
+        variance += 2.0 * (1.0 - lag / (lags + 1)) * float(about[lag:] @ about[:-lag])
+    return float(gained.sum() / np.sqrt(variance)) if variance > 0.0 else 0.0
+
+
 def removed_share(noise_m: float, before: Leftover, after: Leftover) -> float:
     """Share of the mean square beyond noise that is gone, 0 … 1."""
     if not np.isfinite(after.mean_square_m2):

@@ -16,8 +16,8 @@ from cell.cable.effects.base import Effect
 from cell.cable.solver import Solver
 from cell.identify.noise import Noise
 from cell.lab.doubts import at_bound
-from cell.lab.explore import Candidate, Explorer
-from cell.lab.leftover import deviance, leftover, peak, removed_share
+from cell.lab.explore import POLISHED, Candidate, Explorer
+from cell.lab.leftover import advantage, deviance, leftover, peak, removed_share
 from cell.lab.prepared import PreparedStudy, all_fitted
 from cell.lab.results import Nearest, RemainingError
 from cell.lab.rules import Rules
@@ -59,7 +59,7 @@ def explain_partly(
     for _ in range(MOST_WEIGHINGS):
         whole = _weighed_by(explorer, error)
         base = whole.baseline()
-        singles = whole.add(base, whole.worth_refitting(base, rules.best))
+        singles = _finished(whole, base, whole.add(base, whole.worth_refitting(base, rules.best)))
         before, error = error, _own_error(whole, whole.known())
         # Fits that were stuck have an error that is no model's own; trials that weigh little are
         # fitted from anywhere.
@@ -80,6 +80,16 @@ def explain_partly(
         for rival in _near(whole, steps[1], singles, rules):
             whole.add(rival, whole.worth_refitting(rival, rules.best))
     return Partial(whole, tuple(singles), tuple(steps))
+
+
+def _finished(explorer: Explorer, base: Candidate, singles: Sequence[Candidate]) -> list[Candidate]:
+    """All singles taken to convergence: how much each leaves is compared and told."""
+    pending = [added_effect(base, c) for c in singles if not c.fit.solution.converged]
+    finished: dict[frozenset[str], Candidate] = {}
+    for first in range(0, len(pending), POLISHED):  # it takes only so many to convergence at once
+        few = explorer.add(base, pending[first : first + POLISHED])
+        finished |= {c.names: c for c in few}
+    return [finished.get(c.names, c) for c in singles]
 
 
 def _near(
@@ -150,6 +160,12 @@ def _at_bound(small: Candidate, large: Candidate) -> bool:
     return any(name.startswith(own) for name, *_ in at_bound(large.fit))
 
 
+def _any_at_bound(candidate: Candidate) -> bool:
+    """Whether any effect of a candidate is as strong as its bound lets it be."""
+    own = tuple(f"{name}." for name in candidate.names)
+    return any(name.startswith(own) for name, *_ in at_bound(candidate.fit))
+
+
 def _own_error(explorer: Explorer, tried: Sequence[Candidate]) -> Noise:
     """The least error so far on the fit trials, as noise of independent frames."""
     fitted = [replace(c, heldout=None) for c in tried]
@@ -197,7 +213,9 @@ def tied_so_far(
         for c in explorer.known()
         if rest < c.names and len(c.names) == len(final.names) and c.names != final.names
     ]
-    tied = [next(iter(c.names - rest)) for c in close_rivals(explorer, final, rivals, rules)]
+    small = next((c for c in explorer.known() if c.names == rest), explorer.baseline())
+    close = _as_good(explorer, small, final, rivals, rules)
+    tied = [next(iter(c.names - rest)) for c in close]
     near = [] if rest else _near(explorer, final, [final, *rivals], rules)
     most = leftover(explorer.prepared, final)
     for alone in near:
@@ -205,12 +223,42 @@ def tied_so_far(
         in_company = [
             c
             for c in explorer.known()
-            if alone.names < c.names and effect.name not in c.names and not _at_bound(alone, c)
+            if alone.names < c.names and effect.name not in c.names and not _any_at_bound(c)
         ]
         left = [leftover(explorer.prepared, c) for c in in_company]
         if name not in tied and any(deviance(most, x) <= 0.0 for x in left):
             tied.append(name)
     return tuple(tied)
+
+
+def _as_good(
+    explorer: Explorer,
+    small: Candidate,
+    final: Candidate,
+    rivals: Sequence[Candidate],
+    rules: Rules,
+) -> list[Candidate]:
+    """Rivals that leave as little as `final`, by what models that are all wrong can tell.
+
+    What is at its bound is none, nor is what removes nothing significant, or not most of what
+    `final` does, of the error of `small`, which lacks the last effect.
+    """
+    prepared = explorer.prepared
+    noise_m = prepared.floor.noise.std_m
+    before, most = leftover(prepared, small), leftover(prepared, final)
+    least = rules.most_share * removed_share(noise_m, before, most)
+    close = {c.names for c in close_rivals(explorer, final, rivals, rules)}
+    found = []
+    for rival in rivals:
+        left = leftover(prepared, rival)
+        p_value = chance(small, rival, before, left) * len(explorer.library)
+        if _at_bound(small, rival) or p_value > rules.significance:
+            continue
+        if removed_share(noise_m, before, left) < least:
+            continue
+        if rival.names in close or advantage(prepared, final, rival) < rules.advantage:
+            found.append(rival)
+    return sorted(found, key=lambda c: c.chi2)
 
 
 def nearest(partial: Partial, tried: Sequence[Candidate], rules: Rules) -> tuple[Nearest, ...]:

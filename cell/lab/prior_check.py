@@ -2,28 +2,36 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 from scipy.special import chdtrc as chi2_sf
 
+from cell.cable.effects.base import Effect
 from cell.identify.parameters import ParameterSpace
 from cell.lab.explore import Candidate, Explorer
 from cell.lab.fitting import space_with
 from cell.lab.prepared import PreparedStudy
 from cell.lab.rules import Rules
-from cell.lab.verdict import above_noise, explains
+from cell.lab.verdict import above_noise, close_rivals, explains
 
 #: A cable is not the prior's if its parameters are as far from it with less chance than this.
 ANOTHER = 1e-3
 
 
 def asked_by_prior_only(
-    explorer: Explorer, base: Candidate, final: Candidate, rules: Rules
+    explorer: Explorer,
+    base: Candidate,
+    final: Candidate,
+    tied: Mapping[str, Sequence[str]],
+    rules: Rules,
 ) -> tuple[str, ...]:
     """Effects that another cable than the prior's would do without, or that do not explain it.
 
     None where, with all of them in, parameters that agree with the prior explain the study to the
     measurement's noise: then they account for all that sets this cable apart.  Otherwise the
-    study is asked without the prior: the fewest of them that explain it to its noise are needed.
+    study is asked without the prior: the fewest of them that explain it to its noise are needed,
+    each unless another, not `tied` with it, explains as much or more in its place.
     """
     if explorer.prior_q is None or final is base or _of_this_cable(explorer, final, rules):
         return ()
@@ -36,16 +44,41 @@ def asked_by_prior_only(
         explorer.library,
         explorer.progress,
     )
+    return not_borne_out(alone, added, tied, rules)
+
+
+def not_borne_out(
+    alone: Explorer,
+    effects: Sequence[type[Effect]],
+    tied: Mapping[str, Sequence[str]],
+    rules: Rules,
+) -> tuple[str, ...]:
+    """Those of some effects that a study, asked without a prior, does not need or explain."""
     tried = [alone.baseline()]
     while tried:
         fewest = [c for c in tried if explains(alone, alone.baseline(), c, rules)]
         if fewest:
-            needed = max(fewest, key=lambda c: c.evidence).names
-            return tuple(e.name for e in added if e.name not in needed)
-        rest = [[e for e in added if e.name not in c.names] for c in tried]
+            needed = max(fewest, key=lambda c: c.evidence)
+            return tuple(
+                e.name
+                for e in effects
+                if e.name not in needed.names
+                or _in_place(alone, needed, e, rules) - set(tied.get(e.name, ()))
+            )
+        rest = [[e for e in effects if e.name not in c.names] for c in tried]
         more = [alone.add(c, others) for c, others in zip(tried, rest, strict=True) if others]
         tried = list({c.names: c for found in more for c in found}.values())
-    return tuple(e.name for e in added)
+    return tuple(e.name for e in effects)
+
+
+def _in_place(
+    alone: Explorer, needed: Candidate, effect: type[Effect], rules: Rules
+) -> frozenset[str]:
+    """Effects that explain as much as one of a candidate's, or more, in its place."""
+    rest = alone.without(needed, effect)
+    rivals = alone.add(rest, alone.worth_refitting(rest, rules.best))
+    found = [c.names - rest.names for c in close_rivals(alone, needed, rivals, rules)]
+    return frozenset().union(*found) - needed.names
 
 
 def _of_this_cable(explorer: Explorer, final: Candidate, rules: Rules) -> bool:

@@ -19,6 +19,10 @@ class Rules:
                      for the first effect and for more, and of the baseline's excess for more.
                      Below lie the errors of models, ours included, whatever their significance
     tie              sets of effects are tied if their χ² over all trials differs by less
+    advantage        where no set of effects leaves noise, one that leaves less by fewer standard
+                     deviations than this is tied with what leaves more.  Beside white noise 1.5 is
+                     Δχ² = 9; with covariances over a quarter of the frames that becomes 2
+                     (Kiefer and Vogelsang 2005, Econometric Theory 21, 1130)
     most_tied        more than these tied: these motions cannot tell
     most_effects     added one after another
     best             of the screen that are refitted, besides all that are not smooth
@@ -46,6 +50,7 @@ class Rules:
     more_share: float = 0.01
     excess_share: float = 0.001
     tie: float = 9.0
+    advantage: float = 2.0
     most_tied: int = 3
     most_effects: int = 3
     best: int = 6
