@@ -5,9 +5,9 @@ from __future__ import annotations
 from functools import lru_cache
 from pathlib import Path
 
-from cell.computer.compiling import FASTMATH, WIDEST, compiler, hash_of, inline, widest_vectors
+from cell.computer.compiling import OPTIONS, WIDEST, compiler, hash_of, inline, widest_vectors
 
-__all__ = ["FASTMATH", "WIDEST", "compiled", "fingerprint", "inline", "widest_vectors"]
+__all__ = ["OPTIONS", "WIDEST", "compiled", "fingerprint", "inline", "widest_vectors"]
 
 
 @lru_cache(maxsize=1)

@@ -83,7 +83,7 @@ def power(base: float, exponent: float) -> float:
     p = p * z + 1.0 / 5.0
     p = p * z + 1.0 / 3.0
     p = p * z + 1.0
-    return exponential((2.0 * s * p + two * 0.6931471805599453) * exponent)
+    return exponential((2.0 * s * p + two * 0.6931471805599453) * exponent)  # type: ignore[no-any-return]
 
 
 @inline

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 import numba
 from llvmlite.binding import get_host_cpu_features
 from numba import njit, types
+from numba.core.registry import CPUDispatcher
 from numba.extending import intrinsic
 
 #: Fused multiply-add is allowed, reordering is not: results do not depend on the vector width.
@@ -18,9 +19,33 @@ FASTMATH = {"contract", "nsz"}
 #: Numbers side by side in a vector register of this processor; 4 where there are fewer.
 WIDEST = 8 if get_host_cpu_features().get("avx512f") else 4
 
+#: Of a function that Python calls, without the interpreter lock; C does not.
+OPTIONS: dict[str, Any] = {
+    "fastmath": FASTMATH,
+    "error_model": "numpy",
+    "nogil": True,
+    "no_cfunc_wrapper": True,
+}
+
 F = TypeVar("F", bound=Callable[..., Any])
 
-inline = njit(fastmath=FASTMATH, error_model="numpy", forceinline=True)
+
+class _Inlined(CPUDispatcher):
+    """A function without an entry from Python: to jump there anyway would end the process."""
+
+    def __call__(self, *_: Any, **__: Any) -> Any:
+        raise TypeError(f"{self.py_func.__name__}: only compiled code can call it")
+
+
+def inline(function: Callable[..., Any]) -> Any:
+    """Decorator of a function that becomes part of every compiled function that calls it.
+
+    Nobody else can call it: entries from Python and C took more than half of its compilation.
+    """
+    options = OPTIONS | {"forceinline": True, "no_cpython_wrapper": True}
+    dispatcher: Any = njit(**options)(function)
+    dispatcher.__class__ = _Inlined
+    return dispatcher
 
 
 def hash_of(sources: Iterable[Path]) -> str:
@@ -40,11 +65,10 @@ def compiler(fingerprint: Callable[[], str]) -> Callable[[F], F]:
     """
 
     def compiled(function: F) -> F:
-        options: dict[str, Any] = {"fastmath": FASTMATH, "error_model": "numpy", "nogil": True}
         try:
-            dispatcher: Any = njit(cache=True, **options)(function)
+            dispatcher: Any = njit(cache=True, **OPTIONS)(function)
         except RuntimeError:  # numba found no folder that it may write to
-            return njit(**options)(function)  # type: ignore[no-any-return]
+            return njit(**OPTIONS)(function)  # type: ignore[no-any-return]
         index = dispatcher._cache._cache_file
         index._source_stamp = fingerprint()
         # numba compares the stamp after it has read the rest, which may name types that are gone;

@@ -10,7 +10,7 @@ from collections import namedtuple
 
 from numba import njit
 
-from cell.cable.compiling import FASTMATH, inline, widest_vectors
+from cell.cable.compiling import OPTIONS, inline, widest_vectors
 from cell.cable.effects.base import CableData, Place
 from cell.cable.effects.pointer import FORCE_TYPES
 from cell.cable.layout import ANGLE, ARC_MIDDLE, BODY, DAMP, FX, FY, LANES, LENGTH
@@ -28,7 +28,7 @@ def at(x, y, vx, vy, tx, ty, angle, spin, arc, time, cable, p):
     return float(fx), float(fy)
 
 
-@njit([FORCE_TYPES], fastmath=FASTMATH, error_model="numpy", nogil=True, cache=True)
+@njit([FORCE_TYPES], **OPTIONS, cache=True)
 def loop(S, lanes, n, time, P, row):
     widest_vectors()
     V = P[row * LANES :]
@@ -65,7 +65,7 @@ from collections import namedtuple
 
 from numba import njit
 
-from cell.cable.compiling import FASTMATH, inline, widest_vectors
+from cell.cable.compiling import OPTIONS, inline, widest_vectors
 from cell.cable.effects.base import Bend, CableData
 from cell.cable.effects.pointer import ADVANCE, MOMENT_TYPES, REST
 from cell.cable.layout import ARC_HINGE, BEND, BEND_0, BEND_C, BODY, LANES, MOMENT
@@ -136,7 +136,7 @@ def still(curvature, rigidity, arc, cable, p):
     return moment(curvature, 0.0, rigidity, arc, {z}cable, p)
 
 
-@njit([MOMENT_TYPES], fastmath=FASTMATH, error_model="numpy", nogil=True, cache=True)
+@njit([MOMENT_TYPES], **OPTIONS, cache=True)
 def loop(S, lanes, n, mode, duration, dq, dv, P, row, Z, memory_row):
     widest_vectors()
     V = P[row * LANES :]

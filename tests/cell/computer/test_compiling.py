@@ -13,7 +13,7 @@ from numba import njit
 
 import calib.lens
 import cell.vision
-from cell.computer.compiling import compiler, hash_of, widest_vectors
+from cell.computer.compiling import compiler, hash_of, inline, widest_vectors
 from cell.vision.compiling import compiled
 
 
@@ -52,6 +52,22 @@ def test_widest_vectors_are_used_where_they_are_asked_for() -> None:
     double(np.ones(16))
     (code,) = double.inspect_asm().values()
     assert "zmm" in code
+
+
+def test_what_only_compiled_code_can_call_says_so() -> None:
+    """It has no entry from Python: to call it all the same would end the process."""
+
+    @inline
+    def plus_one(x):
+        return x + 1.0
+
+    @njit
+    def call(x):
+        return plus_one(x)
+
+    assert call(1.0) == 2.0
+    with pytest.raises(TypeError, match="plus_one: only compiled code can call it"):
+        plus_one(1.0)
 
 
 _PROGRAM = """
