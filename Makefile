@@ -4,7 +4,7 @@ BIN := $(VENV)/bin
 PYTHON ?= $(firstword $(foreach p,python3.12 python3.11 python3.13 python3,$(shell $(p) -c "import sys; print('$(p)' if (3,11) <= sys.version_info[:2] < (3,14) else '')" 2>/dev/null)))
 CYCLES ?= 3
 
-.PHONY: run test lint types imports compiled tests hardware bench figures learn coverage practice false-alarms confusion rigs fault-trials calibration-study malformed endurance clean help jaw-plate picture docs
+.PHONY: run test lint types imports compiled compiled-cell compiled-arm compiled-effects tests hardware bench figures learn coverage practice false-alarms confusion rigs fault-trials calibration-study malformed endurance clean help jaw-plate picture docs
 
 help:            ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
@@ -18,7 +18,7 @@ export OPENBLAS_NUM_THREADS = 1
 export PYTHONDONTWRITEBYTECODE =
 
 test: $(VENV)/.dev   ## everything that CI checks
-	$(MAKE) --no-print-directory -j 2 lint types imports compiled
+	$(MAKE) --no-print-directory -j 2 lint compiled-cell types compiled-arm compiled-effects imports
 	$(MAKE) --no-print-directory tests
 
 lint: $(VENV)/.dev
@@ -31,10 +31,17 @@ types: $(VENV)/.dev
 imports: $(VENV)/.dev
 	$(BIN)/lint-imports
 
-compiled: $(VENV)/.dev   # machine code on disk, or each of two test processes would compile it
+compiled: compiled-cell compiled-arm compiled-effects   # machine code on disk, or each test process would compile it
+
+compiled-cell: $(VENV)/.dev
 	@folder=$$(mktemp -d) && $(BIN)/cell run --config config/fake.yaml --cycles 1 --out $$folder/runs > $$folder/log 2>&1 \
 		|| { cat $$folder/log; rm -rf $$folder; exit 1; }; rm -rf $$folder
+
+compiled-arm: $(VENV)/.dev
 	@$(BIN)/python -c "from drivers.ur_kinematics import load_code; load_code()"
+
+compiled-effects: $(VENV)/.dev
+	@$(BIN)/python -c "from cell.cable.effects import library; from cell.cable.effects.compiled import loops_of; [loops_of(e) for e in library().values()]"
 
 tests: $(VENV)/.dev
 	$(BIN)/pytest -n 3 --dist worksteal -m 'not real_time'  # one more than cores: many tests wait

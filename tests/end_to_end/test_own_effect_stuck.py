@@ -105,23 +105,29 @@ LATER = HEAD.replace('"""Mine."""', '"""Mine."""\nimport os') + (
 )
 
 
+@pytest.fixture(scope="module")
+def tried(study: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with a study, and a model fitted to it with an effect that has passed its trial."""
+    folder = tmp_path_factory.mktemp("tried")
+    (folder / "mine.py").write_text(LATER)
+    (folder / "study").symlink_to(study)
+    fit = ["fit", "study", "--effect", "mine.py", "-o", "model.json"]
+    command = [sys.executable, "-c", PROGRAM, *fit]
+    subprocess.run(command, cwd=folder, timeout=120, check=True, capture_output=True)
+    return folder
+
+
 @pytest.mark.parametrize(
     "words", [["effects", "--effect", "mine.py"], ["compare", "study", "--model", "model.json"]]
 )
 def test_an_effect_that_was_tried_before_and_is_stuck_now_is_named(
-    study: Path, tmp_path: Path, words: list[str]
+    tried: Path, words: list[str]
 ) -> None:
     """It is not tried elsewhere again; loading it hung for ever."""
-    path = tmp_path / "mine.py"
-    path.write_text(LATER)
-    (tmp_path / "study").symlink_to(study)
-    fit = ["fit", "study", "--effect", "mine.py", "-o", "model.json"]
-    command = [sys.executable, "-c", PROGRAM]
-    subprocess.run([*command, *fit], cwd=tmp_path, timeout=120, check=True, capture_output=True)
     done = subprocess.run(
-        [*command, *words], cwd=tmp_path, env=os.environ | {"STUCK": "1"},
+        [sys.executable, "-c", PROGRAM, *words], cwd=tried, env=os.environ | {"STUCK": "1"},
         capture_output=True, text=True, timeout=120, check=False,
     )  # fmt: skip
     assert (done.returncode, done.stderr.splitlines()[-1:]) == (
-        2, [f"{path}:13: mine.extra_length {ENDS}"],
+        2, [f"{tried / 'mine.py'}:13: mine.extra_length {ENDS}"],
     )  # fmt: skip
