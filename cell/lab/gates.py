@@ -17,10 +17,9 @@ from cell.cable.solver import DivergedError
 from cell.cable.statics import UnsettledError
 from cell.identify.individual import CableRejectedError, IdentifyOptions, identify
 from cell.identify.model_class import ModelClass
-from cell.identify.noise import across
 from cell.lab.cycles import RecordedCycle
 from cell.lab.learn import EffectFit, Lesson
-from cell.lab.shared import BIAS_M
+from cell.lab.shared import BIAS_M, along_end
 from cell.plan.destination import Destination
 from cell.plan.passage import measured_passage
 from cell.settings import Settings
@@ -199,7 +198,7 @@ def _forecast_m(
         )
     except (CableRejectedError, DivergedError, UnsettledError):
         return float("inf"), time.process_time() - begun_s
-    seen = markers.xy_m[:, 0] - _seen_beyond_m(first, held) * _along(later)
+    seen = markers.xy_m[:, 0] - _seen_beyond_m(first, held) * along_end(later)
     if cycle.executed is None:
         return float(np.nanmax(np.linalg.norm(seen - tip, axis=1))), spent_s
     passage = measured_passage(destination, markers.t_s, seen, markers.t_s, tip)
@@ -211,14 +210,8 @@ def _seen_beyond_m(held: Trial, tip: FloatArray) -> float:
 
     As a hold tells; no more than pictures may do so: the rest is an error of the model.
     """
-    beyond = np.sum((held.markers.xy_m[:, 0] - tip) * _along(held), axis=1)
+    beyond = np.sum((held.markers.xy_m[:, 0] - tip) * along_end(held), axis=1)
     return float(np.clip(np.nanmean(beyond), -2.0 * BIAS_M, 2.0 * BIAS_M))
-
-
-def _along(trial: Trial) -> FloatArray:
-    """(T, 2) unit vectors along the cable at its end."""
-    normal = across(trial.markers.xy_m)[:, 0]
-    return np.stack([normal[:, 1], -normal[:, 0]], axis=1)
 
 
 def _parted(held: Trial) -> tuple[Trial, Trial]:

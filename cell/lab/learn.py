@@ -19,7 +19,7 @@ from cell.lab.fitting import Fit
 from cell.lab.prepared import PreparedStudy
 from cell.lab.score import holm
 from cell.lab.screen import MOST_SHAPES, ScreenedEffect, screen, shapes_of
-from cell.lab.shared import SharedFit, Spread, fit_shared, prepared_cycle
+from cell.lab.shared import BIAS_M, SharedFit, Spread, fit_shared, prepared_cycle
 
 FloatArray = NDArray[np.float64]
 
@@ -41,6 +41,11 @@ SIGNIFICANCE = 0.01
 TIE = 9.0
 #: A model is complete for the line if it misses by no more than this above the noise, m.
 NEGLIGIBLE_M = 5e-6
+#: Standard deviations that are still chance.
+CHANCE = 3.0
+#: Share of what an effect does that `shared.SOLVER` may err by: of two that are the same physics, a
+#: late arm and a late camera, the one that was there explained less by 0.4 % of it.
+SIMULATED = 0.005
 
 Progress = Callable[[str], None]
 
@@ -176,12 +181,12 @@ def learn(
     baseline = fit_shared(prepared, base, np.vstack([a.q for a in alone]))
     names = tuple(c for c, _ in chosen)
     none = Lesson(names, baseline, (), None, (), (), ())
-    if _negligible(baseline):
+    if negligible(baseline):
         return none
     search = _Search(tuple(few), base, plausible[:TRIED_ON], len(others), progress)
     tried = search.next(alone[:TRIED_ON], others, None)
     first = _lesson(replace(none, ranking=tuple(tried)), search, prepared, plausible, tried)
-    if first.best is None or _negligible(first.best.fit) or len(others) < 2:
+    if first.best is None or negligible(first.best.fit) or len(others) < 2:
         return first
     progress(f"looking for what {first.best.effect.name} leaves")
     kind = replace(options.kind, effects=(*options.kind.effects, first.best.effect))
@@ -229,16 +234,36 @@ def _lesson(
     )
 
 
+def library_first(ranked: Sequence[EffectFit]) -> list[EffectFit]:
+    """The likeliest first; a law of a file gives way to an effect of the library that explains as
+    much: its free exponents and places always explain a little more.
+    """
+    named = [t for t in ranked[:1] if t.effect.file is not None]
+    same = [t for t in ranked[1:] if named and t.effect.file is None and _tied(t, ranked[0])]
+    return sorted(ranked, key=lambda t: t is not same[0]) if same else list(ranked)
+
+
 def _tied(other: EffectFit, best: EffectFit) -> bool:
-    """Whether an effect explains as much, or would: its fit was left short of its end."""
+    """Whether an effect explains as much, or would: its fit was left short of its end.
+
+    As much is less than what noise or the simulation's own error can make of it.
+    """
     left = other.fit.solution.promised if other.fit.chi2 < NEAR * best.fit.chi2 else 0.0
-    return best.fall - other.fall - left / best.fit.inflation < TIE
+    as_much = max(TIE, SIMULATED**2 * best.fall)
+    return best.fall - other.fall - left / best.fit.inflation < as_much
 
 
-def _negligible(fit: SharedFit) -> bool:
-    """Whether a model misses no more than the noise, for the line's purpose."""
+def negligible(fit: SharedFit) -> bool:
+    """Whether a model misses no more than the noise, for the line's purpose.
+
+    How far along it a cable's end is seen is allowed for in each cable alone, and hides there how
+    far all of them are: that must be no more than chance, too.
+    """
     noise_m = float(np.mean([c.noise.std_m for c in fit.cables]))
-    return fit.rms_m**2 - noise_m**2 < NEGLIGIBLE_M**2
+    if fit.rms_m**2 - noise_m**2 >= NEGLIGIBLE_M**2:
+        return False
+    beyond_m = fit.end_seen_beyond_m
+    return abs(float(beyond_m.mean())) < CHANCE * BIAS_M / float(np.sqrt(len(beyond_m)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -306,7 +331,7 @@ class _Search:
             EffectFit((*earlier, effect), fit, float(fall), float(value))
             for (effect, fit), fall, value in zip(fits, falls, adjusted, strict=True)
         ]
-        return sorted(tried, key=lambda t: -t.fall)
+        return library_first(sorted(tried, key=lambda t: -t.fall))
 
     def _to_its_end(self, fit: SharedFit, best: SharedFit) -> SharedFit:
         """The fit converged: what is compared must not differ by where it was left.

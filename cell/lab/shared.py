@@ -15,12 +15,12 @@ from cell.cable.model import CableModel
 from cell.cable.solver import Solver
 from cell.identify import gauss_newton
 from cell.identify.fit import variance_inflation
-from cell.identify.noise import Whitener
+from cell.identify.noise import Whitener, across
 from cell.identify.parameters import ParameterSpace
 from cell.lab.fitting import space_with
 from cell.lab.noise import noise_floor
 from cell.lab.prepared import PreparedStudy
-from cell.study.data import Study
+from cell.study.data import Study, Trial
 
 FloatArray = NDArray[np.float64]
 
@@ -80,6 +80,23 @@ class SharedFit:
         noise_m = float(np.mean([c.noise.std_m for c in self.cables]))
         return noise_m * float(np.sqrt(self.chi2_by_cable.sum() / count))
 
+    @property
+    def end_seen_beyond_m(self) -> FloatArray:
+        """(cables,) how far along it a cable's end is seen from where the fit has it, mean of all
+        its pictures, m.
+        """
+        found = np.empty(len(self.cables))
+        for i, cable in enumerate(self.cables):
+            q = self.space.mean.copy()
+            q[: self.own], q[self.common] = self.q[i], self.theta
+            predicted = cable.predict_all(cable.study.trials, [self.space.model(q)])
+            away = [
+                np.sum((trial.markers.xy_m[:, 0] - points[0, :, 0]) * along_end(trial), axis=1)
+                for trial, points in zip(cable.study.trials, predicted, strict=True)
+            ]
+            found[i] = np.nanmean(np.concatenate(away))
+        return found
+
     @cached_property
     def _information(self) -> tuple[FloatArray, FloatArray]:
         """(cables, m, m) what each cable tells of theta, and (cables, m) where it pulls it."""
@@ -120,6 +137,12 @@ class SharedFit:
     @property
     def _weak(self) -> FloatArray:
         return np.asarray(self.space.precision[np.ix_(self.common, self.common)])
+
+
+def along_end(trial: Trial) -> FloatArray:
+    """(T, 2) unit vectors along the cable at its end, as seen."""
+    normal = across(trial.markers.xy_m)[:, 0]
+    return np.stack([normal[:, 1], -normal[:, 0]], axis=1)
 
 
 @dataclass(frozen=True)
