@@ -2,9 +2,12 @@
 
 Cables without pictures (`fast_cell`), judged by the chart that `cell run` uses.  First a quiet
 line; then lines of 40 of its cables, after which an effect appears in the world, or cables come
-warm (`warm`: EI a fifth lower and viscosity by half higher, at size 1).
+warm (`warm`: EI a fifth lower and viscosity by half higher, at size 1).  With `--batch S` EI and
+damping of the cables differ by ± S alone.
 `python tools/chart_study.py [--quiet 1000] [--lines 5] [--effects tip_mass warm …] [--sizes 1]
-[--seed 700] [--json F]`: the quiet line goes to F as it comes, and is continued from there.
+[--seed 700] [--batch S] [--json F]`: the quiet line goes to F as it comes, and is continued from
+there.  With `--drawn N` instead N lines of 1000 and of 80 cables whose EI and viscosity are drawn
+from the batch and identified to 1 and 3 %, none simulated, for the charts of cables alone.
 """
 
 from __future__ import annotations
@@ -27,6 +30,7 @@ from cell.cable.model import CableModel
 from cell.plan.passage import height_at_mouth_m
 from cell.records.chart import signals
 from cell.records.result import Outcome, Result
+from cell.run.progress import parameters_of
 from cell.run.station import Task
 from cell.settings import Settings, load_settings
 from cell.simulated.hidden import hidden_cable
@@ -53,6 +57,8 @@ def result(task: Task, number: int, c: FastCycle) -> Result:
         predicted_std_m=None if best is None else best.margin_std_m,
         residual_rms_m=None if c.identified is None else c.identified.residual_rms_m,
         noise_m=None if c.identified is None else c.identified.noise.std_m,
+        prediction_error_m=c.true_tip_error_m,
+        parameters=parameters_of(c.identified) if c.identified else {},
     )
 
 
@@ -85,14 +91,35 @@ def alarms(line: Sequence[Result]) -> list[str]:
     return said
 
 
-def noticed_after(quiet: Sequence[Result], later: Iterable[Result]) -> int | None:
-    """Cables of the changed world until the charts say so; None = they never did."""
-    line = list(quiet)
-    for count, r in enumerate(later, start=1):
+def noticed_after(
+    quiet: Sequence[Result], later: Iterable[Result]
+) -> tuple[int | None, list[Result]]:
+    """Cables of the changed world until the charts say so, None = they never did; and these."""
+    line, count = list(quiet), None
+    for r in later:
         line.append(r)
         if any(s.at >= line[len(quiet)].folder for s in signals(line)):
-            return count
-    return None
+            count = len(line) - len(quiet)
+            break
+    return count, line[len(quiet) :]
+
+
+def error_mm(line: Iterable[Result]) -> float:
+    """Root mean square over cables of the forecast's largest error in the mouth, in truth, mm."""
+    known = [r.prediction_error_m for r in line if r.prediction_error_m is not None]
+    return 1e3 * float(np.sqrt(np.nanmean(np.square(known))))
+
+
+def alike(settings: Settings, share: float) -> Settings:
+    """Cables of a batch that differ by ± this share in EI and damping, about the middle."""
+    world = settings.world
+    narrow = {
+        name: tuple(
+            float(np.sqrt(np.prod(getattr(world, name)))) * f for f in (1 - share, 1 + share)
+        )
+        for name in ("rigidity_n_m2", "damping_ratio")
+    }
+    return settings.model_copy(update={"world": world.model_copy(update=narrow)})
 
 
 def quiet_line(
@@ -111,6 +138,38 @@ def quiet_line(
     return line
 
 
+def drawn(settings: Settings, lines: int, seed: int, sizes: Sequence[float]) -> list[str]:
+    """What the charts of cables say of lines of which nothing is simulated."""
+    rng, world = np.random.default_rng(seed), settings.world
+
+    def said(count: int, warmth: float) -> int | None:
+        """Cables from the 41st until one is noticed; None = none is."""
+        rigidity = np.exp(rng.uniform(*np.log(world.rigidity_n_m2), count))
+        viscosity = rng.uniform(*world.damping_ratio, count) * np.sqrt(rigidity)
+        warm = np.arange(count) >= QUIET
+        rigidity *= np.where(warm, SOFTER**warmth, 1.0) * np.exp(0.01 * rng.normal(size=count))
+        viscosity *= np.where(warm, MORE_VISCOUS**warmth, 1.0)
+        viscosity *= np.exp(0.03 * rng.normal(size=count))
+        found = signals(
+            [
+                Result(i, Outcome.INSERTED, str(i), parameters={"rigidity_0": a, "viscosity": b})
+                for i, (a, b) in enumerate(zip(rigidity, viscosity, strict=True))
+            ]
+        )
+        return min((int(s.at) for s in found), default=None)
+
+    quiet = [said(1000, 0.0) for _ in range(lines)]
+    out = [f"drawn: {sum(n is not None for n in quiet)} of {lines} lines of 1000 gave an alarm"]
+    for size in sizes:
+        at = [n for n in (said(2 * QUIET, size) for _ in range(lines)) if n is None or n >= QUIET]
+        soon = [sum(n is not None and n < QUIET + k for n in at) for k in (SOON, 2 * SOON)]
+        out.append(
+            f"drawn, warm × {size:g}: of {len(at)} lines within {SOON} in {soon[0]}, "
+            f"within {2 * SOON} in {soon[1]}"
+        )
+    return out
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quiet", type=int, default=1000, help="cables of the quiet line")
@@ -118,9 +177,15 @@ def main() -> None:
     parser.add_argument("--effects", nargs="*", default=["tip_mass", "stress_relaxation", "warm"])
     parser.add_argument("--sizes", nargs="*", type=float, default=[1.0])
     parser.add_argument("--seed", type=int, default=700)
+    parser.add_argument("--batch", type=float, help="share by which cables differ")
+    parser.add_argument("--drawn", type=int, help="lines of cables that are not simulated")
     parser.add_argument("--json", type=Path, help="the quiet line: continued if there, written")
     options = parser.parse_args()
     settings = load_settings(CONFIG)
+    settings = alike(settings, options.batch) if options.batch else settings
+    if options.drawn:
+        print("\n".join(drawn(settings, options.drawn, options.seed, options.sizes)))
+        return
     task, still = cell_task(settings), with_world(settings, {})
     begun_s = time.process_time()
     quiet = quiet_line(still, task, options.seed, options.quiet, options.json)
@@ -131,18 +196,23 @@ def main() -> None:
             warmth = size if name == "warm" else 0.0
             hidden = {} if warmth else {name: typical(library()[name], size)}
             there = with_world(settings, hidden)
-            found = []
+            found, before_all, after_all = [], list[Result](), list[Result]()
             for i in range(options.lines):
                 before = quiet[QUIET * i : QUIET * (i + 1)]
                 if len(before) < QUIET or signals(before):
                     continue  # it was not quiet
                 first = before[-1].cycle + 1
                 later = range(first, first + PATIENCE)
-                noticed = noticed_after(before, results(there, task, options.seed, later, warmth))
+                noticed, after = noticed_after(
+                    before, results(there, task, options.seed, later, warmth)
+                )
                 found.append(noticed)
+                before_all, after_all = [*before_all, *before], [*after_all, *after]
             soon = sum(n is not None and n <= SOON for n in found)
             print(
-                f"{name} × {size:g}: within {SOON} in {soon} of {len(found)}: {found}", flush=True
+                f"{name} × {size:g}: within {SOON} in {soon} of {len(found)}: {found}; forecasts "
+                f"err by {error_mm(before_all):.4f} → {error_mm(after_all):.4f} mm",
+                flush=True,
             )
     print(f"{time.process_time() - begun_s:.0f} s of CPU")
 

@@ -188,9 +188,15 @@ def _changes(out: Path, results: list[Result], config: Path, settings: Settings)
         return []
     history = line_history(out)
     of_model = [r for r in history if r.model == results[-1].model]
-    lines = [str(s) for s in signals(of_model)]
-    if lines or any(r.model_misses for r in results):
+    found = signals(of_model)
+    lines = [str(s) for s in found]
+    if any(not s.of_cables for s in found) or any(r.model_misses for r in results):
         lines.append(f"to learn what the model lacks: cell learn {out} --config {config}")
+    elif found:
+        lines.append(
+            "each cable is identified anew, so forecasts follow; to see whether the model lacks "
+            f"anything now: cell learn {out} --config {config}"
+        )
     worse = worsenings(history)
     if worse:
         lines += [*map(str, worse), _taken_back(config, settings.promotion.withdraw)]

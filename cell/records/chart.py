@@ -1,13 +1,15 @@
-"""Control charts over a line's cycles: whether forecasts or fits have become worse, and since when.
+"""Control charts over a line's cycles: whether forecasts, fits or cables have changed, since when.
 
 Two quantities, each on an individuals' chart for a sudden change and on an EWMA chart for a slow
 one: the error of the tip's height in the mouth over what the forecast expects of it, and the
-logarithm of what the model misses while the cable swings, over the noise.
+logarithm of what the model misses while the cable swings, over the noise.  Two more by the mean of
+the newest five, for cables of a batch differ: mean log EI, and log viscosity beyond what goes with
+EI.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -21,7 +23,7 @@ FloatArray = NDArray[np.float64]
 
 #: All charts together give at most one false alarm in so many cycles.
 FALSE_ALARM_CYCLES = 1000.0
-CHARTS = 4
+CHARTS = 6
 #: Weight of the newest value in the moving average.
 WEIGHT = 0.2
 #: Cycles that must have been before a cycle is judged by them.
@@ -30,6 +32,10 @@ FEWEST_BEFORE = 8
 #: of 700 simulated ones gave an alarm): of the forecast's error over what it expects, and of what
 #: a model misses over the noise (logarithm).
 LEAST_FORECAST, LEAST_MISSED = 0.25, 0.05
+#: The same of cables' log EI and log viscosity: a change below it is nobody's concern.
+LEAST_CABLES = 0.02
+#: So many cables are judged together by their parameters.
+TOGETHER = 5
 
 
 @dataclass(frozen=True)
@@ -40,47 +46,93 @@ class Signal:
     since     folder of the first cycle of the change
     at        folder of the cycle at which it was noticed
     cycles    so many cycles since then
-    before_m, after_m   its mean size before and since, m
+    before, after   root mean square before and since, m; of the cables' parameters what they are
+                    times those before, so that `before` is 1
+    of_cables       whether it is the cables that have changed, not how well they are forecast
     """
 
     what: str
     since: str
     at: str
     cycles: int
-    before_m: float
-    after_m: float
+    before: float
+    after: float
+    of_cables: bool = False
 
     def __str__(self) -> str:
+        when = f"since {self.since}, for {self.cycles} cables"
+        if self.of_cables:
+            by = abs(self.after / self.before - 1.0)
+            higher = "higher" if self.after > self.before else "lower"
+            return f"{self.what} {when}: {by * 100:.0f} % {higher} than before"
         return (
-            f"{self.what} since {self.since}, for {self.cycles} cables: "
-            f"{self.after_m * 1e3:.3f} mm rms, before {self.before_m * 1e3:.3f} mm"
+            f"{self.what} {when}: {self.after * 1e3:.3f} mm rms, before {self.before * 1e3:.3f} mm"
         )
 
 
 def signals(results: Sequence[Result]) -> list[Signal]:
     """What has changed in the cycles of one model, oldest first; nothing is said of a few."""
-    found = []
+    return [*_of_forecasts(results), *_of_swings(results), *_of_cables(results)]
+
+
+def _of_forecasts(results: Sequence[Result]) -> list[Signal]:
     executed = [
         (r.folder, (r.measured_miss_m - r.predicted_miss_m), r.predicted_std_m)
         for r in results
         if r.measured_miss_m is not None and r.predicted_miss_m is not None and r.predicted_std_m
     ]
     errors = np.array([e for _, e, _ in executed])
-    standard = np.array([e / s for _, e, s in executed])
-    if (change := _change(standard, LEAST_FORECAST)) is not None:
-        found.append(
-            _signal("forecasts err by more", [c for c, _, _ in executed], np.abs(errors), change)
-        )
+    change = _change(standard_normal(np.array([e / s for _, e, s in executed]), LEAST_FORECAST))
+    if change is None:
+        return []
+    return [_signal("forecasts err by more", [c for c, _, _ in executed], np.abs(errors), change)]
+
+
+def _of_swings(results: Sequence[Result]) -> list[Signal]:
     swung = [
         (r.folder, r.residual_rms_m, r.noise_m) for r in results if r.residual_rms_m and r.noise_m
     ]
     misses = np.array([m for _, m, _ in swung])
     ratio = np.log([m / n for _, m, n in swung]) if swung else np.zeros(0)
-    if (change := _change(ratio, LEAST_MISSED)) is not None:
+    if (change := _change(standard_normal(ratio, LEAST_MISSED))) is None:
+        return []
+    return [_signal("the model misses the swing by more", [c for c, _, _ in swung], misses, change)]
+
+
+def _of_cables(results: Sequence[Result]) -> list[Signal]:
+    """EI and viscosity, as every cable was identified: nothing else shows them if fits follow."""
+    found = []
+    known = [(r.folder, *logs) for r in results if (logs := _rigidity_and_viscosity(r.parameters))]
+    folders = [folder for folder, _, _ in known]
+    rigidity = np.array([x for _, x, _ in known])
+    viscosity = np.array([y for _, _, y in known])
+    for what, values, of in (
+        ("cables' EI", rigidity, None),
+        ("cables' viscosity, for their EI,", viscosity, rigidity),
+    ):
+        q = standard_normal(values, LEAST_CABLES, of, TOGETHER)
+        if (change := _change(q, slow=False)) is None:
+            continue
+        at = change[1]
+        before = slice(0, at - TOGETHER + 1)
+        x, degree = (np.zeros(len(values)), 0) if of is None else (of, 1)
+        away = values - np.polyval(np.polyfit(x[before], values[before], degree), x)
+        newest = np.cumsum(away[at : before.stop - 1 : -1])  # of the newest one, two, … five
+        since = at - int(np.argmax(np.abs(newest) / np.sqrt(np.arange(1, TOGETHER + 1))))
+        after = float(np.exp(np.mean(away[since:])))
         found.append(
-            _signal("the model misses the swing by more", [c for c, _, _ in swung], misses, change)
+            Signal(what, folders[since], folders[at], len(folders) - since, 1.0, after, True)
         )
     return found
+
+
+def _rigidity_and_viscosity(parameters: Mapping[str, float]) -> tuple[float, float] | None:
+    """Mean log EI and log viscosity of a cable; None = it was not identified."""
+    rigidity = [v for n, v in parameters.items() if n.startswith("rigidity_")]
+    viscosity = parameters.get("viscosity", 0.0)
+    if not rigidity or min(*rigidity, viscosity) <= 0.0:
+        return None
+    return float(np.mean(np.log(rigidity))), float(np.log(viscosity))
 
 
 def _signal(
@@ -94,15 +146,15 @@ def _signal(
     return Signal(what, folders[since], folders[at], len(folders) - since, before, after)
 
 
-def _change(values: FloatArray, least: float = 0.0) -> tuple[int, int] | None:
+def _change(q: FloatArray, slow: bool = True) -> tuple[int, int] | None:
     """Index of the first value after a change, and of the one at which it shows; None if none.
 
-    least  as in `standard_normal`
+    q     standard normal; nan = not judged
+    slow  whether a moving average may show it, too
     """
-    q = standard_normal(values, least)
     per_chart = FALSE_ALARM_CYCLES * CHARTS
     limit = -float(special.ndtri(0.5 / per_chart))
-    reach = ewma_limit(per_chart, WEIGHT) * np.sqrt(WEIGHT / (2.0 - WEIGHT))
+    reach = ewma_limit(per_chart, WEIGHT) * np.sqrt(WEIGHT / (2.0 - WEIGHT)) if slow else np.inf
     mean, turned = 0.0, 0
     for i, value in enumerate(q):
         if not np.isfinite(value):
@@ -117,26 +169,52 @@ def _change(values: FloatArray, least: float = 0.0) -> tuple[int, int] | None:
     return None
 
 
-def standard_normal(values: FloatArray, least: float = 0.0) -> FloatArray:
-    """(n,) independent standard normal values if `values` are normal of any mean and size.
+def standard_normal(
+    values: FloatArray, least: float = 0.0, of: FloatArray | None = None, together: int = 1
+) -> FloatArray:
+    """(n,) standard normal values if `values` are normal of any mean and size.
 
     Each is judged by those before it alone, so that nobody has to know mean and size beforehand;
     nan while they are too few.
-    least   added to their size, in square: with it what is smaller is no change
-    source  Quesenberry 1991, SPC Q charts for start-up processes, J. Qual. Technol. 23, 213
+    least     added to their size, in square: with it what is smaller is no change
+    of        (n,) what the mean depends on, in a straight line: that, too, as those before show it
+    together  the mean of so many, the newest the one in this place, is judged by those before them;
+              of one each the results are independent
+    source    Quesenberry 1991, SPC Q charts for start-up processes, J. Qual. Technol. 23, 213; with
+              `of`, recursive residuals: Brown, Durbin & Evans 1975, J. R. Stat. Soc. B 37, 149
     """
     q = np.full(len(values), np.nan)
-    before = np.arange(FEWEST_BEFORE, len(values))
-    if len(before) == 0:
+    newest = np.arange(FEWEST_BEFORE + together - 1, len(values))
+    if len(newest) == 0:
         return q
-    centred = values - values[0]  # so that sums of squares lose no digits
-    mean = np.cumsum(centred)[before - 1] / before
-    square = np.cumsum(centred**2)[before - 1] / before - mean**2
-    size = np.sqrt(np.maximum(square, 0.0) * before / (before - 1.0) + least**2)
-    known = size > 1e-12 * np.abs(values[before])
-    t = np.sqrt(before / (before + 1.0)) * (centred[before] - mean) / np.where(known, size, 1.0)
-    q[before] = np.where(known, -special.ndtri(special.stdtr(before - 1, -t)), np.nan)
+    n = newest + 1 - together  # so many are before
+    y = values - values[0]  # so that sums of squares lose no digits
+    away, square = _newest_and_before(y, y, n, together)
+    freedom, wider = n - 1, 1.0 / together + 1.0 / n
+    if of is not None:
+        x = of - of[0]
+        away_x, square_x = _newest_and_before(x, x, n, together)
+        square_x = np.maximum(square_x, 1e-12)
+        slope = _newest_and_before(x, y, n, together)[1] / square_x
+        away, freedom = away - slope * away_x, n - 2
+        square, wider = square - slope**2 * square_x, wider + away_x**2 / square_x
+    size = np.sqrt(np.maximum(square, 0.0) / freedom + least**2)
+    known = size > 1e-12 * np.abs(values[newest])
+    t = away / np.where(known, size * np.sqrt(wider), 1.0)
+    q[newest] = np.where(known, -special.ndtri(special.stdtr(freedom, -t)), np.nan)
     return q
+
+
+def _newest_and_before(
+    x: FloatArray, y: FloatArray, n: NDArray[np.int64], together: int
+) -> tuple[FloatArray, FloatArray]:
+    """By how much the mean of y[n : n + together] differs from that of the n before; of these the
+    sum of products of x and y about their means.
+    """
+    sum_x, sum_y = np.cumsum(x), np.cumsum(y)
+    mean = sum_y[n - 1] / n
+    newest = (sum_y[n + together - 1] - sum_y[n - 1]) / together
+    return newest - mean, np.cumsum(x * y)[n - 1] - sum_x[n - 1] * mean
 
 
 @lru_cache(maxsize=8)

@@ -78,7 +78,7 @@ class Progress:
             wait_s=_finite(f.wait_s),
             seconds=self.seconds,
             state_seconds=state_seconds,
-            parameters={} if f.identified is None else _parameters(f.identified),
+            parameters={} if f.identified is None else parameters_of(f.identified),
             reason=f.reason,
             model_misses=f.choice is not None and f.choice.model_misses,
             fault=self.fault,
@@ -87,7 +87,8 @@ class Progress:
         )
 
 
-def _parameters(identified: Identified) -> dict[str, float]:
+def parameters_of(identified: Identified) -> dict[str, float]:
+    """Most probable values by name, SI units."""
     return {
         name: float(value)
         for name, value in zip(identified.space.names, identified.values, strict=True)
