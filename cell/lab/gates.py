@@ -281,21 +281,25 @@ def _inside(tried: EffectFit) -> Gate:
 
 def _identifiable(tried: EffectFit) -> Gate:
     """Whether an amplitude of every effect stands out of its uncertainty."""
-    least = min(_strength(tried, effect) for effect in tried.effects)
+    clearest = [_clearest(tried, effect) for effect in tried.effects]
+    least = min(0.0 if found is None else found[2] for found in clearest)
     return Gate("identifiable", least >= IDENTIFIABLE, f"{least:.1f} standard deviations from none")
 
 
-def _strength(tried: EffectFit, effect: type[Effect]) -> float:
-    """How many standard deviations an effect's clearest amplitude is from none of it."""
+def _clearest(tried: EffectFit, effect: type[Effect]) -> tuple[int, float, float] | None:
+    """Of an effect's amplitudes the one that stands out most: where it is among the shared
+    parameters, its coordinate without the effect, and how many standard deviations it is from
+    there; None = none is fitted.
+    """
     fit, std = tried.fit, np.sqrt(np.diag(tried.fit.covariance))
-    sizes = []
+    found = []
     for p in effect.parameters:
         name = f"{effect.name}.{p.name}"
-        if not p.amplitude or name not in tried.names:
-            continue
-        i = tried.names.index(name)
-        sizes.append(abs(float(fit.theta[i]) - _none(tried, i, p)) / float(std[i]))
-    return max(sizes, default=0.0)
+        if p.amplitude and name in tried.names:
+            i = tried.names.index(name)
+            none = _none(tried, i, p)
+            found.append((i, none, abs(float(fit.theta[i]) - none) / float(std[i])))
+    return max(found, key=lambda f: f[2], default=None)
 
 
 def _none(tried: EffectFit, i: int, parameter: Parameter) -> float:
@@ -312,11 +316,10 @@ def _consistent(lesson: Lesson) -> Gate:
         return Gate("consistent between cables", False, "1 cable")
     left = np.array([fit.without(i) for i in range(len(fit.cables))])
     remain = []
-    for i, effect in zip(tried.firsts, tried.effects, strict=True):
-        p = effect.parameters[0]
-        if tried.names[i] != f"{effect.name}.{p.name}":
+    for effect in tried.effects:
+        if (clearest := _clearest(tried, effect)) is None:
             continue
-        none = _none(tried, i, p)
+        i, none, _ = clearest
         size = float(fit.theta[i]) - none
         remain += [float(v - none) / size if size != 0.0 else 0.0 for v in left[:, i]]
     passed = all(0.5 < v < 2.0 for v in remain)

@@ -186,6 +186,33 @@ def test_a_forecast_that_is_no_better_is_stopped_at_the_gate(lesson: Lesson) -> 
     assert failed(few) == {"enough forecasts"}
 
 
+def test_of_a_wind_from_above_the_wind_from_the_side_need_not_stay_whichever_cable_is_left_out(
+    lesson: Lesson,
+) -> None:
+    """What is none of an effect's strength may change its sign."""
+    draught = library()["draught"]
+    left = np.array([[-4e-3, 0.2], [3e-3, 0.21], [1e-3, 0.19]])
+    names = ["draught.wind_x_m_per_s", "draught.wind_y_m_per_s"]
+    fit: Any = SimpleNamespace(
+        space=SimpleNamespace(names=names, logarithmic=[False, False]),
+        common=np.arange(2),
+        cables=(1, 2, 3),
+        theta=np.array([1e-4, 0.2]),
+        covariance=np.diag([1e-6, 1e-6]),
+        without=lambda i: left[i],
+    )
+
+    def passes() -> bool:
+        tried = EffectFit((draught,), fit, 100.0, 1e-6)
+        found = gates(replace(lesson, best=tried), [], cell_task(SETTINGS).destination)
+        return next(g.passed for g in found if g.name == "whichever cable is left out")
+
+    fit.space.low, fit.space.high = np.full(2, -10.0), np.full(2, 10.0)
+    assert passes()
+    left[1, 1] = 0.05
+    assert not passes()
+
+
 def test_two_effects_that_all_cables_share_are_found_one_after_the_other() -> None:
     hidden = {"air_drag": {"drag_coefficient": 2.0}, "bending_hysteresis": {"moment_n_m": 8e-6}}
     task = cell_task(SETTINGS)
