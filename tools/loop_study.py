@@ -4,8 +4,8 @@ For each effect and size: cables of a world with that effect are run, `learn` an
 what was recorded, what passes is promoted, and other cables of the same world come, once with the
 model before and once with the one promoted.  The same cables in a world without the effect show
 how well a complete model forecasts.  `none` is such a world: nothing may be promoted there.  A law
-that the library does not have (`outside_laws`; `outside` = all) is looked for as `cell learn
---laws` does, and so in every world with `--laws`.
+that the library does not have (`outside_laws`; `outside` = the first ten, `later` = the others) is
+looked for as `cell learn --laws` does, and so in every world with `--laws`.
 `python tools/loop_study.py [--effects air_drag air_drag+tip_mass none …] [--sizes 0.5 1 2]
 [--cables 6] [--seed 300] [--worlds 1] [--laws] [--json F]`
 """
@@ -25,7 +25,7 @@ import numpy as np
 from coverage_study import Errors
 from fast_cell import FastCycle, fast_cycle, fast_measured, typical, with_world
 from line_study import CONFIG, INSERTABLE_M
-from outside_laws import LAWS
+from outside_laws import LATER, LAWS
 
 from cell.build import cell_task
 from cell.cable.effects import ActiveEffect, library
@@ -317,7 +317,8 @@ def main() -> None:
     options = parser.parse_args()
     settings = load_settings(CONFIG)
     task, worlds = cell_task(settings), []
-    for effect in [f for e in options.effects for f in (LAWS if e == "outside" else (e,))]:
+    several = {"outside": tuple(n for n in LAWS if n not in LATER), "later": LATER}
+    for effect in [f for e in options.effects for f in several.get(e, (e,))]:
         for size in options.sizes if effect != "none" else [0.0]:
             for i in range(options.worlds):
                 seed = options.seed + i

@@ -18,7 +18,7 @@ from cell.lab.cycles import RecordedCycle
 from cell.lab.fitting import Fit
 from cell.lab.prepared import PreparedStudy
 from cell.lab.score import holm
-from cell.lab.screen import MOST_SHAPES, ScreenedEffect, screen, shapes_of
+from cell.lab.screen import ScreenedEffect, screen, shapes_of
 from cell.lab.shared import BIAS_M, SharedFit, Spread, fit_shared, prepared_cycle
 
 FloatArray = NDArray[np.float64]
@@ -29,8 +29,9 @@ TRIED_ON, FITTED_TO = 4, 12
 BEST = 4
 #: Starts of a fit are compared on so many cables, with so many passes.
 START_ON, FIRST_PASSES = 1, Options(tolerance=1.0, most_passes=6)
-#: Places at which a refit begins with a force whose place is unknown.
-PLACES = 3
+#: Of an effect with more shapes than this a refit begins with several, the likeliest of the cable
+#: that shows it best: the middle of what cables show is none of them.
+SEVERAL, PLACES = 12, 3
 #: Share of what the slope says that a refit begins with.
 A_LITTLE = 0.05
 #: Fits whose χ² is within this factor of the best are taken to convergence.
@@ -357,7 +358,7 @@ class _Search:
         # little of it all parameters move together.
         off = np.array([p.default if p.amplitude else np.nan for p in effect.parameters])
         most = [np.median(np.array([s.starts[0] for s in screened]), axis=0)]
-        if shapes_of(effect) > MOST_SHAPES:  # the middle of several places is none of them
+        if shapes_of(effect) > SEVERAL:
             clearest = max(screened, key=lambda s: s.score.statistic)
             most = [*clearest.starts[:PLACES]]
         places = [np.where(np.isnan(off), m, off + A_LITTLE * (m - off)) for m in most]

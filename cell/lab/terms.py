@@ -9,6 +9,11 @@ from cell.cable.effects.base import Parameter
 
 #: Distance at which a point's pull is stated, m.
 REFERENCE_DISTANCE_M = 0.05
+#: Speed, m/s, curvature, 1/m, and its rate, 1/(m·s), at which laws with a power or a bend in them
+#: are stated, so that their size does not depend on their shape.
+REFERENCE_SPEED, REFERENCE_CURVATURE, REFERENCE_RATE = 0.5, 10.0, 30.0
+#: Powers below one are rounded within these shares of the reference.
+ROUNDED = 2e-3
 
 
 @dataclass(frozen=True)
@@ -35,11 +40,11 @@ def admissible(box_m: tuple[float, float, float, float]) -> tuple[Term, ...]:
     box_m  x low, x high, y low, y high of where the cable has been seen, m
 
     Fields depend on the place only and derive from a potential; drags oppose the velocity they
-    depend on; bending terms are odd in curvature and its rate, so that turning the strip over
-    changes nothing.
+    depend on, in moving air the velocity relative to it; lifts do no work; bending terms are odd
+    in curvature and its rate, so that turning the strip over changes nothing.
     """
 
-    return (*_forces(box_m), *_moments())
+    return (*_fields(box_m), *_drags(), *_lifts(), _sheared_wind(box_m), *_moments())
 
 
 def _one(name: str, unit: str, typical: float, positive: bool = False) -> Parameter:
@@ -47,8 +52,13 @@ def _one(name: str, unit: str, typical: float, positive: bool = False) -> Parame
     return Parameter(name, unit, low, 1e4 * typical, 0.0, (typical,))
 
 
-def _forces(box_m: tuple[float, float, float, float]) -> tuple[Term, ...]:
-    """Terms of force per metre."""
+def _power(name: str, *starts: float) -> Parameter:
+    """Exponent of a speed or a rate."""
+    return Parameter(name, "1", 0.2, 5.0, starts[0], starts, amplitude=False)
+
+
+def _fields(box_m: tuple[float, float, float, float]) -> tuple[Term, ...]:
+    """Forces per metre that depend on the place."""
     return (
         Term(
             "constant_field",
@@ -89,6 +99,12 @@ def _forces(box_m: tuple[float, float, float, float]) -> tuple[Term, ...]:
             ),
         ),
         _attractor(box_m),
+    )
+
+
+def _drags() -> tuple[Term, ...]:
+    """Forces per metre against the velocity."""
+    return (
         Term(
             "drag_along",
             "force",
@@ -102,29 +118,109 @@ def _forces(box_m: tuple[float, float, float, float]) -> tuple[Term, ...]:
             True,
         ),
         Term(
-            "drag_cubic",
+            "power_drag",
             "force",
-            "drag c v_n³ per metre across the cable",
-            (_one("drag_cubic", "N·s³/m⁴", 5e-3, True),),
+            f"drag c |v_n|^n per metre across the cable, stated at {REFERENCE_SPEED:g} m/s",
+            (_one("power_drag", "N/m", 5e-3, True), _power("drag_exponent", 3.0, 1.5, 0.5)),
             (
+                f"across = (at.vy * at.tx - at.vx * at.ty) / {REFERENCE_SPEED:g}",
+                f"size = (across * across + {ROUNDED**2:g}) ** (0.5 * (p.drag_exponent - 1.0))",
+                "fx += p.power_drag * size * across * at.ty",
+                "fy -= p.power_drag * size * across * at.tx",
+            ),
+            True,
+        ),
+        Term(
+            "crossflow_drag",
+            "force",
+            "drag c |v_t| v_n per metre across the cable: it grows with the speed along it",
+            (_one("crossflow_drag", "N·s²/m³", 1e-2, True),),
+            (
+                "along = abs(at.vx * at.tx + at.vy * at.ty)",
                 "across = at.vy * at.tx - at.vx * at.ty",
-                "fx += p.drag_cubic * across**3 * at.ty",
-                "fy -= p.drag_cubic * across**3 * at.tx",
+                "fx += p.crossflow_drag * along * across * at.ty",
+                "fy -= p.crossflow_drag * along * across * at.tx",
             ),
             True,
         ),
     )
 
 
-def _moments() -> tuple[Term, ...]:
-    """Terms of bending moment."""
+def _lifts() -> tuple[Term, ...]:
+    """Forces per metre of a speed, and not against it."""
+    speed = f"((at.vx * at.vx + at.vy * at.vy) / {REFERENCE_SPEED**2:g} + {ROUNDED**2:g})"
     return (
         Term(
-            "cubic_bending",
+            "lift_across_path",
+            "force",
+            f"lift l |v|^n per metre across the velocity, stated at {REFERENCE_SPEED:g} m/s",
+            (_one("path_lift", "N/m", 5e-3), _power("path_exponent", 2.0, 1.0)),
+            (
+                f"size = {speed} ** (0.5 * (p.path_exponent - 1.0)) / {REFERENCE_SPEED:g}",
+                "fx -= p.path_lift * size * at.vy",
+                "fy += p.path_lift * size * at.vx",
+            ),
+        ),
+        Term(
+            "lift_across_cable",
+            "force",
+            f"lift l |v|^n per metre to one side of the cable, stated at {REFERENCE_SPEED:g} m/s",
+            (_one("side_lift", "N/m", 5e-3), _power("side_exponent", 2.0, 1.0)),
+            (
+                f"size = {speed} ** (0.5 * p.side_exponent)",
+                "fx -= p.side_lift * size * at.ty",
+                "fy += p.side_lift * size * at.tx",
+            ),
+        ),
+    )
+
+
+def _sheared_wind(box_m: tuple[float, float, float, float]) -> Term:
+    """Drag in air that moves, and elsewhere otherwise."""
+    x, y = 0.5 * (box_m[0] + box_m[1]), 0.5 * (box_m[2] + box_m[3])
+    winds, shears = (0.0, 0.3, -0.3), (0.0, 4.0, -4.0)
+    return Term(
+        "sheared_wind",
+        "force",
+        "drag c |w| w per metre across the cable, w its velocity in a wind "
+        f"(a + b (y − {y:.3g}), c + d (x − {x:.3g}))",
+        (
+            _one("wind_drag", "N·s²/m³", 1.5e-2, True),
+            Parameter("wind_x", "m/s", -5.0, 5.0, 0.0, winds, amplitude=False),
+            Parameter("wind_y", "m/s", -5.0, 5.0, 0.0, winds, amplitude=False),
+            Parameter("shear_xy", "1/s", -50.0, 50.0, 0.0, shears, amplitude=False),
+            Parameter("shear_yx", "1/s", -50.0, 50.0, 0.0, (0.0,), amplitude=False),
+        ),
+        (
+            f"ux = at.vx - p.wind_x - p.shear_xy * (at.y - ({y:.6g}))",
+            f"uy = at.vy - p.wind_y - p.shear_yx * (at.x - ({x:.6g}))",
+            "across = uy * at.tx - ux * at.ty",
+            "size = p.wind_drag * abs(across) * across",
+            "fx += size * at.ty",
+            "fy -= size * at.tx",
+        ),
+    )
+
+
+def _moments() -> tuple[Term, ...]:
+    """Terms of bending moment."""
+    reference = f"{REFERENCE_CURVATURE**2:g}"
+    return (
+        Term(
+            "curved_stiffness",
             "moment",
-            "moment EI b κ³",
-            (_one("cubic", "m²", 1e-4),),
-            ("moment += p.cubic * at.rigidity * at.curvature**3",),
+            "moment EI b κ · κ²/(1 + u κ²): stiffness that changes with curvature, without end or "
+            f"up to a level, stated at {REFERENCE_CURVATURE:g} 1/m",
+            (
+                Parameter("stiffer", "1", -0.9, 20.0, 0.0, (0.02,)),
+                Parameter("levels", "m²", -1e-4, 1.0, 0.0, (0.0, 0.01, 0.1), amplitude=False),
+            ),
+            (
+                "square = at.curvature * at.curvature",
+                f"share = square / (1.0 + p.levels * square) * "
+                f"(1.0 + p.levels * {reference}) / {reference}",
+                "moment += p.stiffer * at.rigidity * at.curvature * share",
+            ),
         ),
         Term(
             "dry_bending",
@@ -146,11 +242,15 @@ def _moments() -> tuple[Term, ...]:
             True,
         ),
         Term(
-            "quadratic_viscosity",
+            "power_viscosity",
             "moment",
-            "moment C |κ̇| κ̇",
-            (_one("quadratic_viscosity", "N·m³·s²", 1e-9, True),),
-            ("moment += p.quadratic_viscosity * abs(at.rate) * at.rate",),
+            f"moment C |κ̇|^n against the rate, stated at {REFERENCE_RATE:g} 1/(m·s)",
+            (_one("power_viscosity", "N·m", 1e-6, True), _power("rate_exponent", 2.0, 3.0, 0.5)),
+            (
+                f"rate = at.rate / {REFERENCE_RATE:g}",
+                f"size = (rate * rate + {ROUNDED**2:g}) ** (0.5 * (p.rate_exponent - 1.0))",
+                "moment += p.power_viscosity * size * rate",
+            ),
             True,
         ),
     )

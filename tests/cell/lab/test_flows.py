@@ -56,7 +56,7 @@ def few_rivals(monkeypatch, tmp_path):
     known = session.library()
     rivals = {n: known[n] for n in ("tip_mass", "air_drag", "natural_curvature")}
     monkeypatch.setattr(session, "library", lambda: rivals)
-    terms = ("constant_field", "drag_along", "cubic_bending", "quadratic_viscosity")
+    terms = ("constant_field", "drag_along", "curved_stiffness", "power_viscosity")
     monkeypatch.setattr(
         discover, "admissible", lambda box_m: [t for t in admissible(box_m) if t.name in terms]
     )
