@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 
 NOT_TOLD = "These motions cannot tell them apart."
 NOT_CONFIRMED = "The motions not fitted to cannot show it: it is not confirmed."
+NOT_WITHOUT_PRIOR = "Without the prior the study does not bear this out."
 #: Up to so many times the noise a remaining error is called noise.
 NOISE_ALONE = DEFAULT_RULES.gross_misfit
 _COLOURS = {"present": "green", "inspect": "yellow", "absent": "dim", "cannot_tell": ""}
@@ -83,8 +84,9 @@ def sentence(
         rest = noise_like(noise_mm, final)
     hedge = ""
     if diagnosis.verdict == "cannot_tell":
-        unseen = any(w.code == "unconfirmed" for w in diagnosis.warnings)
-        hedge = f" {NOT_CONFIRMED if unseen else NOT_TOLD}"
+        codes = {w.code for w in diagnosis.warnings}
+        doubt = NOT_WITHOUT_PRIOR if "prior_only" in codes else NOT_TOLD
+        hedge = f" {NOT_CONFIRMED if 'unconfirmed' in codes else doubt}"
     return (
         f"{misses}; {names} {explains} {share:.0f} % of what is beyond {noise_name}; "
         f"the remaining error is {rest}.{hedge}"

@@ -10,6 +10,7 @@ from cell.identify.parameters import ParameterSpace
 from cell.lab.advice import Paths, advice
 from cell.lab.compare import compare_model
 from cell.lab.discover import Discovery
+from cell.lab.doubts import prior_only_doubt
 from cell.lab.explore import Explorer
 from cell.lab.prepared import PreparedStudy
 from cell.lab.results import Diagnosis, Errors, MissingEffect
@@ -26,6 +27,13 @@ def test_one_effect_explains_and_two_explain():
     assert "tip mass explains 100 %" in sentence(diagnosis("missing", "tip_mass"))
     both = sentence(diagnosis("missing", "tip_mass", "air_drag"))
     assert "tip mass and air drag explain 100 %" in both
+
+
+def test_one_effect_that_a_prior_alone_asks_for_is_not_told_from_others():
+    found = diagnosis("cannot_tell", "tip_mass")
+    asked = replace(found, warnings=(prior_only_doubt("tip_mass"),))
+    assert sentence(asked).endswith("Without the prior the study does not bear this out.")
+    assert sentence(found).endswith("These motions cannot tell them apart.")
 
 
 def test_small_noise_is_not_rounded_to_nothing():
