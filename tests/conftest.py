@@ -84,6 +84,8 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    # a page of docs takes up to a minute: begun last, all other processes would wait for it
+    items.sort(key=lambda item: "docs" not in item.path.parts)
     if not config.getoption("--hardware"):
         for item in items:
             room = item.path.relative_to(Path(__file__).parent).as_posix()
