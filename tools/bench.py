@@ -93,7 +93,8 @@ def linear_cost() -> None:
         (block,) = assemble([MODEL] * at.LANES, n, 0.0)
         base = np.zeros(steps * at.BASE_FIELDS * at.LANES)
         settle(block, base)
-        fresh = block.state.copy()
+        fresh = at.vectors(n + 1, at.FIELDS).reshape(block.state.shape)
+        fresh[:] = block.state
 
         def run(
             block: object = block, fresh: np.ndarray = fresh, base: np.ndarray = base, n: int = n

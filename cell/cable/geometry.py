@@ -89,6 +89,10 @@ class Motion:
         x, y, angle = (fit(self.t_s, v) for v in (self.x_m, self.y_m, self.angle_rad))
         return x, y, angle
 
+    def later(self, delay_s: float) -> Motion:
+        """The same poses a delay later, or earlier if it is negative; splines are fitted anew."""
+        return Motion(self.t_s + delay_s, self.x_m, self.y_m, self.angle_rad)
+
 
 @dataclass(frozen=True)
 class SmoothedMotion(Motion):

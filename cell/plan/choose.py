@@ -110,30 +110,36 @@ def forecast(
     offsets_m: FloatArray,
     motions: Sequence[Motion],
     *,
+    begin_s: float = 0.0,
     solver: Solver = Solver(),  # noqa: B008
     options: ChoiceOptions = ChoiceOptions(),
 ) -> Forecast:
     """Simulate every offset, and how its tip depends on every parameter.
 
-    motions  of the hand, one per offset, path beginning at 0, the same before (see
-             `executed_motion`): that the cable still swings from it is simulated once for all
+    motions  of the hand, one per offset, the same until the path begins (see `executed_motion`):
+             that the cable still swings from it is simulated once for all.  On the clock of the
+             identification, because an effect may depend on the time.
+    begin_s  when the path begins on that clock
     raises   ValueError: not one motion per offset; what the engine raises
     """
     if len(motions) != len(offsets_m):
         raise ValueError(f"{len(offsets_m)} offsets but {len(motions)} motions")
-    end_s = max(float(m.t_s[-1]) for m in motions)
+    end_s = max(float(m.t_s[-1]) for m in motions) - begin_s
     t_s = np.arange(0.0, end_s + options.interval_s, options.interval_s)
+    at_s = begin_s + t_s
     space, mean = identified.space, identified.mean
     tip_at_m = np.array([space.cable.free_length_m])
     lanes = difference_points(mean, space.difference_steps(mean))
     models = [space.model(q) for q in lanes]
-    tip_m = simulate_branches(models[:1], motions, 0.0, t_s, tip_at_m, solver=solver)[:, 0, :, 0]
+    tip_m = simulate_branches(models[:1], motions, begin_s, at_s, tip_at_m, solver=solver)
+    tip_m = tip_m[:, 0, :, 0]
     coarser = replace(
         solver,
         segments=max(4, round(SLOPES_SEGMENTS * solver.segments)),
         step_s=SLOPES_COARSER * solver.step_s,
     )
-    nearby_m = simulate_branches(models, motions, 0.0, t_s, tip_at_m, solver=coarser)[:, :, :, 0]
+    nearby_m = simulate_branches(models, motions, begin_s, at_s, tip_at_m, solver=coarser)
+    nearby_m = nearby_m[:, :, :, 0]
     step = np.diag(lanes[1:] - mean)
     slopes = (nearby_m[:, 1:] - nearby_m[:, :1]) / step[:, None, None]
     return Forecast(offsets_m, t_s, mean, tip_m, np.moveaxis(slopes, 1, -1))

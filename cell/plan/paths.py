@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from cell.cable.clamp import pose_of
 from cell.cable.geometry import Motion
-from cell.cable.still import moves_from_s
 from drivers.interfaces import Pose, Trajectory
 from drivers.servo import servo_response
 
@@ -139,10 +138,9 @@ def executed_motion(
         end_s = float(history.t_s[-1])
         if end_s > rows[0, 0]:
             raise ValueError(f"history ends at {end_s} s: must be before the path, {rows[0, 0]} s")
-        # without the noise of its log, and from when it first moves: before that the cable rests
-        begin = np.searchsorted(history.t_s, moves_from_s(history) - 0.02, side="right") - 1
-        past_s = history.t_s[max(0, int(begin)) :]
-        past_s = past_s[past_s < rows[0, 0]]
+        # without the noise of its log; all of it, as a fit has it: before the hand first moves an
+        # effect may move the cable already
+        past_s = history.t_s[history.t_s < rows[0, 0]]
         rows = np.vstack([np.column_stack([past_s, *pose_of(history)(past_s)]), rows])
     return Motion(*(np.ascontiguousarray(column) for column in rows.T))
 

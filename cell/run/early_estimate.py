@@ -9,7 +9,6 @@ from typing import TypeVar
 
 import numpy as np
 
-from cell.cable.geometry import Motion
 from cell.cable.solver import DivergedError, Solver, threads
 from cell.cable.statics import UnsettledError
 from cell.computer.second_process import SecondProcess
@@ -101,15 +100,14 @@ def simulate_offsets(
     """Simulate every offset as it would be executed from `start_s` on.
 
     The cable still swings from the hand's motion before; the hand follows with its known
-    lag, and is seen by the camera a constant beside where the arm says it is.
+    lag, and is seen by the camera a constant beside where the arm says it is.  Time goes on as in
+    the hold, in which the cable was identified: an effect may depend on it.
 
     start_s  on the cell's clock, s
     raises   DivergedError, UnsettledError
     """
-    to_start_s = filmed.begin_s - start_s
-    history = Motion(
-        trial.grip.t_s + to_start_s, trial.grip.x_m, trial.grip.y_m, trial.grip.angle_rad
-    )
+    begin_s = start_s - filmed.begin_s
+    history = trial.grip.later(-begin_s)
     beside = hand_offset_m_rad(filmed.hand, trial.grip)
     paths = tuple(
         insertion_path(task.lowered, offset_m, task.advance_m, task.insertion, timing.arm_rate_hz)
@@ -118,11 +116,16 @@ def simulate_offsets(
     motions = [
         executed_motion(
             moved(path, beside), timing.arm_lag_s, settle_s=task.settle_s, history=history
-        )
+        ).later(begin_s)
         for path in paths
     ]
     expected = forecast(
-        identified, np.array(task.offsets_m), motions, solver=solver, options=task.choice
+        identified,
+        np.array(task.offsets_m),
+        motions,
+        begin_s=begin_s,
+        solver=solver,
+        options=task.choice,
     )
     return Candidates(start_s, paths, expected)
 

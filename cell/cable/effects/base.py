@@ -68,7 +68,8 @@ class Place(NamedTuple):
     """State of a short piece of cable, as `force` sees it: `at`.
 
     Still air and the cell's plane: x right, y up.  The tangent (tx, ty) points away from the
-    grip; the normal is (−ty, tx); `spin` = dθ/dt.
+    grip; the normal is (−ty, tx); `spin` = dθ/dt.  `time`, s, is 0 at the trial's first frame; an
+    execution goes on with the time of the hold before it.
     """
 
     x: float
