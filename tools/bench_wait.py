@@ -1,10 +1,12 @@
 """How long the robot waits for the computer, over many cycles at the speed of reality.
 
-    python tools/bench_wait.py [--cycles 30] [--seed 1] [--burn 1]
+    python tools/bench_wait.py [--cycles 30] [--seed 1] [--burn 1] [--effects air_drag …]
 
 Beside every wait stands the longest stall of this computer in that cycle, as another process
 measured it, and the CPU time of the cell: a share of two cores while the hold is filmed, and what
-is left to compute after its last frame.  `--burn` keeps so many cores busy all the time.
+is left to compute after its last frame.  `--burn` keeps so many cores busy all the time.  With
+`--effects` the baseline's waits are measured first, then those of cells whose cables have an effect
+and whose model has learned it.
 
 A real camera does not need the computer to draw its pictures.  So each cycle is run twice: here
 without pause, which gives the pictures, and then at the speed of reality with these, by a process
@@ -217,10 +219,10 @@ def burn() -> None:
         pass
 
 
-def waits(cycles: int, seed: int, burners: int) -> list[Wait]:
-    """Every cycle's wait, told as it comes."""
+def waits(cycles: int, seed: int, burners: int, settings: Settings | None = None) -> list[Wait]:
+    """Every cycle's wait, told as it comes; settings: None = those of the simulated cell."""
     end_in_order()
-    settings = load_settings(CONFIG)
+    settings = load_settings(CONFIG) if settings is None else settings
     real = settings.world.model_copy(update={"real_time_factor": 1.0})
     context = get_context("spawn")
     here, there = context.Pipe()
@@ -231,9 +233,11 @@ def waits(cycles: int, seed: int, burners: int) -> list[Wait]:
     twins = build_twins(settings, seed, cycles)
     recorder = Recorder(twins.camera, twins.world.clock)
     found = []
-    for _ in range(burners):
-        context.Process(target=burn, daemon=True).start()
     with ExitStack() as stack:
+        for _ in range(burners):
+            burner = context.Process(target=burn, daemon=True)
+            burner.start()
+            stack.callback(burner.terminate)
         stack.callback(child.join)
         stack.callback(here.close)
         runs = stack.enter_context(tempfile.TemporaryDirectory())
@@ -287,8 +291,19 @@ def main() -> None:
     parser.add_argument("--cycles", type=int, default=30)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--burn", type=int, default=0, metavar="CORES")
+    parser.add_argument("--effects", nargs="*", default=[], metavar="NAME")
     options = parser.parse_args()
-    print(summary(waits(options.cycles, options.seed, options.burn)))
+    asked = options.cycles, options.seed, options.burn
+    base = waits(*asked)
+    print(summary(base))
+    for name in options.effects:
+        from effect_cost import learned
+
+        print(f"{name}, in the world and in the model", flush=True)
+        found = waits(*asked, learned(load_settings(CONFIG), name, options.seed))
+        print(summary(found))
+        most, baseline = (np.nanmedian([w.wait_s for w in ws]) for ws in (found, base))
+        print(f"  {name}: median wait {most / baseline:.2f} × the baseline's", flush=True)
 
 
 if __name__ == "__main__":

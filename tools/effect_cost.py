@@ -32,6 +32,7 @@ from cell.run.early_estimate import SHARES, simulate_offsets
 from cell.run.findings import FilmedMotion
 from cell.run.station import Task, Timing
 from cell.settings import Settings, load_settings
+from cell.settings.model import BatchPrior, Model, ModelEffect
 from cell.study.data import Markers, Trial
 from drivers.interfaces import Trajectory
 
@@ -113,6 +114,21 @@ def promoted(settings: Settings, name: str, seed: int) -> ModelClass:
     covariance = cycle.identified.covariance[np.ix_(index, index)] / LEARNED_FROM
     rows = tuple(tuple(row) for row in covariance.tolist())
     return replace(kind, names=names, mean=mean, covariance=rows)
+
+
+def learned(settings: Settings, name: str, seed: int) -> Settings:
+    """A cell whose world has an effect at its usual size, and whose model has learned it."""
+    effect = library()[name]
+    world = with_world(settings, {name: typical(effect, 1.0)})
+    kind = promoted(world, name, seed)
+    known = {n.partition(".")[2]: "prior" for n in kind.names}
+    prior = BatchPrior(
+        names=list(kind.names),
+        mean=list(kind.mean),
+        covariance=[list(row) for row in kind.covariance],
+    )
+    model = Model(effects=[ModelEffect(effect=name, parameters=known)], prior=prior)
+    return world.model_copy(update={"model": model})
 
 
 def hold_of(settings: Settings, kind: ModelClass | None, seed: int, number: int) -> Hold:
