@@ -14,6 +14,9 @@ REFERENCE_DISTANCE_M = 0.05
 REFERENCE_SPEED, REFERENCE_CURVATURE, REFERENCE_RATE = 0.5, 10.0, 30.0
 #: Powers below one are rounded within these shares of the reference.
 ROUNDED = 2e-3
+#: Near the jaw weights are rounded within this share of the length: negative powers are finite.
+NEAR_JAW = 0.02
+_WEIGHTED = "weighted along the cable as (s/L)^m, of which c = (m + 1)/(m + 2) is the mean place"
 
 
 @dataclass(frozen=True)
@@ -57,6 +60,23 @@ def _power(name: str, *starts: float) -> Parameter:
     return Parameter(name, "1", 0.2, 5.0, starts[0], starts, amplitude=False)
 
 
+def _centre(name: str, *starts: float) -> Parameter:
+    """Mean place of a force along the cable, as a share of its length.
+
+    A half, which is a force that all of the cable feels alike, lies inside its bounds.
+    """
+    return Parameter(name, "1", 0.35, 0.98, starts[0], starts, amplitude=False)
+
+
+def _weight(centre: str) -> tuple[str, str]:
+    """Lines that give `weight` of the force at a place of the cable; its mean over it is 1."""
+    return (
+        f"power = (2.0 * p.{centre} - 1.0) / (1.0 - p.{centre})",
+        f"weight = (power + 1.0) * ((at.arc_length / cable.free_length_m) ** 2 + {NEAR_JAW**2:g}) "
+        "** (0.5 * power)",
+    )
+
+
 def _fields(box_m: tuple[float, float, float, float]) -> tuple[Term, ...]:
     """Forces per metre that depend on the place."""
     return (
@@ -84,18 +104,17 @@ def _fields(box_m: tuple[float, float, float, float]) -> tuple[Term, ...]:
         Term(
             "spring",
             "force",
-            "force (a − k x, b − k y) per metre, that of a spring to a point, weighted along the "
-            "cable as (m + 1)(s/L)^m",
+            f"force (a − k x, b − k y) per metre, that of a spring to a point, {_WEIGHTED}",
             (
                 _one("spring_x", "N/m", 1e-3),
                 _one("spring_y", "N/m", 1e-3),
                 _one("stiffness", "N/m²", 1e-2),
-                Parameter("share", "1", 0.01, 50.0, 0.05, (0.05, 2.0, 8.0), amplitude=False),
+                _centre("spring_centre", 0.5, 0.75, 0.9),
             ),
             (
-                "part = (p.share + 1.0) * (at.arc_length / cable.free_length_m) ** p.share",
-                "fx += part * (p.spring_x - p.stiffness * at.x)",
-                "fy += part * (p.spring_y - p.stiffness * at.y)",
+                *_weight("spring_centre"),
+                "fx += weight * (p.spring_x - p.stiffness * at.x)",
+                "fy += weight * (p.spring_y - p.stiffness * at.y)",
             ),
         ),
         _attractor(box_m),
@@ -269,20 +288,20 @@ def _attractor(box_m: tuple[float, float, float, float]) -> Term:
         "point",
         "force",
         f"pull towards a point, k (d/r) (r₀/r)^n per metre, r² = |d|² + core², "
-        f"r₀ = {REFERENCE_DISTANCE_M:g} m, weighted along the cable as (m + 1)(s/L)^m",
+        f"r₀ = {REFERENCE_DISTANCE_M:g} m, {_WEIGHTED}",
         (
             Parameter("pull", "N/m", -100.0, 100.0, 0.0, (1e-2,)),
             Parameter("point_x_m", "m", *limits[0], middle[0], places[0], amplitude=False),
             Parameter("point_y_m", "m", *limits[1], middle[1], places[1], amplitude=False),
             Parameter("fall_off", "1", 0.5, 8.0, 2.0, (2.0,), amplitude=False),
             Parameter("core_m", "m", 1e-3, 0.1, 0.01, (0.01,), amplitude=False),
-            Parameter("focus", "1", 0.01, 50.0, 0.05, (0.05, 8.0), amplitude=False),
+            _centre("pull_centre", 0.5, 0.9),
         ),
         (
             "dx = p.point_x_m - at.x",
             "dy = p.point_y_m - at.y",
             "r = (dx * dx + dy * dy + p.core_m**2) ** 0.5",
-            "weight = (p.focus + 1.0) * (at.arc_length / cable.free_length_m) ** p.focus",
+            *_weight("pull_centre"),
             f"pull = p.pull * weight * ({REFERENCE_DISTANCE_M:g} / r) ** p.fall_off / r",
             "fx += pull * dx",
             "fy += pull * dy",

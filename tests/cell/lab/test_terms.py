@@ -126,3 +126,28 @@ def test_stiffness_that_changes_reaches_a_level_or_grows_with_the_square():
     assert share(20.0, 0.0) == pytest.approx(0.4)
     assert share(10.0, 0.5) == pytest.approx(0.1)
     assert share(100.0, 0.5) == pytest.approx(0.102, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "centre"), [("point", "pull_centre"), ("spring", "spring_centre")]
+)
+def test_a_force_that_all_of_the_cable_feels_alike_is_inside_the_bounds(name, centre):
+    """It was at a bound, and a gate refused a magnet that pulls at every place alike."""
+    (known,) = [n for n in TERMS[name].numbers if n.name == centre]
+    assert known.low < 0.45 and known.high > 0.55
+    amplitude = {"point": {"pull": 1.0}, "spring": {"spring_x": 1.0}}[name]
+    places_m = (np.arange(400) + 0.5) / 400 * CABLE.free_length_m
+
+    def along(share: float) -> np.ndarray:
+        still = (-0.03, -0.06, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0)
+        fx = [
+            acting(name, Place(*still, s, 0.0), **{centre: share}, **amplitude)[0] for s in places_m
+        ]
+        return np.array(fx)
+
+    alike = along(0.5)
+    np.testing.assert_allclose(alike, alike[0])
+    for share in (0.4, 0.75, 0.95):
+        weight = along(share) / alike
+        assert np.mean(weight) == pytest.approx(1.0, rel=0.04)  # rounded near the jaw
+        assert np.mean(weight * places_m) / CABLE.free_length_m == pytest.approx(share, rel=0.04)
