@@ -28,10 +28,10 @@ CHARTS = 6
 WEIGHT = 0.2
 #: Cycles that must have been before a cycle is judged by them.
 FEWEST_BEFORE = 8
-#: Added, in square, to the scatter that cables show, because a few are odd without any effect (5
-#: of 700 simulated ones gave an alarm): of the forecast's error over what it expects, and of what
-#: a model misses over the noise (logarithm).
-LEAST_FORECAST, LEAST_MISSED = 0.25, 0.05
+#: Added, in square, to the scatter that cables show, because a few are odd without any effect: of
+#: the forecast's error over what it expects, so that a single error of less than about twice that
+#: is no alarm, and of what a model misses over the noise (logarithm).
+LEAST_FORECAST, LEAST_MISSED = 0.5, 0.05
 #: The same of cables' log EI and log viscosity: a change below it is nobody's concern.
 LEAST_CABLES = 0.02
 #: So many cables are judged together by their parameters.

@@ -141,3 +141,13 @@ def test_one_odd_cable_is_no_change_of_the_line() -> None:
 def test_nothing_is_said_of_a_few_cables() -> None:
     assert signals(line(np.array([0.0, 1e-2, -1e-2]), np.array([5e-5, 5e-4, 5e-3]))) == []
     assert signals([]) == []
+
+
+def test_an_error_that_the_forecast_holds_possible_is_no_change_of_the_line() -> None:
+    """It was 1.45 times what the forecast expects, at the 163rd of 250 quiet cables."""
+    rng = np.random.default_rng(4)
+    errors = 2.4e-5 * rng.normal(size=170)
+    errors[162] = 1.45e-4
+    assert signals(line(errors, 5e-5 * np.exp(0.05 * rng.normal(size=170)))) == []
+    errors[162:] += 2e-4
+    assert signals(line(errors, 5e-5 * np.exp(0.05 * rng.normal(size=170)))) != []
