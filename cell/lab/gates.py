@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,8 +32,8 @@ FloatArray = NDArray[np.float64]
 FEWEST = 3
 #: The candidate's forecast must err less than the present model's by this share, and by so much.
 BETTER, BETTER_M = 0.1, 1e-5
-#: One-sided, of the paired differences (Wilcoxon); of fewer than five none may be
-#: worse by more than the noise.
+#: One-sided, of the paired differences over all frames (Wilcoxon); of fewer than five forecasts
+#: none may be worse in the destination by more than the noise.
 SIGNIFICANCE = 0.05
 #: By which the worst forecast may become worse: what arm and camera repeat to, m.
 REPEATABILITY_M = 1e-4
@@ -54,6 +54,7 @@ class ForecastPair:
                              cable its end is seen in all pictures; the candidate's effects are
                              those that the other cables show
     present_s, candidate_s   of the computer, for the identification
+    present_rms_m, candidate_rms_m   of the tip in all frames, of which noise makes less
     """
 
     cycle: str
@@ -61,6 +62,8 @@ class ForecastPair:
     candidate_m: float
     present_s: float
     candidate_s: float
+    present_rms_m: float
+    candidate_rms_m: float
     of: Literal["execution", "rest of the hold"] = "execution"
 
 
@@ -114,8 +117,11 @@ def best_judged(
         return lesson, judgement
     simpler, without = best_judged(lesson.simpler, settings, judgement.paired)
     pairs = zip(without.paired, judgement.paired, strict=True)
-    gained = np.array([(before.candidate_m, after.candidate_m) for before, after in pairs])
-    helps = len(gained) >= FEWEST and _better(gained[:, 0], gained[:, 1], lesson.noise_m).passed
+    gained = [
+        replace(after, present_m=before.candidate_m, present_rms_m=before.candidate_rms_m)
+        for before, after in pairs
+    ]
+    helps = len(gained) >= FEWEST and _better(gained, lesson.noise_m).passed
     if judgement.fit_for_line and helps:
         return lesson, judgement
     return simpler, without
@@ -133,18 +139,31 @@ def forecasts(
     known  as in `judge`
     """
     assert lesson.best is not None
-    at_present = {pair.cycle: (pair.present_m, pair.present_s) for pair in known}
+    at_present = {
+        pair.cycle: _Forecast(pair.present_m, pair.present_rms_m, pair.present_s) for pair in known
+    }
     found = []
     for i, cycle in enumerate(lesson.cycles):
         if cycle.held is None:
             continue
         kind = with_effect(options.kind, lesson.best, lesson.best.fit.without(i), lesson)
-        before = at_present.get(cycle.name) or _forecast_m(cycle, cable, options, destination)
-        after = _forecast_m(cycle, cable, replace(options, kind=kind), destination)
+        before = at_present.get(cycle.name) or _forecast(cycle, cable, options, destination)
+        after = _forecast(cycle, cable, replace(options, kind=kind), destination)
         of: Literal["execution", "rest of the hold"] = (
             "rest of the hold" if cycle.executed is None else "execution"
         )
-        found.append(ForecastPair(cycle.name, before[0], after[0], before[1], after[1], of))
+        found.append(
+            ForecastPair(
+                cycle.name,
+                before.largest_m,
+                after.largest_m,
+                before.spent_s,
+                after.spent_s,
+                before.rms_m,
+                after.rms_m,
+                of,
+            )
+        )
     return found
 
 
@@ -170,13 +189,21 @@ def with_effect(
     )
 
 
-def _forecast_m(
-    cycle: RecordedCycle, cable: Cable, options: IdentifyOptions, destination: Destination
-) -> tuple[float, float]:
-    """Largest error of the tip, m, `inf` if there is no forecast; and the CPU time, s.
+class _Forecast(NamedTuple):
+    """Errors of the tip, `inf` if there is no forecast, and the CPU time.
 
-    In the destination, or in the rest of the hold.
+    largest_m  in the destination, or in the rest of the hold; rms_m in all frames
     """
+
+    largest_m: float
+    rms_m: float
+    spent_s: float
+
+
+def _forecast(
+    cycle: RecordedCycle, cable: Cable, options: IdentifyOptions, destination: Destination
+) -> _Forecast:
+    """What a model forecasts of a cycle, against what was seen."""
     assert cycle.held is not None
     begun_s = time.process_time()
     first, later = cycle.held, cycle.executed
@@ -197,12 +224,14 @@ def _forecast_m(
             for trial in (first, later)
         )
     except (CableRejectedError, DivergedError, UnsettledError):
-        return float("inf"), time.process_time() - begun_s
+        return _Forecast(np.inf, np.inf, time.process_time() - begun_s)
     seen = markers.xy_m[:, 0] - _seen_beyond_m(first, held) * along_end(later)
+    away_m = np.linalg.norm(seen - tip, axis=1)
+    rms_m = float(np.sqrt(np.nanmean(away_m**2)))
     if cycle.executed is None:
-        return float(np.nanmax(np.linalg.norm(seen - tip, axis=1))), spent_s
+        return _Forecast(float(np.nanmax(away_m)), rms_m, spent_s)
     passage = measured_passage(destination, markers.t_s, seen, markers.t_s, tip)
-    return passage.error_m, spent_s
+    return _Forecast(passage.error_m, rms_m, spent_s)
 
 
 def _seen_beyond_m(held: Trial, tip: FloatArray) -> float:
@@ -238,18 +267,25 @@ def gates(lesson: Lesson, paired: Sequence[ForecastPair], destination: Destinati
         )
     ]
     if len(paired) >= FEWEST:
-        gate += [_better(before, after, lesson.noise_m), _worst(before, after)]
+        gate += [_better(paired, lesson.noise_m), _worst(before, after)]
         gate.append(_passing(before, after, destination))
     return [*gate, _inside(lesson.best), _identifiable(lesson.best), _consistent(lesson)]
 
 
-def _better(before: FloatArray, after: FloatArray, noise_m: float) -> Gate:
+def _better(paired: Sequence[ForecastPair], noise_m: float) -> Gate:
+    """Whether the tip is forecast better in the destination, and surely so in all frames.
+
+    A single frame's noise is as large as what a small effect does there; all of them tell it.
+    """
+    before, after, path_before, path_after = np.array(
+        [(f.present_m, f.candidate_m, f.present_rms_m, f.candidate_rms_m) for f in paired]
+    ).T
     rms = [float(np.sqrt(np.mean(v**2))) for v in (before, after)]
     if len(before) >= 5:
         from scipy.stats import wilcoxon  # half a second, of which only few have need
 
-        same = np.array_equal(before, after)  # no rank differs: the test divides by zero
-        p = 1.0 if same else float(wilcoxon(before, after, alternative="greater").pvalue)
+        same = np.array_equal(path_before, path_after)  # no rank differs: it divides by zero
+        p = 1.0 if same else float(wilcoxon(path_before, path_after, alternative="greater").pvalue)
         sure, how = p <= SIGNIFICANCE, f"p = {p:.2g}"
     else:
         worse = int(np.sum(after > before + noise_m))
