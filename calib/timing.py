@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 from scipy.special import stdtrit as student_quantile
 
 from calib.errors import MisfitError, OneSidedError, TooFewError
@@ -135,14 +134,7 @@ def _delay(left: Callable[[float], FloatArray], low_s: float, high_s: float, of:
             f"{of}: no delay within {low_s:g} … {high_s:g} s explains the motion",
             "check the clocks of camera and robot",
         )
-    found = minimize_scalar(
-        lambda s: float(np.sum(left(s) ** 2)),
-        bounds=(grid[at - 1], grid[at + 1]),
-        method="bounded",
-        options={"xatol": 1e-7},
-    )
-    value_s = float(found.x)
-    delay = _with_interval(left, value_s)
+    delay = _nearby(left, float(grid[at]))
     if delay.rms_m > MOST_MISFIT_M:
         raise MisfitError(
             f"{of}: hand as seen and as told still differ by {delay.rms_m * 1e3:.2f} mm rms, "

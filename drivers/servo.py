@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from itertools import pairwise
+from math import exp, factorial, fsum
 
 import numpy as np
 
@@ -48,21 +50,42 @@ def servo_response(
 def _lagged(values: FloatArray, lag_s: float, step_s: float, rest: float) -> FloatArray:
     if lag_s == 0.0:
         return values
-    from scipy.signal import lfilter  # half a second, of which only some commands have need
-
-    numerator, denominator = _filter(lag_s, step_s)
     departure = values - rest
     departure[0] = 0.0
-    return np.asarray(rest + lfilter(numerator, denominator, departure), dtype=np.float64)
+    steps = 2.0 * step_s / lag_s
+    numerator, decay = _numerator(steps), exp(-steps)
+    passed = np.convolve(departure, numerator)[: len(values)]
+    return rest + _decaying_sum(_decaying_sum(passed, decay), decay)
 
 
 @lru_cache(maxsize=16)
-def _filter(lag_s: float, step_s: float) -> tuple[FloatArray, FloatArray]:
-    """Numerator and denominator of the discrete filter."""
-    from scipy.signal import cont2discrete
+def _numerator(step: float) -> FloatArray:
+    """(3,) of the discrete filter whose denominator is (1 − e^(−step))², both poles alike.
 
-    tau = lag_s / 2.0
-    numerator, denominator, _ = cont2discrete(  # type: ignore[call-overload]  # the stubs' gap
-        ([1.0], [tau * tau, 2.0 * tau, 1.0]), step_s, method="foh"
-    )
-    return numerator.ravel(), denominator
+    step  between samples, in time constants: half a lag
+    """
+
+    def ramp(y: float) -> float:
+        """What a ramp has become after y time constants; small y by the series."""
+        if y > 1.0:
+            return y - 2.0 + (y + 2.0) * exp(-y)
+        return fsum((2 - n) / factorial(n) * (-y) ** n for n in range(3, 20))
+
+    # a sample is a hat of three ramps; what its response would be without the poles
+    one, two, three = (ramp(k * step) / step for k in (1, 2, 3))
+    hat = np.array([one, two - 2.0 * one, three - 2.0 * two + one])
+    decay = exp(-step)
+    return np.convolve(hat, [1.0, -2.0 * decay, decay * decay])[:3]
+
+
+def _decaying_sum(values: FloatArray, decay: float) -> FloatArray:
+    """(n,) y with y_k = decay y_(k−1) + values_k; block by block, as there is no such function."""
+    size = 64
+    blocks = np.pad(values, (0, -len(values) % size)).reshape(-1, size)
+    order = np.arange(size)
+    since = order[:, None] - order
+    within = blocks @ np.where(since >= 0, decay ** np.maximum(since, 0), 0.0).T
+    later = decay ** (order + 1.0)
+    for before, block in pairwise(within):
+        block += later * before[-1]
+    return np.asarray(within.ravel()[: len(values)], dtype=np.float64)

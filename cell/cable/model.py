@@ -8,7 +8,6 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import CubicSpline
 
 from cell.cable.effects.base import ActiveEffect
 from cell.cable.geometry import GRAVITY_M_PER_S2, Cable
@@ -85,8 +84,15 @@ class CableModel:
 
 @lru_cache(maxsize=64)
 def knot_basis(knots: int, fraction: tuple[float, ...]) -> FloatArray:
-    """(len(fraction), knots): log EI at fractions of the length per log EI at the knots."""
-    if knots == 1:
-        return np.ones((len(fraction), 1))
-    spline = CubicSpline(np.linspace(0.0, 1.0, knots), np.eye(knots))
-    return np.asarray(spline(np.asarray(fraction)))
+    """(len(fraction), knots): log EI at fractions of the length per log EI at the knots.
+
+    A cubic and a kink of its third derivative at every knot but the two outermost at either end;
+    a polynomial of lower order where there are fewer than four knots.
+    """
+    at = np.linspace(0.0, 1.0, knots)
+
+    def terms(x: FloatArray) -> FloatArray:
+        powers = x[:, None] ** np.arange(min(knots, 4))
+        return np.hstack([powers, np.maximum(x[:, None] - at[2:-2], 0.0) ** 3])
+
+    return np.asarray(np.linalg.solve(terms(at).T, terms(np.asarray(fraction)).T).T)

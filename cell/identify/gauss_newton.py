@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
 
 from cell.identify.differences import difference_points, one_sided_steps
 
@@ -260,6 +259,8 @@ def _bounded_step(
 ) -> FloatArray:
     """Damped step; parameters that it would drive out of bounds go to the bound and stay there."""
     damped = normal + damping * np.diag(np.diag(normal))
+    size = np.sqrt(np.diag(damped))
+    alike = damped / np.outer(size, size)  # of which the solution does not hang on units
     step = np.zeros_like(q)
     free = np.ones(len(q), dtype=bool)
     for _ in range(len(q) + 1):
@@ -267,7 +268,7 @@ def _bounded_step(
             break
         inside = np.ix_(free, free)
         right = -(slope[free] + damped[np.ix_(free, ~free)] @ step[~free])
-        step[free] = cho_solve(cho_factor(damped[inside]), right)
+        step[free] = np.linalg.solve(alike[inside], right / size[free]) / size[free]
         below, above = q + step < problem.low, q + step > problem.high
         out = free & (below | above)
         if not out.any():

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize
 
+from cell.identify.golden_section import where_least
 from cell.identify.noise import Noise, still_frames
 from cell.study.data import Study, Trial
 
@@ -124,7 +124,7 @@ def _fit_colour(blocks: Sequence[_Block], degree: int) -> tuple[Floor, float]:
         square, freedom, log_det, log_fixed = parts(colour)
         return freedom * float(np.log(max(square, 1e-300))) + log_det + log_fixed
 
-    found = float(optimize.minimize_scalar(restricted, bounds=(0, MAX_COLOUR), method="bounded").x)
+    found = where_least(restricted, 0.0, MAX_COLOUR, within=1e-5)
     colour = min((0.0, found, MAX_COLOUR), key=restricted)
     square, freedom, log_det, _ = parts(colour)
     count = sum(b.z_m.size for b in blocks)

@@ -28,7 +28,7 @@ SLOPES_COARSER, SLOPES_SEGMENTS = 4.0, 0.7
 class ChoiceOptions:
     """Options of the choice of an offset.
 
-    samples           of the uncertain parameters, a power of 2
+    samples           of the uncertain parameters, more than there are of these
     repeatability_m   standard deviation of the tip's height for reasons that are not the cable's:
                       arm, camera, draught
     model_error_growth   standard deviation of the tip's height for what the model lacks, per
@@ -210,8 +210,15 @@ def _tips(expected: Forecast, shift: FloatArray, raised_m: FloatArray) -> Iterat
 
 @lru_cache(maxsize=8)
 def _deviates(dimensions: int, samples: int) -> FloatArray:
-    """(samples, dimensions) standard normal deviates that fill space evenly, same every time."""
-    from scipy.stats import qmc  # half a second, of which only a choice has need
+    """(samples, dimensions) standard normal deviates, one in every stratum, same every time.
 
-    sobol = qmc.Sobol(dimensions, rng=np.random.default_rng(20260101))
-    return np.asarray(normal_quantile(np.clip(sobol.random(samples), 1e-6, 1.0 - 1e-6)))
+    Means, spreads and correlations are made those of the distribution itself, so more samples
+    than dimensions are needed.
+
+    source  McKay, Beckman & Conover 1979 (Latin hypercubes)
+    """
+    strata = normal_quantile((np.arange(samples) + 0.5) / samples)
+    rng = np.random.default_rng(20260101)
+    drawn = rng.permuted(np.tile(strata, (dimensions, 1)), axis=1)
+    root = np.linalg.cholesky(drawn @ drawn.T / samples)
+    return np.asarray(np.linalg.solve(root, drawn).T)

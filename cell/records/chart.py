@@ -15,7 +15,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize, special
+from scipy import special
 
 from cell.records.result import Result
 
@@ -233,4 +233,8 @@ def ewma_limit(run_length: float, weight: float, states: int = 101) -> float:
         move = np.diff(special.ndtr(to), axis=1)
         return float(np.linalg.solve(np.eye(states) - move, np.ones(states))[states // 2])
 
-    return float(optimize.brentq(lambda k: length(k) - run_length, 1.0, 6.0, xtol=1e-6))
+    low, high = 1.0, 6.0
+    while high - low > 1e-6:
+        limit = 0.5 * (low + high)
+        low, high = (limit, high) if length(limit) < run_length else (low, limit)
+    return 0.5 * (low + high)

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 
+from cell.identify.golden_section import where_least
 from cell.records.result import Check
 from cell.run.findings import RehearsedMotion
 from drivers.interfaces import Trajectory
@@ -190,9 +190,8 @@ def _least(cost: Callable[[float], float], low: float, high: float) -> float:
     """Where `cost` is least: on a coarse grid first, then between its neighbours."""
     grid = np.linspace(low, high, _COARSE)
     at = int(np.argmin([cost(float(s)) for s in grid]))
-    bounds = (float(grid[max(0, at - 1)]), float(grid[min(_COARSE - 1, at + 1)]))
-    found = minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": 1e-6})
-    return float(found.x)
+    near = grid[max(0, at - 1) : at + 2]
+    return where_least(cost, float(near[0]), float(near[-1]), within=1e-6)
 
 
 def _speed_m_per_s(hand: Trajectory) -> FloatArray:

@@ -12,7 +12,6 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline
 
 from cell.vision.compiling import compiled
 
@@ -92,15 +91,13 @@ class Centreline:
 
 def basis_matrix(intervals: int, u: FloatArray, derivative: int = 0) -> FloatArray:
     """(M, intervals + 5) quintic B-splines with clamped ends, or their derivatives, at (M,) u."""
-    return np.asarray(_basis(intervals, derivative)(u), dtype=np.float64)
-
-
-@lru_cache(maxsize=32)
-def _basis(intervals: int, derivative: int) -> BSpline:
-    inner = np.linspace(0.0, 1.0, intervals + 1)
-    knots = np.concatenate([np.zeros(DEGREE), inner, np.ones(DEGREE)])
-    basis = BSpline(knots, np.eye(intervals + DEGREE), DEGREE)
-    return basis.derivative(derivative) if derivative else basis
+    pieces = pieces_of_splines(intervals, derivative)
+    piece = np.clip(np.floor(u * intervals).astype(int), 0, intervals - 1)
+    place = (u * intervals - piece)[:, None]
+    value = np.zeros((len(u), intervals + DEGREE))
+    for power in range(DEGREE, -1, -1):
+        value = value * place + pieces[piece, power]
+    return value
 
 
 @lru_cache(maxsize=32)
@@ -108,19 +105,24 @@ def pieces_of_splines(intervals: int, derivative: int) -> FloatArray:
     """(intervals, 6, C) from coefficients of splines to those of powers of the place in a piece.
 
     The place goes from 0 to 1 in every piece; lowest power first.
+
+    source  de Boor 1972 (recursion over the degree)
     """
-    # as the knots are rounded: a place just before a knot would be in the piece before
-    left = np.linspace(0.0, 1.0, intervals + 1)[:-1]
-    powers, size = [], 1.0
-    for k in range(DEGREE + 1):
-        more = k + derivative
-        powers.append(
-            basis_matrix(intervals, left, more) / size
-            if more <= DEGREE
-            else np.zeros((intervals, intervals + DEGREE))
-        )
-        size *= (k + 1) * intervals
-    return np.stack(powers, axis=1)
+    knots = np.clip(np.arange(-DEGREE, intervals + DEGREE + 1), 0, intervals)
+    pieces = np.zeros((intervals, DEGREE + 1, intervals + 2 * DEGREE))
+    left = np.arange(intervals)
+    pieces[left, 0, left + DEGREE] = 1.0
+    for degree in range(1, DEGREE + 1):
+        width = knots[degree:] - knots[:-degree]
+        share = np.where(width > 0, pieces / np.maximum(width, 1), 0.0)
+        times_u = left[:, None, None] * share
+        times_u[:, 1:] += share[:, :-1]
+        rising, falling = times_u - knots[:-degree] * share, knots[degree:] * share - times_u
+        pieces = rising[:, :, :-1] + falling[:, :, 1:]
+    for _ in range(derivative):
+        pieces[:, :-1] = intervals * np.arange(1, DEGREE + 1)[:, None] * pieces[:, 1:]
+        pieces[:, -1] = 0.0
+    return pieces
 
 
 @compiled
