@@ -216,21 +216,9 @@ def _logged(rng: np.random.Generator, rig: Rig, hand: Motion) -> Motion:
 
 @dataclass(frozen=True)
 class RigOutcome(Outcome):
-    """partial: classes that explain most of an unexplained study; refused: why it was not taken."""
+    """refused: why the study was not taken."""
 
-    partial: tuple[frozenset[str], ...] = ()
     refused: str = ""
-
-    @property
-    def partly_right(self) -> bool:
-        """Whether what explains most is there, the hidden effect among it."""
-        named = {name for names in self.partial for name in names}
-        return set(self.hidden) <= named and not self.partly_wrong
-
-    @property
-    def partly_wrong(self) -> bool:
-        """Whether one that explains most is not there."""
-        return self.has_named_other(self.partial)
 
     @property
     def judged(self) -> str:
