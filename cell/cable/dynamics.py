@@ -47,9 +47,8 @@ def simulate(
     times = increasing(times_s)
     out = np.empty((len(batch), times.size, np.size(arc_length_m), 2))
     begin = _Begin.of(start, release_s, bent, len(batch))
-    _simulate(
-        Swing(batch, paths, [times] * len(batch), solver, begin.bent), begin, arc_length_m, out
-    )
+    swing = begin.swing(batch, paths, [times] * len(batch), solver)
+    _simulate(swing, begin, arc_length_m, out)
     return out
 
 
@@ -75,7 +74,7 @@ def simulate_each(
         raise ValueError(f"times of {len(times)} lanes for {len(batch)}: give one array per lane")
     out = [np.empty((t.size, np.size(arc_length_m), 2)) for t in times]
     begin = _Begin.of(start, release_s, bent, len(batch))
-    swing = Swing(batch, paths, times, solver, begin.bent)
+    swing = begin.swing(batch, paths, times, solver)
     _simulate(swing, begin, arc_length_m, out, spared=True)
     return out
 
@@ -169,6 +168,12 @@ class _Begin:
                 "held or moving has its own, and no other"
             )
         return _Begin(start, release_s, tuple(bent))
+
+    def swing(
+        self, models: list[CableModel], paths: list[Motion], times_s: list[FloatArray], how: Solver
+    ) -> Swing:
+        """Lanes that begin like this."""
+        return Swing(models, paths, times_s, how, self.bent, self.start == "moving")
 
     def time_s(self, first_s: Sequence[float], paths: Sequence[Motion]) -> float:
         """When lanes whose first pictures are at `first_s` begin to be simulated."""

@@ -31,13 +31,17 @@ _MOST_STEPS = 5_000_000
 
 @dataclass(frozen=True)
 class Swing:
-    """Model, motion, times and, if it begins bent, the modes of each lane."""
+    """Model, motion, times and, if it begins bent, the modes of each lane.
+
+    moving  whether it moves before it begins too, not held still until then
+    """
 
     models: list[CableModel]
     paths: list[Motion]
     times_s: list[FloatArray]
     solver: Solver
     bent: tuple[FloatArray, ...] = ()
+    moving: bool = False
 
     def of(self, lanes: Sequence[int]) -> Swing:
         """The same of some of the lanes, in order; of all of them itself."""
@@ -49,6 +53,7 @@ class Swing:
             [self.times_s[i] for i in lanes],
             self.solver,
             tuple(self.bent[i] for i in lanes if self.bent),
+            self.moving,
         )
 
 
@@ -185,7 +190,7 @@ def _run(
     for lane, t, here in zip(lanes, times, points, strict=False):
         there = here[: len(t)]
         seen = camera.seen(
-            swing.models[lane], swing.times_s[lane], t, there, in_motion=bool(swing.bent)
+            swing.models[lane], swing.times_s[lane], t, there, in_motion=swing.moving
         )
         if seen is not there or not direct:
             out[lane][:] = seen

@@ -76,3 +76,20 @@ def test_a_late_camera_shows_what_moved_before_the_first_picture(delay_s):
     moved_m = np.abs(known[1] - known[0]).max()
     assert late[1:] == pytest.approx(known[2:], abs=2e-6)
     assert np.abs(late[0] - known[1]).max() < 1e-6 + 0.02 * moved_m
+
+
+@pytest.mark.parametrize("name", ["camera_latency", "rolling_shutter"])
+def test_a_held_cable_is_shown_still_until_its_release_whatever_the_cameras_clock(name):
+    """It was shown where a parabola from behind the release led to, a free length away."""
+    effect = library()[name]
+    late = effect.active(**{p.name: p.starts[-1] for p in effect.parameters})
+    cable = Cable(LENGTH_M, DENSITY, 0.016, 1e-4)
+    t_s, arcs = np.array([0.0, 0.1, 0.2, 0.3]), np.array([LENGTH_M])
+    bent = [np.array([[0.3], [0.0]])]
+
+    def shown(*effects):
+        model = CableModel.uniform(cable, RIGIDITY_N_M2, effects=effects)
+        return simulate(model, STILL, t_s, arcs, start="held", release_s=0.25, bent=bent)[0, :, 0]
+
+    assert shown(late)[:3] == pytest.approx(shown()[:3], abs=1e-9)
+    assert shown(late)[3] != pytest.approx(shown()[3], abs=1e-5)
