@@ -18,12 +18,17 @@ HOPELESS_SHARE = 0.5
 NO_MODEL = 2.0
 #: Error over noise from which a fit's intervals rest on the model's own error.
 BEYOND_NOISE = 3.0
+#: A cable of which EI differs by more than this factor from place to place is none, if its model
+#: leaves that much; the prior's random walk gives it 7 standard deviations.
+UNLIKE_ANY = 20.0
+#: Two fits are different minima if EI differs by more than this factor anywhere.
+APART = 2.0
 #: An amplitude is at its bound within this share of the way there from none of the effect.
 NEAR_BOUND = 0.01
 
 
 def fit_doubts(explorer: Explorer, candidate: Candidate) -> tuple[Doubt, ...]:
-    """Of a fitted model: hopeless, far beyond the noise, at a bound, or that it diverges."""
+    """Of a fitted model: hopeless, far beyond the noise, no minimum, at a bound, or diverging."""
     fit, floor = candidate.fit, explorer.prepared.floor
     found = []
     moved_m = _moved_m(explorer)
@@ -45,6 +50,7 @@ def fit_doubts(explorer: Explorer, candidate: Candidate) -> tuple[Doubt, ...]:
                 "the noise: it lacks something; `cell diagnose STUDY` says what",
             )
         )
+    found += _wrong_minimum(explorer, candidate)
     found += [
         Doubt(
             "at_bound",
@@ -63,6 +69,47 @@ def fit_doubts(explorer: Explorer, candidate: Candidate) -> tuple[Doubt, ...]:
             if not np.isfinite(predicted).all()
         ]
     return tuple(found)
+
+
+def _wrong_minimum(explorer: Explorer, candidate: Candidate) -> list[Doubt]:
+    """Of a model that leaves far more than noise: EI of no cable, or another from another start."""
+    noise_m, fit = explorer.prepared.floor.noise.std_m, candidate.fit
+    left_m = max(fit.rms_m, candidate.heldout.rms_m if candidate.heldout else 0.0)
+    if not left_m > BEYOND_NOISE * noise_m:
+        return []
+    found = []
+    rigidity = fit.model.rigidity_n_m2
+    differs = float(rigidity.max() / rigidity.min())
+    if differs > UNLIKE_ANY:
+        found.append(
+            Doubt(
+                "implausible",
+                f"EI differs {differs:.0f}-fold along the cable while {fit.rms_m * 1e3:.3g} mm are "
+                "missed: no cable is like that, its parameters mean nothing; the search is in a "
+                "wrong minimum, or the study not as it says (frame, datasheet, how trials begin)",
+            )
+        )
+    found += _starts_disagree(explorer)
+    return found
+
+
+def _starts_disagree(explorer: Explorer) -> list[Doubt]:
+    """Of a baseline that ends elsewhere from a second start."""
+    base, other = explorer.baseline().fit, explorer.elsewhere()
+    if other is None:
+        return []
+    apart = np.log(other.model.rigidity_n_m2) - np.log(base.model.rigidity_n_m2)
+    factor = float(np.exp(np.abs(apart).max()))
+    if factor < APART:
+        return []
+    return [
+        Doubt(
+            "starts_disagree",
+            f"from two starts the fit ends in different places: one misses {base.rms_m * 1e3:.3g} "
+            f"mm, the other {other.rms_m * 1e3:.3g} mm, with EI up to {factor:.1f}-fold apart; "
+            "there may be a better one",
+        )
+    ]
 
 
 def lacking_doubt(lacks: Sequence[str]) -> tuple[Doubt, ...]:
@@ -112,6 +159,9 @@ def doubts(
     whole  what the final model was fitted with
     """
     found = fit_doubts(whole, final)
+    codes = {w.code for w in found}
+    if "beyond_noise" in codes and "starts_disagree" not in codes:  # `whole` has looked at no other
+        found += tuple(_starts_disagree(explorer))
     if cut_short:
         simulated_s = explorer.prepared.work.simulated_s
         found += (

@@ -124,6 +124,7 @@ class Explorer:
     _known: dict[frozenset[str], Candidate] = field(default_factory=dict)
     _screens: dict[frozenset[str], list[ScreenedEffect]] = field(default_factory=dict)
     _tempered: Fit | None = None
+    _elsewhere: Fit | None = None
     _prior_candidate: Candidate | None = None
     _visible: dict[tuple[frozenset[str], str], float] = field(default_factory=dict)
     _were_polished: set[frozenset[str]] = field(default_factory=set)
@@ -149,10 +150,22 @@ class Explorer:
                 self._tempered = tempered
                 if not fit.solution.converged:
                     again = fit_model(self.prepared, self.space, tempered.q, options=POLISH)
-                    fit = min(fit, again, key=lambda f: f.objective)
+                    fit, self._elsewhere = sorted((fit, again), key=lambda f: f.objective)
             self.prepared, fit = with_slopes(self.prepared, fit)
             self._known[key] = self._weigh(self.space.effects, fit)
         return self._known[key]
+
+    def elsewhere(self) -> Fit | None:
+        """Where the baseline's fit ends from a second start; None where the first is good enough.
+
+        The second is the tempered fit; of two that were compared it is the worse.
+        """
+        base = self.baseline()
+        if self._elsewhere is None and self._tempered is not None:
+            with contextlib.suppress(ValueError):
+                start = self._tempered.q
+                self._elsewhere = fit_model(self.prepared, base.fit.space, start, options=POLISH)
+        return self._elsewhere
 
     def _of_likeliest_shape(self, start: FloatArray) -> FloatArray:
         """Where first refits end from a start, and from it with effects of other shapes."""

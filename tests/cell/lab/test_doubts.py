@@ -14,7 +14,7 @@ from cell.cli import app
 from cell.identify.gauss_newton import UnsimulatedError
 from cell.identify.parameters import ParameterSpace
 from cell.lab.diagnose import diagnose
-from cell.lab.doubts import at_bound
+from cell.lab.doubts import at_bound, fit_doubts
 from cell.lab.explore import Explorer
 from cell.lab.prepared import PreparedStudy
 from cell.study.data import Markers
@@ -72,6 +72,48 @@ def test_what_is_all_but_at_its_bound_is_there(kg_per_m, flagged):
     assert bool(at_bound(SimpleNamespace(space=space, q=q))) is flagged
     q[-2] = 0.0
     assert at_bound(SimpleNamespace(space=space, q=q)) == []
+
+
+LIKELY = np.array([3.0, 2.5, 2.0, 2.0, 2.5, 3.0]) * 1e-5
+
+
+@pytest.mark.parametrize(
+    ("rigidity_n_m2", "elsewhere_n_m2", "left_mm", "codes"),
+    [
+        (LIKELY * [100.0, 1, 1, 1, 1, 1], LIKELY * [100.0, 1, 1, 1, 1, 1], 3.0, {"implausible"}),
+        (LIKELY, LIKELY * [1, 1, 1, 1, 4.0, 1], 3.0, {"starts_disagree"}),
+        (LIKELY, LIKELY * [1.5, 1, 1, 1, 1, 1], 3.0, set()),
+        (LIKELY, None, 3.0, set()),
+        (LIKELY * [100.0, 1, 1, 1, 1, 1], LIKELY, 0.25, set()),
+    ],
+)
+def test_a_wrong_minimum_far_above_the_noise_says_so(
+    loaded, rigidity_n_m2, elsewhere_n_m2, left_mm, codes
+):
+    """Twenty millimetres were left by a cable of which EI differed 1000-fold, without a warning."""
+    space = ParameterSpace.of(loaded.cable)
+
+    def fit(rigidity_n_m2):
+        q = space.mean.copy()
+        q[:6] = np.log(rigidity_n_m2)
+        return SimpleNamespace(space=space, q=q, model=space.model(q), rms_m=left_mm * 1e-3)
+
+    candidate = SimpleNamespace(fit=fit(rigidity_n_m2), heldout=None)
+    explorer = SimpleNamespace(
+        prepared=PreparedStudy.of(replace(loaded, noise_std_m=1e-4)),
+        baseline=lambda: candidate,
+        elsewhere=lambda: None if elsewhere_n_m2 is None else fit(elsewhere_n_m2),
+    )
+    found = {w.code for w in fit_doubts(explorer, candidate)}
+    assert found - {"beyond_noise"} == codes
+
+
+def test_of_a_baseline_that_cannot_fit_a_second_start_is_looked_at(make_study, loaded):
+    late = library()["camera_latency"].active(delay_s=0.03)
+    poor = Explorer(PreparedStudy.of(make_study([late])), ParameterSpace.of(loaded.cable), {})
+    assert poor.elsewhere().objective >= 0.999 * poor.baseline().fit.objective
+    good = Explorer(PreparedStudy.of(make_study()), ParameterSpace.of(loaded.cable), {})
+    assert good.elsewhere() is None
 
 
 def test_a_prior_and_an_effect_that_it_lacks_go_together(loaded, tmp_path):
