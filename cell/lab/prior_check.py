@@ -28,23 +28,32 @@ def asked_by_prior_only(
 ) -> tuple[str, ...]:
     """Effects that another cable than the prior's would do without, or that do not explain it.
 
-    None where, with all of them in, parameters that agree with the prior explain the study to the
-    measurement's noise: then they account for all that sets this cable apart.  Otherwise the
-    study is asked without the prior: the fewest of them that explain it to its noise are needed,
-    each unless another, not `tied` with it, explains as much or more in its place.
+    The study is asked without the prior: the fewest of them that explain it to its noise are
+    needed, each unless another, not `tied` with it, explains as much or more in its place.
+    Where, with all of them in, parameters that agree with the prior explain the study to the
+    measurement's noise, they account for all that sets this cable apart; then one that the prior
+    alone asks for is what a prior is for.  Several are not: that the cable is another says less.
     """
-    if explorer.prior_q is None or final is base or _of_this_cable(explorer, final, rules):
+    if explorer.prior_q is None or final is base:
         return ()
     added = [e for e in final.effects if e not in explorer.space.effects]
+    spared = int(_of_this_cable(explorer, final, rules))
+    if len(added) <= spared:
+        return ()
+    found = not_borne_out(_without_prior(explorer), added, tied, rules)
+    return found if len(found) > spared else ()
+
+
+def _without_prior(explorer: Explorer) -> Explorer:
+    """The same study, as of a cable of which nothing is known."""
     prepared, space = explorer.prepared, explorer.space
     free = ParameterSpace.of(space.cable, gravity_m_per_s2=space.gravity_m_per_s2)
-    alone = Explorer(
+    return Explorer(
         PreparedStudy.of(prepared.study, solver=prepared.solver, work=prepared.work),
         space_with(free, space.effects),
         explorer.library,
         explorer.progress,
     )
-    return not_borne_out(alone, added, tied, rules)
 
 
 def not_borne_out(

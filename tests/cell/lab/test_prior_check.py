@@ -47,6 +47,24 @@ def test_an_effect_that_is_all_that_sets_a_cable_apart_is_not(make_study, model)
     assert asked(loaded, model, "tip_mass") == ()
 
 
+@pytest.mark.parametrize(
+    ("named", "not_borne", "told"),
+    [
+        (("tip_mass",), ("tip_mass",), ()),
+        (("tip_mass", "grip_angle"), ("tip_mass",), ()),
+        (("added_mass", "grip_angle"), ("added_mass", "grip_angle"), ("added_mass", "grip_angle")),
+    ],
+)
+def test_of_several_effects_a_prior_may_ask_for_one_alone(monkeypatch, named, not_borne, told):
+    """A mass, a curvature and a relaxation brought a complete study back to a threefold EI."""
+    monkeypatch.setattr(prior_check, "_of_this_cable", lambda *_: True)
+    monkeypatch.setattr(prior_check, "_without_prior", lambda explorer: explorer)
+    monkeypatch.setattr(prior_check, "not_borne_out", lambda *_: not_borne)
+    explorer = SimpleNamespace(prior_q=[0.0], space=SimpleNamespace(effects=()))
+    base, final = (SimpleNamespace(effects=tuple(KNOWN[n] for n in e)) for e in ((), named))
+    assert asked_by_prior_only(explorer, base, final, {}, DEFAULT_RULES) == told
+
+
 def test_an_effect_in_whose_place_another_explains_more_without_the_prior_is_told(monkeypatch):
     """Held at another angle, a cable was said to have a compliant grip, beside another's model.
 
