@@ -4,7 +4,7 @@ BIN := $(VENV)/bin
 PYTHON ?= $(firstword $(foreach p,python3.12 python3.11 python3.13 python3,$(shell $(p) -c "import sys; print('$(p)' if (3,11) <= sys.version_info[:2] < (3,14) else '')" 2>/dev/null)))
 CYCLES ?= 3
 
-.PHONY: run test lint types imports compiled compiled-cell compiled-arm compiled-effects tests hardware bench figures learn coverage practice false-alarms confusion rigs fault-trials calibration-study malformed endurance clean help jaw-plate picture docs
+.PHONY: run test lint types imports compiled compiled-cell compiled-arm compiled-effects compiled-tests tests hardware bench figures learn coverage practice false-alarms confusion rigs fault-trials calibration-study malformed endurance clean help jaw-plate picture docs
 
 help:            ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
@@ -18,7 +18,7 @@ export OPENBLAS_NUM_THREADS = 1
 export PYTHONDONTWRITEBYTECODE =
 
 test: $(VENV)/.dev   ## everything that CI checks
-	$(MAKE) --no-print-directory -j 2 lint compiled-cell types compiled-arm compiled-effects imports
+	$(MAKE) --no-print-directory -j 2 lint compiled-cell types compiled-arm compiled-effects imports compiled-tests
 	$(MAKE) --no-print-directory tests
 
 lint: $(VENV)/.dev
@@ -42,6 +42,9 @@ compiled-arm: $(VENV)/.dev
 
 compiled-effects: $(VENV)/.dev
 	@$(BIN)/python -c "from cell.cable.effects import library; from cell.cable.effects.compiled import loops_of; [loops_of(e) for e in library().values()]"
+
+compiled-tests: $(VENV)/.dev   # to bytecode, once: all processes of the tests begin at the same time
+	@$(BIN)/pytest -q --collect-only > /dev/null || true  # what is wrong the tests say themselves
 
 tests: $(VENV)/.dev
 	$(BIN)/pytest -n 3 --dist worksteal -m 'not real_time'  # one more than cores: many tests wait

@@ -22,6 +22,7 @@ from drivers.interfaces import (
     Frame,
     Gripper,
     GripperState,
+    Image,
     LimitError,
     Pose,
     Trajectory,
@@ -355,7 +356,7 @@ class GuardedCamera:
                 f"{which} was exposed {passed_s * 1e3:.3f} ms after the one before, "
                 f"expected {period_s * 1e3:.3f} ms"
             )
-        if np.array_equal(frame.image, last.image) and frame.image.min() != frame.image.max():
+        if _same(frame.image, last.image) and frame.image.min() != frame.image.max():
             self._fail(f"{which} repeats the picture before: the camera is frozen")
 
     def _fail(self, cause: str) -> NoReturn:
@@ -363,3 +364,10 @@ class GuardedCamera:
         raise CameraError(
             self.name, cause, "check cable, load and frame rate of the camera, then record again"
         )
+
+
+def _same(image: Image, other: Image) -> bool:
+    """Whether two pictures are: one pixel in 256 nearly always tells that they are not."""
+    return bool(
+        np.array_equal(image[::16, ::16], other[::16, ::16]) and np.array_equal(image, other)
+    )

@@ -94,7 +94,7 @@ def free_loopback() -> Callable[[], str]:
     return lambda: f"127.{1 + worker // 250}.{1 + worker % 250}.{next(numbers)}"
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def emulated_controller(free_loopback: Callable[[], str]) -> Iterator[EmulatedController]:
     with EmulatedController(free_loopback()) as emulator:
         yield emulator
