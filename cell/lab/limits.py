@@ -35,8 +35,10 @@ ROUNDS, NEARLY = 3, 0.01
 LEAST_LEFT = 1e-6
 #: Nearer to none of the effect than this many standard deviations its slope at zero is exact.
 NEAR = 0.3
-#: A guess of an effect's shape that explains less than the best by this χ² is not its shape.
-TIE = 9.0
+#: A guess of an effect's shape that explains less than the best by this χ² is not its shape; nor by
+#: this share of what the best explains: slopes at none of an effect promise what a strong one
+#: explains no better.
+TIE, TIE_SHARE = 9.0, 0.25
 #: Where everything else answers an effect as its slopes promise, give or take this share of what is
 #: left of the effect, no refit is needed.
 AS_PROMISED = 0.1
@@ -200,7 +202,8 @@ class _Search:
                 side = _Side(sign, end, std, slopes.values[shape], rest, basis)
                 tried.append((explained, side))
         best = max((explained for explained, _ in tried), default=0.0)
-        kept = [side for explained, side in tried if explained >= best - TIE]
+        least = best - max(TIE, TIE_SHARE * best)
+        kept = [side for explained, side in tried if explained >= least]
         return [
             max((s for s in kept if s.sign == sign), key=lambda s: s.sign * s.size)
             for sign in sorted({s.sign for s in kept})
