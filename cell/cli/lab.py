@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -211,6 +212,7 @@ def diagnose(
     with refusing(*results or [], report, force=force), working("diagnose") as progress:
         selection = session.select_for_diagnosis(effect or [], known or [])
         explorer = _explorer(study, selection, prior, progress, config)
+        gc.freeze()  # what is loaded stays: not looked through for garbage again and again
         with stoppable(explorer.prepared.work.stop):
             examination = with_limits(explorer, diagnose_study(explorer))
             examination = with_agreement(explorer, examination)

@@ -40,6 +40,8 @@ _PASSED_ON = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 #: Calls under way at a time, each in a slot: 8 bytes of a number that is odd during a call and
 #: grows by one at its beginning and at its end, then UTF-8 of what is called.
 _SLOTS, _SLOT_BYTES, _NUMBER_BYTES = 256, 1024, 8
+#: Forks of the child that may be at work at a time, and the slots of each: the last ones.
+MOST_FORKS, _OF_FORK = 8, 16
 
 _STUCK = 2
 
@@ -48,8 +50,8 @@ class Calls:
     """Calls that are under way, in memory that parent and child share."""
 
     def __init__(self) -> None:
-        self._memory = mmap.mmap(-1, _SLOTS * _SLOT_BYTES + 1)
-        self._free = deque(range(_SLOTS))
+        self._memory = mmap.mmap(-1, _SLOTS * _SLOT_BYTES + MOST_FORKS * _NUMBER_BYTES + 1)
+        self._free = deque(range(_SLOTS - MOST_FORKS * _OF_FORK))
 
     @property
     def answers(self) -> bool:
@@ -89,6 +91,27 @@ class Calls:
         text = self._memory[begin + _NUMBER_BYTES : begin + _SLOT_BYTES]
         return text.split(b"\0", 1)[0].decode(errors="replace")
 
+    def fork(self, slot: int) -> int | None:
+        """Number of the fork to which a slot belongs; None = the child itself."""
+        before = _SLOTS - MOST_FORKS * _OF_FORK
+        return None if slot < before else (slot - before) // _OF_FORK
+
+    def process(self, fork: int) -> int:
+        """Process of a fork; 0 = it is not there."""
+        begin = _SLOTS * _SLOT_BYTES + fork * _NUMBER_BYTES
+        return int.from_bytes(self._memory[begin : begin + _NUMBER_BYTES], "little")
+
+    def belong(self, fork: int, process: int) -> None:
+        """This process is a fork of the child, and has that one's slots; 0 = it has ended."""
+        slots = [slot for slot in range(_SLOTS) if self.fork(slot) == fork]
+        for slot, number in zip(slots, map(self.numbers().__getitem__, slots), strict=True):
+            if number % 2 == 1:  # it ended during the call
+                self._count(slot)
+        begin = _SLOTS * _SLOT_BYTES + fork * _NUMBER_BYTES
+        self._memory[begin : begin + _NUMBER_BYTES] = process.to_bytes(_NUMBER_BYTES, "little")
+        if process:
+            self._free = deque(slots)
+
     def _count(self, slot: int) -> None:
         begin = slot * _SLOT_BYTES
         number = int.from_bytes(self._memory[begin : begin + _NUMBER_BYTES], "little") + 1
@@ -109,6 +132,18 @@ def must_end(what: str) -> Iterator[None]:
         yield
     finally:
         _calls.end(slot)
+
+
+def fork_began(fork: int) -> None:
+    """This process is a fork, with this number below `MOST_FORKS`, of one that may be watched."""
+    if _calls is not None:
+        _calls.belong(fork, os.getpid())
+
+
+def fork_ended(fork: int) -> None:
+    """The fork with this number has ended, whatever it was doing."""
+    if _calls is not None:
+        _calls.belong(fork, 0)
 
 
 def answers_after_interrupt() -> None:
@@ -225,6 +260,7 @@ class LooksAtCalls:
     def __init__(self, calls: Calls, process: int, patience_s: float) -> None:
         self._calls = calls
         self._given = GivenTime(process)
+        self._forks: dict[int, GivenTime] = {}  # by process
         self._patience_s = patience_s
         self._numbers = calls.numbers()
         self._under_way = [UnderWay() for _ in self._numbers]
@@ -232,14 +268,23 @@ class LooksAtCalls:
     def stuck(self) -> int | None:
         """Look once more: slot of a call that is under way for too long."""
         numbers, given_s = self._calls.numbers(), self._given.since_last_look_s()
+        by_fork = self._given_to_forks()
         for slot, (number, before) in enumerate(zip(numbers, self._numbers, strict=True)):
             if number == before and number % 2 == 1:
-                self._under_way[slot].look(given_s)
+                fork = self._calls.fork(slot)
+                self._under_way[slot].look(given_s if fork is None else by_fork[fork])
             elif self._under_way[slot].looks_s:
                 self._under_way[slot] = UnderWay()
         self._numbers = numbers
         stuck = (s for s, u in enumerate(self._under_way) if u.is_stuck(self._patience_s))
         return next(stuck, None)
+
+    def _given_to_forks(self) -> list[float]:
+        """Time in which every fork could have gone on since the last look, s."""
+        processes = [self._calls.process(fork) for fork in range(MOST_FORKS)]
+        self._forks = {p: self._forks.get(p) or GivenTime(p) for p in processes if p}
+        given = {p: g.since_last_look_s() for p, g in self._forks.items()}
+        return [given.get(p, 0.0) for p in processes]
 
 
 class _Watch:

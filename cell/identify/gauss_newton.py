@@ -102,7 +102,12 @@ class UnsimulatedError(ValueError):
     """A fit begun where its model cannot be simulated.  Scenario: a cable too soft for its load."""
 
 
-def minimise(problem: Problem, start: FloatArray, options: Options = Options()) -> Solution:
+def minimise(
+    problem: Problem,
+    start: FloatArray,
+    options: Options = Options(),
+    jacobian: FloatArray | None = None,
+) -> Solution:
     """Minimum near `start`.
 
     Every pass simulates a point and its finite differences together, so that an accepted step
@@ -110,11 +115,13 @@ def minimise(problem: Problem, start: FloatArray, options: Options = Options()) 
     only points that lie lower get their finite differences.  The last step, smaller than the
     tolerance, is taken without another pass: residuals and derivatives are then those of the
     linear model.
+    jacobian  (rows, p) there, if it is known
     raises  UnsimulatedError: the residuals at `start` are not finite
     source  Madsen, Nielsen & Tingleff 2004, Methods for Non-Linear Least Squares, alg. 3.16, with
             damping relative to the diagonal and 0 at first; bounds by active set
     """
-    here = _linearise(problem, np.clip(start, problem.low, problem.high))
+    start = np.clip(start, problem.low, problem.high)
+    here = _linearise(problem, start) if jacobian is None else _seen(problem, start, jacobian)
     if not here.usable:
         raise UnsimulatedError("the model cannot be simulated at the start of the fit")
     damping, growth, passes, converged, idle = 0.0, 2.0, 1, False, 0
@@ -220,6 +227,12 @@ def _linearise(problem: Problem, q: FloatArray, known: FloatArray | None = None)
     jacobian = np.full((len(residual), len(q)), np.nan)
     if np.all(np.isfinite(lanes)):
         jacobian = (lanes[1:] - lanes[0]).T / step
+    return _Point(q, residual, jacobian, _objective(problem, q, residual))
+
+
+def _seen(problem: Problem, q: FloatArray, jacobian: FloatArray) -> _Point:
+    """The point at q, its Jacobian known."""
+    residual = problem.residuals(q[None])[0]
     return _Point(q, residual, jacobian, _objective(problem, q, residual))
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +11,6 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc as chi2_sf
 from scipy.special import ndtri as normal_quantile
 
-from cell.cable.solver import threads
 from cell.identify.fit import variance_inflation
 from cell.identify.gauss_newton import Options
 from cell.identify.parameters import ParameterSpace
@@ -24,6 +22,7 @@ from cell.lab.fitting import Fit, fit_model
 from cell.lab.prepared import PreparedStudy, StoppedError
 from cell.lab.results import Agreement, TrialValue
 from cell.lab.score import holm
+from cell.lab.side_by_side import side_by_side
 from cell.lab.whole import of_all_trials
 from cell.study.data import Trial
 
@@ -110,14 +109,15 @@ def agreement(
     common = _common(whole.space)
     done, on_one_core = itertools.count(1), prepared.on_one_core()
 
-    def one(trial: Trial) -> _Alone | None:
-        found = _alone(on_one_core, whole, trial, quantities, common)
-        progress(f"asked {trial.name} alone", next(done), len(trials))
-        return found
+    def one(number: int) -> _Alone | None:
+        return _alone(on_one_core, whole, trials[number], quantities, common)
+
+    def asked(number: int, _: _Alone | None) -> None:
+        progress(f"asked {trials[number].name} alone", next(done), len(trials))
 
     progress("asking each trial alone", 0, len(trials))
-    with ThreadPoolExecutor(threads()) as pool:
-        alone = list(pool.map(one, trials))
+    with side_by_side(prepared.work, [one], (), len(trials)) as beside:
+        alone = beside.map(one, range(len(trials)), asked)
     inflation = float(np.mean([a.inflation for a in alone if a is not None] or [1.0]))
     uncertain = inflation * common.T @ whole.covariance @ common
     rows = [_said(i, quantities, alone, trials, uncertain) for i in range(len(quantities))]

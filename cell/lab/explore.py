@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import itertools
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
@@ -13,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable.effects.base import Effect
-from cell.cable.solver import threads
 from cell.identify.gauss_newton import Options
 from cell.identify.parameters import ParameterSpace
 from cell.lab.fitting import (
@@ -31,6 +29,7 @@ from cell.lab.fitting import (
 from cell.lab.prepared import PreparedStudy
 from cell.lab.score import boundary_p_value, delta_bic
 from cell.lab.screen import MOST_SHAPES, ScreenedEffect, is_shape, screen, shapes_of
+from cell.lab.side_by_side import side_by_side
 from cell.lab.slopes import with_slopes
 from cell.study.data import Trial
 
@@ -107,6 +106,14 @@ class Gain:
     p_value: float
     delta_bic: float
     heldout: float
+
+
+@dataclass(frozen=True)
+class _Refit:
+    """An effect with which a candidate is to be fitted."""
+
+    effect: type[Effect]
+    options: Options = REFIT
 
 
 @dataclass(eq=False)
@@ -253,31 +260,52 @@ class Explorer:
         for screened in (*self.screened(base), *self._screened_elsewhere(base, effects)):
             guesses.setdefault(screened.effect.name, []).append(screened.starts)
 
-        done = itertools.count(1)
+        def refitted(job: _Refit) -> Candidate | None:
+            return self._extended(base, job.effect, guesses[job.effect.name], job.options)
 
-        def one(effect: type[Effect], options: Options = REFIT) -> Candidate | None:
-            candidate = self._extend(base, effect, guesses[effect.name], options)
-            self.progress(f"refitted with {effect.name}", next(done), len(effects))
-            return candidate
+        keys = {e: frozenset({*base.names, e.name}) for e in effects}
+        unknown = [e for e in effects if keys[e] not in self._known]
+        done = itertools.count(len(effects) - len(unknown) + 1)
+
+        def fitted(job: _Refit, candidate: Candidate | None) -> None:
+            if candidate is not None:
+                self._known[candidate.names] = candidate
+            self.progress(f"refitted with {job.effect.name}", next(done), len(effects))
+
+        def polished(_: Candidate, candidate: Candidate) -> None:
+            self._known[candidate.names] = candidate
+            if candidate.fit.solution.passes < POLISH.most_passes:  # it gained no more
+                self._were_polished.add(candidate.names)
 
         self.progress("refitting with one effect more", 0, len(effects))
-        with ThreadPoolExecutor(threads()) as pool:
-            found = [c for c in pool.map(one, effects[:FIRST]) if c is not None]
+        functions, offered = (
+            (refitted, self._polished),
+            (*self.library.values(), *base.effects, *effects),
+        )
+        with side_by_side(self.prepared.work, functions, offered, len(unknown)) as beside:
+            first = [_Refit(e) for e in unknown if e in effects[:FIRST]]
+            beside.map(refitted, first, fitted)
+            found = [c for e in effects[:FIRST] if (c := self._known.get(keys[e])) is not None]
             best = min((c.fit.objective for c in found), default=np.inf)
             hurried = replace(REFIT, above=(FAR_ABOVE * best, ENOUGH_PASSES))
-            rest = pool.map(lambda effect: one(effect, hurried), effects[FIRST:])
-            found += [c for c in rest if c is not None]
+            # those with most shapes take longest, and so begin first
+            rest = [_Refit(e, hurried) for e in unknown if e not in effects[:FIRST]]
+            rest.sort(key=lambda job: -shapes_of(job.effect))
+            beside.map(refitted, rest, fitted)
+            found = [c for e in effects if (c := self._known.get(keys[e])) is not None]
             far = FAR_ABOVE * min((c.fit.objective for c in found), default=np.inf)
             likely = sorted(found, key=lambda c: -c.evidence)[:POLISHED]
-            likely = [c for c in likely if c.fit.objective <= far]
-            polished = pool.map(self._polished, likely)
-            better = {c.names: p for c, p in zip(likely, polished, strict=True)}
-        return [better.get(c.names, c) for c in found]
+            beside.map(self._polished, [c for c in likely if self._unpolished(c, far)], polished)
+        return [self._known[c.names] for c in found]
+
+    def _unpolished(self, candidate: Candidate, far: float) -> bool:
+        """Whether a candidate is worth to be taken to convergence, and never was."""
+        if candidate.fit.solution.settled or candidate.names in self._were_polished:
+            return False
+        return candidate.fit.objective <= far
 
     def _polished(self, candidate: Candidate) -> Candidate:
-        """The candidate taken to convergence, or as near as it once came."""
-        if candidate.fit.solution.settled or candidate.names in self._were_polished:
-            return candidate
+        """The candidate taken to convergence, or as near as it comes."""
         fit = fit_model(
             self._alone,
             candidate.fit.space,
@@ -285,10 +313,7 @@ class Explorer:
             candidate.fit.begun,
             options=POLISH,
         )
-        if fit.solution.passes < POLISH.most_passes:  # it gained no more
-            self._were_polished.add(candidate.names)
-        self._known[candidate.names] = self._weigh(candidate.effects, fit)
-        return self._known[candidate.names]
+        return self._weigh(candidate.effects, fit)
 
     def visible(self, candidate: Candidate, effect: type[Effect]) -> float:
         """ln of how much likelier an effect of a candidate must make the held-out trials."""
@@ -348,7 +373,7 @@ class Explorer:
             heldout=held,
         )
 
-    def _extend(
+    def _extended(
         self,
         base: Candidate,
         effect: type[Effect],
@@ -357,9 +382,6 @@ class Explorer:
     ) -> Candidate | None:
         """The candidate with an effect added, from the starts that each screen has found."""
         effects = (*base.effects, effect)
-        key = frozenset(e.name for e in effects)
-        if key in self._known:
-            return self._known[key]
         space = space_with(base.fit.space, effects)
         origins = [base.fit.q]
         if self._tempered is not None and base is self.baseline():
@@ -388,16 +410,17 @@ class Explorer:
                     promising += [
                         q for q in map(starts.__getitem__, likeliest) if _is_new(q, promising)
                     ]
-            for q in promising:
+            for q in _each_once(promising):
                 with contextlib.suppress(ValueError):
-                    fits.append(fit_model(self._alone, space, q, base.fit.begun, options=options))
+                    fit = fit_model(
+                        self._alone, space, q, base.fit.begun, options=options, from_far=True
+                    )
+                    fits.append(fit)
         if not fits:
             return None
         # Of a force at a place, what follows the fitted motions best may do anything beyond them.
         tried = fits if placed else [min(fits, key=lambda f: f.objective)]
-        weighed = (self._weigh(effects, fit) for fit in tried)
-        self._known[key] = max(weighed, key=lambda c: c.evidence)
-        return self._known[key]
+        return max((self._weigh(effects, fit) for fit in tried), key=lambda c: c.evidence)
 
     def _sought(
         self, base: Candidate, space: ParameterSpace, starts: Sequence[FloatArray]
@@ -412,7 +435,8 @@ class Explorer:
         fits = []
         for q in starts:
             try:
-                fits.append(fit_model(self._alone, space, q, temper=temper, options=SEARCH))
+                fit = fit_model(self._alone, space, q, temper=temper, options=SEARCH, from_far=True)
+                fits.append(fit)
             except ValueError:
                 continue
         return [f.q for f in sorted(fits, key=lambda f: f.objective)[:PLACES]]
@@ -458,6 +482,11 @@ def _scaled(effect: type[Effect], guesses: Sequence[FloatArray]) -> list[FloatAr
         for g in guesses
     ]
     return [*guesses, *scaled]
+
+
+def _each_once(starts: Sequence[FloatArray]) -> list[FloatArray]:
+    """The starts, none of them twice."""
+    return [q for i, q in enumerate(starts) if _is_new(q, starts[:i])]
 
 
 def _is_new(q: FloatArray, others: Sequence[FloatArray]) -> bool:

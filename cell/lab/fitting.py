@@ -69,19 +69,20 @@ class Heldout:
     rms_m            per coordinate, over all of them; by_trial_m likewise each
     chi2             of the residuals, allowing for what the fit leaves uncertain: about `count`
                      if the model is right
-    smooth_chi2      of the smooth part of the residuals, likewise; about `smooth_count`
     log_likelihood   of the trials given the fit (natural logarithm, without a common constant)
     predicted_m      per trial (times, markers, 2)
+    smooth_chi2      of the smooth part of the residuals, likewise; about `smooth_count`; nan if it
+                     was not asked for
     """
 
     rms_m: float
     by_trial_m: dict[str, float]
     chi2: float
     count: int
-    smooth_chi2: float
-    smooth_count: int
     log_likelihood: float
     predicted_m: dict[str, FloatArray]
+    smooth_chi2: float = np.nan
+    smooth_count: int = 1
 
 
 def fit_trials(prepared: PreparedStudy) -> tuple[Trial, ...]:
@@ -101,6 +102,7 @@ def fit_model(
     trials: Sequence[Trial] | None = None,
     temper: float = 1.0,
     options: gauss_newton.Options = gauss_newton.Options(tolerance=0.03),  # noqa: B008
+    from_far: bool = False,
 ) -> Fit:
     """Fit near `start`, with what is unknown of the trials' beginnings as further unknowns.
 
@@ -108,13 +110,20 @@ def fit_model(
     trials  default: the `fit` trials
     temper  residuals are divided by it: where a model cannot fit, the prior then still keeps its
             parameters plausible
+    from_far  the way is long: it is gone with the simulations that slopes are taken of, if there
+            are any, and only its end looked for with the study's own
     raises  ValueError: the model cannot be simulated at the start
     """
     trials = fit_trials(prepared) if trials is None else trials
     p, std = len(space.names), _joined([prepared.beginning(t).std for t in trials])
     problem = problem_of(prepared, space, trials, temper)
     begin = _nearer_beginning(prepared, space, trials, start, begun or {})
-    solution = gauss_newton.minimise(problem, begin, options)
+    solution = None
+    if from_far and prepared.slopes is not None:
+        coarse = problem_of(prepared.coarser(prepared.slopes), space, trials, temper)
+        solution = _minimised_in_two(coarse, problem, begin, options)
+    if solution is None:
+        solution = gauss_newton.minimise(problem, begin, options)
     solution = replace(
         solution, residual=solution.residual * temper, jacobian=solution.jacobian * temper
     )
@@ -124,6 +133,30 @@ def fit_model(
     chi2 = float(solution.residual @ solution.residual)
     at_first = {name: rows[0] for name, rows in found.items()}
     return Fit(space, q, at_first, solution, chi2, solution.objective, overall(errors), std)
+
+
+def _minimised_in_two(
+    coarse: gauss_newton.Problem,
+    problem: gauss_newton.Problem,
+    begin: FloatArray,
+    options: gauss_newton.Options,
+) -> Solution | None:
+    """The minimum of a problem from that of a coarser one; None if one cannot be simulated there.
+
+    From where the coarser one has not converged it is not gone on: it would not have arrived.
+    """
+    try:
+        near = gauss_newton.minimise(coarse, begin, options)
+        left = options.most_passes - near.passes if near.converged else 0
+        few = replace(options, most_passes=1 + max(0, left))
+        found = gauss_newton.minimise(problem, near.q, few, near.jacobian)
+    except gauss_newton.UnsimulatedError:
+        return None
+    return replace(
+        found,
+        passes=near.passes + found.passes - 1,
+        settled=found.settled or (near.settled and not near.converged),
+    )
 
 
 def problem_of(
@@ -227,8 +260,10 @@ def _each_once(
     return np.concatenate(parts, axis=1)
 
 
-def heldout(prepared: PreparedStudy, fit: Fit) -> Heldout | None:
+def heldout(prepared: PreparedStudy, fit: Fit, *, smooth: bool = False) -> Heldout | None:
     """The fit on the `validate` trials; None if there are none.
+
+    smooth  what is left of the smooth part too: of a few fits only, it takes two fifths of the time
 
     Their likelihood integrates over what the fit leaves uncertain (linearised), so that a model
     is not punished for numbers that its fit trials could not know.  A model with which a held-out
@@ -255,34 +290,35 @@ def heldout(prepared: PreparedStudy, fit: Fit) -> Heldout | None:
             by_trial_m=dict.fromkeys(errors, np.inf),
             chi2=np.inf,
             count=prepared.count(trials),
-            smooth_chi2=np.inf,
-            smooth_count=1,
             log_likelihood=-np.inf,
             predicted_m=predicted,
+            smooth_chi2=np.inf,
         )
     spread = sensitivity @ covariance_root(fit.covariance)
     if more:
         moved = _spread_of_beginnings(prepared, trials, near[p + 1 :] - near[0])
         spread = np.hstack([spread, moved])
     chi2, log_det = marginal_chi2(residual, spread)
-    splits = np.cumsum([len(r) for r in rows])[:-1]
-    smooth = [
-        _smooth_part(prepared.whiteners[trial.name], part)
-        for trial, part in zip(
-            trials, np.split(np.column_stack([residual, spread]), splits), strict=True
+    smooth_chi2, smooth_count = np.nan, 1
+    if smooth:
+        splits = np.cumsum([len(r) for r in rows])[:-1]
+        of_trials = np.split(np.column_stack([residual, spread]), splits)
+        coarse = np.concatenate(
+            [
+                _smooth_part(prepared.whiteners[trial.name], part)
+                for trial, part in zip(trials, of_trials, strict=True)
+            ]
         )
-    ]
-    coarse = np.concatenate(smooth)
-    smooth_chi2, _ = marginal_chi2(coarse[:, 0], coarse[:, 1:])
+        smooth_chi2, smooth_count = marginal_chi2(coarse[:, 0], coarse[:, 1:])[0], len(coarse)
     return Heldout(
         rms_m=overall(list(errors.values())),
         by_trial_m={name: overall([e]) for name, e in errors.items()},
         chi2=chi2,
         count=prepared.count(trials),
-        smooth_chi2=smooth_chi2,
-        smooth_count=len(coarse),
         log_likelihood=-0.5 * (chi2 + log_det),
         predicted_m=predicted,
+        smooth_chi2=smooth_chi2,
+        smooth_count=smooth_count,
     )
 
 

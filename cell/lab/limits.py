@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,6 +12,7 @@ from scipy.special import chdtrc as chi2_sf
 from scipy.special import ndtri as normal_quantile
 
 from cell.cable.effects.base import ActiveEffect, Effect, Parameter
+from cell.cable.solver import threads
 from cell.identify.fit import variance_inflation
 from cell.lab.diagnose import Examination
 from cell.lab.doubts import interrupted_doubt
@@ -22,6 +24,7 @@ from cell.lab.prepared import PreparedStudy, StoppedError
 from cell.lab.results import Limit
 from cell.lab.score import Nuisance
 from cell.lab.screen import Sensitivity, changes, nuisance_of, one_sided
+from cell.lab.side_by_side import side_by_side
 from cell.lab.systematic import Systematic
 from cell.lab.whole import Whole, of_all_trials
 
@@ -31,6 +34,8 @@ CONFIDENCE = 0.95
 #: A limit is simulated, and moved to where the effect so strong is excluded, this often; not again
 #: if that was by less than this share.
 ROUNDS, NEARLY = 3, 0.01
+#: Effects are shared out in so many parts for each core.
+PER_CORE = 2
 #: Less of a sensitivity than this share is not told from what the other parameters do.
 LEAST_LEFT = 1e-6
 #: Nearer to none of the effect than this many standard deviations its slope at zero is exact.
@@ -103,26 +108,67 @@ def limits(
     Of an amplitude of one sign the limit is one-sided, and an estimate below none of it counts as
     none: no limit is below what the study can show (a power-constrained limit).
     """
-    prepared, fit, wrong = whole.prepared, whole.fit, whole.wrong
-    progress("how strong other effects could be", 0, ROUNDS + 2)
-    whiteners = [prepared.whiteners[t.name] for t in fit_trials(prepared)]
-    nuisance = nuisance_of(fit).moved(wrong.mesh)
-    residual = nuisance.residual[: len(wrong.mesh)]
-    inflation = variance_inflation(residual, whiteners, len(fit.q))
+    progress("how strong other effects could be")
+    common = _Common.of(whole)
+    done = itertools.count(1)
+
+    def of_some(some: Sequence[type[Effect]]) -> tuple[Limit, ...]:
+        return _limits_of(common, some)
+
+    # some effects take far longer than others
+    count = min(len(effects), PER_CORE * threads()) if threads() > 1 else 1
+    jobs = [effects[i::count] for i in range(count)]
+    with side_by_side(whole.prepared.work, [of_some], common.effects(effects), len(jobs)) as beside:
+        found = beside.map(
+            of_some,
+            jobs,
+            lambda *_: progress("how strong other effects could be", next(done), len(jobs)),
+        )
+    by_effect = itertools.groupby(itertools.chain(*found), key=lambda limit: limit.effect)
+    known = {name: tuple(of_it) for name, of_it in by_effect}
+    return tuple(limit for effect in effects for limit in known[effect.name])
+
+
+@dataclass(frozen=True, eq=False)
+class _Common:
+    """What the limits of all effects have in common.
+
+    inflation  by which what the model leaves beyond noise widens variances
+    """
+
+    whole: Whole
+    nuisance: Nuisance
+    inflation: float
+
+    @staticmethod
+    def of(whole: Whole) -> _Common:
+        prepared, fit, wrong = whole.prepared, whole.fit, whole.wrong
+        whiteners = [prepared.whiteners[t.name] for t in fit_trials(prepared)]
+        nuisance = nuisance_of(fit).moved(wrong.mesh)
+        residual = nuisance.residual[: len(wrong.mesh)]
+        return _Common(whole, nuisance, variance_inflation(residual, whiteners, len(fit.q)))
+
+    def effects(self, more: Iterable[type[Effect]]) -> tuple[type[Effect], ...]:
+        """Those of the fitted model and more."""
+        return (*self.whole.fit.space.effects, *more)
+
+
+def _limits_of(common: _Common, effects: Sequence[type[Effect]]) -> tuple[Limit, ...]:
+    """Limits of some effects, simulated together on one core."""
+    whole = common.whole
+    prepared, fit = whole.prepared.on_one_core(), whole.fit
     found = [
-        _Search(slopes, j, nuisance, wrong, inflation)
-        for slopes in whole.sensitivities(effects)
+        _Search(slopes, j, common.nuisance, whole.wrong, common.inflation)
+        for slopes in replace(whole, prepared=prepared).sensitivities(effects)
         for j in range(slopes.rows.shape[1])
     ]
-    for done in range(ROUNDS):
-        progress("how strong other effects could be", done + 1, ROUNDS + 2)
+    for _ in range(ROUNDS):
         sides = [(s, side) for s in found for side in s.open_sides() if not side.settled]
         if not sides:
             break
         moved = changes(prepared, fit, [s.active(side) for s, side in sides])
         for (search, side), change in zip(sides, moved, strict=True):
             search.simulated(side, change)
-    progress("how strong other effects could be", ROUNDS + 1, ROUNDS + 2)
     answered = [
         (search, side, HeldEffect.beside(prepared, fit, search.effect, search.which))
         for search in found

@@ -42,10 +42,14 @@ class Work:
         """Let the next simulation raise StoppedError."""
         self.stopped = True
 
-    def add(self, models: int, duration_s: float, solver: Solver) -> None:
-        """Count a batch.  Raises StoppedError: no more are wanted."""
+    def check(self) -> None:
+        """Raises StoppedError: no more simulations are wanted."""
         if self.stopped:
             raise StoppedError
+
+    def add(self, models: int, duration_s: float, solver: Solver) -> None:
+        """Count a batch.  Raises StoppedError: no more are wanted."""
+        self.check()
         cost = solver.segments / SOLVER.segments * SOLVER.step_s / solver.step_s
         self.simulated_s += models * duration_s * cost
 

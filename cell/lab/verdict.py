@@ -10,7 +10,7 @@ from scipy.special import fdtrc as f_sf
 
 from cell.cable.effects.base import Effect
 from cell.lab.explore import Candidate, Explorer
-from cell.lab.fitting import Heldout, fit_trials
+from cell.lab.fitting import fit_trials, heldout
 from cell.lab.leftover import Leftover, deviance, leftover, removed_share
 from cell.lab.results import Errors, Verdict
 from cell.lab.rules import Rules
@@ -94,7 +94,7 @@ def _leaves_noise(explorer: Explorer, base: Candidate, final: Candidate, rules: 
     if final.heldout is not None and base.heldout is not None:
         chi2, count, rms_m = final.heldout.chi2, final.heldout.count, final.heldout.rms_m
         before_m = base.heldout.rms_m
-        if not _smooth_part_explained(explorer, base.heldout, final.heldout, rules):
+        if not _smooth_part_explained(explorer, base, final, rules):
             return False
     else:
         count = prepared.count(fit_trials(prepared)) - len(final.fit.q)
@@ -106,7 +106,9 @@ def _leaves_noise(explorer: Explorer, base: Candidate, final: Candidate, rules: 
     return ratio < rules.gross_misfit and left < rules.misfit_share
 
 
-def _smooth_part_explained(explorer: Explorer, base: Heldout, final: Heldout, rules: Rules) -> bool:
+def _smooth_part_explained(
+    explorer: Explorer, base: Candidate, final: Candidate, rules: Rules
+) -> bool:
     """Whether the smooth part of a candidate's residual is noise.
 
     There misfits of a model are, and little noise: a wrong effect in place of one that the library
@@ -116,8 +118,11 @@ def _smooth_part_explained(explorer: Explorer, base: Heldout, final: Heldout, ru
     floor = explorer.prepared.floor
     if explorer.prepared.noise is not floor.noise or np.isinf(floor.freedom):
         return True
-    before, left = ((h.smooth_chi2 - h.smooth_count) / h.count for h in (base, final))
-    p_value = _p_value(final.smooth_chi2, final.smooth_count, floor.slow_freedom)
+    held = [heldout(explorer.prepared, c.fit, smooth=True) for c in (base, final)]
+    before, left = ((h.smooth_chi2 - h.smooth_count) / h.count for h in held if h is not None)
+    last = held[-1]
+    assert last is not None
+    p_value = _p_value(last.smooth_chi2, last.smooth_count, floor.slow_freedom)
     if p_value > rules.misfit_significance or left < rules.smooth_misfit:
         return True
     return left < min(rules.gross_smooth_misfit, rules.smooth_share * before)

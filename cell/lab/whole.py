@@ -13,7 +13,8 @@ from cell.lab.prepared import PreparedStudy, pooled
 from cell.lab.screen import Sensitivity, sensitivities
 from cell.lab.systematic import Systematic, systematic
 
-CONVERGED = Options(tolerance=0.03, most_passes=40)
+#: What a pass gains below that share, of a model that errs, is far below what it could be wrong by.
+CONVERGED = Options(tolerance=0.03, most_passes=40, least_gain=1e-3, updates=3)
 
 
 @dataclass(frozen=True, eq=False)

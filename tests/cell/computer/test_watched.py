@@ -54,6 +54,31 @@ def test_a_call_without_end_is_seen_beside_others_that_end() -> None:
     assert (code, said.split(" takes")[0]) == (2, "this one")
 
 
+IN_FORKS = """
+from cell.computer.forks import forks
+here = os.getpid()
+def job(number):
+    if os.getpid() == here:
+        time.sleep(0.3)
+        return
+    with must_end('f.py:3: mine.force'):
+        {doing}
+with forks([job], most=2) as beside:
+    beside.map(job, [0, 1])
+sys.exit(7)
+"""
+
+
+def test_a_call_without_end_in_a_fork_is_named_and_all_is_ended() -> None:
+    code, said = ended(IN_FORKS.format(doing="print(os.getpid(), flush=True); sum(range(10**13))"))
+    assert (code, said.split(" takes")[0]) == (2, "f.py:3: mine.force")
+
+
+def test_a_fork_that_was_killed_in_a_call_leaves_none_under_way() -> None:
+    program = IN_FORKS.format(doing="os.kill(os.getpid(), 9)").replace("0.3", "2.5")
+    assert ended(program) == (7, "")
+
+
 def test_many_calls_that_end_may_take_long_together() -> None:
     doing = "for k in range(300):\n    with must_end('short'): time.sleep(0.01)\nsys.exit(7)"
     assert ended(doing, 1.0) == (7, "")

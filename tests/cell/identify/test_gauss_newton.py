@@ -151,6 +151,21 @@ def test_slopes_may_come_from_residuals_that_are_all_wrong_by_as_much(updates: i
     assert set(asked) == {1}  # never beside their finite differences
 
 
+def test_a_known_jacobian_at_the_start_is_not_computed_again() -> None:
+    exact, asked = misra(), []
+
+    def residuals(lanes: np.ndarray) -> np.ndarray:
+        asked.append(len(lanes))
+        return exact.residuals(lanes)
+
+    options = Options(tolerance=1e-4, updates=3)
+    near = minimise(exact, np.log((250.0, 5e-4)), options)
+    again = minimise(replace(exact, residuals=residuals), near.q, options, near.jacobian)
+    assert again.converged
+    assert asked == [1]
+    np.testing.assert_allclose(np.exp(again.q), CERTIFIED, rtol=1e-5)
+
+
 def test_slopes_that_cannot_be_had_are_taken_from_the_residuals() -> None:
     near = replace(misra(), slopes=lambda q: np.full((len(q), len(MISRA1A)), np.nan))
     solution = minimise(near, np.log((250.0, 5e-4)), Options(tolerance=1e-4))

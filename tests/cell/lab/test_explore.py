@@ -7,7 +7,7 @@ import pytest
 
 from cell.cable.effects import library, load_effect
 from cell.identify.parameters import ParameterSpace
-from cell.lab import explore
+from cell.lab import explore, side_by_side
 from cell.lab.explore import Candidate, Explorer
 from cell.lab.fitting import space_with
 from cell.lab.prepared import PreparedStudy
@@ -141,3 +141,47 @@ def test_of_two_minima_without_an_effect_the_likelier_is_kept(make_study, monkey
     assert [explorer.without(both, second) for _ in range(2)] == [better, better]
     assert fitted == [(first,)]
     assert explorer.without(Candidate((first,), None, None, 0.0), first) is none
+
+
+@pytest.fixture(scope="module")
+def one_and_two(make_study):
+    """What one and two processes find of the same study, and the work that they count."""
+    known = library()
+    study = make_study([known["tip_mass"].active(mass_kg=3e-5)], seed=8)
+    names = ("air_drag", "tip_mass", "grip_angle", "bending_hysteresis", "draught")
+    found = []
+    for cores in (1, 2):
+        explorer = Explorer(
+            PreparedStudy.of(study), ParameterSpace.of(study.cable), {n: known[n] for n in names}
+        )
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(side_by_side, "threads", lambda cores=cores: cores)
+            base = explorer.baseline()
+            added = explorer.add(base, explorer.worth_refitting(base, 5))
+        found.append((added, explorer.prepared.work.simulated_s))
+    return found
+
+
+def test_candidates_are_the_same_whichever_process_fitted_them(one_and_two):
+    (here, work_s), (shared, shared_s) = one_and_two
+    assert [c.names for c in here] == [c.names for c in shared]
+    assert [c.evidence for c in here] == [c.evidence for c in shared]
+    for a, b in zip(here, shared, strict=True):
+        assert np.array_equal(a.fit.q, b.fit.q)
+        assert np.array_equal(a.fit.solution.jacobian, b.fit.solution.jacobian)
+        assert a.effects == b.effects
+    assert work_s == shared_s
+
+
+def test_candidates_of_another_process_have_the_effects_of_this_one(make_study, tmp_path):
+    """A user's effect is of no module that another process could look it up in."""
+    effects = {}
+    for term in [t for t in admissible((-0.1, 0.0, -0.09, 0.0)) if t.name != "point"][:2]:
+        path = tmp_path / f"own_{term.name}.py"
+        path.write_text(effect_source(f"own_{term.name}", [term], "A law."), encoding="utf-8")
+        effects[f"own_{term.name}"] = load_effect(path, trusted=True)
+    study = make_study(seed=2)
+    explorer = Explorer(PreparedStudy.of(study), ParameterSpace.of(study.cable), effects)
+    found = explorer.add(explorer.baseline(), list(effects.values()))
+    assert [c.effects[-1] for c in found] == list(effects.values())
+    assert all(c.fit.space.effects == c.effects for c in found)

@@ -1,0 +1,263 @@
+"""Jobs on all cores at once, each core with a Python lock of its own: in forks of this process.
+
+A fork has all that this process has when it is made, so that a job needs no more than is said of
+it, and it computes what this process would.  On other systems than Linux this process does all.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import gc
+import io
+import os
+import pickle
+import signal
+import sys
+import threading
+import warnings
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from typing import Any, BinaryIO, TypeVar
+
+from cell.computer.watched import MOST_FORKS, fork_began, fork_ended
+
+Given = TypeVar("Given")
+Returned = TypeVar("Returned")
+
+#: While forks are waited for, whoever waits looks this often whether anybody still wants it, s.
+_LOOK_S = 0.05
+_SIZE_BYTES = 8
+#: Of prctl: the signal that a process gets when the one that made it has ended.
+_PR_SET_PDEATHSIG = 1
+
+
+#: Signals whose handlers are this process's alone.
+_PARENTS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+class _LostError(Exception):
+    """A fork has ended, or could not do a job."""
+
+
+class Forks:
+    """This process, and copies of it that do jobs beside it while `forks` is open."""
+
+    def __init__(self, workers: Sequence[_Fork]) -> None:
+        self._workers = workers
+
+    def map(
+        self,
+        function: Callable[[Given], Returned],
+        jobs: Sequence[Given],
+        done: Callable[[Given, Returned], None] = lambda job, result: None,
+        check: Callable[[], None] = lambda: None,
+    ) -> list[Returned]:
+        """Results of all jobs, in their order; what a job does besides is lost if a copy did it.
+
+        Whichever core is free takes the next.  A job that a copy could not do, because it was
+        killed or the function raised, is done again by this process.
+
+        function  one of those that `forks` was opened with
+        done      is told of every job as its result comes, by any thread
+        check     may raise while others are waited for
+        """
+        waiting = deque(enumerate(jobs))
+        results: dict[int, Returned] = {}
+        stopped: list[BaseException] = []
+
+        def work(do: Callable[[Given], Returned]) -> None:
+            while not stopped:
+                try:
+                    number, job = waiting.popleft()
+                except IndexError:
+                    return
+                try:
+                    result = do(job)
+                except _LostError:
+                    waiting.appendleft((number, job))
+                    return
+                done(job, result)
+                results[number] = result
+
+        def work_in(copy: _Fork) -> None:
+            try:
+                work(partial(copy.do, function))
+            except BaseException as error:  # of `done`
+                stopped.append(error)
+
+        others = [
+            threading.Thread(target=work_in, args=(copy,), daemon=True)
+            for copy in self._workers[: max(0, len(jobs) - 1)]
+        ]
+        for other in others:
+            other.start()
+        try:
+            while len(results) < len(jobs):
+                work(function)
+                check()
+                if stopped:
+                    raise stopped[0]
+                if busy := [other for other in others if other.is_alive()]:
+                    busy[0].join(_LOOK_S)
+        except BaseException as error:
+            stopped.append(error)
+            self.close()
+            raise
+        finally:
+            for other in others:
+                other.join()
+        return [results[number] for number in range(len(jobs))]
+
+    def close(self) -> None:
+        """End the copies, whatever they are doing."""
+        for worker in self._workers:
+            worker.end()
+
+
+@contextmanager
+def forks(
+    functions: Sequence[Callable[[Any], Any]],
+    *,
+    most: int,
+    known: Iterable[object] = (),
+) -> Iterator[Forks]:
+    """Copies of this process in which any of the functions may be called, until it is left.
+
+    most   at most so many jobs at a time, those of this process included
+    known  objects that are not pickled: a copy has them, and what it gives back has this process's
+    """
+    workers: list[_Fork] = []
+    try:
+        for slot in range(min(most - 1, MOST_FORKS) if sys.platform == "linux" else 0):
+            with contextlib.suppress(OSError):  # no memory, or no more processes for this user
+                workers.append(_Fork(slot, functions, list(known)))
+        yield Forks(workers)
+    finally:
+        for worker in workers:
+            worker.end()
+
+
+class _Fork:
+    """A copy of this process that does one job at a time."""
+
+    def __init__(
+        self, slot: int, functions: Sequence[Callable[[Any], Any]], known: Sequence[object]
+    ) -> None:
+        self._slot = slot
+        self._functions = functions
+        self._known = known
+        child_reads, here_writes = os.pipe()
+        here_reads, child_writes = os.pipe()
+        parent = os.getpid()
+        # a signal waits until the copy knows that it is none of its business
+        former = signal.pthread_sigmask(signal.SIG_BLOCK, _PARENTS)
+        try:
+            with warnings.catch_warnings():
+                # the other threads wait or print; neither is needed in the copy
+                warnings.simplefilter("ignore", DeprecationWarning)
+                pid = os.fork()
+            if pid == 0:
+                try:
+                    os.close(here_writes)
+                    os.close(here_reads)
+                    _become_worker(parent, slot)
+                    signal.pthread_sigmask(signal.SIG_SETMASK, former)
+                    self._serve(os.fdopen(child_reads, "rb"), os.fdopen(child_writes, "wb"))
+                finally:
+                    os._exit(0)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, former)
+        os.close(child_reads)
+        os.close(child_writes)
+        self._pid: int | None = pid
+        self._ending = threading.Lock()
+        self._jobs = os.fdopen(here_writes, "wb")
+        self._results = os.fdopen(here_reads, "rb")
+
+    def do(self, function: Callable[[Given], Returned], job: Given) -> Returned:
+        """The function's result.  Raises _LostError: the copy has ended, or the function raised."""
+        try:
+            _send(self._jobs, (self._functions.index(function), job), self._known)
+            done, result = _received(self._results, self._known)
+        except (OSError, EOFError, ValueError) as error:
+            self.end()  # what it was doing is not under way any more
+            raise _LostError from error
+        if not done:
+            raise _LostError
+        return result  # type: ignore[no-any-return]
+
+    def end(self) -> None:
+        """Kill the copy."""
+        with self._ending:
+            pid, self._pid = self._pid, None
+        if pid is None:
+            return
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
+        with contextlib.suppress(ChildProcessError):
+            os.waitpid(pid, 0)
+        fork_ended(self._slot)
+        for stream in (self._results, self._jobs):
+            with contextlib.suppress(OSError):
+                stream.close()
+
+    def _serve(self, jobs: BinaryIO, out: BinaryIO) -> None:
+        """In the copy: do jobs until there are no more."""
+        while True:
+            try:
+                number, job = _received(jobs, self._known)
+            except EOFError:
+                return
+            try:
+                answer = True, self._functions[number](job)
+            except BaseException:
+                answer = False, None
+            _send(out, answer, self._known)
+
+
+def _become_worker(parent: int, slot: int) -> None:
+    """What sets a copy apart: it hears no Ctrl-C, ends with its parent, and never prints by it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for number in _PARENTS[1:]:
+        signal.signal(number, signal.SIG_DFL)
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:
+        os._exit(1)
+    gc.freeze()  # what is old stays shared with the parent
+    # a thread that this process no longer has may have held the lock of the old ones
+    sys.stdout = io.TextIOWrapper(io.FileIO(1, "w", closefd=False), write_through=True)
+    sys.stderr = io.TextIOWrapper(io.FileIO(2, "w", closefd=False), write_through=True)
+    fork_began(slot)
+
+
+def _send(stream: BinaryIO, message: object, known: Sequence[object]) -> None:
+    """Write a message; `known` objects by their number."""
+    numbers = {id(thing): number for number, thing in enumerate(known)}
+
+    class Pickler(pickle.Pickler):
+        def persistent_id(self, thing: Any) -> int | None:
+            return numbers.get(id(thing))
+
+    packed = io.BytesIO()
+    Pickler(packed, pickle.HIGHEST_PROTOCOL).dump(message)
+    content = packed.getbuffer()
+    stream.write(len(content).to_bytes(_SIZE_BYTES, "little"))
+    stream.write(content)
+    stream.flush()
+
+
+def _received(stream: BinaryIO, known: Sequence[object]) -> Any:
+    """The next message.  Raises EOFError: whoever sent them has ended."""
+    size = stream.read(_SIZE_BYTES)
+    if len(size) < _SIZE_BYTES:
+        raise EOFError
+    content = stream.read(int.from_bytes(size, "little"))
+
+    class Unpickler(pickle.Unpickler):
+        def persistent_load(self, number: Any) -> object:
+            return known[number]
+
+    return Unpickler(io.BytesIO(content)).load()
