@@ -93,9 +93,9 @@ def fit(t_s: FloatArray, value: FloatArray, *, checked: bool = False) -> Spline:
     checked  no value is wrong: none is looked for
 
     The noise is taken from the median fourth divided difference.  The penalty on curvature is the
-    one with the least expected error of the curve (Mallows' C_p), so a jerk is followed as closely
-    as the noise allows; cross-validation, which does not know the noise, now and then follows all
-    of it.
+    one with the least expected error of the curve (Mallows' C_p), as far as chance lets it tell, so
+    a jerk is followed as closely as the noise allows; cross-validation, which does not know the
+    noise, now and then follows all of it.
     The penalty is then raised where the curve bends little, so that a hand at rest is still.
     Values that lie apart from their neighbours are wrong, and made up from those beside them:
     where they are the curve would seem to bend.
@@ -275,26 +275,32 @@ def _least_error(
 ) -> tuple[FloatArray, FloatArray]:
     """The smoothed values for the best multiple of the local penalties, and these penalties' √.
 
-    signals  (T, 1 + probes) values, and random signs for Hutchinson's estimate of the trace
+    Of those that are no worse than the best by more than chance the strongest is taken: now and
+    then the best follows the noise.  Between two smoothings chance moves Σ(y − g)² + 2σ²·trace by
+    about σ²·√(2 Δtrace).
+    signals    (T, 1 + probes) values, and random signs for Hutchinson's estimate of the trace
+    multiples  increasing
     """
-    best = np.inf
-    chosen = signals[:, 0].copy()
-    chosen_root = np.zeros_like(local)
-    for multiple in multiples:
-        root = np.sqrt(multiple * local)
-        smooth = _smooth(t, signals, root)
+    scores, traces = np.empty(multiples.size), np.empty(multiples.size)
+    best = 0
+    for i in range(multiples.size):
+        smooth = _smooth(t, signals, np.sqrt(multiples[i] * local))
         square, trace = 0.0, 0.0
         for j in range(t.size):
             square += (signals[j, 0] - smooth[j, 0]) ** 2
             for k in range(1, signals.shape[1]):
                 trace += signals[j, k] * smooth[j, k]
-        trace /= signals.shape[1] - 1
-        score = (square + 2.0 * noise**2 * trace) / t.size
-        if score < best:
-            best = score
-            chosen[:] = smooth[:, 0]
-            chosen_root[:] = root
-    return chosen, chosen_root
+        traces[i] = trace / (signals.shape[1] - 1)
+        scores[i] = square + 2.0 * noise**2 * traces[i]
+        if scores[i] < scores[best]:
+            best = i
+    chosen = best
+    for i in range(best + 1, multiples.size):
+        chance = noise**2 * math.sqrt(2.0 * max(traces[best] - traces[i], 0.0))
+        if scores[i] <= scores[best] + chance:
+            chosen = i
+    root = np.sqrt(multiples[chosen] * local)
+    return _smooth(t, signals[:, :1].copy(), root)[:, 0].copy(), root
 
 
 @compiled
