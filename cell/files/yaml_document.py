@@ -16,6 +16,7 @@ from pydantic_core import ErrorDetails
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.nodes import MappingNode, Node, SequenceNode
+from ruamel.yaml.scanner import Scanner
 
 from cell.files.input_error import InputError, Problem, did_you_mean
 from cell.files.text_file import read_text
@@ -69,6 +70,17 @@ def dotted(key: Key) -> str:
     return text if len(text) <= MAX_KEY else f"{text[:MAX_KEY]}…"
 
 
+class _FlatScanner(Scanner):
+    """Gives up on brackets that no file here needs: it looks at all open ones for every character
+    ahead, seconds for a thousand of them.
+    """
+
+    def fetch_flow_collection_start(self, TokenClass: Any, to_push: str) -> None:
+        if len(self.flow_context) > MAX_DEPTH:
+            raise RecursionError
+        super().fetch_flow_collection_start(TokenClass, to_push)
+
+
 def _marked(error: YAMLError) -> TypeGuard[MarkedYAMLError]:
     return isinstance(error, MarkedYAMLError)
 
@@ -81,6 +93,7 @@ def read_yaml(path: Path) -> Document:
     """
     text = read_text(path, MAX_BYTES)
     reader = YAML(typ="safe", pure=True)  # in C it would crash on deep nesting
+    reader.Scanner = _FlatScanner
     places: dict[Key, tuple[int, int]] = {(): (1, 1)}
     problems: list[Problem] = []
 
