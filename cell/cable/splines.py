@@ -22,6 +22,9 @@ NEGLIGIBLE_NOISE = 1e-7
 #: least bending that counts, as a share of the greatest; random vectors for the trace.
 _CALM_S = 0.03
 _ROUNDS = 3
+#: The least C_p follows the noise now and then: in all rounds but the last the strongest smoothing
+#: is taken that is within so many standard deviations of it.
+_CHANCE = 1.0
 _LEAST = 1e-6
 _PROBES = 3
 
@@ -93,9 +96,9 @@ def fit(t_s: FloatArray, value: FloatArray, *, checked: bool = False) -> Spline:
     checked  no value is wrong: none is looked for
 
     The noise is taken from the median fourth divided difference.  The penalty on curvature is the
-    one with the least expected error of the curve (Mallows' C_p), as far as chance lets it tell, so
-    a jerk is followed as closely as the noise allows; cross-validation, which does not know the
-    noise, now and then follows all of it.
+    one with the least expected error of the curve (Mallows' C_p), so a jerk is followed as closely
+    as the noise allows; cross-validation, which does not know the noise, now and then follows all
+    of it.
     The penalty is then raised where the curve bends little, so that a hand at rest is still.
     Values that lie apart from their neighbours are wrong, and made up from those beside them:
     where they are the curve would seem to bend.
@@ -119,15 +122,17 @@ def fit(t_s: FloatArray, value: FloatArray, *, checked: bool = False) -> Spline:
     local = np.ones_like(t)
     signals, wrong, turns_slowly = _with_probes(y), np.zeros(len(t), dtype=bool), not checked
     multiples = np.geomspace(1e-3, 1e7, 18) * spacing**3
-    for _ in range(_ROUNDS):
-        smooth, root = _least_error(signals, t, noise, local, multiples)
+    for round_ in range(_ROUNDS):
+        # where the curve bends is looked for in one that surely does not follow the noise
+        chance = _CHANCE if round_ < _ROUNDS - 1 else 0.0
+        smooth, root = _least_error(signals, t, noise, local, multiples, chance)
         while turns_slowly and np.any(more := _glitches(signals[:, 0] - smooth, noise) & ~wrong):
             wrong |= more
             turns_slowly = _longest_run(wrong) <= _TOGETHER
             wrong &= turns_slowly
             signals[:, 0] = y
             signals[wrong, 0] = np.interp(t[wrong], t[~wrong], y[~wrong])
-            smooth, root = _least_error(signals, t, noise, local, multiples)
+            smooth, root = _least_error(signals, t, noise, local, multiples, chance)
         energy = np.convolve(_natural(t, smooth) ** 2, window / window.sum(), "same")
         if energy.max() == 0.0:
             break
@@ -232,7 +237,7 @@ def refit(spline: Spline, values: FloatArray) -> list[Spline]:
             splines.append(fit(t, y))
             continue
         noise = _noise(t, y)
-        smooth, root = _least_error(_with_probes(y), t, noise, spline.root**2, _NEAR)
+        smooth, root = _least_error(_with_probes(y), t, noise, spline.root**2, _NEAR, 0.0)
         splines.append(Spline(t, smooth, _natural(t, smooth), noise, root))
     return splines
 
@@ -272,14 +277,14 @@ def _least_error(
     noise: float,
     local: FloatArray,
     multiples: FloatArray,
+    chance: float,
 ) -> tuple[FloatArray, FloatArray]:
     """The smoothed values for the best multiple of the local penalties, and these penalties' √.
 
-    Of those that are no worse than the best by more than chance the strongest is taken: now and
-    then the best follows the noise.  Between two smoothings chance moves Σ(y − g)² + 2σ²·trace by
-    about σ²·√(2 Δtrace).
     signals    (T, 1 + probes) values, and random signs for Hutchinson's estimate of the trace
     multiples  increasing
+    chance     the strongest of those is taken that are no worse than the best by more than so many
+               standard deviations of what chance makes between the two, σ²·√(2 Δtrace)
     """
     scores, traces = np.empty(multiples.size), np.empty(multiples.size)
     best = 0
@@ -296,8 +301,8 @@ def _least_error(
             best = i
     chosen = best
     for i in range(best + 1, multiples.size):
-        chance = noise**2 * math.sqrt(2.0 * max(traces[best] - traces[i], 0.0))
-        if scores[i] <= scores[best] + chance:
+        by_chance = noise**2 * math.sqrt(2.0 * max(traces[best] - traces[i], 0.0))
+        if scores[i] <= scores[best] + chance * by_chance:
             chosen = i
     root = np.sqrt(multiples[chosen] * local)
     return _smooth(t, signals[:, :1].copy(), root)[:, 0].copy(), root

@@ -120,10 +120,7 @@ def minimise(
     source  Madsen, Nielsen & Tingleff 2004, Methods for Non-Linear Least Squares, alg. 3.16, with
             damping relative to the diagonal and 0 at first; bounds by active set
     """
-    start = np.clip(start, problem.low, problem.high)
-    here = _linearise(problem, start) if jacobian is None else _seen(problem, start, jacobian)
-    if not here.usable:
-        raise UnsimulatedError("the model cannot be simulated at the start of the fit")
+    here = _begun(problem, np.clip(start, problem.low, problem.high), jacobian)
     damping, growth, passes, converged, idle = 0.0, 2.0, 1, False, 0
     stuck, stuck_at, settled = 0, here.objective, False
     while True:
@@ -177,18 +174,10 @@ def minimise(
             if damping > _HOPELESS_DAMPING:
                 break
     free = (here.q > problem.low) & (here.q < problem.high)
-    return Solution(
-        here.q,
-        here.residual,
-        here.jacobian,
-        _covariance(normal, free),
-        free,
-        _objective(problem, here.q, here.residual),
-        passes,
-        converged,
-        0.0 if converged else promised,
-        converged or settled,
-    )
+    left = 0.0 if converged else promised
+    objective = _objective(problem, here.q, here.residual)
+    at_minimum = here.q, here.residual, here.jacobian, _covariance(normal, free), free, objective
+    return Solution(*at_minimum, passes, converged, left, converged or settled)
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,6 +197,14 @@ class _Point:
     def usable(self) -> bool:
         """Whether all of it could be simulated."""
         return bool(np.all(np.isfinite(self.residual)) and np.all(np.isfinite(self.jacobian)))
+
+
+def _begun(problem: Problem, start: FloatArray, jacobian: FloatArray | None) -> _Point:
+    """The start of a fit."""
+    here = _linearise(problem, start) if jacobian is None else _seen(problem, start, jacobian)
+    if not here.usable:
+        raise UnsimulatedError("the model cannot be simulated at the start of the fit")
+    return here
 
 
 def _linearise(problem: Problem, q: FloatArray, known: FloatArray | None = None) -> _Point:

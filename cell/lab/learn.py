@@ -197,7 +197,10 @@ def learn(
     left = [fit_shared([p], with_it, starts_at[i : i + 1]) for i, p in enumerate(few)]
     rest = [e for e in others if e is not first.best.effect]
     second = _lesson(first, search, prepared, plausible, search.next(left, rest, tried[0]))
-    return second if second.best is not first.best else first
+    if second.best is first.best:
+        return first
+    single = search.last_alone(alone[:TRIED_ON], second.ranking[0])
+    return second if single is None else _lesson(none, search, prepared, plausible, [single])
 
 
 def _lesson(
@@ -333,6 +336,27 @@ class _Search:
             for (effect, fit), fall, value in zip(fits, falls, adjusted, strict=True)
         ]
         return library_first(sorted(tried, key=lambda t: -t.fall))
+
+    def last_alone(self, alone: Sequence[SharedFit], pair: EffectFit) -> EffectFit | None:
+        """The last of two effects without the first, if it explains as much as both.
+
+        The first was the best that there was of what began as small; beside it the second has come
+        to where no way led from none of it.
+        """
+        self.progress(f"trying {pair.effect.name} without {pair.effects[0].name}")
+        values = _natural(pair.fit)[len(pair.effects[0].parameters) :]
+        effects = (pair.effect,)
+        try:
+            fit = fit_shared(
+                self.prepared, self.base, pair.fit.q, effects, values, options=ALL_PASSES
+            )
+        except ValueError:
+            return None
+        fall = (sum(a.chi2 for a in alone) - fit.chi2) / fit.inflation
+        p_value = min(1.0, self.library * float(chi2_sf(len(fit.theta), max(fall, 0.0))))
+        single = EffectFit(effects, fit, float(fall), p_value)
+        more = (fit.chi2 - pair.fit.chi2) / pair.fit.inflation
+        return single if more < max(TIE, SIMULATED**2 * fall) else None
 
     def _to_its_end(self, fit: SharedFit, best: SharedFit) -> SharedFit:
         """The fit converged: what is compared must not differ by where it was left.

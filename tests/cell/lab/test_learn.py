@@ -27,7 +27,16 @@ from cell.lab.candidate import section, write_candidate
 from cell.lab.cycles import RecordedCycle, read_cycles
 from cell.lab.discover import Laws
 from cell.lab.gates import ForecastPair, Judgement, best_judged, forecasts, gates, judge
-from cell.lab.learn import TIE, EffectFit, Lesson, learn, library_first, negligible
+from cell.lab.learn import (
+    ALL_PASSES,
+    TIE,
+    EffectFit,
+    Lesson,
+    _Search,
+    learn,
+    library_first,
+    negligible,
+)
 from cell.lab.lesson_tables import lesson_lines
 from cell.lab.motion_file import load_motion
 from cell.lab.session import explorer_of, read_kind, select_effects
@@ -251,6 +260,34 @@ def test_two_effects_that_all_cables_share_are_found_one_after_the_other() -> No
     assert model.prior is not None
     assert model.prior.names == list(lesson.best.names)
     identification_of(SETTINGS.model_copy(update={"model": model}))  # can be used as it is
+
+
+def test_a_second_effect_that_explains_all_does_not_keep_the_first(lesson: Lesson) -> None:
+    """The first was named because from none of the second no way led to it: a magnet was learned
+    as a field that grows evenly and a magnet, which the gates refuse.
+    """
+    task = cell_task(SETTINGS)
+    base = task.identification.kind.space(task.cable, lesson.cycles[0].study.gravity_m_per_s2)
+    prepared = [prepared_cycle(c.whole) for c in lesson.cycles[:2]]
+    search = _Search(tuple(prepared), base, lesson.baseline.q[:2], 2, lambda _: None)
+    alone = [
+        fit_shared([p], base, q[None]) for p, q in zip(prepared, lesson.baseline.q, strict=False)
+    ]
+    drag = {name: library()[name] for name in ("air_drag", "tip_mass")}
+    assert lesson.best is not None
+    settled = lesson.best.fit
+
+    def last_alone(first: str, last: str, *values: float) -> EffectFit | None:
+        both = (drag[first], drag[last])
+        fit = fit_shared(prepared, base, settled.q[:2], both, np.array(values), options=ALL_PASSES)
+        return search.last_alone(alone, EffectFit(both, fit, 1e4, 1e-9))
+
+    single = last_alone("tip_mass", "air_drag", 1e-6, 2.0)
+    assert single is not None
+    assert single.name == "air_drag"
+    assert single.fit.theta[0] == pytest.approx(2.0, abs=0.1)
+    assert single.p_value < 1e-9
+    assert last_alone("air_drag", "tip_mass", 2.0, 1e-6) is None
 
 
 def test_a_cable_that_was_bent_to_imitate_an_effect_does_not_hide_it() -> None:
