@@ -12,14 +12,13 @@ from numpy.typing import NDArray
 
 from cell.computer.memory import use_one_arena
 from cell.computer.second_process import SecondProcess
-from cell.files.input_error import InputError
 from cell.plan.choose import ChoiceOptions
 from cell.plan.destination import Destination
 from cell.plan.paths import MotionLimits
 from cell.run.clocks import KnownDelays
 from cell.run.cycle import Cell
 from cell.run.station import Task
-from cell.settings import Settings
+from cell.settings import InputError, Settings
 from cell.settings import devices as given
 from cell.settings.calibrated import Calibrated, as_gripped, typed
 from cell.settings.translate import (
