@@ -200,7 +200,10 @@ def learn(
     if second.best is first.best:
         return first
     single = search.last_alone(alone[:TRIED_ON], second.ranking[0])
-    return second if single is None else _lesson(none, search, prepared, plausible, [single])
+    if single is None:
+        return second
+    # what is as good as it beside the first is as good without
+    return replace(_lesson(none, search, prepared, plausible, [single]), tied=second.tied)
 
 
 def _lesson(
