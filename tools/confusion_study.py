@@ -60,10 +60,15 @@ class Outcome:
     partial: tuple[frozenset[str], ...] = ()
 
     @property
+    def claims(self) -> bool:
+        """Whether anything is claimed: what is named with `cannot_tell` is not."""
+        return self.verdict == "missing"
+
+    @property
     def right(self) -> bool:
         if self.hide in ("unknown", "mixed") and self.verdict == "unexplained":
             return True
-        return self.hide != "unknown" and self.has_named_all(self.named)
+        return self.hide != "unknown" and self.claims and self.has_named_all(self.named)
 
     def has_named_all(self, named: Sequence[frozenset[str]]) -> bool:
         """Whether these classes name all that is hidden, and nothing that is not there."""
@@ -76,7 +81,7 @@ class Outcome:
 
     @property
     def wrong(self) -> bool:
-        return self.has_named_other(self.named)
+        return self.claims and self.has_named_other(self.named)
 
     @property
     def partly_right(self) -> bool:
@@ -183,7 +188,8 @@ def main() -> int:
         _table(outcomes)
     share = right / max(1, len(detectable))
     print(f"\nright class: {right} of {len(detectable)} detectable = {share:.1%}; "
-          f"wrong claims: {wrong} of {len(outcomes)}; in part: right "
+          f"wrong claims: {wrong} of {len(outcomes)}; cannot tell "
+          f"{sum(o.verdict == 'cannot_tell' for o in outcomes)}; in part: right "
           f"{sum(o.partly_right for o in outcomes)}, "
           f"wrong {sum(o.partly_wrong for o in outcomes)}")  # fmt: skip
     return 0 if share >= LEAST_RIGHT[given.hide] else 1

@@ -12,6 +12,7 @@ import numpy as np
 from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import UnsimulatedError
 from cell.lab.doubts import (
+    barely_seen_doubt,
     doubts,
     interrupted_doubt,
     is_no_model,
@@ -33,6 +34,7 @@ from cell.lab.screen import ScreenedEffect
 from cell.lab.verdict import (
     above_noise,
     added_effect,
+    barely_seen,
     chance_of,
     close_rivals,
     errors_of,
@@ -108,7 +110,8 @@ def _examined(explorer: Explorer, rules: Rules) -> Examination:
         partial = explain_partly(explorer, explorer.known(), len(screened), rules)
     unseen = unconfirmed(explorer, current, rules) if found else ()
     asked = asked_by_prior_only(explorer, base, current, tied, rules) if found else ()
-    doubted = (*unseen, *asked)
+    barely = barely_seen(explorer, current, rules) if found else ()
+    doubted = (*unseen, *barely, *asked)
     verdict: Verdict = verdict_of(base, current, tied, doubted, rules) if found else "unexplained"
     whole, most = partial.explorer, partial.steps
     also = {e.name: tied_so_far(whole, most[-1], e, rules) for e in _added(whole, most[-1])}
@@ -127,6 +130,7 @@ def _examined(explorer: Explorer, rules: Rules) -> Examination:
         warnings=(
             *doubts(explorer, whole, final, cut_short),
             *map(unseen_doubt, unseen),
+            *map(barely_seen_doubt, [name for name in barely if name not in unseen]),
             *map(prior_only_doubt, asked),
         ),
     )

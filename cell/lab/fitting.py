@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +15,6 @@ from cell.identify import gauss_newton
 from cell.identify.differences import difference_points
 from cell.identify.gauss_newton import Solution
 from cell.identify.gaussian import covariance_root, marginal_chi2
-from cell.identify.noise import Whitener
 from cell.identify.parameters import ParameterSpace, Prior
 from cell.lab.first_look import first_look
 from cell.lab.prepared import PreparedStudy
@@ -24,9 +22,6 @@ from cell.lab.trial_residual import overall
 from cell.study.data import Trial
 
 FloatArray = NDArray[np.float64]
-
-#: A smooth residual changes over no fewer frames than this, and is of so many powers of the place.
-SLOW_FRAMES, ALONG = 8, 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,8 +66,6 @@ class Heldout:
                      if the model is right
     log_likelihood   of the trials given the fit (natural logarithm, without a common constant)
     predicted_m      per trial (times, markers, 2)
-    smooth_chi2      of the smooth part of the residuals, likewise; about `smooth_count`; nan if it
-                     was not asked for
     """
 
     rms_m: float
@@ -81,8 +74,23 @@ class Heldout:
     count: int
     log_likelihood: float
     predicted_m: dict[str, FloatArray]
-    smooth_chi2: float = np.nan
-    smooth_count: int = 1
+
+
+@dataclass(frozen=True, eq=False)
+class HeldoutRows:
+    """Whitened residuals of held-out trials, and what a fit leaves uncertain of them.
+
+    predicted_m    per trial (times, markers, 2)
+    residual       (rows,) of all trials; ends (trials,) where each trial's end
+    by_parameters  (rows, p) change per unit of the fit's coordinates
+    spread         (rows, k) change by a standard deviation of all that is uncertain
+    """
+
+    predicted_m: dict[str, FloatArray]
+    residual: FloatArray
+    ends: NDArray[np.int_]
+    by_parameters: FloatArray
+    spread: FloatArray
 
 
 def fit_trials(prepared: PreparedStudy) -> tuple[Trial, ...]:
@@ -260,10 +268,8 @@ def _each_once(
     return np.concatenate(parts, axis=1)
 
 
-def heldout(prepared: PreparedStudy, fit: Fit, *, smooth: bool = False) -> Heldout | None:
+def heldout(prepared: PreparedStudy, fit: Fit) -> Heldout | None:
     """The fit on the `validate` trials; None if there are none.
-
-    smooth  what is left of the smooth part too: of a few fits only, it takes two fifths of the time
 
     Their likelihood integrates over what the fit leaves uncertain (linearised), so that a model
     is not punished for numbers that its fit trials could not know.  A model with which a held-out
@@ -272,6 +278,31 @@ def heldout(prepared: PreparedStudy, fit: Fit, *, smooth: bool = False) -> Heldo
     trials = prepared.study.role("validate")
     if not trials:
         return None
+    rows = heldout_rows(prepared, fit)
+    errors = {t.name: t.markers.xy_m - rows.predicted_m[t.name] for t in trials}
+    if not (np.all(np.isfinite(rows.residual)) and np.all(np.isfinite(rows.by_parameters))):
+        return Heldout(
+            rms_m=np.inf,
+            by_trial_m=dict.fromkeys(errors, np.inf),
+            chi2=np.inf,
+            count=prepared.count(trials),
+            log_likelihood=-np.inf,
+            predicted_m=rows.predicted_m,
+        )
+    chi2, log_det = marginal_chi2(rows.residual, rows.spread)
+    return Heldout(
+        rms_m=overall(list(errors.values())),
+        by_trial_m={name: overall([e]) for name, e in errors.items()},
+        chi2=chi2,
+        count=prepared.count(trials),
+        log_likelihood=-0.5 * (chi2 + log_det),
+        predicted_m=rows.predicted_m,
+    )
+
+
+def heldout_rows(prepared: PreparedStudy, fit: Fit) -> HeldoutRows:
+    """Of the `validate` trials; not finite where the cable cannot be simulated."""
+    trials = prepared.study.role("validate")
     space, p = fit.space, len(fit.q)
     steps = space.difference_steps(fit.q)
     lanes = [space.model(q) for q in difference_points(fit.q, steps)]
@@ -279,47 +310,15 @@ def heldout(prepared: PreparedStudy, fit: Fit, *, smooth: bool = False) -> Heldo
     lanes += [fit.model] * more
     here = prepared.predict_all(trials, lanes[:1], {n: rows[:1] for n, rows in begun.items()})
     predicted = {t.name: points[0] for t, points in zip(trials, here, strict=True)}
-    errors = {t.name: t.markers.xy_m - predicted[t.name] for t in trials}
     rows = [prepared.white(t, points)[0] for t, points in zip(trials, here, strict=True)]
-    residual = np.concatenate(rows)
     near = prepared.white_near(trials, lanes, begun)
-    sensitivity = (near[1 : p + 1] - near[0]).T / steps
-    if not (np.all(np.isfinite(residual)) and np.all(np.isfinite(sensitivity))):
-        return Heldout(
-            rms_m=np.inf,
-            by_trial_m=dict.fromkeys(errors, np.inf),
-            chi2=np.inf,
-            count=prepared.count(trials),
-            log_likelihood=-np.inf,
-            predicted_m=predicted,
-            smooth_chi2=np.inf,
-        )
+    sensitivity = np.asarray((near[1 : p + 1] - near[0]).T / steps)
     spread = sensitivity @ covariance_root(fit.covariance)
     if more:
         moved = _spread_of_beginnings(prepared, trials, near[p + 1 :] - near[0])
         spread = np.hstack([spread, moved])
-    chi2, log_det = marginal_chi2(residual, spread)
-    smooth_chi2, smooth_count = np.nan, 1
-    if smooth:
-        splits = np.cumsum([len(r) for r in rows])[:-1]
-        of_trials = np.split(np.column_stack([residual, spread]), splits)
-        coarse = np.concatenate(
-            [
-                _smooth_part(prepared.whiteners[trial.name], part)
-                for trial, part in zip(trials, of_trials, strict=True)
-            ]
-        )
-        smooth_chi2, smooth_count = marginal_chi2(coarse[:, 0], coarse[:, 1:])[0], len(coarse)
-    return Heldout(
-        rms_m=overall(list(errors.values())),
-        by_trial_m={name: overall([e]) for name, e in errors.items()},
-        chi2=chi2,
-        count=prepared.count(trials),
-        log_likelihood=-0.5 * (chi2 + log_det),
-        predicted_m=predicted,
-        smooth_chi2=smooth_chi2,
-        smooth_count=smooth_count,
-    )
+    ends = np.cumsum([len(r) for r in rows])
+    return HeldoutRows(predicted, np.concatenate(rows), ends, sensitivity, spread)
 
 
 def visible(prepared: PreparedStudy, fit: Fit, effect: type[Effect]) -> float:
@@ -393,35 +392,6 @@ def _spread_of_beginnings(
         for trial, part in zip(trials, np.split(moved, splits, axis=1), strict=True)
     ]
     return np.asarray(block_diag(*blocks))
-
-
-def _smooth_part(whitener: Whitener, white: FloatArray) -> FloatArray:
-    """(modes, columns) coordinates, white again, of white (rows, columns) in smooth functions."""
-    grid = white.reshape(-1, whitener.channels, whitener.frames, white.shape[1])
-    parts = []
-    for channel in range(whitener.channels):
-        modes = _smooth_modes(whitener, channel)
-        parts.append(modes.T @ grid[:, channel].reshape(len(modes), -1))
-    return np.concatenate(parts)
-
-
-@lru_cache(maxsize=64)
-def _smooth_modes(whitener: Whitener, channel: int) -> FloatArray:
-    """(markers × frames, modes) orthonormal smooth functions of what was seen in a channel.
-
-    Cosines in time and polynomials along the cable span them.  A misfit of the model is there, of
-    noise only a few per cent.
-    """
-    seen = whitener.seen[..., channel]
-    frames, markers = seen.shape
-    slow = max(2, frames // SLOW_FRAMES)
-    in_time = np.cos(np.pi * np.outer(np.arange(frames) + 0.5, np.arange(slow)) / frames)
-    along = np.vander(np.linspace(-1.0, 1.0, markers), min(markers, ALONG))
-    functions = np.einsum("mk,tj->mtkj", along, in_time).reshape(markers * frames, -1)
-    functions = functions * seen.T.reshape(-1, 1)
-    values, vectors = np.linalg.eigh(functions.T @ functions)
-    good = values > 1e-9 * max(values[-1], 1e-300)
-    return np.asarray(functions @ (vectors[:, good] / np.sqrt(values[good])))
 
 
 def extended(

@@ -31,7 +31,10 @@ class Rules:
     misfit_significance   of what a model leaves on the held-out trials
     misfit, gross_misfit  rms over noise from which that matters; and does whatever it was before
     misfit_share          of the baseline's excess that a known effect may leave below the latter
-    smooth_misfit, gross_smooth_misfit, smooth_share   the same for the smooth part's mean square
+    smooth_misfit, gross_smooth_misfit, smooth_share   the same for the smooth part's mean square;
+                     who claims an effect may leave, if `significance` shows it, only the last
+    half_seen        significance at which the held-out trials must be able to show half of an
+                     effect's smooth part, or else it is not told from effects of no library
     most_share       of the error beyond noise that an effect removes if it explains most, not all
     nearest          effects that an unexplained study is told of
     most_simulated_s  after so many seconds of motion simulated no further effect is sought; some
@@ -62,6 +65,7 @@ class Rules:
     smooth_misfit: float = 0.01
     gross_smooth_misfit: float = 0.2
     smooth_share: float = 0.01
+    half_seen: float = 0.05
     most_share: float = 0.5
     nearest: int = 3
     most_simulated_s: float = 30_000.0

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 
 NOT_TOLD = "These motions cannot tell them apart."
 NOT_CONFIRMED = "The motions not fitted to cannot show it: it is not confirmed."
+BARELY_SEEN = "So little of it is seen that an effect the library lacks could be behind it."
 NOT_WITHOUT_PRIOR = "Without the prior the study does not bear this out."
 #: Up to so many times the noise a remaining error is called noise.
 NOISE_ALONE = DEFAULT_RULES.gross_misfit
@@ -85,8 +86,12 @@ def sentence(
     hedge = ""
     if diagnosis.verdict == "cannot_tell":
         codes = {w.code for w in diagnosis.warnings}
-        doubt = NOT_WITHOUT_PRIOR if "prior_only" in codes else NOT_TOLD
-        hedge = f" {NOT_CONFIRMED if 'unconfirmed' in codes else doubt}"
+        why = {
+            "unconfirmed": NOT_CONFIRMED,
+            "prior_only": NOT_WITHOUT_PRIOR,
+            "barely_seen": BARELY_SEEN,
+        }
+        hedge = f" {next((text for code, text in why.items() if code in codes), NOT_TOLD)}"
     return (
         f"{misses}; {names} {explains} {share:.0f} % of what is beyond {noise_name}; "
         f"the remaining error is {rest}.{hedge}"

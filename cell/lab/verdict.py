@@ -10,10 +10,11 @@ from scipy.special import fdtrc as f_sf
 
 from cell.cable.effects.base import Effect
 from cell.lab.explore import Candidate, Explorer
-from cell.lab.fitting import fit_trials, heldout
+from cell.lab.fitting import fit_trials
 from cell.lab.leftover import Leftover, deviance, leftover, removed_share
 from cell.lab.results import Errors, Verdict
 from cell.lab.rules import Rules
+from cell.lab.smooth_part import of_a_finer_model, smooth_part
 
 
 def verdict_of(
@@ -112,20 +113,49 @@ def _smooth_part_explained(
     """Whether the smooth part of a candidate's residual is noise.
 
     There misfits of a model are, and little noise: a wrong effect in place of one that the library
-    lacks shows here, though its whole residual looks like noise.  Where the noise is an earlier
-    model's misfit, or a level that the study states, it may be smooth itself: this says nothing.
+    lacks shows here, though its whole residual looks like noise.  Who claims an effect must leave
+    less than who calls a model complete: with nothing claimed a small misfit harms nobody.
     """
-    floor = explorer.prepared.floor
-    if explorer.prepared.noise is not floor.noise or np.isinf(floor.freedom):
+    left = smooth_part(explorer.prepared, final.fit)
+    before = smooth_part(explorer.prepared, base.fit)
+    if left is None or before is None:
         return True
-    held = [heldout(explorer.prepared, c.fit, smooth=True) for c in (base, final)]
-    before, left = ((h.smooth_chi2 - h.smooth_count) / h.count for h in held if h is not None)
-    last = held[-1]
-    assert last is not None
-    p_value = _p_value(last.smooth_chi2, last.smooth_count, floor.slow_freedom)
-    if p_value > rules.misfit_significance or left < rules.smooth_misfit:
+    if final is not base and _impostor(explorer, final, before.excess, rules):
+        return False
+    if left.p_value > rules.misfit_significance or left.excess_of_all < rules.smooth_misfit:
         return True
-    return left < min(rules.gross_smooth_misfit, rules.smooth_share * before)
+    most = min(rules.gross_smooth_misfit, rules.smooth_share * before.excess_of_all)
+    return left.excess_of_all < most
+
+
+def _impostor(explorer: Explorer, final: Candidate, before: float, rules: Rules) -> bool:
+    """Whether a claimed model leaves a significant share of the excess that the baseline leaves.
+
+    A first look is at the lab's own mesh; a second, where it finds fault, at a converged one.
+    """
+    for look in (smooth_part, of_a_finer_model):
+        left = look(explorer.prepared, final.fit)
+        if left is None or left.p_value > rules.significance:
+            return False
+        if left.excess < rules.smooth_share * before:
+            return False
+    return True
+
+
+def barely_seen(explorer: Explorer, final: Candidate, rules: Rules) -> tuple[str, ...]:
+    """Effects found of which the held-out trials would not notice that half was left.
+
+    Another effect, which no library has, would pass there for the one found.
+    """
+    names = []
+    for effect in (e for e in final.effects if e not in explorer.space.effects):
+        without = explorer.without(final, effect).fit
+        for look in (smooth_part, of_a_finer_model):
+            before = look(explorer.prepared, without)
+            if before is not None and before.chance_of(0.5 * before.excess) > rules.half_seen:
+                names.append(effect.name)
+                break
+    return tuple(names)
 
 
 def _p_value(chi2: float, count: int, freedom: float) -> float:

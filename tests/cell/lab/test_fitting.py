@@ -11,38 +11,6 @@ from cell.identify.parameters import ParameterSpace
 from cell.lab.explore import cold_start
 from cell.lab.fitting import fit_model, heldout
 from cell.lab.prepared import PreparedStudy
-from cell.study.data import Markers
-
-
-def fitted(study):
-    prepared = PreparedStudy.of(study)
-    space = ParameterSpace.of(study.cable)
-    return heldout(prepared, fit_model(prepared, space, cold_start(prepared, space)), smooth=True)
-
-
-@pytest.mark.parametrize("seed", [2, 3, 4])
-@pytest.mark.parametrize("colour", [0.0, 0.8])
-@pytest.mark.parametrize("lost", [0.0, 0.05])
-def test_a_right_models_smooth_residual_is_noise(make_study, seed, colour, lost):
-    study = make_study(seed=seed, colour=colour)
-    rng = np.random.default_rng(seed)
-
-    def with_gaps(trial):
-        seen = rng.uniform(size=trial.markers.xy_m.shape[:2]) >= lost
-        xy_m = np.where(seen[..., None], trial.markers.xy_m, np.nan)
-        return replace(trial, markers=Markers(trial.markers.t_s, xy_m))
-
-    weighed = fitted(replace(study, trials=tuple(with_gaps(t) for t in study.trials)))
-    spread = np.sqrt(2.0 / weighed.smooth_count)
-    level = 0.0 if colour == 0.0 else 0.15  # as well as the colour is known
-    assert abs(weighed.smooth_chi2 / weighed.smooth_count - 1.0) < 4.0 * spread + level
-
-
-def test_a_wrong_models_smooth_residual_is_not_though_all_of_it_may_be(make_study):
-    mass = library()["tip_mass"].active(mass_kg=1.2e-5)
-    weighed = fitted(make_study([mass], seed=8, noise_m=2e-4))
-    assert weighed.chi2 < 1.1 * weighed.count
-    assert weighed.smooth_chi2 > 1.4 * weighed.smooth_count
 
 
 def test_a_held_out_trial_that_the_model_cannot_follow_is_impossible_not_nan(make_study):

@@ -16,7 +16,7 @@ from cell.lab.explore import Explorer
 from cell.lab.leftover import Leftover, deviance, independent_values, removed_share
 from cell.lab.prepared import PreparedStudy
 from cell.lab.results import to_json
-from cell.lab.tables import sentence, steps_text
+from cell.lab.tables import BARELY_SEEN, sentence, steps_text
 
 
 def explore(study, names, misfit=None):
@@ -111,3 +111,21 @@ def test_explanations_are_told_apart_by_what_they_leave_not_by_camera_noise():
     assert removed_share(1e-3, Leftover(5e-6, 9.0), Leftover(2e-6, 9.0)) == pytest.approx(0.75)
     assert removed_share(1e-3, Leftover(np.inf, 9.0), Leftover(2e-6, 9.0)) == 1.0
     assert removed_share(1e-3, Leftover(5e-6, 9.0), Leftover(np.inf, 9.0)) == 0.0
+
+
+def test_an_effect_in_place_of_one_that_the_library_lacks_is_not_claimed(make_study):
+    """Natural curvature explains 95 % of a clamp askew; what it leaves is hidden by the noise."""
+    angle = library()["grip_angle"].active(angle_rad=0.012)
+    found = diagnose(explore(make_study([angle], seed=1), ("natural_curvature", "air_drag")))
+    assert found.diagnosis.verdict == "unexplained"
+    assert [f.effect for f in found.diagnosis.partial] == ["natural_curvature"]
+
+
+def test_an_effect_so_small_that_another_could_be_behind_it_is_not_claimed(make_study):
+    joint = library()["grip_compliance"].active(rad_per_n_m=100.0)
+    study = make_study([joint], seed=1)
+    told = diagnose(explore(study, ("natural_curvature", "air_drag"))).diagnosis
+    assert told.verdict == "cannot_tell"
+    assert [w.code for w in told.warnings] == ["barely_seen"]
+    assert "half of it could be left unnoticed" in told.warnings[0].message
+    assert sentence(told).endswith(BARELY_SEEN)

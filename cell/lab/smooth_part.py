@@ -1,0 +1,155 @@
+"""Smooth part of what a model leaves on held-out trials: misfits are there, little noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import fdtrc as f_sf
+
+from cell.identify.gaussian import marginal_chi2
+from cell.identify.noise import Whitener
+from cell.lab.fitting import Fit, HeldoutRows, best_begun, fit_trials, heldout_rows
+from cell.lab.prepared import PreparedStudy
+from cell.lab.screen import prior_root
+from cell.lab.systematic import LEFT, MOTIONS, systematic
+
+FloatArray = NDArray[np.float64]
+
+#: A smooth residual changes over no fewer frames than this, and is of so many powers of the place.
+SLOW_FRAMES, ALONG = 8, 3
+
+
+@dataclass(frozen=True)
+class SmoothPart:
+    """χ² of the smooth part of a residual, allowing for what the fit leaves uncertain.
+
+    chi2     about `count` if the model is right; inf where the cable cannot be simulated
+    rows     values of the whole residual
+    freedom  degrees of freedom behind the noise's level there
+    """
+
+    chi2: float
+    count: int
+    rows: int
+    freedom: float
+
+    @property
+    def excess(self) -> float:
+        """What is beyond noise, per value; below 0 by chance."""
+        return self.chi2 / self.count - 1.0
+
+    @property
+    def excess_of_all(self) -> float:
+        """The same as a mean square over the whole residual, in units of the noise's."""
+        return (self.chi2 - self.count) / self.rows
+
+    @property
+    def p_value(self) -> float:
+        """Of noise alone."""
+        return self.chance_of(self.excess)
+
+    def chance_of(self, excess: float) -> float:
+        """p-value that so much beyond noise would have."""
+        return float(f_sf(self.count, self.freedom, 1.0 + excess))
+
+
+@lru_cache(maxsize=16)
+def smooth_part(prepared: PreparedStudy, fit: Fit) -> SmoothPart | None:
+    """Of what a fit leaves on the held-out trials; None where it says nothing.
+
+    It says nothing without held-out trials, and where the noise is an earlier model's misfit or a
+    level that the study states: that may be smooth itself.
+    """
+    floor = prepared.floor
+    told = prepared.noise is not floor.noise or np.isinf(floor.freedom)
+    if told or not prepared.study.role("validate"):
+        return None
+    rows = heldout_rows(prepared, fit)
+    chi2, count = np.inf, 1
+    if np.all(np.isfinite(rows.residual)) and np.all(np.isfinite(rows.spread)):
+        coarse = _coarse(prepared, rows, rows.residual[None])
+        chi2, count = _chi2(coarse[0], _coarse(prepared, rows, rows.spread.T)), coarse.shape[1]
+    return SmoothPart(chi2, count, len(rows.residual), floor.slow_freedom)
+
+
+def of_a_finer_model(prepared: PreparedStudy, fit: Fit) -> SmoothPart | None:
+    """The same of a converged mesh, and beside what the log of the hand may be wrong by.
+
+    To first order: the parameters follow what mesh and hand change in the trials that they were
+    fitted to, and what stays of it is seen in those held out.
+    """
+    seen = smooth_part(prepared, fit)
+    if seen is None or not np.isfinite(seen.chi2):
+        return seen
+    rows, held = heldout_rows(prepared, fit), prepared.study.role("validate")
+    begun = {**fit.begun, **{t.name: best_begun(prepared, fit.model, t) for t in held}}
+    there = systematic(prepared, replace(fit, begun=begun), held)
+    fitted = systematic(prepared, fit, fit_trials(prepared))
+    mesh = there.mesh + _followed(fit, fitted.mesh[None])[0] @ rows.by_parameters.T
+    changes = [mesh[None], there.hands]
+    for part in np.split(np.arange(fitted.hands.shape[1]), fitted.ends[:-1]):
+        alone = np.zeros_like(fitted.hands)  # every trial's log is wrong in its own way
+        alone[:, part] = fitted.hands[:, part]
+        changes.append(_followed(fit, alone) @ rows.by_parameters.T)
+    spread = _coarse(prepared, rows, rows.spread.T)
+    residual = _coarse(prepared, rows, (rows.residual + (1.0 + LEFT) * mesh)[None])[0]
+    sizes = [_chi2(row, spread) for row in _coarse(prepared, rows, np.concatenate(changes))]
+    expected = seen.count + LEFT**2 * sizes[0] + sum(sizes[1:]) / MOTIONS
+    return replace(seen, chi2=_chi2(residual, spread) * seen.count / expected)
+
+
+def _followed(fit: Fit, changes: FloatArray) -> FloatArray:
+    """(n, p) moves of a fit's parameters that changes (n, rows) of its residual bring about."""
+    solution = fit.solution
+    slopes = np.vstack([solution.jacobian, prior_root(fit)])[:, solution.free]
+    padded = np.zeros((len(slopes), len(changes)))
+    padded[: changes.shape[1]] = changes.T
+    moves = np.zeros((len(changes), len(solution.q)))
+    moves[:, solution.free] = -np.linalg.lstsq(slopes, padded, rcond=None)[0].T
+    return moves[:, : len(fit.q)]
+
+
+def _chi2(residual: FloatArray, spread: FloatArray) -> float:
+    """Of (values,), allowing for what (k, values) are the standard deviations of."""
+    return marginal_chi2(residual, spread.T)[0]
+
+
+def _coarse(prepared: PreparedStudy, rows: HeldoutRows, white: FloatArray) -> FloatArray:
+    """(n, modes of all trials) coordinates, white again, of (n, rows) in smooth functions."""
+    trials = prepared.study.role("validate")
+    parts = np.split(white.T, rows.ends[:-1])
+    return np.concatenate(
+        [_of_trial(prepared.whiteners[t.name], p) for t, p in zip(trials, parts, strict=True)]
+    ).T
+
+
+def _of_trial(whitener: Whitener, white: FloatArray) -> FloatArray:
+    """(modes, columns) of (rows, columns) of one trial."""
+    grid = white.reshape(-1, whitener.channels, whitener.frames, white.shape[1])
+    parts = []
+    for channel in range(whitener.channels):
+        modes = _smooth_modes(whitener, channel)
+        parts.append(modes.T @ grid[:, channel].reshape(len(modes), -1))
+    return np.concatenate(parts)
+
+
+@lru_cache(maxsize=64)
+def _smooth_modes(whitener: Whitener, channel: int) -> FloatArray:
+    """(markers × frames, modes) orthonormal smooth functions of what was seen in a channel.
+
+    Cosines in time and polynomials along the cable span them.  A misfit of the model is there, of
+    noise only a few per cent.
+    """
+    seen = whitener.seen[..., channel]
+    frames, markers = seen.shape
+    slow = max(2, frames // SLOW_FRAMES)
+    in_time = np.cos(np.pi * np.outer(np.arange(frames) + 0.5, np.arange(slow)) / frames)
+    along = np.vander(np.linspace(-1.0, 1.0, markers), min(markers, ALONG))
+    functions = np.einsum("mk,tj->mtkj", along, in_time).reshape(markers * frames, -1)
+    functions = functions * seen.T.reshape(-1, 1)
+    values, vectors = np.linalg.eigh(functions.T @ functions)
+    good = values > 1e-9 * max(values[-1], 1e-300)
+    return np.asarray(functions @ (vectors[:, good] / np.sqrt(values[good])))
