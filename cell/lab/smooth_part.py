@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 
 import numpy as np
@@ -12,9 +13,11 @@ from scipy.special import fdtrc as f_sf
 from cell.identify.gaussian import marginal_chi2
 from cell.identify.noise import Whitener
 from cell.lab.fitting import Fit, HeldoutRows, best_begun, fit_trials, heldout_rows
+from cell.lab.noise import MAX_COLOUR, Floor
 from cell.lab.prepared import PreparedStudy
 from cell.lab.screen import prior_root
 from cell.lab.systematic import LEFT, MOTIONS, systematic
+from cell.lab.whole import of_all_trials
 
 FloatArray = NDArray[np.float64]
 
@@ -99,6 +102,95 @@ def of_a_finer_model(prepared: PreparedStudy, fit: Fit) -> SmoothPart | None:
     sizes = [_chi2(row, spread) for row in _coarse(prepared, rows, np.concatenate(changes))]
     expected = seen.count + LEFT**2 * sizes[0] + sum(sizes[1:]) / MOTIONS
     return replace(seen, chi2=_chi2(residual, spread) * seen.count / expected)
+
+
+@lru_cache(maxsize=4)
+def of_all_trials_together(prepared: PreparedStudy, fit: Fit) -> SmoothPart | None:
+    """Of what stays in every trial when the model is fitted to all of them; None as above.
+
+    Twice the values, and the level of the noise is known from all frames: what is not smooth in
+    the residual tells it and its colour as the still frames do.  Mesh and hand are allowed for.
+
+    returns  None too where a trial cannot be simulated
+    """
+    floor = prepared.floor
+    if prepared.noise is not floor.noise or np.isinf(floor.freedom):
+        return None
+    try:
+        whole = of_all_trials(prepared, fit)
+    except ValueError:
+        return None
+    linear, wrong, trials = whole.linear, whole.wrong, fit_trials(whole.prepared)
+    whiteners = [whole.prepared.whiteners[t.name] for t in trials]
+    rows = wrong.ends[-1]
+    changes = [np.append(wrong.mesh, np.zeros(len(linear.left) - rows))[None] * LEFT]
+    for part in np.split(np.arange(rows), wrong.ends[:-1]):
+        alone = np.zeros((MOTIONS, len(linear.left)))  # every trial's log is wrong in its own way
+        alone[:, part] = wrong.hands[:, part] / np.sqrt(MOTIONS)
+        changes.append(alone)
+    errors = linear.seen(np.concatenate(changes))
+    every = np.vstack([linear.left, errors, linear.basis.T])[:, :rows]
+    parts = list(zip(whiteners, wrong.by_trial(every), strict=True))
+    coarse = np.concatenate([_of_trial(w, p.T) for w, p in parts])
+    by_errors = float(np.sum(coarse[:, 1 : 1 + len(errors)] ** 2))
+    count = len(coarse) - float(np.sum(coarse[:, 1 + len(errors) :] ** 2))
+    level, freedom = _slow_level(floor, [_Fast.of(w, p[0]) for w, p in parts])
+    chi2 = float(coarse[:, 0] @ coarse[:, 0]) * count / (count * level + by_errors)
+    return SmoothPart(chi2, round(count), sum(w.count for w in whiteners), freedom)
+
+
+@dataclass(frozen=True)
+class _Fast:
+    """White residuals of a trial without their smooth part: sums over frames and channels.
+
+    square, products    of values, and of each with the one of the frame before
+    values, neighbours  what these sums are of white noise of unit size
+    """
+
+    square: float
+    products: float
+    values: float
+    neighbours: float
+    pairs: int
+
+    @staticmethod
+    def of(whitener: Whitener, white: FloatArray) -> _Fast:
+        """Of (rows,)."""
+        grid = white.reshape(-1, whitener.channels, whitener.frames)
+        square = products = values = neighbours = 0.0
+        pairs = 0
+        for channel in range(whitener.channels):
+            modes = _smooth_modes(whitener, channel)
+            series = grid[:, channel]
+            fast = series - (modes @ (modes.T @ series.ravel())).reshape(series.shape)
+            seen = whitener.seen[..., channel].T
+            both = seen[:, 1:] & seen[:, :-1]
+            fast = np.where(seen, fast, 0.0)
+            shaped = modes.reshape(*series.shape, -1)
+            square += float(np.sum(fast**2))
+            products += float(np.sum(fast[:, 1:] * fast[:, :-1]))
+            values += float(seen.sum()) - modes.shape[1]
+            neighbours -= float(np.sum((shaped[:, 1:] * shaped[:, :-1])[both]))
+            pairs += int(both.sum())
+        return _Fast(square, products, values, neighbours, pairs)
+
+
+def _slow_level(floor: Floor, parts: Sequence[_Fast]) -> tuple[float, float]:
+    """Mean square of the noise's smooth part once whitened, 1 if the floor is right; its freedom.
+
+    Noise of another colour than it was whitened for keeps a correlation with the frame before, and
+    is by so much stronger where it is slow.
+    """
+    square, products, values, neighbours, pairs = (
+        sum(getattr(p, f.name) for p in parts) for f in fields(_Fast)
+    )
+    level = square / values
+    off = (products - neighbours * level) / (level * pairs)
+    colour = floor.noise.colour
+    slow = level * ((1.0 - colour) / (1.0 - min(colour + off, MAX_COLOUR))) ** 2
+    freedom = values / (1.0 + 2.0 / floor.effective_fraction)
+    together = freedom + floor.slow_freedom
+    return (freedom * slow + floor.slow_freedom) / together, together
 
 
 def _followed(fit: Fit, changes: FloatArray) -> FloatArray:

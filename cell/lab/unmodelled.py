@@ -19,9 +19,9 @@ from cell.identify.fit import variance_inflation
 from cell.lab.fitting import Fit, fit_trials
 from cell.lab.prepared import PreparedStudy
 from cell.lab.rules import DEFAULT_RULES
-from cell.lab.screen import one_sided, prior_root
+from cell.lab.screen import one_sided
 from cell.lab.systematic import Systematic
-from cell.lab.whole import Whole
+from cell.lab.whole import Linear, Whole
 
 FloatArray = NDArray[np.float64]
 
@@ -58,42 +58,12 @@ class _Option:
     seen: FloatArray
 
 
-@dataclass(frozen=True, eq=False)
-class _Linear:
-    """A fit, linear: residual and what its free coordinates change it by, the prior's rows last.
-
-    basis, triangle  QR of the latter
-    left             (rows,) of the residual, less the mesh's error, that nothing fitted explains
-    """
-
-    basis: FloatArray
-    triangle: FloatArray
-    left: FloatArray
-
-    @staticmethod
-    def of(fit: Fit, wrong: Systematic) -> _Linear:
-        solution, root = fit.solution, prior_root(fit)
-        slopes = np.vstack([solution.jacobian, root])[:, solution.free]
-        away = np.concatenate([fit.q - fit.space.mean, solution.q[len(fit.q) :]])
-        residual = np.concatenate([solution.residual + wrong.mesh, root @ away])
-        basis, triangle = np.linalg.qr(slopes)
-        return _Linear(basis, triangle, residual - basis @ (basis.T @ residual))
-
-    def seen(self, rows: FloatArray) -> FloatArray:
-        """(n, rows) without what the fitted coordinates imitate."""
-        return np.asarray(rows - (rows @ self.basis) @ self.basis.T)
-
-    def moved(self, rows: FloatArray) -> FloatArray:
-        """(free coordinates, n) how far they move by changes (n, rows) of the residual."""
-        return np.asarray(np.linalg.solve(self.triangle, self.basis.T @ rows.T))
-
-
 def unmodelled(whole: Whole, effects: Iterable[type[Effect]]) -> Unmodelled:
     """Of a fitted model that lacks some of the effects, or others."""
     prepared, fit, wrong = whole.prepared, whole.fit, whole.wrong
     p, none = len(fit.q), np.zeros((len(fit.q), len(fit.q)))
     tried = [e for e in effects if e.name not in {x.name for x in fit.space.effects}]
-    linear = _Linear.of(fit, wrong)
+    linear = whole.linear
     options = _options(whole, tried, linear)
     chosen, factor = _explaining(prepared, fit, options, linear, wrong)
     if not chosen:
@@ -109,7 +79,7 @@ def unmodelled(whole: Whole, effects: Iterable[type[Effect]]) -> Unmodelled:
     return Unmodelled(tuple(o.effect.name for o in chosen), all_of[:p, :p])
 
 
-def _options(whole: Whole, effects: Sequence[type[Effect]], linear: _Linear) -> list[_Option]:
+def _options(whole: Whole, effects: Sequence[type[Effect]], linear: Linear) -> list[_Option]:
     """Effects at every guess of their shape, but those of which nothing is seen."""
     options = []
     for slopes in whole.sensitivities(effects):
@@ -124,7 +94,7 @@ def _explaining(
     prepared: PreparedStudy,
     fit: Fit,
     options: Sequence[_Option],
-    linear: _Linear,
+    linear: Linear,
     wrong: Systematic,
 ) -> tuple[list[_Option], float]:
     """Those that explain most, one after another while significant; and the variance left."""
@@ -165,7 +135,7 @@ def _orthonormal_rows(taken: FloatArray, more: FloatArray) -> FloatArray:
     return np.asarray(units[size > 1e-8 * size[0]])
 
 
-def _by_parts(prepared: PreparedStudy, fit: Fit, linear: _Linear) -> FloatArray:
+def _by_parts(prepared: PreparedStudy, fit: Fit, linear: Linear) -> FloatArray:
     """(free, free) by how much parts of trials ask for coordinates of their own.
 
     source  Liang & Zeger 1986, Biometrika 73, 13: the sandwich of clusters within which anything

@@ -14,7 +14,7 @@ from cell.lab.fitting import fit_trials
 from cell.lab.leftover import Leftover, deviance, leftover, removed_share
 from cell.lab.results import Errors, Verdict
 from cell.lab.rules import Rules
-from cell.lab.smooth_part import of_a_finer_model, smooth_part
+from cell.lab.smooth_part import of_a_finer_model, of_all_trials_together, smooth_part
 
 
 def verdict_of(
@@ -113,31 +113,21 @@ def _smooth_part_explained(
     """Whether the smooth part of a candidate's residual is noise.
 
     There misfits of a model are, and little noise: a wrong effect in place of one that the library
-    lacks shows here, though its whole residual looks like noise.  Who claims an effect must leave
-    less than who calls a model complete: with nothing claimed a small misfit harms nobody.
+    lacks shows here, though its whole residual looks like noise.  On the held-out trials, and when
+    fitted to all trials together: there a model leaves less, but more is known of the noise.
     """
-    left = smooth_part(explorer.prepared, final.fit)
-    before = smooth_part(explorer.prepared, base.fit)
-    if left is None or before is None:
+    prepared = explorer.prepared
+    before = smooth_part(prepared, base.fit)
+    if before is None:
         return True
-    if final is not base and _impostor(explorer, final, before.excess, rules):
-        return False
-    if left.p_value > rules.misfit_significance or left.excess_of_all < rules.smooth_misfit:
-        return True
-    most = min(rules.gross_smooth_misfit, rules.smooth_share * before.excess_of_all)
-    return left.excess_of_all < most
-
-
-def _impostor(explorer: Explorer, final: Candidate, before: float, rules: Rules) -> bool:
-    """Whether a claimed model leaves a significant share of the excess that the baseline leaves.
-
-    A first look is at the lab's own mesh; a second, where it finds fault, at a converged one.
-    """
-    for look in (smooth_part, of_a_finer_model):
-        left = look(explorer.prepared, final.fit)
-        if left is None or left.p_value > rules.significance:
-            return False
-        if left.excess < rules.smooth_share * before:
+    claims = final is not base
+    significance = rules.significance if claims else rules.misfit_significance
+    least = rules.smooth_share * before.excess if claims else 0.0
+    for look in (of_a_finer_model, of_all_trials_together):
+        left = look(prepared, final.fit)
+        if left is None or left.p_value > significance:
+            continue
+        if left.excess > least or left.excess_of_all > rules.gross_smooth_misfit:
             return False
     return True
 

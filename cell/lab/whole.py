@@ -6,15 +6,51 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 
+import numpy as np
+from numpy.typing import NDArray
+
 from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import Options
 from cell.lab.fitting import Fit, fit_model, fit_trials
 from cell.lab.prepared import PreparedStudy, pooled
-from cell.lab.screen import Sensitivity, sensitivities
+from cell.lab.screen import Sensitivity, prior_root, sensitivities
 from cell.lab.systematic import Systematic, systematic
+
+FloatArray = NDArray[np.float64]
 
 #: What a pass gains below that share, of a model that errs, is far below what it could be wrong by.
 CONVERGED = Options(tolerance=0.03, most_passes=40, least_gain=1e-3, updates=3)
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """A fit, linear: residual and what its free coordinates change it by, the prior's rows last.
+
+    basis, triangle  QR of the latter
+    left             (rows,) of the residual, less the mesh's error, that nothing fitted explains
+    """
+
+    basis: FloatArray
+    triangle: FloatArray
+    left: FloatArray
+
+    @staticmethod
+    def of(fit: Fit, wrong: Systematic) -> Linear:
+        """Of a fit at its minimum."""
+        solution, root = fit.solution, prior_root(fit)
+        slopes = np.vstack([solution.jacobian, root])[:, solution.free]
+        away = np.concatenate([fit.q - fit.space.mean, solution.q[len(fit.q) :]])
+        residual = np.concatenate([solution.residual + wrong.mesh, root @ away])
+        basis, triangle = np.linalg.qr(slopes)
+        return Linear(basis, triangle, residual - basis @ (basis.T @ residual))
+
+    def seen(self, rows: FloatArray) -> FloatArray:
+        """(n, rows) without what the fitted coordinates imitate."""
+        return np.asarray(rows - (rows @ self.basis) @ self.basis.T)
+
+    def moved(self, rows: FloatArray) -> FloatArray:
+        """(free coordinates, n) how far they move by changes (n, rows) of the residual."""
+        return np.asarray(np.linalg.solve(self.triangle, self.basis.T @ rows.T))
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +65,11 @@ class Whole:
     def wrong(self) -> Systematic:
         """By what the hand's log and the mesh may err."""
         return systematic(self.prepared, self.fit, fit_trials(self.prepared))
+
+    @cached_property
+    def linear(self) -> Linear:
+        """What is left of the study near the fit."""
+        return Linear.of(self.fit, self.wrong)
 
     def sensitivities(self, effects: Iterable[type[Effect]]) -> list[Sensitivity]:
         """What the amplitudes of effects do to the trials, in the order of the effects."""

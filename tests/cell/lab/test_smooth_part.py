@@ -7,12 +7,29 @@ import pytest
 
 from cell.cable.effects import library
 from cell.cable.solver import Solver
+from cell.identify.noise import Noise, Whitener
 from cell.identify.parameters import ParameterSpace
 from cell.lab.explore import cold_start
 from cell.lab.fitting import fit_model, heldout
+from cell.lab.noise import Floor
 from cell.lab.prepared import PreparedStudy
-from cell.lab.smooth_part import SmoothPart, of_a_finer_model, smooth_part
+from cell.lab.smooth_part import (
+    SmoothPart,
+    _Fast,
+    _of_trial,
+    _slow_level,
+    of_a_finer_model,
+    of_all_trials_together,
+    smooth_part,
+)
 from cell.study.data import Markers
+
+
+def coloured(rng, shape, colour):
+    noise = rng.normal(size=shape)
+    for i in range(1, len(noise)):
+        noise[i] = colour * noise[i - 1] + np.sqrt(1.0 - colour**2) * noise[i]
+    return noise
 
 
 def fitted(study, solver=None):
@@ -72,3 +89,39 @@ def test_the_chance_of_an_excess_allows_for_how_well_the_noise_is_known():
     sure, unsure = SmoothPart(630.0, 630, 18_000, 1e6), SmoothPart(630.0, 630, 18_000, 150.0)
     assert sure.chance_of(0.2) < 1e-3 < 0.05 < unsure.chance_of(0.2)
     assert sure.p_value == pytest.approx(0.5, abs=0.01)
+
+
+@pytest.mark.parametrize("lost", [0.0, 0.05])
+@pytest.mark.parametrize("told", [0.5, 0.6, 0.7])
+def test_the_level_of_slow_noise_is_seen_in_the_fast(told, lost):
+    """Noise of correlation 0.6 that was taken for another: six trials of it tell."""
+    rng = np.random.default_rng(7)
+    whiteners, fast, slow = [], [], []
+    for _ in range(6):
+        noise_m = 1e-4 * coloured(rng, (200, 15, 2), 0.6)
+        noise_m[rng.uniform(size=noise_m.shape[:2]) < lost] = np.nan
+        whiteners.append(Whitener(noise_m, Noise(1e-4, told)))
+        white = whiteners[-1](np.zeros((1, *noise_m.shape)))[0]
+        fast.append(_Fast.of(whiteners[-1], white))
+        slow.append(_of_trial(whiteners[-1], white[:, None])[:, 0])
+    level, freedom = _slow_level(Floor(Noise(1e-4, told), 1e-3), fast)
+    seen = np.concatenate(slow)
+    expected = ((1.0 - told) / 0.4) ** 2 * (1.0 - 0.6**2) / (1.0 - told**2)
+    assert level == pytest.approx(expected, rel=4.0 * np.sqrt(2.0 / freedom) + 0.02)
+    assert np.mean(seen**2) == pytest.approx(level, rel=0.2)
+
+
+def test_what_a_clamp_askew_leaves_beside_natural_curvature_is_told_from_noise(make_study):
+    angle = library()["grip_angle"].active(angle_rad=0.012)
+    study = make_study([angle], seed=1)
+    prepared = PreparedStudy.of(study)
+    right, wrong = (
+        ParameterSpace.of(study.cable, effects=(library()[name],))
+        for name in ("grip_angle", "natural_curvature")
+    )
+    told = [
+        of_all_trials_together(prepared, fit_model(prepared, space, cold_start(prepared, space)))
+        for space in (right, wrong)
+    ]
+    assert told[0].p_value > 0.01
+    assert told[1].p_value < 1e-6
