@@ -31,9 +31,9 @@ class Rules:
     misfit_significance   of what a model leaves on the held-out trials
     misfit, gross_misfit  rms over noise from which that matters; and does whatever it was before
     misfit_share          of the baseline's excess that a known effect may leave below the latter
-    smooth_share, gross_smooth_misfit   of a smooth part that is not noise (by `significance` where
-                     an effect is claimed, else by `misfit_significance`) a claimed effect may leave
-                     this share of the baseline's excess, below so much of the noise's mean square
+    smooth_shares, gross_smooth_misfit   a claimed effect may leave such a share of the baseline's
+                     excess, below so much of the noise's mean square, in a smooth part that is not
+                     noise at that significance; a complete model nothing at `misfit_significance`
     half_seen        significance at which the held-out trials must be able to show half of an
                      effect's smooth part, or else it is not told from effects of no library
     most_share       of the error beyond noise that an effect removes if it explains most, not all
@@ -64,7 +64,7 @@ class Rules:
     misfit_share: float = 0.1
     misfit_significance: float = 1e-3
     gross_smooth_misfit: float = 0.2
-    smooth_share: float = 0.01
+    smooth_shares: tuple[tuple[float, float], ...] = ((0.01, 1e-3), (0.1, 0.01))
     half_seen: float = 0.05
     most_share: float = 0.5
     nearest: int = 3

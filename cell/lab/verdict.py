@@ -120,15 +120,16 @@ def _smooth_part_explained(
     before = smooth_part(prepared, base.fit)
     if before is None:
         return True
-    claims = final is not base
-    significance = rules.significance if claims else rules.misfit_significance
-    least = rules.smooth_share * before.excess if claims else 0.0
+    shares = rules.smooth_shares if final is not base else ((0.0, rules.misfit_significance),)
     for look in (of_a_finer_model, of_all_trials_together):
         left = look(prepared, final.fit)
-        if left is None or left.p_value > significance:
+        if left is None:
             continue
-        if left.excess > least or left.excess_of_all > rules.gross_smooth_misfit:
-            return False
+        for share, significance in shares:
+            too_much = left.excess > share * before.excess
+            too_much |= left.excess_of_all > rules.gross_smooth_misfit
+            if too_much and left.p_value < significance:
+                return False
     return True
 
 
