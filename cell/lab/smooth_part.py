@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 
@@ -17,12 +17,14 @@ from cell.lab.noise import MAX_COLOUR, Floor
 from cell.lab.prepared import PreparedStudy
 from cell.lab.screen import prior_root
 from cell.lab.systematic import LEFT, MOTIONS, systematic
-from cell.lab.whole import of_all_trials
+from cell.lab.whole import Whole, of_all_trials
 
 FloatArray = NDArray[np.float64]
 
 #: A smooth residual changes over no fewer frames than this, and is of so many powers of the place.
 SLOW_FRAMES, ALONG = 8, 3
+#: A trial asks for nothing in directions of the parameters that change it less than by this share.
+LEAST_ASKED = 1e-6
 
 
 @dataclass(frozen=True)
@@ -35,7 +37,7 @@ class SmoothPart:
     """
 
     chi2: float
-    count: int
+    count: float
     rows: int
     freedom: float
 
@@ -113,6 +115,57 @@ def of_all_trials_together(prepared: PreparedStudy, fit: Fit) -> SmoothPart | No
 
     returns  None too where a trial cannot be simulated
     """
+    left = _together(prepared, fit)
+    return None if left is None else left.part(_of_trial)
+
+
+@lru_cache(maxsize=4)
+def of_what_trials_ask_for(prepared: PreparedStudy, fit: Fit) -> SmoothPart | None:
+    """The same of what each trial would change in the model's parameters, were they its own.
+
+    A right model is the same in every trial.  A wrong one must bend for each motion, and does so
+    in these few directions: far from noise where all that is smooth still looks like it.
+    """
+    left = _together(prepared, fit)
+    if left is None:
+        return None
+    solution = left.whole.fit.solution
+    slopes = np.split(solution.jacobian[:, solution.free], left.whole.wrong.ends[:-1])
+    bases = {}
+    for whitener, part in zip(left.whiteners, slopes, strict=True):
+        units, sizes, _ = np.linalg.svd(part, full_matrices=False)
+        bases[whitener] = units[:, sizes > LEAST_ASKED * sizes[0]]
+    return left.part(lambda whitener, rows: np.asarray(bases[whitener].T @ rows))
+
+
+@dataclass(frozen=True, eq=False)
+class _Together:
+    """A model fitted to all trials: what it leaves, and what that is known to be wrong by.
+
+    every     (1 + errors + basis, rows) residual, less the mesh's error, and without what the
+              parameters imitate; what mesh and hands may still change it by; the parameters' basis
+    """
+
+    whole: Whole
+    whiteners: list[Whitener]
+    every: FloatArray
+    errors: int
+    floor: Floor
+
+    def part(self, coordinates: Callable[[Whitener, FloatArray], FloatArray]) -> SmoothPart:
+        """χ² in orthonormal directions of each trial: (directions, n) coordinates of (rows, n)."""
+        parts = list(zip(self.whiteners, self.whole.wrong.by_trial(self.every), strict=True))
+        coarse = np.concatenate([coordinates(w, p.T) for w, p in parts])
+        by_errors = float(np.sum(coarse[:, 1 : 1 + self.errors] ** 2))
+        count = len(coarse) - float(np.sum(coarse[:, 1 + self.errors :] ** 2))
+        level, freedom = _slow_level(self.floor, [_Fast.of(w, p[0]) for w, p in parts])
+        chi2 = float(coarse[:, 0] @ coarse[:, 0]) * count / (count * level + by_errors)
+        return SmoothPart(chi2, count, sum(w.count for w in self.whiteners), freedom)
+
+
+@lru_cache(maxsize=4)
+def _together(prepared: PreparedStudy, fit: Fit) -> _Together | None:
+    """None where the noise says nothing, or a trial cannot be simulated."""
     floor = prepared.floor
     if prepared.noise is not floor.noise or np.isinf(floor.freedom):
         return None
@@ -121,7 +174,6 @@ def of_all_trials_together(prepared: PreparedStudy, fit: Fit) -> SmoothPart | No
     except ValueError:
         return None
     linear, wrong, trials = whole.linear, whole.wrong, fit_trials(whole.prepared)
-    whiteners = [whole.prepared.whiteners[t.name] for t in trials]
     rows = wrong.ends[-1]
     changes = [np.append(wrong.mesh, np.zeros(len(linear.left) - rows))[None] * LEFT]
     for part in np.split(np.arange(rows), wrong.ends[:-1]):
@@ -130,13 +182,8 @@ def of_all_trials_together(prepared: PreparedStudy, fit: Fit) -> SmoothPart | No
         changes.append(alone)
     errors = linear.seen(np.concatenate(changes))
     every = np.vstack([linear.left, errors, linear.basis.T])[:, :rows]
-    parts = list(zip(whiteners, wrong.by_trial(every), strict=True))
-    coarse = np.concatenate([_of_trial(w, p.T) for w, p in parts])
-    by_errors = float(np.sum(coarse[:, 1 : 1 + len(errors)] ** 2))
-    count = len(coarse) - float(np.sum(coarse[:, 1 + len(errors) :] ** 2))
-    level, freedom = _slow_level(floor, [_Fast.of(w, p[0]) for w, p in parts])
-    chi2 = float(coarse[:, 0] @ coarse[:, 0]) * count / (count * level + by_errors)
-    return SmoothPart(chi2, round(count), sum(w.count for w in whiteners), freedom)
+    whiteners = [whole.prepared.whiteners[t.name] for t in trials]
+    return _Together(whole, whiteners, every, len(errors), floor)
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,12 @@ from cell.lab.fitting import fit_trials
 from cell.lab.leftover import Leftover, deviance, leftover, removed_share
 from cell.lab.results import Errors, Verdict
 from cell.lab.rules import Rules
-from cell.lab.smooth_part import of_a_finer_model, of_all_trials_together, smooth_part
+from cell.lab.smooth_part import (
+    of_a_finer_model,
+    of_all_trials_together,
+    of_what_trials_ask_for,
+    smooth_part,
+)
 
 
 def verdict_of(
@@ -113,20 +118,21 @@ def _smooth_part_explained(
     """Whether the smooth part of a candidate's residual is noise.
 
     There misfits of a model are, and little noise: a wrong effect in place of one that the library
-    lacks shows here, though its whole residual looks like noise.  On the held-out trials, and when
-    fitted to all trials together: there a model leaves less, but more is known of the noise.
+    lacks shows here, though its whole residual looks like noise.  On the held-out trials; when
+    fitted to all trials together, where a model leaves less, but more is known of the noise; and
+    there in what each trial asks for, which must be noise too.
     """
     prepared = explorer.prepared
     before = smooth_part(prepared, base.fit)
     if before is None:
         return True
     shares = rules.smooth_shares if final is not base else ((0.0, rules.misfit_significance),)
-    for look in (of_a_finer_model, of_all_trials_together):
+    for look in (of_a_finer_model, of_all_trials_together, of_what_trials_ask_for):
         left = look(prepared, final.fit)
         if left is None:
             continue
         for share, significance in shares:
-            too_much = left.excess > share * before.excess
+            too_much = left.excess_of_all > share * before.excess_of_all
             too_much |= left.excess_of_all > rules.gross_smooth_misfit
             if too_much and left.p_value < significance:
                 return False
