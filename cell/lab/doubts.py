@@ -189,12 +189,12 @@ def unseen_doubt(effect: str) -> Doubt:
 
 
 def barely_seen_doubt(effect: str) -> Doubt:
-    """Of an effect too small in the held-out trials to be told from what no library has."""
+    """Of an effect too small in these trials to be told from what no library has."""
     return Doubt(
         "barely_seen",
-        f"the held-out trials show so little of {effect} that half of it could be left unnoticed: "
-        "an effect that the library lacks may be behind it; hold out a motion that shows more of "
-        "it, such as `cell suggest STUDY` finds, or repeat these with less noise",
+        f"the trials show so little of {effect} that half of it could be left unnoticed: an effect "
+        "that the library lacks may be behind it; add a motion that shows more of it, such as "
+        "`cell suggest STUDY` finds, or repeat these with less noise",
     )
 
 

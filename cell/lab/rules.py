@@ -34,7 +34,7 @@ class Rules:
     smooth_shares, gross_smooth_misfit   a claimed effect may leave such a share of the baseline's
                      excess, below so much of the noise's mean square, in a smooth part that is not
                      noise at that significance; a complete model nothing at `misfit_significance`
-    half_seen        significance at which the held-out trials must be able to show half of an
+    half_seen        significance at which the trials must be able to show half of an
                      effect's smooth part, or else it is not told from effects of no library
     most_share       of the error beyond noise that an effect removes if it explains most, not all
     nearest          effects that an unexplained study is told of

@@ -15,6 +15,7 @@ from cell.lab.leftover import Leftover, deviance, leftover, removed_share
 from cell.lab.results import Errors, Verdict
 from cell.lab.rules import Rules
 from cell.lab.smooth_part import (
+    SmoothPart,
     of_a_finer_model,
     of_all_trials_together,
     of_what_trials_ask_for,
@@ -140,19 +141,22 @@ def _smooth_part_explained(
 
 
 def barely_seen(explorer: Explorer, final: Candidate, rules: Rules) -> tuple[str, ...]:
-    """Effects found of which the held-out trials would not notice that half was left.
+    """Effects found of which the trials would not notice that half was left.
 
     Another effect, which no library has, would pass there for the one found.
     """
-    names = []
-    for effect in (e for e in final.effects if e not in explorer.space.effects):
-        without = explorer.without(final, effect).fit
-        for look in (smooth_part, of_a_finer_model):
-            before = look(explorer.prepared, without)
-            if before is not None and before.chance_of(0.5 * before.excess) > rules.half_seen:
-                names.append(effect.name)
-                break
-    return tuple(names)
+
+    def half_is_seen(before: SmoothPart | None) -> bool:
+        return before is None or before.chance_of(0.5 * before.excess) < rules.half_seen
+
+    found = [e for e in final.effects if e not in explorer.space.effects]
+    without = {e.name: explorer.without(final, e).fit for e in found}
+    looks = (of_a_finer_model, of_what_trials_ask_for)
+    return tuple(
+        name
+        for name, fit in without.items()
+        if not any(half_is_seen(look(explorer.prepared, fit)) for look in looks)
+    )
 
 
 def _p_value(chi2: float, count: int, freedom: float) -> float:

@@ -20,6 +20,7 @@ from cell.lab.smooth_part import (
     _slow_level,
     of_a_finer_model,
     of_all_trials_together,
+    of_what_trials_ask_for,
     smooth_part,
 )
 from cell.study.data import Markers
@@ -111,17 +112,30 @@ def test_the_level_of_slow_noise_is_seen_in_the_fast(told, lost):
     assert np.mean(seen**2) == pytest.approx(level, rel=0.2)
 
 
-def test_what_a_clamp_askew_leaves_beside_natural_curvature_is_told_from_noise(make_study):
-    angle = library()["grip_angle"].active(angle_rad=0.012)
-    study = make_study([angle], seed=1)
+@pytest.mark.parametrize(
+    ("look", "angle_rad", "noise_m"),
+    [(of_all_trials_together, 0.012, 1e-4), (of_what_trials_ask_for, 0.02, 2e-4)],
+)
+def test_what_a_clamp_askew_leaves_beside_natural_curvature_is_told_from_noise(
+    make_study, look, angle_rad, noise_m
+):
+    angle = library()["grip_angle"].active(angle_rad=angle_rad)
+    study = make_study([angle], seed=1, noise_m=noise_m)
     prepared = PreparedStudy.of(study)
     right, wrong = (
         ParameterSpace.of(study.cable, effects=(library()[name],))
         for name in ("grip_angle", "natural_curvature")
     )
     told = [
-        of_all_trials_together(prepared, fit_model(prepared, space, cold_start(prepared, space)))
+        look(prepared, fit_model(prepared, space, cold_start(prepared, space)))
         for space in (right, wrong)
     ]
     assert told[0].p_value > 0.01
     assert told[1].p_value < 1e-6
+
+
+@pytest.mark.parametrize("seed", [2, 3, 4, 5])
+def test_trials_of_a_right_model_ask_for_nothing(make_study, seed):
+    asked = of_what_trials_ask_for(*fitted(make_study(seed=seed)))
+    assert asked.p_value > 1e-3
+    assert 10 < asked.count < 40  # four trials, each of nine parameters but for what is shared
