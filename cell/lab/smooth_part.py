@@ -1,10 +1,10 @@
-"""Smooth part of what a model leaves on held-out trials: misfits are there, little noise."""
+"""Whether what a model leaves is noise where misfits are: smooth, or what trials ask for."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,16 +68,19 @@ def smooth_part(prepared: PreparedStudy, fit: Fit) -> SmoothPart | None:
     It says nothing without held-out trials, and where the noise is an earlier model's misfit or a
     level that the study states: that may be smooth itself.
     """
-    floor = prepared.floor
-    told = prepared.noise is not floor.noise or np.isinf(floor.freedom)
-    if told or not prepared.study.role("validate"):
+    if not _noise_was_seen(prepared) or not prepared.study.role("validate"):
         return None
     rows = heldout_rows(prepared, fit)
     chi2, count = np.inf, 1
     if np.all(np.isfinite(rows.residual)) and np.all(np.isfinite(rows.spread)):
         coarse = _coarse(prepared, rows, rows.residual[None])
         chi2, count = _chi2(coarse[0], _coarse(prepared, rows, rows.spread.T)), coarse.shape[1]
-    return SmoothPart(chi2, count, len(rows.residual), floor.slow_freedom)
+    return SmoothPart(chi2, count, len(rows.residual), prepared.floor.slow_freedom)
+
+
+def _noise_was_seen(prepared: PreparedStudy) -> bool:
+    """Whether the level of noise is that of still frames: not stated, nor a model's error."""
+    return prepared.noise is prepared.floor.noise and bool(np.isfinite(prepared.floor.freedom))
 
 
 def of_a_finer_model(prepared: PreparedStudy, fit: Fit) -> SmoothPart | None:
@@ -150,15 +153,24 @@ class _Together:
     whiteners: list[Whitener]
     every: FloatArray
     errors: int
-    floor: Floor
+
+    @cached_property
+    def by_trial(self) -> list[tuple[Whitener, FloatArray]]:
+        """`every` of each trial, (…, rows of the trial)."""
+        return list(zip(self.whiteners, self.whole.wrong.by_trial(self.every), strict=True))
+
+    @cached_property
+    def level(self) -> tuple[float, float]:
+        """Of slow noise, and the degrees of freedom behind it."""
+        floor = self.whole.prepared.floor
+        return _slow_level(floor, [_Fast.of(w, p[0]) for w, p in self.by_trial])
 
     def part(self, coordinates: Callable[[Whitener, FloatArray], FloatArray]) -> SmoothPart:
         """χ² in orthonormal directions of each trial: (directions, n) coordinates of (rows, n)."""
-        parts = list(zip(self.whiteners, self.whole.wrong.by_trial(self.every), strict=True))
-        coarse = np.concatenate([coordinates(w, p.T) for w, p in parts])
+        coarse = np.concatenate([coordinates(w, p.T) for w, p in self.by_trial])
         by_errors = float(np.sum(coarse[:, 1 : 1 + self.errors] ** 2))
         count = len(coarse) - float(np.sum(coarse[:, 1 + self.errors :] ** 2))
-        level, freedom = _slow_level(self.floor, [_Fast.of(w, p[0]) for w, p in parts])
+        level, freedom = self.level
         chi2 = float(coarse[:, 0] @ coarse[:, 0]) * count / (count * level + by_errors)
         return SmoothPart(chi2, count, sum(w.count for w in self.whiteners), freedom)
 
@@ -166,8 +178,7 @@ class _Together:
 @lru_cache(maxsize=4)
 def _together(prepared: PreparedStudy, fit: Fit) -> _Together | None:
     """None where the noise says nothing, or a trial cannot be simulated."""
-    floor = prepared.floor
-    if prepared.noise is not floor.noise or np.isinf(floor.freedom):
+    if not _noise_was_seen(prepared):
         return None
     try:
         whole = of_all_trials(prepared, fit)
@@ -183,7 +194,7 @@ def _together(prepared: PreparedStudy, fit: Fit) -> _Together | None:
     errors = linear.seen(np.concatenate(changes))
     every = np.vstack([linear.left, errors, linear.basis.T])[:, :rows]
     whiteners = [whole.prepared.whiteners[t.name] for t in trials]
-    return _Together(whole, whiteners, every, len(errors), floor)
+    return _Together(whole, whiteners, every, len(errors))
 
 
 @dataclass(frozen=True)
