@@ -22,6 +22,9 @@ NEGLIGIBLE_NOISE = 1e-7
 #: least bending that counts, as a share of the greatest; random vectors for the trace.
 _CALM_S = 0.03
 _ROUNDS = 3
+#: An axis in which medians of so many values differ by less than this many of their standard
+#: deviations, and in which there are so many of them, does not move.
+_BLOCK, _APART, _LEAST_BLOCKS = 16, 4.5, 4
 #: The least C_p follows the noise now and then: in all rounds but the last the strongest smoothing
 #: is taken that is within so many standard deviations of it.
 _CHANCE = 1.0
@@ -101,7 +104,8 @@ def fit(t_s: FloatArray, value: FloatArray, *, checked: bool = False) -> Spline:
     of it.
     The penalty is then raised where the curve bends little, so that a hand at rest is still.
     Values that lie apart from their neighbours are wrong, and made up from those beside them:
-    where they are the curve would seem to bend.
+    where they are the curve would seem to bend.  An axis that never moves is smoothed as a hand at
+    rest is: it has no bend to tell rest by, and would follow a wrong value at its end.
     Source: Green & Silverman, Nonparametric Regression and Generalized Linear Models, 1994, ch. 2
     (Reinsch's algorithm); Pintore et al., Biometrika 93 (2006) 113, for local penalties.
     """
@@ -121,10 +125,12 @@ def fit(t_s: FloatArray, value: FloatArray, *, checked: bool = False) -> Spline:
     window = np.hanning(2 * half + 3)[1:-1]
     local = np.ones_like(t)
     signals, wrong, turns_slowly = _with_probes(y), np.zeros(len(t), dtype=bool), not checked
-    multiples = np.geomspace(1e-3, 1e7, 18) * spacing**3
-    for round_ in range(_ROUNDS):
+    multiples, rounds = np.geomspace(1e-3, 1e7, 18) * spacing**3, _ROUNDS
+    if _never_moves(y, noise):
+        multiples, rounds = multiples[-1:] / _LEAST, 1
+    for round_ in range(rounds):
         # where the curve bends is looked for in one that surely does not follow the noise
-        chance = _CHANCE if round_ < _ROUNDS - 1 else 0.0
+        chance = _CHANCE if round_ < rounds - 1 else 0.0
         smooth, root = _least_error(signals, t, noise, local, multiples, chance)
         while turns_slowly and np.any(more := _glitches(signals[:, 0] - smooth, noise) & ~wrong):
             wrong |= more
@@ -139,6 +145,16 @@ def fit(t_s: FloatArray, value: FloatArray, *, checked: bool = False) -> Spline:
         local = 1.0 / np.maximum(energy / energy.max(), _LEAST)
     left_out = tuple(sorted({*alone, *np.flatnonzero(wrong).tolist()}))
     return Spline(t, smooth, _natural(t, smooth), noise, root, left_out)
+
+
+def _never_moves(y: FloatArray, noise: float) -> bool:
+    """Whether the signal moves by no more than its noise does, a few wrong values apart."""
+    count = len(y) // _BLOCK
+    if count < _LEAST_BLOCKS:
+        return False
+    middles = np.median(y[: count * _BLOCK].reshape(count, _BLOCK), axis=1)
+    std = noise * math.sqrt(0.5 * math.pi / _BLOCK)  # of a median
+    return bool(np.max(np.abs(middles - np.median(middles))) < _APART * std)
 
 
 def _wrong_alone(t: FloatArray, y: FloatArray, noise: float) -> tuple[int, ...]:
