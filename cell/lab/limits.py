@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -191,6 +191,8 @@ class _Side:
     values  of the effect's parameters: the guess of its shape that puts the end farthest out
     rows    (n, values) slopes of its other amplitudes; others: basis of what they can imitate
     change  of what is seen, by the effect so strong; settled: more simulations tell no more
+    first   the end by slopes at none of the effect
+    tried   (ln size, ln of how many times farther out it then seemed to be) so far
     """
 
     sign: float
@@ -199,9 +201,11 @@ class _Side:
     values: FloatArray
     rows: FloatArray
     others: FloatArray
+    first: float
     change: FloatArray | None = None
     settled: bool = False
     seen: bool = True
+    tried: list[tuple[float, float]] = field(default_factory=list)
 
 
 class _Search:
@@ -245,7 +249,7 @@ class _Search:
             explained = square * (max(size, 0.0) if self._one_sided else size) ** 2
             for sign in (1.0,) if self._one_sided else (-1.0, 1.0):
                 end = self._end(sign, size, std)
-                side = _Side(sign, end, std, slopes.values[shape], rest, basis)
+                side = _Side(sign, end, std, slopes.values[shape], rest, basis, end)
                 tried.append((explained, side))
         best = max((explained for explained, _ in tried), default=0.0)
         least = best - max(TIE, TIE_SHARE * best)
@@ -318,12 +322,12 @@ class _Search:
             side.seen = False
             return
         before = side.size
-        self._move(side, self._end(side.sign, *self._estimate(left)))
+        self._step(side, self._end(side.sign, *self._estimate(left)))
         side.settled = abs(side.size - before) < NEARLY * abs(before)
 
     def exact(self, side: _Side) -> bool:
         """Whether an end is so near to none of the effect that its slope there is all there is."""
-        return side.change is None or abs(side.size) < NEAR * side.std
+        return side.change is None or abs(side.first) < NEAR * side.std
 
     def answer(self, side: _Side, held: HeldEffect) -> FloatArray:
         """Where everything else goes, by its slopes, with the effect at an end."""
@@ -344,7 +348,7 @@ class _Search:
 
     def _refit(self, side: _Side, held: HeldEffect, q: FloatArray | None) -> None:
         """Move an end to where the effect held there, everything else refitted, is excluded."""
-        tried: list[tuple[float, float]] = []
+        side.tried = []
         for _ in range(REFITS):
             try:
                 q, change = held.refitted(held.at(self.active(side), q))
@@ -352,14 +356,27 @@ class _Search:
                 side.seen = False
                 return
             size, std = self._estimate(change / side.size)
-            ratio = self._end(side.sign, size, std) / side.size
-            if not ratio > 0.0 or abs(np.log(ratio)) < SETTLED:
-                self._move(side, ratio * side.size)
+            end = self._end(side.sign, size, std)
+            ratio = end / side.size
+            if ratio > 0.0 and abs(np.log(ratio)) < SETTLED:
+                self._move(side, end)
                 return
-            tried.append((float(np.log(abs(side.size))), float(np.log(ratio))))
-            self._move(side, side.size * float(np.exp(_further(tried))))
-            if side not in self.open_sides():
+            self._step(side, end)
+            if not ratio > 0.0 or side not in self.open_sides():
                 return
+
+    def _step(self, side: _Side, end: float) -> None:
+        """Move an end towards where it seems to be; by less where the last move went too far.
+
+        A strong effect bends what the other parameters do, so that the end seems much nearer than
+        where it is, and from there much farther.
+        """
+        ratio = end / side.size
+        if not ratio > 0.0:
+            self._move(side, end)
+            return
+        side.tried.append((float(np.log(abs(side.size))), float(np.log(ratio))))
+        self._move(side, side.size * float(np.exp(_further(side.tried))))
 
     def _with_prior(self, change: FloatArray) -> FloatArray:
         """A change that leaves the prior's rows as they are."""
