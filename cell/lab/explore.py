@@ -146,7 +146,7 @@ class Explorer:
             start = cold_start(self.prepared, self.space)
             self.progress(f"fitting the model with {names}", 1, 3)
             if self.prior_q is None:
-                start = self._of_likeliest_shape(start)
+                start = self._of_likeliest_shape(self._scanned(start))
             fit = fit_model(self.prepared, self.space, start, options=POLISH)
             self.progress(f"weighing the model with {names}", 2, 3)
             count = self.prepared.count(fit_trials(self.prepared))
@@ -173,6 +173,23 @@ class Explorer:
                 start = self._tempered.q
                 self._elsewhere = fit_model(self.prepared, base.fit.space, start, options=POLISH)
         return self._elsewhere
+
+    def _scanned(self, start: FloatArray) -> FloatArray:
+        """A start with effects that a fit finds from near only as the screen without them says."""
+        narrow = [e for e in self.space.effects if any(p.scan for p in e.parameters)]
+        if not narrow:
+            return start
+        rest = space_with(self.space, [e for e in self.space.effects if e not in narrow])
+        q = start[[self.space.names.index(name) for name in rest.names]]
+        natural = self.space.natural(start)
+        with contextlib.suppress(ValueError):
+            fit = fit_model(self.prepared, rest, q, options=REFIT)
+            for found in screen(self.prepared, fit, narrow):
+                for p, value in zip(found.effect.parameters, found.starts[0], strict=True):
+                    if (name := f"{found.effect.name}.{p.name}") in self.space.names:
+                        natural[self.space.names.index(name)] = value
+        inside = np.clip(self.space.coordinates(natural), self.space.low, self.space.high)
+        return np.asarray(inside)
 
     def _of_likeliest_shape(self, start: FloatArray) -> FloatArray:
         """Where first refits end from a start, and from it with effects of other shapes."""
@@ -354,7 +371,7 @@ class Explorer:
         """What `large` has over `small`, which lacks one of its effects."""
         effect = next(e for e in large.effects if e.name not in small.names)
         amplitudes = [p for p in effect.parameters if p.amplitude]
-        shapes = int(np.prod([3 * len(p.starts) for p in effect.parameters if is_shape(p)]))
+        shapes = int(np.prod([3 * len(p.looked_at) for p in effect.parameters if is_shape(p)]))
         bounded = int(len(amplitudes) == 1 and amplitudes[0].low >= amplitudes[0].default)
         fall = small.fit.objective - large.fit.objective
         count = self.prepared.count(fit_trials(self.prepared))

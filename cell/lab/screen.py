@@ -144,7 +144,7 @@ def _guesses(effect: type[Effect]) -> list[_Guess]:
     """Every amplitude at every combination of starts of the shape parameters, shape by shape."""
     if not any(p.amplitude for p in effect.parameters):
         raise ValueError(f"effect {effect.name}: no parameter switches it off; declare one")
-    choices = [p.starts if is_shape(p) else (p.default,) for p in effect.parameters]
+    choices = [p.looked_at if is_shape(p) else (p.default,) for p in effect.parameters]
     guesses = []
     for shape, values in enumerate(itertools.product(*choices)):
         for i, p in enumerate(effect.parameters):

@@ -10,7 +10,7 @@ from scipy.special import fdtrc as f_sf
 
 from cell.cable.effects.base import Effect
 from cell.lab.explore import Candidate, Explorer
-from cell.lab.fitting import fit_trials
+from cell.lab.fitting import Heldout, fit_trials
 from cell.lab.leftover import Leftover, deviance, leftover, removed_share
 from cell.lab.results import Errors, Verdict
 from cell.lab.rules import Rules
@@ -141,21 +141,30 @@ def _smooth_part_explained(
 
 
 def barely_seen(explorer: Explorer, final: Candidate, rules: Rules) -> tuple[str, ...]:
-    """Effects found of which the trials would not notice that half was left.
+    """Effects found of which the trials would not notice that half was left, in all or where slow.
 
     Another effect, which no library has, would pass there for the one found.
     """
 
+    prepared = explorer.prepared
+
     def half_is_seen(before: SmoothPart | None) -> bool:
         return before is None or before.chance_of(0.5 * before.excess) < rules.half_seen
 
+    def half_is_seen_held_out(held: Heldout | None) -> bool:
+        if held is None:
+            return True
+        half = held.count + 0.5 * (held.chi2 - held.count)
+        return _p_value(half, held.count, prepared.floor.freedom) < rules.half_seen
+
     found = [e for e in final.effects if e not in explorer.space.effects]
-    without = {e.name: explorer.without(final, e).fit for e in found}
+    without = {e.name: explorer.without(final, e) for e in found}
     looks = (of_a_finer_model, of_what_trials_ask_for)
     return tuple(
         name
-        for name, fit in without.items()
-        if not any(half_is_seen(look(explorer.prepared, fit)) for look in looks)
+        for name, less in without.items()
+        if not half_is_seen_held_out(less.heldout)
+        and not any(half_is_seen(look(prepared, less.fit)) for look in looks)
     )
 
 

@@ -22,6 +22,8 @@ class Parameter:
     default    value when none is given.  Of an amplitude it is the value that switches the effect
                off, so that a model with the effect there equals the model without
     starts     values worth starting a fit from, the most typical first
+    scan       more values at which the screen looks, of a parameter that a fit finds from near
+               only, as a frequency
     amplitude  whether the effect is off at `default`
     fitted     False: a known constant of the set-up, left at its default unless given
     """
@@ -34,17 +36,27 @@ class Parameter:
     starts: tuple[float, ...]
     amplitude: bool = True
     fitted: bool = True
+    scan: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.name.isidentifier():
             raise ValueError(f"parameter {self.name!r} is not a name")
-        for label, value in (("default", self.default), *(("starts", s) for s in self.starts)):
+        guesses = {"starts": self.starts, "scan": self.scan}
+        given = [(label, value) for label, values in guesses.items() for value in values]
+        for label, value in (("default", self.default), *given):
             if not self.low <= value <= self.high:
                 raise ValueError(
                     f"parameter {self.name}: {label} {value} outside {self.low} … {self.high}"
                 )
         if not self.starts:
             raise ValueError(f"parameter {self.name}: needs at least one value in `starts`")
+        if self.scan and self.amplitude:
+            raise ValueError(f"parameter {self.name}: an amplitude has no `scan`, it is found by slopes")
+
+    @property
+    def looked_at(self) -> tuple[float, ...]:
+        """Values at which the screen looks."""
+        return (*self.starts, *self.scan)
 
 
 @dataclass(frozen=True)
