@@ -13,11 +13,13 @@ from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import UnsimulatedError
 from cell.lab.doubts import (
     barely_seen_doubt,
+    broken_law_doubt,
     doubts,
     interrupted_doubt,
     is_no_model,
     no_model_doubt,
     prior_only_doubt,
+    suspected_doubt,
     unseen_doubt,
     unsimulated_doubt,
 )
@@ -35,11 +37,13 @@ from cell.lab.verdict import (
     above_noise,
     added_effect,
     barely_seen,
+    broken_laws,
     chance_of,
     close_rivals,
     errors_of,
     explains,
     hopeless_search,
+    suspected,
     unconfirmed,
     verdict_of,
 )
@@ -111,7 +115,10 @@ def _examined(explorer: Explorer, rules: Rules) -> Examination:
     unseen = unconfirmed(explorer, current, rules) if found else ()
     asked = asked_by_prior_only(explorer, base, current, tied, rules) if found else ()
     barely = barely_seen(explorer, current, rules) if found else ()
-    doubted = (*unseen, *barely, *asked)
+    complete = found and current is base
+    suspects = suspected(explorer, base, singles, len(screened), rules) if complete else ()
+    broken = () if found else broken_laws(explorer, base, current, rules)
+    doubted = (*unseen, *barely, *asked, *suspects)
     verdict: Verdict = verdict_of(base, current, tied, doubted, rules) if found else "unexplained"
     whole, most = partial.explorer, partial.steps
     also = {e.name: tied_so_far(whole, most[-1], e, rules) for e in _added(whole, most[-1])}
@@ -132,6 +139,8 @@ def _examined(explorer: Explorer, rules: Rules) -> Examination:
             *map(unseen_doubt, unseen),
             *map(barely_seen_doubt, [name for name in barely if name not in unseen]),
             *map(prior_only_doubt, asked),
+            *map(suspected_doubt, suspects),
+            *(broken_law_doubt(e) for e in current.effects if e.name in broken),
         ),
     )
     return Examination(

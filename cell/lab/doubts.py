@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from cell.cable.effects.base import Effect
 from cell.lab.explore import Candidate, Explorer
 from cell.lab.fitting import Fit, fit_trials
 from cell.lab.results import Doubt
@@ -195,6 +196,26 @@ def barely_seen_doubt(effect: str) -> Doubt:
         f"the trials show so little of {effect} that half of it could be left unnoticed: an effect "
         "that the library lacks may be behind it; add a motion that shows more of it, such as "
         "`cell suggest STUDY` finds, or repeat these with less noise",
+    )
+
+
+def suspected_doubt(effect: str) -> Doubt:
+    """Of an effect that the fitted trials ask for and the held-out ones do not bear out."""
+    return Doubt(
+        "suspected",
+        f"the trials fitted to ask for {effect} far more plainly than chance would, and those held "
+        "out do not bear it out: the model is not called complete; add a motion that tells, such "
+        "as `cell suggest STUDY` finds",
+    )
+
+
+def broken_law_doubt(effect: type[Effect]) -> Doubt:
+    """Of an effect that explains most, but not by its own law."""
+    wider = effect.wider.name if effect.wider is not None else ""
+    return Doubt(
+        "other_law",
+        f"{effect.name} explains most, but its law does not hold: `--effect {wider}`, which is "
+        "freer, explains more; something that the library lacks and that looks like it is there",
     )
 
 

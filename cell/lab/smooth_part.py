@@ -1,4 +1,4 @@
-"""Whether what a model leaves is noise where misfits are: smooth, or what trials ask for."""
+"""Whether what a model leaves is noise where misfits are: where slow, or asked for by trials."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtrc as f_sf
 
+from cell.cable.effects.base import Effect
 from cell.identify.gaussian import marginal_chi2
 from cell.identify.noise import Whitener
 from cell.lab.fitting import Fit, HeldoutRows, best_begun, fit_trials, heldout_rows
@@ -123,16 +124,20 @@ def of_all_trials_together(prepared: PreparedStudy, fit: Fit) -> SmoothPart | No
 
 
 @lru_cache(maxsize=4)
-def of_what_trials_ask_for(prepared: PreparedStudy, fit: Fit) -> SmoothPart | None:
+def of_what_trials_ask_for(
+    prepared: PreparedStudy, fit: Fit, parameters: Fit | None = None
+) -> SmoothPart | None:
     """The same of what each trial would change in the model's parameters, were they its own.
 
     A right model is the same in every trial.  A wrong one must bend for each motion, and does so
     in these few directions: far from noise where all that is smooth still looks like it.
+
+    parameters  the model whose parameters are asked, if it is another: one with an effect more
     """
-    left = _together(prepared, fit)
-    if left is None:
+    left, asked = _together(prepared, fit), _together(prepared, parameters or fit)
+    if left is None or asked is None:
         return None
-    solution = left.whole.fit.solution
+    solution = asked.whole.fit.solution
     slopes = np.split(solution.jacobian[:, solution.free], left.whole.wrong.ends[:-1])
     bases = {}
     for whitener, part in zip(left.whiteners, slopes, strict=True):
@@ -141,12 +146,28 @@ def of_what_trials_ask_for(prepared: PreparedStudy, fit: Fit) -> SmoothPart | No
     return left.part(lambda whitener, rows: np.asarray(bases[whitener].T @ rows))
 
 
+def of_a_wider_law(prepared: PreparedStudy, fit: Fit, effect: type[Effect]) -> SmoothPart | None:
+    """The same of what an effect's wider law would explain beside it; None without one.
+
+    Of an effect that is there its own law is all there is.  One in the place of another, which no
+    library has, leaves a little of it, the same in every trial, and in these few directions.
+    """
+    left = None if effect.wider is None else _together(prepared, fit)
+    if effect.wider is None or left is None:
+        return None
+    rows = left.whole.sensitivities([effect.wider])[0].rows[0]
+    units, sizes, _ = np.linalg.svd(left.whole.linear.seen(rows).T, full_matrices=False)
+    units = units[:, sizes > LEAST_ASKED * float(np.linalg.norm(rows))]
+    return left.judged(units.T @ left.every.T)
+
+
 @dataclass(frozen=True, eq=False)
 class _Together:
     """A model fitted to all trials: what it leaves, and what that is known to be wrong by.
 
     every     (1 + errors + basis, rows) residual, less the mesh's error, and without what the
-              parameters imitate; what mesh and hands may still change it by; the parameters' basis
+              parameters imitate; what mesh and hands may still change it by; the parameters' basis.
+              The prior's rows come last
     """
 
     whole: Whole
@@ -167,7 +188,10 @@ class _Together:
 
     def part(self, coordinates: Callable[[Whitener, FloatArray], FloatArray]) -> SmoothPart:
         """χ² in orthonormal directions of each trial: (directions, n) coordinates of (rows, n)."""
-        coarse = np.concatenate([coordinates(w, p.T) for w, p in self.by_trial])
+        return self.judged(np.concatenate([coordinates(w, p.T) for w, p in self.by_trial]))
+
+    def judged(self, coarse: FloatArray) -> SmoothPart:
+        """χ² by (directions, 1 + errors + basis) coordinates of `every` in orthonormal ones."""
         by_errors = float(np.sum(coarse[:, 1 : 1 + self.errors] ** 2))
         count = len(coarse) - float(np.sum(coarse[:, 1 + self.errors :] ** 2))
         level, freedom = self.level
@@ -192,7 +216,7 @@ def _together(prepared: PreparedStudy, fit: Fit) -> _Together | None:
         alone[:, part] = wrong.hands[:, part] / np.sqrt(MOTIONS)
         changes.append(alone)
     errors = linear.seen(np.concatenate(changes))
-    every = np.vstack([linear.left, errors, linear.basis.T])[:, :rows]
+    every = np.vstack([linear.left, errors, linear.basis.T])
     whiteners = [whole.prepared.whiteners[t.name] for t in trials]
     return _Together(whole, whiteners, every, len(errors))
 

@@ -10,13 +10,23 @@ from scipy.special import fdtrc as f_sf
 
 from cell.cable.effects.base import Effect
 from cell.lab.explore import Candidate, Explorer
-from cell.lab.fitting import Heldout, fit_trials
-from cell.lab.leftover import Leftover, deviance, leftover, removed_share
+from cell.lab.fitting import Fit, fit_trials, heldout_rows
+from cell.lab.leftover import (
+    Leftover,
+    deviance,
+    independent_values,
+    leftover,
+    removed_share,
+    residuals_m,
+)
+from cell.lab.prepared import PreparedStudy
 from cell.lab.results import Errors, Verdict
 from cell.lab.rules import Rules
+from cell.lab.score import holm
 from cell.lab.smooth_part import (
     SmoothPart,
     of_a_finer_model,
+    of_a_wider_law,
     of_all_trials_together,
     of_what_trials_ask_for,
     smooth_part,
@@ -27,13 +37,13 @@ def verdict_of(
     base: Candidate,
     final: Candidate,
     tied: dict[str, tuple[str, ...]],
-    unseen: Sequence[str],
+    doubted: Sequence[str],
     rules: Rules,
 ) -> Verdict:
-    """What it means that `final` explains the study; `unseen`: effects that are not confirmed."""
+    """What it means that `final` explains the study; `doubted`: effects that are not confirmed."""
     if final is base:
-        return "complete"
-    if final.heldout is None or unseen or any(len(t) + 1 > rules.most_tied for t in tied.values()):
+        return "cannot_tell" if doubted else "complete"
+    if final.heldout is None or doubted or any(len(t) + 1 > rules.most_tied for t in tied.values()):
         return "cannot_tell"
     return "missing"
 
@@ -92,10 +102,81 @@ def above_noise(explorer: Explorer, candidate: Candidate) -> float:
     return max(candidate.fit.rms_m, held_m) / explorer.prepared.floor.noise.std_m
 
 
+def suspected(
+    explorer: Explorer, base: Candidate, singles: Sequence[Candidate], library: int, rules: Rules
+) -> tuple[str, ...]:
+    """Effects beside a model that leaves noise which the fitted trials ask for too plainly.
+
+    Those held out do not bear them out, or they would have been accepted; but a model that is
+    complete asks for nothing.
+    """
+    gains = [explorer.gain(base, c).p_value for c in singles]
+    if np.isinf(explorer.prepared.floor.freedom):  # nothing is known of that noise but its size
+        gains = [max(p, chance_of(explorer, base, c)) for p, c in zip(gains, singles, strict=True)]
+    adjusted = holm(gains + [1.0] * (library - len(gains)))[: len(gains)]
+    return tuple(
+        added_effect(base, c).name
+        for c, p in zip(singles, adjusted, strict=True)
+        if p < rules.misfit_significance
+    )
+
+
+def broken_laws(explorer: Explorer, base: Candidate, final: Candidate, rules: Rules) -> list[str]:
+    """Effects found beside which a wider law of theirs explains more: something else is there."""
+    before = smooth_part(explorer.prepared, base.fit)
+    found = []
+    for effect in final.effects if before is not None else ():
+        left = of_a_wider_law(explorer.prepared, final.fit, effect)
+        if left is None or before is None:
+            continue
+        too_much = left.excess_of_all > rules.law_share * before.excess_of_all
+        if too_much and left.p_value < rules.law_significance:
+            found.append(effect.name)
+    return found
+
+
+def _within_stated(explorer: Explorer, final: Candidate, rules: Rules) -> bool:
+    """Whether what a candidate leaves is no more than the study states its markers err by.
+
+    How such errors are correlated still frames say badly: what a mean square of them is worth is
+    judged by the residual's own correlation, along the frames and between the markers.
+    """
+    prepared = explorer.prepared
+    noise = prepared.noise.std_m**2
+    errors = residuals_m(prepared, final)
+    roles = [(fit_trials(prepared), 0.0)]
+    if final.heldout is not None:
+        roles.append((prepared.study.role("validate"), _uncertain_m2(prepared, final.fit)))
+    for trials, uncertain in roles:
+        some = [errors[t.name] for t in trials]
+        seen = np.concatenate([e[np.isfinite(e)] for e in some])
+        ratio = float(np.mean(seen**2)) / (noise + uncertain)
+        independent = independent_values(some)
+        chance = float(chi2_sf(independent, independent * ratio))
+        if ratio > rules.misfit**2 and chance < rules.misfit_significance:
+            return False
+    return True
+
+
+def _uncertain_m2(prepared: PreparedStudy, fit: Fit) -> float:
+    """Mean square of what a fit leaves uncertain of the held-out trials' markers."""
+    rows = heldout_rows(prepared, fit)
+    square, count = 0.0, 0
+    parts = np.split(rows.spread, rows.ends[:-1])
+    for trial, part in zip(prepared.study.role("validate"), parts, strict=True):
+        whitener = prepared.whiteners[trial.name]
+        count += whitener.count
+        square += sum(float(np.nansum(whitener.error_m(column) ** 2)) for column in part.T)
+    return square / max(count, 1)
+
+
 def _leaves_noise(explorer: Explorer, base: Candidate, final: Candidate, rules: Rules) -> bool:
     """Whether a candidate's residual is noise, on held-out trials where there are any."""
     prepared, noise_m = explorer.prepared, explorer.prepared.noise.std_m
     freedom = prepared.floor.freedom
+    stated = prepared.noise is prepared.floor.noise and np.isinf(freedom)
+    if stated and _within_stated(explorer, final, rules):
+        return True
     if final.fit.rms_m > rules.gross_misfit * noise_m:
         return False
     if final.heldout is not None and base.heldout is not None:
@@ -137,35 +218,29 @@ def _smooth_part_explained(
             too_much |= left.excess_of_all > rules.gross_smooth_misfit
             if too_much and left.p_value < significance:
                 return False
-    return True
+    return not broken_laws(explorer, base, final, rules)
 
 
 def barely_seen(explorer: Explorer, final: Candidate, rules: Rules) -> tuple[str, ...]:
-    """Effects found of which the trials would not notice that half was left, in all or where slow.
+    """Effects found of which the trials would not notice that half was left.
 
     Another effect, which no library has, would pass there for the one found.
     """
-
     prepared = explorer.prepared
 
     def half_is_seen(before: SmoothPart | None) -> bool:
         return before is None or before.chance_of(0.5 * before.excess) < rules.half_seen
 
-    def half_is_seen_held_out(held: Heldout | None) -> bool:
-        if held is None:
-            return True
-        half = held.count + 0.5 * (held.chi2 - held.count)
-        return _p_value(half, held.count, prepared.floor.freedom) < rules.half_seen
+    def is_seen(without: Fit) -> bool:
+        return (
+            half_is_seen(of_a_finer_model(prepared, without))
+            or half_is_seen(of_what_trials_ask_for(prepared, without))
+            or half_is_seen(of_what_trials_ask_for(prepared, without, final.fit))
+        )
 
     found = [e for e in final.effects if e not in explorer.space.effects]
-    without = {e.name: explorer.without(final, e) for e in found}
-    looks = (of_a_finer_model, of_what_trials_ask_for)
-    return tuple(
-        name
-        for name, less in without.items()
-        if not half_is_seen_held_out(less.heldout)
-        and not any(half_is_seen(look(prepared, less.fit)) for look in looks)
-    )
+    without = {e.name: explorer.without(final, e).fit for e in found}
+    return tuple(name for name, fit in without.items() if not is_seen(fit))
 
 
 def _p_value(chi2: float, count: int, freedom: float) -> float:

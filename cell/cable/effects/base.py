@@ -51,7 +51,9 @@ class Parameter:
         if not self.starts:
             raise ValueError(f"parameter {self.name}: needs at least one value in `starts`")
         if self.scan and self.amplitude:
-            raise ValueError(f"parameter {self.name}: an amplitude has no `scan`, it is found by slopes")
+            raise ValueError(
+                f"parameter {self.name}: an amplitude has no `scan`, it is found by slopes"
+            )
 
     @property
     def looked_at(self) -> tuple[float, ...]:
@@ -139,6 +141,9 @@ class Effect:
                                                        there; t (…) is the picture's time
     camera_points(cable, xy, p) -> xy                  where the camera sees points (…, 2)
 
+    wider  an effect of which this one is a special case, with a freer law: where that explains more
+           beside it, what is there is something else that the law only resembles
+
     `file` is set by `load_effect` on a user's own effect; the project's have none.
     """
 
@@ -148,6 +153,7 @@ class Effect:
     dissipative: ClassVar[bool] = False
     smooth: ClassVar[bool] = True
     file: ClassVar[EffectFile | None] = None
+    wider: ClassVar[type[Effect] | None] = None
 
     force: ClassVar[Callable[..., Any] | None] = None
     moment: ClassVar[Callable[..., Any] | None] = None

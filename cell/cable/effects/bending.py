@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable.effects.base import Bend, CableData, Effect, Parameter
+from cell.cable.effects.rest import RestShape
 
 FloatArray = NDArray[np.float64]
 
@@ -77,6 +78,7 @@ class NaturalCurvature(Effect):
         Parameter("curvature_1_per_m", "1/m", -50.0, 50.0, 0.0, (0.5, -0.5)),
         Parameter("gradient_1_per_m2", "1/m²", -1000.0, 1000.0, 0.0, (5.0, -5.0)),
     )
+    wider = RestShape
 
     @staticmethod
     def rest_curvature(cable: CableData, arc_length: FloatArray, p: Any) -> FloatArray:

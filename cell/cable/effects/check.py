@@ -37,7 +37,7 @@ HOOKS = {
     "camera_time": ("cable", "t", "xy", "p"),
     "camera_points": ("cable", "xy", "p"),
 }
-_FIELDS = ("name", "parameters", "memory", "dissipative", "smooth")
+_FIELDS = ("name", "parameters", "memory", "dissipative", "smooth", "wider")
 
 _CABLE = CableData(0.016, 1e-4, 0.0074, 0.1)
 
@@ -88,6 +88,9 @@ def _check_form(effect: type[Effect], path: Path, line: int) -> None:
     names = [q.name for q in effect.parameters]
     if len(set(names)) != len(names):
         refuse(f"parameters have the same name twice: {names}; rename one")
+    wider: object = effect.wider
+    if wider is not None and not (isinstance(wider, type) and issubclass(wider, Effect)):
+        refuse("wider must be another effect's class")
     if not any(q.amplitude for q in effect.parameters):
         refuse("no parameter is an amplitude: nothing switches the effect off")
     if not isinstance(effect.memory, tuple) or not all(isinstance(m, str) for m in effect.memory):

@@ -42,8 +42,16 @@ class RobotRinging(Effect):
     name = "robot_ringing"
     parameters = (
         Parameter("amplitude_m", "m", -0.01, 0.01, 0.0, (3e-4, -3e-4)),
-        Parameter("frequency_hz", "Hz", 1.0, 100.0, 12.0, (12.0, 6.0, 25.0), amplitude=False,
-                  scan=_FREQUENCIES_HZ),  # fmt: skip
+        Parameter(
+            "frequency_hz",
+            "Hz",
+            1.0,
+            100.0,
+            12.0,
+            (12.0, 6.0, 25.0),
+            amplitude=False,
+            scan=_FREQUENCIES_HZ,
+        ),
         Parameter("damping", "1", 0.0, 1.0, 0.05, (0.05, 0.2), amplitude=False),
         Parameter("onset_s", "s", -0.05, 0.05, 0.0, (0.0,), amplitude=False),
     )
