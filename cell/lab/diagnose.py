@@ -218,7 +218,7 @@ def _below_stated(explorer: Explorer, candidate: Candidate, rules: Rules) -> boo
     """Whether a candidate errs by much less than the measurement is said to."""
     worst_m = max(candidate.fit.rms_m, candidate.heldout.rms_m if candidate.heldout else 0.0)
     floor = explorer.prepared.floor
-    return bool(np.isinf(floor.freedom)) and worst_m < rules.doubted * floor.noise.std_m
+    return floor.stated and worst_m < rules.doubted * floor.noise.std_m
 
 
 def _accepted(

@@ -17,6 +17,7 @@ from cell.identify.parameters import ParameterSpace
 from cell.lab.fitting import (
     Fit,
     Heldout,
+    errors_m,
     extended,
     fit_model,
     fit_trials,
@@ -148,6 +149,10 @@ class Explorer:
             if self.prior_q is None:
                 start = self._of_likeliest_shape(self._scanned(start))
             fit = fit_model(self.prepared, self.space, start, options=POLISH)
+            judged = self.prepared.judged_by(errors_m(self.prepared, fit))
+            if judged is not self.prepared:
+                self.prepared = judged
+                fit = fit_model(judged, self.space, fit.q, fit.begun, options=POLISH)
             self.progress(f"weighing the model with {names}", 2, 3)
             count = self.prepared.count(fit_trials(self.prepared))
             if fit.chi2 > MISFIT * count:

@@ -300,6 +300,17 @@ def heldout(prepared: PreparedStudy, fit: Fit) -> Heldout | None:
     )
 
 
+def errors_m(prepared: PreparedStudy, fit: Fit) -> list[FloatArray]:
+    """Per trial fitted to (times, channels): measured − predicted, m, nan where not seen."""
+    found, begin = [], 0
+    for trial in fit_trials(prepared):
+        whitener = prepared.whiteners[trial.name]
+        white = fit.solution.residual[begin : begin + whitener.rows]
+        begin += whitener.rows
+        found.append(whitener.error_m(white).reshape(len(trial.markers.t_s), -1))
+    return found
+
+
 def heldout_rows(prepared: PreparedStudy, fit: Fit) -> HeldoutRows:
     """Of the `validate` trials; not finite where the cable cannot be simulated."""
     trials = prepared.study.role("validate")

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.lab.explore import Candidate
-from cell.lab.fitting import fit_trials
+from cell.lab.fitting import errors_m, fit_trials
 from cell.lab.prepared import PreparedStudy
 from cell.lab.results import Peak
 from cell.lab.trial_residual import TIME_BINS, rms, spectrum
@@ -42,12 +42,8 @@ class Leftover:
 
 def residuals_m(prepared: PreparedStudy, candidate: Candidate) -> dict[str, FloatArray]:
     """Per trial (times, channels): measured − predicted, m, nan where not seen."""
-    found, begin = {}, 0
-    for trial in fit_trials(prepared):
-        whitener = prepared.whiteners[trial.name]
-        white = candidate.fit.solution.residual[begin : begin + whitener.rows]
-        begin += whitener.rows
-        found[trial.name] = whitener.error_m(white).reshape(len(trial.markers.t_s), -1)
+    names = [trial.name for trial in fit_trials(prepared)]
+    found = dict(zip(names, errors_m(prepared, candidate.fit), strict=True))
     if candidate.heldout is not None:
         for trial in prepared.study.role("validate"):
             error = trial.markers.xy_m - candidate.heldout.predicted_m[trial.name]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,11 +27,28 @@ class NoiseUnknownError(ValueError):
 class Floor:
     """The noise floor: what no model can explain, and how well that itself is known.
 
-    freedom  degrees of freedom behind the level; `inf` if the study states it
+    freedom   degrees of freedom behind the level; `inf` if the study states it
+    coloured  whether still frames have shown its colour
+    together  channels that err together, as of markers taken from a fitted shape: so many values
+              tell as much as one
     """
 
     noise: Noise
     freedom: float
+    coloured: bool = True
+    together: float = 1.0
+
+    @property
+    def stated(self) -> bool:
+        """Whether the study states the level."""
+        return bool(np.isinf(self.freedom))
+
+    @property
+    def weighed(self) -> Noise:
+        """Noise of independent markers that tell as much."""
+        if self.together == 1.0:
+            return self.noise
+        return replace(self.noise, std_m=self.noise.std_m * float(np.sqrt(self.together)))
 
     @property
     def effective_fraction(self) -> float:
@@ -45,6 +62,35 @@ class Floor:
         That level is the innovations' variance over (1 − ρ)²; the variance of ρ is (1 − ρ²) / n.
         """
         return self.freedom / (1.0 + 2.0 / self.effective_fraction)
+
+
+def floor_of_residuals(floor: Floor, errors: Sequence[FloatArray]) -> Floor:
+    """A stated floor with the correlations that a fitted model's residuals have.
+
+    A study that states its error has it from elsewhere: from shapes fitted to pictures, say, which
+    err along the whole cable at once and for several frames, and its few still frames say little of
+    that.  What the model misses is slow and along the whole cable too, so that the residual is no
+    less correlated than the error: its colour bounds the error's.
+
+    errors  per trial (times, channels), m, nan where not seen
+    source  (tr K)² / tr K² of the channels' correlations K, less what chance makes of it
+    """
+    filled = [np.where(np.isfinite(e), e, 0.0) for e in errors]
+    power = sum(float(np.sum(e * e)) for e in filled)
+    if not floor.stated or power == 0.0:
+        return floor
+    pairs = [np.isfinite(e[1:]) & np.isfinite(e[:-1]) for e in errors]
+    products = sum(float(np.sum((e[1:] * e[:-1])[p])) for e, p in zip(filled, pairs, strict=True))
+    count, neighbours = (sum(int(x.sum()) for x in y) for y in (map(np.isfinite, errors), pairs))
+    colour = float(np.clip(products / max(neighbours, 1) * count / power, 0.0, MAX_COLOUR))
+    if floor.coloured:
+        colour = min(colour, floor.noise.colour)
+    channels = np.sum([e.T @ e for e in filled], axis=0)
+    there = int(np.count_nonzero(np.diag(channels)))
+    frames = count / there * (1.0 - colour**2) / (1.0 + colour**2)
+    alike = float(np.sum(channels**2)) / power**2 - 1.0 / frames
+    together = float(np.clip(there * alike, 1.0, there))
+    return replace(floor, noise=replace(floor.noise, colour=colour), together=together)
 
 
 def noise_floor(study: Study) -> Floor:
@@ -63,7 +109,7 @@ def noise_floor(study: Study) -> Floor:
                 f"study {study.name}: no trial has {MIN_STILL_FRAMES} frames before the hand "
                 "moves, so the camera's noise is unknown; give noise_std_m in study.yaml"
             )
-        return Floor(Noise(study.noise_std_m), np.inf)
+        return Floor(Noise(study.noise_std_m), np.inf, coloured=False)
     degree = min(range(3), key=lambda d: _fit_colour(blocks, d)[1])
     floor = _fit_colour(blocks, degree)[0]
     if study.noise_std_m is None:

@@ -13,7 +13,7 @@ from cell.cable.solver import Solver
 from cell.identify.fit import Lane, predict_lanes
 from cell.identify.noise import Noise, Whitener, still_frames
 from cell.lab.beginnings import Beginning, beginning_of
-from cell.lab.noise import Floor, noise_floor
+from cell.lab.noise import Floor, floor_of_residuals, noise_floor
 from cell.study.data import Markers, Study, Trial
 
 FloatArray = NDArray[np.float64]
@@ -94,6 +94,22 @@ class PreparedStudy:
         noise = misfit if misfit and misfit.std_m > ERRS * floor.noise.std_m else floor.noise
         whiteners = {t.name: Whitener(t.markers.xy_m, noise) for t in study.trials}
         return PreparedStudy(study, floor, noise, whiteners, solver or SOLVER, work or Work())
+
+    @property
+    def noise_is_measured(self) -> bool:
+        """Whether the noise is the measurement's own, not an earlier model's error."""
+        return self.noise == self.floor.weighed
+
+    def judged_by(self, errors: Sequence[FloatArray]) -> PreparedStudy:
+        """The same with the correlations of a stated error as a model's residuals have them.
+
+        errors  per trial (times, channels), m, nan where not seen
+        """
+        floor = floor_of_residuals(self.floor, errors) if self.noise_is_measured else self.floor
+        if floor == self.floor:
+            return self
+        whiteners = {t.name: Whitener(t.markers.xy_m, floor.weighed) for t in self.study.trials}
+        return replace(self, floor=floor, noise=floor.weighed, whiteners=whiteners)
 
     def beginning(self, trial: Trial) -> Beginning:
         """What is unknown of how a trial begins."""

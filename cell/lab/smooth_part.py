@@ -81,7 +81,7 @@ def smooth_part(prepared: PreparedStudy, fit: Fit) -> SmoothPart | None:
 
 def _noise_was_seen(prepared: PreparedStudy) -> bool:
     """Whether the level of noise is that of still frames: not stated, nor a model's error."""
-    return prepared.noise is prepared.floor.noise and bool(np.isfinite(prepared.floor.freedom))
+    return prepared.noise_is_measured and not prepared.floor.stated
 
 
 def of_a_finer_model(prepared: PreparedStudy, fit: Fit) -> SmoothPart | None:

@@ -91,7 +91,7 @@ def _at_measurement_noise(explorer: Explorer, candidate: Candidate, rules: Rules
     Where the noise is the measurement's own, the tests of the residual have said so already.
     """
     prepared = explorer.prepared
-    if prepared.noise is prepared.floor.noise:
+    if prepared.noise_is_measured:
         return True
     return above_noise(explorer, candidate) < rules.gross_misfit
 
@@ -111,7 +111,7 @@ def suspected(
     complete asks for nothing.
     """
     gains = [explorer.gain(base, c).p_value for c in singles]
-    if np.isinf(explorer.prepared.floor.freedom):  # nothing is known of that noise but its size
+    if explorer.prepared.floor.stated:  # little is known of that noise but its size
         gains = [max(p, chance_of(explorer, base, c)) for p, c in zip(gains, singles, strict=True)]
     adjusted = holm(gains + [1.0] * (library - len(gains)))[: len(gains)]
     return tuple(
@@ -142,7 +142,7 @@ def _within_stated(explorer: Explorer, final: Candidate, rules: Rules) -> bool:
     judged by the residual's own correlation, along the frames and between the markers.
     """
     prepared = explorer.prepared
-    noise = prepared.noise.std_m**2
+    noise = prepared.floor.noise.std_m**2
     errors = residuals_m(prepared, final)
     roles = [(fit_trials(prepared), 0.0)]
     if final.heldout is not None:
@@ -174,9 +174,8 @@ def _leaves_noise(explorer: Explorer, base: Candidate, final: Candidate, rules: 
     """Whether a candidate's residual is noise, on held-out trials where there are any."""
     prepared, noise_m = explorer.prepared, explorer.prepared.noise.std_m
     freedom = prepared.floor.freedom
-    stated = prepared.noise is prepared.floor.noise and np.isinf(freedom)
-    if stated and _within_stated(explorer, final, rules):
-        return True
+    if prepared.noise_is_measured and prepared.floor.stated:
+        return _within_stated(explorer, final, rules)
     if final.fit.rms_m > rules.gross_misfit * noise_m:
         return False
     if final.heldout is not None and base.heldout is not None:
