@@ -29,7 +29,7 @@ from cell.lab.fitting import (
 )
 from cell.lab.prepared import PreparedStudy
 from cell.lab.score import boundary_p_value, delta_bic
-from cell.lab.screen import MOST_SHAPES, ScreenedEffect, is_shape, screen, shapes_of
+from cell.lab.screen import MOST_SHAPES, ScreenedEffect, chances_of, is_shape, screen, shapes_of
 from cell.lab.side_by_side import side_by_side
 from cell.lab.slopes import with_slopes
 from cell.study.data import Trial
@@ -376,7 +376,6 @@ class Explorer:
         """What `large` has over `small`, which lacks one of its effects."""
         effect = next(e for e in large.effects if e.name not in small.names)
         amplitudes = [p for p in effect.parameters if p.amplitude]
-        shapes = int(np.prod([3 * len(p.looked_at) for p in effect.parameters if is_shape(p)]))
         bounded = int(len(amplitudes) == 1 and amplitudes[0].low >= amplitudes[0].default)
         fall = small.fit.objective - large.fit.objective
         count = self.prepared.count(fit_trials(self.prepared))
@@ -385,7 +384,7 @@ class Explorer:
             held = large.heldout.log_likelihood - small.heldout.log_likelihood
         return Gain(
             delta_chi2=fall,
-            p_value=boundary_p_value(fall, len(amplitudes), bounded, shapes),
+            p_value=boundary_p_value(fall, len(amplitudes), bounded, chances_of(effect)),
             delta_bic=delta_bic(
                 fall,
                 sum(p.fitted for p in effect.parameters),

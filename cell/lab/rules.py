@@ -72,7 +72,7 @@ class Rules:
     half_seen: float = 0.05
     most_share: float = 0.5
     nearest: int = 3
-    most_simulated_s: float = 30_000.0
+    most_simulated_s: float = 40_000.0
     first_effects: int = 2
     hopeless_left: float = 0.1
     unexchanged_left: float = 0.5

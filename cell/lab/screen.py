@@ -144,15 +144,31 @@ def _guesses(effect: type[Effect]) -> list[_Guess]:
     """Every amplitude at every combination of starts of the shape parameters, shape by shape."""
     if not any(p.amplitude for p in effect.parameters):
         raise ValueError(f"effect {effect.name}: no parameter switches it off; declare one")
-    choices = [p.looked_at if is_shape(p) else (p.default,) for p in effect.parameters]
     guesses = []
-    for shape, values in enumerate(itertools.product(*choices)):
+    for shape, values in enumerate(_shapes(effect)):
         for i, p in enumerate(effect.parameters):
             if p.amplitude:
                 nudge = _nudge(p)
                 nudged = (*values[:i], p.default + nudge, *values[i + 1 :])
                 guesses.append(_Guess(effect, shape, nudged, i, nudge))
     return guesses
+
+
+def _shapes(effect: type[Effect]) -> list[tuple[float, ...]]:
+    """Parameters of every shape that is looked at, amplitudes off."""
+    choices = [p.starts if is_shape(p) else (p.default,) for p in effect.parameters]
+    usual = list(itertools.product(*choices))
+    scanned = [
+        (*usual[0][:i], value, *usual[0][i + 1 :])
+        for i, p in enumerate(effect.parameters)
+        for value in p.scan
+    ]
+    return usual + scanned
+
+
+def chances_of(effect: type[Effect]) -> int:
+    """Shapes that a fit from all that were looked at may end in: for each parameter some three."""
+    return int(3 ** sum(map(is_shape, effect.parameters)) * len(_shapes(effect)))
 
 
 def shapes_of(effect: type[Effect]) -> int:

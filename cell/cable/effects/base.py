@@ -22,8 +22,8 @@ class Parameter:
     default    value when none is given.  Of an amplitude it is the value that switches the effect
                off, so that a model with the effect there equals the model without
     starts     values worth starting a fit from, the most typical first
-    scan       more values at which the screen looks, of a parameter that a fit finds from near
-               only, as a frequency
+    scan       more values at which the screen looks, the others at their first start, of a
+               parameter that a fit finds from near only, as a frequency
     amplitude  whether the effect is off at `default`
     fitted     False: a known constant of the set-up, left at its default unless given
     """
@@ -54,11 +54,6 @@ class Parameter:
             raise ValueError(
                 f"parameter {self.name}: an amplitude has no `scan`, it is found by slopes"
             )
-
-    @property
-    def looked_at(self) -> tuple[float, ...]:
-        """Values at which the screen looks."""
-        return (*self.starts, *self.scan)
 
 
 @dataclass(frozen=True)
