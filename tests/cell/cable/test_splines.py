@@ -80,6 +80,24 @@ def test_a_wrong_sample_moves_the_hand_no_more_than_noise_does(seed):
     assert np.sqrt(np.mean(error**2)) < 1.1 * np.sqrt(np.mean(without**2))
 
 
+@pytest.mark.parametrize("seed", [16, 73, 105, 205, 216])
+def test_an_axis_that_never_moves_stays_where_it_is(seed):
+    """Its bend was that of the noise: it went through a wrong first value, and a cable swung.
+
+    Of 300 seeds these five were farthest off, by 18 to 34 µm.
+    """
+    t = np.arange(0.0, 1.42, 0.002)
+    noise = np.random.default_rng(seed).normal(0.0, 1e-5, t.size)
+    noise[[0, 124, 395]] += [4.4e-5, -5e-5, 4e-5]
+    assert np.abs(fit(t, noise)(t)).max() < 1e-5
+
+
+def test_a_slow_motion_below_the_noise_of_single_values_is_followed():
+    noise = np.random.default_rng(1).normal(0.0, 1e-5, T.size)
+    slow = 2e-5 * np.sin(2.0 * np.pi * T / T[-1])
+    assert np.std((fit(T, slow + noise))(T) - slow) < 4e-6
+
+
 def test_a_sharp_start_in_a_quiet_log_is_no_wrong_sample():
     noise = np.random.default_rng(0).normal(0.0, 1e-6, T.size)
     corner = -0.1 * np.clip(T - 0.3, 0.0, None)

@@ -1,7 +1,9 @@
 """Limits of effects that a study does not show: at the true edge, and silent where it is blind."""
 
 import json
+import sys
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -109,6 +111,20 @@ def test_what_nothing_shows_is_not_excluded(make_study):
     latency, angle = limits(Whole(prepared, fit), [KNOWN["camera_latency"], KNOWN["grip_slip"]])
     assert (latency.low, latency.high, latency.tip_m) == (None, None, None)
     assert angle.high is not None
+
+
+def test_a_strong_effect_that_bends_what_the_others_do_does_not_lower_its_limit():
+    """Held where slopes say, such a grip seems excluded far below; from there, far above.
+
+    The limit ended at one of both in turns: here at 2.7 rad/(N·m) for a grip that gives 46.
+    """
+    sys.path.insert(0, str(Path(__file__).parents[3] / "tools"))
+    from made_studies import make_study as made
+
+    grip = KNOWN["grip_compliance"]
+    study = made(1522, [grip.active(rad_per_n_m=46.0)], noise_seed=301522)
+    (found,) = limits(Whole(*baseline(study)), [grip])
+    assert 46.0 < found.high < 80.0
 
 
 def test_where_trials_disagree_on_an_effect_its_limits_are_wider(make_study):

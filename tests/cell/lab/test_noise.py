@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cell.lab.noise import NoiseUnknownError, noise_floor
+from cell.identify.noise import Noise
+from cell.lab.noise import Floor, NoiseUnknownError, floor_of_residuals, noise_floor
 from cell.study.data import Markers
 
 
@@ -60,3 +61,28 @@ def test_without_still_frames_the_level_must_be_given(make_study):
     with pytest.raises(NoiseUnknownError, match="noise_std_m"):
         noise_floor(moving)
     assert noise_floor(replace(moving, noise_std_m=1e-4)).noise.std_m == 1e-4
+
+
+def test_a_stated_error_is_as_correlated_as_what_a_model_leaves():
+    """Shapes fitted to pictures err along the whole cable at once, and stay for some frames."""
+    rng = np.random.default_rng(2)
+    errors = []
+    for _ in range(3):
+        shapes = np.repeat(rng.normal(size=(60, 2, 2)), 3, axis=0)
+        along = np.linspace(0.1, 1.0, 6)[:, None] ** np.arange(1, 3)
+        errors.append(1e-3 * np.einsum("tkc,mk->tmc", shapes, along).reshape(180, 12))
+    errors[0][5:9, 3] = np.nan
+    stated = Floor(Noise(1e-3, 0.9), np.inf)
+    found = floor_of_residuals(stated, errors)
+    assert found.noise.std_m == 1e-3
+    assert found.noise.colour == pytest.approx(2.0 / 3.0, abs=0.06)
+    assert 12.0 / found.together == pytest.approx(2.4, rel=0.2)  # of two shapes, two coordinates
+    assert found.weighed.std_m == pytest.approx(1e-3 * np.sqrt(found.together))
+    white = [1e-3 * rng.normal(size=(180, 12)) for _ in range(3)]
+    alone = floor_of_residuals(replace(stated, coloured=False), white)
+    assert alone.together == pytest.approx(1.0, abs=0.1)
+    assert alone.noise.colour == pytest.approx(0.0, abs=0.05)
+    bound = replace(stated, noise=Noise(1e-3, 0.3))
+    assert floor_of_residuals(bound, errors).noise.colour == 0.3
+    seen = Floor(Noise(1e-3, 0.9), 400.0)
+    assert floor_of_residuals(seen, errors) == seen
