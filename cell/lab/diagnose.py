@@ -115,7 +115,7 @@ def _examined(explorer: Explorer, rules: Rules) -> Examination:
     unseen = unconfirmed(explorer, current, rules) if found else ()
     asked = asked_by_prior_only(explorer, base, current, tied, rules) if found else ()
     barely = barely_seen(explorer, current, rules) if found else ()
-    complete = found and current is base
+    complete = found and current is base and not _below_stated(explorer, base, rules)
     suspects = suspected(explorer, base, singles, len(screened), rules) if complete else ()
     broken = () if found else broken_laws(explorer, base, current, rules)
     doubted = (*unseen, *barely, *asked, *suspects)

@@ -32,7 +32,7 @@ NAMES = [
     "camera_roll",
     "rolling_shutter",
 ]
-RARE = ["plastic_set", "lens_perspective"]
+RARE = ["plastic_set", "lens_perspective", "rest_shape"]
 EFFECTS = library() | unscreened()
 TIMES = np.arange(0.0, 1.5, 0.01)
 
@@ -57,6 +57,7 @@ SIZE_MM = {
     "rolling_shutter": (0.1, 2),
     "plastic_set": (4, 13),
     "lens_perspective": (0.3, 1.2),
+    "rest_shape": (1, 9),
 }
 
 
