@@ -254,7 +254,7 @@ def _confirmed(
     base = explorer.baseline().heldout
     if small.heldout is None or large.heldout is None or base is None:
         return True
-    noise = explorer.prepared.noise.std_m**2
+    noise = explorer.prepared.expected.std_m**2
     least = rules.first_share * noise
     if _added(explorer, small):
         excess = max(base.rms_m**2 - noise, 0.0)

@@ -53,7 +53,7 @@ def identified(
         space=fit.space,
         mean=fit.q,
         covariance=np.asarray(noise_only[:p, :p] + by_hand + missed.covariance),
-        noise=prepared.noise,
+        noise=prepared.expected,
         residual_rms_m=fit.rms_m,
         inflation=inflation,
         frames_used=sum(frames_seen(t) for t in trials),

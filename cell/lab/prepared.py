@@ -100,6 +100,11 @@ class PreparedStudy:
         """Whether the noise is the measurement's own, not an earlier model's error."""
         return self.noise == self.floor.weighed
 
+    @property
+    def expected(self) -> Noise:
+        """What a right model leaves: the measurement's noise or an earlier model's error."""
+        return self.floor.noise if self.noise_is_measured else self.noise
+
     def judged_by(self, errors: Sequence[FloatArray]) -> PreparedStudy:
         """The same with the correlations of a stated error as a model's residuals have them.
 

@@ -263,7 +263,7 @@ def fit_study(explorer: Explorer) -> tuple[Identified, Candidate]:
     candidate = explorer.baseline()
     prepared = explorer.prepared
     _LOG.info("fitted %s: %.4f mm", prepared.study.name, candidate.fit.rms_m * 1e3)
-    if candidate.fit.rms_m <= ERRS * prepared.noise.std_m:
+    if candidate.fit.rms_m <= ERRS * prepared.expected.std_m:
         return identified(prepared, candidate.fit, explorer.library.values()), candidate
     left = Noise(candidate.fit.rms_m)
     coarser = Explorer(

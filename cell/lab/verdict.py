@@ -172,7 +172,7 @@ def _uncertain_m2(prepared: PreparedStudy, fit: Fit) -> float:
 
 def _leaves_noise(explorer: Explorer, base: Candidate, final: Candidate, rules: Rules) -> bool:
     """Whether a candidate's residual is noise, on held-out trials where there are any."""
-    prepared, noise_m = explorer.prepared, explorer.prepared.noise.std_m
+    prepared, noise_m = explorer.prepared, explorer.prepared.expected.std_m
     freedom = prepared.floor.freedom
     if prepared.noise_is_measured and prepared.floor.stated:
         return _within_stated(explorer, final, rules)
