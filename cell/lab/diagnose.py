@@ -292,7 +292,7 @@ def _exchanged(explorer: Explorer, candidate: Candidate, rules: Rules) -> Candid
 
 def _pruned(explorer: Explorer, candidate: Candidate, rules: Rules) -> Candidate:
     """The candidate without effects that the others have made unnecessary."""
-    for effect in _added(explorer, candidate)[:-1]:
+    for effect in _added(explorer, candidate):
         rest = explorer.without(candidate, effect)
         gain = explorer.gain(rest, candidate)
         kept = _confirmed(explorer, rest, candidate, gain, rules) or _unseen(

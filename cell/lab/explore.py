@@ -151,8 +151,8 @@ class Explorer:
             fit = fit_model(self.prepared, self.space, start, options=POLISH)
             judged = self.prepared.judged_by(errors_m(self.prepared, fit))
             if judged is not self.prepared:
+                fit = fit_model(judged, self.space, start, options=POLISH)
                 self.prepared = judged
-                fit = fit_model(judged, self.space, fit.q, fit.begun, options=POLISH)
             self.progress(f"weighing the model with {names}", 2, 3)
             count = self.prepared.count(fit_trials(self.prepared))
             if fit.chi2 > MISFIT * count:
