@@ -10,16 +10,8 @@ from scipy.special import fdtrc as f_sf
 
 from cell.cable.effects.base import Effect
 from cell.lab.explore import Candidate, Explorer
-from cell.lab.fitting import Fit, fit_trials, heldout_rows
-from cell.lab.leftover import (
-    Leftover,
-    deviance,
-    independent_values,
-    leftover,
-    removed_share,
-    residuals_m,
-)
-from cell.lab.prepared import PreparedStudy
+from cell.lab.fitting import Fit, fit_trials
+from cell.lab.leftover import Leftover, deviance, leftover, removed_share
 from cell.lab.results import Errors, Verdict
 from cell.lab.rules import Rules
 from cell.lab.score import holm
@@ -31,6 +23,7 @@ from cell.lab.smooth_part import (
     of_what_trials_ask_for,
     smooth_part,
 )
+from cell.lab.stated import within_stated
 
 
 def verdict_of(
@@ -135,47 +128,12 @@ def broken_laws(explorer: Explorer, base: Candidate, final: Candidate, rules: Ru
     return found
 
 
-def _within_stated(explorer: Explorer, final: Candidate, rules: Rules) -> bool:
-    """Whether what a candidate leaves is no more than the study states its markers err by.
-
-    How such errors are correlated still frames say badly: what a mean square of them is worth is
-    judged by the residual's own correlation, along the frames and between the markers.
-    """
-    prepared = explorer.prepared
-    noise = prepared.floor.noise.std_m**2
-    errors = residuals_m(prepared, final)
-    roles = [(fit_trials(prepared), 0.0)]
-    if final.heldout is not None:
-        roles.append((prepared.study.role("validate"), _uncertain_m2(prepared, final.fit)))
-    for trials, uncertain in roles:
-        some = [errors[t.name] for t in trials]
-        seen = np.concatenate([e[np.isfinite(e)] for e in some])
-        ratio = float(np.mean(seen**2)) / (noise + uncertain)
-        independent = independent_values(some)
-        chance = float(chi2_sf(independent, independent * ratio))
-        if ratio > rules.misfit**2 and chance < rules.misfit_significance:
-            return False
-    return True
-
-
-def _uncertain_m2(prepared: PreparedStudy, fit: Fit) -> float:
-    """Mean square of what a fit leaves uncertain of the held-out trials' markers."""
-    rows = heldout_rows(prepared, fit)
-    square, count = 0.0, 0
-    parts = np.split(rows.spread, rows.ends[:-1])
-    for trial, part in zip(prepared.study.role("validate"), parts, strict=True):
-        whitener = prepared.whiteners[trial.name]
-        count += whitener.count
-        square += sum(float(np.nansum(whitener.error_m(column) ** 2)) for column in part.T)
-    return square / max(count, 1)
-
-
 def _leaves_noise(explorer: Explorer, base: Candidate, final: Candidate, rules: Rules) -> bool:
     """Whether a candidate's residual is noise, on held-out trials where there are any."""
     prepared, noise_m = explorer.prepared, explorer.prepared.expected.std_m
     freedom = prepared.floor.freedom
     if prepared.noise_is_measured and prepared.floor.stated:
-        return _within_stated(explorer, final, rules)
+        return within_stated(prepared, final, rules)
     if final.fit.rms_m > rules.gross_misfit * noise_m:
         return False
     if final.heldout is not None and base.heldout is not None:

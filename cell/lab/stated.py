@@ -1,0 +1,50 @@
+"""Whether what a model leaves is within the error that a study states."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.special import chdtrc as chi2_sf
+
+from cell.lab.explore import Candidate
+from cell.lab.fitting import Fit, fit_trials, heldout_rows
+from cell.lab.leftover import independent_values, residuals_m
+from cell.lab.prepared import PreparedStudy
+from cell.lab.rules import Rules
+
+
+def within_stated(prepared: PreparedStudy, final: Candidate, rules: Rules) -> bool:
+    """Whether what a candidate leaves is no more than the study states its markers err by.
+
+    How such errors are correlated still frames say badly: what a mean square of them is worth is
+    judged by the residual's own correlation, along the frames and between the markers.
+    """
+    square_m2 = prepared.floor.noise.std_m**2
+    errors = residuals_m(prepared, final)
+    roles = [(fit_trials(prepared), 0.0)]
+    if final.heldout is not None:
+        if not np.isfinite(final.heldout.rms_m):
+            return False
+        roles.append((prepared.study.role("validate"), _uncertain_m2(prepared, final.fit)))
+    for trials, uncertain_m2 in roles:
+        some = [errors[t.name] for t in trials]
+        seen = np.concatenate([e[np.isfinite(e)] for e in some])
+        ratio = float(np.mean(seen**2)) / (square_m2 + uncertain_m2)
+        independent = independent_values(some)
+        chance = float(chi2_sf(independent, independent * ratio))
+        if ratio > rules.misfit**2 and chance < rules.misfit_significance:
+            return False
+    return True
+
+
+def _uncertain_m2(prepared: PreparedStudy, fit: Fit) -> float:
+    """Mean square of what a fit leaves uncertain of the held-out trials' markers; 0 if unknown."""
+    rows = heldout_rows(prepared, fit)
+    if not np.all(np.isfinite(rows.spread)):
+        return 0.0
+    square, count = 0.0, 0
+    parts = np.split(rows.spread, rows.ends[:-1])
+    for trial, part in zip(prepared.study.role("validate"), parts, strict=True):
+        whitener = prepared.whiteners[trial.name]
+        count += whitener.count
+        square += sum(float(np.nansum(whitener.error_m(column) ** 2)) for column in part.T)
+    return square / max(count, 1)
