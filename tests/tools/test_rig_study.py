@@ -16,6 +16,10 @@ import rig_study
 
 from cell.cable.effects import library
 from cell.cable.geometry import Cable
+from cell.identify.parameters import ParameterSpace
+from cell.lab.diagnose import diagnose
+from cell.lab.explore import Explorer
+from cell.lab.prepared import PreparedStudy
 
 TIED = frozenset({"camera_latency", "robot_lag"})
 MASS, CURVE, DRAG = (frozenset({n}) for n in ("tip_mass", "natural_curvature", "air_drag"))
@@ -66,3 +70,21 @@ def test_an_effect_is_as_strong_on_a_like_cable():
         assert there.values[0] / here.values[0] == pytest.approx(6.0 * (0.06 / 0.0074) ** power)
     roll = made_studies.hidden(library()["camera_scale"], 1.0, long)
     assert roll.named["centre_x_m"] == -0.05, "a constant of the set-up has been moved"
+
+
+@pytest.mark.parametrize("seed", [514, 531])
+def test_a_complete_model_of_a_rig_with_erring_shapes_is_called_complete(seed):
+    """Errors of the whole cable for some frames at once were misfit: 6 of 8 were unexplained."""
+    known = library()
+    name = sorted(known)[seed % len(known)]
+    rig = rig_study.Rig.drawn(seed, name)
+    rig = replace(rig, known=(*rig.known, *rig.unsaid), unsaid=())
+    study = rig_study.rig_study(rig, known[name].active())
+    space = ParameterSpace.of(study.cable, effects=tuple(a.effect for a in rig.known))
+    tried = {
+        n: known[n]
+        for n in ("air_drag", "natural_curvature")
+        if n not in {e.name for e in space.effects}
+    }
+    explorer = Explorer(PreparedStudy.of(study), space, tried)
+    assert diagnose(explorer).diagnosis.verdict == "complete"
