@@ -115,8 +115,10 @@ def _examined(explorer: Explorer, rules: Rules) -> Examination:
     unseen = unconfirmed(explorer, current, rules) if found else ()
     asked = asked_by_prior_only(explorer, base, current, tied, rules) if found else ()
     barely = barely_seen(explorer, current, rules) if found else ()
-    complete = found and current is base and not _below_stated(explorer, base, rules)
-    suspects = suspected(explorer, base, singles, len(screened), rules) if complete else ()
+    rivals = {n for names in tied.values() for n in names}
+    judged = found and explorer.prepared.noise_is_measured
+    judged = judged and not _below_stated(explorer, current, rules)
+    suspects = suspected(explorer, base, current, rivals, rules) if judged else ()
     broken = () if found else broken_laws(explorer, base, current, rules)
     doubted = (*unseen, *barely, *asked, *suspects)
     verdict: Verdict = verdict_of(base, current, tied, doubted, rules) if found else "unexplained"
@@ -124,7 +126,7 @@ def _examined(explorer: Explorer, rules: Rules) -> Examination:
     also = {e.name: tied_so_far(whole, most[-1], e, rules) for e in _added(whole, most[-1])}
     final = current if found else most[-1]
     _LOG.info("verdict: %s", verdict)
-    rivals = {n for names in (*tied.values(), *also.values()) for n in names}
+    rivals |= {n for names in also.values() for n in names}
     diagnosis = Diagnosis(
         noise_m=explorer.prepared.floor.noise.std_m,
         baseline=errors_of(base if verdict == "complete" else explorer.prior_candidate()),

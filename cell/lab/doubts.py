@@ -200,12 +200,12 @@ def barely_seen_doubt(effect: str) -> Doubt:
 
 
 def suspected_doubt(effect: str) -> Doubt:
-    """Of an effect that the fitted trials ask for and the held-out ones do not bear out."""
+    """Of an effect that all trials together ask for and the held-out ones do not bear out."""
     return Doubt(
         "suspected",
-        f"the trials fitted to ask for {effect} far more plainly than chance would, and those held "
-        "out do not bear it out: the model is not called complete; add a motion that tells, such "
-        "as `cell suggest STUDY` finds",
+        f"all trials together ask for {effect} too, far more plainly than chance would, and those "
+        "held out do not bear it out: that this is all is not claimed; add a motion that tells, "
+        "such as `cell suggest STUDY` finds",
     )
 
 

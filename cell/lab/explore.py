@@ -51,6 +51,9 @@ PLACES = 2
 LIKELIER = 0.1
 #: Amplitudes tried, as shares of those that the screen expects.
 SHARES = (2.0, 0.5, 0.25, 0.1)
+#: A refit that explains less than this share of what the screen promises is in a wrong minimum, if
+#: there are other shapes to start from.
+KEPT = 0.5
 #: Passes of a first refit; the best few are then taken to convergence.
 REFIT = Options(tolerance=0.3, most_passes=12, least_gain=1e-3, updates=3)
 POLISH = Options(tolerance=0.1, most_passes=40, least_gain=1e-3, updates=3)
@@ -278,12 +281,12 @@ class Explorer:
 
         An effect with which the cable cannot be simulated from any start is left out.
         """
-        guesses: dict[str, list[tuple[FloatArray, ...]]] = {}
+        screens: dict[str, list[ScreenedEffect]] = {}
         for screened in (*self.screened(base), *self._screened_elsewhere(base, effects)):
-            guesses.setdefault(screened.effect.name, []).append(screened.starts)
+            screens.setdefault(screened.effect.name, []).append(screened)
 
         def refitted(job: _Refit) -> Candidate | None:
-            return self._extended(base, job.effect, guesses[job.effect.name], job.options)
+            return self._extended(base, job.effect, screens[job.effect.name], job.options)
 
         keys = {e: frozenset({*base.names, e.name}) for e in effects}
         unknown = [e for e in effects if keys[e] not in self._known]
@@ -398,10 +401,13 @@ class Explorer:
         self,
         base: Candidate,
         effect: type[Effect],
-        screens: Sequence[Sequence[FloatArray]],
+        screens: Sequence[ScreenedEffect],
         options: Options,
     ) -> Candidate | None:
-        """The candidate with an effect added, from the starts that each screen has found."""
+        """The candidate with an effect added, from the starts that each screen has found.
+
+        The first screen is of the candidate itself.
+        """
         effects = (*base.effects, effect)
         space = space_with(base.fit.space, effects)
         origins = [base.fit.q]
@@ -410,7 +416,7 @@ class Explorer:
         if self.prior_q is not None:
             origins.append(np.concatenate([self.prior_q, base.fit.q[len(self.prior_q) :]]))
         fits: list[Fit] = []
-        guesses = [start for starts in screens for start in starts]
+        guesses = [start for screened in screens for start in screened.starts]
         # An earlier individual is far from one with, say, a load: there slopes say little.
         values = list(guesses) if self.prior_q is None else _scaled(effect, guesses)
         placed = shapes_of(effect) > MOST_SHAPES
@@ -427,21 +433,36 @@ class Explorer:
                 tries = SMOOTH_TRIES if effect.smooth else ROUGH_TRIES
                 promising = list(self._promising(space, np.array(starts), tries))
                 if shapes_of(effect) > 1:
-                    likeliest = np.cumsum([0, *map(len, screens)])[:-1]
+                    likeliest = np.cumsum([0, *(len(s.starts) for s in screens)])[:-1]
                     promising += [
                         q for q in map(starts.__getitem__, likeliest) if _is_new(q, promising)
                     ]
-            for q in _each_once(promising):
-                with contextlib.suppress(ValueError):
-                    fit = fit_model(
-                        self._alone, space, q, base.fit.begun, options=options, from_far=True
-                    )
-                    fits.append(fit)
+            fits += self._fits_from(space, _each_once(promising), base.fit.begun, options)
+            fall = base.fit.objective - min((f.objective for f in fits), default=np.inf)
+            if origin is base.fit.q and fall < KEPT * screens[0].score.statistic:
+                rest = [q for q in starts[: len(screens[0].starts)] if _is_new(q, promising)]
+                fits += self._fits_from(space, rest, base.fit.begun, options)
         if not fits:
             return None
         # Of a force at a place, what follows the fitted motions best may do anything beyond them.
         tried = fits if placed else [min(fits, key=lambda f: f.objective)]
         return max((self._weigh(effects, fit) for fit in tried), key=lambda c: c.evidence)
+
+    def _fits_from(
+        self,
+        space: ParameterSpace,
+        starts: Sequence[FloatArray],
+        begun: dict[str, FloatArray],
+        options: Options,
+    ) -> list[Fit]:
+        """Fits from starts at which the cable can be simulated."""
+        found = []
+        for q in starts:
+            with contextlib.suppress(ValueError):
+                found.append(
+                    fit_model(self._alone, space, q, begun, options=options, from_far=True)
+                )
+        return found
 
     def _sought(
         self, base: Candidate, space: ParameterSpace, starts: Sequence[FloatArray]

@@ -1,4 +1,4 @@
-"""Whether what a model leaves is noise where misfits are: where slow, or asked for by trials."""
+"""Whether the slow part of what a model leaves is noise: misfits are there, and little noise."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtrc as chi2_sf
 from scipy.special import fdtrc as f_sf
 
-from cell.cable.effects.base import Effect
 from cell.identify.gaussian import marginal_chi2
 from cell.identify.noise import Whitener
 from cell.lab.fitting import Fit, HeldoutRows, best_begun, fit_trials, heldout_rows
@@ -24,8 +24,6 @@ FloatArray = NDArray[np.float64]
 
 #: A smooth residual changes over no fewer frames than this, and is of so many powers of the place.
 SLOW_FRAMES, ALONG = 8, 3
-#: A trial asks for nothing in directions of the parameters that change it less than by this share.
-LEAST_ASKED = 1e-6
 
 
 @dataclass(frozen=True)
@@ -59,6 +57,8 @@ class SmoothPart:
 
     def chance_of(self, excess: float) -> float:
         """p-value that so much beyond noise would have."""
+        if not np.isfinite(self.freedom):
+            return float(chi2_sf(self.count, self.count * (1.0 + excess)))
         return float(f_sf(self.count, self.freedom, 1.0 + excess))
 
 
@@ -69,7 +69,7 @@ def smooth_part(prepared: PreparedStudy, fit: Fit) -> SmoothPart | None:
     It says nothing without held-out trials, and where the noise is an earlier model's misfit or a
     level that the study states: that may be smooth itself.
     """
-    if not _noise_was_seen(prepared) or not prepared.study.role("validate"):
+    if not noise_was_seen(prepared) or not prepared.study.role("validate"):
         return None
     rows = heldout_rows(prepared, fit)
     chi2, count = np.inf, 1
@@ -79,7 +79,7 @@ def smooth_part(prepared: PreparedStudy, fit: Fit) -> SmoothPart | None:
     return SmoothPart(chi2, count, len(rows.residual), prepared.floor.slow_freedom)
 
 
-def _noise_was_seen(prepared: PreparedStudy) -> bool:
+def noise_was_seen(prepared: PreparedStudy) -> bool:
     """Whether the level of noise is that of still frames: not stated, nor a model's error."""
     return prepared.noise_is_measured and not prepared.floor.stated
 
@@ -119,50 +119,12 @@ def of_all_trials_together(prepared: PreparedStudy, fit: Fit) -> SmoothPart | No
 
     returns  None too where a trial cannot be simulated
     """
-    left = _together(prepared, fit)
+    left = together(prepared, fit) if noise_was_seen(prepared) else None
     return None if left is None else left.part(_of_trial)
 
 
-@lru_cache(maxsize=4)
-def of_what_trials_ask_for(
-    prepared: PreparedStudy, fit: Fit, parameters: Fit | None = None
-) -> SmoothPart | None:
-    """The same of what each trial would change in the model's parameters, were they its own.
-
-    A right model is the same in every trial.  A wrong one must bend for each motion, and does so
-    in these few directions: far from noise where all that is smooth still looks like it.
-
-    parameters  the model whose parameters are asked, if it is another: one with an effect more
-    """
-    left, asked = _together(prepared, fit), _together(prepared, parameters or fit)
-    if left is None or asked is None:
-        return None
-    solution = asked.whole.fit.solution
-    slopes = np.split(solution.jacobian[:, solution.free], left.whole.wrong.ends[:-1])
-    bases = {}
-    for whitener, part in zip(left.whiteners, slopes, strict=True):
-        units, sizes, _ = np.linalg.svd(part, full_matrices=False)
-        bases[whitener] = units[:, sizes > LEAST_ASKED * sizes[0]]
-    return left.part(lambda whitener, rows: np.asarray(bases[whitener].T @ rows))
-
-
-def of_a_wider_law(prepared: PreparedStudy, fit: Fit, effect: type[Effect]) -> SmoothPart | None:
-    """The same of what an effect's wider law would explain beside it; None without one.
-
-    Of an effect that is there its own law is all there is.  One in the place of another, which no
-    library has, leaves a little of it, the same in every trial, and in these few directions.
-    """
-    left = None if effect.wider is None else _together(prepared, fit)
-    if effect.wider is None or left is None:
-        return None
-    rows = left.whole.sensitivities([effect.wider])[0].rows[0]
-    units, sizes, _ = np.linalg.svd(left.whole.linear.seen(rows).T, full_matrices=False)
-    units = units[:, sizes > LEAST_ASKED * float(np.linalg.norm(rows))]
-    return left.judged(units.T @ left.every.T)
-
-
 @dataclass(frozen=True, eq=False)
-class _Together:
+class Together:
     """A model fitted to all trials: what it leaves, and what that is known to be wrong by.
 
     every     (1 + errors + basis, rows) residual, less the mesh's error, and without what the
@@ -182,8 +144,10 @@ class _Together:
 
     @cached_property
     def level(self) -> tuple[float, float]:
-        """Of slow noise, and the degrees of freedom behind it."""
+        """Of slow noise, and the degrees of freedom behind it; as stated, if it is."""
         floor = self.whole.prepared.floor
+        if not noise_was_seen(self.whole.prepared):
+            return 1.0, np.inf
         return _slow_level(floor, [_Fast.of(w, p[0]) for w, p in self.by_trial])
 
     def part(self, coordinates: Callable[[Whitener, FloatArray], FloatArray]) -> SmoothPart:
@@ -200,10 +164,8 @@ class _Together:
 
 
 @lru_cache(maxsize=4)
-def _together(prepared: PreparedStudy, fit: Fit) -> _Together | None:
-    """None where the noise says nothing, or a trial cannot be simulated."""
-    if not _noise_was_seen(prepared):
-        return None
+def together(prepared: PreparedStudy, fit: Fit) -> Together | None:
+    """A model fitted to all trials; None where one of them cannot be simulated."""
     try:
         whole = of_all_trials(prepared, fit)
     except ValueError:
@@ -218,7 +180,7 @@ def _together(prepared: PreparedStudy, fit: Fit) -> _Together | None:
     errors = linear.seen(np.concatenate(changes))
     every = np.vstack([linear.left, errors, linear.basis.T])
     whiteners = [whole.prepared.whiteners[t.name] for t in trials]
-    return _Together(whole, whiteners, every, len(errors))
+    return Together(whole, whiteners, every, len(errors))
 
 
 @dataclass(frozen=True)

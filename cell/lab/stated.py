@@ -7,7 +7,7 @@ from scipy.special import chdtrc as chi2_sf
 
 from cell.lab.explore import Candidate
 from cell.lab.fitting import Fit, fit_trials, heldout_rows
-from cell.lab.leftover import independent_values, residuals_m
+from cell.lab.leftover import residuals_m
 from cell.lab.prepared import PreparedStudy
 from cell.lab.rules import Rules
 
@@ -15,10 +15,12 @@ from cell.lab.rules import Rules
 def within_stated(prepared: PreparedStudy, final: Candidate, rules: Rules) -> bool:
     """Whether what a candidate leaves is no more than the study states its markers err by.
 
-    How such errors are correlated still frames say badly: what a mean square of them is worth is
-    judged by the residual's own correlation, along the frames and between the markers.
+    A mean square of them is worth as many values as their correlation leaves independent, along the
+    frames ((1 − ρ²) / (1 + ρ²), of a mean square) and between the markers.
     """
-    square_m2 = prepared.floor.noise.std_m**2
+    floor = prepared.floor
+    square_m2, again = floor.noise.std_m**2, floor.noise.colour**2
+    share = (1.0 - again) / (1.0 + again) / floor.together
     errors = residuals_m(prepared, final)
     roles = [(fit_trials(prepared), 0.0)]
     if final.heldout is not None:
@@ -29,7 +31,7 @@ def within_stated(prepared: PreparedStudy, final: Candidate, rules: Rules) -> bo
         some = [errors[t.name] for t in trials]
         seen = np.concatenate([e[np.isfinite(e)] for e in some])
         ratio = float(np.mean(seen**2)) / (square_m2 + uncertain_m2)
-        independent = independent_values(some)
+        independent = share * len(seen)
         chance = float(chi2_sf(independent, independent * ratio))
         if ratio > rules.misfit**2 and chance < rules.misfit_significance:
             return False

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from scipy.special import chdtrc as chi2_sf
 from scipy.special import fdtrc as f_sf
 
 from cell.cable.effects.base import Effect
+from cell.lab.asked import of_a_wider_law, of_effects, of_what_trials_ask_for
 from cell.lab.explore import Candidate, Explorer
 from cell.lab.fitting import Fit, fit_trials
 from cell.lab.leftover import Leftover, deviance, leftover, removed_share
@@ -18,9 +19,7 @@ from cell.lab.score import holm
 from cell.lab.smooth_part import (
     SmoothPart,
     of_a_finer_model,
-    of_a_wider_law,
     of_all_trials_together,
-    of_what_trials_ask_for,
     smooth_part,
 )
 from cell.lab.stated import within_stated
@@ -96,21 +95,23 @@ def above_noise(explorer: Explorer, candidate: Candidate) -> float:
 
 
 def suspected(
-    explorer: Explorer, base: Candidate, singles: Sequence[Candidate], library: int, rules: Rules
+    explorer: Explorer, base: Candidate, final: Candidate, rivals: Collection[str], rules: Rules
 ) -> tuple[str, ...]:
-    """Effects beside a model that leaves noise which the fitted trials ask for too plainly.
+    """Effects that all trials together ask for beside a model that leaves noise.
 
-    Those held out do not bear them out, or they would have been accepted; but a model that is
-    complete asks for nothing.
+    Those held out alone do not bear them out, or they would have been accepted; but who has all
+    that is there asks for nothing more, but for what the model itself is wrong by.
+
+    rivals  effects tied with those of `final`: what these leave of each other is no question
     """
-    gains = [explorer.gain(base, c).p_value for c in singles]
-    if explorer.prepared.floor.stated:  # little is known of that noise but its size
-        gains = [max(p, chance_of(explorer, base, c)) for p, c in zip(gains, singles, strict=True)]
-    adjusted = holm(gains + [1.0] * (library - len(gains)))[: len(gains)]
+    offered = [e for n, e in explorer.library.items() if n not in {*final.names, *rivals}]
+    asked = of_effects(explorer.prepared, final.fit, offered)
+    adjusted = holm([p for _, p in asked.values()])
+    fall = base.chi2 - final.chi2
     return tuple(
-        added_effect(base, c).name
-        for c, p in zip(singles, adjusted, strict=True)
-        if p < rules.misfit_significance
+        name
+        for (name, (part, _)), p in zip(asked.items(), adjusted, strict=True)
+        if p < rules.misfit_significance and part.chi2 - part.count > rules.law_share * fall
     )
 
 

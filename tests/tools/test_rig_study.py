@@ -88,3 +88,23 @@ def test_a_complete_model_of_a_rig_with_erring_shapes_is_called_complete(seed):
     }
     explorer = Explorer(PreparedStudy.of(study), space, tried)
     assert diagnose(explorer).diagnosis.verdict == "complete"
+
+
+@pytest.mark.parametrize(
+    ("seed", "name", "values"),
+    [
+        (25, "grip_compliance", {"rad_per_n_m": 125.0, "time_s": 0.0106}),
+        (81, "robot_ringing", {"amplitude_m": 0.0029, "frequency_hz": 4.1}),
+    ],
+)
+def test_a_model_whose_trials_ask_for_an_effect_is_not_called_complete(seed, name, values):
+    """The held-out trials were not likelier enough with it, and that was that."""
+    known = library()
+    rig = rig_study.Rig.drawn(seed, name)
+    study = rig_study.rig_study(rig, known[name].active(**values))
+    tried = {n: known[n] for n in (name, "air_drag", "camera_roll")}
+    explorer = Explorer(PreparedStudy.of(study), ParameterSpace.of(study.cable), tried)
+    found = diagnose(explorer).diagnosis
+    assert found.verdict == "cannot_tell"
+    assert [w.code for w in found.warnings] == ["suspected"]
+    assert f"ask for {name}" in found.warnings[0].message

@@ -9,6 +9,7 @@ from cell.cable.effects import library
 from cell.cable.solver import Solver
 from cell.identify.noise import Noise, Whitener
 from cell.identify.parameters import ParameterSpace
+from cell.lab.asked import of_what_trials_ask_for
 from cell.lab.explore import cold_start
 from cell.lab.fitting import fit_model, heldout
 from cell.lab.noise import Floor
@@ -20,7 +21,6 @@ from cell.lab.smooth_part import (
     _slow_level,
     of_a_finer_model,
     of_all_trials_together,
-    of_what_trials_ask_for,
     smooth_part,
 )
 from cell.study.data import Markers

@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,15 +12,11 @@ from cell.identify.noise import Noise
 from cell.identify.parameters import ParameterSpace
 from cell.lab.advice import advice
 from cell.lab.diagnose import diagnose
-from cell.lab.doubts import suspected_doubt
-from cell.lab.explore import Candidate, Explorer, Gain
+from cell.lab.explore import Explorer
 from cell.lab.leftover import Leftover, deviance, independent_values, removed_share
-from cell.lab.noise import Floor
 from cell.lab.prepared import PreparedStudy
 from cell.lab.results import to_json
-from cell.lab.rules import DEFAULT_RULES
 from cell.lab.tables import BARELY_SEEN, sentence, steps_text
-from cell.lab.verdict import suspected, verdict_of
 
 
 def explore(study, names, misfit=None):
@@ -155,24 +150,6 @@ def test_a_narrow_ringing_counts_as_seen(make_study):
     assert found.verdict == "missing"
     frequency = found.missing[0].parameters["frequency_hz"]
     assert frequency.low < 17.5 < frequency.high
-
-
-def test_a_model_that_asks_for_an_effect_is_not_called_complete():
-    """The held-out trials were not a hair likelier with it than was asked, and that was that."""
-    base = Candidate((), None, None, 0.0)
-    drag, mass = (library()[n] for n in ("air_drag", "tip_mass"))
-    chances = {"air_drag": 1e-3, "tip_mass": 1e-6}
-    floor = Floor(Noise(1e-4), 400.0)
-    explorer = SimpleNamespace(
-        prepared=SimpleNamespace(floor=floor),
-        gain=lambda _, c: Gain(30.0, chances[c.effects[0].name], 9.0, 2.9),
-    )
-    singles = [Candidate((e,), None, None, 0.0) for e in (drag, mass)]
-    found = suspected(explorer, base, singles, 17, DEFAULT_RULES)
-    assert found == ("tip_mass",)
-    assert verdict_of(base, base, {}, found, DEFAULT_RULES) == "cannot_tell"
-    assert verdict_of(base, base, {}, (), DEFAULT_RULES) == "complete"
-    assert "not called complete" in suspected_doubt("tip_mass").message
 
 
 def test_an_effect_so_small_that_another_could_be_behind_it_is_not_claimed(make_study):
