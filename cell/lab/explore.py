@@ -164,8 +164,9 @@ class Explorer:
                 tempered = fit_model(self.prepared, self.space, start, temper=temper, options=REFIT)
                 self._tempered = tempered
                 if not fit.solution.converged:
-                    again = fit_model(self.prepared, self.space, tempered.q, options=POLISH)
-                    fit, self._elsewhere = sorted((fit, again), key=lambda f: f.objective)
+                    with contextlib.suppress(ValueError):  # where it ended nothing is simulated
+                        again = fit_model(self.prepared, self.space, tempered.q, options=POLISH)
+                        fit, self._elsewhere = sorted((fit, again), key=lambda f: f.objective)
             self.prepared, fit = with_slopes(self.prepared, fit)
             self._known[key] = self._weigh(self.space.effects, fit)
         return self._known[key]
