@@ -19,7 +19,7 @@ from cell.lab.doubts import (
     is_no_model,
     no_model_doubt,
     prior_only_doubt,
-    suspected_doubt,
+    suspected_doubts,
     unseen_doubt,
     unsimulated_doubt,
 )
@@ -141,7 +141,7 @@ def _examined(explorer: Explorer, rules: Rules) -> Examination:
             *map(unseen_doubt, unseen),
             *map(barely_seen_doubt, [name for name in barely if name not in unseen]),
             *map(prior_only_doubt, asked),
-            *map(suspected_doubt, suspects),
+            *suspected_doubts(suspects),
             *(broken_law_doubt(e) for e in current.effects if e.name in broken),
         ),
     )

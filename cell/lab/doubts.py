@@ -24,6 +24,8 @@ BEYOND_NOISE = 3.0
 UNLIKE_ANY = 20.0
 #: Two fits are different minima if EI differs by more than this factor anywhere.
 APART = 2.0
+#: Effects that a warning names, at most.
+TOLD = 3
 #: An amplitude is at its bound within this share of the way there from none of the effect.
 NEAR_BOUND = 0.01
 
@@ -199,13 +201,18 @@ def barely_seen_doubt(effect: str) -> Doubt:
     )
 
 
-def suspected_doubt(effect: str) -> Doubt:
-    """Of an effect that all trials together ask for and the held-out ones do not bear out."""
-    return Doubt(
-        "suspected",
-        f"all trials together ask for {effect} too, far more plainly than chance would, and those "
-        "held out do not bear it out: that this is all is not claimed; add a motion that tells, "
-        "such as `cell suggest STUDY` finds",
+def suspected_doubts(effects: Sequence[str]) -> tuple[Doubt, ...]:
+    """Of effects that all trials together ask for and the held-out ones do not bear out."""
+    if not effects:
+        return ()
+    more = f" and {len(effects) - TOLD} more" if len(effects) > TOLD else ""
+    return (
+        Doubt(
+            "suspected",
+            f"all trials together ask for {' or '.join(effects[:TOLD])}{more} too, far more "
+            "plainly than chance would, and those held out do not bear it out: that this is all "
+            "is not claimed; add a motion that tells, such as `cell suggest STUDY` finds",
+        ),
     )
 
 

@@ -6,29 +6,36 @@ import numpy as np
 from scipy.special import chdtrc as chi2_sf
 
 from cell.lab.explore import Candidate
-from cell.lab.fitting import Fit, fit_trials, heldout_rows
+from cell.lab.fitting import Fit, errors_m, heldout_rows
 from cell.lab.leftover import residuals_m
 from cell.lab.prepared import PreparedStudy
 from cell.lab.rules import Rules
+from cell.lab.whole import of_all_trials
 
 
 def within_stated(prepared: PreparedStudy, final: Candidate, rules: Rules) -> bool:
     """Whether what a candidate leaves is no more than the study states its markers err by.
 
-    A mean square of them is worth as many values as their correlation leaves independent, along the
+    Fitted, held out (allowing for what the fit leaves uncertain there), and fitted to all trials
+    together: a right model can do that.  A mean square of them is worth as many values as their correlation leaves independent, along the
     frames ((1 − ρ²) / (1 + ρ²), of a mean square) and between the markers.
     """
     floor = prepared.floor
     square_m2, again = floor.noise.std_m**2, floor.noise.colour**2
     share = (1.0 - again) / (1.0 + again) / floor.together
-    errors = residuals_m(prepared, final)
-    roles = [(fit_trials(prepared), 0.0)]
+    left = [(errors_m(prepared, final.fit), 0.0)]
     if final.heldout is not None:
         if not np.isfinite(final.heldout.rms_m):
             return False
-        roles.append((prepared.study.role("validate"), _uncertain_m2(prepared, final.fit)))
-    for trials, uncertain_m2 in roles:
-        some = [errors[t.name] for t in trials]
+        errors = residuals_m(prepared, final)
+        held = [errors[t.name] for t in prepared.study.role("validate")]
+        left.append((held, _uncertain_m2(prepared, final.fit)))
+        try:
+            whole = of_all_trials(prepared, final.fit)
+        except ValueError:
+            return False
+        left.append((errors_m(whole.prepared, whole.fit), 0.0))
+    for some, uncertain_m2 in left:
         seen = np.concatenate([e[np.isfinite(e)] for e in some])
         ratio = float(np.mean(seen**2)) / (square_m2 + uncertain_m2)
         independent = share * len(seen)

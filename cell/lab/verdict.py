@@ -102,17 +102,19 @@ def suspected(
     Those held out alone do not bear them out, or they would have been accepted; but who has all
     that is there asks for nothing more, but for what the model itself is wrong by.
 
-    rivals  effects tied with those of `final`: what these leave of each other is no question
+    rivals   effects tied with those of `final`: what these leave of each other is no question
+    returns  the plainest first
     """
     offered = [e for n, e in explorer.library.items() if n not in {*final.names, *rivals}]
     asked = of_effects(explorer.prepared, final.fit, offered)
     adjusted = holm([p for _, p in asked.values()])
     fall = base.chi2 - final.chi2
-    return tuple(
-        name
+    plain = [
+        (p, name)
         for (name, (part, _)), p in zip(asked.items(), adjusted, strict=True)
         if p < rules.misfit_significance and part.chi2 - part.count > rules.law_share * fall
-    )
+    ]
+    return tuple(name for _, name in sorted(plain))
 
 
 def broken_laws(explorer: Explorer, base: Candidate, final: Candidate, rules: Rules) -> list[str]:
