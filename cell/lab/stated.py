@@ -17,8 +17,9 @@ def within_stated(prepared: PreparedStudy, final: Candidate, rules: Rules) -> bo
     """Whether what a candidate leaves is no more than the study states its markers err by.
 
     Fitted, held out (allowing for what the fit leaves uncertain there), and fitted to all trials
-    together: a right model can do that.  A mean square of them is worth as many values as their correlation leaves independent, along the
-    frames ((1 − ρ²) / (1 + ρ²), of a mean square) and between the markers.
+    together: a right model can do that.  A mean square of them is worth as many values as their
+    correlation leaves independent, along the frames ((1 − ρ²) / (1 + ρ²), of a mean square) and
+    between the markers.
     """
     floor = prepared.floor
     square_m2, again = floor.noise.std_m**2, floor.noise.colour**2
