@@ -108,3 +108,14 @@ def test_a_model_whose_trials_ask_for_an_effect_is_not_called_complete(seed, nam
     assert found.verdict == "cannot_tell"
     assert [w.code for w in found.warnings] == ["suspected"]
     assert f"ask for {name}" in found.warnings[0].message
+
+
+def test_a_known_ringing_is_fitted_at_its_own_frequency_by_a_slow_camera():
+    """At 30 frames/s 19.7 Hz looks like 10.3 where the camera sees the hand, and was nearer."""
+    ringing = library()["robot_ringing"]
+    rig = rig_study.Rig.drawn(64, "robot_ringing")
+    hidden = ringing.active(amplitude_m=-4.01e-4, frequency_hz=10.21)
+    study = rig_study.rig_study(rig, hidden)
+    space = ParameterSpace.of(study.cable, effects=(ringing,))
+    fit = Explorer(PreparedStudy.of(study), space, {}).baseline().fit
+    assert fit.model.effects[0].named["frequency_hz"] == pytest.approx(10.21, abs=0.3)

@@ -17,6 +17,7 @@ from cell.lab.leftover import Leftover, deviance, independent_values, removed_sh
 from cell.lab.prepared import PreparedStudy
 from cell.lab.results import to_json
 from cell.lab.tables import BARELY_SEEN, sentence, steps_text
+from cell.study.data import Markers
 
 
 def explore(study, names, misfit=None):
@@ -150,6 +151,20 @@ def test_a_narrow_ringing_counts_as_seen(make_study):
     assert found.verdict == "missing"
     frequency = found.missing[0].parameters["frequency_hz"]
     assert frequency.low < 17.5 < frequency.high
+
+
+def test_a_ringing_is_found_by_a_slow_camera(make_study):
+    """At 28.6 frames/s: none of three guesses was near, and the nearest left more than noise."""
+    ringing = library()["robot_ringing"].active(amplitude_m=4e-4, frequency_hz=8.5)
+    study = make_study([ringing], seed=4, noise_m=2e-4)
+    slow = [
+        replace(t, markers=Markers(t.markers.t_s[::7], t.markers.xy_m[::7])) for t in study.trials
+    ]
+    study = replace(study, trials=tuple(slow))
+    found = diagnose(explore(study, ("robot_ringing", "air_drag"))).diagnosis
+    assert found.verdict == "missing"
+    frequency = found.missing[0].parameters["frequency_hz"]
+    assert frequency.low < 8.5 < frequency.high
 
 
 def test_an_effect_so_small_that_another_could_be_behind_it_is_not_claimed(make_study):
