@@ -209,9 +209,9 @@ def suspected_doubts(effects: Sequence[str]) -> tuple[Doubt, ...]:
     return (
         Doubt(
             "suspected",
-            f"all trials together ask for {' or '.join(effects[:TOLD])}{more} too, far more "
-            "plainly than chance would, and those held out do not bear it out: that this is all "
-            "is not claimed; add a motion that tells, such as `cell suggest STUDY` finds",
+            f"all trials together ask for {' or '.join(effects[:TOLD])}{more} far more plainly "
+            "than chance would, and those held out do not bear it out: that nothing else is "
+            "missing is not claimed; add a motion that tells, such as `cell suggest STUDY` finds",
         ),
     )
 
