@@ -36,6 +36,7 @@ from cell.lab.tables import (
     comparison_sentence,
     percent,
     sentence,
+    warning_lines,
 )
 from cell.lab.trial_residual import TrialResidual
 from cell.lab.wording import (
@@ -59,6 +60,7 @@ body{font:16px/1.45 system-ui,sans-serif;max-width:1100px;margin:2em auto;paddin
 h1{font-size:1.5em;margin-bottom:.2em}h2{font-size:1.2em;margin-top:2.2em}
 .facts,.note{color:#555}.says{font-size:1.3em;padding:.8em 1em;background:#eef4f5;
 border-left:6px solid #00798c}.says.bad{background:#fbeff0;border-color:#d1495b}
+.warning{border-left:6px solid #edae49;padding-left:1em}
 pre,code{background:#f4f4f4;padding:.1em .3em}pre{padding:.7em;overflow-x:auto}
 .law{font-size:1.1em;font-family:ui-monospace,monospace;background:#f4f4f4;padding:.6em .8em}
 table{border-collapse:collapse;margin:.8em 0}td,th{padding:.25em .9em;text-align:left;
@@ -124,6 +126,7 @@ def diagnosis_page(
         _facts(first),
         f'<p class="note">Verdict <code>{diagnosis.verdict}</code>: '
         f"{html.escape(VERDICTS[diagnosis.verdict])}.</p>",
+        *(f'<p class="warning">{html.escape(w)}</p>' for w in warning_lines(diagnosis.warnings)),
         _next(steps),
         "<h2>Error as effects are added</h2>",
         _plot(waterfall(diagnosis)),

@@ -41,6 +41,9 @@ if TYPE_CHECKING:
 NOT_TOLD = "These motions cannot tell them apart."
 NOT_CONFIRMED = "The motions not fitted to cannot show it: it is not confirmed."
 BARELY_SEEN = "So little of it is seen that an effect the library lacks could be behind it."
+ASKED = (
+    "all trials together ask for more than is in the model, and those held out do not bear it out."
+)
 NOT_WITHOUT_PRIOR = "Without the prior the study does not bear this out."
 #: Up to so many times the noise a remaining error is called noise.
 NOISE_ALONE = DEFAULT_RULES.gross_misfit
@@ -71,6 +74,8 @@ def sentence(
     if any(w.code == "interrupted" for w in diagnosis.warnings) and not diagnosis.missing:
         return interrupted(diagnosis, misses)
     if not diagnosis.missing:
+        if any(w.code == "suspected" for w in diagnosis.warnings):
+            return f"{misses} at {short(noise_mm)} mm of noise; {ASKED}"
         return f"{misses} at {short(noise_mm)} mm of noise; these motions cannot tell why."
     last = diagnosis.missing[-1].errors
     after_mm = _shown_mm(last.heldout_rms_m, last.fit_rms_m)
@@ -90,6 +95,7 @@ def sentence(
             "unconfirmed": NOT_CONFIRMED,
             "prior_only": NOT_WITHOUT_PRIOR,
             "barely_seen": BARELY_SEEN,
+            "suspected": f"But {ASKED}",
         }
         hedge = f" {next((text for code, text in why.items() if code in codes), NOT_TOLD)}"
     return (

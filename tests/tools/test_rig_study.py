@@ -20,6 +20,7 @@ from cell.identify.parameters import ParameterSpace
 from cell.lab.diagnose import diagnose
 from cell.lab.explore import Explorer
 from cell.lab.prepared import PreparedStudy
+from cell.lab.tables import ASKED, sentence
 
 TIED = frozenset({"camera_latency", "robot_lag"})
 MASS, CURVE, DRAG = (frozenset({n}) for n in ("tip_mass", "natural_curvature", "air_drag"))
@@ -108,6 +109,7 @@ def test_a_model_whose_trials_ask_for_an_effect_is_not_called_complete(seed, nam
     assert found.verdict == "cannot_tell"
     assert [w.code for w in found.warnings] == ["suspected"]
     assert f"ask for {name}" in found.warnings[0].message
+    assert sentence(found).endswith(f"of noise; {ASKED}")
 
 
 def test_a_known_ringing_is_fitted_at_its_own_frequency_by_a_slow_camera():

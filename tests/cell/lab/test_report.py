@@ -12,6 +12,7 @@ from cell.identify.parameters import ParameterSpace
 from cell.lab.advice import advice
 from cell.lab.compare import compare_model
 from cell.lab.diagnose import diagnose
+from cell.lab.doubts import suspected_doubts
 from cell.lab.explore import Explorer
 from cell.lab.individual import identified
 from cell.lab.prepared import PreparedStudy
@@ -60,8 +61,17 @@ def diagnosed(make_study):
     examination = diagnose(explorer)
     comparisons = [compare_model(study, c.fit.model) for c in examination.steps]
     model = identified(explorer.prepared, examination.steps[-1].fit)
+    warned = replace(examination.diagnosis, warnings=suspected_doubts(["air_drag"]))
+    examination = replace(examination, diagnosis=warned)
     text = diagnosis_page(examination, comparisons, model, advice(examination.diagnosis))
     return study, examination.diagnosis, comparisons, text
+
+
+def test_its_warnings_stand_at_its_head(diagnosed):
+    """They were printed and in the JSON, and whoever was sent the page never saw them."""
+    words = " ".join(Page(diagnosed[-1]).text)
+    warned = words.index("Warning: all trials together ask for air_drag far more plainly")
+    assert warned < words.index("Error as effects are added")
 
 
 def shown(figure, name):
