@@ -126,7 +126,7 @@ def diagnosis_page(
         _facts(first),
         f'<p class="note">Verdict <code>{diagnosis.verdict}</code>: '
         f"{html.escape(VERDICTS[diagnosis.verdict])}.</p>",
-        *(f'<p class="warning">{html.escape(w)}</p>' for w in warning_lines(diagnosis.warnings)),
+        *(f'<p class="warning">{_code(w)}</p>' for w in warning_lines(diagnosis.warnings)),
         _next(steps),
         "<h2>Error as effects are added</h2>",
         _plot(waterfall(diagnosis)),
