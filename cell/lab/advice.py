@@ -91,7 +91,7 @@ def advice(
     """What to do after a diagnosis.
 
     known     effects that were part of the model
-    accepted  effects that were confirmed, also where they do not explain everything
+    accepted  effects that were confirmed on the way; what explains most, if anything does, is more
     """
     found = [f.effect for f in diagnosis.missing]
     motion = Step(
@@ -104,7 +104,7 @@ def advice(
             tied = any(f.tied_with for f in diagnosis.missing)
             return (*see_the_fall(paths, found, known), *([motion] if tied else []))
         case "unexplained":
-            accepted = accepted or tuple(f.effect for f in diagnosis.partial)
+            accepted = tuple(f.effect for f in diagnosis.partial) or accepted
             there = [*known, *accepted]
             beside = f" beside {' and '.join(there)}" if there else ""
             look = paths.command("discover", there, f"-o {_new_law(there)}.py")

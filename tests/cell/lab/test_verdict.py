@@ -56,6 +56,9 @@ def test_what_explains_most_is_reported_with_its_share_and_what_it_leaves(unexpl
         unexplained
     )
     assert "--effect natural_curvature" in steps_text(advice(unexplained))
+    passed_by = advice(unexplained, accepted=("draught",))  # of measured cables: not what was said
+    assert "--effect draught" not in steps_text(passed_by)
+    assert "--effect natural_curvature" in steps_text(passed_by)
 
 
 def test_the_nearest_effects_are_named_with_what_they_leave_and_where(
