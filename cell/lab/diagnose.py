@@ -119,7 +119,10 @@ def _examined(explorer: Explorer, rules: Rules) -> Examination:
     judged = found and explorer.prepared.noise_is_measured
     judged = judged and not _below_stated(explorer, current, rules)
     suspects = suspected(explorer, base, current, rivals, rules) if judged else ()
-    broken = () if found else broken_laws(explorer, base, current, rules)
+    near = (
+        above_noise(explorer, current) < rules.gross_misfit
+    )  # or more is missing than a law tells
+    broken = broken_laws(explorer, base, current, rules) if near and not found else ()
     doubted = (*unseen, *barely, *asked, *suspects)
     verdict: Verdict = verdict_of(base, current, tied, doubted, rules) if found else "unexplained"
     whole, most = partial.explorer, partial.steps

@@ -32,25 +32,19 @@ from cell.lab.score import boundary_p_value, delta_bic
 from cell.lab.screen import MOST_SHAPES, ScreenedEffect, chances_of, is_shape, screen, shapes_of
 from cell.lab.side_by_side import side_by_side
 from cell.lab.slopes import with_slopes
+from cell.lab.starts import MOST_GUESSES, cold_start, each_once, is_new, scaled, typical
 from cell.study.data import Trial
 
 FloatArray = NDArray[np.float64]
 
-#: Uniform cables tried for a cold start, over this range about the prior's EI, in logarithm.
-COLD_STARTS = 48
-
-COLD_RANGE = 3.0
 #: Above this χ² per value the baseline cannot fit, and a tempered fit is a better place to start.
 MISFIT = 1.5
 TEMPER = 3.0
-MOST_GUESSES = 9
 #: Fits of an effect from different starts; friction has several minima.
 SMOOTH_TRIES, ROUGH_TRIES = 1, 2
 PLACES = 2
 #: Two fits of the same effects are different minima if one is so much likelier (logarithm).
 LIKELIER = 0.1
-#: Amplitudes tried, as shares of those that the screen expects.
-SHARES = (2.0, 0.5, 0.25, 0.1)
 #: A refit that explains less than this share of what the screen promises is in a wrong minimum, if
 #: there are other shapes to start from.
 KEPT = 0.5
@@ -419,11 +413,11 @@ class Explorer:
         fits: list[Fit] = []
         guesses = [start for screened in screens for start in screened.starts]
         # An earlier individual is far from one with, say, a load: there slopes say little.
-        values = list(guesses) if self.prior_q is None else _scaled(effect, guesses)
+        values = list(guesses) if self.prior_q is None else scaled(effect, guesses)
         placed = shapes_of(effect) > MOST_SHAPES
         for origin in origins[-1:] if placed else origins:
             starts = []
-            for value in [*values, *_typical(effect)]:
+            for value in [*values, *typical(effect)]:
                 q = extended(base.fit, space, effect, value)
                 for i, name in enumerate(base.fit.space.names):
                     q[space.names.index(name)] = origin[i]
@@ -436,12 +430,13 @@ class Explorer:
                 if shapes_of(effect) > 1:
                     likeliest = np.cumsum([0, *(len(s.starts) for s in screens)])[:-1]
                     promising += [
-                        q for q in map(starts.__getitem__, likeliest) if _is_new(q, promising)
+                        q for q in map(starts.__getitem__, likeliest) if is_new(q, promising)
                     ]
-            fits += self._fits_from(space, _each_once(promising), base.fit.begun, options)
+            fits += self._fits_from(space, each_once(promising), base.fit.begun, options)
             fall = base.fit.objective - min((f.objective for f in fits), default=np.inf)
-            if origin is base.fit.q and fall < KEPT * screens[0].score.statistic:
-                rest = [q for q in starts[: len(screens[0].starts)] if _is_new(q, promising)]
+            unkept = not placed and fall < KEPT * screens[0].score.statistic
+            if origin is base.fit.q and unkept:
+                rest = [q for q in starts[: len(screens[0].starts)] if is_new(q, promising)]
                 fits += self._fits_from(space, rest, base.fit.begun, options)
         if not fits:
             return None
@@ -498,46 +493,3 @@ class Explorer:
         penalty = -delta_bic(0.0, extra, count, self.prepared.floor.effective_fraction)
         evidence = -0.5 * (fit.objective + penalty) + (held.log_likelihood if held else 0.0)
         return Candidate(effects, fit, held, evidence)
-
-
-def cold_start(prepared: PreparedStudy, space: ParameterSpace) -> FloatArray:
-    """Coordinates of the uniform cable that fits best, or the prior's mean if that fits better."""
-    trials = fit_trials(prepared)
-    level = float(np.exp(space.mean[: space.knots].mean()))
-    levels = level * np.exp(np.linspace(-COLD_RANGE, COLD_RANGE, COLD_STARTS))
-    q = np.vstack([space.mean, *(space.start(float(v)) for v in levels)])
-    white = residuals(prepared, space, trials, q)
-    square = np.where(np.isfinite(white).all(axis=1), np.sum(white**2, axis=1), np.inf)
-    away = q - space.mean
-    square += np.einsum("ij,jk,ik->i", away, space.precision, away)
-    return np.asarray(q[int(np.argmin(square))])
-
-
-def _scaled(effect: type[Effect], guesses: Sequence[FloatArray]) -> list[FloatArray]:
-    """The guesses, then with amplitudes larger and smaller: far from zero a slope misleads."""
-    default = np.array([p.default for p in effect.parameters])
-    low = np.array([p.low for p in effect.parameters])
-    high = np.array([p.high for p in effect.parameters])
-    strong = np.array([p.amplitude for p in effect.parameters])
-    scaled = [
-        np.clip(np.where(strong, default + share * (g - default), g), low, high)
-        for share in SHARES
-        for g in guesses
-    ]
-    return [*guesses, *scaled]
-
-
-def _each_once(starts: Sequence[FloatArray]) -> list[FloatArray]:
-    """The starts, none of them twice."""
-    return [q for i, q in enumerate(starts) if _is_new(q, starts[:i])]
-
-
-def _is_new(q: FloatArray, others: Sequence[FloatArray]) -> bool:
-    """Whether a start is none of the others."""
-    return not any(np.array_equal(q, other) for other in others)
-
-
-def _typical(effect: type[Effect]) -> list[FloatArray]:
-    """All combinations of the effect's starts, the most typical first."""
-    choices = itertools.product(*(p.starts for p in effect.parameters))
-    return [np.array(c) for c in itertools.islice(choices, MOST_GUESSES)]

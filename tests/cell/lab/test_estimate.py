@@ -9,9 +9,9 @@ from cell.cable.effects import library
 from cell.identify.parameters import ParameterSpace
 from cell.lab import whole
 from cell.lab.estimate import estimate
-from cell.lab.explore import cold_start
 from cell.lab.fitting import fit_model
 from cell.lab.prepared import PreparedStudy
+from cell.lab.starts import cold_start
 
 
 def fitted(study):

@@ -8,9 +8,9 @@ import pytest
 from cell.cable.effects import library
 from cell.cable.geometry import Motion
 from cell.identify.parameters import ParameterSpace
-from cell.lab.explore import cold_start
 from cell.lab.fitting import fit_model, heldout
 from cell.lab.prepared import PreparedStudy
+from cell.lab.starts import cold_start
 
 
 def test_a_held_out_trial_that_the_model_cannot_follow_is_impossible_not_nan(make_study):

@@ -10,7 +10,6 @@ from cell.cable.solver import Solver
 from cell.identify.noise import Noise, Whitener
 from cell.identify.parameters import ParameterSpace
 from cell.lab.asked import of_what_trials_ask_for
-from cell.lab.explore import cold_start
 from cell.lab.fitting import fit_model, heldout
 from cell.lab.noise import Floor
 from cell.lab.prepared import PreparedStudy
@@ -23,6 +22,7 @@ from cell.lab.smooth_part import (
     of_all_trials_together,
     smooth_part,
 )
+from cell.lab.starts import cold_start
 from cell.study.data import Markers
 
 
