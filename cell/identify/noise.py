@@ -26,6 +26,8 @@ class Noise:
 
     std_m        standard deviation in one frame, m
     colour       correlation between neighbouring frames (AR(1) coefficient), 0 … <1
+    white        share of the variance that is new in every frame beside that, 0 … <1: of values
+                 that are rounded, say
     bias_m       standard deviation of what is constant throughout a trial, m
     across_only  markers tell where the cable is, not how far along it they are: nodes placed at
                  equal arc lengths on a line that was seen
@@ -35,14 +37,23 @@ class Noise:
     colour: float = 0.0
     bias_m: float = 0.0
     across_only: bool = False
+    white: float = 0.0
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.std_m) and self.std_m > 0.0):
             raise ValueError(f"noise std is {self.std_m} m: must be finite and > 0")
         if not 0.0 <= self.colour < 1.0:
             raise ValueError(f"noise colour is {self.colour}: must be in [0, 1)")
+        if not 0.0 <= self.white < 1.0:
+            raise ValueError(f"noise white is {self.white}: must be in [0, 1)")
         if not self.bias_m >= 0.0:
             raise ValueError(f"noise bias is {self.bias_m} m: must be ≥ 0")
+
+    @property
+    def effective_fraction(self) -> float:
+        """Independent values per value, when averaging: (1 − ρ) / (1 + ρ) of what is coloured."""
+        slow = (1.0 + self.colour) / (1.0 - self.colour)
+        return 1.0 / (self.white + (1.0 - self.white) * slow)
 
 
 def still_frames(t_s: FloatArray, grip: Motion, release_s: float | None = None) -> slice:
@@ -121,7 +132,8 @@ class Whitener:
     """Turns predicted markers of one trial into white residuals of unit size.
 
     A channel (x or y of a marker, or its place across the cable) has an AR(1) error over the
-    frames in which it was seen, plus a constant of known variance, which is integrated out.
+    frames in which it was seen, a white one beside it (then its innovations are those of a Kalman
+    filter), plus a constant of known variance, which is integrated out.
 
     seen  (T, markers, channels) whether a channel was seen: a marker may show one coordinate only
     """
@@ -143,12 +155,15 @@ class Whitener:
         self.rows = markers * self.channels * self.frames
         self.count = int(self.seen.sum())
         series = self.seen.reshape(self.frames, -1)
-        self._memory, self._weight = (
+        self._memory, self._weight, self._gain = (
             v.reshape(markers, self.channels, self.frames) for v in _innovations(series, noise)
         )
         # what a constant looks like when white, and which part of a residual along it is taken out
         self._ones = self._weight.copy()
-        self._ones[..., 1:] *= 1.0 - self._memory[..., 1:]
+        if noise.white > 0.0:
+            _whiten_constant(self._memory, self._weight, self._gain, self._ones)
+        else:
+            self._ones[..., 1:] *= 1.0 - self._memory[..., 1:]
         size = np.sum(self._ones**2, axis=-1)
         self._kept = 1.0 / np.sqrt(1.0 + noise.bias_m**2 * size)
         self._size = np.where(size > 0.0, size, 1.0)
@@ -167,6 +182,7 @@ class Whitener:
             self._axes,
             self._memory,
             self._weight,
+            self._gain,
             self._ones,
             pull,
             out,
@@ -180,13 +196,16 @@ class Whitener:
         back = (1.0 / self._kept - 1.0) / self._size
         fresh = fresh + (back * along)[..., None] * self._ones
         error = np.full(self.seen.shape, np.nan)
-        _colour(np.ascontiguousarray(fresh), self._memory, self._weight, error)
+        _colour(np.ascontiguousarray(fresh), self._memory, self._weight, self._gain, error)
         return error
 
 
-def _innovations(seen: NDArray[np.bool_], noise: Noise) -> tuple[FloatArray, FloatArray]:
+def _innovations(
+    seen: NDArray[np.bool_], noise: Noise
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(series, T) memory of the last frame's error, and 1/std of what is new, 1/m; 0 if unseen.
 
+    And the share of what is new that the next frames remember.
     seen  (T, series)
     """
     frame = np.arange(len(seen))[:, None]
@@ -194,8 +213,51 @@ def _innovations(seen: NDArray[np.bool_], noise: Noise) -> tuple[FloatArray, Flo
     gap = frame[1:] - last_seen[:-1]
     memory = np.zeros(seen.shape)
     memory[1:] = np.where(seen[1:] & (last_seen[:-1] >= 0), noise.colour**gap, 0.0)
-    weight = np.where(seen, 1.0 / (noise.std_m * np.sqrt(1.0 - memory**2)), 0.0)
-    return np.ascontiguousarray(memory.T), np.ascontiguousarray(weight.T)
+    gain = np.ones(seen.shape)
+    if noise.white > 0.0:
+        variance = innovation_variances(seen, memory, noise.white, gain)
+    else:
+        variance = 1.0 - memory**2
+    weight = np.where(seen, 1.0 / (noise.std_m * np.sqrt(variance)), 0.0)
+    return tuple(np.ascontiguousarray(v.T) for v in (memory, weight, gain))  # type: ignore[return-value]
+
+
+@njit(cache=True)
+def innovation_variances(
+    seen: NDArray[np.bool_], memory: FloatArray, white: float, gain: FloatArray
+) -> FloatArray:
+    """(T, series) variance of what is new, of AR(1) noise and a white share that are 1 together.
+
+    memory  (T, series) of the last frame's AR(1) error: 0 where there is none
+    gain    (T, series) is filled with the share of it that the next frames remember
+    source  Kalman 1960, of a scalar state
+    """
+    frames, series = memory.shape
+    variance = np.ones((frames, series))
+    for i in range(series):
+        known = 0.0
+        for t in range(frames):
+            if seen[t, i]:
+                fresh = memory[t, i] ** 2 * known + (1.0 - memory[t, i] ** 2) * (1.0 - white)
+                variance[t, i] = fresh + white
+                gain[t, i] = fresh / variance[t, i]
+                known = (1.0 - gain[t, i]) * fresh
+    return variance
+
+
+@njit(cache=True)
+def _whiten_constant(
+    memory: FloatArray, weight: FloatArray, gain: FloatArray, ones: FloatArray
+) -> None:
+    markers, channels, frames = memory.shape
+    for marker in range(markers):
+        for channel in range(channels):
+            last = 0.0
+            for t in range(frames):
+                if weight[marker, channel, t] > 0.0:
+                    expected = memory[marker, channel, t] * last
+                    ones[marker, channel, t] = (1.0 - expected) * weight[marker, channel, t]
+                    last = expected + gain[marker, channel, t] * (1.0 - expected)
 
 
 @njit(cache=True, fastmath={"contract", "nsz"}, error_model="numpy")
@@ -205,6 +267,7 @@ def _whiten(
     axes: FloatArray,
     memory: FloatArray,
     weight: FloatArray,
+    gain: FloatArray,
     ones: FloatArray,
     pull: FloatArray,
     out: FloatArray,
@@ -224,9 +287,11 @@ def _whiten(
                     dx = measured[t, marker, 0] - predicted[lane, t, marker, 0]
                     dy = measured[t, marker, 1] - predicted[lane, t, marker, 1]
                     error = axes[t, marker, channel, 0] * dx + axes[t, marker, channel, 1] * dy
-                    row[t] = (error - memory[marker, channel, t] * last) * fresh[t]
+                    new = error - memory[marker, channel, t] * last
+                    row[t] = new * fresh[t]
                     along += row[t] * ones[marker, channel, t]
-                    last = error
+                    kept = gain[marker, channel, t]
+                    last = error if kept == 1.0 else error - (1.0 - kept) * new
                 along *= pull[marker, channel]
                 if along != 0.0:
                     for t in range(frames):
@@ -234,13 +299,16 @@ def _whiten(
 
 
 @njit(cache=True)
-def _colour(fresh: FloatArray, memory: FloatArray, weight: FloatArray, error: FloatArray) -> None:
+def _colour(
+    fresh: FloatArray, memory: FloatArray, weight: FloatArray, gain: FloatArray, error: FloatArray
+) -> None:
     markers, channels, frames = fresh.shape
     for marker in range(markers):
         for channel in range(channels):
             last = 0.0
             for t in range(frames):
-                new = weight[marker, channel, t]
-                if new > 0.0:
-                    last = memory[marker, channel, t] * last + fresh[marker, channel, t] / new
+                if weight[marker, channel, t] > 0.0:
+                    new = fresh[marker, channel, t] / weight[marker, channel, t]
+                    last = memory[marker, channel, t] * last + new
                     error[t, marker, channel] = last
+                    last -= (1.0 - gain[marker, channel, t]) * new

@@ -18,6 +18,7 @@ from cell.lab.doubts import (
     interrupted_doubt,
     is_no_model,
     no_model_doubt,
+    noise_unknown_doubt,
     prior_only_doubt,
     suspected_doubts,
     unseen_doubt,
@@ -123,7 +124,9 @@ def _examined(explorer: Explorer, rules: Rules) -> Examination:
         above_noise(explorer, current) < rules.gross_misfit
     )  # or more is missing than a law tells
     broken = broken_laws(explorer, base, current, rules) if near and not found else ()
-    doubted = (*unseen, *barely, *asked, *suspects)
+    floor = explorer.prepared.floor
+    unknown = found and current is base and not floor.level_known
+    doubted = (*unseen, *barely, *asked, *suspects, *(["noise"] if unknown else []))
     verdict: Verdict = verdict_of(base, current, tied, doubted, rules) if found else "unexplained"
     whole, most = partial.explorer, partial.steps
     also = {e.name: tied_so_far(whole, most[-1], e, rules) for e in _added(whole, most[-1])}
@@ -145,6 +148,7 @@ def _examined(explorer: Explorer, rules: Rules) -> Examination:
             *map(barely_seen_doubt, [name for name in barely if name not in unseen]),
             *map(prior_only_doubt, asked),
             *suspected_doubts(suspects),
+            *([noise_unknown_doubt(floor)] if unknown else []),
             *(broken_law_doubt(e) for e in current.effects if e.name in broken),
         ),
     )

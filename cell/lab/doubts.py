@@ -9,6 +9,7 @@ import numpy as np
 from cell.cable.effects.base import Effect
 from cell.lab.explore import Candidate, Explorer
 from cell.lab.fitting import Fit, fit_trials
+from cell.lab.noise import Floor
 from cell.lab.results import Doubt
 
 #: A model that leaves this share of what the markers move (rms) is no model of the cable.
@@ -188,6 +189,18 @@ def unseen_doubt(effect: str) -> Doubt:
         "unconfirmed",
         f"the held-out trials cannot show {effect}: it explains the trials fitted to and is not "
         "confirmed; hold out a trial in which it would be seen",
+    )
+
+
+def noise_unknown_doubt(floor: Floor) -> Doubt:
+    """Of a model that leaves noise, where the rest was too short to tell what noise is."""
+    low_m, high_m = floor.range_m or (floor.noise.std_m, floor.noise.std_m)
+    return Doubt(
+        "noise_unknown",
+        f"the frames at rest tell the noise only to {low_m * 1e3:.2g} … {high_m * 1e3:.2g} mm: an "
+        "error as large as the noise would pass for it; record at least "
+        f"{floor.frames_needed} frames at rest before each motion, or give noise_std_m in "
+        "study.yaml",
     )
 
 

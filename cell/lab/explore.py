@@ -27,7 +27,10 @@ from cell.lab.fitting import (
     space_with,
     visible,
 )
+from cell.lab.mesh import as_its_mesh_shows
+from cell.lab.noise import floor_of_all_frames
 from cell.lab.prepared import PreparedStudy
+from cell.lab.remainder import remainder
 from cell.lab.score import boundary_p_value, delta_bic
 from cell.lab.screen import MOST_SHAPES, ScreenedEffect, chances_of, is_shape, screen, shapes_of
 from cell.lab.side_by_side import side_by_side
@@ -150,6 +153,9 @@ class Explorer:
             if judged is not self.prepared:
                 fit = fit_model(judged, self.space, start, options=POLISH)
                 self.prepared = judged
+            self.prepared = as_its_mesh_shows(self.prepared, fit)
+            self._know_noise(fit)
+            fit = fit_model(self.prepared, self.space, fit.q, fit.begun, options=POLISH)
             self.progress(f"weighing the model with {names}", 2, 3)
             count = self.prepared.count(fit_trials(self.prepared))
             if fit.chi2 > MISFIT * count:
@@ -164,6 +170,16 @@ class Explorer:
             self.prepared, fit = with_slopes(self.prepared, fit)
             self._known[key] = self._weigh(self.space.effects, fit)
         return self._known[key]
+
+    def _know_noise(self, fit: Fit) -> None:
+        """Take the noise that all frames tell, within what the rest allows, beside a first fit."""
+        floor = self.prepared.floor
+        if floor.rest is None or not self.prepared.noise_is_measured:
+            return
+        known = frozenset(e.name for e in self.space.effects)
+        others = [e for name, e in self.library.items() if name not in known]
+        floor = floor_of_all_frames(floor, remainder(self.prepared, fit, others))
+        self.prepared = self.prepared.with_floor(floor)
 
     def elsewhere(self) -> Fit | None:
         """Where the baseline's fit ends from a second start; None where the first is good enough.

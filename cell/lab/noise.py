@@ -1,12 +1,14 @@
-"""Noise of the camera, level and colour, from frames in which nothing moves."""
+"""Noise of the camera, level and colour: what the rest allows, and of that what all frames say."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
+from scipy.special import lambertw
 
 from cell.identify.golden_section import where_least
 from cell.identify.noise import Noise, still_frames
@@ -17,6 +19,21 @@ FloatArray = NDArray[np.float64]
 #: Fewer still frames than this say nothing about noise.
 MIN_STILL_FRAMES = 6
 MAX_COLOUR = 0.98
+#: The rest allows a noise whose likelihood ratio (−2 ln, to the likeliest) is below this: a 99.9 %
+#: confidence set of level, colour and white share (χ² of 3 degrees of freedom; Wilks 1938).
+ALLOWED = 16.3
+#: Colours that are compared, evenly in the logarithm of 1 − ρ, on which slow noise depends; and
+#: white shares beside them, of values that are rounded.
+COLOURS = 1.0 - (1.0 - MAX_COLOUR) ** np.linspace(0.0, 1.0, 121)
+WHITES = (0.0, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
+#: Rounding to less than this share of the noise adds nothing white that is seen.
+SEEN_ROUNDING = 0.25
+#: Still frames show the level of values that are rounded to less than so many standard deviations.
+ROUNDED = 2.0
+#: A level is known if the rest would not allow an error as large as the noise beside it.
+KNOWN_WITHIN = 2.0
+#: A change of level or of 1 − ρ below this share changes nothing that is said.
+UNCHANGED = 0.005
 
 
 class NoiseUnknownError(ValueError):
@@ -31,17 +48,39 @@ class Floor:
     coloured  whether still frames have shown its colour
     together  channels that err together, as of markers taken from a fitted shape: so many values
               tell as much as one
+    rest      what still frames tell of level and colour; None where the level is stated
+    range_m   levels that the rest allows, m; None where that is not asked
+    slow      degrees of freedom behind the level of its slow part; None: as a known colour's
     """
 
     noise: Noise
     freedom: float
     coloured: bool = True
     together: float = 1.0
+    rest: Rest | None = field(default=None, compare=False, repr=False)
+    range_m: tuple[float, float] | None = None
+    slow: float | None = None
 
     @property
     def stated(self) -> bool:
         """Whether the study states the level."""
         return bool(np.isinf(self.freedom))
+
+    @property
+    def level_known(self) -> bool:
+        """Whether an error as large as the noise would be more than the rest allows."""
+        return self.range_m is None or self.range_m[1] ** 2 < KNOWN_WITHIN * self.noise.std_m**2
+
+    @property
+    def frames_needed(self) -> int:
+        """Still frames of a trial after which the level would be known, as many trials as here."""
+        if self.rest is None or self.range_m is None:
+            return 0
+        known, wanted = (
+            np.log(r) + 1.0 / r - 1.0
+            for r in ((self.range_m[1] / self.noise.std_m) ** 2, KNOWN_WITHIN)
+        )
+        return int(10 * np.ceil(0.1 * self.rest.frames * wanted / max(known, 1e-3)))
 
     @property
     def weighed(self) -> Noise:
@@ -52,8 +91,8 @@ class Floor:
 
     @property
     def effective_fraction(self) -> float:
-        """Independent values per value, when averaging: (1 − ρ) / (1 + ρ)."""
-        return (1.0 - self.noise.colour) / (1.0 + self.noise.colour)
+        """Independent values per value, when averaging."""
+        return self.noise.effective_fraction
 
     @property
     def slow_freedom(self) -> float:
@@ -61,7 +100,7 @@ class Floor:
 
         That level is the innovations' variance over (1 − ρ)²; the variance of ρ is (1 − ρ²) / n.
         """
-        return self.freedom / (1.0 + 2.0 / self.effective_fraction)
+        return self.slow or self.freedom / (1.0 + 2.0 / self.effective_fraction)
 
 
 def floor_of_residuals(floor: Floor, errors: Sequence[FloatArray]) -> Floor:
@@ -110,11 +149,11 @@ def noise_floor(study: Study) -> Floor:
                 "moves, so the camera's noise is unknown; give noise_std_m in study.yaml"
             )
         return Floor(Noise(study.noise_std_m), np.inf, coloured=False)
-    degree = min(range(3), key=lambda d: _fit_colour(blocks, d)[1])
-    floor = _fit_colour(blocks, degree)[0]
+    rest = Rest.of(blocks, _resolution_m(study))
+    found, freedom = rest.likeliest()
     if study.noise_std_m is None:
-        return floor
-    return Floor(Noise(study.noise_std_m, floor.noise.colour), np.inf)
+        return Floor(found, freedom, rest=rest)
+    return Floor(Noise(study.noise_std_m, found.colour), np.inf)
 
 
 @dataclass(frozen=True)
@@ -150,38 +189,252 @@ def _longest_run(seen: NDArray[np.bool_]) -> tuple[int, int]:
     return int(begin), int(end)
 
 
-def _fit_colour(blocks: Sequence[_Block], degree: int) -> tuple[Floor, float]:
-    """Floor with polynomials of a degree taken out of every series; and its BIC."""
+@dataclass(frozen=True, eq=False)
+class Rest:
+    """What still frames tell of level and colour.
 
-    def parts(colour: float) -> tuple[float, int, float, float]:
-        square, freedom, log_det, log_fixed = 0.0, 0, 0.0, 0.0
-        for block in blocks:
+    degree        of the polynomials that are taken out of every series
+    resolution_m  step to which values are rounded; 0 = not seen to be
+    """
+
+    blocks: tuple[_Block, ...]
+    degree: int
+    resolution_m: float
+
+    @staticmethod
+    def of(blocks: Sequence[_Block], resolution_m: float) -> Rest:
+        """With polynomials of the degree that the blocks need, by BIC."""
+        rests = [Rest(tuple(blocks), degree, resolution_m) for degree in range(3)]
+        return min(rests, key=lambda r: r._bic(r._colour()))
+
+    @property
+    def frames(self) -> int:
+        """Of the longest series."""
+        return max(len(b.z_m) for b in self.blocks)
+
+    def likeliest(self) -> tuple[Noise, float]:
+        """Level and colour, by the rest alone, and the degrees of freedom behind the level."""
+        colour = self._colour()
+        square, freedom, _ = self.sums(colour)
+        std_m = max(float(np.sqrt(square / freedom)), 1e-12)
+        if self.is_hidden(std_m):
+            return Noise(self.resolution_m / np.sqrt(12.0)), float(freedom)
+        return Noise(std_m, colour), float(freedom)
+
+    def is_hidden(self, std_m: float) -> bool:
+        """Whether values are rounded so much that a cable at rest does not show their error."""
+        return self.resolution_m > ROUNDED * std_m
+
+    @property
+    def noises(self) -> list[tuple[float, float]]:
+        """Colours and white shares that are compared."""
+        std_m = float(np.sqrt(self.sums(0.0)[0] / self.sums(0.0)[1]))
+        whites = WHITES if self.resolution_m > SEEN_ROUNDING * std_m else WHITES[:1]
+        return [(float(colour), white) for white in whites for colour in COLOURS]
+
+    def allowed(self, noises: Sequence[tuple[float, float]]) -> Allowed:
+        """The levels that the rest allows with each of some colours and white shares.
+
+        source  Wilks 1938; u − ln u = 1 + k is solved by Lambert's W
+        """
+        sums = np.array([self.sums(colour, white) for colour, white in noises])
+        square, freedom, fixed = sums.T
+        of_rounding = self.resolution_m**2 / 12.0
+        level = np.maximum(square / freedom, 1e-24)
+        if self.is_hidden(float(np.sqrt(level.min()))):
+            least = np.full(len(noises), of_rounding)
+            nothing = np.zeros(len(noises))
+            return Allowed(least, (1.0 + 12.0 / ROUNDED**2) * least, nothing, nothing, 0.0)
+        profile = freedom * np.log(level) + fixed
+        slack = (ALLOWED - (profile - profile.min())) / freedom
+        inside = -np.exp(-1.0 - np.maximum(slack, 0.0))
+        least, largest = (level / -lambertw(inside, k).real for k in (-1, 0))
+        least = np.where(slack < 0.0, np.inf, np.maximum(least, of_rounding))
+        return Allowed(least, largest + of_rounding, square, fixed, float(freedom[0]))
+
+    def sums(self, colour: float, white: float = 0.0) -> tuple[float, int, float]:
+        """Innovations' square, its degrees of freedom, and log determinants, for a noise."""
+        square, freedom, log_det = 0.0, 0, 0.0
+        for block in self.blocks:
             frames, series = block.z_m.shape
             u = np.linspace(-1.0, 1.0, frames)
-            q, r = np.linalg.qr(_white(np.vander(u, degree + 1), colour))
-            z = _white(block.z_m, colour)
+            powers, _ = _white(np.vander(u, self.degree + 1), colour, white)
+            z, of_frames = _white(block.z_m, colour, white)
+            q, r = np.linalg.qr(powers)
             square += float(np.sum((z - q @ (q.T @ z)) ** 2))
-            freedom += (frames - degree - 1) * series
-            log_det += series * (frames - 1) * float(np.log(1.0 - colour**2))
-            log_fixed += 2.0 * series * float(np.log(np.abs(np.diag(r))).sum())
-        return square, freedom, log_det, log_fixed
+            freedom += (frames - self.degree - 1) * series
+            log_det += of_frames + 2.0 * series * float(np.log(np.abs(np.diag(r))).sum())
+        return square, freedom, log_det
 
-    def restricted(colour: float) -> float:
-        square, freedom, log_det, log_fixed = parts(colour)
-        return freedom * float(np.log(max(square, 1e-300))) + log_det + log_fixed
+    def _restricted(self, colour: float) -> float:
+        square, freedom, log_det = self.sums(colour)
+        return freedom * float(np.log(max(square, 1e-300))) + log_det
 
-    found = where_least(restricted, 0.0, MAX_COLOUR, within=1e-5)
-    colour = min((0.0, found, MAX_COLOUR), key=restricted)
-    square, freedom, log_det, _ = parts(colour)
-    count = sum(b.z_m.size for b in blocks)
-    fixed = (degree + 1) * sum(b.z_m.shape[1] for b in blocks)
-    bic = count * float(np.log(max(square, 1e-300) / count)) + log_det + fixed * np.log(count)
-    std_m = max(float(np.sqrt(square / freedom)), 1e-12)
-    return Floor(Noise(std_m, colour), float(freedom)), float(bic)
+    def _colour(self) -> float:
+        found = where_least(self._restricted, 0.0, MAX_COLOUR, within=1e-5)
+        return min((0.0, found, MAX_COLOUR), key=self._restricted)
+
+    def _bic(self, colour: float) -> float:
+        square, _, _ = self.sums(colour)
+        log_det = sum(_white(b.z_m, colour, 0.0)[1] for b in self.blocks)
+        count = sum(b.z_m.size for b in self.blocks)
+        fixed = (self.degree + 1) * sum(b.z_m.shape[1] for b in self.blocks)
+        likelihood = count * float(np.log(max(square, 1e-300) / count)) + log_det
+        return float(likelihood + fixed * np.log(count))
 
 
-def _white(values: FloatArray, colour: float) -> FloatArray:
-    """(frames, series) made white, of the variance that they had."""
-    white = values.copy()
-    white[1:] = (values[1:] - colour * values[:-1]) / np.sqrt(1.0 - colour**2)
-    return white
+@dataclass(frozen=True, eq=False)
+class Remainder:
+    """What of a residual neither fitted parameters nor any effect could explain, in motion.
+
+    errors_m  per trial (times, channels), nan where not seen or at rest
+    freedom   values less what was taken out of them
+    """
+
+    errors_m: tuple[FloatArray, ...]
+    freedom: float
+
+    def sums(self, noises: Sequence[tuple[float, float]]) -> tuple[FloatArray, FloatArray]:
+        """Of colours and white shares the innovations' square, m², and their log determinant."""
+        count = sum(int(np.isfinite(e).sum()) for e in self.errors_m)
+        found = np.zeros((len(noises), 2))
+        for error in self.errors_m:
+            seen = np.isfinite(error)
+            series = np.ascontiguousarray(np.where(seen, error, 0.0))
+            for i, (colour, white) in enumerate(noises):
+                found[i] += _innovation_sums(series, seen, colour, white)
+        return found[:, 0], found[:, 1] * self.freedom / max(count, 1)
+
+
+@dataclass(frozen=True, eq=False)
+class Allowed:
+    """Levels that a rest allows, and how likely they are, for each of some colours and shares.
+
+    least_m2, largest_m2  of the variance; where least is above largest none is allowed
+    square_m2, fixed      −2 ln of the likelihood of a variance v is freedom · ln v + square / v +
+                          fixed
+    """
+
+    least_m2: FloatArray
+    largest_m2: FloatArray
+    square_m2: FloatArray
+    fixed: FloatArray
+    freedom: float
+
+    @property
+    def any(self) -> NDArray[np.bool_]:
+        """Which colours and shares are allowed at all."""
+        return np.asarray(self.least_m2 <= self.largest_m2)
+
+    @property
+    def range_m(self) -> tuple[float, float]:
+        """Smallest and largest level of all."""
+        least, largest = self.least_m2[self.any].min(), self.largest_m2[self.any].max()
+        return float(np.sqrt(least)), float(np.sqrt(largest))
+
+
+def floor_of_all_frames(floor: Floor, remainder: Remainder) -> Floor:
+    """The noise, of all that the rest allows, that explains rest and remainder best.
+
+    Few still frames leave level and colour uncertain, and a noise taken for known that is not makes
+    misfits of it.  In motion there are more values, but a misfit may be in them: so they choose
+    within what the rest allows, and what goes beyond that is no noise.
+    source  Berger and Boos 1994, J. Am. Stat. Assoc. 89, 1012: nuisances within a confidence set
+    """
+    if floor.rest is None:
+        return floor
+    noises = floor.rest.noises
+    rest = floor.rest.allowed(noises)
+    moving_m2, log_det = remainder.sums(noises)
+    square, freedom = rest.square_m2 + moving_m2, rest.freedom + remainder.freedom
+    wanted = square / max(freedom, 1.0)
+    level = np.clip(wanted, rest.least_m2, np.maximum(rest.largest_m2, rest.least_m2))
+    cost = freedom * np.log(level) + square / level + rest.fixed + log_det
+    cost = np.where(rest.any, cost, np.inf)
+    best = int(np.argmin(cost))
+    colour, white = noises[best]
+    noise = Noise(float(np.sqrt(level[best])), colour, white=white)
+    if not rest.least_m2[best] <= wanted[best] <= rest.largest_m2[best]:
+        freedom = floor.freedom
+    slow = None
+    if len(noises) > len(COLOURS):
+        fractions = np.array([Noise(1.0, *n[:1], white=n[1]).effective_fraction for n in noises])
+        slow = _freedom_of(np.log(level / fractions), cost, freedom)
+    found = replace(floor, range_m=rest.range_m, noise=noise, freedom=freedom, slow=slow)
+    return replace(floor, range_m=rest.range_m) if _alike(noise, floor.noise) else found
+
+
+def _freedom_of(log_level: FloatArray, cost: FloatArray, freedom: float) -> float:
+    """Degrees of freedom behind a level that is as uncertain as noises of such a cost leave it."""
+    likely = cost < cost.min() + 2.0 * ALLOWED
+    weight = np.exp(-0.5 * (cost[likely] - cost.min()))
+    weight /= weight.sum()
+    mean = float(weight @ log_level[likely])
+    variance = float(weight @ (log_level[likely] - mean) ** 2) + 2.0 / max(freedom, 1.0)
+    return 2.0 / variance
+
+
+def _alike(one: Noise, other: Noise) -> bool:
+    level = abs(np.log(one.std_m / other.std_m))
+    colour = abs(np.log((1.0 - one.colour) / (1.0 - other.colour)))
+    return bool(max(level, colour) < UNCHANGED)
+
+
+def _resolution_m(study: Study) -> float:
+    """Step to which most series of markers are rounded, m; 0 where values do not repeat.
+
+    The smallest difference of two values of a series, where some are equal.
+    """
+    steps = []
+    for trial in study.trials:
+        for series in trial.markers.xy_m.reshape(len(trial.markers.t_s), -1).T:
+            seen = series[np.isfinite(series)]
+            values = np.unique(seen)
+            steps.append(float(np.diff(values).min()) if 1 < len(values) < len(seen) else 0.0)
+    return float(np.median(steps)) if steps else 0.0
+
+
+@njit(cache=True)
+def _white(values: FloatArray, colour: float, white: float) -> tuple[FloatArray, float]:
+    """(frames, series) made white, of the variance that they had; and ln of the determinant."""
+    frames, series = values.shape
+    out = np.empty_like(values)
+    expected = np.zeros(series)
+    log_det = known = 0.0
+    for t in range(frames):
+        memory = colour if t > 0 else 0.0
+        fresh = memory**2 * known + (1.0 - memory**2) * (1.0 - white)
+        variance = fresh + white
+        gain = fresh / variance
+        known = (1.0 - gain) * fresh
+        log_det += series * np.log(variance)
+        for i in range(series):
+            new = values[t, i] - memory * expected[i]
+            out[t, i] = new / np.sqrt(variance)
+            expected[i] = memory * expected[i] + gain * new
+    return out, log_det
+
+
+@njit(cache=True)
+def _innovation_sums(
+    values: FloatArray, seen: NDArray[np.bool_], colour: float, white: float
+) -> tuple[float, float]:
+    """Of (frames, series) with gaps: sum of the squares when white, and ln of the determinant."""
+    frames, series = values.shape
+    square = log_det = 0.0
+    for i in range(series):
+        known, expected, memory = 0.0, 0.0, 0.0
+        for t in range(frames):
+            if seen[t, i]:
+                fresh = memory**2 * known + (1.0 - memory**2) * (1.0 - white)
+                variance = fresh + white
+                gain = fresh / variance
+                known = (1.0 - gain) * fresh
+                new = values[t, i] - memory * expected
+                expected = memory * expected + gain * new
+                square += new * new / variance
+                log_det += np.log(variance)
+                memory = colour
+            else:
+                memory *= colour
+    return square, log_det

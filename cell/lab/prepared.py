@@ -64,6 +64,8 @@ class PreparedStudy:
     slopes of which only differences of simulations are taken, where that is measured to do no harm
     counted   as which simulations count as work, if not as those of `solver`: how far a search goes
               must not depend on whether slopes may be coarser
+    mesh_m    per trial (times, markers, 2) error of the solver's mesh that has been taken out of
+              the study's markers, m
     """
 
     study: Study
@@ -74,6 +76,7 @@ class PreparedStudy:
     work: Work = field(default_factory=Work)
     slopes: Solver | None = None
     counted: Solver | None = None
+    mesh_m: Mapping[str, FloatArray] = field(default_factory=dict)
 
     @staticmethod
     def of(
@@ -111,8 +114,12 @@ class PreparedStudy:
         errors  per trial (times, channels), m, nan where not seen
         """
         floor = floor_of_residuals(self.floor, errors) if self.noise_is_measured else self.floor
-        if floor == self.floor:
-            return self
+        return self if floor == self.floor else self.with_floor(floor)
+
+    def with_floor(self, floor: Floor) -> PreparedStudy:
+        """The same, whitened for another noise of the measurement."""
+        if floor.weighed == self.noise:
+            return replace(self, floor=floor)
         whiteners = {t.name: Whitener(t.markers.xy_m, floor.weighed) for t in self.study.trials}
         return replace(self, floor=floor, noise=floor.weighed, whiteners=whiteners)
 

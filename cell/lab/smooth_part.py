@@ -14,10 +14,11 @@ from scipy.special import fdtrc as f_sf
 from cell.identify.gaussian import marginal_chi2
 from cell.identify.noise import Whitener
 from cell.lab.fitting import Fit, HeldoutRows, best_begun, fit_trials, heldout_rows
+from cell.lab.mesh import LEFT
 from cell.lab.noise import MAX_COLOUR, Floor
 from cell.lab.prepared import PreparedStudy
 from cell.lab.screen import prior_root
-from cell.lab.systematic import LEFT, MOTIONS, systematic
+from cell.lab.systematic import MOTIONS, systematic
 from cell.lab.whole import Whole, of_all_trials
 
 FloatArray = NDArray[np.float64]
@@ -230,7 +231,8 @@ def _slow_level(floor: Floor, parts: Sequence[_Fast]) -> tuple[float, float]:
     )
     level = square / values
     off = (products - neighbours * level) / (level * pairs)
-    colour = floor.noise.colour
+    alike = floor.effective_fraction
+    colour = (1.0 - alike) / (1.0 + alike)
     slow = level * ((1.0 - colour) / (1.0 - min(colour + off, MAX_COLOUR))) ** 2
     freedom = values / (1.0 + 2.0 / floor.effective_fraction)
     together = freedom + floor.slow_freedom

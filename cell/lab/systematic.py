@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.cable.solver import Solver
 from cell.identify.hand import HandErrors, likely_motions
 from cell.lab.fitting import Fit
+from cell.lab.mesh import LEFT, finer
 from cell.lab.prepared import PreparedStudy
 from cell.study.data import Trial
 
@@ -22,17 +22,14 @@ FloatArray = NDArray[np.float64]
 
 #: Motions of the hand drawn for every trial.
 MOTIONS = 8
-#: The mesh and the step are this many times finer in the simulation that tells their errors, which
-#: fall with the square of both: what it still errs by is this share of the difference.
-FINER = 2
-LEFT = 1.0 / (FINER**2 - 1.0)
 
 
 @dataclass(frozen=True, eq=False)
 class Systematic:
     """Whitened changes of what a fitted model leaves of trials.
 
-    mesh   (rows,) to what a simulation of twice the segments and half the step leaves
+    mesh   (rows,) to what a simulation of twice the segments and half the step leaves, beyond what
+           has been taken out of the study
     hands  (motions, rows) by other motions of the hand, as likely as its log
     ends   (trials,) where the rows of each trial end
     """
@@ -69,10 +66,14 @@ class Systematic:
 def systematic(prepared: PreparedStudy, fit: Fit, trials: Sequence[Trial]) -> Systematic:
     """Of a model fitted to trials, at its parameters.  What cannot be simulated counts as none."""
     begun = {name: values[None] for name, values in fit.begun.items()}
-    coarse = prepared.solver
-    finer = Solver(FINER * coarse.segments, coarse.step_s / FINER, coarse.damping, coarse.threads)
     here = prepared.all_white(trials, [fit.model], begun)[0]
-    mesh = replace(prepared, solver=finer).all_white(trials, [fit.model], begun)[0] - here
+    fine = finer(prepared).predict_all(trials, [fit.model], begun)
+    known = [prepared.mesh_m.get(t.name, 0.0) / (1.0 + LEFT) for t in trials]
+    parts = [
+        prepared.white(t, points - error)[0]
+        for t, points, error in zip(trials, fine, known, strict=True)
+    ]
+    mesh = np.concatenate(parts) - here
     ends = np.cumsum([prepared.whiteners[t.name].rows for t in trials])
     hands = [
         _by_other_hands(prepared, fit, trial, rows)

@@ -185,7 +185,7 @@ def spectrum(t_s: FloatArray, residual_m: FloatArray, noise: Noise) -> Spectrum:
     power *= 2.0 * float(np.median(np.diff(t_s))) / max(used, 1)
     frame_s = float(np.median(np.diff(t_s)))
     colour = noise.colour
-    shape = (1.0 - colour**2) / (
+    shape = noise.white + (1.0 - noise.white) * (1.0 - colour**2) / (
         1.0 - 2.0 * colour * np.cos(2.0 * np.pi * frequency * frame_s) + colour**2
     )
     return Spectrum(frequency, power, 2.0 * noise.std_m**2 * frame_s * shape)
