@@ -22,6 +22,8 @@ MAX_COLOUR = 0.98
 #: The rest allows a noise whose likelihood ratio (−2 ln, to the likeliest) is below this: a 99.9 %
 #: confidence set of level, colour and white share (χ² of 3 degrees of freedom; Wilks 1938).
 ALLOWED = 16.3
+#: The same of what is told of a level: a 95 % interval (χ² of 1 degree of freedom).
+TOLD = 3.84
 #: Colours that are compared, evenly in the logarithm of 1 − ρ, on which slow noise depends; and
 #: white shares beside them, of values that are rounded.
 COLOURS = 1.0 - (1.0 - MAX_COLOUR) ** np.linspace(0.0, 1.0, 121)
@@ -49,7 +51,7 @@ class Floor:
     together  channels that err together, as of markers taken from a fitted shape: so many values
               tell as much as one
     rest      what still frames tell of level and colour; None where the level is stated
-    range_m   levels that the rest allows, m; None where that is not asked
+    range_m   95 % interval of the level by the rest alone, m; None where that is not asked
     slow      degrees of freedom behind the level of its slow part; None: as a known colour's
     """
 
@@ -80,7 +82,7 @@ class Floor:
             np.log(r) + 1.0 / r - 1.0
             for r in ((self.range_m[1] / self.noise.std_m) ** 2, KNOWN_WITHIN)
         )
-        return int(10 * np.ceil(0.1 * self.rest.frames * wanted / max(known, 1e-3)))
+        return int(10 * np.ceil(0.1 * self.rest.frames * max(known / wanted, 1.0)))
 
     @property
     def weighed(self) -> Noise:
@@ -233,24 +235,16 @@ class Rest:
         return [(float(colour), white) for white in whites for colour in COLOURS]
 
     def allowed(self, noises: Sequence[tuple[float, float]]) -> Allowed:
-        """The levels that the rest allows with each of some colours and white shares.
-
-        source  Wilks 1938; u − ln u = 1 + k is solved by Lambert's W
-        """
+        """The levels that the rest allows with each of some colours and white shares."""
         sums = np.array([self.sums(colour, white) for colour, white in noises])
         square, freedom, fixed = sums.T
-        of_rounding = self.resolution_m**2 / 12.0
         level = np.maximum(square / freedom, 1e-24)
         if self.is_hidden(float(np.sqrt(level.min()))):
-            least = np.full(len(noises), of_rounding)
             nothing = np.zeros(len(noises))
-            return Allowed(least, (1.0 + 12.0 / ROUNDED**2) * least, nothing, nothing, 0.0)
+            return Allowed(nothing, nothing, nothing, nothing, 0.0, self.resolution_m)
         profile = freedom * np.log(level) + fixed
-        slack = (ALLOWED - (profile - profile.min())) / freedom
-        inside = -np.exp(-1.0 - np.maximum(slack, 0.0))
-        least, largest = (level / -lambertw(inside, k).real for k in (-1, 0))
-        least = np.where(slack < 0.0, np.inf, np.maximum(least, of_rounding))
-        return Allowed(least, largest + of_rounding, square, fixed, float(freedom[0]))
+        unlikely = profile - profile.min()
+        return Allowed(level, unlikely, square, fixed, float(freedom[0]), self.resolution_m)
 
     def sums(self, colour: float, white: float = 0.0) -> tuple[float, int, float]:
         """Innovations' square, its degrees of freedom, and log determinants, for a noise."""
@@ -308,29 +302,43 @@ class Remainder:
 
 @dataclass(frozen=True, eq=False)
 class Allowed:
-    """Levels that a rest allows, and how likely they are, for each of some colours and shares.
+    """Levels that a rest allows, for each of some colours and white shares.
 
-    least_m2, largest_m2  of the variance; where least is above largest none is allowed
-    square_m2, fixed      −2 ln of the likelihood of a variance v is freedom · ln v + square / v +
-                          fixed
+    level_m2   likeliest variance; −2 ln of its likelihood is `unlikely` above that of the best
+    square_m2, fixed   −2 ln of the likelihood of a variance v is freedom · ln v + square / v +
+                       fixed; all 0 where rounding hides what the rest could tell
     """
 
-    least_m2: FloatArray
-    largest_m2: FloatArray
+    level_m2: FloatArray
+    unlikely: FloatArray
     square_m2: FloatArray
     fixed: FloatArray
     freedom: float
+    resolution_m: float
 
-    @property
-    def any(self) -> NDArray[np.bool_]:
-        """Which colours and shares are allowed at all."""
-        return np.asarray(self.least_m2 <= self.largest_m2)
+    def within(self, limit: float) -> tuple[FloatArray, FloatArray]:
+        """Least and largest variance with a likelihood ratio below a limit, m².
+
+        Of a colour and share that do not reach it the least is infinite.  Rounding errs by at
+        least as much as steps of that size do, and may add as much to what the rest has shown.
+        source  Wilks 1938; u − ln u = 1 + k is solved by Lambert's W
+        """
+        of_rounding = self.resolution_m**2 / 12.0
+        if self.freedom == 0.0:
+            least = np.full(len(self.level_m2), of_rounding)
+            return least, (1.0 + 12.0 / ROUNDED**2) * least
+        slack = (limit - self.unlikely) / self.freedom
+        inside = -np.exp(-1.0 - np.maximum(slack, 0.0))
+        least, largest = (self.level_m2 / -lambertw(inside, k).real for k in (-1, 0))
+        least = np.where(slack < 0.0, np.inf, np.maximum(least, of_rounding))
+        return least, largest + of_rounding
 
     @property
     def range_m(self) -> tuple[float, float]:
-        """Smallest and largest level of all."""
-        least, largest = self.least_m2[self.any].min(), self.largest_m2[self.any].max()
-        return float(np.sqrt(least)), float(np.sqrt(largest))
+        """95 % interval of the level, whatever colour and share."""
+        least, largest = self.within(TOLD)
+        there = least <= largest
+        return float(np.sqrt(least[there].min())), float(np.sqrt(largest[there].max()))
 
 
 def floor_of_all_frames(floor: Floor, remainder: Remainder) -> Floor:
@@ -345,16 +353,17 @@ def floor_of_all_frames(floor: Floor, remainder: Remainder) -> Floor:
         return floor
     noises = floor.rest.noises
     rest = floor.rest.allowed(noises)
+    least, largest = rest.within(ALLOWED)
     moving_m2, log_det = remainder.sums(noises)
     square, freedom = rest.square_m2 + moving_m2, rest.freedom + remainder.freedom
     wanted = square / max(freedom, 1.0)
-    level = np.clip(wanted, rest.least_m2, np.maximum(rest.largest_m2, rest.least_m2))
+    level = np.clip(wanted, least, np.maximum(largest, least))
     cost = freedom * np.log(level) + square / level + rest.fixed + log_det
-    cost = np.where(rest.any, cost, np.inf)
+    cost = np.where(least <= largest, cost, np.inf)
     best = int(np.argmin(cost))
     colour, white = noises[best]
     noise = Noise(float(np.sqrt(level[best])), colour, white=white)
-    if not rest.least_m2[best] <= wanted[best] <= rest.largest_m2[best]:
+    if not least[best] <= wanted[best] <= largest[best]:
         freedom = floor.freedom
     slow = None
     if len(noises) > len(COLOURS):
