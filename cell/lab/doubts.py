@@ -195,11 +195,13 @@ def unseen_doubt(effect: str) -> Doubt:
 def noise_unknown_doubt(floor: Floor) -> Doubt:
     """Of a model that leaves noise, where the rest was too short to tell what noise is."""
     low_m, high_m = floor.range_m or (floor.noise.std_m, floor.noise.std_m)
+    remedy = f"record at least {floor.frames_needed} frames at rest before each motion"
+    if floor.hidden:
+        remedy = "write the markers with more digits, as they are rounded to more than they vary"
     return Doubt(
         "noise_unknown",
         f"the frames at rest tell the noise only to {low_m * 1e3:.2g} … {high_m * 1e3:.2g} mm: an "
-        "error as large as the noise would pass for it; record at least "
-        f"{floor.frames_needed} frames at rest before each motion, or give noise_std_m in "
+        f"error as large as the noise would pass for it; {remedy}, or give noise_std_m in "
         "study.yaml",
     )
 

@@ -52,6 +52,7 @@ class Floor:
               tell as much as one
     rest      what still frames tell of level and colour; None where the level is stated
     range_m   95 % interval of the level by the rest alone, m; None where that is not asked
+    hidden    values are rounded so much that still frames do not show their error
     slow      degrees of freedom behind the level of its slow part; None: as a known colour's
     """
 
@@ -62,6 +63,7 @@ class Floor:
     rest: Rest | None = field(default=None, compare=False, repr=False)
     range_m: tuple[float, float] | None = None
     slow: float | None = None
+    hidden: bool = False
 
     @property
     def stated(self) -> bool:
@@ -240,8 +242,12 @@ class Rest:
         square, freedom, fixed = sums.T
         level = np.maximum(square / freedom, 1e-24)
         if self.is_hidden(float(np.sqrt(level.min()))):
+            once_m2 = 0.25 * self.resolution_m**2 / freedom  # a value that changed a step once
             nothing = np.zeros(len(noises))
-            return Allowed(nothing, nothing, nothing, nothing, 0.0, self.resolution_m)
+            likeliest = np.full(len(noises), level.min()) + once_m2
+            return Allowed(
+                likeliest, nothing, nothing, nothing, float(freedom[0]), self.resolution_m, True
+            )
         profile = freedom * np.log(level) + fixed
         unlikely = profile - profile.min()
         return Allowed(level, unlikely, square, fixed, float(freedom[0]), self.resolution_m)
@@ -306,7 +312,8 @@ class Allowed:
 
     level_m2   likeliest variance; −2 ln of its likelihood is `unlikely` above that of the best
     square_m2, fixed   −2 ln of the likelihood of a variance v is freedom · ln v + square / v +
-                       fixed; all 0 where rounding hides what the rest could tell
+                       fixed
+    hidden     rounding hides the error from a cable at rest: what is seen bounds it, no more
     """
 
     level_m2: FloatArray
@@ -315,6 +322,12 @@ class Allowed:
     fixed: FloatArray
     freedom: float
     resolution_m: float
+    hidden: bool = False
+
+    @property
+    def weight(self) -> float:
+        """Values that the rest's likelihood is worth beside others'."""
+        return 0.0 if self.hidden else self.freedom
 
     def within(self, limit: float) -> tuple[FloatArray, FloatArray]:
         """Least and largest variance with a likelihood ratio below a limit, m².
@@ -324,13 +337,11 @@ class Allowed:
         source  Wilks 1938; u − ln u = 1 + k is solved by Lambert's W
         """
         of_rounding = self.resolution_m**2 / 12.0
-        if self.freedom == 0.0:
-            least = np.full(len(self.level_m2), of_rounding)
-            return least, (1.0 + 12.0 / ROUNDED**2) * least
         slack = (limit - self.unlikely) / self.freedom
         inside = -np.exp(-1.0 - np.maximum(slack, 0.0))
         least, largest = (self.level_m2 / -lambertw(inside, k).real for k in (-1, 0))
-        least = np.where(slack < 0.0, np.inf, np.maximum(least, of_rounding))
+        least = np.maximum(0.0 if self.hidden else least, of_rounding)
+        least = np.where(slack < 0.0, np.inf, least)
         return least, largest + of_rounding
 
     @property
@@ -355,7 +366,7 @@ def floor_of_all_frames(floor: Floor, remainder: Remainder) -> Floor:
     rest = floor.rest.allowed(noises)
     least, largest = rest.within(ALLOWED)
     moving_m2, log_det = remainder.sums(noises)
-    square, freedom = rest.square_m2 + moving_m2, rest.freedom + remainder.freedom
+    square, freedom = rest.square_m2 + moving_m2, rest.weight + remainder.freedom
     wanted = square / max(freedom, 1.0)
     level = np.clip(wanted, least, np.maximum(largest, least))
     cost = freedom * np.log(level) + square / level + rest.fixed + log_det
@@ -369,8 +380,10 @@ def floor_of_all_frames(floor: Floor, remainder: Remainder) -> Floor:
     if len(noises) > len(COLOURS):
         fractions = np.array([Noise(1.0, *n[:1], white=n[1]).effective_fraction for n in noises])
         slow = _freedom_of(np.log(level / fractions), cost, freedom)
-    found = replace(floor, range_m=rest.range_m, noise=noise, freedom=freedom, slow=slow)
-    return replace(floor, range_m=rest.range_m) if _alike(noise, floor.noise) else found
+    told = replace(floor, range_m=rest.range_m, hidden=rest.hidden)
+    if _alike(noise, floor.noise):
+        return told
+    return replace(told, noise=noise, freedom=freedom, slow=slow)
 
 
 def _freedom_of(log_level: FloatArray, cost: FloatArray, freedom: float) -> float:

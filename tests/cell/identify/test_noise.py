@@ -110,3 +110,29 @@ def test_still_frames_end_before_the_hand_moves() -> None:
 def test_impossible_noise_is_refused(values: tuple[float, float, float]) -> None:
     with pytest.raises(ValueError, match="noise"):
         Noise(values[0], values[1], values[2])
+
+
+@pytest.mark.parametrize("white", [0.2, 0.8])
+def test_coloured_noise_beside_white_equals_the_dense_covariance(white: float) -> None:
+    rng = np.random.default_rng(4)
+    seen_m = rng.normal(size=(50, 3, 2))
+    seen_m[7, 1] = seen_m[20:24, 2] = seen_m[0, 0] = np.nan
+    noise = Noise(2.0, 0.7, 0.5, white=white)
+    whitener = Whitener(seen_m, noise)
+    rows = whitener(np.zeros((1, *seen_m.shape)))[0]
+    for marker, series in enumerate(rows.reshape(3, 2, 50)[:, 0]):
+        t = np.flatnonzero(np.isfinite(seen_m[:, marker, 0]))
+        x = seen_m[t, marker, 0]
+        of_time = (1.0 - white) * 0.7 ** np.abs(t[:, None] - t) + white * np.eye(len(t))
+        covariance = 4.0 * of_time + 0.25
+        assert series @ series == pytest.approx(x @ np.linalg.solve(covariance, x))
+    back = whitener.error_m(rows)
+    assert np.nanmax(np.abs(back - seen_m)) < 1e-12
+    assert np.array_equal(np.isnan(back), np.isnan(seen_m))
+
+
+def test_a_white_share_counts_as_independent() -> None:
+    assert Noise(1.0, 0.5).effective_fraction == pytest.approx(1.0 / 3.0)
+    assert Noise(1.0, 0.5, white=0.5).effective_fraction == pytest.approx(0.5)
+    with pytest.raises(ValueError, match="white"):
+        Noise(1.0, 0.5, white=1.0)
