@@ -13,7 +13,7 @@ import numpy as np
 from cell.cable.solver import threads
 from cell.run.findings import FilmedMotion, Filming
 from cell.run.station import Station
-from cell.run.waiting import check_arm, check_grip, wait_until
+from cell.run.waiting import await_rest, check_grip, wait_until
 from cell.vision.detect import detect
 from cell.vision.sighting import Sighting
 from drivers.interfaces import CameraError, Frame, Trajectory
@@ -55,10 +55,11 @@ def capture(
     keep_every: int,
     after_each: Callable[[list[Sighting]], None] = lambda sightings: None,
 ) -> FilmedMotion:
-    """See the filming to its end, and make sure that the arm is ready and the cable still held.
+    """See the filming to its end, and make sure that the arm rests and the cable is still held.
 
+    What follows moves the arm again or opens the jaws; the film may be over before the arm rests.
     after_each  is told of every sighting, and those before it, as it comes
-    raises      CameraError, StoppedError, GripError
+    raises      CameraError, StoppedError, DeviceTimeoutError, GripError
     """
     reader = _FrameReader(station, keep_every, filming)
     taken_at_s = reader.read_until(np.inf, after_each)
@@ -68,7 +69,7 @@ def capture(
             f"only {len(reader.sightings)} of {filming.frame_count} frames came",
             "check cable, load and frame rate of the camera",
         )
-    check_arm(station)
+    await_rest(station)
     check_grip(station)
     hand = station.devices.arm.log(filming.begin_s, station.devices.clock.now_s())
     return FilmedMotion(

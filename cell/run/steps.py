@@ -29,7 +29,7 @@ from cell.run.findings import Filming, Findings, required
 from cell.run.movements import APPROACH_SLOWER, Movement, Movements, paths_from
 from cell.run.station import Station
 from cell.run.trials import executed_trial, held_trial
-from cell.run.waiting import AHEAD_S, POLL_S, REST_TIMEOUT_S, await_rest, check_arm, wait_until
+from cell.run.waiting import AHEAD_S, POLL_S, await_rest, check_arm, rest_timeout_s, wait_until
 from cell.run.warm_up import warm_up as warm_up_engine
 from cell.run.warm_up import warm_up_vision
 from drivers.interfaces import (
@@ -81,7 +81,7 @@ def halt(devices: Devices, reason: str) -> ArmMode:
     """
     devices.arm.stop(reason)
     devices.camera.stop()
-    end_s = devices.clock.now_s() + REST_TIMEOUT_S
+    end_s = devices.clock.now_s() + rest_timeout_s(devices.arm)
     try:
         while (state := devices.arm.state()).moving and devices.clock.now_s() < end_s:
             devices.clock.sleep_s(POLL_S)
@@ -372,7 +372,10 @@ def verify(station: Station, findings: Findings) -> Findings:
 
 
 def release(station: Station, findings: Findings) -> Findings:
-    """Let go of the cable: where it is if it was inserted, else aside."""
+    """Let go of the cable: where it is if it was inserted, else aside.
+
+    raises  DeviceTimeoutError: the arm does not come to rest
+    """
     if findings.outcome is not Outcome.INSERTED:
         move_to(station, station.task.aside, station.task.lowering)
     return let_go(station, findings)
@@ -405,7 +408,8 @@ def measure(motion: Measuring, station: Station, findings: Findings) -> Findings
 
 
 def let_go(station: Station, findings: Findings) -> Findings:
-    """Open the jaws where the hand is."""
+    """Open the jaws where the hand rests.  Raises DeviceTimeoutError: it does not come to rest."""
+    await_rest(station)
     station.devices.gripper.release()
     return findings
 
@@ -419,8 +423,13 @@ def is_past(station: Station, t_s: float) -> bool:
 
 
 def move_to(station: Station, goal: Pose, limits: MotionLimits) -> None:
-    """Move to `goal`: level first, then up or down, then turning, and rest there."""
+    """Move to `goal` from rest: level first, then up or down, then turning, and rest there.
+
+    The motion before may have ended a moment ago, while the arm still settles.
+    raises  DeviceTimeoutError: the arm does not come to rest
+    """
     arm = station.devices.arm
+    await_rest(station)
     path = path_to(goal, arm.state().pose, limits, arm.rate_hz)
     if path is None:
         return

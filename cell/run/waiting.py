@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from cell.run.station import Station
-from drivers.interfaces import ArmMode, DeviceTimeoutError, GripError, StoppedError
+from drivers.interfaces import Arm, ArmMode, DeviceTimeoutError, GripError, StoppedError
+from drivers.servo import SETTLING_LAGS
 
 #: How long a wait is between two looks at the commands, s.
 POLL_S = 0.01
-#: Longest time that an arm needs to rest after the end of its path, beyond its lag, s.
+#: Longest time that an arm needs to rest after the end of its path, beyond that of its servo, s.
 REST_TIMEOUT_S = 1.0
 #: The arm is told so long before it is to start, because it first checks where a path leads, s.
 AHEAD_S = 0.1
@@ -22,15 +23,24 @@ def wait_until(station: Station, t_s: float) -> None:
         station.commands.check()
 
 
+def rest_timeout_s(arm: Arm) -> float:
+    """How long an arm may take to rest after the end of its path."""
+    return REST_TIMEOUT_S + SETTLING_LAGS * arm.lag_s
+
+
 def await_rest(station: Station) -> None:
-    """Wait for an arm whose path has ended.  Raises DeviceTimeoutError; StoppedError."""
+    """Wait until the arm rests and would take another path; its last one ends now, or has ended.
+
+    raises  DeviceTimeoutError; StoppedError
+    """
     arm, clock = station.devices.arm, station.devices.clock
-    end_s = clock.now_s() + REST_TIMEOUT_S
+    begun_s = clock.now_s()
     while arm.state().moving:
-        if clock.now_s() > end_s:
+        waited_s = clock.now_s() - begun_s
+        if waited_s > rest_timeout_s(arm):
             raise DeviceTimeoutError(
                 arm.name,
-                f"still moves {REST_TIMEOUT_S:g} s after its path has ended",
+                f"still moves {waited_s:.1f} s after its path has ended",
                 "check the arm's lag and speed slider",
             )
         wait_until(station, clock.now_s() + POLL_S)
