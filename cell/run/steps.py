@@ -14,6 +14,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from cell.cable.solver import DivergedError
+from cell.cable.statics import UnsettledError
 from cell.computer.memory import freeze_loaded_objects
 from cell.identify.individual import CableRejectedError
 from cell.identify.individual import identify as identify_cable
@@ -51,6 +53,8 @@ SMALL_SHIFT_M = 5e-4
 #: A computer that needs longer for a choice is not going to manage, s: the longer the hand waits,
 #: the more there is to simulate.
 LONGEST_LEAD_S = 3.0
+#: What ends a simulation of a cable that the model makes impossible.
+IMPOSSIBLE = (DivergedError, UnsettledError)
 #: Share of a measuring motion's frames in which the cable must be seen.
 LEAST_SEEN = 0.8
 
@@ -111,20 +115,27 @@ def connect(station: Station, findings: Findings) -> Findings:
 
 
 def warm_up(station: Station, findings: Findings) -> Findings:
-    """Have everything compiled and loaded where it will be needed.  Raises DeviceLostError.
+    """Have everything compiled and loaded where it will be needed.
 
     It keeps the computer busy for seconds, so no device should be connected yet.
+    raises  DeviceLostError; DeviceError: the model of the settings cannot be simulated
     """
     cable, kind = station.task.cable, station.task.identification.kind
-    warm_up_engine(cable, kind)
     warm_up_vision(station.task.vision)
     try:
+        warm_up_engine(cable, kind)
         station.computer.submit(warm_up_engine, cable, kind).result()
     except BrokenExecutor as error:
         raise DeviceLostError(
             "computer",
             "the process that computes ahead ended as it began",
             "free memory; a script of your own must begin under `if __name__ == '__main__':`",
+        ) from error
+    except IMPOSSIBLE as error:
+        raise DeviceError(
+            "model",
+            f"a usual cable with the effects of the settings cannot be simulated: {error}",
+            "correct model.effects, or take the last promotion back: `cell promote --undo`",
         ) from error
     freeze_loaded_objects()
     return findings
@@ -281,7 +292,10 @@ def identify(station: Station, findings: Findings) -> Findings:
 
 
 def simulate(station: Station, findings: Findings) -> Findings:
-    """What every offset would do, `lead_s` from now, or as simulated early if that still holds."""
+    """What every offset would do, `lead_s` from now, or as simulated early if that still holds.
+
+    A cable whose swing cannot be simulated is rejected, as one that cannot be identified is.
+    """
     held, identified = required(findings.held), required(findings.identified)
     now_s = station.devices.clock.now_s()
     early = held.early
@@ -290,14 +304,17 @@ def simulate(station: Station, findings: Findings) -> Findings:
         shift_m = expected.moved_to(identified.mean).tip_m - expected.tip_m
         if np.abs(shift_m).max() < SMALL_SHIFT_M:
             return replace(findings, candidates=early.candidates)
-    candidates = simulate_offsets(
-        station.task,
-        station.timing,
-        held,
-        findings.trials[0],
-        identified,
-        now_s + required(findings.lead_s),
-    )
+    try:
+        candidates = simulate_offsets(
+            station.task,
+            station.timing,
+            held,
+            findings.trials[0],
+            identified,
+            now_s + required(findings.lead_s),
+        )
+    except IMPOSSIBLE as error:
+        return findings.reject(f"no forecast: {error}")
     return replace(findings, candidates=candidates)
 
 

@@ -163,6 +163,24 @@ def test_refuses_a_second_path_while_moving(bench) -> None:
         bench.arm.follow(bench.make_path(dx_m=-0.05, start=here(bench)))
 
 
+def test_rests_within_the_time_that_steps_wait_and_then_takes_the_next_path(bench) -> None:
+    """A step goes on one lag after the end of a path, while the arm may still settle."""
+    from cell.run.waiting import rest_timeout_s  # the rest of the cell takes its time
+
+    start = here(bench)
+    path = bench.make_path(dy_m=-0.05, start=start)
+    bench.arm.follow(path)
+    bench.clock.sleep_s(float(path.t_s[-1]) + bench.arm.lag_s)
+    until_s = bench.clock.now_s() + rest_timeout_s(bench.arm)
+    while bench.arm.state().moving:
+        assert bench.clock.now_s() < until_s, "a step would have given it up"
+        bench.clock.sleep_s(0.002)
+    assert here(bench).y_m == pytest.approx(start.y_m - 0.05, abs=2e-4)
+    bench.arm.follow(bench.make_path(dy_m=0.05, start=here(bench)))
+    wait_for_rest(bench)
+    assert here(bench).y_m == pytest.approx(start.y_m, abs=3e-4)
+
+
 def test_closing_stops_and_may_be_repeated(bench) -> None:
     bench.arm.follow(bench.make_path(dy_m=-0.05, duration_s=0.6, start=here(bench)))
     bench.clock.sleep_s(0.2)
