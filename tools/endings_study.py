@@ -1,10 +1,10 @@
 """How cables end where the model is badly wrong: no cycle may fail, a missed cable is put aside.
 
-In a simulated world for each effect of the library, at `--size` times its usual strength, the whole
-cell runs, pictures and all, in simulated time; a cable is tried even where the model hardly believes
-in it.  Then `learn` works on the cycles of some of these worlds, missed ones too.  Pictures are
-smaller and fewer than shipped, with the same field of view.  Two effects in one world are joined by
-`+`, and `all` is a world with every one of them.
+In a simulated world for each effect of the library, at `--size` times its usual strength, the
+whole cell runs, pictures and all, in simulated time; a cable is tried even where the model hardly
+believes in it.  Then `learn` works on the cycles of some of these worlds, missed ones too.
+Pictures are smaller and fewer than shipped, with the same field of view.  Two effects in one world
+are joined by `+`, and `all` is a world with every one of them.
 `python tools/endings_study.py [--effects draught all …] [--size 2] [--cables 12] [--seed 500]
 [--learn draught …] [--out DIRECTORY] [--json F]`
 """
