@@ -1,0 +1,170 @@
+"""Every way in which a cable may end, through the real drivers, and that the next one is taken.
+
+One cell, connected once, takes one cable after another; what is done to them is done at the
+emulated camera.  Faults are those of the `fault_trials`.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+from cell.build import cell_with, real_devices
+from cell.lab.motion_file import load_motion
+from cell.records.folder import read_record
+from cell.records.result import Outcome, Result
+from cell.run.cycle import Cell
+from cell.run.machine import CellState, Event
+from cell.run.plans import INSERTING, Plan, measuring
+from cell.settings import Settings, load_settings
+from drivers.interfaces import Pose
+from drivers.sim.camera import Staging
+
+pytest.importorskip("rtde_control", reason="ur-rtde has no wheel for this machine")
+
+from cell.simulated.emulated import EmulatedCell, HiddenCableFactory
+
+pytestmark = pytest.mark.real_time
+
+LEVEL = """\
+format: cell-motion/1
+purpose: see it once more
+start: {x_m: -0.01, y_m: 0.0, angle_rad: 0.0}
+still_s: 0.4
+moves:
+  - {x_m: -0.01, y_m: -0.05, angle_rad: 0.0, duration_s: 0.3}
+hold_s: 0.4
+"""
+
+Act = Callable[["Line"], None]
+
+
+@dataclass
+class Line:
+    """A cell with emulated devices; `at` maps a step's name to what happens when it begins."""
+
+    settings: Settings
+    emulated: EmulatedCell
+    runs: Path
+    at: dict[str, Act] = field(default_factory=dict)
+    let_go: dict[int, Pose] = field(default_factory=dict)
+    number: int = 0
+
+    def __post_init__(self) -> None:
+        self.devices = real_devices(self.settings)
+        self.cell: Cell = cell_with(self.settings, self.devices, self.runs, self._on_step)
+
+    def cycle(self, plan: Plan = INSERTING, at: dict[str, Act] | None = None) -> Result:
+        self.number += 1
+        if not self.cell.machine.can(Event.RESET):  # a busy computer upset the test before
+            self.cell.acknowledge()
+        self.at = dict(at or {})
+        return self.cell.run_cycle(self.number, plan)
+
+    def _on_step(self, number: int, step: str) -> None:
+        if step in self.at:
+            self.at.pop(step)(self)
+        if step == "go_home":
+            self.let_go[number] = self.devices.arm.state().pose
+
+
+@pytest.fixture(scope="module")
+def line(light_config: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Line]:
+    settings = load_settings(light_config)
+    with EmulatedCell(settings, seed=1) as emulated:
+        it = Line(settings, emulated, tmp_path_factory.mktemp("runs"))
+        yield it
+        it.cell.close()
+
+
+def another(rigidity_n_m2: float) -> Act:
+    """The cable between the jaws is exchanged for one of that rigidity."""
+
+    def act(it: Line) -> None:
+        span = (rigidity_n_m2, 1.001 * rigidity_n_m2)
+        world = it.settings.world.model_copy(update={"rigidity_n_m2": span})
+        settings = it.settings.model_copy(update={"world": world})
+        it.emulated.camera.tell(HiddenCableFactory(settings, 1, 1))
+
+    return act
+
+
+def cover(it: Line) -> None:
+    """Without the jaw nothing is found in a picture."""
+    it.emulated.camera.tell(Staging(jaw=False))
+
+
+def uncover(it: Line) -> None:
+    it.emulated.camera.tell(Staging())
+
+
+def cover_while_at_rest(it: Line) -> None:
+    cover(it)
+    threading.Timer(it.settings.motion.still_s, uncover, (it,)).start()
+
+
+REJECTED: dict[str, dict[str, Act]] = {
+    "little swing: the tip swings by": {"lower": another(0.9)},
+    "no offset passes with probability": {"lower": another(6.0e-6)},
+    "no still frames": {"lower": cover_while_at_rest},
+    "unseen frames: the cable is seen in": {"hold_and_capture": cover, "release": uncover},
+}
+
+
+@pytest.mark.parametrize("reason", REJECTED)
+def test_a_rejected_cable_is_put_aside(line: Line, reason: str) -> None:
+    result = line.cycle(at=REJECTED[reason])
+    assert (result.outcome, result.fault) == (Outcome.REJECTED, None)
+    assert result.reason is not None and result.reason.startswith(reason)
+    check_put_aside(line, result)
+
+
+def test_a_missed_cable_is_put_aside(line: Line) -> None:
+    result = line.cycle(at={"simulate": another(1.0e-3)})
+    assert (result.outcome, result.fault) == (Outcome.MISSED, None)
+    assert result.reason is not None and result.reason.startswith("the tip missed")
+    check_put_aside(line, result)
+    study = read_record(Path(result.folder)).study
+    assert study is not None
+    assert [t.name for t in study.trials] == ["identify", "execute"]
+
+
+def check_put_aside(line: Line, result: Result) -> None:
+    here, aside = line.let_go[result.cycle], line.settings.motion.aside
+    assert (here.x_m, here.y_m) == pytest.approx((aside.x_m, aside.y_m), abs=5e-4)
+    assert not line.emulated.gripper.look().held
+    assert line.cell.machine.state is CellState.COMPLETE, "the next cable can be taken"
+
+
+def test_after_all_these_a_cable_is_held_resumed_and_inserted(line: Line) -> None:
+    def hold(it: Line) -> None:
+        it.cell.command(Event.HOLD, "somebody asks")
+
+    def resume(it: Line) -> None:
+        threading.Timer(0.3, it.cell.command, (Event.UNHOLD,)).start()
+
+    result = line.cycle(at={"simulate": hold, "held": resume})
+    assert (result.outcome, result.fault) == (Outcome.INSERTED, None), result.reason
+    assert result.state_seconds["held"] > 0.25
+
+
+def test_a_cable_is_only_measured(line: Line, tmp_path: Path) -> None:
+    motion = tmp_path / "level.yaml"
+    motion.write_text(LEVEL, encoding="utf-8")
+    result = line.cycle(measuring(load_motion(motion, line.settings)))
+    assert (result.outcome, result.fault) == (Outcome.MEASURED, None), result.reason
+    study = read_record(Path(result.folder)).study
+    assert study is not None and [t.name for t in study.trials] == ["level"]
+
+
+def test_a_dry_run_ends_without_a_cable(line: Line) -> None:
+    taken = line.emulated.cables
+    result = line.cycle(line.cell.rehearsal(INSERTING, 1.0))
+    assert result.fault is None
+    assert result.outcome in (Outcome.REHEARSED, Outcome.UNFIT), "its figures are a busy computer's"
+    assert result.checks
+    assert line.emulated.cables == taken
