@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 from typing import Annotated, NoReturn
@@ -62,24 +62,37 @@ def stoppable(stop: Callable[[], None]) -> Iterator[None]:
         signal.signal(signal.SIGINT, signal.SIG_IGN if asked else former)
 
 
+#: Signals that end what moves a cell, and what they say of why.
+_ENDING = {
+    signal.SIGINT: "",
+    signal.SIGTERM: "",
+    signal.SIGHUP: "the terminal was closed",
+}
+
+
 @contextmanager
 def interrupted_once() -> Iterator[Callable[[], None]]:
-    """The first Ctrl-C or SIGTERM interrupts, once; those that follow are ignored."""
-    given = False
+    """The first Ctrl-C, SIGTERM or closed terminal interrupts, once; those after it are ignored.
+
+    What was ignored before, as `nohup` has a closed terminal ignored, stays so.
+    """
+    given: list[KeyboardInterrupt] = []
 
     def interrupt(number: int, frame: FrameType | None) -> None:
-        nonlocal given
         if not given:
-            given = True
-            raise KeyboardInterrupt
-        print("stopping already", file=sys.stderr)
+            why = _ENDING[signal.Signals(number)]
+            given.append(KeyboardInterrupt(*([why] if why else [])))
+            raise given[0]
+        with suppress(OSError):  # nobody reads it any more
+            print("stopping already", file=sys.stderr)
 
     def not_lost() -> None:
         """Interrupt again: where Python cannot raise, as in a callback, it drops what is raised."""
         if given:
-            raise KeyboardInterrupt
+            raise given[0]
 
-    former = {s: signal.signal(s, interrupt) for s in (signal.SIGINT, signal.SIGTERM)}
+    heard = [s for s in _ENDING if signal.getsignal(s) is not signal.SIG_IGN]
+    former = {s: signal.signal(s, interrupt) for s in heard}
     try:
         yield not_lost
     finally:

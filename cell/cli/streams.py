@@ -6,7 +6,7 @@ import codecs
 import os
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 from cell.cli.shared import NOT_ALL_DONE
 
@@ -59,7 +59,8 @@ def usable_streams() -> Iterator[None]:
         # Whatever is left in the buffer would fail again at exit, with a traceback.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if not closed.by_reader:
-            print(closed, file=sys.stderr)
+            with suppress(OSError):  # of a terminal that was closed both are gone
+                print(closed, file=sys.stderr)
         raise SystemExit(NOT_ALL_DONE) from error
     if ending is not None:
         raise ending

@@ -76,7 +76,8 @@ class SecondProcess(Executor):
 def _begin() -> None:
     """Let the first process go before, leave Ctrl-C to it, and do not outlive it."""
     os.nice(_NICE)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for number in (signal.SIGINT, signal.SIGHUP):  # of the terminal, for the first process
+        signal.signal(number, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 

@@ -165,6 +165,7 @@ class Cell:
         progress.watch.cease()
         mode = steps.halt(self._station.devices, fault.cause)
         cable = steps.whereabouts_of_cable(self._station.devices)
+        _LOG.error("the arm is %s, %s", mode.value.replace("_", " "), cable)
         if isinstance(error, UNREACHED):
             self._done_once -= AGAIN_WHEN_LOST
         for sent in (event, Event.DONE):
@@ -268,7 +269,7 @@ def _fault(step: str, error: BaseException) -> tuple[Fault, Event]:
         case InterruptedByCommandError():
             return Fault(step, error.reason or error.event.value), error.event
         case KeyboardInterrupt():
-            return Fault(step, "interrupted by a person"), Event.STOP
+            return Fault(step, str(error) or "interrupted by a person"), Event.STOP
         case DeviceError():
             return Fault(step, error.cause, error.device, error.remedy), Event.ABORT
         case RecordError():

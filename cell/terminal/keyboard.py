@@ -68,7 +68,10 @@ class Keyboard:
             if not self._is_ours():
                 self._over.wait(_LOOK_S)
                 continue
-            keys = os.read(self._descriptor, 64)
+            try:
+                keys = os.read(self._descriptor, 64)
+            except OSError:
+                return
             if not keys:  # the terminal has gone
                 return
             for key in keys.decode(errors="replace"):

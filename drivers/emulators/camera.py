@@ -8,7 +8,6 @@ from __future__ import annotations
 import os
 import queue
 import select
-import signal
 import socket
 import threading
 import time
@@ -21,7 +20,7 @@ from drivers.clock import sleep_until
 from drivers.emulators.camera_poses import PRIORITY
 from drivers.emulators.camera_scene import Scene, SceneFactory
 from drivers.emulators.camera_stream import picture_header, stream_header
-from drivers.emulators.launch import EmulatorProcess, answer_all
+from drivers.emulators.launch import EmulatorProcess, answer_all, leave_interrupts_to_parent
 from drivers.interfaces import Image
 from drivers.priority import run_in_real_time
 
@@ -134,7 +133,7 @@ def serve(
     address: tuple[str, int],
 ) -> None:
     """Be a camera until the other end of `door` is gone."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C is for the parent, who then ends it
+    leave_interrupts_to_parent()
     cv2.setNumThreads(1)  # OpenCV's own threads would have to wait for the rest of the computer
     try:
         scene = factory()

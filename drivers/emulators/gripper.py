@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import signal
 import threading
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 
-from drivers.emulators.launch import EmulatorProcess, answer_all
+from drivers.emulators.launch import EmulatorProcess, answer_all, leave_interrupts_to_parent
 from drivers.emulators.robotiq import EmulatedGripper, GripperFaults
 from drivers.priority import run_in_real_time
 
@@ -73,7 +72,7 @@ class GripperProcess(EmulatorProcess):
 
 def serve(door: Connection, link: Path | None, address: int) -> None:
     """Be a gripper until the other end of `door` is gone."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C is for the parent, who then ends it
+    leave_interrupts_to_parent()
     run_in_real_time(_PRIORITY)  # a gripper does not slow down when the computer is busy
     try:
         bench = _Emulation(link, address)

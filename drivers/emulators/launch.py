@@ -6,6 +6,7 @@ import json
 import multiprocessing
 import os
 import select
+import signal
 import socket
 import subprocess
 import sys
@@ -145,6 +146,12 @@ class EmulatorProcess:
         if not done:
             raise EmulatorError(f"the emulated {self._name}: {answer}")
         return answer
+
+
+def leave_interrupts_to_parent() -> None:
+    """A Ctrl-C, or a closed terminal, is for the parent: it stops the cell, and then ends this."""
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
 
 
 def answer_all(door: Connection, do: Callable[[str, Any], object]) -> None:

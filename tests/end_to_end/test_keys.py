@@ -1,10 +1,11 @@
-"""Keys at a real terminal: hold, go on, stop; and the terminal is left as it was."""
+"""Keys at a real terminal: hold, go on, stop; the terminal left as it was; or closed."""
 
 from __future__ import annotations
 
 import json
 import os
 import pty
+import select
 import subprocess
 import sys
 import termios
@@ -15,29 +16,38 @@ from typing import Any
 
 import pytest
 
-#: Opens the terminal as the controlling one of a new session, as a login shell does.
+from cell.records.folder import read_record
+
+#: Opens the terminal as the controlling one of a new session, as a login shell does; for keys
+#: only, or for what is printed too.
 AT_TERMINAL = (
     "import os, sys; from cell.cli import main; "
-    "os.dup2(os.open(sys.argv.pop(1), os.O_RDWR), 0); main()"
+    "terminal = os.open(sys.argv.pop(1), os.O_RDWR); "
+    "[os.dup2(terminal, int(n)) for n in sys.argv.pop(1)]; main()"
 )
 
 
 class Run:
     """A `cell run` at a terminal of its own."""
 
-    def __init__(self, config: Path, runs: Path, *options: str) -> None:
+    def __init__(self, config: Path, runs: Path, *options: str, streams: str = "0") -> None:
         self.runs = runs
         self.master, self.slave = pty.openpty()
         self.before = termios.tcgetattr(self.slave)
         arguments = ["run", "-c", str(config), "--json", "--out", str(runs), *options]
         self.process = subprocess.Popen(
-            [sys.executable, "-c", AT_TERMINAL, os.ttyname(self.slave), *arguments],
+            [sys.executable, "-c", AT_TERMINAL, os.ttyname(self.slave), streams, *arguments],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
             start_new_session=True,
         )
+
+    def hang_up(self) -> None:
+        """Close the terminal, as its window or an ssh connection that is gone does."""
+        os.close(self.master)
+        self.master = os.open(os.devnull, os.O_RDWR)
 
     def press(self, key: bytes) -> None:
         os.write(self.master, key)
@@ -53,6 +63,8 @@ class Run:
         while not holds(self.state()):
             assert self.process.poll() is None, self.process.communicate()
             assert time.monotonic() < until_s, self.state()
+            if select.select([self.master], [], [], 0.0)[0]:
+                os.read(self.master, 4096)  # else whoever prints there would wait
             time.sleep(0.005)
 
     def end(self) -> tuple[int, list[dict[str, Any]]]:
@@ -64,8 +76,8 @@ class Run:
 def run(quick_config: Path, tmp_path: Path) -> Iterator[Callable[..., Run]]:
     runs: list[Run] = []
 
-    def start(*options: str) -> Run:
-        runs.append(Run(quick_config, tmp_path / "runs", *options))
+    def start(*options: str, streams: str = "0") -> Run:
+        runs.append(Run(quick_config, tmp_path / "runs", *options, streams=streams))
         return runs[-1]
 
     yield start
@@ -111,3 +123,17 @@ def test_a_stop_while_held_stops_and_u_clears_nothing(run: Callable[..., Run]) -
     assert code == 1
     assert (result["outcome"], result["fault"]["cause"]) == ("failed", "interrupted by a person")
     assert termios.tcgetattr(it.slave) == it.before
+
+
+def test_a_closed_terminal_stops_the_arm_and_closes_the_record(run: Callable[..., Run]) -> None:
+    it = run("--cycles", "50", streams="012")
+    it.until(lambda state: state.get("cycle", 0) >= 2 and state.get("step") == "hold_and_capture")
+    it.hang_up()
+    assert it.process.wait(60.0) == 1
+    record = read_record(max(it.runs.iterdir(), key=lambda f: int(f.name.rpartition("-")[2])))
+    assert record.closed and record.state["state"] == "stopped"
+    assert record.result is not None and record.result.fault is not None
+    assert record.result.fault.cause == "the terminal was closed"
+    assert record.result.fault.cable in ("a cable is in the jaws", "no cable is in the jaws")
+    log = it.runs.with_name("runs.log").read_text(encoding="utf-8")
+    assert f"the arm is stopped, {record.result.fault.cable}" in log
