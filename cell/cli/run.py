@@ -6,7 +6,6 @@ import contextlib
 import json
 import os
 import sys
-import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -24,12 +23,14 @@ from cell.cli.shared import (
     refuse,
 )
 from cell.cli.streams import emit
+from cell.cli.typed import TypedLines
 
 if TYPE_CHECKING:
     from cell.records.result import Result
     from cell.run.cycle import Cell
     from cell.run.plans import Plan
     from cell.settings.model import Settings
+    from cell.simulated.faults import Faults
     from cell.terminal.console import RunProgress
 
 app = group()
@@ -221,18 +222,32 @@ def _taken_back(config: Path, withdraw: bool) -> str:
 def emulate(
     config: Config,
     seed: Annotated[int, typer.Option(min=0, help="Of the hidden cables and noise.")] = 1,
+    fault: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--fault",
+            help="A fault of a device, NAME@2s = 2 s after the next cable is gripped, NAME = at "
+            "once; docs/commissioning.md lists them.  May be given several times.",
+        ),
+    ] = None,
 ) -> None:
     """Emulate arm, camera and gripper where the settings say they are, until Ctrl-C.
 
     The settings need a section `emulated`.  `cell run` with the same settings then works with
-    these; so may any other client of the devices' protocols.  It also ends with its parent.  Ends
-    with 0, or 2 if the settings are wrong or the addresses are taken.
+    these; so may any other client of the devices' protocols.  Faults may be typed while it runs, as
+    with --fault; `repair` ends them all.  It also ends with its parent.  Ends with 0, 1 if an
+    emulator ended by itself, 2 if the settings or a fault are wrong or the addresses are taken.
     """
     from cell.build import emulating
     from cell.files.input_error import InputError
     from cell.settings import load_settings
+    from cell.simulated.faults import Faults, read_fault
 
     parent = os.getppid()
+    try:
+        given = [read_fault(f) for f in fault or []]
+    except ValueError as error:
+        refuse(ValueError(f"--fault {error}"))
     try:
         settings = load_settings(config)
         with (
@@ -241,7 +256,38 @@ def emulate(
             contextlib.suppress(KeyboardInterrupt),
         ):
             print(cell.whereabouts(), flush=True)
+            faults = Faults(cell, lambda text: print(text, file=sys.stderr, flush=True))
+            for one in given:
+                faults.give(one)
+            typed = TypedLines()
             while os.getppid() == parent:
-                time.sleep(0.2)
+                if ended := cell.ended():
+                    _say_ended(ended, config)
+                    raise typer.Exit(NOT_ALL_DONE)
+                for line in typed.within(0.2):
+                    _obey(faults, line)
     except InputError as error:
         refuse(error)
+
+
+def _obey(faults: Faults, line: str) -> None:
+    """Do what was typed; what is not understood is said, and changes nothing."""
+    from cell.simulated.faults import REPAIR, read_fault
+
+    try:
+        if line == REPAIR:
+            faults.repair()
+        else:
+            faults.give(read_fault(line))
+    except ValueError as error:
+        print(f"{error}; or {REPAIR}", file=sys.stderr)
+
+
+def _say_ended(ended: Sequence[str], config: Path) -> None:
+    """Name the emulators that have ended, and what to do."""
+    verb = "have" if len(ended) > 1 else "has"
+    print(
+        f"{' and '.join(ended)} {verb} ended; so do the others: start them again with "
+        f"`cell emulate --config {config}`",
+        file=sys.stderr,
+    )

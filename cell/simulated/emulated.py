@@ -10,6 +10,7 @@ import contextlib
 import logging
 import socket
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
@@ -105,6 +106,7 @@ class EmulatedCell:
 
     settings  with a section `emulated`
     seed      of the hidden cables; every grip takes the next one
+    on_grip   told when the jaws have taken a cable, in a thread of its own
     """
 
     def __init__(self, settings: Settings, seed: int) -> None:
@@ -119,6 +121,7 @@ class EmulatedCell:
         self.gripper = GripperProcess(Path(settings.gripper.port), settings.gripper.address)
         self.camera = EmulatedCamera(*_camera(settings, HiddenCableFactory(settings, seed, 1)))
         self.cables = 0
+        self.on_grip: Callable[[], None] = lambda: None
 
     def __enter__(self) -> Self:
         """Raises EmulatorError: one of them does not start."""
@@ -146,6 +149,18 @@ class EmulatedCell:
             f"gripper  {self.gripper.port} (process {self.gripper.pid})"
         )
 
+    def ended(self) -> list[str]:
+        """Those whose processes have ended, though nobody ended them."""
+        return [
+            f"the emulated {name} (process {emulator.pid})"
+            for name, emulator in (
+                ("arm", self.controller),
+                ("camera", self.camera),
+                ("gripper", self.gripper),
+            )
+            if not emulator.alive
+        ]
+
     def _watch(self) -> None:
         """Tell the camera whenever the jaws have taken a cable or let it go."""
         held = False
@@ -158,6 +173,8 @@ class EmulatedCell:
                     _LOG.info("emulated jaws: %s", what)
                     cable = HiddenCableFactory(self._settings, self._seed, self.cables)
                     self.camera.tell(cable if held else None)
+                    if held:
+                        self.on_grip()
 
 
 def runs_already(settings: Settings) -> bool:

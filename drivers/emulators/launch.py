@@ -73,6 +73,11 @@ class EmulatedController:
         """Process, for those who want to kill it."""
         return None if self._process is None else self._process.pid
 
+    @property
+    def alive(self) -> bool:
+        """Whether its process has not ended."""
+        return self._process is not None and self._process.poll() is None
+
     def ask(self, op: str, **arguments: Any) -> dict[str, Any]:
         """Cause a fault or ask for the `state`.  Raises EmulatorError: not understood."""
         with socket.create_connection((self.host, FAULT_PORT), _ANSWER_S) as door:
@@ -123,6 +128,11 @@ class EmulatorProcess:
     def pid(self) -> int | None:
         """Process, for those who want to kill it."""
         return self._process.pid
+
+    @property
+    def alive(self) -> bool:
+        """Whether its process has not ended."""
+        return self._process.is_alive()
 
     def started(self, said: Any) -> None:
         """Take what the process said when it was ready."""

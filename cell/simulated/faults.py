@@ -1,0 +1,173 @@
+"""Faults that a person gives to emulated devices: at once, or after a cable is gripped."""
+
+from __future__ import annotations
+
+import difflib
+import logging
+import re
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from cell.simulated.emulated import EmulatedCell
+from drivers.emulators.camera import StreamFaults
+from drivers.emulators.launch import EmulatorError
+from drivers.emulators.robotiq import GripperFaults
+
+#: The word that ends all faults, and is no fault itself.
+REPAIR = "repair"
+#: Longest time after a grip, s.
+_LONGEST_S = 3600.0
+_GIVEN = re.compile(r"([a-z_.]+)(?:@([0-9]*\.?[0-9]+)\s*s?)?")
+_LOG = logging.getLogger(__name__)
+
+Act = Callable[[EmulatedCell], None]
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What happens, in words, and how it is caused."""
+
+    what: str
+    cause: Act
+
+
+@dataclass(frozen=True)
+class GivenFault:
+    """A fault that somebody gives.
+
+    after_s  time from the next grip of a cable; None = at once
+    """
+
+    name: str
+    after_s: float | None = None
+
+    def __str__(self) -> str:
+        when = "" if self.after_s is None else f" {self.after_s:g} s after a cable is gripped"
+        return f"{self.name}{when}"
+
+
+def _arm(op: str, **arguments: Any) -> Act:
+    def act(cell: EmulatedCell) -> None:
+        cell.controller.ask(op, **arguments)
+
+    return act
+
+
+def _camera(**faults: Any) -> Act:
+    return lambda cell: setattr(cell.camera, "faults", StreamFaults(**faults))
+
+
+def _gripper(**faults: Any) -> Act:
+    return lambda cell: setattr(cell.gripper, "faults", GripperFaults(**faults))
+
+
+KINDS: Mapping[str, Kind] = {
+    "arm.protective_stop": Kind("the controller stops the arm", _arm("protective_stop")),
+    "arm.safeguard_stop": Kind("somebody opens the guard", _arm("safeguard_stop")),
+    "arm.emergency_stop": Kind("somebody presses the button", _arm("emergency_stop")),
+    "arm.slowed": Kind("the speed slider is set to 50 %", _arm("speed_fraction", value=0.5)),
+    "arm.local": Kind("the pendant is switched to local control", _arm("local", on=True)),
+    "arm.lost": Kind("its connections break off, once", _arm("drop")),
+    "arm.frozen": Kind("the controller neither reads nor sends", _arm("freeze", seconds=1e6)),
+    "arm.garbage": Kind("it sends random bytes, once", _arm("garbage")),
+    "camera.lost": Kind("its connection breaks off, and none is accepted", _camera(refuses=True)),
+    "camera.silent": Kind("no picture comes, the connection stays", _camera(silent=True)),
+    "camera.frozen": Kind("the same picture comes again and again", _camera(frozen=True)),
+    "camera.missing": Kind("one picture is missing, once", _camera(missing=1)),
+    "camera.slow": Kind("pictures come at half the rate", _camera(slow=2.0)),
+    "camera.garbage": Kind("random bytes come in place of pictures", _camera(garbage=True)),
+    "gripper.lost": Kind("its cable is pulled", lambda cell: cell.gripper.unplug()),
+    "gripper.silent": Kind("it does not answer", _gripper(silent=True)),
+    "gripper.garbage": Kind("it answers random bytes", _gripper(garbage=True)),
+    "gripper.checksums": Kind("its checksums are wrong", _gripper(bad_crc=True)),
+    "gripper.jammed": Kind("the jaws do not move", _gripper(jammed=True)),
+    "gripper.empty": Kind(
+        "the cable falls out of the jaws, or none is there",
+        lambda cell: cell.gripper.lay_out(False),
+    ),
+}
+
+
+def read_fault(given: str) -> GivenFault:
+    """`NAME` or `NAME@2s`.  Raises ValueError: no such fault, or no such time."""
+    match = _GIVEN.fullmatch(given.strip())
+    if match is None:
+        raise ValueError(f"{given!r}: must be a fault and a time, like camera.lost@2s")
+    name, after = match.groups()
+    if name not in KINDS:
+        like = difflib.get_close_matches(name, KINDS, 1)
+        hint = f"; is it {like[0]}?" if like else ""
+        raise ValueError(f"{given!r}: there is no fault {name}{hint} There are {', '.join(KINDS)}")
+    after_s = None if after is None else float(after)
+    if after_s is not None and after_s > _LONGEST_S:
+        raise ValueError(f"{given!r}: at most {_LONGEST_S:.0f} s after a cable is gripped")
+    return GivenFault(name, after_s)
+
+
+class Faults:
+    """Gives faults to emulated devices, and ends them.
+
+    say  told of what happens, from any thread
+    """
+
+    def __init__(self, cell: EmulatedCell, say: Callable[[str], None]) -> None:
+        self._cell = cell
+        self._say = say
+        self._lock = threading.Lock()
+        self._awaited: list[GivenFault] = []
+        self._timers: list[threading.Timer] = []
+        cell.on_grip = self._gripped
+
+    def give(self, fault: GivenFault) -> None:
+        """At once, or when it is due."""
+        if fault.after_s is None:
+            self._cause(fault)
+            return
+        with self._lock:
+            self._awaited.append(fault)
+        self._say(f"{fault}: waits for a cable")
+
+    def repair(self) -> None:
+        """End all faults, and forget those that have not come."""
+        with self._lock:
+            for timer in self._timers:
+                timer.cancel()
+            self._awaited, self._timers = [], []
+        try:
+            self._mend()
+        except (EmulatorError, OSError) as error:  # one of them is dead: it is said elsewhere
+            self._say(f"{REPAIR}: {error}")
+            return
+        _LOG.info("faults repaired")
+        self._say("all faults are repaired")
+
+    def _mend(self) -> None:
+        arm, camera, gripper = self._cell.controller, self._cell.camera, self._cell.gripper
+        arm.ask("freeze", seconds=0.0)
+        arm.ask("local", on=False)
+        arm.ask("speed_fraction", value=1.0)
+        arm.ask("clear")
+        camera.faults, gripper.faults = StreamFaults(), GripperFaults()
+        gripper.plug()
+        gripper.lay_out(True)
+
+    def _gripped(self) -> None:
+        with self._lock:
+            due, self._awaited = self._awaited, []
+            new = [threading.Timer(f.after_s or 0.0, self._cause, (f,)) for f in due]
+            self._timers += new
+        for timer in new:
+            timer.daemon = True
+            timer.start()
+
+    def _cause(self, fault: GivenFault) -> None:
+        kind = KINDS[fault.name]
+        try:
+            kind.cause(self._cell)
+        except (EmulatorError, OSError) as error:
+            self._say(f"{fault.name}: cannot be given: {error}")
+            return
+        _LOG.info("fault given: %s", fault.name)
+        self._say(f"{fault.name}: {kind.what}")
