@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.plane import PlaneView
-from cell.vision.frame_nodes import Appearance, FrameMemory, frame_memory, nodes_in_frame
+from cell.vision.frame_nodes import Appearance, FrameMemory, FrameResult, frame_memory, frame_values
 from cell.vision.marks import JawMarks, compiled_view, disc_marks
 from cell.vision.ridge import Picture
 from cell.vision.sighting import UNSEEN, Sighting
@@ -73,7 +73,7 @@ def detect(
         near = (x_m, y_m, previous.clamp_angle_rad)
     picture = Picture.of(image, 1 if options.cable_is == "light" else -1)
     nodes_m = np.empty((options.nodes, 2))
-    found = nodes_in_frame(
+    values = frame_values(
         picture,
         compiled_view(view),
         _appearance(options),
@@ -81,6 +81,7 @@ def detect(
         near,
         nodes_m,
     )
+    found = FrameResult(*values)
     return Sighting(
         t_s,
         nodes_m,

@@ -136,6 +136,13 @@ def find_body(image, view, marks, memory, near, reach):  # type: ignore[no-untyp
 
 
 @compiled
+def body_values(image, view, marks, memory, near, reach):  # type: ignore[no-untyped-def]
+    """The values of `find_body`'s result as a plain tuple; see `frame_nodes.frame_values`."""
+    found = find_body(image, view, marks, memory, near, reach)
+    return found.x_m, found.y_m, found.angle_rad, found.marks, found.rms_m
+
+
+@compiled
 def _around(view, marks, near, reach):  # type: ignore[no-untyped-def]
     """Left, top, right, bottom of the pixels where the marks can be."""
     x, y, angle = near

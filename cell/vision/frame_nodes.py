@@ -114,6 +114,16 @@ def nodes_in_frame(picture, view, look, memory, near, nodes):  # type: ignore[no
     return FrameResult(-1, x, y, angle, quality, length_m)
 
 
+@compiled
+def frame_values(picture, view, look, memory, near, nodes):  # type: ignore[no-untyped-def]
+    """The values of `nodes_in_frame`'s result as a plain tuple, as Python may take it.
+
+    To hand out a named one numba runs Python; a signal that is raised there ends the process.
+    """
+    found = nodes_in_frame(picture, view, look, memory, near, nodes)
+    return found.code, found.x_m, found.y_m, found.angle_rad, found.quality, found.length_m
+
+
 @inline
 def _nothing(nodes):  # type: ignore[no-untyped-def]
     for n in range(len(nodes)):

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.plane import PlaneView
-from cell.vision.discs import Marks, View, disc_memory, find_body
+from cell.vision.discs import BodyPose, Marks, View, body_values, disc_memory
 
 FloatArray = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -80,9 +80,10 @@ def find_jaw(
     place = (np.nan, np.nan) if near is None else (float(near[0]), float(near[1]))
     turn, reach_m = (np.nan, _ANY_TURN_M) if near_rad is None else (float(near_rad), NEXT_FRAME_M)
     memory = disc_memory(image.shape, len(marks.centres_m))
-    found = find_body(
+    values = body_values(
         image, compiled_view(view), disc_marks(marks), memory, (*place, turn), reach_m
     )
+    found = BodyPose(*values)
     if not found.marks:
         return None
     return JawPose(np.array([found.x_m, found.y_m]), found.angle_rad, found.marks, found.rms_m)

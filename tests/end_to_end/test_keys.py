@@ -129,7 +129,8 @@ def test_a_closed_terminal_stops_the_arm_and_closes_the_record(run: Callable[...
     it = run("--cycles", "50", streams="012")
     it.until(lambda state: state.get("cycle", 0) >= 2 and state.get("step") == "hold_and_capture")
     it.hang_up()
-    assert it.process.wait(60.0) == 1
+    it.process.communicate(timeout=60)
+    assert it.process.returncode == 1
     record = read_record(max(it.runs.iterdir(), key=lambda f: int(f.name.rpartition("-")[2])))
     assert record.closed and record.state["state"] == "stopped"
     assert record.result is not None and record.result.fault is not None
