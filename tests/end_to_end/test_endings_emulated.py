@@ -93,6 +93,11 @@ def another(rigidity_n_m2: float) -> Act:
     return act
 
 
+def the_first(it: Line) -> None:
+    """The cable between the jaws is exchanged for the first, which is known to go in."""
+    it.emulated.camera.tell(HiddenCableFactory(it.settings, 1, 1))
+
+
 def cover(it: Line) -> None:
     """Without the jaw nothing is found in a picture."""
     it.emulated.camera.tell(Staging(jaw=False))
@@ -124,7 +129,7 @@ def test_a_rejected_cable_is_put_aside(line: Line, reason: str) -> None:
 
 
 def test_a_missed_cable_is_put_aside(line: Line) -> None:
-    result = line.cycle(at={"simulate": another(1.0e-3)})
+    result = line.cycle(at={"lower": the_first, "simulate": another(1.0e-3)})
     assert (result.outcome, result.fault) == (Outcome.MISSED, None)
     assert result.reason is not None and result.reason.startswith("the tip missed")
     check_put_aside(line, result)
@@ -147,7 +152,7 @@ def test_after_all_these_a_cable_is_held_resumed_and_inserted(line: Line) -> Non
     def resume(it: Line) -> None:
         threading.Timer(0.3, it.cell.command, (Event.UNHOLD,)).start()
 
-    result = line.cycle(at={"simulate": hold, "held": resume})
+    result = line.cycle(at={"lower": the_first, "simulate": hold, "held": resume})
     assert (result.outcome, result.fault) == (Outcome.INSERTED, None), result.reason
     assert result.state_seconds["held"] > 0.25
 
