@@ -165,6 +165,12 @@ def test_the_child_outlives_neither_cell_nor_controller(
     until(lambda: not Path(f"/proc/{child}").exists(), 6.0)
 
 
+def test_ctrl_c_at_the_terminal_does_not_reach_the_child(arm) -> None:
+    """It goes to all of the terminal's group; the child is stopped by its parent, in order."""
+    assert os.getpgid(arm._child.process.pid) != os.getpgrp()
+    assert os.getsid(arm._child.process.pid) != os.getsid(0)
+
+
 def test_a_stop_reaches_the_controller_soon(arm, ur_emulator, line) -> None:
     set_moving(arm, line)
     asked_s = time.monotonic()

@@ -36,6 +36,13 @@ def test_it_is_reached_by_the_name_of_its_line(emulator, gripper, tmp_path) -> N
     assert not gripper.release().holding and not emulator.look().held
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
+def test_what_happens_at_the_terminal_is_its_parents_affair(emulator, gripper, number) -> None:
+    os.kill(emulator.pid, number)
+    assert gripper.grip(20.0).holding
+    assert emulator.alive and emulator.look().held
+
+
 def test_a_cable_that_is_taken_away_is_missed(emulator, gripper, eventually) -> None:
     gripper.grip(20.0)
     emulator.lay_out(False)
