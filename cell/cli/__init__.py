@@ -15,7 +15,7 @@ from typing import Annotated
 import typer
 
 from cell.cli import calibrate, lab, line, records, run, settings
-from cell.cli.streams import usable_streams
+from cell.cli.streams import open_streams, usable_streams
 from cell.computer.watched import go_on_watched
 from cell.terminal.logs import about, to_file, to_terminal
 
@@ -69,6 +69,7 @@ def options(
 
 def main() -> None:
     """Entry point of the console script."""
+    open_streams()
     # matrices are small: a second thread of linear algebra only spins; read when numpy is loaded
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if next((word for word in sys.argv[1:] if not word.startswith("-")), "") in WATCHED:

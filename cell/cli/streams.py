@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import codecs
+import errno
+import io
 import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from typing import Any
 
 from cell.cli.shared import NOT_ALL_DONE
 
@@ -22,7 +25,8 @@ class OutputClosedError(Exception):
     """Standard output takes no more.  Scenario: `cell run --json | head -1`, or a full disk."""
 
     def __init__(self, cause: OSError) -> None:
-        super().__init__(f"the output cannot be written: {cause.strerror}")
+        why = "it is closed" if cause.errno == errno.EBADF else cause.strerror
+        super().__init__(f"the output cannot be written: {why}")
         self.by_reader = isinstance(cause, BrokenPipeError)
 
 
@@ -32,6 +36,40 @@ def emit(line: str) -> None:
         print(line, flush=True)
     except OSError as error:
         raise OutputClosedError(error) from error
+
+
+class _Unheard(io.FileIO):
+    """An error stream that may be full or gone: what is said there is lost, not the work."""
+
+    def write(self, said: Any, /) -> int:
+        """Number of bytes, written or not."""
+        try:
+            return super().write(said)
+        except OSError:
+            return len(said)
+
+
+def open_streams() -> None:
+    """Standard streams that were closed are there: input ended, output refusing, errors unheard.
+
+    To be called before anything is opened, forked or printed: a file would get the number of a
+    closed stream, and whatever prints would write into it.
+    """
+    if sys.stdin is None:
+        sys.stdin = os.fdopen(_nothing(os.O_RDONLY), "r")
+    if sys.stdout is None:
+        sys.stdout = os.fdopen(_nothing(os.O_RDONLY), "w")  # a write fails, as to a closed one
+    number = _nothing(os.O_WRONLY) if sys.stderr is None else sys.stderr.fileno()
+    encoding = None if sys.stderr is None else sys.stderr.encoding
+    unheard = io.BufferedWriter(_Unheard(number, "w", closefd=False))
+    sys.stderr = io.TextIOWrapper(unheard, encoding, "backslashreplace", line_buffering=True)
+
+
+def _nothing(flags: int) -> int:
+    """Number of a stream that is empty, or swallows all."""
+    number = os.open(os.devnull, flags)
+    os.set_inheritable(number, True)
+    return number
 
 
 @contextmanager

@@ -42,3 +42,52 @@ def test_signs_that_a_terminal_lacks_become_plain_ones(tmp_path: Path, encoding:
     assert done.returncode == 0, done.stderr
     said = done.stdout.decode(encoding)
     assert ("0 … 40 mm" if encoding == "utf-8" else "0 ... 40 mm") in said
+
+
+CLOSED = "the output cannot be written: it is closed\n"
+
+
+@pytest.mark.parametrize(
+    ("command", "said", "code"),
+    [
+        (["--help"], CLOSED, 1),
+        (["effects"], CLOSED, 1),
+        (["check", "-c", "none.yaml"], "none.yaml:1:1: cannot be read: ", 2),
+    ],
+    ids=["unwatched", "watched", "refused"],
+)
+def test_a_closed_output_is_said(command: list[str], said: str, code: int) -> None:
+    done = _behind(">&-", command)
+    assert done.returncode == code
+    assert done.stderr.startswith(said) and done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("errors", "given", "code"), [("2>&-", "none.yaml", 2), ("2>/dev/full", str(CONFIG), 0)]
+)
+def test_errors_that_nobody_hears_change_nothing(errors: str, given: str, code: int) -> None:
+    done = _behind(errors, ["check", "-c", given])
+    assert (done.returncode, bool(done.stdout)) == (code, code == 0)
+
+
+@pytest.mark.parametrize("errors", ["2>&-", "2>/dev/full"])
+def test_a_refusal_that_nobody_hears_has_its_code(errors: str) -> None:
+    done = _behind(errors, ["list", "none"])
+    assert (done.returncode, done.stdout) == (2, "")
+
+
+def test_without_an_input_nothing_is_asked(tmp_path: Path) -> None:
+    written = tmp_path / "cell.yaml"
+    done = _behind("<&-", ["init", "-o", str(written)])
+    assert (done.returncode, done.stderr) == (0, "")
+    assert written.exists()
+
+
+def _behind(redirection: str, command: list[str]) -> subprocess.CompletedProcess[str]:
+    """A command as a shell starts it with some of its streams closed or full."""
+    return subprocess.run(
+        ["bash", "-c", f'"$@" {redirection}', "bash", *CELL, *command],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
