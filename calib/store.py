@@ -84,11 +84,15 @@ def save(path: Path, stored: StoredCalibration) -> None:
     tree["hash"] = _hash(tree)
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(path.name + ".part")
-    part.write_text(
-        yaml.safe_dump(tree, sort_keys=False, allow_unicode=True, default_flow_style=None),
-        encoding="utf-8",
-    )
-    part.replace(path)
+    text = yaml.safe_dump(tree, sort_keys=False, allow_unicode=True, default_flow_style=None)
+    try:
+        part.write_text(text, encoding="utf-8")
+        part.replace(path)
+    except BaseException as error:
+        part.unlink(missing_ok=True)
+        if isinstance(error, OSError):  # which knows no name when a disk is full
+            raise type(error)(error.errno, error.strerror, str(path)) from error
+        raise
 
 
 def load(path: Path, kind: str) -> StoredCalibration:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import shutil
 from collections.abc import Callable
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -26,6 +28,7 @@ from cell.calibration.session import Session, opened
 from cell.calibration.showing import BOARD_VIEWS, Assistant, Person
 from cell.files.atomic import write_whole
 from cell.files.input_error import InputError, Problem
+from cell.files.rescue import kept, remedy
 from cell.settings import Settings
 from cell.settings.calibrated import Calibrated, board_of, bounds_of, typed, view_of_stored
 from cell.settings.translate import vision_of
@@ -83,6 +86,7 @@ class CalibrationJob:
         self._assistant: Assistant = Person(ask)
         self._made: dict[str, StoredCalibration] = {}
         self._reports: dict[str, Path] = {}
+        self._unwritten: list[str] = []
 
     def __enter__(self) -> Self:
         return self
@@ -117,16 +121,17 @@ class CalibrationJob:
         if made is None:
             self._say(f"{part} is left out: what is typed holds, or what was calibrated before")
             return None
-        save(self._folder / f"{part}.yaml", made)
         self._made[part] = made
-        _LOG.info("%s: %s, kept in %s", part, _words(made), self._folder / f"{part}.yaml")
+        path = self._folder / f"{part}.yaml"
+        _LOG.info("%s: %s, for %s", part, _words(made), path)
+        self._keep(path, lambda place: save(place, made))
         return made
 
     def _camera(self, source: Path | None) -> StoredCalibration:
         if source is None:
             session = self._open()
             pictures = measure.show_board(session, self._assistant, self._board, self._say)
-            raw.save_pictures(self._raw("camera"), pictures)
+            self._record("camera", partial(raw.save_pictures, pictures=pictures))
         else:
             pictures = list(raw.read_pictures(source))
         fit, views, troubles = conclude.camera_from(pictures, self._board)
@@ -146,7 +151,7 @@ class CalibrationJob:
                 lambda some: self._first_fit(some, camera),
                 self._say,
             )
-            raw.save_cell(self._raw("cell"), shown)
+            self._record("cell", partial(raw.save_cell, shown=shown))
         else:
             shown = raw.read_cell(source)
         fit = conclude.cell_from(shown, camera, self._settings)
@@ -160,16 +165,15 @@ class CalibrationJob:
         try:
             return conclude.cell_from(some, camera, self._settings)
         except CalibrationError:
-            folder = self._raw("cell")
-            raw.save_cell(folder, some)
-            self._say(f"{len(some.poses)} poses are kept in {folder}, for --from")
+            if folder := self._record("cell", partial(raw.save_cell, shown=some)):
+                self._say(f"{len(some.poses)} poses are kept in {folder}, for --from")
             raise
 
     def _time(self, source: Path | None) -> StoredCalibration:
         told_s = 0.0
         if source is None:
             move = self._move(view_of_stored(self._before("cell")))
-            raw.save_move(self._raw("time"), move)
+            self._record("time", partial(raw.save_move, move=move))
         else:
             move = raw.read_move(source)
         times = conclude.times_from(move)
@@ -185,7 +189,7 @@ class CalibrationJob:
             shown = grip.show_cable(self._open(), self._assistant, view, self._say)
             if shown is None:
                 return None
-            raw.save_cell(self._raw("grip"), shown)
+            self._record("grip", partial(raw.save_cell, shown=shown))
         else:
             shown = raw.read_cell(source)
         views, troubles = grip.views_of(shown, view, self._settings)
@@ -220,8 +224,11 @@ class CalibrationJob:
     # --- what came of it ----------------------------------------------------------------------
 
     def shortcomings(self) -> list[str]:
-        """Why `cell run` would refuse what was made, each with its remedy; empty = it is good."""
-        return [line for made in self._made.values() for line in self._too_poor(made)]
+        """Why `cell run` would refuse what was made, or lacks it, each with its remedy; empty = it
+        is good and written.
+        """
+        poor = [line for made in self._made.values() for line in self._too_poor(made)]
+        return [*self._unwritten, *poor]
 
     def _too_poor(self, made: StoredCalibration) -> list[str]:
         limits = self._settings.calibration
@@ -294,15 +301,28 @@ class CalibrationJob:
                 f"run `cell calibrate {before.kind} --config {self._config}`",
             )
 
-    def _raw(self, kind: str) -> Path:
-        """A new folder for what was measured."""
+    def _record(self, kind: str, save: Callable[[Path], None]) -> Path | None:
+        """Keep what was measured in a new folder; None = there is no room for it, which is said."""
         stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S")
-        return self._folder / "recorded" / f"{kind}-{stamp}"
+        folder = self._folder / "recorded" / f"{kind}-{stamp}"
+        try:
+            save(folder)
+        except OSError as error:
+            shutil.rmtree(folder, ignore_errors=True)
+            why = f"{error.strerror or error}; {remedy(error)}"
+            self._say(f"{folder}: what was measured cannot be kept: {why}")
+            return None
+        return folder
 
     def _report(self, kind: str, page: str) -> None:
         path = self._folder / f"{kind}.html"
-        write_whole(path, page)
         self._reports[kind] = path
+        self._keep(path, lambda place: write_whole(place, page))
+
+    def _keep(self, path: Path, write: Callable[[Path], None]) -> None:
+        """Write a file of a result; what is wrong with it is one of the shortcomings."""
+        if trouble := kept(path, write):
+            self._unwritten.append(trouble)
 
 
 def _words(made: StoredCalibration) -> str:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cell.cli.lab import refusing, working
-from cell.cli.result_json import STDOUT, write_result
+from cell.cli.result_json import STDOUT, print_result
 from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, Config, interrupted_once, refuse
 
 if TYPE_CHECKING:
@@ -113,7 +113,7 @@ def check(config: Config, seed: Seed = 1, as_json: AsJson = False) -> None:
     """
     with _workshop(config, seed, as_json) as work:
         found = work.check()
-        if write_result(vars(found), STDOUT if as_json else None):
+        if print_result(vars(found), STDOUT if as_json else None):
             print(found.sentence + ("" if found.command is None else f"; run `{found.command}`"))
         raise typer.Exit(ALL_DONE if found.good else NOT_ALL_DONE)
 
@@ -144,7 +144,7 @@ def _part(part: str, config: Path, source: Path | None, seed: int, as_json: bool
 
 
 def _end(work: CalibrationJob, as_json: bool) -> None:
-    if write_result(work.summary(), STDOUT if as_json else None):
+    if print_result(work.summary(), STDOUT if as_json else None):
         for line in work.lines():
             print(line)
     wrong = work.shortcomings()

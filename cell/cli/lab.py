@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import gc
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cell.cli.result_json import STDOUT, Json, JsonCommand, write_result
+from cell.cli.delivery import deliver, json_files
+from cell.cli.result_json import STDOUT, Json, JsonCommand, print_result
 from cell.cli.shared import BAD_INPUT, INTERRUPTED, group, stoppable, tell_notes
 from cell.files.overwriting import check_new_study, check_output
 
 if TYPE_CHECKING:
     from cell.lab.compare import Comparison
     from cell.lab.explore import Explorer, Progress
+    from cell.lab.profiles import ParameterProfile
     from cell.lab.session import EffectSelection
     from cell.terminal.progress import ProgressLine
 
@@ -108,19 +111,26 @@ def fit(
             "agreement": agreement_json(trials),
         }
         said: list[str] = []
+        found: Sequence[ParameterProfile] = ()
         if profile is not None:
             from cell.lab.profiles import parameter_profiles, profile_sentences
-            from cell.lab.report import profile_page, write_page
 
             found = parameter_profiles(explorer.prepared, candidate.fit, model, progress)
             written["profiles"] = [p.to_json() for p in found]
-            write_page(profile_page(explorer.prepared.study.name, found), profile)
             said = [f"{sentence}." for sentence in profile_sentences(found)]
-        tables = write_result(written, out, as_json)
-    if tables:
-        errors = errors_line(explorer.prepared, candidate)
-        apart = [agreement_sentence(trials), agreement_table(trials)] if trials else []
-        show(*warning_lines(warnings), errors, model_table(model), *apart, *said)
+
+    def printed() -> None:
+        if print_result(written, out, as_json):
+            errors = errors_line(explorer.prepared, candidate)
+            apart = [agreement_sentence(trials), agreement_table(trials)] if trials else []
+            show(*warning_lines(warnings), errors, model_table(model), *apart, *said)
+
+    def page(path: Path) -> None:
+        from cell.lab.report import profile_page, write_page
+
+        write_page(profile_page(explorer.prepared.study.name, found), path)
+
+    deliver(printed, *json_files(written, out, as_json), (profile, page))
 
 
 @app.command(cls=JsonCommand)
@@ -160,20 +170,25 @@ def compare(
         for m, name in zip(individuals, model_names(model), strict=True):
             progress(f"comparing {name}", len(comparisons), len(individuals))
             comparisons.append(compare_model(opened, m.model, name))
-        tables = write_result(comparisons_json(comparisons), *results or [])
-        if report:
-            from cell.lab.report import comparison_page, write_page
+    data = comparisons_json(comparisons)
 
-            write_page(comparison_page(comparisons), report)
-    if tables:
-        last = comparisons[-1]
-        side_by_side = [comparisons_table(comparisons)] if len(comparisons) > 1 else []
-        show(
-            comparison_sentence(comparisons),
-            *side_by_side,
-            comparison_table(last),
-            correlations_table(last),
-        )
+    def printed() -> None:
+        if print_result(data, *results or []):
+            last = comparisons[-1]
+            side_by_side = [comparisons_table(comparisons)] if len(comparisons) > 1 else []
+            show(
+                comparison_sentence(comparisons),
+                *side_by_side,
+                comparison_table(last),
+                correlations_table(last),
+            )
+
+    def page(path: Path) -> None:
+        from cell.lab.report import comparison_page, write_page
+
+        write_page(comparison_page(comparisons), path)
+
+    deliver(printed, *json_files(data, *results or []), (report, page))
 
 
 @app.command(cls=JsonCommand)
@@ -226,15 +241,12 @@ def diagnose(
             known=tuple(e.name for e in in_model),
             accepted=tuple(e.name for e in examination.accepted.effects if e not in in_model),
         )
-        tables = write_result(to_json(examination.diagnosis), *results or [])
-        if report:
-            from cell.lab.report import diagnosis_page, write_page
-
-            fitted = examination.steps[-1].fit
-            model = identified(explorer.prepared, fitted, explorer.library.values())
-            write_page(diagnosis_page(examination, comparisons, model, todo), report)
     diagnosis = examination.diagnosis
-    if tables:
+    data = to_json(diagnosis)
+
+    def printed() -> None:
+        if not print_result(data, *results or []):
+            return
         more = [nearest_table(diagnosis)] if diagnosis.nearest else []
         show(
             sentence(diagnosis, comparisons[0], comparisons[-1]),
@@ -248,6 +260,15 @@ def diagnose(
             *([agreement_table(diagnosis.agreement)] if diagnosis.agreement else []),
             steps_text(todo),
         )
+
+    def page(path: Path) -> None:
+        from cell.lab.report import diagnosis_page, write_page
+
+        fitted = examination.steps[-1].fit
+        model = identified(explorer.prepared, fitted, explorer.library.values())
+        write_page(diagnosis_page(examination, comparisons, model, todo), path)
+
+    deliver(printed, *json_files(data, *results or []), (report, page))
     if any(w.code == "interrupted" for w in diagnosis.warnings):
         raise typer.Exit(INTERRUPTED)
 
@@ -267,9 +288,12 @@ def effects(
     with refusing(*results or [], force=force):
         library = session.select_effects([], effect or []).candidates
         described = {"format": "cable-effects/1", "effects": describe_effects(library)}
-        tables = write_result(described, *results or [])
-    if tables:
-        show(effects_table(library))
+
+    def printed() -> None:
+        if print_result(described, *results or []):
+            show(effects_table(library))
+
+    deliver(printed, *json_files(described, *results or []))
 
 
 @app.command(cls=JsonCommand)
@@ -293,20 +317,21 @@ def discover(
         selection = session.select_effects(effect or [])
         explorer = _explorer(study, selection, prior, progress)
         discovery = discover_effect(explorer, out)
-        tables = write_result(discovery.to_json(), as_json)
     known = explorer.space.effects
     paths = Paths.of(study, known)
     paths = Paths(study, {**(paths.files or {}), discovery.effect: out})
     todo = after_discovery(
         discovery.effect, discovery.complete, paths, tuple(e.name for e in known)
     )
-    if tables:
-        show(
-            discovery_table(discovery),
-            discovery_sentence(discovery),
-            f"written to {out}",
-            steps_text(todo),
-        )
+    data = discovery.to_json()
+
+    def printed() -> None:
+        if print_result(data, as_json):
+            show(discovery_table(discovery), discovery_sentence(discovery))
+
+    deliver(printed, (out, discovery.write), *json_files(data, as_json))
+    if as_json != STDOUT:
+        show(f"written to {out}", steps_text(todo))
 
 
 @app.command(cls=JsonCommand)
@@ -337,11 +362,13 @@ def suggest(
         selection = session.select_for_diagnosis(effect or [], known or [])
         explorer = _explorer(study, selection, prior, progress, config)
         suggestion = suggest_motion(explorer, diagnose_study(explorer), surroundings)
-        if out:
-            write_motion(suggestion, out)
-        tables = write_result(suggestion.to_json(), as_json)
-    if tables:
-        show(suggestion_table(suggestion))
+    data = suggestion.to_json()
+
+    def printed() -> None:
+        if print_result(data, as_json):
+            show(suggestion_table(suggestion))
+
+    deliver(printed, (out, partial(write_motion, suggestion)), *json_files(data, as_json))
 
 
 @app.command()

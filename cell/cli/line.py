@@ -6,11 +6,13 @@ import re
 import shlex
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cell.cli.delivery import Delivery, deliver
 from cell.cli.lab import refusing, show, working
 from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, Config, group
 
@@ -70,19 +72,26 @@ def learn(
         lesson = learn_from(cycles, cable, options, library | more.effects, progress)
         lesson, judgement = best_judged(lesson, settings)
         kept = more.keep(lesson.best.effects if lesson.best else ())
-        if lesson.best:
-            write_candidate(out, lesson, judgement, settings.model)
         again = _again(runs, config, out, effect or [], laws)
-        todo = _asking(lesson, config, out, again, progress)
+        todo, motion = _asking(lesson, config, out, again, progress)
     for line in left_out:
         print(f"left out: {line}", file=sys.stderr)
-    for line in lesson_lines(lesson):
-        print(line)
+
+    def printed() -> None:
+        for line in lesson_lines(lesson):
+            print(line)
+        if lesson.best is not None:
+            show(votes_table(lesson), gates_table(judgement.gates))
+        for line in (*(f"its law is in {path}" for path in kept), *todo):
+            print(line)
+
+    def candidate(path: Path) -> None:
+        write_candidate(path, lesson, judgement, settings.model)
+
     if lesson.best is None:
+        deliver(printed)
         raise typer.Exit(ALL_DONE)
-    show(votes_table(lesson), gates_table(judgement.gates))
-    for line in (*(f"its law is in {path}" for path in kept), *todo):
-        print(line)
+    deliver(printed, (out, candidate), *motion)
     if judgement.fit_for_line:
         print(f"written to {out}; use it with: cell promote {out} --config {config}")
         raise typer.Exit(ALL_DONE)
@@ -117,32 +126,35 @@ def _measured(out: Path) -> Path:
     return out.with_suffix(".measured")
 
 
-def _asking(lesson: Lesson, config: Path, out: Path, again: str, progress: Progress) -> list[str]:
-    """The motion that tells what these cycles cannot, in a file, and the commands for it."""
+def _asking(
+    lesson: Lesson, config: Path, out: Path, again: str, progress: Progress
+) -> tuple[list[str], list[Delivery]]:
+    """The motion that tells what these cycles cannot: the commands for it, and its file."""
     from cell.lab.ask import MOST_ASKED, asked, motion_that_tells, worth_it
     from cell.lab.suggest import write_motion
     from cell.settings.surroundings import Surroundings
 
     if not lesson.tied:
-        return []
+        return [], []
     if asked(lesson.cycles) >= MOST_ASKED:
-        return [f"{MOST_ASKED} motions did not tell them apart: they explain these cables alike"]
+        told = f"{MOST_ASKED} motions did not tell them apart: they explain these cables alike"
+        return [told], []
     try:
         suggestion = motion_that_tells(lesson, Surroundings.read(config), progress)
     except ValueError as error:
-        return [f"no motion tells them apart: {error}"]
+        return [f"no motion tells them apart: {error}"], []
     best = None if suggestion is None else worth_it(suggestion)
     if suggestion is None or best is None:
-        return ["no safe motion is likely to tell them apart: they explain these cables alike"]
+        return ["no safe motion is likely to tell them apart: they explain these cables alike"], []
     motion = _motion(out)
-    write_motion(suggestion, motion)
     words = ["cell", "run", "--config", config, "--motion", motion, "--out", _measured(out)]
-    return [
+    lines = [
         f"a motion tells them apart, with probability {best.power:.2f}: {best.motion.describe()}; "
         "measure a cable with it, and learn again:",
         f"  {_typed(words)}",
         f"  {again}",
     ]
+    return lines, [(motion, partial(write_motion, suggestion))]
 
 
 @app.command()

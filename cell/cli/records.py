@@ -9,8 +9,9 @@ from typing import Annotated, Any
 
 import typer
 
+from cell.cli.delivery import deliver, json_files
 from cell.cli.lab import Force, refusing, working
-from cell.cli.result_json import Json, JsonCommand, write_result
+from cell.cli.result_json import Json, JsonCommand, print_result
 from cell.cli.shared import NOT_ALL_DONE, group, refuse, tell_notes
 
 app = group()
@@ -128,15 +129,19 @@ def identify(
         if isinstance(identified, Rejected):
             print(f"{folder}: cable rejected: {identified.reason}", file=sys.stderr)
             raise typer.Exit(NOT_ALL_DONE)
-        tables = write_result(identified.to_dict(), out, as_json)
-    if not tables:
-        return
-    print_parts(Console(), parameters_table(identified.to_dict()))
+    model = identified.to_dict()
     stated = ""
     if study.noise_std_m is not None:
         stated = f" (of the measurement as the study states it: {study.noise_std_m * 1e3:.3f} mm)"
-    print(
-        f"residual {identified.residual_rms_m * 1e3:.3f} mm rms, camera noise at rest "
-        f"{identified.noise.std_m * 1e3:.3f} mm{stated}, {identified.frames_used} of "
-        f"{identified.frames_total} frames"
-    )
+
+    def printed() -> None:
+        if not print_result(model, out, as_json):
+            return
+        print_parts(Console(), parameters_table(model))
+        print(
+            f"residual {identified.residual_rms_m * 1e3:.3f} mm rms, camera noise at rest "
+            f"{identified.noise.std_m * 1e3:.3f} mm{stated}, {identified.frames_used} of "
+            f"{identified.frames_total} frames"
+        )
+
+    deliver(printed, *json_files(model, out, as_json))

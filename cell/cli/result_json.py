@@ -52,13 +52,9 @@ class JsonCommand(TyperCommand):
         )
 
 
-def write_result(data: dict[str, Any], *places: Path | None) -> bool:
-    """Write a result as JSON to each place given; returns whether tables are still wanted."""
-    from cell.lab.results import write_json
-
-    for place in places:
-        if place == STDOUT:
-            emit(json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False))
-        elif place is not None:
-            write_json(data, place)
-    return STDOUT not in places
+def print_result(data: dict[str, Any], *places: Path | None) -> bool:
+    """Print a result as JSON if that is asked for; returns whether tables are wanted instead."""
+    if STDOUT not in places:
+        return True
+    emit(json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False))
+    return False

@@ -41,6 +41,7 @@ def init(
     import yaml
     from pydantic import ValidationError
 
+    from cell.files.atomic import write_new
     from cell.files.input_error import InputError
     from cell.settings import Settings, load_settings
     from cell.settings.commented import commented
@@ -66,11 +67,11 @@ def init(
         places = [f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors()]
         refuse(ValueError("; ".join(places) + "; nothing was written"))
     try:
-        with out.open("x", encoding="utf-8") as file:
-            file.write(text)
+        write_new(out, text)
         load_settings(out)
     except OSError as error:
-        refuse(ValueError(f"{out}: cannot be written: {error.strerror}"))
+        why = error.strerror or error
+        refuse(ValueError(f"{out}: cannot be written: {why}; give another place with -o"))
     except InputError as error:
         print(f"{out}: written, but to be mended first", file=sys.stderr)
         refuse(error)

@@ -12,6 +12,7 @@ from contextlib import contextmanager, suppress
 from typing import Any
 
 from cell.cli.shared import NOT_ALL_DONE
+from cell.files.rescue import remedy
 
 #: Signs that the commands print, for terminals that lack them.
 _PLAIN = {
@@ -91,7 +92,7 @@ def usable_streams() -> Iterator[None]:
         sys.stdout.flush()
     except (OutputClosedError, OSError) as error:
         if isinstance(error, OSError) and error.filename is not None:
-            print(f"{error.filename}: {error.strerror}", file=sys.stderr)
+            print(f"{error.filename}: {error.strerror}; {remedy(error)}", file=sys.stderr)
             raise SystemExit(NOT_ALL_DONE) from error
         closed = error if isinstance(error, OutputClosedError) else OutputClosedError(error)
         # Whatever is left in the buffer would fail again at exit, with a traceback.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 
@@ -15,16 +16,65 @@ def write_whole(path: Path, content: str | bytes) -> None:
 
     raises  OSError: it cannot be written; nothing has changed
     """
-    target = path.resolve()
-    target.parent.mkdir(parents=True, exist_ok=True)
-    part = target.with_name(f"{target.name}.{os.getpid()}.part")
-    data = content.encode("utf-8") if isinstance(content, str) else content
+    write_all({path: content})
+
+
+def write_all(files: Mapping[Path, str | bytes]) -> None:
+    """The same for several files: all of them, or none where there is no room for one.
+
+    They take their places in the order given, once all are written.
+    """
+    parts: dict[Path, Path] = {}
+    made: list[Path] = []
+    path = Path()
     try:
-        part.write_bytes(data)
-        part.replace(target)
+        for path, content in files.items():
+            target = path.resolve()
+            made += [p for p in (target.parent, *target.parent.parents) if not p.exists()]
+            target.parent.mkdir(parents=True, exist_ok=True)
+            parts[target] = _part(target)
+            parts[target].write_bytes(_bytes(content))
+        for path in files:
+            parts[path.resolve()].replace(path.resolve())
     except BaseException as error:
-        with suppress(OSError):
-            part.unlink()
+        _take_back([*parts.values()], made)
         if isinstance(error, OSError):  # which knows no name when a disk is full
             raise type(error)(error.errno, error.strerror, str(path)) from error
         raise
+
+
+def write_new(path: Path, content: str | bytes) -> None:
+    """As `write_whole`, but never over a file.  Raises OSError, FileExistsError among them."""
+    part = _part(path)
+    try:
+        part.write_bytes(_bytes(content))
+        try:
+            os.link(part, path)
+        except FileExistsError:
+            raise
+        except OSError:  # a file system without hard links
+            if path.exists():
+                raise
+            part.replace(path)
+    finally:
+        with suppress(OSError):
+            part.unlink()
+
+
+def _part(path: Path) -> Path:
+    """Where a file is written before it takes its place."""
+    return path.with_name(f"{path.name}.{os.getpid()}.part")
+
+
+def _bytes(content: str | bytes) -> bytes:
+    return content.encode("utf-8") if isinstance(content, str) else content
+
+
+def _take_back(parts: list[Path], made: list[Path]) -> None:
+    """Remove what was written, and folders that were made for it and are empty again."""
+    for part in parts:
+        with suppress(OSError):
+            part.unlink()
+    for folder in sorted(made, key=lambda p: -len(p.parts)):
+        with suppress(OSError):
+            folder.rmdir()

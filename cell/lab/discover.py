@@ -41,6 +41,7 @@ class Discovery:
     before_m, after_m   rms error without and with the law
     confirmed  on held-out trials; False if the study has none
     complete   whether what is left is noise
+    source     Python of its file
     """
 
     effect: str
@@ -51,6 +52,7 @@ class Discovery:
     after_m: float
     confirmed: bool
     complete: bool
+    source: str
 
     @property
     def removed_share(self) -> float:
@@ -58,6 +60,10 @@ class Discovery:
         excess = self.before_m**2 - self.noise_m**2
         fall = self.before_m**2 - self.after_m**2
         return float(np.clip(fall / excess, 0.0, 1.0)) if excess > 0.0 else 1.0
+
+    def write(self, path: Path) -> None:
+        """Write the effect's file, whole or not at all."""
+        write_whole(path, self.source)
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
@@ -87,7 +93,7 @@ class NothingFoundError(ValueError):
 
 
 def discover(explorer: Explorer, out: Path, rules: Rules = ALL_TERMS) -> Discovery:
-    """Find the missing law and write it to `out` as an effect, named after the file.
+    """Find the missing law as an effect that is named after the file `out`.
 
     The residual is regressed on what each admissible term would do to the markers (a score test
     with the cable's own parameters free), the best are refitted, and terms added one after another
@@ -115,9 +121,9 @@ def discover(explorer: Explorer, out: Path, rules: Rules = ALL_TERMS) -> Discove
     with tempfile.TemporaryDirectory() as folder:
         effect = _loaded(Path(folder) / out.name, source)
         final = _refit(explorer, base, effect)
-    write_whole(out, source)
     return Discovery(
         effect=name,
+        source=source,
         parameters=tuple(
             LawParameter(n, i.value, i.low, i.high, i.unit)
             for n, i in estimate(explorer.prepared, final.fit).intervals(effect).items()

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from cell.cable.geometry import Cable, Motion, Start
-from cell.files.atomic import write_whole
+from cell.files.atomic import write_all
 from cell.files.input_error import InputError, Problem
 from cell.files.yaml_document import Document, Key, read_yaml, validate, yaml_text
 from cell.study.data import Markers, Study, Trial
 from cell.study.plausible import doubt, impossible
-from cell.study.table import Table, read_table, write_table
+from cell.study.table import Table, read_table, table_text
 
 FloatArray = NDArray[np.float64]
 
@@ -162,18 +162,19 @@ def study_folder(folder: Path) -> Path:
 def write_study(study: Study, folder: Path) -> None:
     """Write a study so that `read_study` gives it back to the last bit.
 
-    Each file is replaced whole and `study.yaml` last, so that a reader meets either the former
-    study or this one.
+    All files are written before the first takes its place, `study.yaml` the last: where the disk is
+    full, a reader meets the former study.
+
+    raises  OSError: it cannot be written; nothing has changed
     """
+    files: dict[Path, str | bytes] = {}
     for trial in study.trials:
         grip, markers = trial.grip, trial.markers
-        write_table(
-            folder / trial.name / "grip.csv",
+        files[folder / trial.name / "grip.csv"] = table_text(
             GRIP_COLUMNS,
             np.column_stack([grip.t_s, grip.x_m, grip.y_m, grip.angle_rad]),
         )
-        write_table(
-            folder / trial.name / "markers.csv",
+        files[folder / trial.name / "markers.csv"] = table_text(
             _marker_columns(len(study.arc_length_m)),
             np.column_stack([markers.t_s, markers.xy_m.reshape(len(markers.t_s), -1)]),
         )
@@ -191,7 +192,8 @@ def write_study(study: Study, folder: Path) -> None:
         | ({} if t.release_s is None else {"release_s": float(t.release_s)})
         for t in study.trials
     ]
-    write_whole(folder / "study.yaml", yaml_text(header))
+    files[folder / "study.yaml"] = yaml_text(header)
+    write_all(files)
 
 
 def _marker_columns(count: int) -> tuple[str, ...]:

@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.files.atomic import write_whole
 from cell.files.input_error import InputError, Problem
 from cell.files.text_file import read_text
 
@@ -113,10 +112,10 @@ def read_table(path: Path, columns: Sequence[str]) -> Table:
     return table
 
 
-def write_table(path: Path, columns: Sequence[str], values: FloatArray) -> None:
-    """Write `values` (rows, columns) so that they read back to the last bit; nan = empty."""
+def table_text(columns: Sequence[str], values: FloatArray) -> str:
+    """CSV of `values` (rows, columns) that reads back to the last bit; nan = empty."""
     rows = (",".join("" if v != v else repr(v) for v in row) for row in values.tolist())
-    write_whole(path, "\n".join([",".join(columns), *rows]) + "\n")
+    return "\n".join([",".join(columns), *rows]) + "\n"
 
 
 def _cells(path: Path, text: str) -> Iterator[tuple[int, list[str]]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import re
 import shutil
@@ -167,6 +168,25 @@ def test_recorded_folders_give_the_same_again(folder):
         after = load(folder / "calib" / f"{kind}.yaml", kind)
         for name, value in before.result.items():
             assert np.allclose(value, after.result[name], rtol=1e-6, atol=1e-9)
+
+
+def test_on_a_full_disk_a_calibration_is_said_and_kept_elsewhere(folder, tmp_path, monkeypatch):
+    def full(path, *_):
+        if path.parent == folder / "calib":
+            raise OSError(errno.ENOSPC, "No space left on device", str(path))
+        path.write_text("kept")
+
+    monkeypatch.setattr("cell.calibration.work.save", full)
+    monkeypatch.setattr("cell.calibration.work.write_whole", full)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    (recorded,) = (folder / "calib" / "recorded").glob("time-*")
+    code, out, told = called(
+        "calibrate", "time", "--config", folder / "cell.yaml", "--from", recorded
+    )
+    assert (code, "latency" in out) == (1, True)
+    for name in ("time.html", "time.yaml"):
+        (copy,) = tmp_path.glob(f"*/{name}")
+        assert f"{name}: cannot be written: No space left on device; it is kept as {copy}" in told
 
 
 def test_a_wrong_folder_is_named(folder, tmp_path):

@@ -2,22 +2,11 @@
 
 from __future__ import annotations
 
-import resource
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from cell.files.atomic import write_whole
-
-
-@pytest.fixture
-def full_disk() -> Iterator[None]:
-    """No file may have more than a thousand bytes."""
-    former = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, former[1]))
-    yield
-    resource.setrlimit(resource.RLIMIT_FSIZE, former)
+from cell.files.atomic import write_all, write_new, write_whole
 
 
 def test_a_file_is_made_with_its_folders_and_replaced(tmp_path: Path) -> None:
@@ -49,3 +38,25 @@ def test_rights_are_those_of_any_new_file(tmp_path: Path) -> None:
     write_whole(tmp_path / "file", "")
     (tmp_path / "other").write_text("")
     assert (tmp_path / "file").stat().st_mode == (tmp_path / "other").stat().st_mode
+
+
+def test_of_several_files_all_are_written_or_none(tmp_path: Path, full_disk: None) -> None:
+    first, second = tmp_path / "new" / "first.txt", tmp_path / "second.txt"
+    write_all({second: "former"})
+    with pytest.raises(OSError, match="too large") as caught:
+        write_all({first: "new", second: "x" * 5000})
+    assert caught.value.filename == str(second)
+    assert [p.name for p in tmp_path.iterdir()] == ["second.txt"]
+    assert second.read_text() == "former"
+
+
+def test_a_new_file_is_whole_and_takes_nobodys_place(tmp_path: Path, full_disk: None) -> None:
+    path = tmp_path / "file.txt"
+    with pytest.raises(OSError, match="too large"):
+        write_new(path, "x" * 5000)
+    assert list(tmp_path.iterdir()) == []
+    write_new(path, "first")
+    with pytest.raises(FileExistsError):
+        write_new(path, "second")
+    assert path.read_text() == "first"
+    assert list(tmp_path.iterdir()) == [path]

@@ -42,6 +42,15 @@ def test_fit_with_an_effect_then_compare_and_report(folder, tmp_path):
     assert 'src="http' not in text  # nothing is loaded from a network
 
 
+def test_on_a_full_disk_a_fit_is_printed_and_leaves_nothing(folder, tmp_path, full_disk):
+    files = ["-o", str(tmp_path / "model.json")]
+    done = run(app, ["fit", str(folder), *files])
+    assert done.exit_code == 1
+    assert "viscosity" in done.stdout
+    assert "model.json: cannot be written: File too large" in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_effects_are_listed_with_units(tmp_path):
     out = tmp_path / "effects.json"
     done = run(app, ["effects", "--json", str(out)])

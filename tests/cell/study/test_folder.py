@@ -241,6 +241,17 @@ def test_a_mistake_is_named_with_place_and_remedy(
     assert f"{tmp_path}" in str(caught.value)
 
 
+def test_on_a_full_disk_the_former_study_stays(tmp_path: Path, full_disk: None) -> None:
+    few, long = trial(), trial(rows=8, seed=1)  # of its tables only that of the markers is too long
+    write_study(study(few), tmp_path / "study")
+    with pytest.raises(OSError, match="too large"):
+        write_study(study(long), tmp_path / "study")
+    same(read_study(tmp_path / "study"), study(few))
+    with pytest.raises(OSError, match="too large"):
+        write_study(study(long), tmp_path / "new")
+    assert [p.name for p in tmp_path.iterdir()] == ["study"]
+
+
 def test_mistakes_in_several_trials_are_told_at_once(tmp_path: Path) -> None:
     write_study(study(trial("a"), trial("b")), tmp_path)
     for name in "ab":

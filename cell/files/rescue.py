@@ -1,0 +1,42 @@
+"""What was computed is kept, if not where it should be."""
+
+from __future__ import annotations
+
+import errno
+import tempfile
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+#: Of a disk or a quota that is full, and of a file that may not grow.
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+def remedy(error: OSError) -> str:
+    """What to do about a file that cannot be read or written."""
+    if error.errno in _NO_ROOM:
+        return "make room there, or name another disk"
+    return "check the name and who may read and write there"
+
+
+def kept(path: Path, write: Callable[[Path], None]) -> str:
+    """Write a file where it should be; else a copy of it to the folder of temporary files.
+
+    write    writes it to wherever it is told, whole or not at all
+    returns  what to tell a person; empty = it is where it should be
+    """
+    try:
+        write(path)
+    except OSError as error:
+        why, todo = f"{path}: cannot be written: {error.strerror or error}", remedy(error)
+    else:
+        return ""
+    with suppress(OSError):
+        copy = Path(tempfile.mkdtemp(prefix="cell-")) / path.name
+        try:
+            write(copy)
+        except OSError:
+            copy.parent.rmdir()
+        else:
+            return f"{why}; it is kept as {copy}: copy it from there"
+    return f"{why}; {todo}, and give the command again"

@@ -1,0 +1,63 @@
+"""A result is printed and its files are written, whichever of the two cannot be done."""
+
+from __future__ import annotations
+
+import errno
+from pathlib import Path
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from cell.cli import app
+from cell.cli.delivery import deliver
+from cell.files.atomic import write_whole
+
+
+def test_a_result_is_printed_before_its_files_are_written(tmp_path: Path) -> None:
+    done: list[str] = []
+    deliver(lambda: done.append("printed"), (tmp_path / "a", lambda path: done.append(path.name)))
+    assert done == ["printed", "a"]
+
+
+@pytest.mark.parametrize(
+    "unheard", [BrokenPipeError(errno.EPIPE, "Broken pipe"), SystemExit(1)], ids=["plain", "rich"]
+)
+def test_what_cannot_be_printed_is_written(tmp_path: Path, unheard: BaseException) -> None:
+    def printed() -> None:
+        raise unheard
+
+    with pytest.raises(type(unheard)):
+        deliver(printed, (tmp_path / "a.txt", lambda path: write_whole(path, "all")))
+    assert (tmp_path / "a.txt").read_text() == "all"
+
+
+def test_a_file_that_cannot_be_written_keeps_no_other_from_it(
+    tmp_path: Path, full_disk: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    long, short = tmp_path / "long.txt", tmp_path / "short.txt"
+    with pytest.raises(typer.Exit) as ended:
+        deliver(
+            lambda: print("result"),
+            (long, lambda path: write_whole(path, "x" * 5000)),
+            (short, lambda path: write_whole(path, "all")),
+        )
+    said = capsys.readouterr()
+    assert (ended.value.exit_code, said.out) == (1, "result\n")
+    assert said.err.startswith(f"{long}: cannot be written: File too large; ")
+    assert [p.name for p in tmp_path.iterdir()] == ["short.txt"]
+
+
+def test_on_a_full_disk_a_table_is_printed(tmp_path: Path, full_disk: None) -> None:
+    done = CliRunner().invoke(app, ["effects", "-o", str(tmp_path / "effects.json")])
+    assert done.exit_code == 1
+    assert "tip_mass" in done.stdout
+    assert "cannot be written: File too large; make room there" in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_on_a_full_disk_no_settings_are_begun(tmp_path: Path, full_disk: None) -> None:
+    done = CliRunner().invoke(app, ["init", "-y", "-o", str(tmp_path / "cell.yaml")])
+    assert done.exit_code == 2
+    assert "cannot be written: File too large" in done.stderr
+    assert list(tmp_path.iterdir()) == []
