@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,11 +14,13 @@ import typer
 
 from cell.cli.delivery import deliver, json_files
 from cell.cli.result_json import STDOUT, Json, JsonCommand, print_result
-from cell.cli.shared import BAD_INPUT, INTERRUPTED, group, stoppable, tell_notes
+from cell.cli.shared import BAD_INPUT, answering, group, stoppable, tell_notes
 from cell.files.overwriting import check_new_study, check_output
 
 if TYPE_CHECKING:
+    from cell.lab.agreement import Agreement
     from cell.lab.compare import Comparison
+    from cell.lab.doubts import Doubt
     from cell.lab.explore import Explorer, Progress
     from cell.lab.profiles import ParameterProfile
     from cell.lab.session import EffectSelection
@@ -95,29 +97,41 @@ def fit(
     """Fit the cable's parameters, and those of effects, to the study's `fit` trials."""
     from cell.lab import session
     from cell.lab.agreement import agreement
-    from cell.lab.doubts import fit_doubts, lacking_doubt
+    from cell.lab.doubts import fit_doubts, interrupted_doubt, lacking_doubt
     from cell.lab.results import agreement_json
     from cell.lab.tables import agreement_table, errors_line, model_table, warning_lines
     from cell.lab.wording import agreement_sentence
 
-    with refusing(out, as_json, profile, force=force), working("fit") as progress:
+    found: list[ParameterProfile] = []
+    said: list[str] = []
+    with (
+        refusing(out, as_json, profile, force=force),
+        working("fit") as progress,
+        answering() as interrupted,
+    ):
         selection = session.select_effects(effect or [])
         explorer = _explorer(study, selection, prior, progress, config)
         model, candidate = session.fit_study(explorer)
-        warnings = (*fit_doubts(explorer, candidate), *lacking_doubt(model.lacks))
-        trials = agreement(explorer.prepared, candidate.fit, progress)
-        written = model.to_dict() | {
-            "warnings": [vars(w) for w in warnings],
-            "agreement": agreement_json(trials),
-        }
-        said: list[str] = []
-        found: Sequence[ParameterProfile] = ()
-        if profile is not None:
-            from cell.lab.profiles import parameter_profiles, profile_sentences
+        warnings: tuple[Doubt, ...] = lacking_doubt(model.lacks)
+        trials: Sequence[Agreement] = ()
+        with suppress(KeyboardInterrupt):
+            warnings = (*fit_doubts(explorer, candidate), *warnings)
+            trials = agreement(explorer.prepared, candidate.fit, progress)
+            if profile is not None:
+                from cell.lab.profiles import each_profile, profile_sentences
 
-            found = parameter_profiles(explorer.prepared, candidate.fit, model, progress)
-            written["profiles"] = [p.to_json() for p in found]
-            said = [f"{sentence}." for sentence in profile_sentences(found)]
+                for one in each_profile(explorer.prepared, candidate.fit, model, progress):
+                    found.append(one)
+                    said = [f"{sentence}." for sentence in profile_sentences(found)]
+        if interrupted:
+            what = "what would have followed the fit was not computed, or not all of it"
+            warnings = (interrupted_doubt(what), *warnings)
+    written = model.to_dict() | {
+        "warnings": [vars(w) for w in warnings],
+        "agreement": agreement_json(trials),
+    }
+    if profile is not None:
+        written["profiles"] = [p.to_json() for p in found]
 
     def printed() -> None:
         if print_result(written, out, as_json):
@@ -130,7 +144,9 @@ def fit(
 
         write_page(profile_page(explorer.prepared.study.name, found), path)
 
-    deliver(printed, *json_files(written, out, as_json), (profile, page))
+    deliver(printed, *json_files(written, out, as_json), (profile if found else None, page))
+    if interrupted:
+        raise typer.Exit(interrupted.code)
 
 
 @app.command(cls=JsonCommand)
@@ -228,7 +244,7 @@ def diagnose(
         selection = session.select_for_diagnosis(effect or [], known or [])
         explorer = _explorer(study, selection, prior, progress, config)
         gc.freeze()  # what is loaded stays: not looked through for garbage again and again
-        with stoppable(explorer.prepared.work.stop):
+        with stoppable(explorer.prepared.work.stop) as interrupted:
             examination = with_limits(explorer, diagnose_study(explorer))
             examination = with_agreement(explorer, examination)
         steps = [explorer.prior_candidate(), *examination.steps[1:]]
@@ -269,8 +285,8 @@ def diagnose(
         write_page(diagnosis_page(examination, comparisons, model, todo), path)
 
     deliver(printed, *json_files(data, *results or []), (report, page))
-    if any(w.code == "interrupted" for w in diagnosis.warnings):
-        raise typer.Exit(INTERRUPTED)
+    if interrupted:
+        raise typer.Exit(interrupted.code)
 
 
 @app.command(cls=JsonCommand)
@@ -308,15 +324,22 @@ def discover(
     """Infer the missing force from the residual and write it as an effect that one can read."""
     from cell.lab import session
     from cell.lab.advice import Paths, after_discovery
+    from cell.lab.discover import NothingFoundError, effect_name
     from cell.lab.discover import discover as discover_effect
-    from cell.lab.discover import effect_name
     from cell.lab.tables import discovery_sentence, discovery_table, steps_text
 
     with refusing(out, as_json, force=force), working("discover") as progress:
         effect_name(out)
         selection = session.select_effects(effect or [])
         explorer = _explorer(study, selection, prior, progress)
-        discovery = discover_effect(explorer, out)
+        with stoppable(explorer.prepared.work.stop) as interrupted:
+            try:
+                discovery = discover_effect(explorer, out)
+            except NothingFoundError as error:
+                if not interrupted:
+                    raise
+                print(error)
+                raise typer.Exit(interrupted.code) from error
     known = explorer.space.effects
     paths = Paths.of(study, known)
     paths = Paths(study, {**(paths.files or {}), discovery.effect: out})
@@ -332,6 +355,8 @@ def discover(
     deliver(printed, (out, discovery.write), *json_files(data, as_json))
     if as_json != STDOUT:
         show(f"written to {out}", steps_text(todo))
+    if interrupted:
+        raise typer.Exit(interrupted.code)
 
 
 @app.command(cls=JsonCommand)
@@ -354,14 +379,22 @@ def suggest(
     from cell.lab import session
     from cell.lab.diagnose import diagnose as diagnose_study
     from cell.lab.suggest import suggest_motion, write_motion
-    from cell.lab.tables import suggestion_table
+    from cell.lab.tables import suggestion_table, verdict_line, warning_lines
     from cell.settings.surroundings import Surroundings
 
     with refusing(out, as_json, force=force), working("suggest") as progress:
         surroundings = Surroundings.read(config)
         selection = session.select_for_diagnosis(effect or [], known or [])
         explorer = _explorer(study, selection, prior, progress, config)
-        suggestion = suggest_motion(explorer, diagnose_study(explorer), surroundings)
+        with stoppable(explorer.prepared.work.stop) as interrupted:
+            diagnosed = diagnose_study(explorer)
+        if interrupted:
+            show(verdict_line(diagnosed.diagnosis), *warning_lines(diagnosed.diagnosis.warnings))
+            raise typer.Exit(interrupted.code)
+        with answering() as interrupted:
+            suggestion = suggest_motion(explorer, diagnosed, surroundings)
+        if interrupted:
+            tell_notes(["not all motions were looked at: the best of those that were"])
     data = suggestion.to_json()
 
     def printed() -> None:
@@ -369,6 +402,8 @@ def suggest(
             show(suggestion_table(suggestion))
 
     deliver(printed, (out, partial(write_motion, suggestion)), *json_files(data, as_json))
+    if interrupted:
+        raise typer.Exit(interrupted.code)
 
 
 @app.command()

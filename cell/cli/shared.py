@@ -12,11 +12,9 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from cell.computer.watched import answers_after_interrupt
+from cell.computer.watched import ANSWERED, answers_after_interrupt
 
 ALL_DONE, NOT_ALL_DONE, BAD_INPUT = 0, 1, 2
-#: A command that Ctrl-C has ended: 128 + SIGINT.
-INTERRUPTED = 130
 
 Config = Annotated[
     Path, typer.Option("--config", "-c", help="Settings of the cell, YAML.", show_default=False)
@@ -40,26 +38,78 @@ def tell_notes(notes: Sequence[str]) -> None:
         print(f"note: {note}", file=sys.stderr)
 
 
+class Interruption:
+    """Whether somebody wants a command to end: Ctrl-C, or SIGTERM by whoever started it."""
+
+    def __init__(self) -> None:
+        self._number = 0
+
+    def __bool__(self) -> bool:
+        return self._number != 0
+
+    @property
+    def code(self) -> int:
+        """Exit code of a command that ends because of it."""
+        return 128 + self._number
+
+    def give(self, number: int) -> bool:
+        """A signal is there; whether it is the first, of which a person is told."""
+        if self:
+            return False
+        self._number = number
+        print("interrupted: what is known so far follows; Ctrl-C again ends it", file=sys.stderr)
+        return True
+
+
 @contextmanager
-def stoppable(stop: Callable[[], None]) -> Iterator[None]:
-    """Ctrl-C asks for what there is so far, by `stop`, instead of ending the command."""
-    asked = False
+def stoppable(stop: Callable[[], None]) -> Iterator[Interruption]:
+    """Ctrl-C or SIGTERM asks for what there is so far, by `stop`, instead of ending the command.
+
+    If that raises KeyboardInterrupt, nothing was known.
+    """
+    given = Interruption()
 
     def ask(number: int, frame: FrameType | None) -> None:
-        nonlocal asked
-        if not asked:
-            asked = True
-            print(
-                "interrupted: what is known so far follows; Ctrl-C again ends it", file=sys.stderr
-            )
+        given.give(number)
         stop()
 
+    with _heard_by(ask, given):
+        yield given
+
+
+@contextmanager
+def answering() -> Iterator[Interruption]:
+    """The first Ctrl-C or SIGTERM raises KeyboardInterrupt: the command says what it knows."""
+    given = Interruption()
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        if given.give(number):
+            raise KeyboardInterrupt
+
+    with _heard_by(interrupt, given):
+        yield given
+
+
+@contextmanager
+def _heard_by(
+    handler: Callable[[int, FrameType | None], None], given: Interruption
+) -> Iterator[None]:
+    """Signals that end a command go to a handler; once one was given, no more are heard after.
+
+    A command that knows nothing then ends, and says so.
+    """
     answers_after_interrupt()
-    former = signal.signal(signal.SIGINT, ask)
+    former = {s: signal.signal(s, handler) for s in ANSWERED}
     try:
         yield
+    except KeyboardInterrupt as error:
+        if not given:
+            raise
+        print("nothing is known yet, and nothing was written", file=sys.stderr)
+        raise typer.Exit(given.code) from error
     finally:
-        signal.signal(signal.SIGINT, signal.SIG_IGN if asked else former)
+        for s, before in former.items():
+            signal.signal(s, signal.SIG_IGN if given else before)
 
 
 #: Signals that end what moves a cell, and what they say of why.

@@ -34,6 +34,8 @@ LOOK_S = 0.25
 _TIDYING_S = 2.0
 #: So long if it has said that it will still answer, s.
 _ANSWERING_S = 30.0
+#: After these a command may still say what it knows.
+ANSWERED = (signal.SIGINT, signal.SIGTERM)
 #: What the parent hands on to the child.
 _PASSED_ON = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -55,7 +57,7 @@ class Calls:
 
     @property
     def answers(self) -> bool:
-        """Whether the child still answers after Ctrl-C."""
+        """Whether the child still answers after Ctrl-C or SIGTERM."""
         return self._memory[-1] != 0
 
     @answers.setter
@@ -147,7 +149,7 @@ def fork_ended(fork: int) -> None:
 
 
 def answers_after_interrupt() -> None:
-    """This process will still answer after Ctrl-C: its parent then waits for longer."""
+    """This process will still answer after Ctrl-C or SIGTERM: its parent then waits for longer."""
     if _calls is not None:
         _calls.answers = True
 
@@ -299,6 +301,8 @@ class _Watch:
         self._given: int | None = None
         self._kill_s = float("inf")
         for number in _PASSED_ON:
+            if number == signal.SIGHUP and signal.getsignal(number) is signal.SIG_IGN:
+                continue  # of `nohup`: it is to go on without its terminal
             signal.signal(number, self._pass_on)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, _PASSED_ON)
 
@@ -322,7 +326,7 @@ class _Watch:
         again = self._given is not None
         if not again:
             self._given = number
-        answers = self._calls.answers and number == signal.SIGINT and not again
+        answers = self._calls.answers and number in ANSWERED and not again
         self._kill_s = min(
             self._kill_s, time.monotonic() + (_ANSWERING_S if answers else _TIDYING_S)
         )

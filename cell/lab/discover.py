@@ -162,9 +162,12 @@ def _why_nothing(examination: Examination, base: Candidate) -> str:
         )
     nearest = min(examination.singles, key=_error, default=base)
     tried = ""
+    stopped = any(w.code == "interrupted" for w in examination.diagnosis.warnings)
     if nearest is not base:
         name = next(iter(nearest.names - base.names))
         tried = f"; the nearest, {name}, would leave {_error(nearest) * 1e3:.4f} mm"
+    if stopped:
+        return f"interrupted: no law is confirmed so far ({misses}){tried}; nothing written"
     return (
         "no admissible law is significant and confirmed on held-out trials: the model is not "
         f"complete ({misses}){tried}; nothing written. Measure more motions, or write an effect of "

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -68,7 +68,14 @@ class ParameterProfile:
 def parameter_profiles(
     prepared: PreparedStudy, fit: Fit, model: Identified, progress: Progress = no_progress
 ) -> tuple[ParameterProfile, ...]:
-    """Profiles of all parameters that are free, everything else refitted at every point.
+    """Profiles of all parameters that are free, as `each_profile`."""
+    return tuple(each_profile(prepared, fit, model, progress))
+
+
+def each_profile(
+    prepared: PreparedStudy, fit: Fit, model: Identified, progress: Progress = no_progress
+) -> Iterator[ParameterProfile]:
+    """Profile of one parameter after another that is free, all else refitted at every point.
 
     What the model leaves beyond noise weighs as in its other intervals: all but the prior is
     divided by the root of its inflation, so that the likeliest value is nearer to the prior.  What
@@ -89,13 +96,11 @@ def parameter_profiles(
         space.natural(np.clip((minimum.q + side * reach)[: len(fit.q)], space.low, space.high))
         for side in (-1.0, 1.0)
     )
-    found = []
     for done, i in enumerate(free):
         progress(f"profile of {space.names[i]}", done, len(free))
         of = profile(problem, minimum, i, _POINT)
         wald = (float(low[i]), float(high[i]))
-        found.append(_natural(fit, of, i, float(minimum.q[i]), wald))
-    return tuple(found)
+        yield _natural(fit, of, i, float(minimum.q[i]), wald)
 
 
 def _natural(

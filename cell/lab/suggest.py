@@ -171,22 +171,29 @@ def telling_motions(
 ) -> Suggestion:
     """The safe motions at which these models differ most, whatever each leaves open.
 
+    Interrupted, it has the best of those that were looked at.
+
     prepared  noise and markers of what will be measured
-    raises    ValueError: no motion keeps the limits
+    raises    ValueError: no motion keeps the limits; KeyboardInterrupt: before there was one
     """
     models = [c.model for c in open_to]
     options, refused = [], Counter[str]()
     rest: dict[float, float] = {}
     offered = strokes(surroundings)
-    for done, stroke in enumerate(offered):
-        progress("looking for a motion", done, len(offered))
-        if stroke.angle_rad not in rest:
-            rest[stroke.angle_rad] = _rest_low_m(prepared, models, surroundings, stroke.angle_rad)
-        option = _weighed(prepared, open_to, stroke, surroundings, rest[stroke.angle_rad])
-        if isinstance(option, str):
-            refused[option] += 1
-        else:
-            options.append(option)
+    try:
+        for done, stroke in enumerate(offered):
+            progress("looking for a motion", done, len(offered))
+            angle = stroke.angle_rad
+            if angle not in rest:
+                rest[angle] = _rest_low_m(prepared, models, surroundings, angle)
+            option = _weighed(prepared, open_to, stroke, surroundings, rest[angle])
+            if isinstance(option, str):
+                refused[option] += 1
+            else:
+                options.append(option)
+    except KeyboardInterrupt:
+        if not options:
+            raise
     if not options:
         why = ", ".join(f"{count} for the {reason}" for reason, count in refused.items())
         raise ValueError(

@@ -4,19 +4,21 @@ import json
 import os
 import signal
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 import cell.cli.lab
 from cell.cable.effects import library
 from cell.cli import app
-from cell.cli.shared import INTERRUPTED
 from cell.identify.parameters import ParameterSpace
 from cell.lab.diagnose import diagnose
 from cell.lab.explore import Explorer
 from cell.lab.limits import with_limits
 from cell.lab.prepared import PreparedStudy, StoppedError
+from cell.lab.suggest import Option, Rival, telling_motions
 from cell.lab.tables import sentence
+from cell.settings.surroundings import Surroundings
 from cell.study.folder import write_study
 
 KNOWN = library()
@@ -69,10 +71,10 @@ def test_a_verdict_that_is_known_stays_when_its_limits_are_stopped(study):
 
 
 class Interrupting:
-    """A progress line during which Ctrl-C is pressed."""
+    """A progress line during which a signal comes."""
 
-    def __init__(self, command):
-        self.pressed = False
+    def __init__(self, during, number):
+        self.during, self.number, self.pressed = during, number, False
 
     def __enter__(self):
         return self
@@ -81,24 +83,90 @@ class Interrupting:
         pass
 
     def __call__(self, text, done=0, total=0):
-        if "refitted with" in text and not self.pressed:
+        if self.during in text and not self.pressed:
             self.pressed = True
-            os.kill(os.getpid(), signal.SIGINT)
+            os.kill(os.getpid(), self.number)
 
 
-def test_ctrl_c_gives_the_best_answer_so_far(study, tmp_path, monkeypatch):
-    folder, out, page = tmp_path / "study", tmp_path / "found.json", tmp_path / "found.html"
-    write_study(study, folder)
-    monkeypatch.setattr(cell.cli.lab, "working", Interrupting)
-    before = signal.getsignal(signal.SIGINT)
+def interrupted(monkeypatch, during, number, *given):
+    """A command during whose work somebody wants it to end, when it says that it is doing that."""
+    monkeypatch.setattr(cell.cli.lab, "working", lambda command: Interrupting(during, number))
+    before = {s: signal.getsignal(s) for s in (signal.SIGINT, signal.SIGTERM)}
     try:
-        given = ["diagnose", str(folder), "-o", str(out), "--report", str(page)]
-        result = CliRunner().invoke(app, given)
+        return CliRunner().invoke(app, [str(word) for word in given])
     finally:
-        signal.signal(signal.SIGINT, before)
-    assert result.exit_code == INTERRUPTED
+        for s, handler in before.items():
+            signal.signal(s, handler)
+
+
+@pytest.fixture
+def folder(study, tmp_path):
+    write_study(study, tmp_path / "study")
+    return tmp_path / "study"
+
+
+def test_a_diagnosis_gives_the_best_answer_so_far(folder, tmp_path, monkeypatch):
+    out, page = tmp_path / "found.json", tmp_path / "found.html"
+    given = ["diagnose", folder, "-o", out, "--report", page]
+    result = interrupted(monkeypatch, "refitted with", signal.SIGTERM, *given)
+    assert result.exit_code == 128 + signal.SIGTERM
     assert "Interrupted." in result.output
     found = json.loads(out.read_text())
     assert (found["verdict"], found["missing"]) == ("cannot_tell", [])
     assert found["warnings"][0]["code"] == "interrupted"
     assert page.is_file()
+
+
+def test_a_fit_is_told_without_what_would_have_followed(folder, tmp_path, monkeypatch):
+    out, page = tmp_path / "model.json", tmp_path / "profiles.html"
+    given = ["fit", folder, "-o", out, "--profile", page]
+    result = interrupted(monkeypatch, "profile of ", signal.SIGINT, *given)
+    assert result.exit_code == 128 + signal.SIGINT
+    assert "viscosity" in result.stdout
+    assert "was not computed, or not all of it" in result.stdout
+    found = json.loads(out.read_text())
+    assert found["warnings"][0]["code"] == "interrupted"
+    assert found["agreement"]
+    assert found["profiles"] == []
+    assert not page.exists()
+
+
+def test_a_fit_that_is_not_known_yet_writes_nothing(folder, tmp_path, monkeypatch):
+    out = tmp_path / "model.json"
+    result = interrupted(monkeypatch, "fitting", signal.SIGTERM, "fit", folder, "-o", out)
+    assert result.exit_code == 128 + signal.SIGTERM
+    assert "nothing is known yet, and nothing was written" in result.stderr
+    assert not out.exists()
+
+
+def test_a_law_that_is_not_confirmed_yet_is_not_written(folder, tmp_path, monkeypatch):
+    out = tmp_path / "law.py"
+    given = ["discover", folder, "-o", out]
+    result = interrupted(monkeypatch, "refitted with", signal.SIGTERM, *given)
+    assert result.exit_code == 128 + signal.SIGTERM
+    assert "interrupted: no law is confirmed so far (it misses" in result.stdout
+    assert "the nearest, " in result.stdout
+    assert not out.exists()
+
+
+def test_the_best_motion_so_far_is_suggested(study, monkeypatch):
+    """Once some were looked at."""
+    looked: list[float] = []
+
+    def weighed(prepared, rivals, stroke, surroundings, low_m):
+        looked.append(stroke.angle_rad)
+        if len(looked) > 3:
+            raise KeyboardInterrupt
+        return "view" if len(looked) == 1 else Option(stroke, float(len(looked)), "b", 0.5)
+
+    monkeypatch.setattr("cell.lab.suggest._weighed", weighed)
+    monkeypatch.setattr("cell.lab.suggest._rest_low_m", lambda *_: 0.0)
+    space = ParameterSpace.of(study.cable, (), study.gravity_m_per_s2)
+    rivals = [Rival(n, space, space.mean, np.eye(len(space.mean))) for n in "ab"]
+    prepared = PreparedStudy.of(study)
+    found = telling_motions(prepared, rivals, Surroundings.read(None))
+    assert [o.separation for o in found.options] == [3.0, 2.0]
+    assert found.refused == {"view": 1}
+    looked.extend([0.0] * 3)
+    with pytest.raises(KeyboardInterrupt):
+        telling_motions(prepared, rivals, Surroundings.read(None))
