@@ -18,11 +18,10 @@ from cell.cli.shared import BAD_INPUT, answering, group, stoppable, tell_notes
 from cell.files.overwriting import check_new_study, check_output
 
 if TYPE_CHECKING:
-    from cell.lab.agreement import Agreement
     from cell.lab.compare import Comparison
-    from cell.lab.doubts import Doubt
     from cell.lab.explore import Explorer, Progress
     from cell.lab.profiles import ParameterProfile
+    from cell.lab.results import Agreement, Doubt
     from cell.lab.session import EffectSelection
     from cell.terminal.progress import ProgressLine
 

@@ -161,7 +161,7 @@ def test_the_best_motion_so_far_is_suggested(study, monkeypatch):
 
     monkeypatch.setattr("cell.lab.suggest._weighed", weighed)
     monkeypatch.setattr("cell.lab.suggest._rest_low_m", lambda *_: 0.0)
-    space = ParameterSpace.of(study.cable, (), study.gravity_m_per_s2)
+    space = ParameterSpace.of(study.cable)
     rivals = [Rival(n, space, space.mean, np.eye(len(space.mean))) for n in "ab"]
     prepared = PreparedStudy.of(study)
     found = telling_motions(prepared, rivals, Surroundings.read(None))
