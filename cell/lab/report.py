@@ -34,7 +34,6 @@ from cell.lab.profiles import ParameterProfile, profile_sentences
 from cell.lab.results import Diagnosis
 from cell.lab.tables import (
     comparison_sentence,
-    percent,
     sentence,
     warning_lines,
 )
@@ -49,6 +48,7 @@ from cell.lab.wording import (
     left_in_words,
     limit_rows,
     noise_in_words,
+    percent,
 )
 
 #: Signals that a residual goes with, listed if the correlation is at least this.
@@ -336,7 +336,7 @@ def _laws(examination: Examination) -> str:
 
 def _everything(examination: Examination) -> str:
     rows = [
-        [r.effect, f"{r.score:.1f}", f"{r.p_value:.1g}", r.status.replace("_", " ")]
+        [r.effect, f"{r.score:z.1f}", f"{r.p_value:.1g}", r.status.replace("_", " ")]
         for r in examination.diagnosis.ranking
     ]
     table = _table(["effect", "χ² explained", "p", "status"], rows, (1, 2))

@@ -28,6 +28,7 @@ from cell.lab.wording import (
     limit_rows,
     noise_like,
     peak_in_words,
+    percent,
     place_in_words,
     plain,
     short,
@@ -99,7 +100,7 @@ def sentence(
         }
         hedge = f" {next((text for code, text in why.items() if code in codes), NOT_TOLD)}"
     return (
-        f"{misses}; {names} {explains} {share:.0f} % of what is beyond {noise_name}; "
+        f"{misses}; {names} {explains} {share:z.0f} % of what is beyond {noise_name}; "
         f"the remaining error is {rest}.{hedge}"
     )
 
@@ -135,7 +136,7 @@ def nearest_table(diagnosis: Diagnosis) -> Table:
     for n in diagnosis.nearest:
         table.add_row(
             n.effect,
-            f"{100 * n.explained_share:.0f} %",
+            percent(n.explained_share),
             _mm(n.left_rms_m),
             _mm(n.errors.fit_rms_m),
             _mm(n.errors.heldout_rms_m),
@@ -179,7 +180,7 @@ def ranking_table(diagnosis: Diagnosis) -> Table:
     for r in diagnosis.ranking:
         colour = _COLOURS[r.status]
         status = f"[{colour}]{r.status}[/]" if colour else r.status
-        table.add_row(r.effect, f"{r.score:.1f}", f"{r.p_value:.1g}", status)
+        table.add_row(r.effect, f"{r.score:z.1f}", f"{r.p_value:.1g}", status)
     shown = dict.fromkeys(r.status for r in diagnosis.ranking)
     table.caption = "; ".join(f"{s}: {STATUSES[s]}" for s in shown)
     return table
@@ -257,11 +258,6 @@ def comparison_sentence(comparisons: Sequence[Comparison]) -> str:
         f"From “{first.model}” to “{last.model}” the error on {where} {goes} from "
         f"{short(first.error_m * 1e3)} to {short(last.error_m * 1e3)} mm; {noise}{gone}."
     )
-
-
-def percent(share: float) -> str:
-    """A share as a person reads it."""
-    return f"{100 * share:.0f} %" if np.isfinite(share) else "–"
 
 
 def comparisons_table(comparisons: Sequence[Comparison]) -> Table:
@@ -377,7 +373,7 @@ def discovery_sentence(discovery: Discovery) -> str:
     return (
         f"With {discovery.effect} the {where} falls from {_mm(discovery.before_m)} to "
         f"{_mm(discovery.after_m)} mm, noise {_mm(discovery.noise_m)} mm: "
-        f"{100 * discovery.removed_share:.0f} % of what is beyond noise is gone. {left}{doubt}"
+        f"{percent(discovery.removed_share)} of what is beyond noise is gone. {left}{doubt}"
     )
 
 

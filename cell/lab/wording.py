@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -37,9 +38,9 @@ def unexplained(diagnosis: Diagnosis, misses: str, noise_name: str = "camera noi
             said += f" Nearest, fitted to all trials: {', '.join(_near(diagnosis))}."
         return said
     names = " and ".join(_class(f) for f in diagnosis.partial)
-    share = 100.0 * diagnosis.partial[-1].explained_share
+    share = percent(diagnosis.partial[-1].explained_share)
     explains = "explains" if len(diagnosis.partial) == 1 else "explain"
-    said = f"{misses}, {noise}; {names} {explains} most of it, not all: {share:.0f} %"
+    said = f"{misses}, {noise}; {names} {explains} most of it, not all: {share}"
     if diagnosis.left is not None:
         said += (
             f", and {short(diagnosis.left.rms_m * 1e3)} mm stay, {diagnosis.left.over_noise:.1f} "
@@ -59,7 +60,7 @@ def interrupted(diagnosis: Diagnosis, misses: str) -> str:
 def _near(diagnosis: Diagnosis) -> list[str]:
     """Each of the nearest effects and what it leaves, mm."""
     return [
-        f"{plain(n.effect)} explains {100 * n.explained_share:.0f} % and leaves "
+        f"{plain(n.effect)} explains {percent(n.explained_share)} and leaves "
         f"{short(n.left_rms_m * 1e3)} mm"
         for n in diagnosis.nearest
     ]
@@ -137,8 +138,12 @@ def agreement_sentence(found: Sequence[Agreement]) -> str:
     if not found:
         return ""
     trials = f"The {len(found[0].by_trial)} trials"
-    one = [plain(a.parameter) for a in found if a.agrees]
-    apart = [f"{plain(a.parameter)}: {_said_by_trials(a)}" for a in found if not a.agrees]
+    one = [parameter_in_words(a.parameter, a.unit) for a in found if a.agrees]
+    apart = [
+        f"{parameter_in_words(a.parameter, a.unit)}: {_said_by_trials(a)}"
+        for a in found
+        if not a.agrees
+    ]
     if not apart:
         return f"{trials} agree on {_listed(one)}."
     others = f" They agree on {_listed(one)}." if one else ""
@@ -210,6 +215,24 @@ def place_in_words(share: float) -> str:
 def plain(name: str) -> str:
     """An effect's name as words."""
     return name.replace("_", " ")
+
+
+def parameter_in_words(name: str, unit: str) -> str:
+    """A parameter as words: `added_mass.kg_per_m` is "added mass (kg/m)".
+
+    A unit at the end of its name, as names in code have it, is shown as one.
+    """
+    owner, _, own = name.rpartition(".")
+    spoken = unit.replace("/", "_per_").replace("·", "_").replace("²", "2").replace("³", "3")
+    ending = "_" + re.sub(r"[()]", "", spoken).lower()
+    bare = f"_{own}".removesuffix(ending)
+    shown = f" ({unit})" if bare != f"_{own}" else ""
+    return " ".join(plain(f"{owner}_{bare}").split()) + shown
+
+
+def percent(share: float) -> str:
+    """A share as a person reads it."""
+    return f"{100 * share:z.0f} %" if np.isfinite(share) else "–"
 
 
 def short(value_mm: float) -> str:
