@@ -19,8 +19,13 @@ from drivers.interfaces import Image, Pose, Trajectory
 FloatArray = NDArray[np.float64]
 
 _POSES, _TOLD, _HAND, _SEEN = "poses.csv", "told.csv", "hand.csv", "seen.csv"
+_POSE_COLUMNS = ("picture", "role", "x_m", "y_m", "angle_rad")
+_PATH_COLUMNS, _SEEN_COLUMNS = ("t_s", "x_m", "y_m", "angle_rad"), ("stamp_s", "x_m", "y_m")
 _WITHOUT = "without_thread.png"
 _PICTURES = (".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg", ".pgm")
+
+#: No hand is so far from its home: a number beyond it is in millimetres, m.
+FARTHEST_M = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +98,7 @@ def save_cell(folder: Path, shown: ShownCell) -> None:
         (one.picture.name, one.role, one.pose.x_m, one.pose.y_m, one.pose.angle_rad)
         for one in shown.poses
     ]
-    _write(folder / _POSES, ("picture", "role", "x_m", "y_m", "angle_rad"), rows)
+    _write(folder / _POSES, _POSE_COLUMNS, rows)
     if shown.without is not None:
         for number, image in enumerate(shown.threads, 1):
             _save(_thread(folder, number), image)
@@ -103,12 +108,17 @@ def save_cell(folder: Path, shown: ShownCell) -> None:
 def read_cell(folder: Path) -> ShownCell:
     """What `save_cell` wrote.  Raises InputError."""
     poses = []
-    for line, row in _rows(folder / _POSES, 5):
+    table = folder / _POSES
+    for line, row in _rows(table, _POSE_COLUMNS):
         name, role = row[0], row[1]
         if role not in ("fit", "held_out"):
-            message = f"{role!r} must be fit or held_out"
-            raise InputError([Problem(folder / _POSES, line, None, "role", message)])
-        x, y, angle = _numbers(folder / _POSES, line, row[2:])
+            raise _wrong(table, line, f"{role!r} must be fit or held_out", "role")
+        x, y, angle = _numbers(table, line, row[2:])
+        if max(abs(x), abs(y)) > FARTHEST_M:
+            message = f"the hand is at ({x:g}, {y:g}) m; give metres, not millimetres"
+            raise _wrong(table, line, message)
+        if abs(angle) > 2.0 * np.pi:
+            raise _wrong(table, line, f"{angle:g} rad; give radians, not degrees", "angle_rad")
         poses.append(ShownPose(role, Pose(x, y, angle), Picture(name, _read(folder / name))))
     present = itertools.takewhile(Path.exists, (_thread(folder, k) for k in itertools.count(1)))
     threads = tuple(_read(path) for path in present)
@@ -125,16 +135,20 @@ def save_move(folder: Path, move: SeenMove) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for name, path in ((_TOLD, move.told), (_HAND, move.hand)):
         table = np.column_stack([path.t_s, path.x_m, path.y_m, path.angle_rad])
-        _write(folder / name, ("t_s", "x_m", "y_m", "angle_rad"), table.tolist())
+        _write(folder / name, _PATH_COLUMNS, table.tolist())
     seen = np.column_stack([move.stamps_s, move.seen_m])
-    _write(folder / _SEEN, ("stamp_s", "x_m", "y_m"), seen.tolist())
+    _write(folder / _SEEN, _SEEN_COLUMNS, seen.tolist())
 
 
 def read_move(folder: Path) -> SeenMove:
     """What `save_move` wrote.  Raises InputError."""
     told, hand, seen = (
-        np.array([_numbers(folder / name, line, row) for line, row in _rows(folder / name, width)])
-        for name, width in ((_TOLD, 4), (_HAND, 4), (_SEEN, 3))
+        np.array([_numbers(folder / name, line, row) for line, row in _rows(folder / name, header)])
+        for name, header in (
+            (_TOLD, _PATH_COLUMNS),
+            (_HAND, _PATH_COLUMNS),
+            (_SEEN, _SEEN_COLUMNS),
+        )
     )
     return SeenMove(Trajectory(*told.T), Trajectory(*hand.T), seen[:, 0], seen[:, 1:])
 
@@ -146,7 +160,7 @@ def _save(path: Path, image: Image) -> None:
 
 
 def _read(path: Path) -> Image:
-    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) if path.is_file() else None
     if image is None:
         raise InputError([Problem(path, 1, None, "", "is missing or no picture")])
     return np.asarray(image, dtype=np.uint8)
@@ -159,25 +173,36 @@ def _write(path: Path, header: Sequence[str], rows: Sequence[Sequence[object]]) 
         writer.writerows(rows)
 
 
-def _rows(path: Path, width: int) -> list[tuple[int, list[str]]]:
+def _rows(path: Path, header: Sequence[str]) -> list[tuple[int, list[str]]]:
+    """Lines of a table and their cells in the order of `header`, which its first line names."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
-            lines = list(csv.reader(file))
-    except OSError as error:
-        raise InputError(
-            [Problem(path, 1, None, "", f"cannot be read: {error.strerror}; check the name")]
-        ) from error
-    for number, row in enumerate(lines, 1):
-        if len(row) != width:
-            message = f"has {len(row)} columns, {width} are needed; mend the line or record again"
-            raise InputError([Problem(path, number, None, "", message)])
+            lines = [(n, row) for n, row in enumerate(csv.reader(file), 1) if any(row)]
+    except (OSError, ValueError, csv.Error) as error:
+        why = error.strerror if isinstance(error, OSError) else "is not UTF-8 text with commas"
+        raise _wrong(path, 1, f"cannot be read: {why}; check the name and the file") from error
+    names = [cell.strip() for cell in lines[0][1]] if lines else []
+    if sorted(names) != sorted(header):
+        raise _wrong(path, 1, f"must begin with the line {','.join(header)}")
+    for number, row in lines:
+        if len(row) != len(names):
+            message = f"has {len(row)} columns, {len(names)} are needed; mend it or record again"
+            raise _wrong(path, number, message)
     if len(lines) < 2:
-        raise InputError([Problem(path, 1, None, "", "has no rows")])
-    return list(enumerate(lines[1:], 2))
+        raise _wrong(path, 1, "has no rows")
+    order = [names.index(name) for name in header]
+    return [(number, [row[i].strip() for i in order]) for number, row in lines[1:]]
 
 
 def _numbers(path: Path, line: int, cells: Sequence[str]) -> list[float]:
     try:
-        return [float(cell) for cell in cells]
+        values = [float(cell) for cell in cells]
     except ValueError as error:
-        raise InputError([Problem(path, line, None, "", f"{error}; give numbers")]) from error
+        raise _wrong(path, line, f"{error}; give numbers") from error
+    if not np.all(np.isfinite(values)):
+        raise _wrong(path, line, "has a number that is not finite; give numbers")
+    return values
+
+
+def _wrong(path: Path, line: int, message: str, key: str = "") -> InputError:
+    return InputError([Problem(path, line, None, key, message)])

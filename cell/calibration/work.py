@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -40,7 +40,8 @@ _LOG = logging.getLogger(__name__)
 #: What makes a calibration better that is too poor.
 _BETTER = {
     "camera": "show the board in all corners of the picture, tilted to all sides",
-    "cell": "widen `limits`, see the reports of camera and cell for what is uncertain",
+    "cell": "widen `limits`, show a plumb line at two places if there was none, see the reports of "
+    "camera and cell for what is uncertain",
     "time": "let the motion be brisk, light the marks better",
     "grip": "light the cable better, let limits.angle_rad reach further, so that it hangs",
 }
@@ -134,6 +135,7 @@ class CalibrationJob:
             self._record("camera", partial(raw.save_pictures, pictures=pictures))
         else:
             pictures = list(raw.read_pictures(source))
+            self._check_taken(source, pictures)
         fit, views, troubles = conclude.camera_from(pictures, self._board)
         for trouble in troubles:
             self._say(trouble)
@@ -154,6 +156,7 @@ class CalibrationJob:
             self._record("cell", partial(raw.save_cell, shown=shown))
         else:
             shown = raw.read_cell(source)
+            self._check_taken(source, [one.picture for one in shown.poses])
         fit = conclude.cell_from(shown, camera, self._settings)
         classic_m = conclude.disagreement_m(fit, shown, camera, self._settings)
         stored = conclude.stored_cell(fit, classic_m, self._settings)
@@ -192,6 +195,7 @@ class CalibrationJob:
             self._record("grip", partial(raw.save_cell, shown=shown))
         else:
             shown = raw.read_cell(source)
+            self._check_taken(source, [one.picture for one in shown.poses])
         views, troubles = grip.views_of(shown, view, self._settings)
         fit = grip.grip_from(views, cell)
         stored = grip.stored_grip(fit, self._settings, troubles)
@@ -246,7 +250,7 @@ class CalibrationJob:
             kind: {
                 "file": str(self._folder / f"{kind}.yaml"),
                 "report": str(self._reports[kind]),
-                "error": dict(made.error),
+                "error": {k: v if np.isfinite(v) else None for k, v in made.error.items()},
                 "result": {k: np.asarray(v).tolist() for k, v in made.result.items()},
             }
             for kind, made in self._made.items()
@@ -301,6 +305,18 @@ class CalibrationJob:
                 f"run `cell calibrate {before.kind} --config {self._config}`",
             )
 
+    def _check_taken(self, folder: Path, pictures: Sequence[raw.Picture]) -> None:
+        """Raises InputError: pictures of a folder are not of the settings' camera."""
+        width, height = self._settings.camera.width_px, self._settings.camera.height_px
+        for picture in pictures:
+            rows, columns = picture.image.shape
+            if (columns, rows) != (width, height):
+                message = (
+                    f"has {columns} × {rows} pixels, the camera of {self._config} {width} × "
+                    f"{height}; give pictures as the camera takes them"
+                )
+                raise InputError.at(folder / picture.name, message)
+
     def _record(self, kind: str, save: Callable[[Path], None]) -> Path | None:
         """Keep what was measured in a new folder; None = there is no room for it, which is said."""
         stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S")
@@ -334,10 +350,11 @@ def _words(made: StoredCalibration) -> str:
                 f"halves differ by {e['halves_rms_px']:.3f} px"
             )
         case "cell":
-            return (
-                f"map ±{e['map_95_m'] * 1e3:.3f} mm (95 %, worst of the picture), held-out poses "
-                f"{e['held_out_rms_m'] * 1e3:.3f} mm rms, {e['held_out_max_m'] * 1e3:.3f} mm worst"
-            )
+            judged = "no pose was held out to judge it"
+            if np.isfinite(e["held_out_rms_m"]):
+                rms, worst = (f"{e[f'held_out_{k}_m'] * 1e3:.3f} mm" for k in ("rms", "max"))
+                judged = f"held-out poses {rms} rms, {worst} worst"
+            return f"map ±{e['map_95_m'] * 1e3:.3f} mm (95 %, worst of the picture), {judged}"
         case "grip":
             return (
                 f"clamp angle {np.degrees(made.number('angle_rad')):+.2f} ± "

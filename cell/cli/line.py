@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,7 +15,7 @@ import typer
 
 from cell.cli.delivery import Delivery, deliver
 from cell.cli.lab import refusing, show, working
-from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, Config, group
+from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, Config, Interruption, answering, group
 
 if TYPE_CHECKING:
     from cell.lab.explore import Progress
@@ -60,16 +61,23 @@ def learn(
     from cell.settings import load_settings
     from cell.settings.translate import cable_of, identification_of
 
-    with refusing(out, _motion(out)), working("learn") as progress:
+    known: list[Lesson] = []
+    more = Laws({}, ())
+    with (
+        refusing(out, _motion(out)),
+        working("learn") as progress,
+        answering() as interrupted,
+        _so_far(known, interrupted, lambda: more.keep(())),
+    ):
         settings = load_settings(config)
         cable, options = cable_of(settings), identification_of(settings)
         cycles, left_out = read_cycles(runs, cable)
-        library, more = select_effects([], effect or []).candidates, Laws({}, ())
+        library = select_effects([], effect or []).candidates
         if laws is not None:
             more = laws_in(
                 laws, [c.study for c in cycles], (*options.kind.effects, *library.values())
             )
-        lesson = learn_from(cycles, cable, options, library | more.effects, progress)
+        lesson = learn_from(cycles, cable, options, library | more.effects, progress, known.append)
         lesson, judgement = best_judged(lesson, settings)
         kept = more.keep(lesson.best.effects if lesson.best else ())
         again = _again(runs, config, out, effect or [], laws)
@@ -99,6 +107,24 @@ def learn(
     more_laws = "" if laws else f", or with --laws {out.with_suffix('.laws')}"
     print(f"{out} is not fit for the line: {failed}; record more cycles and learn again{more_laws}")
     raise typer.Exit(NOT_ALL_DONE)
+
+
+@contextmanager
+def _so_far(
+    known: Sequence[Lesson], interrupted: Interruption, tidy_up: Callable[[], object]
+) -> Iterator[None]:
+    """Interrupted, it prints the last of what is known by then, and ends the command."""
+    from cell.lab.lesson_tables import lesson_lines
+
+    try:
+        yield
+    except KeyboardInterrupt as error:
+        tidy_up()
+        if not known:
+            raise
+        for line in lesson_lines(known[-1], so_far=True):
+            print(line)
+        raise typer.Exit(interrupted.code) from error
 
 
 def _again(

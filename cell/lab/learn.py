@@ -146,10 +146,13 @@ def learn(
     options: IdentifyOptions,
     library: Mapping[str, type[Effect]],
     progress: Progress = lambda _: None,
+    known: Callable[[Lesson], None] = lambda _: None,
 ) -> Lesson:
     """Which effects the model of `options` lacks, as all cycles together see it.
 
     One at first; a second if the first leaves more than the noise.
+    known   is told of what is certain before the end: what the present model misses, the first
+            effect
     raises  ValueError: no cable can be identified; NoiseUnknownError
     """
     usable, starts = [], []
@@ -182,6 +185,7 @@ def learn(
     baseline = fit_shared(prepared, base, np.vstack([a.q for a in alone]))
     names = tuple(c for c, _ in chosen)
     none = Lesson(names, baseline, (), None, (), (), ())
+    known(none)
     if negligible(baseline):
         return none
     search = _Search(tuple(few), base, plausible[:TRIED_ON], len(others), progress)
@@ -189,6 +193,7 @@ def learn(
     first = _lesson(replace(none, ranking=tuple(tried)), search, prepared, plausible, tried)
     if first.best is None or negligible(first.best.fit) or len(others) < 2:
         return first
+    known(first)
     progress(f"looking for what {first.best.effect.name} leaves")
     kind = replace(options.kind, effects=(*options.kind.effects, first.best.effect))
     with_it = kind.space(cable, chosen[0][0].study.gravity_m_per_s2)

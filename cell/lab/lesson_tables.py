@@ -15,13 +15,18 @@ from cell.lab.learn import Lesson
 FloatArray = NDArray[np.float64]
 
 
-def lesson_lines(lesson: Lesson) -> list[str]:
-    """What is missing, how much of the error it explains, and how sure that is."""
+def lesson_lines(lesson: Lesson, *, so_far: bool = False) -> list[str]:
+    """What is missing, how much of the error it explains, and how sure that is.
+
+    so_far  the search for effects was interrupted
+    """
     before_m, noise_m = lesson.baseline.rms_m, lesson.noise_m
     first = (
         f"{len(lesson.cycles)} cables: the model misses {before_m * 1e3:.3f} mm rms, the noise is "
         f"{noise_m * 1e3:.3f} mm"
     )
+    if lesson.best is None and so_far:
+        return [first, "which effect that is was not found out yet; nothing was written"]
     if lesson.best is None:
         return [first, "no effect of the library explains more than chance: the model is complete"]
     best, lines = lesson.best, [first]
@@ -42,6 +47,8 @@ def lesson_lines(lesson: Lesson) -> list[str]:
                 f"{best.names[i]} differs between cables by {s.tau:.3g} (standard deviation; "
                 f"Cochran's Q {s.q:.1f} of {s.freedom}, {_chance(s.p_value)})"
             )
+    if so_far:
+        lines.append("interrupted before it was judged by the gates; nothing was written")
     return lines
 
 

@@ -8,6 +8,7 @@ import re
 import shutil
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -187,6 +188,63 @@ def test_on_a_full_disk_a_calibration_is_said_and_kept_elsewhere(folder, tmp_pat
     for name in ("time.html", "time.yaml"):
         (copy,) = tmp_path.glob(f"*/{name}")
         assert f"{name}: cannot be written: No space left on device; it is kept as {copy}" in told
+
+
+def of_ones_own(folder, own, change=lambda text: text):
+    """Recorded poses as pictures of one's own: other names, a table from a spreadsheet."""
+    (recorded,) = (folder / "calib" / "recorded").glob("cell-*")
+    shutil.copytree(recorded, own)
+    for picture in own.glob("pose_*.png"):
+        picture.rename(own / picture.name.replace("pose_", "DSC "))
+    table = own / "poses.csv"
+    table.write_text(change(table.read_text().replace("pose_", "DSC ")))
+    return called("calibrate", "cell", "--config", folder / "cell.yaml", "--from", own, "--json")
+
+
+def by_role_last(text):
+    rows = [line.split(",") for line in text.splitlines()]
+    return "\ufeff" + "\r\n".join(", ".join([r[0], *r[2:], r[1]]) for r in rows) + "\r\n\r\n"
+
+
+def test_pictures_of_ones_own_give_the_same(folder, tmp_path):
+    before = load(folder / "calib" / "cell.yaml", "cell").result
+    code, out, _ = of_ones_own(folder, tmp_path / "own", by_role_last)
+    assert code == 0
+    found = json.loads(out)["cell"]
+    for name, value in before.items():
+        assert np.allclose(value, found["result"][name], rtol=1e-6, atol=1e-9)
+
+
+def test_a_map_that_nothing_judges_says_so(folder, tmp_path):
+    code, out, _ = of_ones_own(
+        folder, tmp_path / "own", lambda text: text.replace("held_out", "fit")
+    )
+    assert (code, json.loads(out)["cell"]["error"]["held_out_rms_m"]) == (0, None)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda t: t.split("\n", 1)[1], "poses.csv:1: must begin with the line picture,role,x_m"),
+        (lambda t: re.sub(r"(fit),-?[0-9.e-]+", r"\1,nan", t, count=1), "poses.csv:2: has a num"),
+        (lambda t: re.sub(r"(fit),-?[0-9.]+", r"\1,-48.5", t, count=1), "give metres, not millim"),
+        (lambda t: re.sub(r"-?[0-9.e-]+\n", "29.4\n", t, count=1), "give radians, not degrees"),
+        (lambda t: t.replace("DSC 01", "DSC 99"), "DSC 99.png:1: is missing or no picture"),
+    ],
+    ids=["no header", "nan", "mm", "degrees", "missing"],
+)
+def test_a_wrong_table_of_poses_is_named_with_its_line(folder, tmp_path, change, words, capfd):
+    code, _, told = of_ones_own(folder, tmp_path / "own", change)
+    assert (code, words in told) == (2, True), told
+    assert "imread" not in capfd.readouterr().err
+
+
+def test_pictures_of_another_size_are_named(folder, tmp_path):
+    cv2.imwrite(str(tmp_path / "a.png"), np.zeros((480, 640), np.uint8))
+    words = ["camera", "--config", folder / "cell.yaml", "--from", tmp_path]
+    code, _, told = called("calibrate", *words)
+    assert code == 2
+    assert "a.png:1: has 640 × 480 pixels, the camera of " in told
 
 
 def test_a_wrong_folder_is_named(folder, tmp_path):

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shlex
+import signal
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
@@ -422,6 +424,33 @@ def said(
     found = CliRunner().invoke(app, [*words, "-o", "drag law.yaml"])
     assert found.exception is None or isinstance(found.exception, SystemExit), found.output
     yield tmp_path, found.output.splitlines()
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_interrupted_it_says_what_it_knows(
+    tied: Lesson, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, known: bool
+) -> None:
+    def interrupted(*given: Any) -> None:
+        if known:
+            given[-1](tied)
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    write_study(tied.cycles[0].study, tmp_path / "runs" / "c1")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("cell.lab.learn.learn", interrupted)
+    words = ["learn", "runs/c1", "--config", str(CONFIG), "--laws", "laws"]
+    former = [(n, signal.getsignal(n)) for n in (signal.SIGINT, signal.SIGTERM)]
+    try:
+        found = CliRunner().invoke(app, words)
+    finally:
+        for number, handler in former:
+            signal.signal(number, handler)
+    assert found.exit_code == 128 + signal.SIGTERM
+    assert ("missing: " in found.stdout) == known
+    assert "nothing was written" in (found.stdout if known else found.stderr)
+    assert [p for p in tmp_path.rglob("*") if p.suffix in (".yaml", ".py")] == [
+        tmp_path / "runs" / "c1" / "study.yaml"
+    ]
 
 
 def test_what_is_printed_can_be_typed(said: tuple[Path, list[str]]) -> None:
