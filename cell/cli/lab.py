@@ -15,7 +15,8 @@ import typer
 from cell.cli.delivery import deliver, json_files
 from cell.cli.result_json import STDOUT, Json, JsonCommand, print_result
 from cell.cli.shared import BAD_INPUT, answering, group, stoppable, tell_notes
-from cell.files.overwriting import check_new_study, check_output
+from cell.files.overwriting import check_apart, check_new_study, check_output
+from cell.files.rescue import no_room, remedy
 
 if TYPE_CHECKING:
     from cell.lab.compare import Comparison
@@ -428,15 +429,21 @@ def refusing(*outputs: Path | None, force: bool = False) -> Iterator[None]:
     force    whether they may take the place of what no command wrote
     """
     try:
-        for output in outputs:
-            if output is not None and output != STDOUT:
-                check_output(output, force=force)
+        files = [output for output in outputs if output is not None and output != STDOUT]
+        check_apart(files)
+        for output in files:
+            check_output(output, force=force)
         yield
     except (FileNotFoundError, ValueError) as error:  # InputError, EffectError … among them
         if isinstance(error, FileNotFoundError) and error.filename is not None:
             print(f"{error.filename}: {error.strerror}; check the name", file=sys.stderr)
         else:
             print(error, file=sys.stderr)
+        raise typer.Exit(BAD_INPUT) from error
+    except OSError as error:  # of a name that no file can have, a folder that nobody may enter …
+        if error.filename is None or no_room(error):
+            raise
+        print(f"{error.filename}: {error.strerror}; {remedy(error)}", file=sys.stderr)
         raise typer.Exit(BAD_INPUT) from error
 
 

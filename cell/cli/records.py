@@ -45,8 +45,10 @@ def list_cycles(
         refuse(error)
     if as_json:
         print(json.dumps([p.to_json() for p in past], indent=2, ensure_ascii=False))
-    else:
+    elif past:
         print_parts(Console(), history_table(past), f"look at one: cell show {runs}/FOLDER")
+    else:
+        print(f"{runs}: holds no cycle; `cell run --out {runs}` would leave some there")
 
 
 @app.command()

@@ -123,7 +123,7 @@ def run(
     except InputError as error:
         refuse(error)
     except RecordError as error:  # it cannot even be begun: nothing of this cycle has moved
-        print(f"{error}; make room there, or choose another folder with --out", file=sys.stderr)
+        print(f"{error}; choose another folder with --out, or make room there", file=sys.stderr)
         raise typer.Exit(NOT_ALL_DONE if results else BAD_INPUT) from error
     if not as_json:
         _show(results, plan.names, dry_run, known.notes)

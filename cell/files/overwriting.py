@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 #: How the files begin that commands write to where a person says.
@@ -33,6 +34,17 @@ def check_output(path: Path, *, force: bool = False) -> None:
             f"{path}: is there and was not written by this program; give another name, or --force "
             "to overwrite it"
         )
+
+
+def check_apart(paths: Sequence[Path]) -> None:
+    """Whether all of these are files of their own.  Raises ValueError: one would replace another.
+
+    Scenario: `--report a.html -o a.html`.
+    """
+    places = [path.resolve() for path in paths]
+    for i, path in enumerate(paths):
+        if places[i] in places[:i]:
+            raise ValueError(f"{path}: is given for two results; give each a name of its own")
 
 
 def check_new_study(folder: Path, *, force: bool = False) -> None:

@@ -12,9 +12,14 @@ from pathlib import Path
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
+def no_room(error: OSError) -> bool:
+    """Whether a file could not be written for want of room."""
+    return error.errno in _NO_ROOM
+
+
 def remedy(error: OSError) -> str:
     """What to do about a file that cannot be read or written."""
-    if error.errno in _NO_ROOM:
+    if no_room(error):
         return "make room there, or name another disk"
     return "check the name and who may read and write there"
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import re
 import reprlib
 from collections.abc import Mapping
@@ -223,10 +224,14 @@ def _problem(document: Document, details: ErrorDetails, schema: dict[str, Any]) 
     hint = ""
     if isinstance(value, str) and re.match(r"^[-+0-9.]+\s*[a-zA-Z°]", value):
         hint = "; write the number alone, its unit is in the key's name"
+    if isinstance(value, str) and re.fullmatch(r"[-+]?\d+,\d+", value):
+        hint = f"; write a decimal point, {value.replace(',', '.')}"
     if kind in ("less_than", "less_than_equal") and isinstance(value, int | float):
         limit = float(context["le"] if "le" in context else context["lt"])
         hint = _mistaken_unit(str(key[-1]), value, limit)
     message = details["msg"][0].lower() + details["msg"][1:]
+    if isinstance(value, float) and not math.isfinite(value):
+        message, hint = "must be a finite number", "; give one"
     return document.problem(key, f"{message}{shown and f' (got{shown[2:]})'}{hint}")
 
 

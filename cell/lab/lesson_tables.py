@@ -22,8 +22,8 @@ def lesson_lines(lesson: Lesson, *, so_far: bool = False) -> list[str]:
     """
     before_m, noise_m = lesson.baseline.rms_m, lesson.noise_m
     first = (
-        f"{len(lesson.cycles)} cables: the model misses {before_m * 1e3:.3f} mm rms, the noise is "
-        f"{noise_m * 1e3:.3f} mm"
+        f"{_cables(len(lesson.cycles))}: the model misses {before_m * 1e3:.3f} mm rms, "
+        f"the noise is {noise_m * 1e3:.3f} mm"
     )
     if lesson.best is None and so_far:
         return [first, "which effect that is was not found out yet; nothing was written"]
@@ -50,6 +50,10 @@ def lesson_lines(lesson: Lesson, *, so_far: bool = False) -> list[str]:
     if so_far:
         lines.append("interrupted before it was judged by the gates; nothing was written")
     return lines
+
+
+def _cables(count: int) -> str:
+    return f"{count} cable" if count == 1 else f"{count} cables"
 
 
 def votes_table(lesson: Lesson) -> Table:

@@ -84,7 +84,7 @@ def _parameter_problems(
         elif isinstance(stated, KnownParameter):
             p = parameters[key]
             if not p.low <= stated.fixed <= p.high:
-                message = f"{stated.fixed:g} {p.unit}: must be {p.low:g} … {p.high:g}"
+                message = f"{stated.fixed:g}{_unit(p.unit)}: must be {p.low:g} … {p.high:g}"
                 yield document.problem((*place, key, "fixed"), message)
         elif (stated == "prior") != (name in in_prior):
             message = (
@@ -105,3 +105,8 @@ def _is_known(model: Model, effect: str, parameter: str) -> bool:
         for entry in model.effects
         if effect_from(entry.effect).name == effect
     )
+
+
+def _unit(unit: str) -> str:
+    """A unit behind its number; nothing for a pure number."""
+    return "" if unit == "1" else f" {unit}"

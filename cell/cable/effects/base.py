@@ -188,9 +188,10 @@ class ActiveEffect:
             )
         for parameter, value in zip(self.effect.parameters, self.values, strict=True):
             if not math.isfinite(value) or not parameter.low <= value <= parameter.high:
+                unit = "" if parameter.unit == "1" else f" {parameter.unit}"
                 raise ValueError(
-                    f"{name}.{parameter.name} = {value} {parameter.unit}: "
-                    f"must be {parameter.low} … {parameter.high}"
+                    f"{name}.{parameter.name} = {value:g}{unit}: "
+                    f"must be {parameter.low:g} … {parameter.high:g}{unit}"
                 )
 
     @property

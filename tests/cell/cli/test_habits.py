@@ -107,6 +107,33 @@ def test_past_cycles_of_no_folder_end_with_2(tmp_path: Path) -> None:
         assert done.exit_code == 2 and done.stderr and not done.stdout
 
 
+def test_a_folder_without_cycles_is_said_to_have_none(tmp_path: Path) -> None:
+    done = cell("list", tmp_path)
+    assert (done.exit_code, done.stdout.startswith(f"{tmp_path}: holds no cycle")) == (0, True)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("free_length_m: 0.1 ", 'free_length_m: "0,1" ', "; write a decimal point, 0.1"),
+        ("free_length_m: 0.1 ", "free_length_m: .nan ", "must be a finite number (got nan)"),
+        (
+            "effects: {}",
+            "effects: {air_drag: {drag_coefficient: -5}}",
+            "drag_coefficient = -5: must be 0 … 50\n",
+        ),
+    ],
+)
+def test_a_number_that_is_none_is_named(tmp_path: Path, old: str, new: str, said: str) -> None:
+    path = tmp_path / "cell.yaml"
+    assert cell("init", "-y", "-o", path).exit_code == 0
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    done = cell("check", "-c", path)
+    assert (done.exit_code, said in done.stderr) == (2, True), done.stderr
+
+
 def test_the_log_of_any_command_is_kept(tmp_path: Path) -> None:
     path = tmp_path / "lab.log"
     assert cell("--log", path, "effects").exit_code == 0

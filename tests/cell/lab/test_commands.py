@@ -51,6 +51,19 @@ def test_on_a_full_disk_a_fit_is_printed_and_leaves_nothing(folder, tmp_path, fu
     assert list(tmp_path.iterdir()) == []
 
 
+def test_results_that_would_replace_each_other_are_refused(folder, tmp_path):
+    both = str(tmp_path / "a.json")
+    done = run(app, ["fit", str(folder), "-o", both, "--profile", both])
+    assert (done.exit_code, "is given for two results" in done.stderr) == (2, True)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_name_that_no_file_can_have_is_wrong_input(tmp_path):
+    done = run(app, ["fit", "a" * 300])
+    assert done.exit_code == 2
+    assert "File name too long; check the name" in done.stderr
+
+
 def test_effects_are_listed_with_units(tmp_path):
     out = tmp_path / "effects.json"
     done = run(app, ["effects", "--json", str(out)])

@@ -117,7 +117,7 @@ MISTAKES = [
     ("effect: air_drag", "effect: mine.py", 3, "no such effect file"),
     ("effect: stress_relaxation", "effect: air_drag", 6, "air_drag is given twice"),
     ("drag_coefficient:", "drag_coeficient:", 5, "has no such parameter; did you mean 'drag_coeff"),
-    ("fixed: 2.0", "fixed: -2.0", 5, "-2 1: must be 0 … 50"),
+    ("fixed: 2.0", "fixed: -2.0", 5, "-2: must be 0 … 50"),
     ("std: 0.1", "std: -0.1", 5, "greater than or equal to 0"),
     ("time_s: {fixed: 0.2}", "time_s: prior", 9, "model.prior.names has no 'stress_relaxation"),
     ("fraction: prior", "fraction: fitted", 8, "write 'prior'"),
