@@ -352,7 +352,7 @@ def _check_fit(fit: RobustFit, common: float, shown: Sequence[JawObservation]) -
         )
     if abs(x[SCALE]) > MOST_SCALE_ERROR:
         raise WrongScaleError(
-            f"the marks on the jaw are {1e2 * x[SCALE]:+.2f} % larger than stated, measured by "
+            f"the marks on the jaw are {1e2 * x[SCALE]:+z.2f} % larger than stated, measured by "
             "the robot's own way",
             "measure their distances and correct them, or check the arm's model",
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -100,3 +101,17 @@ def test_only_a_few_modules_call_devices() -> None:
     found = {path for path, _ in calls if path.parts[1] != "simulated"}
     callers = {Path("cell", "run", f"{name}.py") for name in CALLERS}
     assert found == callers | {Path("cell", "calibration", "session.py")}, calls
+
+
+def test_what_is_rounded_to_nothing_has_no_sign() -> None:
+    """A number with a sign is "-0.00" otherwise: `z` in its format takes that off."""
+    signed = re.compile(r"\+[0-9]*\.[0-9]f")
+    found = [
+        f"{path.name}:{spec.lineno}"
+        for path, tree in sources("cell", "calib", "drivers")
+        for spec in ast.walk(tree)
+        if isinstance(spec, ast.Constant)
+        and isinstance(spec.value, str)
+        and signed.fullmatch(spec.value)
+    ]
+    assert not found

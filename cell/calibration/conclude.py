@@ -58,8 +58,8 @@ def doubts_about(fit: CameraFit) -> tuple[str, ...]:
     if abs(stretch) < max(_STRETCH_TOLD, 3.0 * spread):
         return ()
     return (
-        f"the board is {1e2 * stretch:+.2f} % longer across than upright, against its description: "
-        "a printer stretched it; that is allowed for, but print it at 100 %",
+        f"the board is {1e2 * stretch:+z.2f} % longer across than upright, against its "
+        "description: a printer stretched it; that is allowed for, but print it at 100 %",
     )
 
 
@@ -272,7 +272,7 @@ def today(
         command = f"cell calibrate --config {config}"
         return Drift(False, sentence, command, moved_m, left_m, change_s)
     if change_s is not None and abs(change_s) > limits.max_time_error_s:
-        sentence = f"recalibrate time: the camera's latency changed by {change_s * 1e3:+.2f} ms"
+        sentence = f"recalibrate time: the camera's latency changed by {change_s * 1e3:+z.2f} ms"
         command = f"cell calibrate time --config {config}"
         return Drift(False, sentence, command, moved_m, left_m, change_s)
     sentence = f"good: {np.hypot(moved_m, left_m) * 1e3:.3f} mm beside the stored map"

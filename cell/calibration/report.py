@@ -131,7 +131,7 @@ def cell_report(
             "roll against gravity",
             f"{np.degrees(roll_rad):.3f}° ± {np.degrees(e['roll_95_rad']):.3f}°",
         ),
-        ("gripping point beside the tool, x and y", f"{offset[0]:+.3f}, {offset[1]:+.3f} mm"),
+        ("gripping point beside the tool, x and y", f"{offset[0]:+z.3f}, {offset[1]:+z.3f} mm"),
     ]
     last = shown.poses[-1].picture.image
     overlay = _grid_over(last, fit)
@@ -227,7 +227,7 @@ def grip_report(
     first, last = views[0], views[-1]
     return _page(
         "How the jaws hold a cable",
-        f"The cable leaves the jaws {np.degrees(fit.mean[2]):+.2f}° ± "
+        f"The cable leaves the jaws {np.degrees(fit.mean[2]):+z.2f}° ± "
         f"{np.degrees(e['angle_95_rad']):.2f}° beside the direction of the marks, its free length "
         f"is {1e3 * fit.mean[3]:.2f} ± {1e3 * e['length_95_m']:.2f} mm (95 %).",
         [

@@ -357,7 +357,7 @@ def _words(made: StoredCalibration) -> str:
             return f"map ±{e['map_95_m'] * 1e3:.3f} mm (95 %, worst of the picture), {judged}"
         case "grip":
             return (
-                f"clamp angle {np.degrees(made.number('angle_rad')):+.2f} ± "
+                f"clamp angle {np.degrees(made.number('angle_rad')):+z.2f} ± "
                 f"{np.degrees(e['angle_95_rad']):.2f}°, free length "
                 f"{made.number('length_m') * 1e3:.2f} ± {e['length_95_m'] * 1e3:.2f} mm, gripping "
                 f"point ±{e['point_95_m'] * 1e3:.3f} mm (95 %)"

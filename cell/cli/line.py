@@ -19,6 +19,7 @@ from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, Config, Interruption, answer
 
 if TYPE_CHECKING:
     from cell.lab.explore import Progress
+    from cell.lab.gates import Judgement
     from cell.lab.learn import Lesson
 
 app = group()
@@ -56,7 +57,6 @@ def learn(
     from cell.lab.discover import Laws, laws_in
     from cell.lab.gates import best_judged
     from cell.lab.learn import learn as learn_from
-    from cell.lab.lesson_tables import gates_table, lesson_lines, votes_table
     from cell.lab.session import select_effects
     from cell.settings import load_settings
     from cell.settings.translate import cable_of, identification_of
@@ -86,12 +86,7 @@ def learn(
         print(f"left out: {line}", file=sys.stderr)
 
     def printed() -> None:
-        for line in lesson_lines(lesson):
-            print(line)
-        if lesson.best is not None:
-            show(votes_table(lesson), gates_table(judgement.gates))
-        for line in (*(f"its law is in {path}" for path in kept), *todo):
-            print(line)
+        _print(lesson, judgement, [*(f"its law is in {path}" for path in kept), *todo])
 
     def candidate(path: Path) -> None:
         write_candidate(path, lesson, judgement, settings.model)
@@ -107,6 +102,18 @@ def learn(
     more_laws = "" if laws else f", or with --laws {out.with_suffix('.laws')}"
     print(f"{out} is not fit for the line: {failed}; record more cycles and learn again{more_laws}")
     raise typer.Exit(NOT_ALL_DONE)
+
+
+def _print(lesson: Lesson, judgement: Judgement, more: Sequence[str]) -> None:
+    """What was learned, what speaks for it, and more lines."""
+    from cell.lab.lesson_tables import gates_table, lesson_lines, votes_table
+
+    for line in lesson_lines(lesson):
+        print(line)
+    if lesson.best is not None:
+        show(votes_table(lesson), gates_table(judgement.gates))
+    for line in more:
+        print(line)
 
 
 @contextmanager

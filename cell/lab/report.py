@@ -274,7 +274,7 @@ def _where(series: Sequence[Series]) -> list[str]:
 
 def _goes_with(where: TrialResidual) -> str:
     found = [
-        f"{f.signal} ({f.correlation:+.2f}{'*' if f.p_value < NOTICEABLE else ''})"
+        f"{f.signal} ({f.correlation:+z.2f}{'*' if f.p_value < NOTICEABLE else ''})"
         for f in where.correlations
         if abs(f.correlation) >= LEAST_CORRELATION
     ]

@@ -306,7 +306,7 @@ def correlations_table(comparison: Comparison) -> Table:
     for w in comparison.where:
         found = {f.signal: f for f in w.correlations}
         cells = [
-            f"{found[n].correlation:+.2f}{'*' if found[n].p_value < 0.01 else ''}"
+            f"{found[n].correlation:+z.2f}{'*' if found[n].p_value < 0.01 else ''}"
             if n in found
             else ""
             for n in names

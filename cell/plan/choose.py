@@ -184,7 +184,7 @@ def choose(
         reason = (
             f"no offset passes with probability ≥ {options.least_probability:.2f}: the best, "
             f"{best.offset_m * 1e3:.0f} mm, with {best.probability:.2f} "
-            f"(margin {best.margin_m * 1e3:+.2f} mm)"
+            f"(margin {best.margin_m * 1e3:+z.2f} mm)"
         )
         model_misses = missed_m > options.repeatability_m
         if model_misses:

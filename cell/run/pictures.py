@@ -102,7 +102,7 @@ def passage_pictures(
     difference_inset(image, seen_m[inside], predicted_m[inside], metres_per_pixel(task))
     said = "inserted" if passage.passed else f"missed: {passage.reason}"
     error = (
-        f"forecast error {passage.error_m * 1e3:.2f} mm, margin {passage.margin_m * 1e3:+.2f} mm"
+        f"forecast error {passage.error_m * 1e3:.2f} mm, margin {passage.margin_m * 1e3:+z.2f} mm"
     )
     title(image, [("", SEEN), (said, SEEN if passage.passed else DESTINATION), (error, WHITE)])
     lines = (

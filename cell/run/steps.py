@@ -267,7 +267,7 @@ def check_clocks(station: Station, findings: Findings) -> Findings:
             device, _, what = check.what.partition(": ")
             raise DeviceError(
                 device,
-                f"{what} {check.found * 1e3:+.2f} ms since it was calibrated, at most "
+                f"{what} {check.found * 1e3:+z.2f} ms since it was calibrated, at most "
                 f"{1e3 * (check.high or 0.0):.2f} ms are allowed",
                 check.remedy,
             )

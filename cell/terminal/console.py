@@ -144,9 +144,9 @@ def results_table(results: Sequence[Result]) -> Table:
             str(r.cycle),
             f"[{_COLOURS[r.outcome]}]{r.outcome.value}[/]",
             _mm(r.offset_m, ".0f"),
-            _mm(r.predicted_miss_m, "+.2f"),
-            _mm(r.measured_miss_m, "+.2f"),
-            _mm(r.margin_m, "+.2f"),
+            _mm(r.predicted_miss_m, "+z.2f"),
+            _mm(r.measured_miss_m, "+z.2f"),
+            _mm(r.margin_m, "+z.2f"),
             _mm(r.prediction_error_m, ".2f"),
             "" if r.probability is None else f"{r.probability:.1%}",
         )
