@@ -77,17 +77,57 @@ def stoppable(stop: Callable[[], None]) -> Iterator[Interruption]:
         yield given
 
 
+#: Of these a callback drops what is raised in it, and they fail of what they then lack …
+_NEVER_WITHIN = ("numba", "llvmlite")
+#: … so that one waits for their end, s.
+_POSTPONED_S = 0.05
+
+
 @contextmanager
 def answering() -> Iterator[Interruption]:
-    """The first Ctrl-C or SIGTERM raises KeyboardInterrupt: the command says what it knows."""
+    """The first Ctrl-C or SIGTERM raises KeyboardInterrupt: the command says what it knows.
+
+    While something is compiled it waits.
+    """
     given = Interruption()
 
     def interrupt(number: int, frame: FrameType | None) -> None:
         if given.give(number):
+            raise_outside(number, frame)
+
+    def raise_outside(number: int, frame: FrameType | None) -> None:
+        if _is_within(frame):
+            signal.setitimer(signal.ITIMER_REAL, _POSTPONED_S)
+        else:
             raise KeyboardInterrupt
 
-    with _heard_by(interrupt, given):
-        yield given
+    former = signal.signal(signal.SIGALRM, raise_outside)
+    try:
+        with _heard_by(interrupt, given):
+            yield given
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, former)
+
+
+@contextmanager
+def unhindered() -> Iterator[None]:
+    """Neither Ctrl-C nor SIGTERM disturbs what takes a moment only."""
+    former = {s: signal.signal(s, signal.SIG_IGN) for s in ANSWERED}
+    try:
+        yield
+    finally:
+        for s, handler in former.items():
+            signal.signal(s, handler)
+
+
+def _is_within(frame: FrameType | None) -> bool:
+    """Whether this frame, or one that it was called by, is of the compiler."""
+    while frame is not None:
+        if str(frame.f_globals.get("__name__")).partition(".")[0] in _NEVER_WITHIN:
+            return True
+        frame = frame.f_back
+    return False
 
 
 @contextmanager

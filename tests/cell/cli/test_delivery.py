@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import errno
+import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -46,6 +48,27 @@ def test_a_file_that_cannot_be_written_keeps_no_other_from_it(
     assert (ended.value.exit_code, said.out) == (1, "result\n")
     assert said.err.startswith(f"{long}: cannot be written: File too large; ")
     assert [p.name for p in tmp_path.iterdir()] == ["short.txt"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_who_ends_the_printing_or_the_writing_gets_the_files(tmp_path: Path, number: int) -> None:
+    def give() -> None:
+        os.kill(os.getpid(), number)
+
+    def write(path: Path) -> None:
+        give()
+        write_whole(path, "all")
+
+    former = {s: signal.getsignal(s) for s in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        deliver(lambda: None, (tmp_path / "b.txt", write))
+        with pytest.raises(typer.Exit) as ended:
+            deliver(give, (tmp_path / "a.txt", write))
+    finally:
+        for s, handler in former.items():
+            signal.signal(s, handler)
+    assert ended.value.exit_code == 128 + number
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.txt", "b.txt"]
 
 
 def test_on_a_full_disk_a_table_is_printed(tmp_path: Path, full_disk: None) -> None:

@@ -1,0 +1,60 @@
+"""Ctrl-C and SIGTERM are answered once, and never where an exception would be lost."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Iterator
+
+import pytest
+import typer
+
+from cell.cli.shared import answering, stoppable
+
+
+@pytest.fixture(autouse=True)
+def heard_again() -> Iterator[None]:
+    former = {s: signal.getsignal(s) for s in (signal.SIGINT, signal.SIGTERM)}
+    yield
+    for number, handler in former.items():
+        signal.signal(number, handler)
+
+
+def give(number: int) -> None:
+    os.kill(os.getpid(), number)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_command_that_knows_something_goes_on(number: int) -> None:
+    with answering() as interrupted:
+        assert not interrupted
+        with pytest.raises(KeyboardInterrupt):
+            give(number)
+        give(number)
+    assert interrupted and interrupted.code == 128 + number
+
+
+def test_a_command_that_knows_nothing_ends(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(typer.Exit) as ended, answering():
+        give(signal.SIGTERM)
+    assert ended.value.exit_code == 128 + signal.SIGTERM
+    assert "nothing is known yet, and nothing was written" in capsys.readouterr().err
+
+
+def test_what_is_asked_to_stop_is_not_interrupted() -> None:
+    asked: list[int] = []
+    with stoppable(lambda: asked.append(1)) as interrupted:
+        give(signal.SIGTERM)
+    assert (asked, interrupted.code) == ([1], 128 + signal.SIGTERM)
+
+
+def test_the_compiler_comes_to_its_end() -> None:
+    """In its callbacks an exception is dropped; it then failed, with a traceback."""
+    compiler = {"__name__": "numba.core", "give": give, "time": time, "done": []}
+    exec("def compiled():\n    give(15)\n    time.sleep(0.2)\n    done.append(1)", compiler)
+    with answering() as interrupted, pytest.raises(KeyboardInterrupt):
+        compiler["compiled"]()  # type: ignore[operator]
+        time.sleep(5.0)
+    assert compiler["done"] == [1]
+    assert interrupted
