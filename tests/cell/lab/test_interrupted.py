@@ -18,6 +18,7 @@ from cell.lab.limits import with_limits
 from cell.lab.prepared import PreparedStudy, StoppedError
 from cell.lab.suggest import Option, Rival, telling_motions
 from cell.lab.tables import sentence
+from cell.lab.terms import admissible
 from cell.settings.surroundings import Surroundings
 from cell.study.folder import write_study
 
@@ -141,6 +142,7 @@ def test_a_fit_that_is_not_known_yet_writes_nothing(folder, tmp_path, monkeypatc
 
 def test_a_law_that_is_not_confirmed_yet_is_not_written(folder, tmp_path, monkeypatch):
     out = tmp_path / "law.py"
+    monkeypatch.setattr("cell.lab.discover.admissible", lambda box_m: admissible(box_m)[:2])
     given = ["discover", folder, "-o", out]
     result = interrupted(monkeypatch, "refitted with", signal.SIGTERM, *given)
     assert result.exit_code == 128 + signal.SIGTERM

@@ -438,6 +438,7 @@ def test_interrupted_it_says_what_it_knows(
     write_study(tied.cycles[0].study, tmp_path / "runs" / "c1")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("cell.lab.learn.learn", interrupted)
+    monkeypatch.setattr("cell.lab.discover.admissible", lambda box_m: admissible(box_m)[:1])
     words = ["learn", "runs/c1", "--config", str(CONFIG), "--laws", "laws"]
     former = [(n, signal.getsignal(n)) for n in (signal.SIGINT, signal.SIGTERM)]
     try:
