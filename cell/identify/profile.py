@@ -19,9 +19,11 @@ from cell.identify.gauss_newton import Options, Problem, Solution, minimise
 FloatArray = NDArray[np.float64]
 
 CONFIDENCE = 0.95
+#: The first point to a side is so many standard deviations away.
+FIRST = 0.5
 #: Points to a side on the way out, at most, and how far the next may lie beyond the last, in its
 #: distance from the minimum; what is not worse 3⁷ standard deviations away is flat.
-MOST_POINTS = 8
+MOST_POINTS = 9
 FARTHER = 3.0
 #: The end is sought between two points until one of them is as near as this to 95 %, in standard
 #: deviations, with so many points more at most.
@@ -122,7 +124,7 @@ def _bracket(
 
     None if there is none before `farthest`, or on the way that is gone.
     """
-    inside, reach = (0.0, 0.0), min(std, farthest)
+    inside, reach = (0.0, 0.0), min(FIRST * std, farthest)
     for _ in range(MOST_POINTS):
         if inside[0] >= farthest:
             break

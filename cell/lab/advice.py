@@ -35,6 +35,13 @@ class Step:
     command: str = ""
 
 
+#: Where no parameter of the model means anything, nothing is to be fitted or looked for.
+MEND = Step(
+    "Mend the study first: signs and axes of its frame, gravity, the order of the markers, the "
+    "datasheet, one clock for both files. The cable must be held at one end only."
+)
+
+
 @dataclass(frozen=True)
 class Paths:
     """Names of study and effect files for the command line.
@@ -88,12 +95,16 @@ def advice(
     known: tuple[str, ...] = (),
     accepted: tuple[str, ...] = (),
 ) -> tuple[Step, ...]:
-    """What to do after a diagnosis.
+    """What to do after a diagnosis; nothing with an effect that the diagnosis itself rules out.
 
     known     effects that were part of the model
     accepted  effects that were confirmed on the way; what explains most, if anything does, is more
     """
+    if diagnosis.codes & {"not_searched", "hopeless"}:
+        return (MEND,)
     found = [f.effect for f in diagnosis.missing]
+    ruled_out = {r.effect for r in diagnosis.ranking if r.status == "absent"}
+    accepted = tuple(e for e in accepted if e not in ruled_out)
     motion = Step(
         "The motion that tells them apart", paths.command("suggest", known, "-o motion.yaml")
     )

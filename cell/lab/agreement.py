@@ -77,10 +77,11 @@ class _Alone:
 def with_agreement(explorer: Explorer, examination: Examination) -> Examination:
     """The examination with what each trial alone says of what the final model has.
 
-    None, and a warning, where there is no time for it.
+    None, and a warning, where there is no time for it; none where no model's parameters mean
+    anything.
     """
     diagnosis = examination.diagnosis
-    if any(w.code in ("interrupted", "not_searched") for w in diagnosis.warnings):
+    if diagnosis.codes & {"interrupted", "not_searched", "hopeless"}:
         return examination
     try:
         found = agreement(explorer.prepared, examination.final.fit, explorer.progress)

@@ -132,16 +132,17 @@ def _examined(explorer: Explorer, rules: Rules) -> Examination:
     also = {e.name: tied_so_far(whole, most[-1], e, rules) for e in _added(whole, most[-1])}
     final = current if found else most[-1]
     _LOG.info("verdict: %s", verdict)
-    rivals |= {n for names in also.values() for n in names}
+    rivals |= {n for effect, names in also.items() for n in (effect, *names)}
     diagnosis = Diagnosis(
         noise_m=explorer.prepared.floor.noise.std_m,
+        noise_is_stated=explorer.prepared.study.noise_std_m is not None,
         baseline=errors_of(base if verdict == "complete" else explorer.prior_candidate()),
         verdict=verdict,
         missing=_all_found(explorer, steps, tied, len(screened)),
         ranking=_ranking(explorer, base, steps[-1], singles, rivals, rules),
         left=what_is_left(whole, most[0], final),
         partial=_all_found(whole, most, also, len(screened)),
-        nearest=() if found else nearest(partial, singles, rules),
+        nearest=() if found else nearest(partial, _sound(singles, base), rules),
         warnings=(
             *doubts(explorer, whole, final, cut_short),
             *map(unseen_doubt, unseen),
@@ -172,20 +173,27 @@ def _unsearched(
     one_more = len(base.names) + 1
     singles = tuple(c for c in explorer.known() if len(c.names) == one_more)
     partial = Partial(explorer, singles, (base,))
+    screened = tuple(explorer.screened(base))
+    searched = why.code != "not_searched"
     diagnosis = Diagnosis(
         noise_m=explorer.prepared.floor.noise.std_m,
+        noise_is_stated=explorer.prepared.study.noise_std_m is not None,
         baseline=errors_of(base),
         verdict=verdict,
-        ranking=_ranking(explorer, base, base, singles, set(), rules),
+        ranking=_ranking(explorer, base, base, singles, set(), rules) if searched else (),
         left=what_is_left(explorer, base, base),
-        nearest=nearest(partial, singles, rules),
+        nearest=nearest(partial, _sound(singles, base), rules),
         warnings=(
             why,
             *doubts(explorer, explorer, base, cut_short=False),
         ),
     )
-    screened = tuple(explorer.screened(base))
     return Examination(diagnosis, (base,), screened, singles, base, base, explorer.prepared)
+
+
+def _sound(singles: Sequence[Candidate], base: Candidate) -> list[Candidate]:
+    """Those that leave no more than the model without their effect: others ended anywhere."""
+    return [c for c in singles if c.fit.objective <= base.fit.objective]
 
 
 def _errors_in_words(candidate: Candidate) -> str:
@@ -406,7 +414,7 @@ def _ranking(
     rules: Rules,
 ) -> tuple[RankedEffect, ...]:
     """All effects, by the evidence of adding each alone to the baseline."""
-    refits = {c.effects[-1].name: c for c in singles}
+    refits = {c.effects[-1].name: c for c in _sound(singles, base)}
     rows = []
     for screened in explorer.screened(base):
         name = screened.effect.name

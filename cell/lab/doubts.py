@@ -34,14 +34,15 @@ NEAR_BOUND = 0.01
 def fit_doubts(explorer: Explorer, candidate: Candidate) -> tuple[Doubt, ...]:
     """Of a fitted model: hopeless, far beyond the noise, no minimum, at a bound, or diverging."""
     fit, floor = candidate.fit, explorer.prepared.floor
+    to_all = "" if explorer.prepared.study.role("validate") else " to all trials"
     found = []
     moved_m = _moved_m(explorer)
     worst_m = max(fit.rms_m, candidate.heldout.rms_m if candidate.heldout else 0.0)
-    if fit.rms_m > HOPELESS_SHARE * moved_m:
+    if is_hopeless(explorer, fit):
         found.append(
             Doubt(
                 "hopeless",
-                f"the fit misses {fit.rms_m * 1e3:.3g} mm of markers that move by "
+                f"the fit{to_all} misses {fit.rms_m * 1e3:.3g} mm of markers that move by "
                 f"{moved_m * 1e3:.3g} mm (rms): its parameters mean nothing; check the study's "
                 "frame, times and datasheet",
             )
@@ -128,6 +129,11 @@ def lacking_doubt(lacks: Sequence[str]) -> tuple[Doubt, ...]:
             "STUDY` tells more",
         ),
     )
+
+
+def is_hopeless(explorer: Explorer, fit: Fit) -> bool:
+    """Whether a fit misses more than half of what the markers move: no model of this cable."""
+    return fit.rms_m > HOPELESS_SHARE * _moved_m(explorer)
 
 
 def is_no_model(explorer: Explorer, fit: Fit) -> bool:

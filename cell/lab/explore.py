@@ -193,6 +193,21 @@ class Explorer:
                 self._elsewhere = fit_model(self.prepared, base.fit.space, start, options=POLISH)
         return self._elsewhere
 
+    def rebase(self, start: FloatArray) -> bool:
+        """Fit the baseline from another start too; True if that ends lower.
+
+        It is the baseline then, and what was fitted beside the former one is forgotten.
+        """
+        base = self.baseline()
+        with contextlib.suppress(ValueError):  # where it ended nothing is simulated
+            fit = fit_model(self.prepared, base.fit.space, start, options=POLISH)
+            if fit.objective < base.fit.objective - 2.0 * LIKELIER:
+                self._known = {base.names: self._weigh(base.effects, fit)}
+                self._screens, self._visible = {}, {}
+                self._were_polished, self._ways_down = set(), set()
+                return True
+        return False
+
     def _scanned(self, start: FloatArray) -> FloatArray:
         """A start with effects that a fit finds from near only as the screen without them says."""
         narrow = [e for e in self.space.effects if any(p.scan for p in e.parameters)]

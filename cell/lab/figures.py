@@ -16,6 +16,7 @@ from cell.lab.compare import Comparison
 from cell.lab.profiles import ParameterProfile
 from cell.lab.results import Diagnosis
 from cell.lab.trial_residual import PHASES, distance, largest, phase_of
+from cell.lab.wording import by_evidence, chance, noise_label, places
 
 FloatArray = NDArray[np.float64]
 
@@ -41,26 +42,42 @@ _STATUS = {
 class Series:
     """A model beside the measurements, under the name and in the colour it has in all figures.
 
-    of  the name after "error"
+    of     the name after "error"
+    above  number of models drawn over it: it is drawn so much larger that equal ones are seen too
     """
 
     name: str
     of: str
     colour: str
     comparison: Comparison
+    above: int = 0
+
+    @property
+    def width(self) -> float:
+        """Of its lines, in pixels."""
+        return 1.5 + 2.5 * self.above
+
+    @property
+    def size(self) -> float:
+        """Of its markers, in pixels."""
+        return 8.0 + 5.0 * self.above
 
 
 def waterfall(diagnosis: Diagnosis) -> go.Figure:
     """Error of the baseline and after each effect added, and the noise."""
     found = diagnosis.missing or diagnosis.partial
-    names = ["model", *(f"+ {' or '.join((f.effect, *f.tied_with))}" for f in found)]
-    errors = [diagnosis.baseline, *(f.errors for f in found)]
-    return _falling(
-        names,
-        np.array([e.heldout_rms_m for e in errors]),
-        np.array([e.fit_rms_m for e in errors]),
-        diagnosis.noise_m,
-    )
+    names = ["model", *(f"+ {'<br>or '.join((f.effect, *f.tied_with))}" for f in found)]
+    label = noise_label(diagnosis.noise_is_stated)
+    base, errors = diagnosis.baseline, [f.errors for f in found]
+    held, fitted = [base.heldout_rms_m], [base.fit_rms_m]
+    if diagnosis.missing or not found:
+        held += [e.heldout_rms_m for e in errors]
+        fitted += [e.fit_rms_m for e in errors]
+        return _falling(names, held, fitted, diagnosis.noise_m, label)
+    none = [float("nan")] * len(found)
+    before_m = float("nan") if diagnosis.left is None else diagnosis.left.before_rms_m
+    to_all = [before_m, *(e.fit_rms_m for e in errors)]
+    return _falling(names, [*held, *none], [*fitted, *none], diagnosis.noise_m, label, to_all)
 
 
 def history(comparisons: Sequence[Comparison]) -> go.Figure:
@@ -73,40 +90,74 @@ def history(comparisons: Sequence[Comparison]) -> go.Figure:
         before = c
     return _falling(
         names,
-        np.array([c.heldout_rms_m for c in comparisons]),
-        np.array([c.fit_rms_m for c in comparisons]),
+        [c.heldout_rms_m for c in comparisons],
+        [c.fit_rms_m for c in comparisons],
         comparisons[0].noise_m,
+        noise_label(comparisons[0].noise_is_stated),
     )
 
 
 def _falling(
-    names: Sequence[str], heldout_m: FloatArray, fit_m: FloatArray, noise_m: float
+    names: Sequence[str],
+    heldout_m: Sequence[float],
+    fit_m: Sequence[float],
+    noise_m: float,
+    noise: str,
+    to_all_m: Sequence[float] = (),
 ) -> go.Figure:
-    """Errors of models one after another, on a logarithmic axis."""
+    """Errors of models one after another, on a logarithmic axis.
+
+    to_all_m  of all motions, of models fitted to them all
+    """
     figure = go.Figure()
-    for label, values, colour, place in (
-        ("on motions it was not fitted to", heldout_m, ADDED, "top right"),
-        ("on motions it was fitted to", fit_m, NOISE, "bottom right"),
-    ):
-        shown = _mm(values)
-        if all(v is None for v in shown):
-            continue
+    lines = [
+        ("on motions it was not fitted to", heldout_m, ADDED, "solid"),
+        ("on motions it was fitted to", fit_m, NOISE, "dot"),
+        ("on all motions, fitted to all", to_all_m, BETWEEN[1], "dash"),
+    ]
+    lines = [line for line in lines if np.isfinite(line[1]).any()]
+    sides = _sides([_mm(np.array(values)) for _, values, _, _ in lines])
+    for (label, values, colour, dash), places_of in zip(lines, sides, strict=True):
+        shown = _mm(np.array(values))
         figure.add_scatter(
             x=names,
             y=shown,
             name=label,
             mode="lines+markers+text",
-            line={"color": colour, "dash": "solid" if colour == ADDED else "dot"},
+            line={"color": colour, "dash": dash},
             marker={"size": 11},
             text=["" if v is None else f"{v:.3g}" for v in shown],
-            textposition=place,
+            textposition=places_of,
             cliponaxis=False,
         )
-    _noise_line(figure, noise_m * 1e3)
-    logarithmic(figure, [heldout_m * 1e3, fit_m * 1e3, np.array([noise_m * 1e3])])
-    figure.update_xaxes(range=[-0.4, len(names) - 0.4], type="category")
+    _noise_line(figure, noise_m * 1e3, noise)
+    every = [np.array(values) * 1e3 for _, values, _, _ in lines]
+    logarithmic(figure, [*every, np.array([noise_m * 1e3])])
+    figure.update_xaxes(range=[-0.5, len(names) - 0.5], type="category")
     figure.update_layout(yaxis_title="error, mm rms")
     return laid_out(figure, 360 + 18 * max(n.count("<br>") for n in names))
+
+
+def _sides(lines: Sequence[Sequence[float | None]]) -> list[list[str]]:
+    """Where each number stands beside its marker: the largest above, the smallest below.
+
+    What is between them, to the right.
+    """
+    found = []
+    for line in lines:
+        beside = []
+        for i, value in enumerate(line):
+            others = [o for other in lines if other is not line and (o := other[i]) is not None]
+            own = 0.0 if value is None else value
+            first = next(other for other in lines if other[i] is not None or other is line) is line
+            if all(own > o or (own == o and first) for o in others):
+                beside.append("top center")
+            elif all(own <= o for o in others):
+                beside.append("bottom center")
+            else:
+                beside.append("middle right")
+        found.append(beside)
+    return found
 
 
 def by_trial(series: Sequence[Series]) -> go.Figure:
@@ -121,9 +172,9 @@ def by_trial(series: Sequence[Series]) -> go.Figure:
             y=_mm(np.array([w.rms_m for w in s.comparison.where])),
             mode="markers",
             name=s.name,
-            marker={"color": s.colour, "size": 11},
+            marker={"color": s.colour, "size": s.size},
         )
-    _noise_line(figure, first.noise_m * 1e3)
+    _noise_line(figure, first.noise_m * 1e3, noise_label(first.noise_is_stated))
     errors = [np.array([w.rms_m * 1e3 for w in s.comparison.where]) for s in series]
     logarithmic(figure, [*errors, np.array([first.noise_m * 1e3])])
     figure.update_xaxes(type="category")
@@ -134,7 +185,9 @@ def by_trial(series: Sequence[Series]) -> go.Figure:
 def logarithmic(figure: go.Figure, values: Sequence[FloatArray], **where: int) -> None:
     """Makes the y axis logarithmic, with room around positive values and plain numbers on it."""
     some = np.concatenate([v[np.isfinite(v) & (v > 0.0)] for v in values])
-    low, high = np.log10(some.min()) - 0.15, np.log10(some.max()) + 0.15
+    low, high = np.log10(some.min()), np.log10(some.max())
+    room = max(0.15, 0.15 * (high - low))  # for the numbers of the lowest and highest
+    low, high = low - room, high + room
     ticks = thirds() if high - low < 2.0 else [10.0**n for n in range(-6, 4)]
     if high - low < 0.8:
         ticks = [m * 10.0**n for n in range(-6, 4) for m in (1, 1.2, 1.5, 2, 3, 4, 5, 6, 8)]
@@ -150,7 +203,7 @@ def thirds() -> list[float]:
 
 def ranking(diagnosis: Diagnosis) -> go.Figure:
     """Evidence for each effect: √χ² explained, whose standard deviation is 1 whatever its size."""
-    rows = list(reversed(diagnosis.ranking))
+    rows = list(reversed(by_evidence(diagnosis)))
     evidence = np.sqrt([max(r.score, 0.0) for r in rows])
     figure = go.Figure()
     for status, (colour, label) in _STATUS.items():
@@ -169,7 +222,7 @@ def ranking(diagnosis: Diagnosis) -> go.Figure:
                 "arrayminus": listed(np.minimum(2.0, evidence[chosen]), 2),
                 "thickness": 1.5,
             },
-            customdata=[[f"{rows[i].score:.1f}", f"{rows[i].p_value:.1g}"] for i in chosen],
+            customdata=[[places(rows[i].score, 1), chance(rows[i].p_value)] for i in chosen],
             hovertemplate="%{y}: χ² %{customdata[0]}, p %{customdata[1]}<extra></extra>",
         )
     limit = -float(normal_quantile(0.5 * CHANCE / max(len(rows), 1)))
@@ -249,13 +302,14 @@ def profiles(series: Sequence[Series]) -> go.Figure:
     phases = [p for p in PHASES if any(np.isfinite(w.by_phase[p]) for w in comparison.where)]
     for s in series:
         wheres = s.comparison.where
-        style = {"color": s.colour}
+        style = {"color": s.colour, "width": s.width}
         shared = {"name": s.name, "legendgroup": s.name}
         figure.add_scatter(
             x=listed(wheres[0].by_arc_length.centre * 1e3, 2),
             y=_mm(_mean_square([w.by_arc_length.rms_m for w in wheres])),
             mode="lines+markers",
             line=style,
+            marker={"size": s.size - 2.0},
             **shared,
             row=1,
             col=1,
@@ -264,7 +318,7 @@ def profiles(series: Sequence[Series]) -> go.Figure:
             x=phases,
             y=_mm(_mean_square([np.array([w.by_phase[p] for p in phases]) for w in wheres])),
             mode="markers",
-            marker={"color": s.colour, "size": 11},
+            marker={"color": s.colour, "size": s.size},
             showlegend=False,
             **shared,
             row=1,
@@ -287,7 +341,7 @@ def profiles(series: Sequence[Series]) -> go.Figure:
         y=listed(1e3 * np.sqrt(spectrum.noise), 6),
         mode="lines",
         line={"color": NOISE, "dash": "dash"},
-        name="noise",
+        name=noise_label(comparison.noise_is_stated),
         row=1,
         col=3,
     )
@@ -335,6 +389,8 @@ def profile_curves(found: Sequence[ParameterProfile]) -> go.Figure:
             text=words, **where)  # fmt: skip
         figure.add_hline(y=Z_95**2, line_dash="dash", line_color=NOISE, **where)
         figure.update_yaxes(range=[min(-0.3, 1.1 * p.rise.min()), 1.6 * Z_95**2], **where)
+        if where["col"] == 1:
+            figure.update_yaxes(title="rise of −2 ln L", **where)
         if p.logarithmic:
             figure.update_xaxes(type="log", nticks=4, **where)
     figure.update_annotations(font_size=11)
@@ -346,18 +402,15 @@ def listed_exactly(values: FloatArray) -> list[float | None]:
     return [float(v) if np.isfinite(v) else None for v in values]
 
 
-def _noise_line(figure: go.Figure, noise_mm: float) -> None:
-    """The noise across a figure whose y axis is logarithmic."""
-    figure.add_hline(y=noise_mm, line_dash="dash", line_color=NOISE)
-    figure.add_annotation(
-        x=1.0,
-        xref="paper",
-        xanchor="left",
-        y=float(np.log10(noise_mm)),
-        text=" noise",
-        showarrow=False,
+def _noise_line(figure: go.Figure, noise_mm: float, name: str) -> None:
+    """The noise across a figure; named in the legend, where no number can run into the name."""
+    figure.add_hline(
+        y=noise_mm,
+        line_dash="dash",
+        line_color=NOISE,
+        name=f"{name} {noise_mm:.3g} mm",
+        showlegend=True,
     )
-    figure.update_layout(margin_r=110)
 
 
 def laid_out(figure: go.Figure, height: int) -> go.Figure:
@@ -365,7 +418,7 @@ def laid_out(figure: go.Figure, height: int) -> go.Figure:
     return figure.update_layout(
         template="plotly_white",
         height=height,
-        margin={"l": 65, "t": 45, "b": 60} | ({} if figure.layout.margin.r else {"r": 20}),
+        margin={"l": 65, "t": 45, "b": 60, "r": 20},
         font={"size": 13, "color": "#222", "family": "system-ui, sans-serif"},
         legend={"orientation": "h", "y": -0.2, "yanchor": "top"},
         hovermode="closest",

@@ -19,6 +19,8 @@ FloatArray = NDArray[np.float64]
 SLIDER_FRAMES = 60
 #: Errors are drawn so many times larger over the cable, so that they can be seen at all.
 LARGER = (1, 2, 5, 10, 20, 50, 100, 200, 500)
+#: Pixels: of the figure, below its axes, and from the axes to below the slider's labels.
+HEIGHT, BELOW, SLIDER = 680, 210, 150
 #: Share of the picture that the largest errors should fill when drawn larger.
 ERROR_SHARE = 0.12
 
@@ -59,14 +61,14 @@ def overlay(series: Sequence[Series], number: int) -> go.Figure:
     looks: list[dict[str, Any]] = [
         {"mode": "markers", "name": "seen", "marker": {"size": 8, "color": SEEN}},
         *(
-            {"mode": "lines", "name": s.name, "line": {"color": s.colour, "width": 2}}
+            {"mode": "lines", "name": s.name, "line": {"color": s.colour, "width": s.width}}
             for s in series
         ),
         *(
             {
                 "mode": "lines",
                 "name": f"error {s.of} × {larger}",
-                "line": {"color": s.colour, "width": 4},
+                "line": {"color": s.colour, "width": 4 + 4 * s.above},
                 "opacity": 0.55,
                 "showlegend": True,
             }
@@ -92,7 +94,9 @@ def overlay(series: Sequence[Series], number: int) -> go.Figure:
     figure.update_xaxes(range=span, col=2)
     figure.update_xaxes(title="s", row=2, col=2)
     _slider(figure, [(str(k), float(t_s[k])) for k in shown], list(shown).index(worst))
-    return laid_out(figure, 620).update_layout(margin_b=150, legend={"y": -0.26, "yanchor": "top"})
+    figure = laid_out(figure, HEIGHT).update_layout(margin_b=BELOW)
+    drawn = HEIGHT - BELOW - figure.layout.margin.t
+    return figure.update_layout(legend={"y": -SLIDER / drawn, "yanchor": "top"})
 
 
 def _tip_panels(
@@ -112,7 +116,7 @@ def _tip_panels(
         row=1, col=2,
     )  # fmt: skip
     for s, model, error in zip(series, models, errors, strict=True):
-        style = {"color": s.colour, "width": 1.5}
+        style = {"color": s.colour, "width": s.width}
         for y, row in ((model[:, 0, 1], 1), (error, 2)):
             figure.add_scatter(
                 x=times, y=listed(y, 4), mode="lines", line=style, showlegend=False,

@@ -11,18 +11,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cell.cable.effects.base import Effect
 from cell.cable.solver import Solver
 from cell.identify.noise import Noise
-from cell.lab.doubts import at_bound
+from cell.lab.doubts import at_bound, is_hopeless
 from cell.lab.explore import POLISHED, Candidate, Explorer
 from cell.lab.leftover import advantage, deviance, leftover, peak, removed_share
 from cell.lab.prepared import PreparedStudy, all_fitted
-from cell.lab.results import Nearest, RemainingError
+from cell.lab.results import Errors, Nearest, RemainingError
 from cell.lab.rules import Rules
 from cell.lab.score import holm
 from cell.lab.verdict import added_effect, chance, close_rivals, errors_of
+
+FloatArray = NDArray[np.float64]
 
 #: Its error is far below what a model errs by that explains a study in part; it saves time.
 COARSE = Solver(segments=20, step_s=1.5e-3)
@@ -31,6 +34,8 @@ COARSE = Solver(segments=20, step_s=1.5e-3)
 #: weighed by, so often at most.
 WEIGHED_ANEW = 0.5
 MOST_WEIGHINGS = 3
+#: Errors of what was not fitted to the fit trials alone.
+NOT_FITTED = Errors(float("nan"), float("nan"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,11 +60,15 @@ def explain_partly(
     tried    candidates so far: what the best of them leaves is the model's own error
     library  number of effects to choose from
     """
-    error = _own_error(explorer, tried)
+    error, lowest = _own_error(explorer, tried), explorer.baseline()
+    least_m = leftover(explorer.prepared, lowest).rms_m
     for _ in range(MOST_WEIGHINGS):
         whole = _weighed_by(explorer, error)
+        if least_m < leftover(whole.prepared, whole.baseline()).rms_m:
+            whole.rebase(lowest.fit.q)  # fitted to all trials a model leaves no more of them
+        singles = _singles(whole, library, rules)
         base = whole.baseline()
-        singles = _finished(whole, base, whole.add(base, whole.worth_refitting(base, rules.best)))
+        lowest, least_m = base, min(least_m, leftover(whole.prepared, base).rms_m)
         before, error = error, _own_error(whole, whole.known())
         # Fits that were stuck have an error that is no model's own; trials that weigh little are
         # fitted from anywhere.
@@ -79,7 +88,31 @@ def explain_partly(
     if len(steps) == 2:
         for rival in _near(whole, steps[1], singles, rules):
             whole.add(rival, whole.worth_refitting(rival, rules.best))
+    if is_hopeless(whole, steps[-1].fit):  # no model of the cable explains what it does
+        steps = [base]
     return Partial(whole, tuple(singles), tuple(steps))
+
+
+def _singles(whole: Explorer, library: int, rules: Rules) -> list[Candidate]:
+    """Each effect worth it alone beside the baseline, taken to convergence.
+
+    One explains only what the same model without it does not, wherever its search began: the
+    baseline is fitted from where the best one ended too.
+    """
+    singles: list[Candidate] = []
+    for _ in range(MOST_WEIGHINGS):
+        base = whole.baseline()
+        singles = _finished(whole, base, whole.add(base, whole.worth_refitting(base, rules.best)))
+        best = largest_step(whole, base, singles, library, rules)
+        if best is None or not whole.rebase(_without_effect(base, best)):
+            break
+    return singles
+
+
+def _without_effect(base: Candidate, candidate: Candidate) -> FloatArray:
+    """Coordinates of a candidate that the baseline has too."""
+    names = candidate.fit.space.names
+    return candidate.fit.q[[names.index(name) for name in base.fit.space.names]]
 
 
 def _finished(explorer: Explorer, base: Candidate, singles: Sequence[Candidate]) -> list[Candidate]:
@@ -195,7 +228,8 @@ def largest_step(
     adjusted = holm(chances + [1.0] * max(0, library - len(chances)))
     best = int(np.argmin([a.mean_square_m2 for a in left]))
     share = removed_share(prepared.floor.noise.std_m, before, left[best])
-    sound = adjusted[best] < rules.significance and share > rules.most_share
+    by_fit = explorer.gain(current, options[best]).p_value * library
+    sound = max(adjusted[best], by_fit) < rules.significance and share > rules.most_share
     return options[best] if sound else None
 
 
@@ -279,7 +313,7 @@ def nearest(partial: Partial, tried: Sequence[Candidate], rules: Rules) -> tuple
             effect=added_effect(base, candidate).name,
             explained_share=removed_share(prepared.floor.noise.std_m, before, after),
             left_rms_m=after.rms_m,
-            errors=errors_of(strict.get(candidate.names, candidate)),
+            errors=errors_of(strict[candidate.names]) if candidate.names in strict else NOT_FITTED,
             peak=peak(prepared, candidate),
         )
         for after, candidate in best[: rules.nearest]
@@ -293,6 +327,7 @@ def what_is_left(explorer: Explorer, base: Candidate, final: Candidate) -> Remai
     before, after = leftover(prepared, base), leftover(prepared, final)
     return RemainingError(
         rms_m=after.rms_m,
+        before_rms_m=before.rms_m,
         over_noise=after.rms_m / noise_m,
         explained_share=removed_share(noise_m, before, after),
         peak=peak(prepared, final),

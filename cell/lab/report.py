@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import inspect
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -42,17 +43,27 @@ from cell.lab.wording import (
     AGREEMENT_NOTE,
     LIMIT_HEADS,
     LIMIT_NOTE,
+    NEAREST_HEADS,
     agreement_heads,
     agreement_rows,
     agreement_sentence,
+    by_evidence,
+    chance,
+    correlation,
+    digits,
     left_in_words,
     limit_rows,
+    nearest_note,
+    nearest_rows,
     noise_in_words,
-    percent,
+    noise_label,
+    places,
 )
 
 #: Signals that a residual goes with, listed if the correlation is at least this.
 LEAST_CORRELATION = 0.2
+#: Models drawn over another for which it is drawn larger, at most.
+MOST_ABOVE = 3
 
 _FAILS = "Where the model fails"
 _STYLE = """
@@ -64,8 +75,10 @@ border-left:6px solid #00798c}.says.bad{background:#fbeff0;border-color:#d1495b}
 pre,code{background:#f4f4f4;padding:.1em .3em}pre{padding:.7em;overflow-x:auto}
 .law{font-size:1.1em;font-family:ui-monospace,monospace;background:#f4f4f4;padding:.6em .8em}
 table{border-collapse:collapse;margin:.8em 0}td,th{padding:.25em .9em;text-align:left;
-border-bottom:1px solid #ddd}.number{text-align:right;font-variant-numeric:tabular-nums}
-.plot{width:100%}summary{cursor:pointer;margin:.6em 0}select{font:inherit;padding:.2em .4em}
+border-bottom:1px solid #ddd}
+.number{text-align:right;font-variant-numeric:tabular-nums;white-space:nowrap}
+.wide,.plot{width:100%;overflow-x:auto}.panels>div{min-width:720px}
+summary{cursor:pointer;margin:.6em 0}select{font:inherit;padding:.2em .4em}
 @media print{select,summary{display:none}}
 """
 
@@ -118,7 +131,7 @@ def diagnosis_page(
     series = [Series("model", "of the model", MODEL, first)]
     if last is not first:
         name = f"with {_names(examination)}"
-        series.append(Series(name, name, ADDED, last))
+        series = [replace(series[0], above=1), Series(name, name, ADDED, last)]
     says = html.escape(sentence(diagnosis, first, last))
     look = "says" if diagnosis.verdict in ("complete", "missing") else "says bad"
     parts = [
@@ -130,17 +143,12 @@ def diagnosis_page(
         _next(steps),
         "<h2>Error as effects are added</h2>",
         _plot(waterfall(diagnosis)),
+        *_nearest(diagnosis),
     ]
     if diagnosis.missing:
         parts += ["<h2>What is missing</h2>", _parameters(examination), _laws(examination)]
     parts += [
-        "<h2>Which effect</h2>",
-        '<p class="note">Evidence for each effect, alone beside the model, on the trials that were '
-        "fitted: √χ² explained, in standard deviations; whiskers: two of them. Left of the dotted "
-        "line it is chance. Several effects may imitate the true one; their order is what all "
-        "trials say together, those not fitted to included.</p>",
-        _plot(ranking(diagnosis)),
-        _everything(examination),
+        *_evidence(examination),
         *_limits(diagnosis),
         *_agreement(diagnosis),
         f"<h2>{'What is left' if diagnosis.verdict == 'complete' else _FAILS}</h2>",
@@ -176,9 +184,9 @@ def profile_page(study: str, found: Sequence[ParameterProfile]) -> str:
     rows = [
         [
             p.name,
-            f"{p.fitted:.4g}",
+            digits(p.fitted, 4),
             _range(*p.wald),
-            f"{p.value:.4g}",
+            digits(p.value, 4),
             _range(p.low, p.high),
             p.unit,
         ]
@@ -204,7 +212,7 @@ def profile_page(study: str, found: Sequence[ParameterProfile]) -> str:
 
 
 def _range(low: float, high: float) -> str:
-    shown = [f"{v:.4g}" if np.isfinite(v) else "open" for v in (low, high)]
+    shown = [digits(v, 4) if np.isfinite(v) else "open" for v in (low, high)]
     return " … ".join(shown)
 
 
@@ -213,16 +221,18 @@ def _series(comparisons: Sequence[Comparison]) -> list[Series]:
     if len(comparisons) == 1:
         return [Series("model", "of the model", MODEL, comparisons[0])]
     colours = [MODEL, *(BETWEEN[i % len(BETWEEN)] for i in range(len(comparisons) - 2)), ADDED]
+    last = len(comparisons) - 1
     return [
-        Series(c.model, f"of {c.model}", colour, c)
-        for c, colour in zip(comparisons, colours, strict=True)
+        Series(c.model, f"of {c.model}", colour, c, above=min(last - i, MOST_ABOVE))
+        for i, (c, colour) in enumerate(zip(comparisons, colours, strict=True))
     ]
 
 
 def _models(comparisons: Sequence[Comparison]) -> str:
     """Errors of models as numbers."""
     first = comparisons[0]
-    heads = ["model", "effects", "fitted, mm", "held out, mm", "over noise", "of the excess gone"]
+    over = f"over {noise_label(first.noise_is_stated)}"
+    heads = ["model", "effects", "fitted, mm", "held out, mm", over, "beyond it, mm"]
     rows = [
         [
             c.model,
@@ -230,7 +240,7 @@ def _models(comparisons: Sequence[Comparison]) -> str:
             f"{c.fit_rms_m * 1e3:.4f}",
             "–" if np.isnan(c.heldout_rms_m) else f"{c.heldout_rms_m * 1e3:.4f}",
             f"{c.error_m / c.noise_m:.2f}",
-            "–" if c is first else percent(c.removed_share(first)),
+            f"{np.sqrt(max(c.error_m**2 - c.noise_m**2, 0.0)) * 1e3:.4f}",
         ]
         for c in comparisons
     ]
@@ -274,7 +284,7 @@ def _where(series: Sequence[Series]) -> list[str]:
 
 def _goes_with(where: TrialResidual) -> str:
     found = [
-        f"{f.signal} ({f.correlation:+z.2f}{'*' if f.p_value < NOTICEABLE else ''})"
+        f"{f.signal} ({correlation(f.correlation)}{'*' if f.p_value < NOTICEABLE else ''})"
         for f in where.correlations
         if abs(f.correlation) >= LEAST_CORRELATION
     ]
@@ -311,8 +321,8 @@ def _parameters(examination: Examination) -> str:
         [
             " or ".join((f.effect, *f.tied_with)),
             name,
-            f"{p.value:.4g}",
-            f"{p.low:.4g} … {p.high:.4g}",
+            digits(p.value, 4),
+            _range(p.low, p.high),
             p.unit,
         ]
         for f in examination.diagnosis.missing
@@ -336,14 +346,37 @@ def _laws(examination: Examination) -> str:
 
 def _everything(examination: Examination) -> str:
     rows = [
-        [r.effect, f"{r.score:z.1f}", f"{r.p_value:.1g}", r.status.replace("_", " ")]
-        for r in examination.diagnosis.ranking
+        [r.effect, places(r.score, 1), chance(r.p_value), r.status.replace("_", " ")]
+        for r in by_evidence(examination.diagnosis)
     ]
     table = _table(["effect", "χ² explained", "p", "status"], rows, (1, 2))
     shown = dict.fromkeys(r.status for r in examination.diagnosis.ranking)
     meant = "; ".join(f"{s.replace('_', ' ')}: {STATUSES[s]}" for s in shown)
     table += f'<p class="note">{html.escape(meant)}.</p>'
     return f"<details><summary>as numbers</summary>{table}</details>"
+
+
+def _evidence(examination: Examination) -> list[str]:
+    """How much each effect explains, if any was looked for."""
+    if not examination.diagnosis.ranking:
+        return []
+    return [
+        "<h2>Which effect</h2>",
+        '<p class="note">Evidence for each effect, alone beside the model, on the trials that were '
+        "fitted: √χ² explained, in standard deviations; whiskers: two of them. Left of the dotted "
+        "line it is chance. Several effects may imitate the true one: the one that explains most "
+        "here need not be it.</p>",
+        _plot(ranking(examination.diagnosis)),
+        _everything(examination),
+    ]
+
+
+def _nearest(diagnosis: Diagnosis) -> list[str]:
+    """Of an unexplained study: the effects that leave least."""
+    if not diagnosis.nearest:
+        return []
+    return ["<h3>Nearest effects</h3>", _table(NEAREST_HEADS, nearest_rows(diagnosis), (1, 2, 3)),
+            f'<p class="note">{nearest_note(diagnosis)}.</p>']  # fmt: skip
 
 
 def _limits(diagnosis: Diagnosis) -> list[str]:
@@ -368,7 +401,7 @@ def _agreement(diagnosis: Diagnosis) -> list[str]:
 def _cable(model: Identified) -> str:
     low, high = model.interval()
     rows = [
-        [name, f"{value:.4g}", f"{lo:.4g} … {hi:.4g}", unit]
+        [name, digits(value, 4), _range(lo, hi), unit]
         for name, value, lo, hi, unit in zip(
             model.space.names, model.values, low, high, model.space.units, strict=True
         )
@@ -388,7 +421,7 @@ def _table(heads: Sequence[str], rows: Iterable[Sequence[str]], numbers: Iterabl
         )
 
     body = "".join(f"<tr>{line('td', row)}</tr>" for row in rows)
-    return f"<table><tr>{line('th', heads)}</tr>{body}</table>"
+    return f"<div class='wide'><table><tr>{line('th', heads)}</tr>{body}</table></div>"
 
 
 def _code(text: str) -> str:
@@ -410,8 +443,9 @@ def _next(steps: Sequence[Step]) -> str:
 def _plot(figure: go.Figure) -> str:
     """A place for a figure, and the figure as data."""
     data = str(figure.to_json()).replace("</", "<\\/")
+    look = "plot panels" if len(list(figure.select_xaxes())) > 1 else "plot"
     return (
-        f'<div class="plot" style="min-height:{figure.layout.height}px">'
+        f'<div class="{look}" style="min-height:{figure.layout.height}px">'
         f'<script type="application/json">{data}</script></div>'
     )
 

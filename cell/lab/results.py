@@ -43,7 +43,8 @@ class MissingEffect:
     p_value        of the fall of χ² on the fit trials, adjusted for the size of the library; where
                    the model's own error remains, of the fall of that over all trials if larger
     delta_bic      BIC gained on the fit trials (positive = better)
-    errors         with all effects up to this one
+    errors         with all effects up to this one; of a partial explanation, which is fitted to all
+                   trials, the error on them all, and none held out
     explained_share  of the baseline's mean square beyond noise, over all trials, that is gone with
                    all effects up to this one
     """
@@ -74,11 +75,13 @@ class Peak:
 class RemainingError:
     """The error that the final model leaves, all trials together.
 
+    before_rms_m     what the baseline, fitted to the same trials, leaves of them all
     over_noise       rms over that of the measurement
     explained_share  of the baseline's mean square beyond noise that is gone
     """
 
     rms_m: float
+    before_rms_m: float
     over_noise: float
     explained_share: float
     peak: Peak
@@ -89,7 +92,7 @@ class Nearest:
     """An effect that does not leave noise alone, yet less than others; and what it leaves.
 
     explained_share, left_rms_m  of all trials, fitted to them all
-    errors                       fitted to the fit trials alone
+    errors                       fitted to the fit trials alone; nan if it never was
     """
 
     effect: str
@@ -167,6 +170,7 @@ class RankedEffect:
 class Diagnosis:
     """The missing effect, or that none is missing, none known fits, or these motions cannot tell.
 
+    noise_is_stated  by the study; else it was measured at rest
     left      what the model with everything in `missing`, or else in `partial`, leaves; the latter
               fitted to all trials
     partial   of an unexplained study: what explains most of the error, not all
@@ -186,6 +190,12 @@ class Diagnosis:
     warnings: tuple[Doubt, ...] = ()
     limits: tuple[Limit, ...] = ()
     agreement: tuple[Agreement, ...] = ()
+    noise_is_stated: bool = False
+
+    @property
+    def codes(self) -> frozenset[str]:
+        """Those of its warnings."""
+        return frozenset(w.code for w in self.warnings)
 
 
 def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
@@ -193,6 +203,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
     return {
         "format": FORMAT,
         "noise_m": _number(diagnosis.noise_m),
+        "noise_is_stated": diagnosis.noise_is_stated,
         "baseline": _errors(diagnosis.baseline),
         "verdict": diagnosis.verdict,
         "missing": [_found(f) for f in diagnosis.missing],
@@ -251,6 +262,7 @@ def _found(found: MissingEffect) -> dict[str, Any]:
 def _left(left: RemainingError) -> dict[str, Any]:
     return {
         "rms_m": _number(left.rms_m),
+        "before_rms_m": _number(left.before_rms_m),
         "over_noise": _number(left.over_noise),
         "explained_share": _number(left.explained_share),
         "peak": _peak(left.peak),

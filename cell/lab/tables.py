@@ -16,20 +16,29 @@ from cell.lab.advice import STATUSES, VERDICTS, Step
 from cell.lab.compare import Comparison
 from cell.lab.explore import Candidate
 from cell.lab.prepared import PreparedStudy
-from cell.lab.results import Agreement, Diagnosis, Doubt
+from cell.lab.results import Agreement, Diagnosis, Doubt, Errors
 from cell.lab.rules import DEFAULT_RULES
 from cell.lab.wording import (
     AGREEMENT_NOTE,
     LIMIT_HEADS,
     LIMIT_NOTE,
+    NEAREST_HEADS,
     agreement_heads,
     agreement_rows,
+    at_noise,
+    by_evidence,
+    chance,
+    correlation,
+    digits,
     interrupted,
     limit_rows,
+    mm,
+    nearest_note,
+    nearest_rows,
+    noise_label,
     noise_like,
-    peak_in_words,
-    percent,
     place_in_words,
+    places,
     plain,
     short,
     unexplained,
@@ -46,6 +55,8 @@ ASKED = (
     "all trials together ask for more than is in the model, and those held out do not bear it out."
 )
 NOT_WITHOUT_PRIOR = "Without the prior the study does not bear this out."
+#: Column of what was fitted to held-out trials too.
+FITTED_TO_ALL = "fitted to all"
 #: Up to so many times the noise a remaining error is called noise.
 NOISE_ALONE = DEFAULT_RULES.gross_misfit
 _COLOURS = {"present": "green", "inspect": "yellow", "absent": "dim", "cannot_tell": ""}
@@ -60,49 +71,43 @@ def sentence(
     final     with them: to say whether what is left is noise in every respect
     """
     noise_mm = diagnosis.noise_m * 1e3
-    before_mm = _shown_mm(diagnosis.baseline.heldout_rms_m, diagnosis.baseline.fit_rms_m)
+    before_mm = _shown_mm(diagnosis.baseline)
     if diagnosis.verdict == "complete":
         return (
             f"The model is complete: what it misses ({short(before_mm)} mm) is "
             f"{noise_like(noise_mm, final or baseline)}."
         )
-    stated = baseline is not None and baseline.noise_is_stated
+    stated = diagnosis.noise_is_stated
     noise_name = "the stated error of the measurement" if stated else "camera noise"
     place = "" if baseline is None else _worst_place(baseline)
     misses = f"The model misses {short(before_mm)} mm{place}"
     if diagnosis.verdict == "unexplained":
         return unexplained(diagnosis, misses, noise_name)
-    if any(w.code == "interrupted" for w in diagnosis.warnings) and not diagnosis.missing:
+    if "interrupted" in diagnosis.codes and not diagnosis.missing:
         return interrupted(diagnosis, misses)
     if not diagnosis.missing:
-        if any(w.code == "suspected" for w in diagnosis.warnings):
-            return f"{misses} at {short(noise_mm)} mm of noise; {ASKED}"
-        return f"{misses} at {short(noise_mm)} mm of noise; these motions cannot tell why."
-    last = diagnosis.missing[-1].errors
-    after_mm = _shown_mm(last.heldout_rms_m, last.fit_rms_m)
-    excess = max(before_mm**2 - noise_mm**2, 1e-12)
-    share = 100.0 * float(np.clip((before_mm**2 - after_mm**2) / excess, 0.0, 1.0))
+        why = ASKED if "suspected" in diagnosis.codes else "these motions cannot tell why."
+        return f"{misses} {at_noise(diagnosis)}; {why}"
+    after_mm = _shown_mm(diagnosis.missing[-1].errors)
     names = " and ".join(
         " or ".join(plain(n) for n in (f.effect, *f.tied_with)) for f in diagnosis.missing
     )
-    explains = "explains" if len(diagnosis.missing) == 1 else "explain"
-    rest = f"{short(after_mm)} mm, {after_mm / noise_mm:.1f} times the noise, not yet explained"
-    if after_mm < 1.1 * noise_mm:
+    rest = f"{after_mm / noise_mm:.1f} times the noise, not yet explained"
+    if after_mm < NOISE_ALONE * noise_mm:
         rest = noise_like(noise_mm, final)
-    hedge = ""
-    if diagnosis.verdict == "cannot_tell":
-        codes = {w.code for w in diagnosis.warnings}
-        why = {
-            "unconfirmed": NOT_CONFIRMED,
-            "prior_only": NOT_WITHOUT_PRIOR,
-            "barely_seen": BARELY_SEEN,
-            "suspected": f"But {ASKED}",
-        }
-        hedge = f" {next((text for code, text in why.items() if code in codes), NOT_TOLD)}"
-    return (
-        f"{misses}; {names} {explains} {share:z.0f} % of what is beyond {noise_name}; "
-        f"the remaining error is {rest}.{hedge}"
-    )
+    hedge = f" {_why_not_told(diagnosis)}" if diagnosis.verdict == "cannot_tell" else ""
+    return f"{misses}; with {names} in it {short(after_mm)} mm: {rest}.{hedge}"
+
+
+def _why_not_told(diagnosis: Diagnosis) -> str:
+    """Why an effect that explains is not claimed."""
+    why = {
+        "unconfirmed": NOT_CONFIRMED,
+        "prior_only": NOT_WITHOUT_PRIOR,
+        "barely_seen": BARELY_SEEN,
+        "suspected": f"But {ASKED}",
+    }
+    return next((text for code, text in why.items() if code in diagnosis.codes), NOT_TOLD)
 
 
 def _worst_place(comparison: Comparison) -> str:
@@ -131,56 +136,56 @@ def _worst_place(comparison: Comparison) -> str:
 def nearest_table(diagnosis: Diagnosis) -> Table:
     """Of an unexplained study: the effects that leave least, how much and where."""
     table = Table(title="Nearest effects, each alone", box=SIMPLE_HEAD)
-    for column in ("effect", "explains", "left, mm", "fitted", "held out", "most of it"):
+    for column in NEAREST_HEADS:
         table.add_column(column, justify="left" if column in ("effect", "most of it") else "right")
-    for n in diagnosis.nearest:
-        table.add_row(
-            n.effect,
-            percent(n.explained_share),
-            _mm(n.left_rms_m),
-            _mm(n.errors.fit_rms_m),
-            _mm(n.errors.heldout_rms_m),
-            peak_in_words(n.peak),
-        )
+    for row in nearest_rows(diagnosis):
+        table.add_row(*map(Text, row))
+    table.caption = nearest_note(diagnosis)
     return table
 
 
 def waterfall_table(diagnosis: Diagnosis) -> Table:
     """Error of the baseline, after each effect added, and the noise floor."""
     table = Table(title="Error, mm rms per coordinate", box=SIMPLE_HEAD)
-    for column in ("model", "fitted", "held out", "parameters (95 %)", "p", "ΔBIC"):
+    in_part, left = bool(diagnosis.partial), diagnosis.left
+    heads = ("model", "fitted", "held out", *[FITTED_TO_ALL] * in_part, "parameters (95 %)", "p")
+    for column in (*heads, "ΔBIC"):
         table.add_column(
             column, justify="left" if column in ("model", "parameters (95 %)") else "right"
         )
-    base = diagnosis.baseline
-    table.add_row("baseline", _mm(base.fit_rms_m), _mm(base.heldout_rms_m), "", "", "")
+    base, noise = diagnosis.baseline, mm(diagnosis.noise_m)
+    before = ["–" if left is None else mm(left.before_rms_m)] * in_part
+    errors = (mm(base.fit_rms_m), mm(base.heldout_rms_m))
+    table.add_row("baseline", *errors, *before, "", "", "")
     for found in diagnosis.missing or diagnosis.partial:
         parameters = ", ".join(
-            f"{name} {p.value:.4g} ({p.low:.4g} … {p.high:.4g}) {p.unit}"
+            f"{name} {digits(p.value, 4)} ({digits(p.low, 4)} … {digits(p.high, 4)}) {p.unit}"
             for name, p in found.parameters.items()
         )
         tied = f" or {', '.join(found.tied_with)}" if found.tied_with else ""
+        fitted = mm(found.errors.fit_rms_m)
+        held = mm(found.errors.heldout_rms_m)
         table.add_row(
             f"+ {found.effect}{tied}",
-            _mm(found.errors.fit_rms_m),
-            _mm(found.errors.heldout_rms_m),
+            *(("–", "–", fitted) if in_part else (fitted, held)),
             Text(parameters),
-            f"{found.p_value:.1g}",
-            f"{found.delta_bic:.0f}",
+            chance(found.p_value),
+            places(found.delta_bic, 0),
         )
-    table.add_row("noise", _mm(diagnosis.noise_m), _mm(diagnosis.noise_m), "", "", "")
+    label = noise_label(diagnosis.noise_is_stated)
+    table.add_row(label, noise, noise, *[noise] * in_part, "", "", "")
     return table
 
 
 def ranking_table(diagnosis: Diagnosis) -> Table:
-    """All effects, the most telling first."""
+    """All effects, what explains most first."""
     table = Table(title="Effects, each alone beside the baseline", box=SIMPLE_HEAD)
     for column in ("effect", "χ² explained", "p", "status"):
         table.add_column(column, justify="left" if column in ("effect", "status") else "right")
-    for r in diagnosis.ranking:
+    for r in by_evidence(diagnosis):
         colour = _COLOURS[r.status]
         status = f"[{colour}]{r.status}[/]" if colour else r.status
-        table.add_row(r.effect, f"{r.score:z.1f}", f"{r.p_value:.1g}", status)
+        table.add_row(r.effect, places(r.score, 1), chance(r.p_value), status)
     shown = dict.fromkeys(r.status for r in diagnosis.ranking)
     table.caption = "; ".join(f"{s}: {STATUSES[s]}" for s in shown)
     return table
@@ -221,7 +226,7 @@ def model_table(model: Identified) -> Table:
     low, high = model.interval()
     rows = zip(model.space.names, model.values, low, high, model.space.units, strict=True)
     for name, value, lo, hi, unit in rows:
-        table.add_row(Text(name), f"{value:.4g}", f"{lo:.4g}", f"{hi:.4g}", Text(unit))
+        table.add_row(Text(name), digits(value, 4), digits(lo, 4), digits(hi, 4), Text(unit))
     return table
 
 
@@ -234,8 +239,9 @@ def errors_line(prepared: PreparedStudy, candidate: Candidate) -> str:
     """Fitted and held-out error against the noise."""
     held = candidate.heldout.rms_m if candidate.heldout else float("nan")
     return (
-        f"error {_mm(candidate.fit.rms_m)} mm fitted, {_mm(held)} mm held out, "
-        f"noise {_mm(prepared.floor.noise.std_m)} mm (rms per coordinate)"
+        f"error {mm(candidate.fit.rms_m)} mm fitted, {mm(held)} mm held out, "
+        f"{noise_label(prepared.study.noise_std_m is not None)} "
+        f"{mm(prepared.floor.noise.std_m)} mm (rms per coordinate)"
     )
 
 
@@ -244,20 +250,18 @@ def comparison_sentence(comparisons: Sequence[Comparison]) -> str:
     first, last = comparisons[0], comparisons[-1]
     held = np.isfinite(first.heldout_rms_m)
     where = "motions not fitted to" if held else "the motions fitted to"
-    noise = f"the noise is {short(first.noise_m * 1e3)} mm"
+    noise = f"the {noise_label(first.noise_is_stated)} is {short(first.noise_m * 1e3)} mm"
     if first is last:
         beyond = f" and {short(last.heldout_rms_m * 1e3)} mm on motions not fitted to"
         return (
             f"The model misses {short(last.fit_rms_m * 1e3)} mm on the motions fitted to"
             f"{beyond if held else ''}; {noise}."
         )
-    goes = "falls" if last.error_m < first.error_m else "rises"
-    share = last.removed_share(first)
-    gone = f"; {percent(share)} of what was beyond it is gone" if share >= 0.0 else ""
-    return (
-        f"From “{first.model}” to “{last.model}” the error on {where} {goes} from "
-        f"{short(first.error_m * 1e3)} to {short(last.error_m * 1e3)} mm; {noise}{gone}."
-    )
+    before, after = short(first.error_m * 1e3), short(last.error_m * 1e3)
+    goes = f"{'falls' if last.error_m < first.error_m else 'rises'} from {before} to {after} mm"
+    if before == after:
+        goes = f"stays at {after} mm"
+    return f"From “{first.model}” to “{last.model}” the error on {where} {goes}; {noise}."
 
 
 def comparisons_table(comparisons: Sequence[Comparison]) -> Table:
@@ -268,11 +272,12 @@ def comparisons_table(comparisons: Sequence[Comparison]) -> Table:
     for c in comparisons:
         table.add_column(c.model, justify="right")
     for i, trial in enumerate(comparisons[0].study.trials):
-        table.add_row(trial.name, trial.role, *(_mm(c.where[i].rms_m) for c in comparisons))
+        table.add_row(trial.name, trial.role, *(mm(c.where[i].rms_m) for c in comparisons))
     table.add_section()
-    table.add_row("fitted", "", *(_mm(c.fit_rms_m) for c in comparisons))
-    table.add_row("held out", "", *(_mm(c.heldout_rms_m) for c in comparisons))
-    table.add_row("noise", "", *(_mm(c.noise_m) for c in comparisons))
+    table.add_row("fitted", "", *(mm(c.fit_rms_m) for c in comparisons))
+    table.add_row("held out", "", *(mm(c.heldout_rms_m) for c in comparisons))
+    label = noise_label(comparisons[0].noise_is_stated)
+    table.add_row(label, "", *(mm(c.noise_m) for c in comparisons))
     table.add_row("effects", "", *("\n".join(c.effects) or "–" for c in comparisons))
     return table
 
@@ -287,13 +292,13 @@ def comparison_table(comparison: Comparison) -> Table:
         table.add_row(
             Text(trial.name),
             trial.role,
-            _mm(w.rms_m),
-            *(_mm(w.by_phase[p]) for p in phases),
-            f"{w.whiteness_p_value:.1g}",
+            mm(w.rms_m),
+            *(mm(w.by_phase[p]) for p in phases),
+            chance(w.whiteness_p_value),
         )
-    table.add_row("fitted", "", _mm(comparison.fit_rms_m))
-    table.add_row("held out", "", _mm(comparison.heldout_rms_m))
-    table.add_row("noise", "", _mm(comparison.noise_m))
+    table.add_row("fitted", "", mm(comparison.fit_rms_m))
+    table.add_row("held out", "", mm(comparison.heldout_rms_m))
+    table.add_row(noise_label(comparison.noise_is_stated), "", mm(comparison.noise_m))
     return table
 
 
@@ -306,7 +311,7 @@ def correlations_table(comparison: Comparison) -> Table:
     for w in comparison.where:
         found = {f.signal: f for f in w.correlations}
         cells = [
-            f"{found[n].correlation:+z.2f}{'*' if found[n].p_value < 0.01 else ''}"
+            f"{correlation(found[n].correlation)}{'*' if found[n].p_value < 0.01 else ''}"
             if n in found
             else ""
             for n in names
@@ -356,7 +361,8 @@ def discovery_table(discovery: Discovery) -> Table:
     for column in ("parameter", "value", "low", "high", "unit"):
         table.add_column(column, justify="left" if column in ("parameter", "unit") else "right")
     for p in discovery.parameters:
-        table.add_row(Text(p.name), f"{p.value:.4g}", f"{p.low:.4g}", f"{p.high:.4g}", Text(p.unit))
+        ends = (digits(p.low, 4), digits(p.high, 4))
+        table.add_row(Text(p.name), digits(p.value, 4), *ends, Text(p.unit))
     return table
 
 
@@ -371,9 +377,8 @@ def discovery_sentence(discovery: Discovery) -> str:
         left = f"What is left is {times:.1f} times the noise: little beside it, but not noise."
     doubt = "" if discovery.confirmed else " No trial is held out: the law is not confirmed."
     return (
-        f"With {discovery.effect} the {where} falls from {_mm(discovery.before_m)} to "
-        f"{_mm(discovery.after_m)} mm, noise {_mm(discovery.noise_m)} mm: "
-        f"{percent(discovery.removed_share)} of what is beyond noise is gone. {left}{doubt}"
+        f"With {discovery.effect} the {where} falls from {mm(discovery.before_m)} to "
+        f"{mm(discovery.after_m)} mm, noise {mm(discovery.noise_m)} mm. {left}{doubt}"
     )
 
 
@@ -417,9 +422,7 @@ def _kept(suggestion: Suggestion) -> str:
     )
 
 
-def _shown_mm(heldout_m: float, fit_m: float) -> float:
-    return 1e3 * (heldout_m if np.isfinite(heldout_m) else fit_m)
-
-
-def _mm(value_m: float) -> str:
-    return f"{value_m * 1e3:.3f}" if np.isfinite(value_m) else "–"
+def _shown_mm(errors: Errors) -> float:
+    """The error on motions not fitted to, if there are any."""
+    held_m = errors.heldout_rms_m
+    return 1e3 * (held_m if np.isfinite(held_m) else errors.fit_rms_m)

@@ -9,8 +9,19 @@ import numpy as np
 
 from cell.lab.compare import NOTICEABLE, Comparison
 from cell.lab.prepared import ERRS
-from cell.lab.results import Agreement, Diagnosis, Limit, MissingEffect, Peak, TrialValue
+from cell.lab.results import (
+    Agreement,
+    Diagnosis,
+    Limit,
+    MissingEffect,
+    Peak,
+    RankedEffect,
+    TrialValue,
+)
 from cell.lab.trial_residual import TrialResidual
+
+#: Table of the nearest effects; their errors are in mm rms.
+NEAREST_HEADS = ("effect", "all trials", "fitted", "held out", "most of it")
 
 #: Table of detection limits.
 LIMIT_HEADS = ("effect", "parameter", "possible (95 %)", "moves the tip by, mm")
@@ -32,38 +43,54 @@ def unexplained(diagnosis: Diagnosis, misses: str, noise_name: str = "camera noi
     misses  how much the model misses and where, the beginning of the sentence
     """
     noise = f"{noise_name} is {short(diagnosis.noise_m * 1e3)} mm"
+    left = diagnosis.left
+    if "not_searched" in diagnosis.codes:
+        return f"{misses}, {noise}: that is no model of this cable, and no effect was looked for."
     if not diagnosis.partial:
         said = f"{misses}, {noise}, and no effect that was tried explains it."
-        if diagnosis.nearest:
-            said += f" Nearest, fitted to all trials: {', '.join(_near(diagnosis))}."
+        if left is not None:
+            before = f"{short(left.before_rms_m * 1e3)} mm"
+            said += f" Fitted to all trials it misses {before}{_near(diagnosis)}."
         return said
     names = " and ".join(_class(f) for f in diagnosis.partial)
-    share = percent(diagnosis.partial[-1].explained_share)
-    explains = "explains" if len(diagnosis.partial) == 1 else "explain"
-    said = f"{misses}, {noise}; {names} {explains} most of it, not all: {share}"
-    if diagnosis.left is not None:
+    explains, it = ("explains", "it") if len(diagnosis.partial) == 1 else ("explain", "them")
+    said = f"{misses}, {noise}; {names} {explains} most of it, not all"
+    if left is not None:
         said += (
-            f", and {short(diagnosis.left.rms_m * 1e3)} mm stay, {diagnosis.left.over_noise:.1f} "
-            f"times the noise, most {peak_in_words(diagnosis.left.peak)}"
+            f": fitted to all trials the model misses {short(left.before_rms_m * 1e3)} mm without "
+            f"{it} and {short(left.rms_m * 1e3)} mm with {it}, {left.over_noise:.1f} times the "
+            f"noise, most {peak_in_words(left.peak)}"
         )
     return f"{said}. What that is, no effect that was tried tells."
 
 
 def interrupted(diagnosis: Diagnosis, misses: str) -> str:
     """Sentence of a diagnosis that was stopped: what came nearest until then."""
-    said = f"Interrupted. {misses} at {short(diagnosis.noise_m * 1e3)} mm of noise"
-    if not diagnosis.nearest:
+    said = f"Interrupted. {misses} {at_noise(diagnosis)}"
+    left = diagnosis.left
+    if not diagnosis.nearest or left is None:
         return f"{said}; no effect was fitted yet."
-    return f"{said}. Nearest so far, nothing confirmed: {', '.join(_near(diagnosis))}."
+    over_all = f"Over all trials it misses {short(left.before_rms_m * 1e3)} mm{_near(diagnosis)}"
+    return f"{said}. {over_all}; nothing is confirmed."
 
 
-def _near(diagnosis: Diagnosis) -> list[str]:
-    """Each of the nearest effects and what it leaves, mm."""
-    return [
-        f"{plain(n.effect)} explains {percent(n.explained_share)} and leaves "
-        f"{short(n.left_rms_m * 1e3)} mm"
-        for n in diagnosis.nearest
-    ]
+def at_noise(diagnosis: Diagnosis) -> str:
+    """The noise beside an error."""
+    noise = f"{short(diagnosis.noise_m * 1e3)} mm"
+    return f"at a stated error of {noise}" if diagnosis.noise_is_stated else f"at {noise} of noise"
+
+
+def noise_label(stated: bool) -> str:
+    """What the line of the noise is called in tables and figures."""
+    return "stated error" if stated else "noise"
+
+
+def _near(diagnosis: Diagnosis) -> str:
+    """What the nearest effects leave of an error, if it is less."""
+    before_m = np.inf if diagnosis.left is None else diagnosis.left.before_rms_m
+    less = [n for n in diagnosis.nearest if short(n.left_rms_m * 1e3) != short(before_m * 1e3)]
+    found = [f"{short(n.left_rms_m * 1e3)} mm with {plain(n.effect)}" for n in less]
+    return f", {_listed(found)}" if found else ", and no effect makes that less"
 
 
 def _class(found: MissingEffect) -> str:
@@ -120,6 +147,32 @@ def peak_in_words(peak: Peak) -> str:
     return at if not np.isfinite(peak.frequency_hz) else f"{at}, at {peak.frequency_hz:.1f} Hz"
 
 
+def nearest_rows(diagnosis: Diagnosis) -> list[list[str]]:
+    """What the model and each of the nearest effects beside it leave, by `NEAREST_HEADS`."""
+    base, left = diagnosis.baseline, diagnosis.left
+    before_m = float("nan") if left is None else left.before_rms_m
+    rows = [("none", before_m, base, "")]
+    rows += [(n.effect, n.left_rms_m, n.errors, peak_in_words(n.peak)) for n in diagnosis.nearest]
+    return [
+        [name, mm(all_m), mm(errors.fit_rms_m), mm(errors.heldout_rms_m), where]
+        for name, all_m, errors, where in rows
+    ]
+
+
+def nearest_note(diagnosis: Diagnosis) -> str:
+    """What its columns say."""
+    to = "them all" if diagnosis.verdict == "unexplained" else "those to be fitted"
+    return (
+        f"Error, mm rms per coordinate, with each alone beside the model. “all trials”: of them "
+        f"all, fitted to {to}; –: was not so fitted"
+    )
+
+
+def mm(value_m: float) -> str:
+    """An error in a table."""
+    return f"{value_m * 1e3:.3f}" if np.isfinite(value_m) else "–"
+
+
 def limit_rows(diagnosis: Diagnosis) -> list[list[str]]:
     """Of every effect neither named nor tied: what the study leaves possible, by `LIMIT_HEADS`."""
     return [
@@ -155,7 +208,8 @@ def _said_by_trials(agreement: Agreement) -> str:
     values = [t.value for t in agreement.by_trial if t.value is not None]
     unit = "" if agreement.unit == "1" else f" {agreement.unit}"
     return (
-        f"alone they say {min(values):.3g} … {max(values):.3g}{unit} (p = {agreement.p_value:.1g})"
+        f"alone they say {digits(min(values), 3)} … {digits(max(values), 3)}{unit} "
+        f"(p {chance(agreement.p_value, '= ')})"
     )
 
 
@@ -177,9 +231,9 @@ def agreement_rows(found: Sequence[Agreement]) -> list[list[str]]:
     trials = zip(*(a.by_trial for a in found), strict=True)
     return [
         *([values[0].trial, *map(_own_value, values)] for values in trials),
-        ["all together", *(f"{a.value:.4g}" for a in found)],
-        ["spread", *(f"{a.spread:.2g}" for a in found)],
-        ["they agree", *("yes" if a.agrees else f"no, p = {a.p_value:.1g}" for a in found)],
+        ["all together", *(digits(a.value, 4) for a in found)],
+        ["spread", *(digits(a.spread, 2) for a in found)],
+        ["they agree", *("yes" if a.agrees else f"no, p {chance(a.p_value, '= ')}" for a in found)],
     ]
 
 
@@ -187,7 +241,7 @@ def _own_value(said: TrialValue) -> str:
     if said.value is None or said.low is None or said.high is None:
         return "–"
     low, high = apart(said.low, said.high)
-    return f"{said.value:.4g} ({low} … {high})"
+    return f"{digits(said.value, 4)} ({low} … {high})"
 
 
 def _range(limit: Limit) -> str:
@@ -199,12 +253,12 @@ def _range(limit: Limit) -> str:
 
 def apart(low: float, high: float) -> tuple[str, str]:
     """Two numbers with three digits, and as many more as tell them apart to a tenth."""
-    digits = 3
-    while digits < 12 and abs(float(f"{low:.{digits}g}") - low) > 0.1 * (high - low):
-        digits += 1
-    while digits < 12 and abs(float(f"{high:.{digits}g}") - high) > 0.1 * (high - low):
-        digits += 1
-    return f"{low:.{digits}g}", f"{high:.{digits}g}"
+    many = 3
+    while many < 12 and abs(float(f"{low:.{many}g}") - low) > 0.1 * (high - low):
+        many += 1
+    while many < 12 and abs(float(f"{high:.{many}g}") - high) > 0.1 * (high - low):
+        many += 1
+    return digits(low, many), digits(high, many)
 
 
 def place_in_words(share: float) -> str:
@@ -230,11 +284,33 @@ def parameter_in_words(name: str, unit: str) -> str:
     return " ".join(plain(f"{owner}_{bare}").split()) + shown
 
 
-def percent(share: float) -> str:
-    """A share as a person reads it."""
-    return f"{100 * share:z.0f} %" if np.isfinite(share) else "–"
-
-
 def short(value_mm: float) -> str:
     """Two decimals, or two digits of what is smaller."""
-    return f"{value_mm:.2f}" if value_mm >= 0.1 else f"{value_mm:.2g}"
+    return f"{value_mm:.2f}" if value_mm >= 0.0995 else f"{value_mm:.2g}"
+
+
+def digits(value: float, many: int) -> str:
+    """A number with so many digits; 0 has no sign."""
+    return f"{value + 0.0:.{many}g}"
+
+
+def places(value: float, many: int) -> str:
+    """A number with so many decimals; what rounds to 0 has no sign."""
+    shown = f"{value:.{many}f}"
+    return shown if float(shown) else shown.lstrip("-")
+
+
+def correlation(value: float) -> str:
+    """A correlation with its sign; what rounds to 0 has none."""
+    shown = f"{value:+.2f}"
+    return shown if float(shown) else "0.00"
+
+
+def by_evidence(diagnosis: Diagnosis) -> list[RankedEffect]:
+    """All effects as they are listed and drawn: by the χ² that each explains, the largest first."""
+    return sorted(diagnosis.ranking, key=lambda r: -r.score)
+
+
+def chance(p_value: float, equals: str = "") -> str:
+    """A probability with one digit; what no computer can write is not 0."""
+    return f"{equals}{p_value:.1g}" if p_value > 0.0 else "< 1e-300"

@@ -5,7 +5,7 @@ import pytest
 from cell.cable.effects import library
 from cell.lab.results import Diagnosis, Errors, RankedEffect
 from cell.lab.tables import ranking_table
-from cell.lab.wording import parameter_in_words, percent
+from cell.lab.wording import parameter_in_words
 
 
 @pytest.mark.parametrize(
@@ -32,7 +32,6 @@ def test_every_unit_in_a_name_of_the_library_is_shown_as_one() -> None:
 
 
 def test_what_is_rounded_to_nothing_has_no_sign() -> None:
-    assert percent(-0.004) == "0 %"
     ranked = RankedEffect("bending_hysteresis", -0.02, 1.0, "absent")
     found = Diagnosis(1e-4, Errors(1e-4, 1e-4), "complete", (), ranking=(ranked,))
     assert list(ranking_table(found).columns[1].cells) == ["0.0"]
