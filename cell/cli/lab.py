@@ -227,18 +227,7 @@ def diagnose(
     from cell.lab.individual import identified
     from cell.lab.limits import with_limits
     from cell.lab.results import to_json
-    from cell.lab.tables import (
-        agreement_table,
-        limits_table,
-        nearest_table,
-        ranking_table,
-        sentence,
-        steps_text,
-        verdict_line,
-        warning_lines,
-        waterfall_table,
-    )
-    from cell.lab.wording import agreement_sentence
+    from cell.lab.tables import diagnosis_parts
 
     with refusing(*results or [], report, force=force), working("diagnose") as progress:
         selection = session.select_for_diagnosis(effect or [], known or [])
@@ -261,21 +250,8 @@ def diagnose(
     data = to_json(diagnosis)
 
     def printed() -> None:
-        if not print_result(data, *results or []):
-            return
-        more = [nearest_table(diagnosis)] if diagnosis.nearest else []
-        show(
-            sentence(diagnosis, comparisons[0], comparisons[-1]),
-            verdict_line(diagnosis),
-            *warning_lines(diagnosis.warnings),
-            *([agreement_sentence(diagnosis.agreement)] if diagnosis.agreement else []),
-            waterfall_table(diagnosis),
-            *more,
-            ranking_table(diagnosis),
-            *([limits_table(diagnosis)] if diagnosis.limits else []),
-            *([agreement_table(diagnosis.agreement)] if diagnosis.agreement else []),
-            steps_text(todo),
-        )
+        if print_result(data, *results or []):
+            show(*diagnosis_parts(diagnosis, comparisons, todo))
 
     def page(path: Path) -> None:
         from cell.lab.report import diagnosis_page, write_page

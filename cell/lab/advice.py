@@ -27,6 +27,13 @@ STATUSES: dict[Status, str] = {
 }
 
 
+def meaning(diagnosis: Diagnosis) -> str:
+    """What the verdict of a diagnosis means."""
+    if "not_searched" in diagnosis.codes:
+        return "the model is none of this cable, and no effect was looked for"
+    return VERDICTS[diagnosis.verdict]
+
+
 @dataclass(frozen=True)
 class Step:
     """A suggested next step: why, and the command, if there is one."""

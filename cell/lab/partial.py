@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,7 @@ from cell.lab.prepared import PreparedStudy, all_fitted
 from cell.lab.results import Errors, Nearest, RemainingError
 from cell.lab.rules import Rules
 from cell.lab.score import holm
-from cell.lab.verdict import added_effect, chance, close_rivals, errors_of
+from cell.lab.verdict import added_effect, chance, chance_of, close_rivals, errors_of
 
 FloatArray = NDArray[np.float64]
 
@@ -85,6 +86,7 @@ def explain_partly(
         options = whole.add(better, whole.worth_refitting(better, rules.best))
     if len(steps) > 2:
         steps = _in_order(whole, base, _exchanged(whole, steps[-1], rules))
+    steps = _borne_out(whole, steps, library, rules)
     if len(steps) == 2:
         for rival in _near(whole, steps[1], singles, rules):
             whole.add(rival, whole.worth_refitting(rival, rules.best))
@@ -107,6 +109,28 @@ def _singles(whole: Explorer, library: int, rules: Rules) -> list[Candidate]:
         if best is None or not whole.rebase(_without_effect(base, best)):
             break
     return singles
+
+
+def _borne_out(
+    explorer: Explorer, steps: Sequence[Candidate], library: int, rules: Rules
+) -> list[Candidate]:
+    """The steps up to the first whose effect explains nothing significant beside those before.
+
+    Of two effects found together, exchanged and put in order, one may need no other.
+    """
+    kept = list(steps[:1])
+    for small, large in pairwise(steps):
+        if p_value_of(explorer, small, large, library) >= rules.significance:
+            break
+        kept.append(large)
+    return kept
+
+
+def p_value_of(explorer: Explorer, small: Candidate, large: Candidate, library: int) -> float:
+    """Of the last effect of `large`, for all of the library: by the fit, and by what both leave."""
+    by_fit = explorer.gain(small, large).p_value
+    by_left = chance_of(explorer, small, large)
+    return min(1.0, max(by_fit, by_left) * max(1, library - len(small.effects)))
 
 
 def _without_effect(base: Candidate, candidate: Candidate) -> FloatArray:

@@ -14,8 +14,9 @@ from plotly.offline import get_plotlyjs
 
 from cell.files.atomic import write_whole
 from cell.identify.identified import Identified
-from cell.lab.advice import STATUSES, VERDICTS, Step
+from cell.lab.advice import STATUSES, Step, meaning
 from cell.lab.compare import NOTICEABLE, Comparison
+from cell.lab.curves import profile_curves
 from cell.lab.diagnose import Examination
 from cell.lab.figures import (
     ADDED,
@@ -24,7 +25,7 @@ from cell.lab.figures import (
     Series,
     by_trial,
     history,
-    profile_curves,
+    least_px,
     profiles,
     ranking,
     residual_maps,
@@ -77,7 +78,8 @@ pre,code{background:#f4f4f4;padding:.1em .3em}pre{padding:.7em;overflow-x:auto}
 table{border-collapse:collapse;margin:.8em 0}td,th{padding:.25em .9em;text-align:left;
 border-bottom:1px solid #ddd}
 .number{text-align:right;font-variant-numeric:tabular-nums;white-space:nowrap}
-.wide,.plot{width:100%;overflow-x:auto}.panels>div{min-width:720px}
+.wide,.plot{width:100%;overflow-x:auto}.plot>div{min-width:var(--least)}
+@media(max-width:600px){td,th{white-space:nowrap}}
 summary{cursor:pointer;margin:.6em 0}select{font:inherit;padding:.2em .4em}
 @media print{select,summary{display:none}}
 """
@@ -138,7 +140,7 @@ def diagnosis_page(
         f'<p class="{look}">{says}</p>',
         _facts(first),
         f'<p class="note">Verdict <code>{diagnosis.verdict}</code>: '
-        f"{html.escape(VERDICTS[diagnosis.verdict])}.</p>",
+        f"{html.escape(meaning(diagnosis))}.</p>",
         *(f'<p class="warning">{_code(w)}</p>' for w in warning_lines(diagnosis.warnings)),
         _next(steps),
         "<h2>Error as effects are added</h2>",
@@ -443,11 +445,8 @@ def _next(steps: Sequence[Step]) -> str:
 def _plot(figure: go.Figure) -> str:
     """A place for a figure, and the figure as data."""
     data = str(figure.to_json()).replace("</", "<\\/")
-    look = "plot panels" if len(list(figure.select_xaxes())) > 1 else "plot"
-    return (
-        f'<div class="{look}" style="min-height:{figure.layout.height}px">'
-        f'<script type="application/json">{data}</script></div>'
-    )
+    size = f"min-height:{figure.layout.height}px;--least:{least_px(figure)}px"
+    return f'<div class="plot" style="{size}"><script type="application/json">{data}</script></div>'
 
 
 def _page(title: str, parts: Sequence[str]) -> str:

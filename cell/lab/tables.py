@@ -12,7 +12,7 @@ from rich.text import Text
 
 from cell.cable.effects.base import Effect
 from cell.identify.identified import Identified
-from cell.lab.advice import STATUSES, VERDICTS, Step
+from cell.lab.advice import STATUSES, Step, meaning
 from cell.lab.compare import Comparison
 from cell.lab.explore import Candidate
 from cell.lab.prepared import PreparedStudy
@@ -25,6 +25,7 @@ from cell.lab.wording import (
     NEAREST_HEADS,
     agreement_heads,
     agreement_rows,
+    agreement_sentence,
     at_noise,
     by_evidence,
     chance,
@@ -213,9 +214,31 @@ def agreement_table(found: Sequence[Agreement]) -> Table:
     return table
 
 
+def diagnosis_parts(
+    diagnosis: Diagnosis, comparisons: Sequence[Comparison], steps: Sequence[Step]
+) -> list[str | Table]:
+    """All that is printed of a diagnosis, in its order.
+
+    comparisons  of the baseline, and last of the model with everything found
+    """
+    agreement = diagnosis.agreement
+    return [
+        sentence(diagnosis, comparisons[0], comparisons[-1]),
+        verdict_line(diagnosis),
+        *warning_lines(diagnosis.warnings),
+        *([agreement_sentence(agreement)] if agreement else []),
+        waterfall_table(diagnosis),
+        *([nearest_table(diagnosis)] if diagnosis.nearest else []),
+        *([ranking_table(diagnosis)] if diagnosis.ranking else []),
+        *([limits_table(diagnosis)] if diagnosis.limits else []),
+        *([agreement_table(agreement)] if agreement else []),
+        steps_text(steps),
+    ]
+
+
 def verdict_line(diagnosis: Diagnosis) -> str:
     """The verdict and what it means."""
-    return f"Verdict {diagnosis.verdict}: {VERDICTS[diagnosis.verdict]}."
+    return f"Verdict {diagnosis.verdict}: {meaning(diagnosis)}."
 
 
 def model_table(model: Identified) -> Table:

@@ -71,7 +71,7 @@ def interrupted(diagnosis: Diagnosis, misses: str) -> str:
     if not diagnosis.nearest or left is None:
         return f"{said}; no effect was fitted yet."
     over_all = f"Over all trials it misses {short(left.before_rms_m * 1e3)} mm{_near(diagnosis)}"
-    return f"{said}. {over_all}; nothing is confirmed."
+    return f"{said}. {over_all}; nothing confirmed."
 
 
 def at_noise(diagnosis: Diagnosis) -> str:

@@ -34,6 +34,8 @@ def test_of_a_linear_model_it_is_the_interval_of_the_curvature():
         assert not of.better
         stds = (np.array([p.q for p in of.points]) - found.q[i]) * TARGET / reach
         assert [p.rise for p in of.points] == pytest.approx(stds**2, rel=1e-3, abs=1e-6)
+        assert len(of.points) >= 7  # of a parabola drawn through five, none is seen
+        assert np.abs(np.abs(stds) - 0.5).min() < 0.01
 
 
 def test_of_a_curved_model_it_is_lopsided_as_the_likelihood():

@@ -25,13 +25,14 @@ SCHEMA = {
     "additionalProperties": False,
     "required": [
         "format", "noise_m", "baseline", "verdict", "missing", "ranking", "left", "partial",
-        "nearest", "warnings", "limits", "agreement",
+        "nearest", "warnings", "limits", "agreement", "noise_is_stated",
     ],
     "properties": {
         "format": {"const": "cable-diagnosis/1"},
         "noise_m": {"type": "number"},
+        "noise_is_stated": {"type": "boolean"},
         "baseline": {"required": ["fit_rms_m", "heldout_rms_m"]},
-        "left": {"required": ["rms_m", "over_noise", "explained_share", "peak"]},
+        "left": {"required": ["rms_m", "before_rms_m", "over_noise", "explained_share", "peak"]},
         "partial": {"items": {"required": ["effect", "tied_with", "explained_share"]}},
         "nearest": {"items": {"required": ["effect", "explained_share", "fit_rms_m", "peak"]}},
         "warnings": {"items": {"required": ["code", "message"]}},

@@ -122,8 +122,8 @@ def test_the_page_needs_no_network_and_holds_plotly_once(diagnosed):
 def test_the_first_words_say_what_is_missing(diagnosed):
     page = Page(diagnosed[-1])
     words = " ".join(page.text)
-    assert "tip mass explains" in words
-    assert words.index("tip mass explains") < words.index("Error as effects are added")
+    assert "with tip mass in it" in words
+    assert words.index("with tip mass in it") < words.index("Error as effects are added")
     assert "Point mass with weight at the tip" in words  # the law
     assert "--effect tip_mass" in words
 

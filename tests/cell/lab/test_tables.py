@@ -23,10 +23,15 @@ def diagnosis(verdict, *names, tied=(), noise_m=1e-4, after_m=1e-4):
     return Diagnosis(noise_m, Errors(9e-4, 9e-4), verdict, missing)
 
 
-def test_one_effect_explains_and_two_explain():
-    assert "tip mass explains 100 %" in sentence(diagnosis("missing", "tip_mass"))
+def test_what_effects_do_to_the_error_is_said_in_millimetres():
+    """A share of squares is none of millimetres: "46 %" of nearly nothing, "99 %" of everything."""
+    one = sentence(diagnosis("missing", "tip_mass"))
+    assert "misses 0.90 mm; with tip mass in it 0.10 mm: camera noise (0.10 mm)." in one
+    left = sentence(diagnosis("cannot_tell", "tip_mass", after_m=5e-4))
+    assert "with tip mass in it 0.50 mm: 5.0 times the noise, not yet explained." in left
+    assert "%" not in one + left
     both = sentence(diagnosis("missing", "tip_mass", "air_drag"))
-    assert "tip mass and air drag explain 100 %" in both
+    assert "with tip mass and air drag in it 0.10 mm" in both
 
 
 def test_one_effect_that_a_prior_alone_asks_for_is_not_told_from_others():

@@ -52,9 +52,13 @@ def test_what_explains_most_is_reported_with_its_share_and_what_it_leaves(unexpl
     assert 0.5 < share < 1.0
     assert unexplained.left.explained_share == pytest.approx(share)
     assert unexplained.left.over_noise > 1.1
-    assert f"natural curvature explains most of it, not all: {100 * share:.0f} %" in sentence(
-        unexplained
-    )
+    left, noise_m = unexplained.left, unexplained.noise_m
+    assert left.rms_m == pytest.approx(unexplained.partial[0].errors.fit_rms_m, rel=1e-6)
+    removed = left.before_rms_m**2 - left.rms_m**2
+    assert share == pytest.approx(removed / (left.before_rms_m**2 - noise_m**2), rel=1e-6)
+    said = sentence(unexplained)
+    assert "natural curvature explains most of it, not all: fitted to all trials the model" in said
+    assert f"{1e3 * left.before_rms_m:.2f} mm without it and {1e3 * left.rms_m:.2f} mm with" in said
     assert "--effect natural_curvature" in steps_text(advice(unexplained))
     passed_by = advice(unexplained, accepted=("draught",))  # of measured cables: not what was said
     assert "--effect draught" not in steps_text(passed_by)
