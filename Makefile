@@ -4,7 +4,7 @@ BIN := $(VENV)/bin
 PYTHON ?= $(firstword $(foreach p,python3.12 python3.11 python3.13 python3,$(shell $(p) -c "import sys; print('$(p)' if (3,11) <= sys.version_info[:2] < (3,14) else '')" 2>/dev/null)))
 CYCLES ?= 3
 
-.PHONY: run test lint types imports compiled compiled-cell compiled-arm compiled-effects compiled-tests tests hardware bench figures learn coverage practice false-alarms confusion rigs breadth fault-trials calibration-study malformed endurance endings clean help jaw-plate picture docs
+.PHONY: run test lint types imports compiled compiled-cell compiled-arm compiled-effects compiled-tests tests hardware bench figures learn coverage practice false-alarms confusion rigs breadth fault-trials calibration-study malformed endurance endings words clean help jaw-plate picture docs
 
 help:            ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
@@ -85,6 +85,9 @@ confusion: $(VENV)/.dev   ## which effect is named: for each of the library, out
 	$(BIN)/python tools/confusion_study.py --studies 100
 	$(BIN)/python tools/confusion_study.py --studies 34 --first 200 --hide unknown
 	$(BIN)/python tools/confusion_study.py --studies 20 --first 300 --hide pair
+
+words: $(VENV)/.dev   ## does a diagnosis contradict its own numbers? practice, measured and 24 made studies (long)
+	$(BIN)/python tools/words_study.py
 
 rigs: $(VENV)/.dev   ## what is named in 60 studies that imitate real rigs, one effect hidden in each (long)
 	$(BIN)/python tools/rig_study.py --studies 60
