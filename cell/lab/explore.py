@@ -356,15 +356,20 @@ class Explorer:
         return candidate.fit.objective <= far
 
     def _polished(self, candidate: Candidate) -> Candidate:
-        """The candidate taken to convergence, or as near as it comes."""
-        fit = fit_model(
-            self._alone,
-            candidate.fit.space,
-            candidate.fit.q,
-            candidate.fit.begun,
-            options=POLISH,
-        )
-        return self._weigh(candidate.effects, fit)
+        """The candidate taken to convergence, or as near as it comes.
+
+        One that ended where the cable can hardly be simulated stays there.
+        """
+        with contextlib.suppress(ValueError):
+            fit = fit_model(
+                self._alone,
+                candidate.fit.space,
+                candidate.fit.q,
+                candidate.fit.begun,
+                options=POLISH,
+            )
+            return self._weigh(candidate.effects, fit)
+        return candidate
 
     def visible(self, candidate: Candidate, effect: type[Effect]) -> float:
         """ln of how much likelier an effect of a candidate must make the held-out trials."""

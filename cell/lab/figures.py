@@ -54,7 +54,7 @@ class Series:
     @property
     def width(self) -> float:
         """Of its lines, in pixels."""
-        return 1.5 + 2.5 * self.above
+        return 1.5 + 2.0 * self.above
 
     @property
     def size(self) -> float:

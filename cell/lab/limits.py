@@ -56,13 +56,11 @@ STEEPEST = 3.0
 def with_limits(explorer: Explorer, examination: Examination) -> Examination:
     """The examination with limits of every effect that was tried and is neither named nor tied.
 
-    None of an unexplained study: beside a wrong model the true effect would be excluded.  None,
-    and a warning, where there is no time for them.
+    None of an unexplained study: beside a wrong model the true effect would be excluded; nor beside
+    one whose parameters mean nothing.  None, and a warning, where there is no time for them.
     """
     diagnosis = examination.diagnosis
-    if diagnosis.verdict == "unexplained" or any(
-        w.code == "interrupted" for w in diagnosis.warnings
-    ):
+    if diagnosis.verdict == "unexplained" or diagnosis.codes & {"interrupted", "hopeless"}:
         return examination
     try:
         return replace(

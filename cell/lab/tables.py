@@ -88,7 +88,7 @@ def sentence(
         return interrupted(diagnosis, misses)
     if not diagnosis.missing:
         why = ASKED if "suspected" in diagnosis.codes else "these motions cannot tell why."
-        return f"{misses} {at_noise(diagnosis)}; {why}"
+        return f"{misses}, {at_noise(diagnosis)}; {why}"
     after_mm = _shown_mm(diagnosis.missing[-1].errors)
     names = " and ".join(
         " or ".join(plain(n) for n in (f.effect, *f.tied_with)) for f in diagnosis.missing

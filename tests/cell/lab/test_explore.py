@@ -1,16 +1,20 @@
 """Which of several fits of one more effect is kept."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from cell.cable.effects import library, load_effect
+from cell.identify.gauss_newton import UnsimulatedError
 from cell.identify.parameters import ParameterSpace
+from cell.lab import diagnose as diagnosing
 from cell.lab import explore, side_by_side
 from cell.lab.explore import Candidate, Explorer
 from cell.lab.fitting import space_with
 from cell.lab.prepared import PreparedStudy
+from cell.lab.rules import DEFAULT_RULES
 from cell.lab.terms import admissible, effect_source
 
 #: Objective on the fit trials → evidence, held-out trials included: the best fit forecasts badly.
@@ -185,3 +189,32 @@ def test_candidates_of_another_process_have_the_effects_of_this_one(make_study, 
     found = explorer.add(explorer.baseline(), list(effects.values()))
     assert [c.effects[-1] for c in found] == list(effects.values())
     assert all(c.fit.space.effects == c.effects for c in found)
+
+
+def test_a_fit_that_ended_at_the_edge_of_what_can_be_simulated_stays_there(make_study, monkeypatch):
+    """Taken on from there it could not begin, and the whole search ended."""
+    study = make_study(seed=2)
+    explorer = Explorer(PreparedStudy.of(study), ParameterSpace.of(study.cable), {})
+    base = explorer.baseline()
+
+    def impossible(*args, **options):
+        raise UnsimulatedError("the model cannot be simulated at the start of the fit")
+
+    monkeypatch.setattr(explore, "fit_model", impossible)
+    assert explorer._polished(base) is base
+    assert not explorer.rebase(base.fit.q)
+
+
+def test_an_effect_explains_no_less_than_nothing(make_study):
+    """A refit that ended above the model without its effect was listed with χ² of −22740898."""
+    study = make_study(seed=2)
+    names = ("tip_mass", "air_drag")
+    space = ParameterSpace.of(study.cable)
+    explorer = Explorer(PreparedStudy.of(study), space, {n: library()[n] for n in names})
+    base = explorer.baseline()
+    (stuck,) = explorer.add(base, [library()["tip_mass"]])
+    stuck = replace(stuck, fit=replace(stuck.fit, solution=replace(
+        stuck.fit.solution, objective=base.fit.objective + 1e6)))  # fmt: skip
+    assert diagnosing._sound([stuck], base) == []
+    rows = diagnosing._ranking(explorer, base, base, [stuck], set(), DEFAULT_RULES)
+    assert min(r.score for r in rows) >= 0.0

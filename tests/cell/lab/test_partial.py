@@ -157,3 +157,31 @@ def test_singles_are_compared_when_their_fits_are_finished():
     assert [c.chi2 for c in ended] == [0.35, 0.35, 0.35, 0.35, 0.31]
     assert [c.names for c in ended] == [c.names for c in begun]
     assert asked == [3, 1]
+
+
+def test_of_effects_put_in_order_each_must_be_worth_something_beside_those_before(monkeypatch):
+    """A load explained "most" at p = 1: the effect before it had been exchanged for a better one."""
+    base, first, second = single("", 30.0), single("natural_curvature", 10.0), single("", 9.9)
+    second.names = frozenset({"natural_curvature", "tip_mass"})
+    chances = {(base.names, first.names): 1e-9, (first.names, second.names): 0.2}
+    monkeypatch.setattr(
+        partial, "p_value_of", lambda _, small, large, n: chances[small.names, large.names]
+    )
+    steps = [base, first, second]
+    assert partial._borne_out(None, steps, 17, DEFAULT_RULES) == [base, first]
+    chances[first.names, second.names] = 1e-3
+    assert partial._borne_out(None, steps, 17, DEFAULT_RULES) == steps
+
+
+def test_what_was_not_fitted_to_the_fit_trials_alone_has_no_error_of_them(partly):
+    """The error of all trials stood below "fitted"."""
+    found = replace(partly.diagnosis.nearest[0])
+    whole = partial.Partial(
+        Explorer(partly.weighed, space_with(partly.final.fit.space, ()), {}),
+        tuple(c for c in partly.partial if len(c.names) == 1),
+        partly.partial,
+    )
+    (near,) = partial.nearest(whole, (), DEFAULT_RULES)
+    assert near.left_rms_m > 0.0
+    assert near.errors == partial.NOT_FITTED
+    assert found.errors.heldout_rms_m > 0.0
