@@ -160,7 +160,7 @@ def test_singles_are_compared_when_their_fits_are_finished():
 
 
 def test_of_effects_put_in_order_each_must_be_worth_something_beside_those_before(monkeypatch):
-    """A load explained "most" at p = 1: the effect before it had been exchanged for a better one."""
+    """A load explained "most" at p = 1: the one before it had been exchanged for a better."""
     base, first, second = single("", 30.0), single("natural_curvature", 10.0), single("", 9.9)
     second.names = frozenset({"natural_curvature", "tip_mass"})
     chances = {(base.names, first.names): 1e-9, (first.names, second.names): 0.2}
