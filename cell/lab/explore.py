@@ -193,15 +193,15 @@ class Explorer:
                 self._elsewhere = fit_model(self.prepared, base.fit.space, start, options=POLISH)
         return self._elsewhere
 
-    def rebase(self, start: FloatArray) -> bool:
-        """Fit the baseline from another start too; True if that ends lower.
+    def rebase(self, start: FloatArray, least: float) -> bool:
+        """Fit the baseline from another start too; True if χ² ends lower by at least so much.
 
         It is the baseline then, and what was fitted beside the former one is forgotten.
         """
         base = self.baseline()
         with contextlib.suppress(ValueError):  # where it ended nothing is simulated
             fit = fit_model(self.prepared, base.fit.space, start, options=POLISH)
-            if fit.objective < base.fit.objective - 2.0 * LIKELIER:
+            if fit.objective < base.fit.objective - least:
                 self._known = {base.names: self._weigh(base.effects, fit)}
                 self._screens, self._visible = {}, {}
                 self._were_polished, self._ways_down = set(), set()

@@ -66,7 +66,9 @@ def explain_partly(
     for _ in range(MOST_WEIGHINGS):
         whole = _weighed_by(explorer, error)
         if least_m < leftover(whole.prepared, whole.baseline()).rms_m:
-            whole.rebase(lowest.fit.q)  # fitted to all trials a model leaves no more of them
+            whole.rebase(
+                lowest.fit.q, rules.tie
+            )  # fitted to all trials a model leaves no more of them
         singles = _singles(whole, library, rules)
         base = whole.baseline()
         lowest, least_m = base, min(least_m, leftover(whole.prepared, base).rms_m)
@@ -106,7 +108,7 @@ def _singles(whole: Explorer, library: int, rules: Rules) -> list[Candidate]:
         base = whole.baseline()
         singles = _finished(whole, base, whole.add(base, whole.worth_refitting(base, rules.best)))
         best = largest_step(whole, base, singles, library, rules)
-        if best is None or not whole.rebase(_without_effect(base, best)):
+        if best is None or not whole.rebase(_without_effect(base, best), rules.tie):
             break
     return singles
 

@@ -122,7 +122,7 @@ def test_an_effect_explains_only_what_the_model_without_it_does_not(make_study, 
     singles = partial._singles(whole, 2, DEFAULT_RULES)
     assert whole.baseline().fit.rms_m == pytest.approx(base.fit.rms_m, rel=0.01)
     assert partial.largest_step(whole, whole.baseline(), singles, 2, DEFAULT_RULES) is None
-    assert not whole.rebase(whole.baseline().fit.q)
+    assert not whole.rebase(whole.baseline().fit.q, DEFAULT_RULES.tie)
 
 
 @pytest.fixture(scope="module")

@@ -202,7 +202,7 @@ def test_a_fit_that_ended_at_the_edge_of_what_can_be_simulated_stays_there(make_
 
     monkeypatch.setattr(explore, "fit_model", impossible)
     assert explorer._polished(base) is base
-    assert not explorer.rebase(base.fit.q)
+    assert not explorer.rebase(base.fit.q, 0.0)
 
 
 def test_an_effect_explains_no_less_than_nothing(make_study):
