@@ -22,8 +22,8 @@ HEADLINES = {
     "complete": r"^The model is complete: ",
     "unexplained": r"no effect that was tried|no effect was looked for",
     "missing": r" with .+ in it ",
-    "cannot_tell": r"[Tt]hese motions cannot tell|not confirmed|does not bear|do not bear|behind it"
-    r"|^Interrupted",
+    "cannot_tell": r"[Tt]hese motions cannot tell|too few to tell|not confirmed|does not bear"
+    r"|do not bear|behind it|^Interrupted",
 }
 NUMBER = r"(\d+(?:\.\d+)?(?:e[-+]?\d+)?)"
 

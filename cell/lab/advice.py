@@ -31,6 +31,8 @@ def meaning(diagnosis: Diagnosis) -> str:
     """What the verdict of a diagnosis means."""
     if "not_searched" in diagnosis.codes:
         return "the model is none of this cable, and no effect was looked for"
+    if "noise_unknown" in diagnosis.codes and not diagnosis.missing:
+        return "too little is known of the noise to tell whether the model lacks anything"
     return VERDICTS[diagnosis.verdict]
 
 
@@ -46,6 +48,12 @@ class Step:
 MEND = Step(
     "Mend the study first: signs and axes of its frame, gravity, the order of the markers, the "
     "datasheet, one clock for both files. The cable must be held at one end only."
+)
+
+
+REST = Step(
+    "Record more frames at rest before each motion, or state the measurement's error as "
+    "noise_std_m in study.yaml."
 )
 
 
@@ -109,6 +117,8 @@ def advice(
     """
     if diagnosis.codes & {"not_searched", "hopeless"}:
         return (MEND,)
+    if "noise_unknown" in diagnosis.codes and not diagnosis.missing:
+        return (REST,)
     found = [f.effect for f in diagnosis.missing]
     ruled_out = {r.effect for r in diagnosis.ranking if r.status == "absent"}
     accepted = tuple(e for e in accepted if e not in ruled_out)

@@ -56,6 +56,12 @@ ASKED = (
     "all trials together ask for more than is in the model, and those held out do not bear it out."
 )
 NOT_WITHOUT_PRIOR = "Without the prior the study does not bear this out."
+#: What is said where no effect is named and the model is not complete, by a warning's code.
+NOTHING_NAMED = {
+    "suspected": ASKED,
+    "noise_unknown": "the frames at rest are too few to tell whether that is noise.",
+}
+NOT_WHY = "these motions cannot tell why."
 #: Column of what was fitted to held-out trials too.
 FITTED_TO_ALL = "fitted to all"
 #: Up to so many times the noise a remaining error is called noise.
@@ -87,7 +93,7 @@ def sentence(
     if "interrupted" in diagnosis.codes and not diagnosis.missing:
         return interrupted(diagnosis, misses)
     if not diagnosis.missing:
-        why = ASKED if "suspected" in diagnosis.codes else "these motions cannot tell why."
+        why = next((t for c, t in NOTHING_NAMED.items() if c in diagnosis.codes), NOT_WHY)
         return f"{misses}, {at_noise(diagnosis)}; {why}"
     after_mm = _shown_mm(diagnosis.missing[-1].errors)
     names = " and ".join(

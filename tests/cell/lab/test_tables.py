@@ -13,8 +13,8 @@ from cell.lab.discover import Discovery
 from cell.lab.doubts import prior_only_doubt
 from cell.lab.explore import Explorer
 from cell.lab.prepared import PreparedStudy
-from cell.lab.results import Diagnosis, Errors, MissingEffect
-from cell.lab.tables import discovery_sentence, sentence, steps_text
+from cell.lab.results import Diagnosis, Doubt, Errors, MissingEffect
+from cell.lab.tables import discovery_sentence, sentence, steps_text, verdict_line
 from cell.lab.wording import apart, left_in_words, noise_in_words
 
 
@@ -32,6 +32,18 @@ def test_what_effects_do_to_the_error_is_said_in_millimetres():
     assert "%" not in one + left
     both = sentence(diagnosis("missing", "tip_mass", "air_drag"))
     assert "with tip mass and air drag in it 0.10 mm" in both
+
+
+def test_where_the_noise_is_not_known_no_effect_is_said_to_lack_and_rest_is_asked_for():
+    """Of what may be noise: "lacks something", and a motion to tell apart effects of which none was
+    named.
+    """
+    unknown = replace(diagnosis("cannot_tell"), warnings=(Doubt("noise_unknown", "…"),))
+    assert sentence(unknown).endswith("too few to tell whether that is noise.")
+    assert "lacks something" not in verdict_line(unknown)
+    said = steps_text(advice(unknown))
+    assert "frames at rest" in said
+    assert "cell suggest" not in said
 
 
 def test_one_effect_that_a_prior_alone_asks_for_is_not_told_from_others():
