@@ -435,16 +435,20 @@ def _explorer(
     What is odd about the study is told.
     """
     from cell.lab import session
+    from cell.lab.wrong_samples import without_wrong_samples
 
     study = session.open_study(folder)
     tell_notes(study.notes)
-    return session.explorer_of(
+    explorer = session.explorer_of(
         study,
         selection,
         session.read_prior(prior, selection.own),
         progress,
         session.read_kind(config),
     )
+    explorer, more = without_wrong_samples(explorer)
+    tell_notes(more)
+    return explorer
 
 
 def working(command: str) -> ProgressLine:

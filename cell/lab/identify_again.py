@@ -19,6 +19,7 @@ from cell.settings import load_settings
 from cell.settings.translate import identification_of
 from cell.study.data import Study
 from cell.study.folder import read_study, study_folder
+from cell.study.left_out import without_wrong_samples
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +47,7 @@ def read_recorded(folder: Path, config: Path | None, effects: Sequence[str]) -> 
              `select_effects`
     """
     in_model = select_effects(effects).in_model
-    study = read_study(study_folder(folder))
+    study = without_wrong_samples(read_study(study_folder(folder)))
     if not study.role("fit"):
         message = "no trial has `role: fit`; mark the one to identify the cable from"
         raise InputError.at(folder, message, key="trials")

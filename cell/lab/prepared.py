@@ -14,7 +14,7 @@ from cell.identify.fit import Lane, predict_lanes
 from cell.identify.noise import Noise, Whitener, still_frames
 from cell.lab.beginnings import Beginning, beginning_of
 from cell.lab.noise import Floor, floor_of_residuals, noise_floor
-from cell.study.data import Markers, Study, Trial
+from cell.study.data import Study, Trial
 
 FloatArray = NDArray[np.float64]
 
@@ -241,7 +241,8 @@ def _placed(trial: Trial, arc_length_m: FloatArray) -> Trial:
     beside = trial.markers.xy_m[still] - straight
     seen = np.isfinite(beside).any(axis=0)
     offset = np.where(seen, np.nanmean(np.where(seen, beside, 0.0), axis=0), 0.0)
-    return replace(trial, markers=Markers(t_s, trial.markers.xy_m - offset))
+    at_place = replace(trial.markers, xy_m=trial.markers.xy_m - offset)
+    return replace(trial, markers=at_place)
 
 
 def _begins(lane: Lane) -> object:

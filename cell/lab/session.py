@@ -29,6 +29,7 @@ from cell.lab.individual import (
 from cell.lab.prepared import ERRS, PreparedStudy
 from cell.study.data import Study, Trial
 from cell.study.folder import read_study, study_folder
+from cell.study.left_out import without_wrong_samples
 
 _LOG = logging.getLogger(__name__)
 
@@ -107,7 +108,8 @@ def _effect(given: str) -> type[Effect]:
 def open_study(folder: Path) -> Study:
     """A study fit for the lab, by its folder or by that of the cycle that recorded it.
 
-    raises  InputError: it cannot be read, has nothing to fit, or a trial is too short to tell
+    raises  InputError: it cannot be read, has nothing to fit, a trial is too short to tell, or too
+            much of a marker is wrong
     """
     folder = study_folder(folder)
     study = read_study(folder)
@@ -122,7 +124,7 @@ def open_study(folder: Path) -> Study:
     if problems:
         raise InputError(problems)
     told = [note for t in study.trials for note in _left_out(folder / t.name / "grip.csv", t.grip)]
-    return replace(study, notes=(*study.notes, *told))
+    return without_wrong_samples(replace(study, notes=(*study.notes, *told)))
 
 
 def _left_out(log: Path, grip: Motion) -> list[str]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -13,12 +14,33 @@ from cell.cable.geometry import Cable, Motion, Start
 FloatArray = NDArray[np.float64]
 
 
+@dataclass(frozen=True, eq=False)
+class Source:
+    """Where measurements stand: in which lines of which file, and as which markers.
+
+    lines    (T,) counted from 1
+    numbers  (markers,) of the columns' names
+    """
+
+    file: Path
+    lines: NDArray[np.intp]
+    numbers: NDArray[np.intp]
+
+    def column(self, marker: int, axis: int) -> str:
+        """Name of the column of a marker's x (0) or y (1)."""
+        return f"{'xy'[axis]}{self.numbers[marker]}_m"
+
+
 @dataclass(frozen=True)
 class Markers:
-    """Points seen on the cable: `t_s` (T,), `xy_m` (T, markers, 2), nan where not seen."""
+    """Points seen on the cable: `t_s` (T,), `xy_m` (T, markers, 2), nan where not seen.
+
+    source  None = not read from a file
+    """
 
     t_s: FloatArray
     xy_m: FloatArray
+    source: Source | None = field(default=None, repr=False, compare=False)
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from cell.cable.geometry import Cable, Motion, Start
 from cell.files.atomic import write_all
 from cell.files.input_error import InputError, Problem
 from cell.files.yaml_document import Document, Key, read_yaml, validate, yaml_text
-from cell.study.data import Markers, Study, Trial
+from cell.study.data import Markers, Source, Study, Trial
 from cell.study.plausible import doubt, impossible
 from cell.study.table import Table, read_table, table_text
 
@@ -124,8 +124,7 @@ def read_study(folder: Path) -> Study:
                 f"{markers}: one of every {step} of the {len(read.markers.t_s)} frames is taken; "
                 f"a swing needs no more than {MAX_FRAMES}"
             )
-            thinner = Markers(read.markers.t_s[::step], read.markers.xy_m[::step])
-            read = replace(read, markers=thinner)
+            read = replace(read, markers=_every(step, read.markers))
         trials.append(read)
     if problems:
         raise InputError(problems)
@@ -335,9 +334,17 @@ def _read_trial(folder: Path, trial: _Trial, header: _Study, order: NDArray[np.i
         role=trial.role,
         start=trial.start,
         grip=motion,
-        markers=Markers(t_s, xy_m[:, order]),
+        markers=Markers(t_s, xy_m[:, order], Source(table.path, np.array(table.lines), order)),
         release_s=trial.release_s,
     )
+
+
+def _every(step: int, markers: Markers) -> Markers:
+    """One of so many frames."""
+    source = markers.source
+    if source is not None:
+        source = replace(source, lines=source.lines[::step])
+    return Markers(markers.t_s[::step], markers.xy_m[::step], source)
 
 
 def _check_times(table: Table) -> None:
