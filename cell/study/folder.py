@@ -15,6 +15,7 @@ from cell.files.atomic import write_all
 from cell.files.input_error import InputError, Problem
 from cell.files.yaml_document import Document, Key, read_yaml, validate, yaml_text
 from cell.study.data import Markers, Source, Study, Trial
+from cell.study.exchanged import exchanges
 from cell.study.plausible import doubt, impossible
 from cell.study.table import Table, read_table, table_text
 
@@ -114,8 +115,11 @@ def read_study(folder: Path) -> Study:
             continue
         looked_at = (read, cable, arc_length_m[order], header.gravity_m_per_s2)
         markers = folder / trial.name / "markers.csv"
-        if cause := impossible(*looked_at):
-            problems.append(Problem(markers, 2, None, "", cause))
+        if exchanged := _exchanged(read.markers):
+            problems.append(exchanged)
+        elif found := impossible(*looked_at):
+            line = _line(read.markers, found.row)
+            problems.append(Problem(markers, line, None, "", found.cause))
         elif odd := doubt(*looked_at):
             notes.append(f"{markers}: {odd}")
         step = -(-len(read.markers.t_s) // MAX_FRAMES)
@@ -336,6 +340,30 @@ def _read_trial(folder: Path, trial: _Trial, header: _Study, order: NDArray[np.i
         grip=motion,
         markers=Markers(t_s, xy_m[:, order], Source(table.path, np.array(table.lines), order)),
         release_s=trial.release_s,
+    )
+
+
+def _line(markers: Markers, row: int) -> int:
+    """In which line of its file a row of markers stands."""
+    return row + 2 if markers.source is None else int(markers.source.lines[row])
+
+
+def _exchanged(markers: Markers) -> Problem | None:
+    """The first two markers that change places, and until where."""
+    found, source = exchanges(markers.xy_m), markers.source
+    if not found or source is None:
+        return None
+    first = found[0]
+    names = [f"marker {source.numbers[m]}" for m in (first.first, first.second)]
+    last = _line(markers, first.until - 1)
+    more = f", as do {len(found) - 1} more pairs in the file" if len(found) > 1 else ""
+    return Problem(
+        source.file,
+        _line(markers, first.row),
+        None,
+        source.column(first.first, 0),
+        f"{names[0]} is where {names[1]} was in the row before, and {names[1]} where {names[0]} "
+        f"was{more}; exchange the columns of the two in the rows from here to line {last}",
     )
 
 

@@ -6,6 +6,8 @@ does is refused here; what only a rare cable does is a doubt that is told and le
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,10 +32,18 @@ FEWEST_STILL = 10
 SLOWEST = 2.0 * np.pi
 
 
+@dataclass(frozen=True)
+class Impossible:
+    """What no cable does: from which row of the markers on, and what is likely meant."""
+
+    row: int
+    cause: str
+
+
 def impossible(
     trial: Trial, cable: Cable, arc_length_m: FloatArray, gravity_m_per_s2: Gravity
-) -> str | None:
-    """Why no cable looks like this, and what is likely meant; None if one may.
+) -> Impossible | None:
+    """Why no cable looks like this; None if one may.
 
     arc_length_m  (markers,) from the gripping point, as in `trial.markers`
     """
@@ -43,11 +53,12 @@ def impossible(
         return None
     arcs, from_grip = arc_length_m[seen], _from_grip(trial)[:, seen]
     length_m = cable.free_length_m
-    return (
-        _too_far(arcs, length_m, from_grip)
-        or _on_the_wrong_side(arcs, length_m, grip.angle_rad[0], from_grip[_at_rest(trial)])
-        or _clock(length_m, float(np.hypot(*gravity_m_per_s2)), t_s)
-    )
+    if found := _too_far(arcs, length_m, from_grip):
+        return found
+    cause = _on_the_wrong_side(
+        arcs, length_m, grip.angle_rad[0], from_grip[_at_rest(trial)]
+    ) or _clock(length_m, float(np.hypot(*gravity_m_per_s2)), t_s)
+    return Impossible(0, cause) if cause else None
 
 
 def doubt(
@@ -119,8 +130,9 @@ def _at_rest(trial: Trial) -> NDArray[np.bool_]:
     return trial.markers.t_s < moves_from_s(trial.grip, ROUGHLY_STILL)
 
 
-def _too_far(arcs: FloatArray, free_length_m: float, from_grip: FloatArray) -> str | None:
-    distance_m = np.nanmedian(np.linalg.norm(from_grip, axis=2), axis=0)
+def _too_far(arcs: FloatArray, free_length_m: float, from_grip: FloatArray) -> Impossible | None:
+    each_m = np.linalg.norm(from_grip, axis=2)
+    distance_m = np.nanmedian(each_m, axis=0)
     slack_m = SLACK * free_length_m
     excess_m = distance_m - arcs
     worst = int(np.nanargmax(excess_m))
@@ -132,9 +144,14 @@ def _too_far(arcs: FloatArray, free_length_m: float, from_grip: FloatArray) -> s
         if turned and len(arcs) > 1
         else "check arc_length_m, the metres of both files, and that both have the same frame"
     )
-    return (
+    far = each_m[:, worst] > arcs[worst] + slack_m
+    # From the first row on that half of the rows after it agree with: noise may be far once.
+    among_rest = np.cumsum(far[::-1])[::-1] / np.cumsum(np.isfinite(each_m[::-1, worst]))[::-1]
+    row = int(np.argmax(far & (among_rest > 0.5)))
+    return Impossible(
+        row,
         f"the marker at arc length {arcs[worst]:g} m is {distance_m[worst]:.3g} m from the "
-        f"gripping point, farther than any cable lets it; {remedy}"
+        f"gripping point, farther than any cable lets it; {remedy}",
     )
 
 
