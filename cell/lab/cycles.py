@@ -14,6 +14,7 @@ from cell.records.folder import read_record
 from cell.records.result import Outcome
 from cell.study.data import Study, Trial
 from cell.study.folder import read_study
+from cell.study.left_out import without_wrong_samples
 
 #: Data sheets of the same cable agree to this.
 SAME = 1e-6
@@ -53,6 +54,9 @@ def read_cycles(runs: Sequence[Path], cable: Cable) -> tuple[list[RecordedCycle]
         if cycle is None:
             left_out.append(f"{folder}: nothing was measured")
             continue
+        cleaner = without_wrong_samples(cycle.study)
+        left_out += [n.removesuffix("; left out") for n in cleaner.notes[len(cycle.study.notes) :]]
+        cycle = _with_study(cycle, cleaner)
         for name, value in vars(cable).items():
             theirs = getattr(cycle.study.cable, name)
             if not np.isclose(theirs, value, rtol=SAME):
@@ -85,8 +89,12 @@ def _read(folder: Path) -> RecordedCycle | None:
         study, outcome = read_study(folder), None
     if study is None:
         return None
+    cycle = RecordedCycle(folder.resolve().name, folder, study, None, None, outcome)
+    return _with_study(cycle, study)
+
+
+def _with_study(cycle: RecordedCycle, study: Study) -> RecordedCycle:
+    """The cycle with these measurements."""
     trials = {t.name: t for t in study.trials}
-    name = folder.resolve().name
-    return RecordedCycle(
-        name, folder, study, trials.get("identify"), trials.get("execute"), outcome
-    )
+    held, executed = trials.get("identify"), trials.get("execute")
+    return replace(cycle, study=study, held=held, executed=executed)

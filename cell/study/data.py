@@ -42,6 +42,10 @@ class Markers:
     xy_m: FloatArray
     source: Source | None = field(default=None, repr=False, compare=False)
 
+    def line(self, row: int) -> int:
+        """In which line of its file a row stands, or would as written."""
+        return row + 2 if self.source is None else int(self.source.lines[row])
+
 
 @dataclass(frozen=True)
 class Trial:

@@ -14,10 +14,10 @@ from cell.cable.geometry import Cable, Motion, Start
 from cell.files.atomic import write_all
 from cell.files.input_error import InputError, Problem
 from cell.files.yaml_document import Document, Key, read_yaml, validate, yaml_text
+from cell.study.checks import check_finite, check_times, check_whole, exchanged
 from cell.study.data import Markers, Source, Study, Trial
-from cell.study.exchanged import exchanges
-from cell.study.plausible import doubt, impossible
-from cell.study.table import Table, read_table, table_text
+from cell.study.plausible import clocks_differ, doubt, impossible
+from cell.study.table import read_table, table_text
 
 FloatArray = NDArray[np.float64]
 
@@ -28,7 +28,6 @@ GRIP_COLUMNS = ("t_s", "x_m", "y_m", "angle_rad")
 MAX_LENGTH_M = 10.0
 MIN_GRAVITY_M_PER_S2, MAX_GRAVITY_M_PER_S2 = 0.01, 100.0
 MAX_NOISE_FRACTION = 0.2
-MAX_TRIAL_S = 30.0
 MAX_DISTANCE_M = 100.0
 #: Of a marker; nearer ones are told with their distance from the hand.
 MAX_COORDINATE_M = 1e6
@@ -109,16 +108,16 @@ def read_study(folder: Path) -> Study:
     notes: list[str] = []
     for trial in header.trials:
         try:
-            read = _read_trial(folder / trial.name, trial, header, order)
+            read = _read_trial(folder / trial.name, trial, (header, cable), order)
         except InputError as error:
             problems.extend(error.problems)
             continue
         looked_at = (read, cable, arc_length_m[order], header.gravity_m_per_s2)
         markers = folder / trial.name / "markers.csv"
-        if exchanged := _exchanged(read.markers):
-            problems.append(exchanged)
+        if places := exchanged(read.markers):
+            problems.append(places)
         elif found := impossible(*looked_at):
-            line = _line(read.markers, found.row)
+            line = read.markers.line(found.row)
             problems.append(Problem(markers, line, None, "", found.cause))
         elif odd := doubt(*looked_at):
             notes.append(f"{markers}: {odd}")
@@ -284,10 +283,13 @@ def _implausible(document: Document, header: _Study, datasheet: Cable | None) ->
     return problems
 
 
-def _read_trial(folder: Path, trial: _Trial, header: _Study, order: NDArray[np.intp]) -> Trial:
+def _read_trial(
+    folder: Path, trial: _Trial, of: tuple[_Study, Cable], order: NDArray[np.intp]
+) -> Trial:
+    header, cable = of
     grip = read_table(folder / "grip.csv", GRIP_COLUMNS)
-    _check_times(grip)
-    _check_finite(grip)
+    check_times(grip)
+    check_finite(grip)
     grip.check(
         np.abs(grip.values) <= [np.inf, MAX_DISTANCE_M, MAX_DISTANCE_M, 2 * np.pi],
         lambda name: (
@@ -296,11 +298,12 @@ def _read_trial(folder: Path, trial: _Trial, header: _Study, order: NDArray[np.i
             else f"is beyond ±{MAX_DISTANCE_M:g} m; give metres"
         ),
     )
+    check_whole(grip)
     motion = Motion(*grip.values.T)
 
     count = len(header.markers.arc_length_m)
     table = read_table(folder / "markers.csv", _marker_columns(count))
-    _check_times(table)
+    check_times(table)
     t_s = table.values[:, 0]
     xy_m = table.values[:, 1:].reshape(len(t_s), count, 2)
     if np.isnan(xy_m).all():
@@ -326,6 +329,12 @@ def _read_trial(folder: Path, trial: _Trial, header: _Study, order: NDArray[np.i
     away_m = np.nan_to_num(xy_m - grip_xy_m[:, None])
     distance_m = np.hypot(away_m[..., 0], away_m[..., 1])
     near = ~(distance_m > limit_m)
+    source = Source(table.path, np.array(table.lines), order)
+    markers = Markers(t_s, xy_m[:, order], source)
+    read = Trial(trial.name, trial.role, trial.start, motion, markers, trial.release_s)
+    shifted = None if near.all() else clocks_differ(read, cable, header.gravity_m_per_s2)
+    if shifted is not None:
+        raise table.error(table.lines[shifted.row], "t_s", shifted.cause)
     table.check(
         np.column_stack([np.ones(len(t_s), bool), np.repeat(near, 2, axis=1)]),
         lambda _: (
@@ -333,38 +342,7 @@ def _read_trial(folder: Path, trial: _Trial, header: _Study, order: NDArray[np.i
             "give metres, in the frame of grip.csv"
         ),
     )
-    return Trial(
-        name=trial.name,
-        role=trial.role,
-        start=trial.start,
-        grip=motion,
-        markers=Markers(t_s, xy_m[:, order], Source(table.path, np.array(table.lines), order)),
-        release_s=trial.release_s,
-    )
-
-
-def _line(markers: Markers, row: int) -> int:
-    """In which line of its file a row of markers stands."""
-    return row + 2 if markers.source is None else int(markers.source.lines[row])
-
-
-def _exchanged(markers: Markers) -> Problem | None:
-    """The first two markers that change places, and until where."""
-    found, source = exchanges(markers.xy_m), markers.source
-    if not found or source is None:
-        return None
-    first = found[0]
-    names = [f"marker {source.numbers[m]}" for m in (first.first, first.second)]
-    last = _line(markers, first.until - 1)
-    more = f", as do {len(found) - 1} more pairs in the file" if len(found) > 1 else ""
-    return Problem(
-        source.file,
-        _line(markers, first.row),
-        None,
-        source.column(first.first, 0),
-        f"{names[0]} is where {names[1]} was in the row before, and {names[1]} where {names[0]} "
-        f"was{more}; exchange the columns of the two in the rows from here to line {last}",
-    )
+    return read
 
 
 def _every(step: int, markers: Markers) -> Markers:
@@ -373,34 +351,3 @@ def _every(step: int, markers: Markers) -> Markers:
     if source is not None:
         source = replace(source, lines=source.lines[::step])
     return Markers(markers.t_s[::step], markers.xy_m[::step], source)
-
-
-def _check_times(table: Table) -> None:
-    t_s = table.values[:, 0]
-    if len(t_s) < 2:
-        raise table.error(1, None, f"has {len(t_s)} rows, needs at least 2")
-    if not np.isfinite(t_s).all():
-        row = int(np.argmin(np.isfinite(t_s)))
-        raise table.error(table.lines[row], "t_s", f"is {t_s[row]}; every row needs its time")
-    step = np.diff(t_s)
-    if (step <= 0.0).any():
-        row = int(np.argmax(step <= 0.0)) + 1
-        word = "repeats" if t_s[row] == t_s[row - 1] else "comes after"
-        raise table.error(
-            table.lines[row],
-            "t_s",
-            f"{t_s[row]:g} s {word} {t_s[row - 1]:g} s of the row before; "
-            "sort the rows by time and keep one row per time",
-        )
-    if t_s[-1] - t_s[0] > MAX_TRIAL_S:
-        raise table.error(
-            table.lines[-1],
-            "t_s",
-            f"{t_s[-1]:g} s is {t_s[-1] - t_s[0]:g} s after the first row, limit "
-            f"{MAX_TRIAL_S:g} s; give seconds, not milliseconds, and cut the record to the motion "
-            "and the swing after it",
-        )
-
-
-def _check_finite(table: Table) -> None:
-    table.check(np.isfinite(table.values), lambda _: "is not a number; the grip is always known")

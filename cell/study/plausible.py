@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from cell.cable.geometry import Cable
 from cell.cable.still import ROUGHLY_STILL, moves_from_s
+from cell.study.clocks import Offset, offset
 from cell.study.data import Trial
 
 FloatArray = NDArray[np.float64]
@@ -47,6 +48,10 @@ def impossible(
 
     arc_length_m  (markers,) from the gripping point, as in `trial.markers`
     """
+    size = float(np.hypot(*gravity_m_per_s2))
+    shifted = offset(trial, cable, size)
+    if shifted is not None and shifted.late_s > 0.0:
+        return Impossible(_row(trial, shifted), _waits(shifted))
     grip, t_s = trial.grip, trial.markers.t_s
     seen = np.isfinite(trial.markers.xy_m).all(axis=2).any(axis=0)
     if not seen.any():
@@ -54,18 +59,30 @@ def impossible(
     arcs, from_grip = arc_length_m[seen], _from_grip(trial)[:, seen]
     length_m = cable.free_length_m
     if found := _too_far(arcs, length_m, from_grip):
-        return found
-    cause = _on_the_wrong_side(
-        arcs, length_m, grip.angle_rad[0], from_grip[_at_rest(trial)]
-    ) or _clock(length_m, float(np.hypot(*gravity_m_per_s2)), t_s)
+        return found if shifted is None else Impossible(_row(trial, shifted), _ahead(shifted))
+    at_rest = from_grip[_at_rest(trial)]
+    cause = _on_the_wrong_side(arcs, length_m, grip.angle_rad[0], at_rest)
+    cause = cause or _clock(length_m, size, t_s)
     return Impossible(0, cause) if cause else None
+
+
+def clocks_differ(trial: Trial, cable: Cable, gravity_m_per_s2: Gravity) -> Impossible | None:
+    """That a cable moves long before or after its hand, for one that is too far from it."""
+    found = offset(trial, cable, float(np.hypot(*gravity_m_per_s2)))
+    if found is None:
+        return None
+    return Impossible(_row(trial, found), _waits(found) if found.late_s > 0.0 else _ahead(found))
 
 
 def doubt(
     trial: Trial, cable: Cable, arc_length_m: FloatArray, gravity_m_per_s2: Gravity
 ) -> str | None:
     """What a cable hardly does, and what may be meant; None if all is as usual."""
-    return _rises(trial, cable, arc_length_m, gravity_m_per_s2) or _moves_first(trial, cable)
+    if rises := _rises(trial, cable, arc_length_m, gravity_m_per_s2):
+        return rises
+    if shifted := clocks_differ(trial, cable, gravity_m_per_s2):
+        return f"line {trial.markers.line(shifted.row)}: {shifted.cause}"
+    return _moves_first(trial, cable)
 
 
 def _rises(
@@ -89,6 +106,30 @@ def _rises(
         f"at rest the cable rises {lift_m * 1e3:.3g} mm above the clamp's direction, against "
         "gravity; unless it is naturally curved, check the signs of y_m (up), angle_rad "
         "(positive = pointing down) and gravity_m_per_s2"
+    )
+
+
+def _row(trial: Trial, found: Offset) -> int:
+    """In which row the cable begins to move."""
+    return int(np.searchsorted(trial.markers.t_s, found.cable_s))
+
+
+def _waits(found: Offset) -> str:
+    """Of a cable that stays at rest long after its hand has moved."""
+    return (
+        f"the cable rests until {found.cable_s:.3g} s, yet its hand moves at {found.hand_s:.3g} s, "
+        f"and no cable waits so long: the clocks differ by {found.late_s:.2g} s; subtract this "
+        "from t_s of markers.csv"
+    )
+
+
+def _ahead(found: Offset) -> str:
+    """Of a cable at rest that moves long before its hand does."""
+    return (
+        f"the cable moves at {found.cable_s:.3g} s, its hand only at {found.hand_s:.3g} s; if both "
+        f"are one motion the clocks differ: add {-found.late_s:.2g} s to t_s of markers.csv; if "
+        f"the cable was let go, give `start: held` with release_s: {found.cable_s:.3g} in "
+        "study.yaml"
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -111,6 +112,73 @@ def test_what_no_cable_does_is_refused(
         read_study(tmp_path)
     assert says in str(caught.value)
     assert len(caught.value.problems) == 1
+
+
+def changed(study: Study, change: Callable[[np.ndarray], None]) -> Study:
+    xy_m = study.trials[0].markers.xy_m.copy()
+    change(xy_m)
+    return with_trial(study, xy_m=xy_m)
+
+
+def test_exchanged_markers_are_told_with_the_line_from_which_on_they_are(
+    swung: Study, tmp_path: Path
+) -> None:
+    def exchange(xy_m: np.ndarray) -> None:
+        xy_m[149:, [0, 3]] = xy_m[149:, [3, 0]]
+
+    write_study(changed(swung, exchange), tmp_path)
+    with pytest.raises(InputError) as caught:
+        read_study(tmp_path)
+    assert "a/markers.csv:151: x0_m: marker 0 is where marker 3 was" in str(caught.value)
+    assert "exchange the columns of the two in the rows from here to line 241" in str(caught.value)
+
+
+def test_a_marker_that_is_too_far_from_a_line_on_is_told_with_that_line(
+    swung: Study, tmp_path: Path
+) -> None:
+    def away(xy_m: np.ndarray) -> None:
+        xy_m[79:, 5] -= [0.03, 0.0]
+
+    write_study(changed(swung, away), tmp_path)
+    with pytest.raises(InputError, match=r"a/markers.csv:81: the marker at arc length 0 m is"):
+        read_study(tmp_path)
+
+
+def logged_without(study: Study, from_s: float, to_s: float) -> Study:
+    grip = study.trials[0].grip
+    kept = (grip.t_s <= from_s) | (grip.t_s >= to_s)
+    return with_trial(study, grip=Motion(*(v[kept] for v in vars(grip).values() if len(v) > 9)))
+
+
+def test_a_gap_in_the_log_of_a_hand_that_moves_is_told_with_its_size(
+    swung: Study, tmp_path: Path
+) -> None:
+    write_study(logged_without(swung, 0.1, 0.7), tmp_path / "moves")
+    with pytest.raises(InputError) as caught:
+        read_study(tmp_path / "moves")
+    assert (
+        "a/grip.csv:23: t_s: 0.7 s is 0.6 s after the row before, limit 0.1 s while the hand "
+        in (str(caught.value))
+    )
+    write_study(logged_without(swung, 0.52, 1.1), tmp_path / "rests")
+    assert read_study(tmp_path / "rests").notes == ()
+
+
+@pytest.mark.parametrize("late_s", [0.5, -0.5])
+def test_clocks_that_differ_are_told_with_line_and_size(
+    swung: Study, tmp_path: Path, late_s: float
+) -> None:
+    t_s = swung.trials[0].markers.t_s + late_s
+    write_study(with_trial(swung, t_s=t_s), tmp_path)
+    try:
+        (said,) = read_study(tmp_path).notes
+        assert late_s < 0.0
+    except InputError as error:
+        said = str(error)
+    line = int(re.search(r"markers.csv: ?(?:line )?(\d+): ", said).group(1))  # type: ignore[union-attr]
+    # The hand, and the cable with it, is a few millimetres away at 0.26 s.
+    assert t_s[line - 2] == pytest.approx(0.26 + late_s, abs=0.03)
+    assert ("subtract this" if late_s > 0 else "add 0.5 s to t_s of markers.csv") in said
 
 
 def test_y_downwards_is_doubted(swung: Study, tmp_path: Path) -> None:

@@ -1,0 +1,116 @@
+"""Whether a hand's log and the pictures of its cable are of one clock, and the log is whole."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable.geometry import Cable
+from cell.cable.still import ROUGHLY_STILL
+from cell.study.data import Trial
+
+FloatArray = NDArray[np.float64]
+
+#: A hand's log may skip so many of its usual steps, and so many seconds, while the hand moves.
+GAP_STEPS, GAP_S = 5.0, 0.1
+#: A cable begins to move with its hand, or within this many √(L/g) of it, and s: in 506 simulated
+#: strokes of all kinds from −0.2 to 0.6.  A camera's latency is less, and can be fitted.
+WITHIN, WITHIN_S = 1.0, 0.15
+#: It has begun when it is this share of its free length away, and this many times the noise.
+AWAY, OF_NOISE = 0.02, 8.0
+#: Frames in which it must be at rest before, and away from there on.
+_REST, _STAYS = 6, 3
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Two rows of a hand's log, the second numbered, that are far apart while the hand moves."""
+
+    row: int
+    from_s: float
+    to_s: float
+    usual_s: float
+    moved_m: float
+    turned_rad: float
+
+
+@dataclass(frozen=True)
+class Offset:
+    """Times at which a hand and its cable begin to move, on their clocks, s."""
+
+    hand_s: float
+    cable_s: float
+
+    @property
+    def late_s(self) -> float:
+        """By how much the pictures' clock is ahead of the hand's; negative: behind."""
+        return self.cable_s - self.hand_s
+
+
+def gap(poses: FloatArray) -> Gap | None:
+    """The longest gap in a hand's log within which it moves; None if there is none.
+
+    poses  (T, 4) t, x, y, angle
+    """
+    t_s = poses[:, 0]
+    step_s = np.diff(t_s)
+    usual_s = float(np.median(step_s))
+    change = np.abs(np.diff(poses[:, 1:], axis=0))
+    moved_m = np.hypot(change[:, 0], change[:, 1])
+    moves = (moved_m > ROUGHLY_STILL.position_m) | (change[:, 2] > ROUGHLY_STILL.angle_rad)
+    harmful_s = np.where(moves & (step_s > max(GAP_S, GAP_STEPS * usual_s)), step_s, 0.0)
+    i = int(np.argmax(harmful_s))
+    if harmful_s[i] == 0.0:
+        return None
+    return Gap(
+        i + 1, float(t_s[i]), float(t_s[i + 1]), usual_s, float(moved_m[i]), float(change[i, 2])
+    )
+
+
+def offset(trial: Trial, cable: Cable, gravity_m_per_s2: float) -> Offset | None:
+    """That a cable at rest begins to move long before or after its hand; None if it does not."""
+    t_s = trial.markers.t_s
+    series_m = trial.markers.xy_m.reshape(len(t_s), -1)
+    series_m = series_m[:, np.isfinite(series_m[:_REST]).any(axis=0)]
+    if (
+        trial.start != "equilibrium"
+        or gravity_m_per_s2 == 0.0
+        or len(t_s) < 2 * _REST
+        or not series_m.size
+    ):
+        return None
+    beside_m = series_m - np.nanmedian(series_m[:_REST], axis=0)
+    noise_m = 1.4826 * float(np.nanmedian(np.abs(beside_m[:_REST])))
+    away_m = max(AWAY * cable.free_length_m, OF_NOISE * noise_m)
+    cable_s = _begins(t_s, np.nan_to_num(np.abs(beside_m)).max(axis=1) > away_m)
+    hand_s = _hand_begins(trial, away_m, -np.inf)
+    if cable_s is None or hand_s is None or cable_s <= t_s[_REST - 1]:
+        return None
+    within_s = max(WITHIN_S, WITHIN * float(np.sqrt(cable.free_length_m / gravity_m_per_s2)))
+    within_s += 2.0 * float(np.median(np.diff(t_s)))
+    rests_s = float(t_s[np.isfinite(series_m).any(axis=1) & (t_s < cable_s)][-1])
+    # The record may begin at a rest between two strokes.
+    next_s = _hand_begins(trial, away_m, float(t_s[0]))
+    strokes = [hand_s, *([next_s] if next_s is not None and next_s > t_s[_REST - 1] else [])]
+    if any(rests_s - within_s <= begins <= cable_s + within_s for begins in strokes):
+        return None
+    return Offset(hand_s, cable_s)
+
+
+def _begins(t_s: FloatArray, away: NDArray[np.bool_]) -> float | None:
+    """When something leaves its place to stay away; None if it never does."""
+    ahead = np.concatenate([away, np.repeat(away[-1:], _STAYS - 1)])
+    stays = np.lib.stride_tricks.sliding_window_view(ahead, _STAYS).all(axis=1)
+    return float(t_s[np.argmax(stays)]) if stays.any() else None
+
+
+def _hand_begins(trial: Trial, away_m: float, after_s: float) -> float | None:
+    """When the hand has left the place where it was at a time."""
+    grip = trial.grip
+    later = grip.t_s >= after_s
+    if np.count_nonzero(later) < _STAYS:
+        return None
+    x_m, y_m = grip.x_m[later], grip.y_m[later]
+    return _begins(grip.t_s[later], np.hypot(x_m - x_m[0], y_m - y_m[0]) > away_m)
