@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, Config, group, refuse
+from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, Config, group, refuse, tell_notes
+
+if TYPE_CHECKING:
+    from cell.settings.starting import CellKind, Question
 
 app = group()
 
@@ -38,14 +42,13 @@ def init(
 
     Ends with 0, or 2 if the file is there already or an answer is wrong.
     """
-    import yaml
     from pydantic import ValidationError
 
     from cell.files.atomic import write_new
     from cell.files.input_error import InputError
     from cell.settings import Settings, load_settings
     from cell.settings.commented import commented
-    from cell.settings.starting import CellKind, answered, default, questions
+    from cell.settings.starting import answered, questions
 
     if out.exists():
         refuse(ValueError(f"{out}: is there already; give another file with -o, or move it away"))
@@ -55,12 +58,7 @@ def init(
     answers: dict[tuple[str, ...], Any] = {}
     if not yes and _person_is_there():
         for question in questions(kind):
-            usual = default(kind, question.key)
-            shown = ", ".join(map(str, usual)) if isinstance(usual, list) else usual
-            answer = typer.prompt(question.words, default=shown, type=str)
-            if answer != str(shown):
-                given = f"[{answer}]" if isinstance(usual, list) else answer
-                answers[question.key] = answer if isinstance(usual, str) else yaml.safe_load(given)
+            answers[question.key] = _asked(kind, question, answers)
     try:
         text = commented(Settings.model_validate(answered(kind, answers)))
     except ValidationError as error:
@@ -136,11 +134,13 @@ def check(config: Config) -> None:
     """
     from cell.files.input_error import InputError
     from cell.settings import load_settings
+    from cell.settings.check import oddities
 
     try:
         settings = load_settings(config)
     except InputError as error:
         refuse(error)
+    tell_notes(oddities(settings))
     offsets_m = settings.motion.offsets.values_m
     print(
         f"{config}: right; arm {settings.arm.kind}, camera {settings.camera.kind}, gripper "
@@ -160,3 +160,18 @@ def schema() -> None:
 def _person_is_there() -> bool:
     """Whether somebody can answer."""
     return sys.stdin.isatty()
+
+
+def _asked(kind: CellKind, question: Question, answers: Mapping[tuple[str, ...], Any]) -> Any:
+    """A right answer: whoever gives a wrong one is told why, and asked again."""
+    from cell.settings.starting import answer_of, default, wrong_answer
+
+    usual = default(kind, question.key)
+    shown = ", ".join(map(str, usual)) if isinstance(usual, list) else str(usual)
+    while True:
+        text = typer.prompt(question.words, default=shown, type=str)
+        answer = usual if text == shown else answer_of(text, usual)
+        wrong = wrong_answer(kind, {**answers, question.key: answer}, question.key)
+        if wrong is None:
+            return answer
+        print(f"{wrong}; answer again", file=sys.stderr)

@@ -40,6 +40,9 @@ MISSING = "is missing; add it"
 #: Ending of a key, how many of the smaller unit make one, what to say.
 _SMALLER_UNITS = (
     ("_kg_per_m", 1e3, "give kg/m, not g/m"),
+    ("_m_per_s", 1e3, "give m/s, not mm/s"),
+    ("_m_per_s2", 1e3, "give m/s², not mm/s²"),
+    ("_m_per_s3", 1e3, "give m/s³, not mm/s³"),
     ("_rad", 57.3, "give radians, not degrees"),
     ("_m", 1e3, "give metres, not millimetres"),
     ("_s", 1e3, "give seconds, not milliseconds"),

@@ -34,6 +34,17 @@ def load_settings(path: Path) -> Settings:
     return settings
 
 
+def oddities(settings: Settings) -> tuple[str, ...]:
+    """What is possible and yet rarely meant, one sentence each."""
+    arm = settings.arm
+    if not isinstance(arm, UrArm) or arm.plane_y_axis[2] >= 0.0:
+        return ()
+    return (
+        f"arm.plane_y_axis {list(arm.plane_y_axis)} points down in the arm's base frame, and y is "
+        "up: unless the arm hangs upside down, change its signs",
+    )
+
+
 def _with_files(settings: Settings, path: Path) -> Settings:
     """The settings with files of effects as whole paths: they are named relative to the settings.
 

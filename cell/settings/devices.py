@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from cell.settings.section import Finite, NotNegative, Positive, Range, Section
+from cell.settings.section import Finite, Host, NotNegative, Positive, Range, Section
 
 
 class SimulatedArm(Section):
@@ -26,7 +26,7 @@ class UrArm(Section):
     """Universal Robots arm over RTDE."""
 
     kind: Literal["ur"]
-    host: Annotated[str, Field(min_length=1)]
+    host: Host
     """Address of the controller."""
     model: Literal["UR3e", "UR5e", "UR10e"] = "UR5e"
     """Arm's type, for its kinematics."""

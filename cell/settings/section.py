@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import ipaddress
+import re
 from typing import Annotated
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+
+_LABEL = r"[A-Za-z0-9_](?:[A-Za-z0-9_-]{0,61}[A-Za-z0-9_])?"
+_NAME, _NUMBERS = re.compile(rf"{_LABEL}(?:\.{_LABEL})*\.?"), re.compile(r"[0-9.]+")
+_LONGEST_NAME = 253
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
@@ -20,6 +26,18 @@ def increasing(pair: tuple[float, float]) -> tuple[float, float]:
     return pair
 
 
+def address(host: str) -> str:
+    """The name or IP address itself.  Raises ValueError: it is none (RFC 1123)."""
+    wrong = f"{host!r} is no address; give a name or an IP address, such as 192.168.3.10"
+    try:
+        ipaddress.ip_address(host)
+    except ValueError as error:
+        if len(host) > _LONGEST_NAME or not _NAME.fullmatch(host) or _NUMBERS.fullmatch(host):
+            raise ValueError(wrong) from error
+    return host
+
+
+Host = Annotated[str, Field(min_length=1), AfterValidator(address)]
 Range = Annotated[tuple[Finite, Finite], AfterValidator(increasing)]
 
 #: Coordinates in the cell's plane, m; distances and durations of a motion, m and s.

@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from copy import deepcopy
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
+
+import yaml
+
+from cell.files.input_error import InputError
+from cell.files.yaml_document import Document, Key, dotted, validate
+from cell.settings.model import Settings
 
 CellKind = Literal["simulated", "emulated", "real"]
 
@@ -153,3 +160,36 @@ def answered(kind: CellKind, answers: Mapping[tuple[str, ...], Any]) -> dict[str
             section = section[part]
         section[key[-1]] = value
     return settings
+
+
+def answer_of(text: str, usual: Any) -> Any:
+    """What a person has typed, as text or as the numbers that the entry usually has."""
+    if isinstance(usual, str):
+        return text
+    try:
+        return yaml.safe_load(f"[{text}]" if isinstance(usual, list) else text)
+    except yaml.YAMLError:
+        return text
+
+
+def wrong_answer(
+    kind: CellKind, answers: Mapping[tuple[str, ...], Any], key: tuple[str, ...]
+) -> str | None:
+    """What is wrong with the answer about an entry, with limit and remedy; None if it is right."""
+    settings = answered(kind, answers)
+    document = Document(Path("answers"), settings, dict.fromkeys(_keys(settings), (1, 1)))
+    try:
+        validate(document, Settings)
+    except InputError as error:
+        for problem in error.problems:
+            if problem.key.startswith(dotted(key)):
+                return f"{problem.key}: {problem.message}"
+    return None
+
+
+def _keys(value: Any, key: Key = ()) -> Iterator[Key]:
+    """Keys of everything in plain data, of the whole too."""
+    yield key
+    if isinstance(value, dict | list):
+        for part, inside in value.items() if isinstance(value, dict) else enumerate(value):
+            yield from _keys(inside, (*key, part))
