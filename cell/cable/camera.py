@@ -103,12 +103,17 @@ def _shown(
 
 
 def _before(scene_s: FloatArray, xy: FloatArray, t: FloatArray) -> FloatArray:
-    """(times, markers, 2) where the points were a little before the scene begins, by parabolas."""
+    """(times, markers, 2) where the points were a little before the scene begins, by parabolas.
+
+    nan where that is nowhere: of a cable whose simulation has run away.
+    """
     apart = max(1, min(round(_PAST_S / (scene_s[1] - scene_s[0])), (len(scene_s) - 1) // 2))
     u = ((t - scene_s[0]) / (scene_s[apart] - scene_s[0]))[..., None]
     first, second, third = xy[0], xy[apart], xy[2 * apart]
-    bend = third - 2.0 * second + first
-    return np.asarray(first + u * (second - first) + 0.5 * u * (u - 1.0) * bend)
+    with np.errstate(over="ignore", invalid="ignore"):
+        bend = third - 2.0 * second + first
+        points = np.asarray(first + u * (second - first) + 0.5 * u * (u - 1.0) * bend)
+    return np.where(np.isfinite(points), points, np.nan)
 
 
 @compiled

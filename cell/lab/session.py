@@ -35,6 +35,8 @@ _LOG = logging.getLogger(__name__)
 
 #: A uniform clamped strip that droops by δ swings at ω² = 1.545 g/δ (β₁L = 1.8751).
 SWING = 1.545
+#: No camera sees so little motion, noise included: positions that were not measured, m.
+STANDS_M = 1e-6
 #: Wrong values of a hand's log that are told of a column.
 TOLD = 3
 
@@ -116,7 +118,7 @@ def open_study(folder: Path) -> Study:
     problems = [
         Problem(folder / t.name / "markers.csv", len(t.markers.t_s) + 1, None, "t_s", message)
         for t in study.trials
-        if (message := _too_short(study, t))
+        if (message := _stands(t) or _too_short(study, t))
     ]
     if not study.role("fit"):
         message = "no trial has `role: fit`; mark at least one, the model is fitted to these"
@@ -144,6 +146,18 @@ def _left_out(log: Path, grip: Motion) -> list[str]:
             f"{more}; left out"
         )
     return notes
+
+
+def _stands(trial: Trial) -> str | None:
+    """That markers do not move at all; a camera's noise would be more."""
+    xy_m = trial.markers.xy_m
+    seen = np.isfinite(xy_m).any(axis=0)
+    if np.any(np.nanmax(xy_m[:, seen], axis=0) - np.nanmin(xy_m[:, seen], axis=0) > STANDS_M):
+        return None
+    return (
+        f"is the last of {len(xy_m)} rows in which no marker moves by {STANDS_M * 1e3:g} mm: "
+        "record a motion, with all digits, or remove the trial"
+    )
 
 
 def _too_short(study: Study, trial: Trial) -> str | None:

@@ -123,6 +123,16 @@ def in_millimetres(lines):
             "markers.csv:1: column y10_m is missing",
         ),
         (lambda p: change_lines(p, lambda t: t[:50]), "markers.csv:50: t_s: ends"),
+        (
+            lambda p: change_lines(
+                p,
+                lambda t: [
+                    t[0],
+                    *(",".join([r.split(",")[0], *t[1].split(",")[1:]]) for r in t[1:]),
+                ],
+            ),
+            "rows in which no marker moves by 0.001 mm: record a motion",
+        ),
         (lambda p: (p / "identify" / "grip.csv").unlink(), "grip.csv:1"),
     ],
 )
@@ -149,6 +159,20 @@ def test_wrong_values_of_a_hands_log_are_told_with_their_place_and_size(folder, 
     (note,) = open_study(path).notes
     assert note.startswith(str(path / "identify" / "grip.csv"))
     assert "x_m jumps" in note and "line 2 by +0.12 mm; left out" in note
+
+
+def test_wrong_values_of_markers_are_told_with_their_place_and_size(folder, tmp_path):
+    """30 mm in one of thousands of numbers made a complete model `unexplained`."""
+
+    def jumps(lines):
+        cells = lines[150].split(",")
+        cells[7] = str(float(cells[7]) + 0.03)
+        return [*lines[:150], ",".join(cells), *lines[151:]]
+
+    path = broken(folder, tmp_path, lambda p: change_lines(p, jumps))
+    (note,) = open_study(path).notes
+    assert note.startswith(f"{path / 'identify' / 'markers.csv'}: 1 value lies apart")
+    assert "line 151, x3_m by +30 mm; left out" in note
 
 
 def test_a_prior_of_another_cable_is_refused(folder, tmp_path):
