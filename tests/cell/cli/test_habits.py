@@ -55,10 +55,52 @@ def test_init_takes_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     settings = load_settings(path)
     assert settings.cable.free_length_m == 0.12
     assert settings.limits.x_m == (-0.05, 0.02)
-    wrong = cell("init", "-o", tmp_path / "no.yaml", given="-3\n" + "\n" * 7)
-    assert wrong.exit_code == 2
-    assert "cable.free_length_m: Input should be greater than 0" in wrong.stderr
+
+
+def test_init_checks_each_answer_when_it_is_given(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They were checked after the last one, all were lost with the first wrong one."""
+    monkeypatch.setattr("cell.cli.settings._person_is_there", lambda: True)
+    path = tmp_path / "mine.yaml"
+    wrong_and_right = [
+        *("100", "-3", "0.12", "", "", "", "0.3", "a, [", "-0.135, -0.13", "", "", ""),
+        *("not a host!", "10.0.0.300", "robot-1.local", "UR7", "UR5e", "", ""),
+    ]
+    done = cell("init", "-o", path, "--real", given="\n".join(wrong_and_right) + "\n")
+    assert done.exit_code == 0, done.output
+    settings = load_settings(path)
+    assert settings.cable.free_length_m == 0.12
+    assert settings.arm.kind == "ur" and settings.arm.host == "robot-1.local"
+    assert [line.split(": ")[0] for line in done.stderr.splitlines()] == [
+        *("cable.free_length_m", "cable.free_length_m", "destination.x_m[1]", "destination.x_m"),
+        *("arm.host", "arm.host", "arm.model"),
+    ]
+    assert "less than or equal to 2 (got 100); give metres, not millimetres" in done.stderr
+    assert "'10.0.0.300' is no address; give a name or an IP address" in done.stderr
+
+
+def test_init_writes_nothing_if_the_answers_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cell.cli.settings._person_is_there", lambda: True)
+    done = cell("init", "-o", tmp_path / "no.yaml", given="-3\n")
+    assert done.exit_code != 0
+    assert "cable.free_length_m: input should be greater than 0" in done.stderr
     assert not (tmp_path / "no.yaml").exists()
+
+
+@pytest.mark.parametrize(("height", "told"), [(1.0, False), (-1.0, True)])
+def test_a_y_axis_that_points_down_is_noted(tmp_path: Path, height: float, told: bool) -> None:
+    path = tmp_path / "mine.yaml"
+    cell("init", "-o", path, "--real")
+    text = path.read_text()
+    axis = "plane_y_axis: [0.0, 0.0, 1.0]"
+    assert axis in text
+    path.write_text(text.replace(axis, f"plane_y_axis: [0.0, 0.0, {height}]"))
+    done = cell("check", "--config", path)
+    assert done.exit_code == 0
+    assert ("points down in the arm's base frame, and y is up" in done.stderr) is told
 
 
 def json_places(*arguments: str) -> str:

@@ -127,6 +127,7 @@ MISTAKES = [
     ("kg_per_m: 0.0074", "kg_per_m: 7.4", "is 4.62e+06 kg/m³, not 20 … 25000; give kg/m, not g/m"),
     ("thickness_m: 0.0001", "thickness_m: 0.1", "is 4.62 kg/m³, not 20 … 25000"),
     ("  velocity_m_per_s: 0.6", "  velocity_m_per_s: 600", "limits.velocity_m_per_s: input should"),
+    ("  velocity_m_per_s: 0.6", "  velocity_m_per_s: 60", "(got 60); give m/s, not mm/s"),
     ("lag_s: 0.03", "lag_s: 30", "(got 30); give seconds, not milliseconds"),
     ("angle_rad: 0.0}", "angle_rad: 45}", "(got 45); give radians, not degrees"),
     ("y_m: [-0.111, -0.101]", "y_m: [-0.101, -0.111]", "is not a range; give [lower, upper]"),
