@@ -10,6 +10,7 @@ from __future__ import annotations
 import sys
 
 import numpy as np
+from made_studies import coloured
 from scipy.interpolate import CubicSpline
 
 from cell.cable.dynamics import simulate
@@ -17,7 +18,6 @@ from cell.cable.geometry import Cable, Motion, node_arc_lengths
 from cell.cable.model import CableModel
 from cell.cable.solver import Solver
 from cell.study.wrong_samples import wrong_samples
-from tools.made_studies import coloured
 
 SIZES = (5, 8, 10, 15, 30, 100)
 EVERY_S = 0.002

@@ -4,13 +4,16 @@ import json
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 
+import numpy as np
 import pytest
 import yaml
 from typer.testing import CliRunner
 
 from cell.cable.effects import library
 from cell.cli.lab import app
+from cell.files.input_error import InputError
 from cell.lab.session import open_study
 from cell.study.folder import read_study, write_study
 
@@ -123,16 +126,6 @@ def in_millimetres(lines):
             "markers.csv:1: column y10_m is missing",
         ),
         (lambda p: change_lines(p, lambda t: t[:50]), "markers.csv:50: t_s: ends"),
-        (
-            lambda p: change_lines(
-                p,
-                lambda t: [
-                    t[0],
-                    *(",".join([r.split(",")[0], *t[1].split(",")[1:]]) for r in t[1:]),
-                ],
-            ),
-            "rows in which no marker moves by 0.001 mm: record a motion",
-        ),
         (lambda p: (p / "identify" / "grip.csv").unlink(), "grip.csv:1"),
     ],
 )
@@ -159,6 +152,19 @@ def test_wrong_values_of_a_hands_log_are_told_with_their_place_and_size(folder, 
     (note,) = open_study(path).notes
     assert note.startswith(str(path / "identify" / "grip.csv"))
     assert "x_m jumps" in note and "line 2 by +0.12 mm; left out" in note
+
+
+def test_markers_that_never_move_are_refused(folder, tmp_path):
+    """A fit of them missed millimetres "of markers that move by 2.19e-14 mm"."""
+    study = read_study(folder)
+    trials = []
+    for trial in study.trials:
+        xy_m = np.repeat(trial.markers.xy_m[:1], len(trial.markers.t_s), axis=0)
+        grip = replace(trial.grip, x_m=0.1 * trial.grip.x_m, y_m=0.1 * trial.grip.y_m)
+        trials.append(replace(trial, grip=grip, markers=replace(trial.markers, xy_m=xy_m)))
+    write_study(replace(study, trials=tuple(trials)), tmp_path / "stands")
+    with pytest.raises(InputError, match=r"rows in which no marker moves by 0.001 mm: record a"):
+        open_study(tmp_path / "stands")
 
 
 def test_wrong_values_of_markers_are_told_with_their_place_and_size(folder, tmp_path):
