@@ -112,7 +112,7 @@ def beside_bad_prior(seed: int, kind: str) -> tuple[tuple[str, ...], Diagnosis]:
     earlier = _short(make_study(seed if same else other, before, noise_seed=other))
     if kind == "wrong shapes":
         earlier = _with_wrong_shapes(rng, earlier)
-    model, _ = fit_study(explorer_of(earlier, EffectSelection((), library())))
+    model, *_ = fit_study(explorer_of(earlier, EffectSelection((), library())))
     if kind == "stiffer":
         mean = model.mean.copy()
         mean[: model.space.knots] += np.log(3.0)

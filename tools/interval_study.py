@@ -95,7 +95,7 @@ def main() -> None:
         if given.all_trials:
             asked = held_by_all(explorer, truth)
         else:
-            model, _ = fit_study(explorer)
+            model, *_ = fit_study(explorer)
             words += f", seen beside it: {', '.join(model.lacks) or 'nothing'}"
             asked = held(model, truth)
         missed = []

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import resource
 import sys
 import tempfile
 import time
@@ -58,6 +59,7 @@ class World:
     asked                   motions of its own that `learn` asked for
     before, after, complete  of the cables that came later: with the model before, with the one
                             promoted, and in a world without the effect
+    left_out                by the limit of work
     """
 
     effect: str
@@ -72,6 +74,7 @@ class World:
     after: Cables | None
     complete: Cables
     learn_cpu_s: float
+    left_out: tuple[str, ...] = ()
 
     @property
     def shift_m(self) -> float:
@@ -88,6 +91,7 @@ class World:
             f"{self.effect:20s} × {self.size:<4g} shift {self.shift_m * 1e3:5.2f} mm  "
             f"{self.before.line()} → {after} (complete {self.complete.line()})  "
             f"{' + '.join(self.named)}{ties} {fate}  {self.learn_cpu_s:.0f} s"
+            f"{' left out: ' + '; '.join(self.left_out) if self.left_out else ''}"
         )
 
 
@@ -139,10 +143,10 @@ def world(
     cycles = cycles_of(settings, task, seed, first, there)
     as_found = Cables.of(cycles, time.process_time() - begun_s)
     recorded = [recorded_cycle(task, k, c) for k, c in zip(first, cycles, strict=True)]
-    begun_s = time.process_time()
+    begun_s = cpu_s()
     lesson, asked = _learned(settings, task, recorded, seed, there, laws)
     lesson, judgement = best_judged(lesson, settings)
-    spent_s = time.process_time() - begun_s
+    spent_s = cpu_s() - begun_s
     after, before, complete = None, as_found, as_found
     promoted = lesson.best is not None and judgement.fit_for_line
     if parts or promoted:
@@ -164,6 +168,7 @@ def world(
         after,
         complete,
         spent_s,
+        lesson.left_out,
     )
 
 
@@ -202,12 +207,18 @@ def _learned(
 
 def _said() -> Callable[[str], None]:
     """Says what is being done, and how much CPU time has gone by, beside the table."""
-    begun_s = time.process_time()
+    begun_s = cpu_s()
 
-    def said(text: str) -> None:
-        print(f"  {time.process_time() - begun_s:6.1f} s  {text}", file=sys.stderr, flush=True)
+    def said(text: str, done: int = 0, total: int = 0) -> None:
+        print(f"  {cpu_s() - begun_s:6.1f} s  {text}", file=sys.stderr, flush=True)
 
     return said
+
+
+def cpu_s() -> float:
+    """CPU time of this process and of the copies of it that have ended."""
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(u.ru_utime + u.ru_stime for u in used)
 
 
 _COMPLETE: dict[tuple[int, int], Cables] = {}

@@ -111,16 +111,16 @@ def fit(
     ):
         selection = session.select_effects(effect or [])
         explorer = _explorer(study, selection, prior, progress, config)
-        model, candidate = session.fit_study(explorer)
+        model, candidate, fitted_to = session.fit_study(explorer)
         warnings: tuple[Doubt, ...] = lacking_doubt(model.lacks)
         trials: Sequence[Agreement] = ()
         with suppress(KeyboardInterrupt):
             warnings = (*fit_doubts(explorer, candidate), *warnings)
-            trials = agreement(explorer.prepared, candidate.fit, progress)
+            trials = agreement(fitted_to, candidate.fit, progress)
             if profile is not None:
                 from cell.lab.profiles import each_profile, profile_sentences
 
-                for one in each_profile(explorer.prepared, candidate.fit, model, progress):
+                for one in each_profile(fitted_to, candidate.fit, model, progress):
                     found.append(one)
                     said = [f"{sentence}." for sentence in profile_sentences(found)]
         if interrupted:
@@ -393,8 +393,10 @@ def study(
 
     with refusing(), working("study"):
         check_new_study(out, force=force)
-        gathered = gather_into(out, runs)
-    print(f"{out}: {len(gathered.trials)} trials of {len(runs)} cycles")
+        gathered, left_out = gather_into(out, runs)
+    for line in left_out:
+        print(f"left out: {line}", file=sys.stderr)
+    print(f"{out}: {len(gathered.trials)} trials of {len(runs) - len(left_out)} cycles")
 
 
 @contextmanager

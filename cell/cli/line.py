@@ -52,13 +52,14 @@ def learn(
     cables show it.  Ends with 0 if a candidate passed every gate or nothing is missing, 1 if one
     was found that did not pass, 2 if what was given is wrong.
     """
-    from cell.lab.candidate import write_candidate
+    from cell.lab.candidate import lines_of, write_candidate
     from cell.lab.cycles import read_cycles
     from cell.lab.discover import Laws, laws_in
     from cell.lab.gates import best_judged
     from cell.lab.learn import learn as learn_from
     from cell.lab.session import select_effects
     from cell.settings import load_settings
+    from cell.settings.line import other_lines
     from cell.settings.translate import cable_of, identification_of
 
     known: list[Lesson] = []
@@ -72,6 +73,7 @@ def learn(
         settings = load_settings(config)
         cable, options = cable_of(settings), identification_of(settings)
         cycles, left_out = read_cycles(runs, cable)
+        lines = lines_of(cycles, settings)
         library = select_effects([], effect or []).candidates
         if laws is not None:
             more = laws_in(
@@ -82,14 +84,15 @@ def learn(
         kept = more.keep(lesson.best.effects if lesson.best else ())
         again = _again(runs, config, out, effect or [], laws)
         todo, motion = _asking(lesson, config, out, again, progress)
-    for line in left_out:
-        print(f"left out: {line}", file=sys.stderr)
+    missed = [f"left out: {line}" for line in (*left_out, *lesson.left_out)]
+    for line in (*missed, *other_lines(lines, settings)):
+        print(line, file=sys.stderr)
 
     def printed() -> None:
         _print(lesson, judgement, [*(f"its law is in {path}" for path in kept), *todo])
 
     def candidate(path: Path) -> None:
-        write_candidate(path, lesson, judgement, settings.model)
+        write_candidate(path, lesson, judgement, settings.model, lines)
 
     if lesson.best is None:
         deliver(printed)
@@ -199,8 +202,17 @@ def promote(
     undo: Annotated[
         bool, typer.Option("--undo", help="Go back to the model before the last promotion.")
     ] = False,
+    from_another_line: Annotated[
+        bool,
+        typer.Option(
+            "--from-another-line", help="Take also what was learned on another line than this."
+        ),
+    ] = False,
 ) -> None:
     """Write a candidate's model into the settings, or take the last one out again.
+
+    A candidate that was learned with another data sheet, camera, arm, calibration or simulated
+    world is refused, unless it is said that this is meant.
 
     Comments and order are kept; the settings as they were go to a folder beside.  Killed at any
     moment it leaves the old settings or the new ones.
@@ -216,5 +228,7 @@ def promote(
             entry = undo_last(config)
             print(f"{config}: the model is again that of {entry}")
         else:
-            entry = promote_model(read_candidate(candidate), config)
+            entry = promote_model(
+                read_candidate(candidate), config, from_another_line=from_another_line
+            )
             print(f"{config}: has the model of {candidate}; the former settings are in {entry}")

@@ -114,7 +114,7 @@ def run(
                 if dry_run:
                     plan = cell.rehearsal(plan, speed)
                 progress = shown.enter_context(RunProgress(cycles, plan.names))
-                for result in _results(cell, plan, cycles, progress):
+                for result in _results(cell, plan, cycles, progress, (config, settings)):
                     results.append(result)
                     if as_json:
                         emit(json.dumps(result.to_json(), ensure_ascii=False))
@@ -133,8 +133,13 @@ def run(
     raise typer.Exit(ALL_DONE if len(reached) == cycles else NOT_ALL_DONE)
 
 
-def _results(cell: Cell, plan: Plan, cycles: int, progress: RunProgress) -> Iterator[Result]:
-    """Results of one cycle after another, up to the first that fails; keys hold and go on."""
+def _results(
+    cell: Cell, plan: Plan, cycles: int, progress: RunProgress, begun: tuple[Path, Settings]
+) -> Iterator[Result]:
+    """Results of one cycle after another, up to the first that fails; keys hold and go on.
+
+    begun  the settings' file, and what it said when the run began: told once if it has changed
+    """
     from cell.records.result import Outcome
     from cell.terminal.console import KEYS, MAY_HOLD
     from cell.terminal.keyboard import Keyboard
@@ -145,11 +150,14 @@ def _results(cell: Cell, plan: Plan, cycles: int, progress: RunProgress) -> Iter
             cell.command(event, f"key {key}")
             progress.hint(hint)
 
+    said = ""
     with Keyboard(on_key) as keyboard:
         if keyboard.listens:
             progress.hint(MAY_HOLD)
         for number in range(1, cycles + 1):
             result = cell.run_cycle(number, plan)
+            if not said and (said := _another_model(*begun)):
+                progress.say(said)
             yield result
             if result.outcome is Outcome.FAILED:
                 return
@@ -202,6 +210,24 @@ def _changes(out: Path, results: list[Result], config: Path, settings: Settings)
     if worse:
         lines += [*map(str, worse), _taken_back(config, settings.promotion.withdraw)]
     return lines
+
+
+def _another_model(config: Path, settings: Settings) -> str:
+    """That the settings' file has another model by now than this run was begun with; or ""."""
+    from cell.files.input_error import InputError
+    from cell.settings import load_settings
+    from cell.settings.translate import model_hash
+
+    try:
+        now, begun = model_hash(load_settings(config).model), model_hash(settings.model)
+    except InputError:  # it is being edited: whoever reads it next says what is wrong
+        return ""
+    if now == begun:
+        return ""
+    return (
+        f"{config} has another model by now, {now}: the cycles of this run still use {begun}, with "
+        "which it was begun; end it and run again to use the new one"
+    )
 
 
 def _taken_back(config: Path, withdraw: bool) -> str:

@@ -146,11 +146,11 @@ def _of_all(prepared: PreparedStudy, fit: Fit) -> Fit:
 
 
 def _quantities(fit: Fit) -> list[_Quantity]:
-    """The level of EI, the viscosity, and whatever of the fit's effects is free."""
+    """The geometric mean of EI along the cable, the viscosity, and what of the effects is free."""
     space = fit.space
     unit = np.eye(len(space.names))
     level = unit[: space.knots].sum(axis=0)
-    found = [_Quantity("rigidity", space.units[0], level, True, MODEL_ERROR)]
+    found = [_Quantity("mean_rigidity", space.units[0], level, True, MODEL_ERROR)]
     known = {f"{e.name}.{p.name}" for e in space.effects for p in e.parameters if not p.fitted}
     for i in range(space.knots, len(space.names)):
         if space.names[i] in ("exponent", *known) or space.low[i] == space.high[i]:

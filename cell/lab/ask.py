@@ -8,7 +8,8 @@ import numpy as np
 
 from cell.lab.cycles import RecordedCycle
 from cell.lab.explore import Progress, no_progress
-from cell.lab.learn import EffectFit, Lesson
+from cell.lab.learn import Lesson
+from cell.lab.lesson_search import EffectFit
 from cell.lab.suggest import MOST_CANDIDATES, Option, Rival, Suggestion, telling_motions
 from cell.settings.surroundings import Surroundings
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -12,15 +13,39 @@ import numpy as np
 from cell.files.atomic import write_whole
 from cell.files.yaml_document import yaml_text
 from cell.identify.model_class import source_of
+from cell.lab.cycles import RecordedCycle
 from cell.lab.gates import Judgement
 from cell.lab.learn import Lesson
+from cell.settings import Settings, load_settings
+from cell.settings.line import distinct, line_of
 from cell.settings.model import Model
 from cell.settings.promotion import FORMAT
 from cell.settings.translate import model_hash
 
 
-def write_candidate(path: Path, lesson: Lesson, judgement: Judgement, present: Model) -> None:
-    """Write what was learned; `read_candidate` reads it."""
+def lines_of(cycles: Sequence[RecordedCycle], settings: Settings) -> list[dict[str, Any]]:
+    """The lines that cycles were recorded on; one without settings of its own counts as here.
+
+    raises  InputError: a cycle's settings cannot be read
+    """
+    recorded = [c.folder / "settings.yaml" for c in cycles]
+    return distinct(
+        [line_of(load_settings(path) if path.exists() else settings) for path in recorded]
+    )
+
+
+def write_candidate(
+    path: Path,
+    lesson: Lesson,
+    judgement: Judgement,
+    present: Model,
+    lines: Sequence[Mapping[str, Any]],
+) -> None:
+    """Write what was learned, and what from; `read_candidate` reads it.
+
+    present  the model beside which it was learned
+    lines    on which the cycles were recorded, as `lines_of` has them
+    """
     content = {
         "format": FORMAT,
         "beside": model_hash(present),
@@ -29,6 +54,8 @@ def write_candidate(path: Path, lesson: Lesson, judgement: Judgement, present: M
         "gates": [{"gate": g.name, "passed": g.passed, "found": g.found} for g in judgement.gates],
         "forecasts": [_plain(asdict(f)) for f in judgement.paired],
         "votes": [_plain(asdict(v)) for v in lesson.votes],
+        "left_out": list(lesson.left_out),
+        "lines": list(lines),
         "cycles": [str(c.folder.resolve()) for c in lesson.cycles],
     }
     write_whole(path, yaml_text(content))

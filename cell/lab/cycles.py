@@ -10,7 +10,7 @@ import numpy as np
 
 from cell.cable.geometry import Cable
 from cell.files.input_error import InputError, Problem
-from cell.records.folder import read_record
+from cell.records.folder import is_cycle, read_record
 from cell.records.result import Outcome
 from cell.study.data import Study, Trial
 from cell.study.folder import read_study
@@ -18,6 +18,9 @@ from cell.study.left_out import without_wrong_samples
 
 #: Data sheets of the same cable agree to this.
 SAME = 1e-6
+#: Why a cycle is left out that ended, or was killed, before its study was written.
+UNMEASURED = "nothing was measured"
+NONE_MEASURED = "no cycle here has measurements"
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +55,7 @@ def read_cycles(runs: Sequence[Path], cable: Cable) -> tuple[list[RecordedCycle]
     for folder in _folders(runs):
         cycle = _read(folder)
         if cycle is None:
-            left_out.append(f"{folder}: nothing was measured")
+            left_out.append(f"{folder}: {UNMEASURED}")
             continue
         cleaner = without_wrong_samples(cycle.study)
         left_out += [n.removesuffix("; left out") for n in cleaner.notes[len(cycle.study.notes) :]]
@@ -65,13 +68,28 @@ def read_cycles(runs: Sequence[Path], cable: Cable) -> tuple[list[RecordedCycle]
                 raise InputError([Problem(place, 1, None, f"cable.{name}", message)])
         found.append(cycle)
     if not found:
-        raise InputError([Problem(Path(runs[0]), 1, None, "", "no cycle here has measurements")])
+        raise InputError([Problem(Path(runs[0]), 1, None, "", NONE_MEASURED)])
     return sorted(found, key=lambda c: c.name), left_out
+
+
+def measured(runs: Sequence[Path]) -> tuple[list[Path], list[str]]:
+    """Folders without those of cycles that measured nothing; and what was left out, why.
+
+    raises  InputError: none is left
+    """
+    empty = [run for run in runs if is_cycle(run) and not _has_study(run)]
+    if runs and len(empty) == len(runs):
+        raise InputError([Problem(Path(runs[0]), 1, None, "", NONE_MEASURED)])
+    return [run for run in runs if run not in empty], [f"{run}: {UNMEASURED}" for run in empty]
+
+
+def _has_study(run: Path) -> bool:
+    return any((folder / "study.yaml").exists() for folder in (run, run / "study"))
 
 
 def _folders(runs: Sequence[Path]) -> Iterator[Path]:
     for run in runs:
-        if (run / "state.json").exists() or (run / "study.yaml").exists():
+        if is_cycle(run) or (run / "study.yaml").exists():
             yield run
             continue
         inside = sorted(p.parent for p in run.glob("*/state.json")) if run.is_dir() else []
@@ -85,6 +103,8 @@ def _read(folder: Path) -> RecordedCycle | None:
     if (folder / "state.json").exists():
         record = read_record(folder)
         study, outcome = record.study, record.result.outcome if record.result else None
+    elif is_cycle(folder):
+        study, outcome = None, None
     else:
         study, outcome = read_study(folder), None
     if study is None:

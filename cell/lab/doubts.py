@@ -10,6 +10,7 @@ from cell.cable.effects.base import Effect
 from cell.lab.explore import Candidate, Explorer
 from cell.lab.fitting import Fit, fit_trials
 from cell.lab.noise import Floor
+from cell.lab.prepared import ERRS
 from cell.lab.results import Doubt
 
 #: A model that leaves this share of what the markers move (rms) is no model of the cable.
@@ -25,6 +26,8 @@ BEYOND_NOISE = 3.0
 UNLIKE_ANY = 20.0
 #: Two fits are different minima if EI differs by more than this factor anywhere.
 APART = 2.0
+#: Or if a parameter of an effect differs by more than so many standard deviations.
+APART_STD = 3.0
 #: Effects that a warning names, at most.
 TOLD = 3
 #: An amplitude is at its bound within this share of the way there from none of the effect.
@@ -81,7 +84,9 @@ def _wrong_minimum(explorer: Explorer, candidate: Candidate) -> list[Doubt]:
     noise_m, fit = explorer.prepared.floor.noise.std_m, candidate.fit
     left_m = max(fit.rms_m, candidate.heldout.rms_m if candidate.heldout else 0.0)
     if not left_m > BEYOND_NOISE * noise_m:
-        return []
+        second = explorer.second
+        as_good = second is not None and second.rms_m <= ERRS * fit.rms_m
+        return _starts_disagree(explorer) if as_good else []
     found = []
     rigidity = fit.model.rigidity_n_m2
     differs = float(rigidity.max() / rigidity.min())
@@ -99,22 +104,43 @@ def _wrong_minimum(explorer: Explorer, candidate: Candidate) -> list[Doubt]:
 
 
 def _starts_disagree(explorer: Explorer) -> list[Doubt]:
-    """Of a baseline that ends elsewhere from a second start."""
+    """Of a baseline that ends elsewhere from a second start, in EI or in its effects."""
     base, other = explorer.baseline().fit, explorer.elsewhere()
     if other is None:
         return []
     apart = np.log(other.model.rigidity_n_m2) - np.log(base.model.rigidity_n_m2)
     factor = float(np.exp(np.abs(apart).max()))
-    if factor < APART:
+    found = [f"EI up to {factor:.1f}-fold apart"] if factor >= APART else []
+    found += _effects_apart(base, other)
+    if not found:
         return []
     return [
         Doubt(
             "starts_disagree",
             f"from two starts the fit ends in different places: one misses {base.rms_m * 1e3:.3g} "
-            f"mm, the other {other.rms_m * 1e3:.3g} mm, with EI up to {factor:.1f}-fold apart; "
-            "there may be a better one",
+            f"mm, the other {other.rms_m * 1e3:.3g} mm, with {' and '.join(found)}; there may be a "
+            "better one",
         )
     ]
+
+
+def _effects_apart(base: Fit, other: Fit) -> list[str]:
+    """Parameters of effects in which two fits differ by more than what is left of either allows."""
+    values, others = base.space.natural(base.q), other.space.natural(other.q)
+    found = []
+    for i, name in enumerate(base.space.names):
+        if "." not in name:
+            continue
+        variance = sum(_widened(fit) * fit.covariance[i, i] for fit in (base, other))
+        if abs(other.q[i] - base.q[i]) > APART_STD * np.sqrt(variance):
+            unit = "" if base.space.units[i] == "1" else f" {base.space.units[i]}"
+            found.append(f"{name} {values[i]:.3g} and {others[i]:.3g}{unit}")
+    return found
+
+
+def _widened(fit: Fit) -> float:
+    """By which what a fit leaves widens variances, at least 1."""
+    return max(1.0, fit.chi2 / max(1, int(np.count_nonzero(fit.solution.residual))))
 
 
 def lacking_doubt(lacks: Sequence[str]) -> tuple[Doubt, ...]:

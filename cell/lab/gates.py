@@ -18,8 +18,9 @@ from cell.cable.statics import UnsettledError
 from cell.identify.individual import CableRejectedError, IdentifyOptions, identify
 from cell.identify.model_class import ModelClass
 from cell.lab.cycles import RecordedCycle
-from cell.lab.learn import EffectFit, Lesson
-from cell.lab.shared import BIAS_M, along_end
+from cell.lab.learn import Lesson
+from cell.lab.lesson_search import EffectFit
+from cell.lab.shared import BIAS_M, Spread, along_end
 from cell.plan.destination import Destination
 from cell.plan.passage import measured_passage
 from cell.settings import Settings
@@ -41,6 +42,9 @@ REPEATABILITY_M = 1e-4
 FIRST_SHARE = 0.6
 #: A parameter must differ from what it is without the effect by so many standard deviations.
 IDENTIFIABLE = 3.0
+#: Cables of one line may differ in an effect by this share of it; where Cochran's Q says with this
+#: significance that they differ by more, they are of two lines, or have it in another way.
+ALIKE, HETEROGENEOUS = 0.1, 0.01
 
 
 @dataclass(frozen=True)
@@ -269,7 +273,8 @@ def gates(lesson: Lesson, paired: Sequence[ForecastPair], destination: Destinati
     if len(paired) >= FEWEST:
         gate += [_better(paired, lesson.noise_m), _worst(before, after)]
         gate.append(_passing(before, after, destination))
-    return [*gate, _inside(lesson.best), _identifiable(lesson.best), _consistent(lesson)]
+    tried = lesson.best
+    return [*gate, _inside(tried), _identifiable(tried), _consistent(lesson), _alike(tried)]
 
 
 def _better(paired: Sequence[ForecastPair], noise_m: float) -> Gate:
@@ -361,3 +366,28 @@ def _consistent(lesson: Lesson) -> Gate:
     passed = all(0.5 < v < 2.0 for v in remain)
     found = f"{min(remain, default=1.0):.2f} … {max(remain, default=1.0):.2f} of it remain"
     return Gate("whichever cable is left out", passed, found)
+
+
+def _alike(tried: EffectFit) -> Gate:
+    """Whether all cables have the effects alike: Cochran's Q beyond what cables may differ by.
+
+    source  Cochran 1954, Biometrics 10, 101
+    """
+    name = "all cables have it alike"
+    values, std = tried.fit.by_cable
+    if len(values) < 2:
+        return Gate(name, False, "1 cable")
+    least: tuple[float, str] = (np.inf, "")
+    for effect in tried.effects:
+        if (clearest := _clearest(tried, effect)) is None:
+            continue
+        i, none, _ = clearest
+        size = abs(float(tried.fit.theta[i]) - none)
+        may = ALIKE * (1.0 if tried.fit.space.logarithmic[tried.fit.common[i]] else size)
+        spread = Spread.of(values[:, i], np.hypot(std[:, i], may))
+        found = (
+            f"{tried.names[i]} differs by {spread.tau:.2g} beyond a tenth of it: "
+            f"Q {spread.q:.1f} of {spread.freedom}, p = {spread.p_value:.1g}"
+        )
+        least = min(least, (spread.p_value, found))
+    return Gate(name, least[0] >= HETEROGENEOUS, least[1] or "no strength is fitted")

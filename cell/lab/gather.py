@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from cell.files.input_error import InputError, Problem
 from cell.files.yaml_document import Document, Key, read_yaml
 from cell.identify.noise import still_frames
+from cell.lab.cycles import measured
 from cell.study.data import Study, Trial
 from cell.study.folder import read_study, study_folder, write_study
 
@@ -76,14 +77,16 @@ def gather(runs: Sequence[Path], name: str) -> Study:
     return replace(first.study, name=name, trials=tuple(trials), noise_std_m=stated_m)
 
 
-def gather_into(folder: Path, runs: Sequence[Path]) -> Study:
+def gather_into(folder: Path, runs: Sequence[Path]) -> tuple[Study, list[str]]:
     """The studies of cycles gathered into one, written to a folder and named after it.
 
-    raises  InputError: as `gather`
+    returns  the study; and which cycles were left out because nothing was measured in them
+    raises   InputError: as `gather`, or nothing was measured in any
     """
-    study = gather(runs, folder.name)
+    found, left_out = measured(runs)
+    study = gather(found, folder.name)
     write_study(study, folder)
-    return study
+    return study, left_out
 
 
 def _read(run: Path) -> _Cycle:

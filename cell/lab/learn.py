@@ -7,84 +7,34 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc as chi2_sf
 
 from cell.cable.effects.base import Effect
 from cell.cable.geometry import Cable
-from cell.identify.gauss_newton import Options
 from cell.identify.individual import CableRejectedError, IdentifyOptions, identify
-from cell.identify.parameters import ParameterSpace
 from cell.lab.cycles import RecordedCycle
-from cell.lab.fitting import Fit
+from cell.lab.fitting import space_with
+from cell.lab.lesson_search import (
+    SECOND,
+    Budget,
+    EffectFit,
+    Progress,
+    Search,
+    is_tied,
+    on_all,
+)
 from cell.lab.prepared import PreparedStudy
-from cell.lab.score import holm
-from cell.lab.screen import ScreenedEffect, screen, shapes_of
 from cell.lab.shared import BIAS_M, SharedFit, Spread, fit_shared, prepared_cycle
 
 FloatArray = NDArray[np.float64]
 
 #: Cables that the library is tried on; and that a model is then fitted to, at most.
 TRIED_ON, FITTED_TO = 4, 12
-#: Effects of the screen that are refitted, besides those that are not smooth.
-BEST = 4
-#: Starts of a fit are compared on so many cables, with so many passes.
-START_ON, FIRST_PASSES = 1, Options(tolerance=1.0, most_passes=6)
-#: Of an effect with more shapes than this a refit begins with several, the likeliest of the cable
-#: that shows it best: the middle of what cables show is none of them.
-SEVERAL, PLACES = 12, 3
-#: Share of what the slope says that a refit begins with.
-A_LITTLE = 0.05
-#: Fits whose χ² is within this factor of the best are taken to convergence.
-NEAR, ALL_PASSES = 2.0, Options(tolerance=0.3, most_passes=30)
 #: Family-wise, over the library (Holm).
 SIGNIFICANCE = 0.01
-#: Effects are one class if their χ², over its inflation, differs by less; as in a diagnosis.
-TIE = 9.0
 #: A model is complete for the line if it misses by no more than this above the noise, m.
 NEGLIGIBLE_M = 5e-6
 #: Standard deviations that are still chance.
 CHANCE = 3.0
-#: Share of what an effect does that `shared.SOLVER` may err by: of two that are the same physics, a
-#: late arm and a late camera, the one that was there explained less by 0.4 % of it.
-SIMULATED = 0.005
-
-Progress = Callable[[str], None]
-
-
-@dataclass(frozen=True, eq=False)
-class EffectFit:
-    """Effects fitted to several cables, their parameters shared.
-
-    effects  in the order in which they were added to the model
-    fall     of χ² by the last of them, over the residuals' inflation
-    p_value  of it, adjusted for the size of the library
-    """
-
-    effects: tuple[type[Effect], ...]
-    fit: SharedFit
-    fall: float
-    p_value: float
-
-    @property
-    def effect(self) -> type[Effect]:
-        """The effect that was added last."""
-        return self.effects[-1]
-
-    @property
-    def name(self) -> str:
-        """Names of the effects."""
-        return " + ".join(e.name for e in self.effects)
-
-    @property
-    def firsts(self) -> tuple[int, ...]:
-        """Where the first fitted parameter of each effect stands among the shared ones."""
-        owners = [n.partition(".")[0] for n in self.names]
-        return tuple(owners.index(e.name) for e in self.effects)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Shared parameters, as `effect.parameter`."""
-        return tuple(self.fit.space.names[i] for i in self.fit.common)
 
 
 @dataclass(frozen=True)
@@ -114,6 +64,7 @@ class Lesson:
     spread    of the first parameter of each effect of `best` between cables
     votes     for and against the last effect of `best`
     simpler   the lesson without the last effect; None = there is one effect, or none
+    left_out  what the limit of work has left out
     """
 
     cycles: tuple[RecordedCycle, ...]
@@ -124,6 +75,7 @@ class Lesson:
     spread: tuple[Spread, ...]
     votes: tuple[Vote, ...]
     simpler: Lesson | None = None
+    left_out: tuple[str, ...] = ()
 
     @property
     def between(self) -> FloatArray:
@@ -147,21 +99,25 @@ def learn(
     library: Mapping[str, type[Effect]],
     progress: Progress = lambda _: None,
     known: Callable[[Lesson], None] = lambda _: None,
+    budget: Budget | None = None,
 ) -> Lesson:
     """Which effects the model of `options` lacks, as all cycles together see it.
 
     One at first; a second if the first leaves more than the noise.
     known   is told of what is certain before the end: what the present model misses, the first
             effect
+    budget  of simulations, the usual one if none is given
     raises  ValueError: no cable can be identified; NoiseUnknownError
     """
+    budget = Budget() if budget is None else budget
     usable, starts = [], []
     for cycle in cycles:
         progress(f"identifying {cycle.name}")
         trial = cycle.held or cycle.study.trials[0]
         try:
             found = identify(trial, cycle.study.arc_length_m, cable, options=options)
-        except CableRejectedError:
+        except CableRejectedError as error:
+            budget.left_out.append(f"{cycle.name}: it cannot be identified, {error}")
             continue
         usable.append((cycle, found))
         starts.append(found.model_error_m)
@@ -174,8 +130,12 @@ def learn(
         cycle = usable[i][0]
         return cycle.held is not None, cycle.executed is None, -starts[i]
 
-    chosen = [usable[i] for i in sorted(range(len(usable)), key=rank)[:FITTED_TO]]
-    prepared = [prepared_cycle(cycle.whole) for cycle, _ in chosen]
+    ranked = [usable[i] for i in sorted(range(len(usable)), key=rank)]
+    chosen, more = ranked[:FITTED_TO], ranked[FITTED_TO:]
+    if more:
+        named = ", ".join(sorted(cycle.name for cycle, _ in more))
+        budget.left_out.append(f"{named}: {FITTED_TO} cables are learned from at most")
+    prepared = [prepared_cycle(cycle.whole, budget.work) for cycle, _ in chosen]
     plausible = np.array([found.mean for _, found in chosen])
     base = options.kind.space(cable, chosen[0][0].study.gravity_m_per_s2)
     progress("fitting the present model")
@@ -184,27 +144,49 @@ def learn(
     others = [e for e in library.values() if e not in base.effects]
     baseline = fit_shared(prepared, base, np.vstack([a.q for a in alone]))
     names = tuple(c for c, _ in chosen)
-    none = Lesson(names, baseline, (), None, (), (), ())
-    known(none)
-    if negligible(baseline):
-        return none
-    search = _Search(tuple(few), base, plausible[:TRIED_ON], len(others), progress)
-    tried = search.next(alone[:TRIED_ON], others, None)
+    lesson = Lesson(names, baseline, (), None, (), (), ())
+    known(lesson)
+    if not negligible(baseline):
+        search = Search(tuple(few), base, plausible[:TRIED_ON], len(others), budget, progress)
+        lesson = _searched(lesson, search, prepared, plausible, alone[:TRIED_ON], others, known)
+    return replace(lesson, left_out=tuple(budget.left_out))
+
+
+def _searched(
+    none: Lesson,
+    search: Search,
+    prepared: Sequence[PreparedStudy],
+    plausible: FloatArray,
+    alone: Sequence[SharedFit],
+    others: Sequence[type[Effect]],
+    known: Callable[[Lesson], None],
+) -> Lesson:
+    """The lesson with one effect, or two; as it was if none is more than chance.
+
+    none   of the present model
+    alone  that model fitted to each of the search's cables
+    """
+    tried = search.next(alone, others, None)
     first = _lesson(replace(none, ranking=tuple(tried)), search, prepared, plausible, tried)
     if first.best is None or negligible(first.best.fit) or len(others) < 2:
         return first
     known(first)
-    progress(f"looking for what {first.best.effect.name} leaves")
-    kind = replace(options.kind, effects=(*options.kind.effects, first.best.effect))
-    with_it = kind.space(cable, chosen[0][0].study.gravity_m_per_s2)
-    assert with_it.names[len(base.names) :] == first.best.names
-    starts_at = np.hstack([first.best.fit.q, np.tile(first.best.fit.theta, (len(prepared), 1))])
-    left = [fit_shared([p], with_it, starts_at[i : i + 1]) for i, p in enumerate(few)]
+    if not search.budget.allows(SECOND, f"effects beside {first.best.effect.name}"):
+        return first
+    search.progress(f"looking for what {first.best.effect.name} leaves")
+    with_it = space_with(search.base, (*search.base.effects, first.best.effect))
+    assert tuple(with_it.names[i] for i in first.best.fit.common) == first.best.names
+    full = np.tile(with_it.mean, (len(prepared), 1))
+    full[:, : first.best.fit.own], full[:, first.best.fit.common] = (
+        first.best.fit.q,
+        first.best.fit.theta,
+    )
+    left = [fit_shared([p], with_it, full[i : i + 1]) for i, p in enumerate(search.prepared)]
     rest = [e for e in others if e is not first.best.effect]
     second = _lesson(first, search, prepared, plausible, search.next(left, rest, tried[0]))
     if second.best is first.best:
         return first
-    single = search.last_alone(alone[:TRIED_ON], second.ranking[0])
+    single = search.last_alone(alone, second.ranking[0])
     if single is None:
         return second
     # what is as good as it beside the first is as good without
@@ -213,7 +195,7 @@ def learn(
 
 def _lesson(
     before: Lesson,
-    search: _Search,
+    search: Search,
     prepared: Sequence[PreparedStudy],
     plausible: FloatArray,
     tried: Sequence[EffectFit],
@@ -223,8 +205,8 @@ def _lesson(
     if not tried or tried[0].p_value >= SIGNIFICANCE:
         return before
     search.progress(f"fitting {tried[0].name} to {len(prepared)} cables")
-    tied = tuple(t.effect.name for t in tried[1:] if _tied(t, tried[0]))
-    best = _on_all(prepared, search.base, plausible, simpler, tried[0])
+    tied = tuple(t.effect.name for t in tried[1:] if is_tied(t, tried[0]))
+    best = on_all(prepared, search.base, plausible, simpler, tried[0], search.budget)
     values, std = best.fit.by_cable
     falls = (simpler.chi2_by_cable - best.fit.chi2_by_cable) / best.fit.inflation
     last = best.firsts[-1]
@@ -246,25 +228,6 @@ def _lesson(
     )
 
 
-def library_first(ranked: Sequence[EffectFit]) -> list[EffectFit]:
-    """The likeliest first; a law of a file gives way to an effect of the library that explains as
-    much: its free exponents and places always explain a little more.
-    """
-    named = [t for t in ranked[:1] if t.effect.file is not None]
-    same = [t for t in ranked[1:] if named and t.effect.file is None and _tied(t, ranked[0])]
-    return sorted(ranked, key=lambda t: t is not same[0]) if same else list(ranked)
-
-
-def _tied(other: EffectFit, best: EffectFit) -> bool:
-    """Whether an effect explains as much, or would: its fit was left short of its end.
-
-    As much is less than what noise or the simulation's own error can make of it.
-    """
-    left = other.fit.solution.promised if other.fit.chi2 < NEAR * best.fit.chi2 else 0.0
-    as_much = max(TIE, SIMULATED**2 * best.fall)
-    return best.fall - other.fall - left / best.fit.inflation < as_much
-
-
 def negligible(fit: SharedFit) -> bool:
     """Whether a model misses no more than the noise, for the line's purpose.
 
@@ -276,180 +239,3 @@ def negligible(fit: SharedFit) -> bool:
         return False
     beyond_m = fit.end_seen_beyond_m
     return abs(float(beyond_m.mean())) < CHANCE * BIAS_M / float(np.sqrt(len(beyond_m)))
-
-
-@dataclass(frozen=True, eq=False)
-class _Search:
-    """Looks for the next effect on a few cables.
-
-    base       parameters of one cable without the shared effects
-    plausible  (cables, own) where refits begin: each cable as its hold shows it, frames weighed by
-               what the model misses.  A fit that takes its misfit for information bends EI(s) until
-               it imitates an effect, to where some of it is no longer seen: no way leads back.
-    library    number of effects that could be named
-    """
-
-    prepared: tuple[PreparedStudy, ...]
-    base: ParameterSpace
-    plausible: FloatArray
-    library: int
-    progress: Progress
-
-    def next(
-        self,
-        alone: Sequence[SharedFit],
-        others: Sequence[type[Effect]],
-        simpler: EffectFit | None,
-    ) -> list[EffectFit]:
-        """The likeliest of the other effects, fitted to all cables at once, the best first.
-
-        alone    the simpler model fitted to each cable alone, its effects among the own parameters
-        simpler  effects before it, fitted to these cables; None = none
-        """
-        self.progress("screening the library")
-        screens = [screen(p, _as_fit(a), others) for p, a in zip(self.prepared, alone, strict=True)]
-        score: dict[str, float] = {}
-        for screened in screens:
-            for s in screened:
-                score[s.effect.name] = score.get(s.effect.name, 0.0) + s.score.statistic
-        effects = {s.effect.name: s.effect for s in screens[0]}
-        ranked = sorted(effects, key=lambda n: -score[n])
-        names = ranked[:BEST] + [n for n in ranked[BEST:] if not effects[n].smooth]
-        fits = []
-        for name in names:
-            self.progress(f"refitting with {name}")
-            of_it = [s for found in screens for s in found if s.effect.name == name]
-            fit = self._best_start(simpler, effects[name], of_it)
-            if fit is not None:
-                fits.append((effects[name], fit))
-        if not fits:
-            return []
-        best = min((fit for _, fit in fits), key=lambda f: f.chi2)
-        fits = [
-            (e, self._to_its_end(fit, best) if fit.chi2 < NEAR * best.chi2 else fit)
-            for e, fit in fits
-        ]
-        before = sum(a.chi2 for a in alone) if simpler is None else simpler.fit.chi2
-        earlier = () if simpler is None else simpler.effects
-        fewer = 0 if simpler is None else len(simpler.fit.theta)
-        inflation = min(fits, key=lambda f: f[1].chi2)[1].inflation
-        falls = [(before - fit.chi2) / inflation for _, fit in fits]
-        p = [
-            float(chi2_sf(len(fit.theta) - fewer, max(fall, 0.0)))
-            for fall, (_, fit) in zip(falls, fits, strict=True)
-        ]
-        adjusted = holm(p + [1.0] * (self.library - len(p)))[: len(p)]
-        tried = [
-            EffectFit((*earlier, effect), fit, float(fall), float(value))
-            for (effect, fit), fall, value in zip(fits, falls, adjusted, strict=True)
-        ]
-        return library_first(sorted(tried, key=lambda t: -t.fall))
-
-    def last_alone(self, alone: Sequence[SharedFit], pair: EffectFit) -> EffectFit | None:
-        """The last of two effects without the first, if it explains as much as both.
-
-        The first was the best that there was of what began as small; beside it the second has come
-        to where no way led from none of it.
-        """
-        self.progress(f"trying {pair.effect.name} without {pair.effects[0].name}")
-        values = _natural(pair.fit)[len(pair.effects[0].parameters) :]
-        effects = (pair.effect,)
-        try:
-            fit = fit_shared(
-                self.prepared, self.base, pair.fit.q, effects, values, options=ALL_PASSES
-            )
-        except ValueError:
-            return None
-        fall = (sum(a.chi2 for a in alone) - fit.chi2) / fit.inflation
-        p_value = min(1.0, self.library * float(chi2_sf(len(fit.theta), max(fall, 0.0))))
-        single = EffectFit(effects, fit, float(fall), p_value)
-        more = (fit.chi2 - pair.fit.chi2) / pair.fit.inflation
-        return single if more < max(TIE, SIMULATED**2 * fall) else None
-
-    def _to_its_end(self, fit: SharedFit, best: SharedFit) -> SharedFit:
-        """The fit converged: what is compared must not differ by where it was left.
-
-        best  of another effect: what explains as much may do so with the same cables
-        """
-        effects, found = fit.space.effects[len(self.base.effects) :], [fit]
-        for q in [] if fit.solution.converged else [fit.q, *([] if fit is best else [best.q])]:
-            found.append(
-                fit_shared(
-                    self.prepared, self.base, q, effects, _natural(found[-1]), options=ALL_PASSES
-                )
-            )
-        return min(found, key=lambda f: f.chi2)
-
-    def _best_start(
-        self, simpler: EffectFit | None, effect: type[Effect], screened: Sequence[ScreenedEffect]
-    ) -> SharedFit | None:
-        """The effect fitted to all cables, from the start that leads furthest on a few."""
-        effects = (effect,) if simpler is None else (*simpler.effects, effect)
-        known = np.zeros(0) if simpler is None else _natural(simpler.fit)
-        # The slope says how much of it there is, but the cables were fitted without it: from a
-        # little of it all parameters move together.
-        off = np.array([p.default if p.amplitude else np.nan for p in effect.parameters])
-        most = [np.median(np.array([s.starts[0] for s in screened]), axis=0)]
-        if shapes_of(effect) > SEVERAL:
-            clearest = max(screened, key=lambda s: s.score.statistic)
-            most = [*clearest.starts[:PLACES]]
-        places = [np.where(np.isnan(off), m, off + A_LITTLE * (m - off)) for m in most]
-        if not effect.smooth:
-            places += [
-                np.array([p.starts[min(k, len(p.starts) - 1)] for p in effect.parameters])
-                for k in range(3)
-            ]
-        starts = [np.concatenate([known, values]) for values in places]
-        few, q = slice(0, START_ON), self.plausible
-        found: list[SharedFit] = []
-        for values in starts if len(starts) > 1 else ():
-            try:
-                found.append(
-                    fit_shared(
-                        self.prepared[few], self.base, q[few], effects, values, options=FIRST_PASSES
-                    )
-                )
-            except ValueError:
-                continue
-        begin, values = q.copy(), starts[0]
-        if found:
-            best = min(found, key=lambda f: f.chi2)
-            begin[few], values = best.q, _natural(best)
-        try:
-            return fit_shared(self.prepared, self.base, begin, effects, values)
-        except ValueError:
-            return None
-
-
-def _on_all(
-    prepared: Sequence[PreparedStudy],
-    base: ParameterSpace,
-    plausible: FloatArray,
-    simpler: SharedFit,
-    best: EffectFit,
-) -> EffectFit:
-    q = plausible.copy()
-    q[: len(best.fit.q)] = best.fit.q
-    fit = fit_shared(prepared, base, q, best.effects, _natural(best.fit), options=ALL_PASSES)
-    fall = (simpler.chi2 - fit.chi2) / fit.inflation
-    return replace(best, fit=fit, fall=float(fall))
-
-
-def _natural(fit: SharedFit) -> FloatArray:
-    """Natural values of all parameters of the shared effects, those not fitted included."""
-    q = fit.space.mean.copy()
-    q[fit.common] = fit.theta
-    return np.asarray(fit.space.natural(q)[fit.own :])
-
-
-def _as_fit(alone: SharedFit) -> Fit:
-    """The fit of a single cable as the screen takes it."""
-    return Fit(
-        space=alone.space,
-        q=alone.q[0],
-        begun={},
-        solution=alone.solution,
-        chi2=float(alone.chi2_by_cable[0]),
-        objective=alone.chi2,
-        rms_m=alone.rms_m,
-    )

@@ -28,6 +28,8 @@ def lesson_lines(lesson: Lesson, *, so_far: bool = False) -> list[str]:
     if lesson.best is None and so_far:
         return [first, "which effect that is was not found out yet; nothing was written"]
     if lesson.best is None:
+        if lesson.left_out:
+            return [first, "no effect that was tried explains more than chance; not all was tried"]
         return [first, "no effect of the library explains more than chance: the model is complete"]
     best, lines = lesson.best, [first]
     natural = best.fit.space.natural(_point(lesson))[best.fit.common]

@@ -11,7 +11,6 @@ from cell.cable.solver import Solver
 from cell.identify.noise import Whitener
 from cell.lab.fitting import Fit, best_begun
 from cell.lab.prepared import PreparedStudy
-from cell.study.data import Markers
 
 FloatArray = NDArray[np.float64]
 
@@ -52,7 +51,7 @@ def as_its_mesh_shows(prepared: PreparedStudy, fit: Fit) -> PreparedStudy:
         if np.all(np.isfinite(error_m)):
             seen = trial.markers.xy_m + moved.get(trial.name, 0.0) - error_m
             moved[trial.name] = error_m
-            trial = replace(trial, markers=Markers(trial.markers.t_s, seen))
+            trial = replace(trial, markers=replace(trial.markers, xy_m=seen))
         shown.append(trial)
     study = replace(prepared.study, trials=tuple(shown))
     whiteners = {t.name: Whitener(t.markers.xy_m, prepared.noise) for t in study.trials}

@@ -169,7 +169,7 @@ def _near(
 def _weighed_by(explorer: Explorer, error: Noise) -> Explorer:
     """An explorer of all trials together, with a model's own error for noise."""
     weighed = PreparedStudy.of(
-        all_fitted(explorer.prepared.study),
+        all_fitted(explorer.prepared.measured),
         misfit=error,
         solver=COARSE,
         work=explorer.prepared.work,

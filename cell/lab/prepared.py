@@ -50,8 +50,12 @@ class Work:
     def add(self, models: int, duration_s: float, solver: Solver) -> None:
         """Count a batch.  Raises StoppedError: no more are wanted."""
         self.check()
-        cost = solver.segments / SOLVER.segments * SOLVER.step_s / solver.step_s
-        self.simulated_s += models * duration_s * cost
+        self.simulated_s += models * duration_s * self.cost(solver)
+
+    @staticmethod
+    def cost(solver: Solver) -> float:
+        """What a second of motion costs with a solver, over what it costs with `SOLVER`."""
+        return solver.segments / SOLVER.segments * SOLVER.step_s / solver.step_s
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,6 +126,17 @@ class PreparedStudy:
             return replace(self, floor=floor)
         whiteners = {t.name: Whitener(t.markers.xy_m, floor.weighed) for t in self.study.trials}
         return replace(self, floor=floor, noise=floor.weighed, whiteners=whiteners)
+
+    @property
+    def measured(self) -> Study:
+        """The study as it was measured: what its mesh errs by is in it again."""
+        trials = [
+            replace(t, markers=replace(t.markers, xy_m=t.markers.xy_m + self.mesh_m[t.name]))
+            if t.name in self.mesh_m
+            else t
+            for t in self.study.trials
+        ]
+        return replace(self.study, trials=tuple(trials))
 
     def beginning(self, trial: Trial) -> Beginning:
         """What is unknown of how a trial begins."""

@@ -49,7 +49,7 @@ def _without_prior(explorer: Explorer) -> Explorer:
     prepared, space = explorer.prepared, explorer.space
     free = ParameterSpace.of(space.cable, gravity_m_per_s2=space.gravity_m_per_s2)
     return Explorer(
-        PreparedStudy.of(prepared.study, solver=prepared.solver, work=prepared.work),
+        PreparedStudy.of(prepared.measured, solver=prepared.solver, work=prepared.work),
         space_with(free, space.effects),
         explorer.library,
         explorer.progress,

@@ -202,10 +202,10 @@ def explorer_of(
         prepared = PreparedStudy.of(
             study, misfit=misfit(model, _least_rms_m(study, space, model, selection.candidates))
         )
-    effects = [*space.effects, *(e for e in selection.in_model if e not in space.effects)]
-    full = space_with(space, effects)
+    sought = tuple(e for e in selection.in_model if e not in space.effects)
+    full = space_with(space, [*space.effects, *sought])
     prior_q = None if prior is None else full.mean
-    return Explorer(prepared, full, selection.candidates, progress, prior_q)
+    return Explorer(prepared, full, selection.candidates, progress, prior_q=prior_q, sought=sought)
 
 
 def read_kind(config: Path | None) -> ModelClass:
@@ -269,8 +269,8 @@ def read_models(paths: Sequence[Path], cable: Cable, own: Sequence[str]) -> list
     return models
 
 
-def fit_study(explorer: Explorer) -> tuple[Identified, Candidate]:
-    """The best model of a study with the effects of the explorer's space.
+def fit_study(explorer: Explorer) -> tuple[Identified, Candidate, PreparedStudy]:
+    """The best model of a study with the effects of the explorer's space; the study as fitted to.
 
     Where the model errs by more than the camera, its own error is taken for noise and the fit
     repeated, so that the prior keeps a part in what the data then cannot tell.  Its correlation
@@ -280,14 +280,15 @@ def fit_study(explorer: Explorer) -> tuple[Identified, Candidate]:
     prepared = explorer.prepared
     _LOG.info("fitted %s: %.4f mm", prepared.study.name, candidate.fit.rms_m * 1e3)
     if candidate.fit.rms_m <= ERRS * prepared.expected.std_m:
-        return identified(prepared, candidate.fit, explorer.library.values()), candidate
+        return identified(prepared, candidate.fit, explorer.library.values()), candidate, prepared
     left = Noise(candidate.fit.rms_m)
     coarser = Explorer(
-        PreparedStudy.of(prepared.study, misfit=left, solver=prepared.solver),
+        PreparedStudy.of(prepared.measured, misfit=left, solver=prepared.solver),
         explorer.space,
         explorer.library,
         explorer.progress,
+        begin=candidate.fit.q if explorer.sought else None,
     )
     candidate = coarser.baseline()
     model = identified(coarser.prepared, candidate.fit, explorer.library.values())
-    return model, candidate
+    return model, candidate, coarser.prepared

@@ -19,7 +19,7 @@ from cell.identify.noise import Whitener, across
 from cell.identify.parameters import ParameterSpace
 from cell.lab.fitting import space_with
 from cell.lab.noise import noise_floor
-from cell.lab.prepared import PreparedStudy
+from cell.lab.prepared import PreparedStudy, Work
 from cell.study.data import Study, Trial
 
 FloatArray = NDArray[np.float64]
@@ -28,15 +28,21 @@ FloatArray = NDArray[np.float64]
 BIAS_M = 5e-5
 #: Within 0.02 mm of a converged cable, as a bias is; half the cost of the lab's.
 SOLVER = Solver(segments=24, step_s=1.5e-3)
-PASSES = gauss_newton.Options(tolerance=0.3, most_passes=10)
+PASSES = gauss_newton.Options(tolerance=0.3, most_passes=10, least_gain=1e-3, updates=3)
 
 
-def prepared_cycle(study: Study) -> PreparedStudy:
-    """A cycle's study made ready.  Raises NoiseUnknownError."""
+def prepared_cycle(study: Study, work: Work | None = None) -> PreparedStudy:
+    """A cycle's study made ready, its simulations counted as `work`.  Raises NoiseUnknownError."""
     floor = noise_floor(study)
     noise = replace(floor.noise, bias_m=BIAS_M)
     whiteners = {t.name: Whitener(t.markers.xy_m, noise) for t in study.trials}
-    return PreparedStudy(study, floor, noise, whiteners, SOLVER)
+    return PreparedStudy(study, floor, noise, whiteners, SOLVER, work or Work())
+
+
+def simulated_s(cable: PreparedStudy) -> float:
+    """What simulating a cable in all its trials once counts as, s."""
+    spans = (float(t.markers.t_s[-1] - t.markers.t_s[0]) for t in cable.study.trials)
+    return Work.cost(cable.solver) * sum(spans)
 
 
 @dataclass(frozen=True, eq=False)

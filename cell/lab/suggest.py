@@ -45,6 +45,10 @@ STROKES_M = (
 SLOWNESS = (1.0, 1.6)
 #: χ² by which one candidate must beat the other to be believed; as `Rules.tie`.
 DECIDED = 9.0
+#: A motion that decides no oftener than this is not suggested: cable and time are better spent.
+LEAST_POWER = 0.05
+#: Repetitions of a motion that are worth naming, at most.
+MOST_REPEATED = 100
 #: More candidates than these are not told apart by one motion.
 MOST_CANDIDATES = 4
 #: The cable is taken to be within so many standard deviations of its prediction.
@@ -154,13 +158,44 @@ def suggest_motion(
 
     Each candidate may move within what the trials so far leave uncertain of it; what then still
     separates their markers, in standard deviations squared, is the separation.
-    raises  ValueError: nothing is left to tell apart, or no motion keeps the limits
+    raises  ValueError: nothing is left to tell apart, no motion keeps the limits, or none tells
     """
     open_to = [
         Rival(_label(c), c.fit.space, c.fit.q, c.fit.covariance)
         for c in rivals(explorer, examination)
     ]
-    return telling_motions(explorer.prepared, open_to, surroundings, explorer.progress)
+    found = telling_motions(explorer.prepared, open_to, surroundings, explorer.progress)
+    if max(option.power for option in found.options) < LEAST_POWER:
+        raise ValueError(_what_would_help(found, explorer.prepared))
+    return found
+
+
+def _what_would_help(found: Suggestion, prepared: PreparedStudy) -> str:
+    """That no motion tells the candidates apart, how far the best is from it, and what helps.
+
+    Separation grows with the number of repetitions, and with the inverse square of the noise.
+    """
+    best = found.options[0]
+    lacking = DECIDED / max(best.separation, 1e-12)
+    noise_mm = prepared.noise.std_m * 1e3
+    helps = []
+    if lacking <= MOST_REPEATED:
+        helps.append(f"the best one {int(np.ceil(lacking))} times over, each as a trial")
+    if lacking <= MOST_REPEATED**2:
+        helps.append(f"noise of {noise_mm / np.sqrt(lacking):.2g} mm instead of {noise_mm:.2g} mm")
+    if refused := sum(found.refused.values()):
+        wider = ", ".join(f"{count} for the {why}" for why, count in found.refused.items())
+        helps.append(f"room for the {refused} motions that were refused, {wider}")
+    helps.append(
+        "measuring what sets them apart in another way (weigh the cable, look at the jaws)"
+    )
+    first, *others = found.candidates
+    return (
+        f"study {prepared.study.name}: no safe motion tells {first} from {' or '.join(others)}; "
+        f"the best, {best.motion.describe()}, decides with probability {best.power:.2f} "
+        f"(separation χ² {best.separation:.2g}, {DECIDED:g} are needed). "
+        f"What would help: {'; '.join(helps)}"
+    )
 
 
 def telling_motions(

@@ -33,7 +33,8 @@ LIMIT_NOTE = (
 #: Table of what each trial says.
 AGREEMENT_NOTE = (
     "Each trial's own value, 95 %, were the shape of EI along the cable and the exponent known as "
-    "all trials together say; “spread”: standard deviation between trials beyond these intervals"
+    "all trials together say; “mean_rigidity”: EI, geometric mean along the cable; "
+    "“spread”: standard deviation between trials beyond these intervals"
 )
 
 

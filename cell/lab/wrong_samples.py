@@ -32,8 +32,8 @@ def without_wrong_samples(explorer: Explorer) -> tuple[Explorer, tuple[str, ...]
     """
     told: tuple[str, ...] = ()
     for _ in range(_MOST_ROUNDS):
-        study = explorer.prepared.study
         wrong = _wrong(explorer)
+        study = explorer.prepared.measured
         if not any(np.isfinite(w).any() for w in wrong.values()):
             break
         cleaner = leaving_out(study, [wrong[t.name] for t in study.trials])
@@ -67,4 +67,6 @@ def _with_study(explorer: Explorer, study: Study) -> Explorer:
     misfit = None if prepared.noise_is_measured else prepared.noise
     again = PreparedStudy.of(study, misfit=misfit, solver=prepared.solver, work=prepared.work)
     e = explorer
-    return Explorer(again, e.space, e.library, e.progress, e.prior_q)
+    return Explorer(
+        again, e.space, e.library, e.progress, prior_q=e.prior_q, begin=e.begin, sought=e.sought
+    )

@@ -37,6 +37,7 @@ _AS_WRITTEN = "give the file as it was written, or leave the folder out"
 
 #: Enough for state and result, which are written when a cycle ends.
 RESERVE_BYTES = 64 * 1024
+_RESERVE = "reserve"
 
 
 class RecordError(OSError):
@@ -54,7 +55,7 @@ class Record:
     def __init__(self, runs: Path, cycle: int, started: datetime) -> None:
         """Create `runs/<time>-<cycle>`.  Raises RecordError also if it is there already."""
         self.folder = runs / f"{started:%Y%m%dT%H%M%S}.{started.microsecond // 1000:03d}-{cycle}"
-        self._reserve = self.folder / "reserve"
+        self._reserve = self.folder / _RESERVE
         with self._told():
             self.folder.mkdir(parents=True)
             write_whole(self._reserve, bytes(RESERVE_BYTES))
@@ -133,6 +134,11 @@ class Recorded:
     study: Study | None
     model: Mapping[str, Any] | None
     result: Result | None
+
+
+def is_cycle(folder: Path) -> bool:
+    """Whether a folder is a cycle's, even of one that was killed before it had a state."""
+    return (folder / "state.json").exists() or (folder / _RESERVE).exists()
 
 
 def read_record(folder: Path) -> Recorded:

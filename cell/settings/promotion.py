@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from cell.files.atomic import write_whole
 from cell.files.input_error import InputError, Problem
 from cell.files.yaml_document import Document, read_yaml, validate, yaml_text
 from cell.settings.check import load_settings
+from cell.settings.line import differences, line_of
 from cell.settings.model import Model, Settings
 from cell.settings.translate import model_hash
 
@@ -27,12 +29,14 @@ class CandidateModel:
     model     the section, as it will be written
     beside    hash of the model that the line had when it was learned
     failed    gates that it did not pass: name → what was found
+    lines     that it was learned from, as `line_of` has them; none = not known
     """
 
     path: Path
     model: Model
     beside: str
     failed: dict[str, str]
+    lines: tuple[dict[str, Any], ...] = ()
 
 
 def read_candidate(path: Path) -> CandidateModel:
@@ -56,21 +60,27 @@ def read_candidate(path: Path) -> CandidateModel:
     ]
     if problems:
         raise InputError(problems)
+    lines = data.get("lines", [])
+    if not isinstance(lines, list) or not all(isinstance(line, dict) for line in lines):
+        message = "is no list of lines; learn it again"
+        raise InputError([document.problem(("lines",), message)])
     nested = Document(
         path, data["model"], {k[1:]: v for k, v in document.places.items() if k[:1] == ("model",)}
     )
     failed = {str(g["gate"]): str(g["found"]) for g in data["gates"] if g["passed"] is not True}
-    return CandidateModel(path, validate(nested, Model), str(data["beside"]), failed)
+    model = validate(nested, Model)
+    return CandidateModel(path, model, str(data["beside"]), failed, tuple(lines))
 
 
-def promote(candidate: CandidateModel, config: Path) -> Path:
+def promote(candidate: CandidateModel, config: Path, *, from_another_line: bool = False) -> Path:
     """Make the candidate's model that of the settings.
 
     The settings as they were go to the history first; then the file is replaced whole, so that
     whenever this is killed, it holds the old settings or the new ones.
+    from_another_line  the candidate may have been learned on another line
     returns  the file in the history
-    raises   InputError: gates not passed, learned beside another model, settings that are wrong or
-             whose outermost level is not one key a line
+    raises   InputError: gates not passed, learned beside another model or on another line, settings
+             that are wrong or whose outermost level is not one key a line
     """
     config = config.resolve()
     settings = load_settings(config)
@@ -85,6 +95,8 @@ def promote(candidate: CandidateModel, config: Path) -> Path:
             "learn it again from cycles with this model"
         )
         problems.append(Problem(candidate.path, 1, None, "beside", message))
+    if not from_another_line:
+        problems += _of_another_line(candidate, settings)
     if problems:
         raise InputError(problems)
     text = _read(config)
@@ -95,6 +107,19 @@ def promote(candidate: CandidateModel, config: Path) -> Path:
     write_whole(entry, text.encode())
     write_whole(config, changed.encode())
     return entry
+
+
+def _of_another_line(candidate: CandidateModel, settings: Settings) -> Iterator[Problem]:
+    """What says that a candidate was learned elsewhere."""
+    remedy = "learn from cycles of this line, or promote it with --from-another-line"
+    if not candidate.lines:
+        message = f"is missing: nothing says on which line it was learned; {remedy}"
+        yield Problem(candidate.path, 1, None, "lines", message)
+    ours = line_of(settings)
+    for line in candidate.lines:
+        if apart := differences(line, ours):
+            message = f"was learned on another line: {'; '.join(apart)}; {remedy}"
+            yield Problem(candidate.path, 1, None, "lines", message)
 
 
 def undo(config: Path) -> Path:

@@ -115,9 +115,14 @@ class RunProgress:
             done = (number - 1) * len(self._steps) + self._steps.index(step)
             self._progress.update(self._line, completed=done)
         words = step.replace("_", " ")
-        self._stage = Stage(f"{words}, cables done", number - 1, self._cycles, self._started_s)
-        left = self._stage.left(self._now_s())
+        now_s = self._now_s()
+        self._stage = self._stage.then(f"{words}, cables done", number - 1, self._cycles, now_s)
+        left = self._stage.left(now_s)
         self._progress.update(self._line, description=words, number=number, left=left)
+
+    def say(self, words: str) -> None:
+        """Print a line that stays, above the one that moves on."""
+        self._progress.console.print(words, markup=False, highlight=False, soft_wrap=True)
 
     def hint(self, words: str) -> None:
         """Say which key does what."""

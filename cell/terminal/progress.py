@@ -7,23 +7,47 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from rich.console import Console
 from rich.status import Status
 
 #: Off a terminal a line is printed so often, s: enough to see life, too little to fill a log.
 EVERY_S = 10.0
+#: An estimate that is exceeded by no more than this share of it stands.
+SLACK = 0.25
+LONGER = "longer than thought"
 
 
 @dataclass(frozen=True)
 class Stage:
-    """A part of the work: `done` of `total` pieces since `begun_s`; total 0 = cannot be counted."""
+    """A part of the work: `done` of `total` pieces since `begun_s`; total 0 = cannot be counted.
+
+    first   pieces that lay behind when it began
+    ends_s  when it will have ended, as first thought or sooner; None = not known
+    late    whether its pieces show that it takes longer: pieces differ, and an estimate that grows
+            is none
+    """
 
     text: str
     done: int
     total: int
     begun_s: float
+    first: int = 0
+    ends_s: float | None = None
+    late: bool = False
+
+    def then(self, text: str, done: int, total: int, now_s: float) -> Stage:
+        """What is done next: another piece of this part, or another part."""
+        if not total or total != self.total or done < self.done:
+            return Stage(text, done, total, now_s, done)
+        if done in (self.done, self.first):
+            return replace(self, text=text, done=done)
+        each_s = (now_s - self.begun_s) / (done - self.first)
+        ends_s = now_s + each_s * (total - done)
+        known_s = ends_s if self.ends_s is None else self.ends_s
+        late = self.late or ends_s > known_s + SLACK * (known_s - self.begun_s)
+        return replace(self, text=text, done=done, ends_s=min(ends_s, known_s), late=late)
 
     def line(self, started_s: float, now_s: float) -> str:
         """For a person: what is done, for how long it has been, about how long this part takes."""
@@ -32,15 +56,16 @@ class Stage:
             words.append(f"{self.done} of {self.total}")
         words.append(f"{duration(now_s - started_s)} so far")
         if left := self.left(now_s):
-            words.append(f"{left} of this part")
+            words.append(f"{left} of this part" if left != LONGER else f"this part: {left}")
         return ", ".join(words)
 
     def left(self, now_s: float) -> str:
         """About how long this part still takes; empty = not known yet."""
-        if not 0 < self.done < self.total:
+        if self.ends_s is None or not self.done < self.total:
             return ""
-        left_s = (now_s - self.begun_s) / self.done * (self.total - self.done)
-        return f"about {duration(left_s)} left"
+        if self.late or now_s > self.ends_s:
+            return LONGER
+        return f"about {duration(self.ends_s - now_s)} left"
 
 
 class Ticker:
@@ -78,7 +103,7 @@ class Ticker:
 class ProgressLine:
     """Progress of a long computation, shown: call it as each piece begins; use it as a context.
 
-    The time left is that of the part under way, from the pieces it has behind it.
+    The time left is that of the part under way, from the pieces it has behind it.  It only falls.
     """
 
     def __init__(
@@ -97,9 +122,7 @@ class ProgressLine:
 
     def __call__(self, text: str, done: int = 0, total: int = 0) -> None:
         """A piece begins: `done` pieces of `total` lie behind; 0 of 0 = they cannot be counted."""
-        same_part = total and total == self._stage.total and done > self._stage.done
-        begun_s = self._stage.begun_s if same_part else self._now_s()
-        self._stage = Stage(text, done, total, begun_s)
+        self._stage = self._stage.then(text, done, total, self._now_s())
         if self._status is not None:
             self._status.update(self.line())
 

@@ -101,7 +101,7 @@ def test_a_release_noted_30_ms_early_is_found():
 @pytest.mark.parametrize("made", [held, moving])
 def test_the_cable_is_found_however_it_begins(made):
     study = made()
-    model, candidate = fit_study(explorer_of(study, EffectSelection((), {})))
+    model, candidate, _ = fit_study(explorer_of(study, EffectSelection((), {})))
     found = {n: (q, s) for n, q, s in zip(
         model.space.names, model.mean, np.sqrt(np.diag(model.covariance)), strict=True
     )}  # fmt: skip

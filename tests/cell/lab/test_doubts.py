@@ -107,9 +107,44 @@ def test_a_wrong_minimum_far_above_the_noise_says_so(
         prepared=PreparedStudy.of(replace(loaded, noise_std_m=1e-4)),
         baseline=lambda: candidate,
         elsewhere=lambda: None if elsewhere_n_m2 is None else fit(elsewhere_n_m2),
+        second=None,
     )
     found = {w.code for w in fit_doubts(explorer, candidate)}
     assert found - {"beyond_noise"} == codes
+
+
+def test_a_fit_whose_second_start_ends_at_another_place_of_an_effect_says_so(loaded):
+    """A magnet's fit ended at 1.03 mm beside its place without a word, with EI as it should be."""
+    magnet = library()["tip_mass"]
+    space = ParameterSpace.of(loaded.cable, effects=(magnet,))
+    count = len(space.names)
+    where = space.names.index("tip_mass.mass_kg")
+
+    def fit(mass_kg, rms_m):
+        natural = space.natural(space.mean)
+        natural[where] = mass_kg
+        q = space.coordinates(natural)
+        return SimpleNamespace(
+            space=space, q=q, model=space.model(q), rms_m=rms_m, chi2=200.0,
+            covariance=1e-14 * np.eye(count), solution=SimpleNamespace(residual=np.ones(100)),
+        )  # fmt: skip
+
+    def said(second, rms_m):
+        first = SimpleNamespace(fit=fit(1e-5, rms_m), heldout=None)
+        explorer = SimpleNamespace(
+            prepared=PreparedStudy.of(replace(loaded, noise_std_m=1e-4)),
+            baseline=lambda: first,
+            elsewhere=lambda: second,
+            second=second,
+        )
+        return {w.code: w.message for w in fit_doubts(explorer, first)}
+
+    found = said(fit(4e-5, 1.1e-3), 1e-3)["starts_disagree"]
+    assert "one misses 1 mm, the other 1.1 mm, with tip_mass.mass_kg 1e-05 and 4e-05 kg" in found
+    # near the noise, too, if the other is as good; what is far worse is no rival
+    assert "starts_disagree" in said(fit(4e-5, 1.05e-4), 1e-4)
+    assert "starts_disagree" not in said(fit(4e-5, 1e-3), 1e-4)
+    assert "starts_disagree" not in said(fit(1e-5 + 1e-8, 1e-3), 1e-3)
 
 
 def test_of_a_baseline_that_cannot_fit_a_second_start_is_looked_at(make_study, loaded):

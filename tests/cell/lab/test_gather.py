@@ -5,7 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from cell.cli import app
 from cell.files.input_error import InputError
 from cell.lab.gather import gather
 from cell.study.data import Markers
@@ -104,3 +106,22 @@ def test_a_marker_that_is_never_seen_at_rest_tells_nothing(record, measured):
 def test_a_cycle_given_twice_is_refused(record):
     run = record("first")
     assert "given twice" in refused([run, run])
+
+
+def test_a_cycle_that_was_killed_before_it_measured_is_left_out_and_said(record, tmp_path):
+    """One killed cycle of twenty made `cell study runs/*` fail; `learn` left it out."""
+    good = record("first")
+    without_study, without_state = tmp_path / "second", tmp_path / "third"
+    for killed, leaves in ((without_study, "state.json"), (without_state, "reserve")):
+        (killed / "study" / "identify").mkdir(parents=True)
+        (killed / leaves).write_text("{}")
+    runs = [str(folder) for folder in (good, without_study, without_state)]
+    found = CliRunner().invoke(app, ["study", *runs, "-o", str(tmp_path / "together")])
+    assert found.exit_code == 0, found.output
+    assert "4 trials of 1 cycles" in found.stdout
+    for killed in (without_study, without_state):
+        assert f"left out: {killed}: nothing was measured" in found.stderr
+    none = CliRunner().invoke(app, ["study", *runs[1:], "-o", str(tmp_path / "nothing")])
+    assert none.exit_code == 2
+    assert "no cycle here has measurements" in none.output
+    assert not (tmp_path / "nothing").exists()

@@ -17,7 +17,16 @@ from cell.lab.diagnose import diagnose
 from cell.lab.explore import Explorer
 from cell.lab.motion_file import load_motion
 from cell.lab.prepared import PreparedStudy
-from cell.lab.suggest import DECIDED, _separation, strokes, suggest_motion, write_motion
+from cell.lab.suggest import (
+    DECIDED,
+    Option,
+    Stroke,
+    Suggestion,
+    _separation,
+    strokes,
+    suggest_motion,
+    write_motion,
+)
 from cell.plan.measuring import measuring_path
 from cell.settings import load_settings
 from cell.settings.surroundings import CLEARANCE_M, Surroundings, Swept, jaw_points_m
@@ -130,6 +139,25 @@ def test_without_a_safe_motion_it_says_what_forbids_it(tied):
     small = Surroundings(picture_m=((-0.05, 0.05), (-0.05, 0.05)))
     with pytest.raises(ValueError, match=r"none of 144 motions is safe.* 144 for the picture"):
         suggest_motion(*tied, small)
+
+
+def test_a_motion_that_tells_nothing_is_refused_and_it_is_said_what_would_help(tied, monkeypatch):
+    """A motion with power 0.00 was written as if it were worth a cable."""
+    weak = Option(Stroke(0.0, 0.0, -0.05, 0.3), 0.25, "natural_curvature", 0.0)
+    names = ("added_mass", "natural_curvature")
+    found = Suggestion(names, (weak,), Surroundings(), {"picture": 12})
+    monkeypatch.setattr("cell.lab.suggest.telling_motions", lambda *_: found)
+    with pytest.raises(ValueError, match="no safe motion tells") as caught:
+        suggest_motion(*tied, Surroundings())
+    said = str(caught.value)
+    assert "decides with probability 0.00 (separation χ² 0.25, 9 are needed)" in said
+    assert "the best one 36 times over" in said
+    noise_mm = tied[0].prepared.noise.std_m * 1e3
+    assert f"noise of {noise_mm / 6.0:.2g} mm instead of {noise_mm:.2g} mm" in said
+    assert "room for the 12 motions that were refused, 12 for the picture" in said
+    strong = replace(found, options=(replace(weak, power=0.3),))
+    monkeypatch.setattr("cell.lab.suggest.telling_motions", lambda *_: strong)
+    assert suggest_motion(*tied, Surroundings()) is strong
 
 
 def test_a_complete_model_leaves_nothing_to_tell(make_study):

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cell.cli.run import _changes
+from cell.cli.run import _another_model, _changes
 from cell.records.changed_model import worsenings
 from cell.records.folder import Record
 from cell.records.result import Outcome, Result
@@ -74,7 +74,7 @@ def test_the_line_goes_back_by_itself_only_if_the_settings_say_so(
         "model: {effects: [{effect: air_drag}]}\n",
         "utf-8",
     )
-    promote(read_candidate(candidate), config)
+    promote(read_candidate(candidate), config, from_another_line=True)
     settings = load_settings(config)
     second = model_hash(settings.model)
     runs, found = tmp_path / "runs", []
@@ -92,3 +92,21 @@ def test_the_line_goes_back_by_itself_only_if_the_settings_say_so(
     else:
         assert model_hash(load_settings(config).model) == second
         assert lines[-1].endswith(f"cell promote --undo --config {config}")
+
+
+def test_a_run_says_that_its_cycles_do_not_use_what_was_promoted_meanwhile(tmp_path: Path) -> None:
+    config = tmp_path / "cell.yaml"
+    text = (ROOT / "config" / "fake.yaml").read_text(encoding="utf-8")
+    config.write_text(text, "utf-8")
+    begun = load_settings(config)
+    assert _another_model(config, begun) == ""
+    config.write_text(f"# a word\n{text}", "utf-8")
+    assert _another_model(config, begun) == "", "the file changed, the model did not"
+    config.write_text(f"{text}\nmodel: {{effects: [{{effect: air_drag}}]}}\n", "utf-8")
+    said = _another_model(config, begun)
+    hashes = [model_hash(s.model) for s in (load_settings(config), begun)]
+    assert (
+        f"another model by now, {hashes[0]}: the cycles of this run still use {hashes[1]}" in said
+    )
+    config.write_text(f"{text}\nmodel: {{effects: [", "utf-8")
+    assert _another_model(config, begun) == "", "half edited: whoever reads it next complains"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from cell.files.input_error import InputError
 from cell.files.overwriting import check_output
 from cell.files.yaml_document import yaml_text
 from cell.settings import load_settings
+from cell.settings.line import differences, line_of, other_lines
 from cell.settings.promotion import history_of, promote, read_candidate, spliced, undo
 from cell.settings.translate import model_hash
 
@@ -26,6 +28,7 @@ def candidate(tmp_path: Path, config: Path, model: dict, *, passed: bool = True)
         "beside": model_hash(load_settings(config).model),
         "model": model,
         "gates": [{"gate": "forecasts unseen cables better", "passed": passed, "found": "so"}],
+        "lines": [line_of(load_settings(config))],
     }
     path.write_text(yaml_text(content), encoding="utf-8")
     return path
@@ -88,6 +91,46 @@ def test_what_failed_a_gate_or_was_learned_beside_another_model_is_refused(
         promote(good, config)
     undo(config)
     assert config.read_bytes() == before
+
+
+def test_what_was_learned_on_another_line_is_refused_unless_it_is_meant(
+    tmp_path: Path, config: Path
+) -> None:
+    """A tip mass of one line went into the settings of another, with a draught, without a word."""
+    before = config.read_text("utf-8")
+    chosen = read_candidate(candidate(tmp_path, config, DRAG))
+    assert chosen.lines == (line_of(load_settings(config)),), "as it was before it was a file"
+    for old, new, says in (
+        ("width_m: 0.016", "width_m: 0.018", "cable.width_m 0.016, here 0.018"),
+        ("lag_s: 0.03", "lag_s: 0.04", "calibration.typed.lag_s 0.03, here 0.04"),
+        ("ratio: [0.02,", "ratio: [0.03,", "world.damping_ratio [0.02, 0.06], here [0.03, 0.06]"),
+    ):
+        assert old in before, old
+        config.write_text(before.replace(old, new), "utf-8")
+        with pytest.raises(InputError, match="was learned on another line") as refused:
+            promote(chosen, config)
+        assert says in str(refused.value)
+        assert "--from-another-line" in str(refused.value)
+    promote(chosen, config, from_another_line=True)
+    assert load_settings(config).model.effects[0].effect == "air_drag"
+    config.write_text(before, "utf-8")
+    with pytest.raises(InputError, match="nothing says on which line it was learned"):
+        promote(replace(chosen, lines=()), config)
+    promote(chosen, config)
+
+
+def test_how_finely_a_world_is_simulated_makes_no_other_line(config: Path) -> None:
+    settings = load_settings(config)
+    finer = settings.model_copy(
+        update={"world": settings.world.model_copy(update={"segments": 100})}
+    )
+    assert differences(line_of(settings), line_of(finer)) == []
+    assert other_lines([line_of(finer)], settings) == []
+    heated = settings.model_copy(
+        update={"world": settings.world.model_copy(update={"effects": {"draught": {"x": 1.0}}})}
+    )
+    (said,) = other_lines([line_of(finer), line_of(heated)], settings)
+    assert said == "cycles of another line are among these: world.effects.draught.x 1.0, here None"
 
 
 def test_a_gate_without_its_outcome_is_refused(tmp_path: Path, config: Path) -> None:

@@ -25,7 +25,33 @@ def test_the_time_left_is_that_of_the_part_under_way() -> None:
     )
     line("refitted with air_drag", 1, 5)  # a new part begins
     clock[0] += 3.0
-    assert line.line().endswith("1 of 5, 1 min 3 s so far, about 12 s left of this part")
+    assert line.line().endswith("1 of 5, 1 min 3 s so far")
+    line("refitted with draught", 2, 5)
+    assert line.line().endswith("2 of 5, 1 min 3 s so far, about 9 s left of this part")
+
+
+def test_the_time_left_never_grows() -> None:
+    """Two own effects took longer than the rest: "1 min left" became 5 while one was waited for."""
+    clock, line = line_of()
+    line("refitting", 0, 10)
+    clock[0] += 30.0
+    line("refitted with tip_mass", 5, 10)
+    assert "about 30 s left" in line.line()
+    clock[0] += 20.0
+    assert "about 10 s left" in line.line(), "the same piece, 20 s later"
+    line("refitted with air_drag", 6, 10)  # 50 s for six: 83 s in all, thought were 60
+    for _ in range(3):
+        assert line.line().endswith("this part: longer than thought")
+        clock[0] += 20.0
+    line("refitted with draught", 9, 10)
+    assert line.line().endswith("this part: longer than thought")
+    line("refitting with another effect", 0, 9)
+    clock[0] += 9.0
+    line("refitted with draught", 1, 9)
+    assert line.line().endswith("about 1 min 12 s left of this part")
+    clock[0] += 5.0
+    line("refitted with tip_mass", 3, 9)  # faster than thought
+    assert line.line().endswith("about 28 s left of this part")
 
 
 def test_off_a_terminal_a_line_is_printed_at_every_tick(capsys) -> None:
