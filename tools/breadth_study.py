@@ -55,7 +55,8 @@ class Row:
     hidden    the effect, or empty
     reached   its rms shift of the markers over the noise
     power     of a test that knows the truth
-    named     what is claimed or suspected to be missing, ties joined by "|", effects by "+"
+    named     what is claimed, or named with `cannot_tell` (so where no trial is held out): ties
+              joined by "|", effects by "+"
     """
 
     kind: str
@@ -77,20 +78,34 @@ class Row:
         return self.kind == "complete" or self.power >= SEEN
 
     @property
+    def noise_unknown(self) -> bool:
+        """Whether the lab says that the rest tells too little of the noise."""
+        return self.verdict == "refused" or "noise_unknown" in self.warnings
+
+    @property
     def right(self) -> bool:
         if self.kind == "complete":
             return self.verdict == "complete"
         if self.kind == "outside":
             return self.verdict == "unexplained"
-        named = [set(n.split("|")) for n in self.named.split("+") if n]
-        return self.verdict == "missing" and len(named) == 1 and self.hidden in named[0]
+        return self.verdict == "missing" and self.found
+
+    @property
+    def found(self) -> bool:
+        """Whether just the hidden effect is named, claimed or not, or is tied with what is."""
+        named = self.named.split("+")
+        return len(named) == 1 and bool(self._alike & {*named[0].split("|")})
 
     @property
     def wrong(self) -> bool:
         """Whether something is claimed that is not there."""
-        if self.verdict != "missing":
-            return self.kind == "complete" and self.verdict == "unexplained"
-        return any(self.hidden not in n.split("|") for n in self.named.split("+"))
+        named = [{*n.split("|")} for n in self.named.split("+")]
+        return self.verdict == "missing" and any(not self._alike & n for n in named)
+
+    @property
+    def _alike(self) -> set[str]:
+        """The hidden effect and what no motion tells from it."""
+        return set(ONE_CLASS) if self.hidden in ONE_CLASS else {self.hidden}
 
 
 def judged(kind: str, conditions: Conditions, seed: int, known_power: float | None = None) -> Row:
@@ -248,8 +263,9 @@ BINS: dict[str, Callable[[dict[str, float]], bool]] = {
     "6–35 cm": lambda c: c["length_m"] < 0.35,
     "0.35–2 m": lambda c: c["length_m"] >= 0.35,
 }
-COLUMNS = ("complete", "complete: cannot tell", "complete: unexplained", "complete: claimed",
-           "one: right", "one: wrong", "outside: unexplained", "outside: claimed")  # fmt: skip
+COLUMNS = ("complete", "complete: noise unknown", "complete: effect named",
+           "complete: unexplained", "one: named right", "one: claimed wrong",
+           "outside: unexplained", "outside: claimed")  # fmt: skip
 
 
 def table(rows: Iterable[tuple[Row, dict[str, float]]]) -> dict[str, list[str]]:
@@ -261,12 +277,11 @@ def table(rows: Iterable[tuple[Row, dict[str, float]]]) -> dict[str, list[str]]:
         of = {k: [r for r in here if r.kind == k] for k in KINDS}
         hits = {
             "complete": [r.right for r in of["complete"]],
-            "complete: cannot tell": [r.verdict in ("cannot_tell", "refused")
-                                      for r in of["complete"]],
+            "complete: noise unknown": [r.noise_unknown for r in of["complete"]],
+            "complete: effect named": [bool(r.named) for r in of["complete"]],
             "complete: unexplained": [r.verdict == "unexplained" for r in of["complete"]],
-            "complete: claimed": [r.verdict == "missing" for r in of["complete"]],
-            "one: right": [r.right for r in of["one"]],
-            "one: wrong": [r.wrong for r in of["one"]],
+            "one: named right": [r.found for r in of["one"]],
+            "one: claimed wrong": [r.wrong for r in of["one"]],
             "outside: unexplained": [r.right for r in of["outside"]],
             "outside: claimed": [r.wrong for r in of["outside"]],
         }  # fmt: skip

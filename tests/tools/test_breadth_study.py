@@ -74,6 +74,8 @@ def test_what_counts_as_right_and_wrong():
     assert not row("one", "missing", "air_drag+tip_mass", "air_drag").right
     assert row("one", "missing", "air_drag+tip_mass", "air_drag").wrong
     assert not row("one", "cannot_tell", "air_drag", "draught").wrong
+    assert row("one", "cannot_tell", "air_drag|draught", "draught").found
+    assert not row("one", "cannot_tell", "air_drag+tip_mass", "air_drag").found
     assert row("outside", "unexplained", hidden="magnet").right
     assert row("outside", "missing", "air_drag", "magnet").wrong
 
@@ -86,7 +88,7 @@ def test_a_table_counts_only_what_can_be_seen():
             (row("one", "cannot_tell", "", "air_drag", 0.2), conditions)]  # fmt: skip
     cells = dict(zip(breadth_study.COLUMNS, breadth_study.table(rows)["all"], strict=True))
     assert cells["complete"] == "1/2"
-    assert cells["one: right"] == "1/1"
+    assert cells["one: named right"] == "1/1"
 
 
 def test_a_short_rest_of_one_marker_is_no_reason_to_call_a_right_model_wrong():
