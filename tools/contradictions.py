@@ -296,6 +296,11 @@ def order_is_of_what_is_shown(found: Found, text: str) -> list[str]:
     return [] if values == sorted(values, reverse=True) else ["effects are not listed by their χ²"]
 
 
+def _in_code(words: str) -> str:
+    """How the name of a parameter begins that a sentence calls so; its unit is in brackets."""
+    return re.sub(r" \(.*\)$", "", words).replace(" ", "_")
+
+
 def trials_agree(found: Found, text: str) -> list[str]:
     wrong = []
     for a in found["agreement"]:
@@ -304,7 +309,9 @@ def trials_agree(found: Found, text: str) -> list[str]:
     said = next((line for line in text.splitlines() if re.match(r"The \d+ trials ", line)), "")
     for a in found["agreement"]:
         on = re.search(r"agree on ([^:]*)\.$", said)
-        listed = on is not None and a["parameter"] in re.split(r", | and ", on[1])
+        names = [] if on is None else re.split(r", | and ", on[1])
+        name = a["parameter"].replace(".", "_")
+        listed = any(name.startswith(_in_code(words)) for words in names)
         if listed != a["agrees"]:
             wrong.append(f"trials agree on {a['parameter']}: {a['agrees']}, and: {said}")
     return wrong

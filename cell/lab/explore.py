@@ -156,25 +156,36 @@ class Explorer:
             if judged is not self.prepared:
                 fit = fit_model(judged, self.space, start, options=POLISH)
                 self.prepared = judged
-            self.prepared = as_its_mesh_shows(self.prepared, fit)
-            self._know_noise(fit)
-            fit = fit_model(self.prepared, self.space, fit.q, fit.begun, options=POLISH)
+            fit = self._beside_noise_and_mesh(fit)
             self.progress(f"weighing the model with {names}", 2, 3)
             count = self.prepared.count(fit_trials(self.prepared))
             errs = fit.rms_m > ERRS * self.prepared.expected.std_m
             if fit.chi2 > MISFIT * count or (self.sought and errs):
                 best = self._from_other_starts(fit, start, count)
                 if self.sought and best is not fit:  # another model, beside which noise is told
-                    self.prepared = as_its_mesh_shows(self.prepared, best)
-                    self._know_noise(best)
-                    best = fit_model(self.prepared, self.space, best.q, best.begun, options=POLISH)
+                    best = self._beside_noise_and_mesh(best)
                 fit = best
             self.prepared, fit = with_slopes(self.prepared, fit)
             self._known[key] = self._weigh(self.space.effects, fit)
         return self._known[key]
 
+    def _beside_noise_and_mesh(self, fit: Fit) -> Fit:
+        """The fit with the noise that all frames tell beside it, within what the rest allows.
+
+        And without its mesh's error, if it explains the study: one that does not has another.
+        As it was where it cannot be simulated once more.
+        """
+        before = self.prepared
+        self._know_noise(fit)
+        if fit.rms_m <= ERRS * self.prepared.expected.std_m:
+            self.prepared = as_its_mesh_shows(self.prepared, fit)
+        try:
+            return fit_model(self.prepared, self.space, fit.q, fit.begun, options=POLISH)
+        except ValueError:
+            self.prepared = before
+            return fit
+
     def _know_noise(self, fit: Fit) -> None:
-        """Take the noise that all frames tell, within what the rest allows, beside a first fit."""
         floor = self.prepared.floor
         if floor.rest is None or not self.prepared.noise_is_measured:
             return

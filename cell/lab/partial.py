@@ -174,6 +174,7 @@ def _weighed_by(explorer: Explorer, error: Noise) -> Explorer:
         solver=COARSE,
         work=explorer.prepared.work,
     )
+    weighed = replace(weighed, floor=explorer.prepared.floor)
     return Explorer(weighed, explorer.space, explorer.library, explorer.progress, explorer.prior_q)
 
 

@@ -99,7 +99,8 @@ def of_a_finer_model(prepared: PreparedStudy, fit: Fit) -> SmoothPart | None:
     there = systematic(prepared, replace(fit, begun=begun), held)
     fitted = systematic(prepared, fit, fit_trials(prepared))
     mesh = there.mesh + _followed(fit, fitted.mesh[None])[0] @ rows.by_parameters.T
-    changes = [mesh[None], there.hands]
+    doubt = there.doubt + _followed(fit, fitted.doubt[None])[0] @ rows.by_parameters.T
+    changes = [doubt[None], there.hands]
     for part in np.split(np.arange(fitted.hands.shape[1]), fitted.ends[:-1]):
         alone = np.zeros_like(fitted.hands)  # every trial's log is wrong in its own way
         alone[:, part] = fitted.hands[:, part]
@@ -173,7 +174,7 @@ def together(prepared: PreparedStudy, fit: Fit) -> Together | None:
         return None
     linear, wrong, trials = whole.linear, whole.wrong, fit_trials(whole.prepared)
     rows = wrong.ends[-1]
-    changes = [np.append(wrong.mesh, np.zeros(len(linear.left) - rows))[None] * LEFT]
+    changes = [np.append(wrong.doubt, np.zeros(len(linear.left) - rows))[None] * LEFT]
     for part in np.split(np.arange(rows), wrong.ends[:-1]):
         alone = np.zeros((MOTIONS, len(linear.left)))  # every trial's log is wrong in its own way
         alone[:, part] = wrong.hands[:, part] / np.sqrt(MOTIONS)

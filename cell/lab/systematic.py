@@ -30,11 +30,13 @@ class Systematic:
 
     mesh   (rows,) to what a simulation of twice the segments and half the step leaves, beyond what
            has been taken out of the study
+    doubt  (rows,) the same whether taken out or not: a share `LEFT` of it may still be wrong
     hands  (motions, rows) by other motions of the hand, as likely as its log
     ends   (trials,) where the rows of each trial end
     """
 
     mesh: FloatArray
+    doubt: FloatArray
     hands: FloatArray
     ends: NDArray[np.int_]
 
@@ -49,11 +51,11 @@ class Systematic:
         """
         rows = left[: self.ends[-1]]
         by_hand = float(self.by_hand(rows[None])[0, 0])
-        return by_hand + (LEFT * float(self.mesh @ rows)) ** 2
+        return by_hand + (LEFT * float(self.doubt @ rows)) ** 2
 
     def covariance(self, answer: FloatArray) -> FloatArray:
         """(p, p) of what residuals as they are answer by `answer` (p, rows) beyond noise."""
-        by_mesh = answer @ self.mesh
+        by_mesh = answer @ self.mesh if self.mesh is self.doubt else LEFT * (answer @ self.doubt)
         return np.asarray(self.by_hand(answer) + np.outer(by_mesh, by_mesh))
 
     def by_hand(self, answer: FloatArray) -> FloatArray:
@@ -68,19 +70,29 @@ def systematic(prepared: PreparedStudy, fit: Fit, trials: Sequence[Trial]) -> Sy
     begun = {name: values[None] for name, values in fit.begun.items()}
     here = prepared.all_white(trials, [fit.model], begun)[0]
     fine = finer(prepared).predict_all(trials, [fit.model], begun)
-    known = [prepared.mesh_m.get(t.name, 0.0) / (1.0 + LEFT) for t in trials]
-    parts = [
-        prepared.white(t, points - error)[0]
-        for t, points, error in zip(trials, fine, known, strict=True)
-    ]
-    mesh = np.concatenate(parts) - here
+    doubt = _rows(prepared, trials, fine) - here
+    mesh = doubt
+    if prepared.mesh_m:
+        known = [prepared.mesh_m.get(t.name, 0.0) / (1.0 + LEFT) for t in trials]
+        taken = [points - error for points, error in zip(fine, known, strict=True)]
+        mesh = np.nan_to_num(_rows(prepared, trials, taken) - here, nan=0.0)
     ends = np.cumsum([prepared.whiteners[t.name].rows for t in trials])
     hands = [
         _by_other_hands(prepared, fit, trial, rows)
         for trial, rows in zip(trials, np.split(here, ends[:-1]), strict=True)
     ]
     change = np.concatenate(hands, axis=1)
-    return Systematic(np.nan_to_num(mesh, nan=0.0), np.nan_to_num(change, nan=0.0), ends)
+    doubt = np.nan_to_num(doubt, nan=0.0)
+    mesh = mesh if prepared.mesh_m else doubt
+    return Systematic(mesh, doubt, np.nan_to_num(change, nan=0.0), ends)
+
+
+def _rows(
+    prepared: PreparedStudy, trials: Sequence[Trial], predicted_m: Sequence[FloatArray]
+) -> FloatArray:
+    """(rows,) whitened residuals of what one model predicts of trials."""
+    pairs = zip(trials, predicted_m, strict=True)
+    return np.concatenate([prepared.white(t, points)[0] for t, points in pairs])
 
 
 def _by_other_hands(

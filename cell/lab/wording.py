@@ -303,7 +303,7 @@ def places(value: float, many: int) -> str:
 
 def correlation(value: float) -> str:
     """A correlation with its sign; what rounds to 0 has none."""
-    shown = f"{value:+.2f}"
+    shown = f"{value:+z.2f}"
     return shown if float(shown) else "0.00"
 
 

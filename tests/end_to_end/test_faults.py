@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
@@ -191,8 +191,12 @@ def test_a_full_disk_ends_the_cycle_with_a_closed_record_that_says_where_the_cab
                 raise OSError(errno.ENOSPC, "No space left on device")
             write_whole(path, content)
 
+        def write_each(files: Mapping[Path, str | bytes], **_: object) -> None:
+            for path, content in files.items():
+                write(path, content)
+
         monkeypatch.setattr("cell.records.folder.write_whole", write)
-        monkeypatch.setattr("cell.study.folder.write_whole", write)
+        monkeypatch.setattr("cell.study.folder.write_all", write_each)
 
     it = live({"hold_and_capture": disk_full})
     result = it.cell.run_cycle(1)

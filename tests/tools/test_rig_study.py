@@ -109,7 +109,7 @@ def test_a_model_whose_trials_ask_for_an_effect_is_not_called_complete(seed, nam
     assert found.verdict == "cannot_tell"
     assert [w.code for w in found.warnings] == ["suspected"]
     assert f"ask for {name}" in found.warnings[0].message
-    assert sentence(found).endswith(f"of noise; {ASKED}")
+    assert sentence(found).endswith(f"; {ASKED}")
 
 
 def test_a_known_ringing_is_fitted_at_its_own_frequency_by_a_slow_camera():

@@ -27,8 +27,9 @@ KNOWN = library()
 
 def baseline(study):
     prepared = PreparedStudy.of(all_fitted(study))
-    space = ParameterSpace.of(study.cable)
-    return prepared, Explorer(prepared, space, {}).baseline().fit
+    explorer = Explorer(prepared, ParameterSpace.of(study.cable), {})
+    fit = explorer.baseline().fit
+    return explorer.prepared, fit
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +66,8 @@ def test_at_its_limit_an_effect_costs_what_excludes_it(fitted, name):
     prepared, fit = fitted
     effect = KNOWN[name]
     (found,) = limits(Whole(prepared, fit), [effect])
-    prepared = replace(prepared, solver=Solver(segments=64, step_s=5e-4))
+    finer = PreparedStudy.of(prepared.measured, solver=Solver(segments=64, step_s=5e-4))
+    prepared = finer.with_floor(prepared.floor)
     rise = misfit(prepared, fit, effect, found.high) - misfit(prepared, fit, effect)
     reach = 1.960 if name == "camera_scale" else 1.645
     assert np.sqrt(rise) == pytest.approx(reach, rel=0.15)

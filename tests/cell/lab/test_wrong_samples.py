@@ -43,7 +43,7 @@ def test_it_is_left_out_and_told(study):
     expected = xy_m.copy()
     expected[21, 0, 1] = np.nan
     seen = cleaned.prepared.study.trials[0].markers.xy_m
-    assert np.array_equal(seen, expected, equal_nan=True)
+    np.testing.assert_allclose(seen, expected, atol=2e-5)  # its mesh's error is taken out
     assert cleaned.baseline().fit.rms_m < 1.3e-4
 
 

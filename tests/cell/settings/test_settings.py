@@ -155,7 +155,11 @@ MISTAKES = [
     ("exponent: [0.95, 1.05]", "exponent: [0.95]", "world.exponent[1]: is missing"),
     ("effects: {}", "effects: {air_drga: {}}", "unknown effect; did you mean 'air_drag'?"),
     ("effects: {}", "effects: {tip_mass: {kg: 1}}", "tip_mass has no parameter 'kg'; it has"),
-    ("effects: {}", "effects: {tip_mass: {mass_kg: -1}}", "tip_mass.mass_kg = -1.0 kg"),
+    (
+        "effects: {}",
+        "effects: {tip_mass: {mass_kg: -1}}",
+        "tip_mass.mass_kg = -1 kg: must be 0 … 10 kg",
+    ),
     ("cable:\n", "cable:\n\tx: 1\n", ":6:1: is not YAML"),
     ("free_length_m: 0.100", "free_length_m: true", "should be a valid number (got True)"),
     ("hold_s: 1.0", "hold_s: 1e6", "motion.hold_s: input should be less than or equal to 30"),
