@@ -99,7 +99,7 @@ def _conditions(number: int, u: np.ndarray) -> Conditions:
         droop=between(6, 0.5, 20.0),
         noise=between(7, 2e-4, 5e-3),
         colour=float(0.7 * u[8]),
-        pixel=between(9, 0.25, 4.0) if u[9] > 0.5 else 0.0,
+        pixel=between(9, 0.25, 4.0) if u[9] > 0.5 else 0.0,  # so 1 … 4, or not at all
         lost=float(max(0.0, 0.08 * u[10] - 0.04)),
         jitter=float(max(0.0, 0.4 * u[11] - 0.2)),
         log_hz=between(12, 30.0, 500.0),

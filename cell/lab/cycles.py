@@ -14,7 +14,6 @@ from cell.records.folder import is_cycle, read_record
 from cell.records.result import Outcome
 from cell.study.data import Study, Trial
 from cell.study.folder import read_study
-from cell.study.left_out import without_wrong_samples
 
 #: Data sheets of the same cable agree to this.
 SAME = 1e-6
@@ -57,9 +56,6 @@ def read_cycles(runs: Sequence[Path], cable: Cable) -> tuple[list[RecordedCycle]
         if cycle is None:
             left_out.append(f"{folder}: {UNMEASURED}")
             continue
-        cleaner = without_wrong_samples(cycle.study)
-        left_out += [n.removesuffix("; left out") for n in cleaner.notes[len(cycle.study.notes) :]]
-        cycle = _with_study(cycle, cleaner)
         for name, value in vars(cable).items():
             theirs = getattr(cycle.study.cable, name)
             if not np.isclose(theirs, value, rtol=SAME):

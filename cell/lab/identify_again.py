@@ -47,7 +47,9 @@ def read_recorded(folder: Path, config: Path | None, effects: Sequence[str]) -> 
              `select_effects`
     """
     in_model = select_effects(effects).in_model
-    study = without_wrong_samples(read_study(study_folder(folder)))
+    study = read_study(study_folder(folder))
+    if study_folder(folder) == folder:  # what the cell filmed is judged across the cable alone
+        study = without_wrong_samples(study)
     if not study.role("fit"):
         message = "no trial has `role: fit`; mark the one to identify the cable from"
         raise InputError.at(folder, message, key="trials")
