@@ -105,6 +105,8 @@ def _examined(explorer: Explorer, rules: Rules) -> Examination:
     screened = explorer.screened(base)
     singles = explorer.add(base, explorer.worth_refitting(base, rules.best))
     current, cut_short = _searched(explorer, base, len(screened), rules)
+    if current is not base and explorer.settle_mesh(current):
+        return _examined(explorer, rules)
     found = explains(explorer, base, current, rules)
     if found:
         current, tied = _without_anybodys(explorer, base, current, rules)

@@ -134,6 +134,7 @@ class Explorer:
     prior_q: FloatArray | None = None
     begin: FloatArray | None = None
     sought: tuple[type[Effect], ...] = ()
+    _settled: bool = False
     _known: dict[frozenset[str], Candidate] = field(default_factory=dict)
     _screens: dict[frozenset[str], list[ScreenedEffect]] = field(default_factory=dict)
     _tempered: Fit | None = None
@@ -175,6 +176,8 @@ class Explorer:
         And without its mesh's error, if it explains the study: one that does not has another.
         As it was where it cannot be simulated once more.
         """
+        if self._settled:
+            return fit
         before = self.prepared
         self._know_noise(fit)
         if fit.rms_m <= ERRS * self.prepared.expected.std_m:
@@ -184,6 +187,22 @@ class Explorer:
         except ValueError:
             self.prepared = before
             return fit
+
+    def settle_mesh(self, found: Candidate) -> bool:
+        """Take the mesh's error by a model that was found out of the study, and forget all fits.
+
+        The baseline's own, which imitated what was missing, was another.  Noise stays as it is.
+        returns  whether that was to be done: once, and where the baseline's has been taken out
+        """
+        if self._settled or not self.prepared.mesh_m:
+            return False
+        self.prepared, self._settled = as_its_mesh_shows(self.prepared, found.fit), True
+        self._tempered = self._elsewhere = self._prior_candidate = None
+        for remembered in (self._known, self._screens, self._visible):
+            remembered.clear()
+        self._were_polished.clear()
+        self._ways_down.clear()
+        return True
 
     def _know_noise(self, fit: Fit) -> None:
         floor = self.prepared.floor

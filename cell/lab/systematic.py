@@ -55,7 +55,7 @@ class Systematic:
 
     def covariance(self, answer: FloatArray) -> FloatArray:
         """(p, p) of what residuals as they are answer by `answer` (p, rows) beyond noise."""
-        by_mesh = answer @ self.mesh if self.mesh is self.doubt else LEFT * (answer @ self.doubt)
+        by_mesh = answer @ self.doubt  # taken out by another model it may be all wrong
         return np.asarray(self.by_hand(answer) + np.outer(by_mesh, by_mesh))
 
     def by_hand(self, answer: FloatArray) -> FloatArray:
