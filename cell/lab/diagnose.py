@@ -86,12 +86,12 @@ def diagnose(explorer: Explorer, rules: Rules = DEFAULT_RULES) -> Examination:
     try:
         return _examined(explorer, rules)
     except StoppedError:
-        if not explorer.begun():
+        if not explorer.recall():
             raise
         explorer.prepared.work.stopped = False
         return _so_far(explorer, rules)
     except UnsimulatedError:
-        if not explorer.begun():
+        if not explorer.recall():
             raise
         base = explorer.baseline()
         return _unsearched(explorer, base, rules, "cannot_tell", unsimulated_doubt())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import copy
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -135,6 +136,7 @@ class Explorer:
     begin: FloatArray | None = None
     sought: tuple[type[Effect], ...] = ()
     _settled: bool = False
+    _before_settled: Explorer | None = None
     _known: dict[frozenset[str], Candidate] = field(default_factory=dict)
     _screens: dict[frozenset[str], list[ScreenedEffect]] = field(default_factory=dict)
     _tempered: Fit | None = None
@@ -196,13 +198,21 @@ class Explorer:
         """
         if self._settled or not self.prepared.mesh_m:
             return False
+        self._before_settled = copy.copy(self)
         self.prepared, self._settled = as_its_mesh_shows(self.prepared, found.fit), True
         self._tempered = self._elsewhere = self._prior_candidate = None
-        for remembered in (self._known, self._screens, self._visible):
-            remembered.clear()
-        self._were_polished.clear()
-        self._ways_down.clear()
+        self._known, self._screens, self._visible = {}, {}, {}
+        self._were_polished, self._ways_down = set(), set()
         return True
+
+    def recall(self) -> bool:
+        """Know again what was known before `settle_mesh`, if nothing has been fitted since.
+
+        returns  whether a baseline is known
+        """
+        if not self.begun() and self._before_settled is not None:
+            vars(self).update(vars(self._before_settled))
+        return self.begun()
 
     def _know_noise(self, fit: Fit) -> None:
         floor = self.prepared.floor

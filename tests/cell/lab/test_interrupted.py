@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -56,6 +57,21 @@ def test_what_was_fitted_until_then_is_told_and_nothing_claimed(study):
     assert len(found.ranking) == len(NAMES)
     assert sentence(found).startswith("Interrupted. The model misses")
     assert "nothing confirmed" in sentence(found)
+
+
+def test_stopped_before_the_second_search_has_begun_the_first_is_told(study, monkeypatch):
+    """After an effect is found, the mesh's error is that of another model: all is fitted again."""
+    explorer = stopped_when(study, "looking where to begin")
+    explorer.prepared = replace(explorer.prepared, mesh_m={study.trials[0].name: 0.0})
+    before = stopped_when(study, "never")
+    before.prepared = explorer.prepared
+    before.screened(before.baseline())
+    vars(explorer).update({**vars(before), "progress": explorer.progress})
+    monkeypatch.setattr("cell.lab.explore.as_its_mesh_shows", lambda prepared, fit: prepared)
+    found = diagnose(explorer).diagnosis
+    assert found.verdict == "cannot_tell"
+    assert found.warnings[0].code == "interrupted"
+    assert found.baseline.fit_rms_m == pytest.approx(before.baseline().fit.rms_m)
 
 
 def test_before_the_baseline_there_is_nothing_to_tell(study):
