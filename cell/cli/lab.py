@@ -394,6 +394,7 @@ def study(
     with refusing(), working("study"):
         check_new_study(out, force=force)
         gathered, left_out = gather_into(out, runs)
+    tell_notes(gathered.notes)
     for line in left_out:
         print(f"left out: {line}", file=sys.stderr)
     print(f"{out}: {len(gathered.trials)} trials of {len(runs) - len(left_out)} cycles")

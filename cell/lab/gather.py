@@ -16,6 +16,7 @@ from cell.identify.noise import still_frames
 from cell.lab.cycles import measured
 from cell.study.data import Study, Trial
 from cell.study.folder import read_study, study_folder, write_study
+from cell.study.left_out import without_wrong_samples
 
 FloatArray = NDArray[np.float64]
 
@@ -52,7 +53,8 @@ def gather(runs: Sequence[Path], name: str) -> Study:
 
     The first cycle's roles are kept; later cycles' trials are only compared with, so that what was
     fitted stays what one cable showed.  Trials are named after their cycle's folder.  The noise is
-    the largest that any of them states.
+    the largest that any of them states.  Wrong samples of what the cell filmed are left out, and
+    the notes say which.
     raises  InputError: a folder has no study or is given twice, or is of another cable, markers,
             gravity, camera, arm, gripper or home, or shows another individual
     """
@@ -74,7 +76,9 @@ def gather(runs: Sequence[Path], name: str) -> Study:
         for trial in cycle.study.trials
     ]
     stated_m = max((n for c in cycles if (n := c.study.noise_std_m) is not None), default=None)
-    return replace(first.study, name=name, trials=tuple(trials), noise_std_m=stated_m)
+    notes = tuple(note for cycle in cycles for note in cycle.study.notes)
+    made = replace(first.study, name=name, trials=tuple(trials), notes=notes)
+    return replace(made, noise_std_m=stated_m)
 
 
 def gather_into(folder: Path, runs: Sequence[Path]) -> tuple[Study, list[str]]:
@@ -92,6 +96,8 @@ def gather_into(folder: Path, runs: Sequence[Path]) -> tuple[Study, list[str]]:
 def _read(run: Path) -> _Cycle:
     folder = study_folder(run)
     study = read_study(folder)
+    if folder != run:
+        study = without_wrong_samples(replace(study, filmed=True))
     settings = run / "settings.yaml"
     return _Cycle(
         run.resolve().name, folder, study, read_yaml(settings) if settings.exists() else None

@@ -113,8 +113,8 @@ def open_study(folder: Path) -> Study:
     raises  InputError: it cannot be read, has nothing to fit, a trial is too short to tell, or too
             much of a marker is wrong
     """
-    folder = study_folder(folder)
-    study = read_study(folder)
+    given, folder = folder, study_folder(folder)
+    study = replace(read_study(folder), filmed=folder != given)
     problems = [
         Problem(folder / t.name / "markers.csv", len(t.markers.t_s) + 1, None, "t_s", message)
         for t in study.trials

@@ -75,6 +75,8 @@ class Study:
 
     arc_length_m  (markers,) from the gripping point
     notes         what whoever reads results should know of the measurements, one sentence each
+    filmed        markers are places along a centre line that the cell filmed, and how far along it
+                  they are is no measurement
     """
 
     name: str
@@ -84,6 +86,7 @@ class Study:
     gravity_m_per_s2: tuple[float, float] = (0.0, -9.81)
     noise_std_m: float | None = None
     notes: tuple[str, ...] = ()
+    filmed: bool = False
 
     def role(self, role: Literal["fit", "validate"]) -> tuple[Trial, ...]:
         """Trials of a role, in order."""

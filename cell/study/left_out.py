@@ -49,7 +49,8 @@ def leaving_out(study: Study, wrong: Sequence[FloatArray]) -> Study:
             trials.append(trial)
             continue
         source = _source(trial)
-        if problem := _too_many(trial, apart_m, source):
+        counted_m = _across_only(trial, apart_m) if study.filmed else apart_m
+        if problem := _too_many(trial, counted_m, source):
             problems.append(problem)
         notes.append(_note(apart_m, source))
         kept = np.where(there, np.nan, trial.markers.xy_m)
@@ -57,6 +58,17 @@ def leaving_out(study: Study, wrong: Sequence[FloatArray]) -> Study:
     if problems:
         raise InputError(problems)
     return replace(study, trials=tuple(trials), notes=(*study.notes, *notes))
+
+
+def _across_only(trial: Trial, apart_m: FloatArray) -> FloatArray:
+    """`apart_m` (times, markers, 2) of samples that lie apart across the cable, nan elsewhere."""
+    if apart_m.shape[1] == 1:
+        return apart_m
+    along = np.gradient(trial.markers.xy_m, axis=1)
+    offset = np.nan_to_num(apart_m)
+    lengthwise = np.abs(np.sum(offset * along, axis=2))
+    crosswise = np.abs(offset[..., 1] * along[..., 0] - offset[..., 0] * along[..., 1])
+    return np.where((lengthwise > crosswise)[..., None], np.nan, apart_m)
 
 
 def _source(trial: Trial) -> Source:

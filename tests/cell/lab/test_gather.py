@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 from cell.cli import app
 from cell.files.input_error import InputError
 from cell.lab.gather import gather
+from cell.lab.session import open_study
 from cell.study.data import Markers
 from cell.study.folder import write_study
 
@@ -125,3 +126,18 @@ def test_a_cycle_that_was_killed_before_it_measured_is_left_out_and_said(record,
     assert none.exit_code == 2
     assert "no cycle here has measurements" in none.output
     assert not (tmp_path / "nothing").exists()
+
+
+def test_nodes_that_the_cell_placed_wrong_along_the_cable_are_left_out_and_told(record, measured):
+    spoilt = measured[0].trials[0]
+    xy_m = spoilt.markers.xy_m.copy()
+    rows = np.linspace(10, len(xy_m) - 10, 6).astype(int)
+    xy_m[rows, 0] += 5.0 * (xy_m[rows, 0] - xy_m[rows, 1])
+    trial = replace(spoilt, markers=replace(spoilt.markers, xy_m=xy_m))
+    study = replace(measured[0], trials=(trial, *measured[0].trials[1:]))
+    run = record("first", study=study)
+    opened = open_study(run)
+    assert np.isnan(opened.trials[0].markers.xy_m[rows, 0]).any(axis=1).all()
+    gathered = gather([run, record("second")], "together")
+    assert np.isnan(gathered.trials[0].markers.xy_m[rows, 0]).any(axis=1).all()
+    assert any("lie apart from the rows before and after" in note for note in gathered.notes)

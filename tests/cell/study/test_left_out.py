@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -63,3 +64,19 @@ def test_more_are_refused(study, tmp_path):
         without_wrong_samples(spoilt(study, [20, 60, 100, 140, 180], tmp_path))
     assert str(caught.value).startswith(f"{tmp_path}/a/markers.csv:23: x1_m: -0.0")
     assert "as do 5 of this marker's 200 rows; limit 2%: mend" in str(caught.value)
+
+
+def test_how_far_along_the_cable_filmed_nodes_are_may_be_wrong_in_any_row(study):
+    """The end of a centre line is found late or early where it is thin: no measurement is lost."""
+    away_m = np.array([0.03, 0.006])  # along the cable
+    study.trials[0].markers.xy_m[[20, 60, 100, 140, 180], 1] += away_m
+    with pytest.raises(InputError, match="as do 5 of this marker's 200 rows"):
+        without_wrong_samples(study)
+    left = without_wrong_samples(replace(study, filmed=True))
+    assert np.isnan(left.trials[0].markers.xy_m[:, 1, 0]).sum() == 5
+
+
+def test_across_the_cable_filmed_nodes_are_refused_like_any_other(study):
+    study.trials[0].markers.xy_m[[20, 60, 100, 140, 180], 1] += [-0.006, 0.03]
+    with pytest.raises(InputError, match="as do 5 of this marker's 200 rows"):
+        without_wrong_samples(replace(study, filmed=True))
