@@ -37,11 +37,13 @@ from scipy import stats
 from cell.cable.effects import Effect, library
 from cell.files.input_error import InputError
 from cell.identify.parameters import ParameterSpace
-from cell.lab.diagnose import diagnose
-from cell.lab.noise import NoiseUnknownError
-from cell.lab.prepared import PreparedStudy, all_fitted
-from cell.lab.results import Diagnosis
-from cell.lab.session import EffectSelection, explorer_of, open_study
+from cell.lab.data.noise_floor import NoiseUnknownError
+from cell.lab.data.opened_study import open_study
+from cell.lab.data.prepared import PreparedStudy, all_fitted
+from cell.lab.data.results import Diagnosis
+from cell.lab.data.selection import EffectSelection
+from cell.lab.search.setup import explorer_of
+from cell.lab.verdict.diagnose import diagnose
 from cell.study.folder import write_study
 
 KINDS = ("complete", "one", "outside")

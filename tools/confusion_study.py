@@ -28,11 +28,11 @@ from scipy.optimize import linear_sum_assignment
 
 from cell.cable.effects import Effect, library
 from cell.identify.parameters import ParameterSpace
-from cell.lab.diagnose import diagnose
-from cell.lab.explore import Explorer
-from cell.lab.fitting import fit_trials
-from cell.lab.prepared import PreparedStudy
-from cell.lab.results import MissingEffect
+from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.results import MissingEffect
+from cell.lab.fit.fitting import fit_trials
+from cell.lab.search.explore import Explorer
+from cell.lab.verdict.diagnose import diagnose
 
 SIGNIFICANCE = 0.01
 #: No motion from rest tells these apart: with one out of the library the other is right.

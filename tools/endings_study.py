@@ -24,8 +24,8 @@ from line_study import CONFIG
 
 from cell.build import cell_with, twin_devices
 from cell.cable.effects import library
-from cell.lab.cycles import read_cycles
-from cell.lab.learn import learn
+from cell.lab.data.cycles import read_cycles
+from cell.lab.line.learn import learn
 from cell.records.result import Outcome, Result
 from cell.settings import Settings, load_settings
 from cell.settings.translate import cable_of, identification_of

@@ -29,11 +29,13 @@ from scipy import stats
 
 from cell.cable.effects import library
 from cell.identify.parameters import ParameterSpace
-from cell.lab.diagnose import diagnose
-from cell.lab.explore import Explorer
-from cell.lab.prepared import PreparedStudy
-from cell.lab.results import Diagnosis
-from cell.lab.session import EffectSelection, explorer_of, fit_study
+from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.results import Diagnosis
+from cell.lab.data.selection import EffectSelection
+from cell.lab.search.explore import Explorer
+from cell.lab.search.setup import explorer_of
+from cell.lab.strength.fitted_study import fit_study
+from cell.lab.verdict.diagnose import diagnose
 from cell.study.data import Markers, Study
 
 BAD_PRIORS = ("plain", "another", "stiffer", "wrong shapes")

@@ -23,9 +23,11 @@ from scipy.stats import binomtest
 from cell.cable.effects import ActiveEffect, Effect, library
 from cell.cable.model import CableModel
 from cell.identify.identified import Identified
-from cell.lab.estimate import estimate
-from cell.lab.explore import Explorer
-from cell.lab.session import EffectSelection, explorer_of, fit_study
+from cell.lab.data.selection import EffectSelection
+from cell.lab.search.explore import Explorer
+from cell.lab.search.setup import explorer_of
+from cell.lab.strength.estimate import estimate
+from cell.lab.strength.fitted_study import fit_study
 
 #: Parameters of effects that are no amplitudes count apart.
 KINDS = ("EI", "exponent", "viscosity", "amplitude", "shape")

@@ -21,12 +21,12 @@ from scipy.stats import binomtest
 
 from cell.cable.effects import library
 from cell.identify.parameters import ParameterSpace
-from cell.lab.explore import Explorer
-from cell.lab.fitting import Fit
-from cell.lab.limits import limits
-from cell.lab.prepared import PreparedStudy, all_fitted
-from cell.lab.results import Limit
-from cell.lab.whole import Whole
+from cell.lab.data.prepared import PreparedStudy, all_fitted
+from cell.lab.data.results import Limit
+from cell.lab.fit.fitting import Fit
+from cell.lab.fit.whole import Whole
+from cell.lab.search.explore import Explorer
+from cell.lab.strength.limits import limits
 from cell.study.data import Study
 
 SIZES = (0.5, 1.0, 2.0)

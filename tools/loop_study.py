@@ -30,12 +30,12 @@ from outside_laws import LATER, LAWS
 
 from cell.build import cell_task
 from cell.cable.effects import ActiveEffect, library
-from cell.lab.ask import MOST_ASKED, motion_that_tells, worth_it
-from cell.lab.candidate import section
-from cell.lab.cycles import RecordedCycle
-from cell.lab.discover import laws_in
-from cell.lab.gates import best_judged
-from cell.lab.learn import Lesson, learn
+from cell.lab.data.cycles import RecordedCycle
+from cell.lab.line.candidate import section
+from cell.lab.line.gates import best_judged
+from cell.lab.line.learn import Lesson, learn
+from cell.lab.next.ask import MOST_ASKED, motion_that_tells, worth_it
+from cell.lab.next.discover import laws_in
 from cell.run.station import Task
 from cell.settings import Settings, load_settings
 from cell.settings.surroundings import Surroundings

@@ -14,8 +14,10 @@ from pathlib import Path
 import numpy as np
 from mujoco_studies import CASES, specimen, write_study
 
-from cell.lab.diagnose import diagnose
-from cell.lab.session import explorer_of, open_study, select_effects
+from cell.lab.data.opened_study import open_study
+from cell.lab.data.selection import select_effects
+from cell.lab.search.setup import explorer_of
+from cell.lab.verdict.diagnose import diagnose
 
 #: What should be named, and how the verdict may read, where the case is not one effect's name.
 OUTSIDE: dict[str, tuple[str, ...]] = {

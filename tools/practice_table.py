@@ -21,10 +21,12 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from cell.lab.diagnose import diagnose
-from cell.lab.discover import NothingFoundError, discover
-from cell.lab.results import Diagnosis
-from cell.lab.session import explorer_of, open_study, select_effects
+from cell.lab.data.opened_study import open_study
+from cell.lab.data.results import Diagnosis
+from cell.lab.data.selection import select_effects
+from cell.lab.next.discover import NothingFoundError, discover
+from cell.lab.search.setup import explorer_of
+from cell.lab.verdict.diagnose import diagnose
 
 DEFAULT = Path(__file__).resolve().parents[2] / "shared" / "data" / "practice"
 #: What truth calls a parameter otherwise than our effects: name and conversion.

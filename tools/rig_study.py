@@ -39,12 +39,15 @@ from cell.cable.effects import ActiveEffect, Effect, library
 from cell.cable.geometry import Cable, Motion, node_arc_lengths
 from cell.cable.model import CableModel
 from cell.cable.modes import mode_curvature
+from cell.files.input_error import InputError
 from cell.identify.parameters import ParameterSpace
-from cell.lab.diagnose import diagnose
-from cell.lab.noise import NoiseUnknownError
-from cell.lab.prepared import PreparedStudy
-from cell.lab.results import Diagnosis, Errors
-from cell.lab.session import EffectSelection, InputError, explorer_of, open_study
+from cell.lab.data.noise_floor import NoiseUnknownError
+from cell.lab.data.opened_study import open_study
+from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.results import Diagnosis, Errors
+from cell.lab.data.selection import EffectSelection
+from cell.lab.search.setup import explorer_of
+from cell.lab.verdict.diagnose import diagnose
 from cell.study.data import Markers, Study, Trial
 from cell.study.folder import write_study
 

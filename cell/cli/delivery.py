@@ -55,6 +55,6 @@ def deliver(printed: Callable[[], None], *files: Delivery) -> None:
 
 def json_files(data: dict[str, Any], *places: Path | None) -> list[Delivery]:
     """A result as JSON in each file given."""
-    from cell.lab.results import write_json
+    from cell.lab.data.results import write_json
 
     return [(place, partial(write_json, data)) for place in places]

@@ -19,11 +19,12 @@ from cell.files.overwriting import check_apart, check_new_study, check_output
 from cell.files.rescue import no_room, remedy
 
 if TYPE_CHECKING:
-    from cell.lab.compare import Comparison
-    from cell.lab.explore import Explorer, Progress
-    from cell.lab.profiles import ParameterProfile
-    from cell.lab.results import Agreement, Doubt
-    from cell.lab.session import EffectSelection
+    from cell.lab.data.progress import Progress
+    from cell.lab.data.results import Agreement, Doubt
+    from cell.lab.data.selection import EffectSelection
+    from cell.lab.search.explore import Explorer
+    from cell.lab.strength.compare import Comparison
+    from cell.lab.strength.profiles import ParameterProfile
     from cell.terminal.progress import ProgressLine
 
 app = group()
@@ -95,12 +96,13 @@ def fit(
     force: Force = False,
 ) -> None:
     """Fit the cable's parameters, and those of effects, to the study's `fit` trials."""
-    from cell.lab import session
-    from cell.lab.agreement import agreement
-    from cell.lab.doubts import fit_doubts, interrupted_doubt, lacking_doubt
-    from cell.lab.results import agreement_json
-    from cell.lab.tables import agreement_table, errors_line, model_table, warning_lines
-    from cell.lab.wording import agreement_sentence
+    from cell.lab.data.results import agreement_json
+    from cell.lab.data.selection import select_effects
+    from cell.lab.report.tables import agreement_table, errors_line, model_table, warning_lines
+    from cell.lab.report.wording import agreement_sentence
+    from cell.lab.strength.fitted_study import fit_study
+    from cell.lab.strength.trial_agreement import agreement
+    from cell.lab.verdict.doubts import fit_doubts, interrupted_doubt, lacking_doubt
 
     found: list[ParameterProfile] = []
     said: list[str] = []
@@ -109,16 +111,16 @@ def fit(
         working("fit") as progress,
         answering() as interrupted,
     ):
-        selection = session.select_effects(effect or [])
+        selection = select_effects(effect or [])
         explorer = _explorer(study, selection, prior, progress, config)
-        model, candidate, fitted_to = session.fit_study(explorer)
+        model, candidate, fitted_to = fit_study(explorer)
         warnings: tuple[Doubt, ...] = lacking_doubt(model.lacks)
         trials: Sequence[Agreement] = ()
         with suppress(KeyboardInterrupt):
             warnings = (*fit_doubts(explorer, candidate), *warnings)
             trials = agreement(fitted_to, candidate.fit, progress)
             if profile is not None:
-                from cell.lab.profiles import each_profile, profile_sentences
+                from cell.lab.strength.profiles import each_profile, profile_sentences
 
                 for one in each_profile(fitted_to, candidate.fit, model, progress):
                     found.append(one)
@@ -135,12 +137,12 @@ def fit(
 
     def printed() -> None:
         if print_result(written, out, as_json):
-            errors = errors_line(explorer.prepared, candidate)
+            errors = errors_line(explorer.prepared, candidate.errors)
             apart = [agreement_sentence(trials), agreement_table(trials)] if trials else []
             show(*warning_lines(warnings), errors, model_table(model), *apart, *said)
 
     def page(path: Path) -> None:
-        from cell.lab.report import profile_page, write_page
+        from cell.lab.report.report import profile_page, write_page
 
         write_page(profile_page(explorer.prepared.study.name, found), path)
 
@@ -169,19 +171,20 @@ def compare(
     Of several, given in the order in which they were made, the errors stand side by side: how they
     fall as effects are added, and maps before and after.
     """
-    from cell.lab import session
-    from cell.lab.compare import compare_model, comparisons_json, model_names
-    from cell.lab.tables import (
+    from cell.lab.data.opened_study import open_study
+    from cell.lab.report.tables import (
         comparison_sentence,
         comparison_table,
         comparisons_table,
         correlations_table,
     )
+    from cell.lab.search.setup import read_models
+    from cell.lab.strength.compare import compare_model, comparisons_json, model_names
 
     with refusing(*results or [], report, force=force), working("compare") as progress:
-        opened = session.open_study(study)
+        opened = open_study(study)
         tell_notes(opened.notes)
-        individuals = session.read_models(model, opened.cable, effect or [])
+        individuals = read_models(model, opened.cable, effect or [])
         comparisons: list[Comparison] = []
         for m, name in zip(individuals, model_names(model), strict=True):
             progress(f"comparing {name}", len(comparisons), len(individuals))
@@ -200,7 +203,7 @@ def compare(
             )
 
     def page(path: Path) -> None:
-        from cell.lab.report import comparison_page, write_page
+        from cell.lab.report.report import comparison_page, write_page
 
         write_page(comparison_page(comparisons), path)
 
@@ -219,18 +222,17 @@ def diagnose(
     force: Force = False,
 ) -> None:
     """Tell which physical effect the model lacks, none, an unknown one, or that one cannot tell."""
-    from cell.lab import session
-    from cell.lab.advice import Paths, advice
-    from cell.lab.agreement import with_agreement
-    from cell.lab.compare import compare_model
-    from cell.lab.diagnose import diagnose as diagnose_study
-    from cell.lab.individual import identified
-    from cell.lab.limits import with_limits
-    from cell.lab.results import to_json
-    from cell.lab.tables import diagnosis_parts
+    from cell.lab.data.results import to_json
+    from cell.lab.data.selection import select_for_diagnosis
+    from cell.lab.next.advice import Paths, advice
+    from cell.lab.report.tables import diagnosis_parts
+    from cell.lab.strength.compare import compare_model
+    from cell.lab.strength.kept_model import identified
+    from cell.lab.verdict.additions import with_agreement, with_limits
+    from cell.lab.verdict.diagnose import diagnose as diagnose_study
 
     with refusing(*results or [], report, force=force), working("diagnose") as progress:
-        selection = session.select_for_diagnosis(effect or [], known or [])
+        selection = select_for_diagnosis(effect or [], known or [])
         explorer = _explorer(study, selection, prior, progress, config)
         gc.freeze()  # what is loaded stays: not looked through for garbage again and again
         with stoppable(explorer.prepared.work.stop) as interrupted:
@@ -254,7 +256,7 @@ def diagnose(
             show(*diagnosis_parts(diagnosis, comparisons, todo))
 
     def page(path: Path) -> None:
-        from cell.lab.report import diagnosis_page, write_page
+        from cell.lab.report.report import diagnosis_page, write_page
 
         fitted = examination.steps[-1].fit
         model = identified(explorer.prepared, fitted, explorer.library.values())
@@ -274,11 +276,11 @@ def effects(
     force: Force = False,
 ) -> None:
     """List the effects that a model may be given: laws, parameters, units and limits."""
-    from cell.lab import session
-    from cell.lab.tables import describe_effects, effects_table
+    from cell.lab.data.selection import select_effects
+    from cell.lab.report.tables import describe_effects, effects_table
 
     with refusing(*results or [], force=force):
-        library = session.select_effects([], effect or []).candidates
+        library = select_effects([], effect or []).candidates
         described = {"format": "cable-effects/1", "effects": describe_effects(library)}
 
     def printed() -> None:
@@ -298,15 +300,15 @@ def discover(
     force: Force = False,
 ) -> None:
     """Infer the missing force from the residual and write it as an effect that one can read."""
-    from cell.lab import session
-    from cell.lab.advice import Paths, after_discovery
-    from cell.lab.discover import NothingFoundError, effect_name
-    from cell.lab.discover import discover as discover_effect
-    from cell.lab.tables import discovery_sentence, discovery_table, steps_text
+    from cell.lab.data.selection import select_effects
+    from cell.lab.next.advice import Paths, after_discovery
+    from cell.lab.next.discover import NothingFoundError, effect_name
+    from cell.lab.next.discover import discover as discover_effect
+    from cell.lab.report.tables import discovery_sentence, discovery_table, steps_text
 
     with refusing(out, as_json, force=force), working("discover") as progress:
         effect_name(out)
-        selection = session.select_effects(effect or [])
+        selection = select_effects(effect or [])
         explorer = _explorer(study, selection, prior, progress)
         with stoppable(explorer.prepared.work.stop) as interrupted:
             try:
@@ -352,15 +354,15 @@ def suggest(
     force: Force = False,
 ) -> None:
     """Suggest the safe motion that best tells the remaining candidates apart, and its power."""
-    from cell.lab import session
-    from cell.lab.diagnose import diagnose as diagnose_study
-    from cell.lab.suggest import suggest_motion, write_motion
-    from cell.lab.tables import suggestion_table, verdict_line, warning_lines
+    from cell.lab.data.selection import select_for_diagnosis
+    from cell.lab.next.suggest import suggest_motion, write_motion
+    from cell.lab.report.tables import suggestion_table, verdict_line, warning_lines
+    from cell.lab.verdict.diagnose import diagnose as diagnose_study
     from cell.settings.surroundings import Surroundings
 
     with refusing(out, as_json, force=force), working("suggest") as progress:
         surroundings = Surroundings.read(config)
-        selection = session.select_for_diagnosis(effect or [], known or [])
+        selection = select_for_diagnosis(effect or [], known or [])
         explorer = _explorer(study, selection, prior, progress, config)
         with stoppable(explorer.prepared.work.stop) as interrupted:
             diagnosed = diagnose_study(explorer)
@@ -389,7 +391,7 @@ def study(
     force: Force = False,
 ) -> None:
     """Gather recorded cycles of one cable into a study."""
-    from cell.lab.gather import gather_into
+    from cell.lab.data.gather import gather_into
 
     with refusing(), working("study"):
         check_new_study(out, force=force)
@@ -437,17 +439,18 @@ def _explorer(
 
     What is odd about the study is told.
     """
-    from cell.lab import session
-    from cell.lab.wrong_samples import without_wrong_samples
+    from cell.lab.data.opened_study import open_study
+    from cell.lab.search.setup import explorer_of, read_kind, read_prior
+    from cell.lab.search.wrong_samples import without_wrong_samples
 
-    study = session.open_study(folder)
+    study = open_study(folder)
     tell_notes(study.notes)
-    explorer = session.explorer_of(
+    explorer = explorer_of(
         study,
         selection,
-        session.read_prior(prior, selection.own),
+        read_prior(prior, selection.own),
         progress,
-        session.read_kind(config),
+        read_kind(config),
     )
     explorer, more = without_wrong_samples(explorer)
     tell_notes(more)

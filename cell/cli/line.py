@@ -18,9 +18,9 @@ from cell.cli.lab import refusing, show, working
 from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, Config, Interruption, answering, group
 
 if TYPE_CHECKING:
-    from cell.lab.explore import Progress
-    from cell.lab.gates import Judgement
-    from cell.lab.learn import Lesson
+    from cell.lab.data.progress import Progress
+    from cell.lab.line.gates import Judgement
+    from cell.lab.line.learn import Lesson
 
 app = group()
 
@@ -52,12 +52,12 @@ def learn(
     cables show it.  Ends with 0 if a candidate passed every gate or nothing is missing, 1 if one
     was found that did not pass, 2 if what was given is wrong.
     """
-    from cell.lab.candidate import lines_of, write_candidate
-    from cell.lab.cycles import read_cycles
-    from cell.lab.discover import Laws, laws_in
-    from cell.lab.gates import best_judged
-    from cell.lab.learn import learn as learn_from
-    from cell.lab.session import select_effects
+    from cell.lab.data.cycles import read_cycles
+    from cell.lab.data.selection import select_effects
+    from cell.lab.line.candidate import lines_of, write_candidate
+    from cell.lab.line.gates import best_judged
+    from cell.lab.line.learn import learn as learn_from
+    from cell.lab.next.discover import Laws, laws_in
     from cell.settings import load_settings
     from cell.settings.line import other_lines
     from cell.settings.translate import cable_of, identification_of
@@ -109,7 +109,7 @@ def learn(
 
 def _print(lesson: Lesson, judgement: Judgement, more: Sequence[str]) -> None:
     """What was learned, what speaks for it, and more lines."""
-    from cell.lab.lesson_tables import gates_table, lesson_lines, votes_table
+    from cell.lab.report.lesson_tables import gates_table, lesson_lines, votes_table
 
     for line in lesson_lines(lesson):
         print(line)
@@ -124,7 +124,7 @@ def _so_far(
     known: Sequence[Lesson], interrupted: Interruption, tidy_up: Callable[[], object]
 ) -> Iterator[None]:
     """Interrupted, it prints the last of what is known by then, and ends the command."""
-    from cell.lab.lesson_tables import lesson_lines
+    from cell.lab.report.lesson_tables import lesson_lines
 
     try:
         yield
@@ -166,8 +166,8 @@ def _asking(
     lesson: Lesson, config: Path, out: Path, again: str, progress: Progress
 ) -> tuple[list[str], list[Delivery]]:
     """The motion that tells what these cycles cannot: the commands for it, and its file."""
-    from cell.lab.ask import MOST_ASKED, asked, motion_that_tells, worth_it
-    from cell.lab.suggest import write_motion
+    from cell.lab.next.ask import MOST_ASKED, asked, motion_that_tells, worth_it
+    from cell.lab.next.suggest import write_motion
     from cell.settings.surroundings import Surroundings
 
     if not lesson.tied:

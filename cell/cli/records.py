@@ -118,7 +118,7 @@ def identify(
     """
     from rich.console import Console
 
-    from cell.lab.identify_again import Rejected, identify_again, read_recorded
+    from cell.lab.line.identify_again import Rejected, identify_again, read_recorded
     from cell.terminal.console import parameters_table
     from cell.terminal.fitting import show as print_parts
 

@@ -82,7 +82,7 @@ def run(
     """
     from cell.build import build_cell, emulators_asked_for
     from cell.files.input_error import InputError
-    from cell.lab.motion_file import load_motion
+    from cell.lab.next.motion_file import load_motion
     from cell.records.folder import RecordError
     from cell.run.plans import INSERTING, measuring
     from cell.settings import load_settings

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from cell.build import cell_with, twin_devices
 from cell.cli import app
-from cell.lab.motion_file import load_motion
+from cell.lab.next.motion_file import load_motion
 from cell.records.folder import read_record
 from cell.records.result import Outcome, Result
 from cell.run.machine import CellState, Event

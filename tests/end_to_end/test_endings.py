@@ -19,8 +19,8 @@ from typer.testing import CliRunner
 from cell.cable.effects import library
 from cell.cable.solver import DivergedError
 from cell.cli import app
-from cell.lab.cycles import read_cycles
-from cell.lab.learn import learn
+from cell.lab.data.cycles import read_cycles
+from cell.lab.line.learn import learn
 from cell.plan.choose import Forecast
 from cell.records.folder import read_record
 from cell.records.result import Outcome, Result

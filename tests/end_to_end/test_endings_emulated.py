@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from cell.build import cell_with, real_devices
-from cell.lab.motion_file import load_motion
+from cell.lab.next.motion_file import load_motion
 from cell.records.folder import read_record
 from cell.records.result import Outcome, Result
 from cell.run.cycle import Cell

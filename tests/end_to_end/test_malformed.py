@@ -28,8 +28,9 @@ from cell.cable.model import CableModel
 from cell.cli import app
 from cell.files.yaml_document import yaml_text
 from cell.identify.individual import identify
-from cell.lab import discover, session
-from cell.lab.terms import admissible
+from cell.lab.next import discover
+from cell.lab.next.terms import admissible
+from cell.lab.search import setup as session
 from cell.settings import load_settings
 from cell.settings.line import line_of
 from cell.settings.translate import model_hash

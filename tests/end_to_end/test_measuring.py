@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from cell.cable.dynamics import simulate
 from cell.cli import app
-from cell.lab.motion_file import load_motion
+from cell.lab.next.motion_file import load_motion
 from cell.plan.measuring import Measuring
 from cell.records.folder import read_record
 from cell.records.result import Outcome

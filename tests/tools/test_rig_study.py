@@ -17,10 +17,10 @@ import rig_study
 from cell.cable.effects import library
 from cell.cable.geometry import Cable
 from cell.identify.parameters import ParameterSpace
-from cell.lab.diagnose import diagnose
-from cell.lab.explore import Explorer
-from cell.lab.prepared import PreparedStudy
-from cell.lab.tables import ASKED, sentence
+from cell.lab.data.prepared import PreparedStudy
+from cell.lab.report.tables import ASKED, sentence
+from cell.lab.search.explore import Explorer
+from cell.lab.verdict.diagnose import diagnose
 
 TIED = frozenset({"camera_latency", "robot_lag"})
 MASS, CURVE, DRAG = (frozenset({n}) for n in ("tip_mass", "natural_curvature", "air_drag"))

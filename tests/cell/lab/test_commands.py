@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from cell.cable.effects import library
 from cell.cli.lab import app
 from cell.files.input_error import InputError
-from cell.lab.session import open_study
+from cell.lab.data.opened_study import open_study
 from cell.study.folder import read_study, write_study
 
 run = CliRunner().invoke

@@ -9,8 +9,9 @@ from typer.testing import CliRunner
 
 from cell.cable.effects import load_effect
 from cell.cli import app
-from cell.lab import discover, session
-from cell.lab.terms import admissible
+from cell.lab.next import discover
+from cell.lab.next.terms import admissible
+from cell.lab.search import setup as session
 from cell.study.folder import write_study
 
 run = CliRunner().invoke

@@ -1,0 +1,1 @@
+"""What goes into the lab and comes out: studies made ready, noise, recorded cycles, results."""

@@ -1,0 +1,99 @@
+"""A study fit for the lab, by its folder: read and checked, with what of it is left out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from cell.cable.geometry import Motion
+from cell.files.input_error import InputError, Problem
+from cell.identify.noise import still_frames
+from cell.study.data import Study, Trial
+from cell.study.folder import read_study, study_folder
+from cell.study.left_out import without_wrong_samples
+
+#: A uniform clamped strip that droops by δ swings at ω² = 1.545 g/δ (β₁L = 1.8751).
+SWING = 1.545
+
+
+#: No camera sees so little motion, noise included: positions that were not measured, m.
+STANDS_M = 1e-6
+
+
+#: Wrong values of a hand's log that are told of a column.
+TOLD = 3
+
+
+def open_study(folder: Path) -> Study:
+    """A study fit for the lab, by its folder or by that of the cycle that recorded it.
+
+    raises  InputError: it cannot be read, has nothing to fit, a trial is too short to tell, or too
+            much of a marker is wrong
+    """
+    given, folder = folder, study_folder(folder)
+    study = replace(read_study(folder), filmed=folder != given)
+    problems = [
+        Problem(folder / t.name / "markers.csv", len(t.markers.t_s) + 1, None, "t_s", message)
+        for t in study.trials
+        if (message := _stands(t) or _too_short(study, t))
+    ]
+    if not study.role("fit"):
+        message = "no trial has `role: fit`; mark at least one, the model is fitted to these"
+        problems.append(Problem(folder / "study.yaml", 1, None, "trials", message))
+    if problems:
+        raise InputError(problems)
+    told = [note for t in study.trials for note in _left_out(folder / t.name / "grip.csv", t.grip)]
+    return without_wrong_samples(replace(study, notes=(*study.notes, *told)))
+
+
+def _left_out(log: Path, grip: Motion) -> list[str]:
+    """Of every column of a hand's log, what values are no motion: how many, where, how large."""
+    notes = []
+    splines = dict(zip(("x_m", "y_m", "angle_rad"), grip.splines, strict=True))
+    for column, spline in splines.items():
+        apart = {i: float(getattr(grip, column)[i] - spline.value[i]) for i in spline.wrong}
+        largest = sorted(apart, key=lambda i: -abs(apart[i]))[:TOLD]
+        if not largest:
+            continue
+        unit = "mrad" if column == "angle_rad" else "mm"
+        shown = [f"line {i + 2} by {apart[i] * 1e3:+.2g} {unit}" for i in largest]
+        more = f" and {len(apart) - TOLD} more" if len(apart) > TOLD else ""
+        notes.append(
+            f"{log}: {column} jumps for a sample or two, which no hand does: {', '.join(shown)}"
+            f"{more}; left out"
+        )
+    return notes
+
+
+def _stands(trial: Trial) -> str | None:
+    """That markers do not move at all; a camera's noise would be more."""
+    xy_m = trial.markers.xy_m
+    seen = np.isfinite(xy_m).any(axis=0)
+    if np.any(np.nanmax(xy_m[:, seen], axis=0) - np.nanmin(xy_m[:, seen], axis=0) > STANDS_M):
+        return None
+    return (
+        f"is the last of {len(xy_m)} rows in which no marker moves by {STANDS_M * 1e3:g} mm: "
+        "record a motion, with all digits, or remove the trial"
+    )
+
+
+def _too_short(study: Study, trial: Trial) -> str | None:
+    t_s = trial.markers.t_s
+    still = still_frames(t_s, trial.grip, trial.rests_until_s)
+    moving_s = float(t_s[-1] - t_s[min(still.stop, len(t_s) - 1)])
+    markers = trial.markers.xy_m[:, 0]
+    rest = markers[still] if trial.start == "equilibrium" else markers[len(markers) // 2 :]
+    beside_m = rest[:, 1] - trial.grip.y_m[0]
+    gravity_m_per_s2 = float(np.hypot(*study.gravity_m_per_s2))
+    if not np.isfinite(beside_m).any() or gravity_m_per_s2 == 0.0:
+        return None
+    droop_m = abs(float(np.nanmean(beside_m)))
+    period_s = 2.0 * np.pi * np.sqrt(droop_m / (SWING * gravity_m_per_s2))
+    if moving_s >= period_s:
+        return None
+    return (
+        f"ends {moving_s:.3f} s after the motion begins, one swing of this cable takes about "
+        f"{period_s:.2f} s; record longer or remove the trial"
+    )

@@ -1,0 +1,270 @@
+"""A study made ready for the lab: models in, whitened residuals out, trial by trial."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable.model import CableModel
+from cell.cable.solver import Solver
+from cell.identify.fit import Lane, predict_lanes
+from cell.identify.noise import Noise, Whitener, still_frames
+from cell.lab.data.beginnings import Beginning, beginning_of
+from cell.lab.data.noise_floor import Floor, floor_of_residuals, noise_floor
+from cell.study.data import Study, Trial
+
+FloatArray = NDArray[np.float64]
+
+#: Within 4 µm (rms over the markers of a swing) of a converged cable.
+SOLVER = Solver(segments=32, step_s=1e-3)
+#: A model errs if its rms is above the noise by this factor.
+ERRS = 1.1
+
+
+class StoppedError(KeyboardInterrupt):
+    """A computation was stopped before its next simulation: a person wants what there is."""
+
+
+@dataclass
+class Work:
+    """Seconds of cables' motion simulated so far with `SOLVER`, or what they cost with others.
+
+    Whoever waits may stop it from another thread or a signal's handler.
+    """
+
+    simulated_s: float = 0.0
+    stopped: bool = False
+
+    def stop(self) -> None:
+        """Let the next simulation raise StoppedError."""
+        self.stopped = True
+
+    def check(self) -> None:
+        """Raises StoppedError: no more simulations are wanted."""
+        if self.stopped:
+            raise StoppedError
+
+    def add(self, models: int, duration_s: float, solver: Solver) -> None:
+        """Count a batch.  Raises StoppedError: no more are wanted."""
+        self.check()
+        self.simulated_s += models * duration_s * self.cost(solver)
+
+    @staticmethod
+    def cost(solver: Solver) -> float:
+        """What a second of motion costs with a solver, over what it costs with `SOLVER`."""
+        return solver.segments / SOLVER.segments * SOLVER.step_s / solver.step_s
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedStudy:
+    """A study, its noise floor, and what whitens its trials.
+
+    work   what has been simulated of it
+    noise  used for whitening: the floor's, or larger where an earlier individual's model is known
+           to err by more
+    slopes of which only differences of simulations are taken, where that is measured to do no harm
+    counted   as which simulations count as work, if not as those of `solver`: how far a search goes
+              must not depend on whether slopes may be coarser
+    mesh_m    per trial (times, markers, 2) error of the solver's mesh that has been taken out of
+              the study's markers, m
+    """
+
+    study: Study
+    floor: Floor
+    noise: Noise
+    whiteners: dict[str, Whitener]
+    solver: Solver
+    work: Work = field(default_factory=Work)
+    slopes: Solver | None = None
+    counted: Solver | None = None
+    mesh_m: Mapping[str, FloatArray] = field(default_factory=dict)
+
+    @staticmethod
+    def of(
+        study: Study,
+        *,
+        misfit: Noise | None = None,
+        solver: Solver | None = None,
+        work: Work | None = None,
+    ) -> PreparedStudy:
+        """Make a study ready.
+
+        work    to be counted with
+        misfit  error of the model that an earlier individual has shown, if it exceeds the camera's
+        raises  NoiseUnknownError
+        """
+        study = placed(study)
+        floor = noise_floor(study)
+        noise = misfit if misfit and misfit.std_m > ERRS * floor.noise.std_m else floor.noise
+        whiteners = {t.name: Whitener(t.markers.xy_m, noise) for t in study.trials}
+        return PreparedStudy(study, floor, noise, whiteners, solver or SOLVER, work or Work())
+
+    @property
+    def noise_is_measured(self) -> bool:
+        """Whether the noise is the measurement's own, not an earlier model's error."""
+        return self.noise == self.floor.weighed
+
+    @property
+    def expected(self) -> Noise:
+        """What a right model leaves: the measurement's noise or an earlier model's error."""
+        return self.floor.noise if self.noise_is_measured else self.noise
+
+    def judged_by(self, errors: Sequence[FloatArray]) -> PreparedStudy:
+        """The same with the correlations of a stated error as a model's residuals have them.
+
+        errors  per trial (times, channels), m, nan where not seen
+        """
+        floor = floor_of_residuals(self.floor, errors) if self.noise_is_measured else self.floor
+        return self if floor == self.floor else self.with_floor(floor)
+
+    def with_floor(self, floor: Floor) -> PreparedStudy:
+        """The same, whitened for another noise of the measurement."""
+        if floor.weighed == self.noise:
+            return replace(self, floor=floor)
+        whiteners = {t.name: Whitener(t.markers.xy_m, floor.weighed) for t in self.study.trials}
+        return replace(self, floor=floor, noise=floor.weighed, whiteners=whiteners)
+
+    @property
+    def measured(self) -> Study:
+        """The study as it was measured: what its mesh errs by is in it again."""
+        trials = [
+            replace(t, markers=replace(t.markers, xy_m=t.markers.xy_m + self.mesh_m[t.name]))
+            if t.name in self.mesh_m
+            else t
+            for t in self.study.trials
+        ]
+        return replace(self.study, trials=tuple(trials))
+
+    def beginning(self, trial: Trial) -> Beginning:
+        """What is unknown of how a trial begins."""
+        return beginning_of(trial, self.study.cable, self.study.gravity_m_per_s2)
+
+    def predict(
+        self, trial: Trial, models: Sequence[CableModel], begun: FloatArray | None = None
+    ) -> FloatArray:
+        """(lanes, times, markers, 2) where models put a trial's markers, m; nan where they cannot.
+
+        begun  (lanes, unknowns) of the trial's beginning.  While a release is late the hand stands
+               still, so that everything happens later by as much.
+        """
+        known = None if begun is None else {trial.name: begun}
+        return self.predict_all([trial], models, known)[0]
+
+    def predict_all(
+        self,
+        trials: Sequence[Trial],
+        models: Sequence[CableModel],
+        begun: Mapping[str, FloatArray] | None = None,
+    ) -> list[FloatArray]:
+        """The same of several trials; all lanes of those that begin alike go into one batch.
+
+        begun  by trial, 0 where none is given
+        """
+        alike: dict[object, list[tuple[str, int, Lane]]] = {}
+        for trial in trials:
+            t_s, beginning = trial.markers.t_s, self.beginning(trial)
+            self.work.add(len(models), float(t_s[-1] - t_s[0]), self.counted or self.solver)
+            unknown = (begun or {}).get(trial.name, np.zeros((len(models), beginning.count)))
+            late = beginning.delay_s(unknown)
+            times = {float(d): t_s - d for d in np.unique(late)}
+            for number, (model, d) in enumerate(zip(models, late, strict=True)):
+                modes = beginning.modes(unknown[number]) if beginning.bent else None
+                lane = Lane(trial, model, times[float(d)], modes)
+                alike.setdefault(_begins(lane), []).append((trial.name, number, lane))
+        out = {t.name: np.empty((len(models), *t.markers.xy_m.shape)) for t in trials}
+        for group in alike.values():
+            lanes = [lane for *_, lane in group]
+            predicted = predict_lanes(lanes, self.study.arc_length_m, self.solver, np.nan)
+            for (name, number, _), points in zip(group, predicted, strict=True):
+                out[name][number] = points
+        return [out[t.name] for t in trials]
+
+    def on_one_core(self) -> PreparedStudy:
+        """The same, simulated without threads of its own: for several fits side by side."""
+        slopes = None if self.slopes is None else replace(self.slopes, threads=1)
+        return replace(self, solver=replace(self.solver, threads=1), slopes=slopes)
+
+    def white(self, trial: Trial, predicted_m: FloatArray) -> FloatArray:
+        """(lanes, rows) whitened residuals of predictions (lanes, times, markers, 2)."""
+        return self.whiteners[trial.name](predicted_m)
+
+    def all_white(
+        self,
+        trials: Sequence[Trial],
+        models: Sequence[CableModel],
+        begun: Mapping[str, FloatArray] | None = None,
+    ) -> FloatArray:
+        """(lanes, rows) whitened residuals of what models predict of all the trials."""
+        predicted = self.predict_all(trials, models, begun)
+        parts = [self.white(t, points) for t, points in zip(trials, predicted, strict=True)]
+        return np.concatenate(parts, axis=1)
+
+    def coarser(self, slopes: Solver) -> PreparedStudy:
+        """The same, everything simulated so, and counted as if it were not."""
+        return replace(self, solver=slopes, slopes=None, counted=self.solver)
+
+    def white_near(
+        self,
+        trials: Sequence[Trial],
+        models: Sequence[CableModel],
+        begun: Mapping[str, FloatArray] | None = None,
+    ) -> FloatArray:
+        """As `all_white`, of models near the first: only the differences from it count."""
+        if self.slopes is not None:
+            white = self.coarser(self.slopes).all_white(trials, models, begun)
+            if np.all(np.isfinite(white[0])):
+                return white
+        return self.all_white(trials, models, begun)
+
+    def count(self, trials: Sequence[Trial]) -> int:
+        """Coordinates seen in trials."""
+        return sum(self.whiteners[t.name].count for t in trials)
+
+
+def pooled(prepared: PreparedStudy) -> PreparedStudy:
+    """The same with every trial to be fitted to."""
+    if all(t.role == "fit" for t in prepared.study.trials):
+        return prepared
+    return replace(prepared, study=all_fitted(prepared.study))
+
+
+def all_fitted(study: Study) -> Study:
+    """The study with no trial held out."""
+    return replace(study, trials=tuple(replace(t, role="fit") for t in study.trials))
+
+
+def placed(study: Study) -> Study:
+    """The study with markers where they are on cables that are held straight before release.
+
+    There every point's place is known without a model: what the still frames show beside it is how
+    the marker was put on, and is taken off all frames of the trial.
+    """
+    return replace(study, trials=tuple(_placed(t, study.arc_length_m) for t in study.trials))
+
+
+def _placed(trial: Trial, arc_length_m: FloatArray) -> Trial:
+    t_s, grip = trial.markers.t_s, trial.grip
+    still = still_frames(t_s, grip, trial.release_s)
+    if trial.start != "straight" or still.stop == 0:
+        return trial
+    x, y, angle = (np.interp(t_s[still], grip.t_s, v) for v in (grip.x_m, grip.y_m, grip.angle_rad))
+    along = np.stack([-np.cos(angle), -np.sin(angle)], axis=-1)
+    straight = np.stack([x, y], axis=-1)[:, None] + arc_length_m[:, None] * along[:, None]
+    beside = trial.markers.xy_m[still] - straight
+    seen = np.isfinite(beside).any(axis=0)
+    offset = np.where(seen, np.nanmean(np.where(seen, beside, 0.0), axis=0), 0.0)
+    at_place = replace(trial.markers, xy_m=trial.markers.xy_m - offset)
+    return replace(trial, markers=at_place)
+
+
+def _begins(lane: Lane) -> object:
+    """Equal for lanes whose simulations begin alike: these can share a grid of steps."""
+    trial = lane.trial
+    if trial.release_s is not None:
+        return trial.start, trial.release_s
+    if trial.start == "moving":
+        return trial.start, float(lane.times_s[0])
+    return trial.start, min(float(lane.times_s[0]), float(trial.grip.t_s[0]))

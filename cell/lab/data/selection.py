@@ -1,0 +1,76 @@
+"""Effects that a command line names, from the library or from a user's own files."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from cell.cable.effects import Effect, library
+from cell.identify.model_class import effect_from, known_effects
+
+
+@dataclass(frozen=True)
+class EffectSelection:
+    """Effects of a command line.
+
+    in_model    part of the model from the start
+    candidates  by name: those that may be found missing, the library's included
+    """
+
+    in_model: tuple[type[Effect], ...]
+    candidates: dict[str, type[Effect]]
+
+    @property
+    def own(self) -> dict[str, type[Effect]]:
+        """A user's own effects by name, from files."""
+        given = (*self.in_model, *self.candidates.values())
+        return {e.name: e for e in given if e.file is not None}
+
+
+def select_effects(in_model: Sequence[str], candidates: Sequence[str] = ()) -> EffectSelection:
+    """Effects by name, or from a user's own files (`….py`); candidates join the library.
+
+    raises  ValueError: unknown, given twice, or of a library effect's name; EffectError;
+            FileNotFoundError
+    """
+    effects: dict[str, type[Effect]] = {}
+    for given in (*in_model, *candidates):
+        effect = _effect(given)
+        if effect.name in effects:
+            raise ValueError(
+                f"--effect {given}: another effect {effect.name!r} is given too; leave one out, "
+                "or rename one (`name = …` in its file)"
+            )
+        effects[effect.name] = effect
+    chosen = list(effects.values())
+    more = {e.name: e for e in chosen[len(in_model) :]}
+    return EffectSelection(tuple(chosen[: len(in_model)]), library() | more)
+
+
+def select_for_diagnosis(effects: Sequence[str], known: Sequence[str]) -> EffectSelection:
+    """The same for a command that looks for what is missing.
+
+    effects  one that is tried anyway is part of the model; any other joins those tried
+    known    part of the model
+    """
+    tried_anyway = library()
+    in_model = [*known, *(e for e in effects if e in tried_anyway)]
+    return select_effects(in_model, [e for e in effects if e not in tried_anyway])
+
+
+def _effect(given: str) -> type[Effect]:
+    known = known_effects()
+    if given.endswith(".py"):
+        effect = effect_from(given)
+        if effect.name in library():
+            raise ValueError(
+                f"--effect {given}: its name {effect.name!r} is that of an effect of the library; "
+                "rename it (`name = …` in the file)"
+            )
+        return effect
+    if given not in known:
+        close = difflib.get_close_matches(given, known, 1, 0.5)
+        hint = f"did you mean {close[0]!r}?" if close else f"known: {', '.join(known)}"
+        raise ValueError(f"--effect {given}: no such effect; {hint}; your own as its file.py")
+    return known[given]

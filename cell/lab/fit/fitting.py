@@ -1,0 +1,479 @@
+"""Fits a model to the `fit` trials and weighs it on those held out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+
+from cell.cable.effects.base import Effect
+from cell.cable.model import CableModel
+from cell.identify import gauss_newton
+from cell.identify.differences import difference_points
+from cell.identify.gauss_newton import Solution
+from cell.identify.gaussian import covariance_root, marginal_chi2
+from cell.identify.parameters import ParameterSpace, Prior
+from cell.lab.data.prepared import PreparedStudy
+from cell.lab.fit.first_look import first_look
+from cell.lab.statistics.series import overall
+from cell.study.data import Trial
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A model fitted to the fit trials.
+
+    q          (p,) coordinates of `space`
+    begun      unknowns of each fit trial's beginning, where it has any
+    solution   of the minimiser; its coordinates are q, then these unknowns
+    chi2       whitened square residuals; objective adds the prior's
+    rms_m      per coordinate
+    begun_std  of the prior of all these unknowns
+    """
+
+    space: ParameterSpace
+    q: FloatArray
+    begun: dict[str, FloatArray]
+    solution: Solution
+    chi2: float
+    objective: float
+    rms_m: float
+    begun_std: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def model(self) -> CableModel:
+        """The fitted cable."""
+        return self.space.model(self.q)
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(p, p) of q, were the residuals white noise."""
+        p = len(self.q)
+        return np.asarray(self.solution.covariance[:p, :p])
+
+
+@dataclass(frozen=True, eq=False)
+class Heldout:
+    """A fitted model on trials that it was not fitted to.
+
+    rms_m            per coordinate, over all of them; by_trial_m likewise each
+    chi2             of the residuals, allowing for what the fit leaves uncertain: about `count`
+                     if the model is right
+    log_likelihood   of the trials given the fit (natural logarithm, without a common constant)
+    predicted_m      per trial (times, markers, 2)
+    """
+
+    rms_m: float
+    by_trial_m: dict[str, float]
+    chi2: float
+    count: int
+    log_likelihood: float
+    predicted_m: dict[str, FloatArray]
+
+
+@dataclass(frozen=True, eq=False)
+class HeldoutRows:
+    """Whitened residuals of held-out trials, and what a fit leaves uncertain of them.
+
+    predicted_m    per trial (times, markers, 2)
+    residual       (rows,) of all trials; ends (trials,) where each trial's end
+    by_parameters  (rows, p) change per unit of the fit's coordinates
+    spread         (rows, k) change by a standard deviation of all that is uncertain
+    """
+
+    predicted_m: dict[str, FloatArray]
+    residual: FloatArray
+    ends: NDArray[np.int_]
+    by_parameters: FloatArray
+    spread: FloatArray
+
+
+def fit_trials(prepared: PreparedStudy) -> tuple[Trial, ...]:
+    """The trials that may be fitted.  Raises ValueError: none."""
+    trials = prepared.study.role("fit")
+    if not trials:
+        raise ValueError(f"study {prepared.study.name}: no trial has role `fit`")
+    return trials
+
+
+def fit_model(
+    prepared: PreparedStudy,
+    space: ParameterSpace,
+    start: FloatArray,
+    begun: Mapping[str, FloatArray] | None = None,
+    *,
+    trials: Sequence[Trial] | None = None,
+    temper: float = 1.0,
+    options: gauss_newton.Options = gauss_newton.Options(tolerance=0.03),  # noqa: B008
+    from_far: bool = False,
+) -> Fit:
+    """Fit near `start`, with what is unknown of the trials' beginnings as further unknowns.
+
+    begun   where to begin with these, as of an earlier fit
+    trials  default: the `fit` trials
+    temper  residuals are divided by it: where a model cannot fit, the prior then still keeps its
+            parameters plausible
+    from_far  the way is long: it is gone with the simulations that slopes are taken of, if there
+            are any, and only its end looked for with the study's own
+    raises  ValueError: the model cannot be simulated at the start
+    """
+    trials = fit_trials(prepared) if trials is None else trials
+    p, std = len(space.names), _joined([prepared.beginning(t).std for t in trials])
+    problem = problem_of(prepared, space, trials, temper)
+    begin = _nearer_beginning(prepared, space, trials, start, begun or {})
+    solution = None
+    if from_far and prepared.slopes is not None:
+        coarse = problem_of(prepared.coarser(prepared.slopes), space, trials, temper)
+        solution = _minimised_in_two(coarse, problem, begin, options)
+    if solution is None:
+        solution = gauss_newton.minimise(problem, begin, options)
+    solution = replace(
+        solution, residual=solution.residual * temper, jacobian=solution.jacobian * temper
+    )
+    q, found = solution.q[:p], by_trial(prepared, trials, solution.q[None, p:])
+    predicted = prepared.predict_all(trials, [space.model(q)], found)
+    errors = [t.markers.xy_m - points[0] for t, points in zip(trials, predicted, strict=True)]
+    chi2 = float(solution.residual @ solution.residual)
+    at_first = {name: rows[0] for name, rows in found.items()}
+    return Fit(space, q, at_first, solution, chi2, solution.objective, overall(errors), std)
+
+
+def _minimised_in_two(
+    coarse: gauss_newton.Problem,
+    problem: gauss_newton.Problem,
+    begin: FloatArray,
+    options: gauss_newton.Options,
+) -> Solution | None:
+    """The minimum of a problem from that of a coarser one; None if one cannot be simulated there.
+
+    From where the coarser one has not converged it is not gone on: it would not have arrived.
+    """
+    try:
+        near = gauss_newton.minimise(coarse, begin, options)
+        left = options.most_passes - near.passes if near.converged else 0
+        few = replace(options, most_passes=1 + max(0, left))
+        found = gauss_newton.minimise(problem, near.q, few, near.jacobian)
+    except gauss_newton.UnsimulatedError:
+        return None
+    return replace(
+        found,
+        passes=near.passes + found.passes - 1,
+        settled=found.settled or (near.settled and not near.converged),
+    )
+
+
+def problem_of(
+    prepared: PreparedStudy, space: ParameterSpace, trials: Sequence[Trial], temper: float = 1.0
+) -> gauss_newton.Problem:
+    """What a fit minimises: over the cable's coordinates, then the trials' beginnings.
+
+    temper  residuals are divided by it
+    """
+    unknown = [prepared.beginning(t) for t in trials]
+    p, std = len(space.names), _joined([b.std for b in unknown])
+    limit = _joined([b.limit for b in unknown])
+    precision = np.zeros((p + len(std), p + len(std)))
+    precision[:p, :p] = space.precision
+    precision[p:, p:] = np.diag(1.0 / std**2)
+    slopes = None
+    if prepared.slopes is not None:
+        near = prepared.coarser(prepared.slopes)
+
+        def slopes(q: FloatArray) -> FloatArray:
+            return residuals(near, space, trials, q) / temper
+
+    return gauss_newton.Problem(
+        residuals=lambda q: residuals(prepared, space, trials, q) / temper,
+        slopes=slopes,
+        mean=np.concatenate([space.mean, np.zeros(len(std))]),
+        precision=precision,
+        step=np.concatenate([space.step, _joined([b.step for b in unknown])]),
+        low=np.concatenate([space.low, -limit]),
+        high=np.concatenate([space.high, limit]),
+    )
+
+
+def _joined(parts: Sequence[FloatArray]) -> FloatArray:
+    return np.concatenate([np.zeros(0), *parts])
+
+
+def by_trial(
+    prepared: PreparedStudy, trials: Sequence[Trial], rows: FloatArray
+) -> dict[str, FloatArray]:
+    """Unknowns of the trials' beginnings (lanes, all of them) by the trials that have any."""
+    found, begin = {}, 0
+    for trial in trials:
+        if count := prepared.beginning(trial).count:
+            found[trial.name] = rows[:, begin : begin + count]
+            begin += count
+    return found
+
+
+def _nearer_beginning(
+    prepared: PreparedStudy,
+    space: ParameterSpace,
+    trials: Sequence[Trial],
+    start: FloatArray,
+    known: Mapping[str, FloatArray],
+) -> FloatArray:
+    """Coordinates of a fit's start: of beginnings known from another fit or newly estimated.
+
+    Those of trials that begin bent belong to a model; the set that leaves less is taken.
+    """
+    looked = first_look(prepared, trials, [space.model(start)])
+    given = {t.name: known.get(t.name, looked[t.name][0]) for t in trials}
+    if not known or not any(t.bent for t in trials):
+        return np.concatenate([start, *given.values()])
+    new = {t.name: looked[t.name][0] if t.bent else given[t.name] for t in trials}
+    q = np.stack([np.concatenate([start, *chosen.values()]) for chosen in (given, new)])
+    square = np.sum(residuals(prepared, space, trials, q) ** 2, axis=1)
+    return np.asarray(q[int(np.argmin(np.where(np.isfinite(square), square, np.inf)))])
+
+
+def residuals(
+    prepared: PreparedStudy, space: ParameterSpace, trials: Sequence[Trial], q: FloatArray
+) -> FloatArray:
+    """(lanes, rows) whitened residuals of all trials.
+
+    q  (lanes, p + unknowns of the trials' beginnings); (lanes, p) = as noted, or as the first
+       frames show it for each lane's model
+    """
+    p = len(space.names)
+    if q.shape[1] > p and any(t.bent for t in trials):
+        return _each_once(prepared, space, trials, q)
+    models = [space.model(row) for row in q[:, :p]]
+    if q.shape[1] > p or not any(t.bent for t in trials):
+        begun = by_trial(prepared, trials, q[:, p:]) if q.shape[1] > p else {}
+    else:
+        begun = first_look(prepared, trials, models)
+    return prepared.all_white(trials, models, begun)
+
+
+def _each_once(
+    prepared: PreparedStudy, space: ParameterSpace, trials: Sequence[Trial], q: FloatArray
+) -> FloatArray:
+    """The same; lanes that differ in how another trial begins are simulated once in each trial."""
+    p = len(space.names)
+    begun, parts = by_trial(prepared, trials, q[:, p:]), []
+    for trial in trials:
+        own = begun.get(trial.name, q[:, :0])
+        rows, lane = np.unique(np.hstack([q[:, :p], own]), axis=0, return_inverse=True)
+        models = [space.model(row) for row in rows[:, :p]]
+        parts.append(prepared.white(trial, prepared.predict(trial, models, rows[:, p:]))[lane])
+    return np.concatenate(parts, axis=1)
+
+
+def heldout(prepared: PreparedStudy, fit: Fit) -> Heldout | None:
+    """The fit on the `validate` trials; None if there are none.
+
+    Their likelihood integrates over what the fit leaves uncertain (linearised), so that a model
+    is not punished for numbers that its fit trials could not know.  A model with which a held-out
+    trial cannot be simulated has likelihood 0 and infinite errors.
+    """
+    trials = prepared.study.role("validate")
+    if not trials:
+        return None
+    rows = heldout_rows(prepared, fit)
+    errors = {t.name: t.markers.xy_m - rows.predicted_m[t.name] for t in trials}
+    if not (np.all(np.isfinite(rows.residual)) and np.all(np.isfinite(rows.by_parameters))):
+        return Heldout(
+            rms_m=np.inf,
+            by_trial_m=dict.fromkeys(errors, np.inf),
+            chi2=np.inf,
+            count=prepared.count(trials),
+            log_likelihood=-np.inf,
+            predicted_m=rows.predicted_m,
+        )
+    chi2, log_det = marginal_chi2(rows.residual, rows.spread)
+    return Heldout(
+        rms_m=overall(list(errors.values())),
+        by_trial_m={name: overall([e]) for name, e in errors.items()},
+        chi2=chi2,
+        count=prepared.count(trials),
+        log_likelihood=-0.5 * (chi2 + log_det),
+        predicted_m=rows.predicted_m,
+    )
+
+
+def errors_m(prepared: PreparedStudy, fit: Fit) -> list[FloatArray]:
+    """Per trial fitted to (times, channels): measured − predicted, m, nan where not seen."""
+    found, begin = [], 0
+    for trial in fit_trials(prepared):
+        whitener = prepared.whiteners[trial.name]
+        white = fit.solution.residual[begin : begin + whitener.rows]
+        begin += whitener.rows
+        found.append(whitener.error_m(white).reshape(len(trial.markers.t_s), -1))
+    return found
+
+
+def heldout_rows(prepared: PreparedStudy, fit: Fit) -> HeldoutRows:
+    """Of the `validate` trials; not finite where the cable cannot be simulated."""
+    trials = prepared.study.role("validate")
+    space, p = fit.space, len(fit.q)
+    steps = space.difference_steps(fit.q)
+    lanes = [space.model(q) for q in difference_points(fit.q, steps)]
+    begun, more = _begun_and_moved(prepared, fit.model, trials, len(lanes))
+    lanes += [fit.model] * more
+    here = prepared.predict_all(trials, lanes[:1], {n: rows[:1] for n, rows in begun.items()})
+    predicted = {t.name: points[0] for t, points in zip(trials, here, strict=True)}
+    rows = [prepared.white(t, points)[0] for t, points in zip(trials, here, strict=True)]
+    near = prepared.white_near(trials, lanes, begun)
+    sensitivity = np.asarray((near[1 : p + 1] - near[0]).T / steps)
+    spread = sensitivity @ covariance_root(fit.covariance)
+    if more:
+        moved = _spread_of_beginnings(prepared, trials, near[p + 1 :] - near[0])
+        spread = np.hstack([spread, moved])
+    ends = np.cumsum([len(r) for r in rows])
+    return HeldoutRows(predicted, np.concatenate(rows), ends, sensitivity, spread)
+
+
+def visible(prepared: PreparedStudy, fit: Fit, effect: type[Effect]) -> float:
+    """ln of how much likelier the held-out trials must be with an effect of the fit than without.
+
+    By the effect itself: it is switched off and all else left as fitted, but for what the fit
+    leaves uncertain.  What other parameters have become in its company does not count.
+    """
+    trials = prepared.study.role("validate")
+    space, p = fit.space, len(fit.q)
+    steps = space.difference_steps(fit.q)
+    own = [i for i, name in enumerate(space.names) if name.startswith(f"{effect.name}.")]
+    rest = [i for i in range(p) if i not in own]
+    off = extended(fit, space, effect, np.array([q.default for q in effect.parameters]))
+    lanes = [space.model(q) for q in (*difference_points(fit.q, steps), off)]
+    begun, more = _begun_and_moved(prepared, fit.model, trials, len(lanes))
+    if not any(t.bent for t in trials):
+        begun, more = {name: rows[: len(lanes)] for name, rows in begun.items()}, 0
+    white = prepared.white_near(trials, [*lanes, *[fit.model] * more], begun)
+    moved, white = white[len(lanes) :], white[: len(lanes)]
+    if not (np.all(np.isfinite(white[:-1])) and np.all(np.isfinite(moved))):
+        return 0.0
+    if not np.all(np.isfinite(white[-1])):
+        return np.inf
+    all_of, among = fit.covariance, np.ix_(rest, own)
+    given = np.linalg.pinv(all_of[np.ix_(own, own)], hermitian=True)
+    uncertain = all_of[np.ix_(rest, rest)] - all_of[among] @ given @ all_of[among].T
+    slopes = ((white[1:-1] - white[0]).T / steps)[:, rest]
+    spread = slopes @ covariance_root(uncertain)
+    if more:
+        spread = np.hstack([spread, _spread_of_beginnings(prepared, trials, moved - white[0])])
+    chi2, _ = marginal_chi2(white[-1] - white[0], spread)
+    return 0.5 * chi2
+
+
+def _begun_and_moved(
+    prepared: PreparedStudy, model: CableModel, trials: Sequence[Trial], lanes: int
+) -> tuple[dict[str, FloatArray], int]:
+    """Likeliest beginnings of trials for so many lanes, then with each of their unknowns moved.
+
+    returns  by trial (lanes + moved, unknowns), and the number of lanes moved; the same lane moves
+             one unknown of every trial
+    """
+    beginnings = [(t, b) for t in trials if (b := prepared.beginning(t)).count]
+    more = max((b.count for _, b in beginnings), default=0)
+    begun = {}
+    for trial, beginning in beginnings:
+        rows = np.tile(best_begun(prepared, model, trial), (lanes + more, 1))
+        for i, step in enumerate(beginning.step):
+            rows[lanes + i, i] += step
+        begun[trial.name] = rows
+    return begun, more
+
+
+def _spread_of_beginning(prepared: PreparedStudy, trial: Trial, moved: FloatArray) -> FloatArray:
+    """(rows, unknowns) change of white values by a standard deviation of each unknown.
+
+    moved  (lanes, rows) their change by a step of each
+    """
+    beginning = prepared.beginning(trial)
+    return np.asarray(moved[: beginning.count].T / beginning.step * beginning.std)
+
+
+def _spread_of_beginnings(
+    prepared: PreparedStudy, trials: Sequence[Trial], moved: FloatArray
+) -> FloatArray:
+    """(rows of all trials, all unknowns) the same, each trial's own."""
+    splits = np.cumsum([prepared.whiteners[t.name].rows for t in trials])[:-1]
+    blocks = [
+        _spread_of_beginning(prepared, trial, part)
+        for trial, part in zip(trials, np.split(moved, splits, axis=1), strict=True)
+    ]
+    return np.asarray(block_diag(*blocks))
+
+
+def extended(
+    fit: Fit, space: ParameterSpace, effect: type[Effect], values: FloatArray
+) -> FloatArray:
+    """Coordinates in `space` (one more effect than the fit's) with the effect at `values`."""
+    q = space.mean.copy()
+    for i, name in enumerate(fit.space.names):
+        q[space.names.index(name)] = fit.q[i]
+    index = [space.names.index(f"{effect.name}.{p.name}") for p in effect.parameters]
+    natural = space.natural(q)
+    natural[index] = values
+    return np.clip(space.coordinates(natural), space.low, space.high)
+
+
+def space_with(space: ParameterSpace, effects: Sequence[type[Effect]]) -> ParameterSpace:
+    """The same cable, prior and baseline with other effects.
+
+    The prior of everything that both spaces have is kept, an earlier individual's included; the
+    amplitudes of effects have none to speak of.
+    """
+    of_effects = tuple(f"{e.name}." for e in effects)
+    new = ParameterSpace.of(
+        space.cable,
+        gravity_m_per_s2=space.gravity_m_per_s2,
+        effects=tuple(effects),
+        prior=Prior(knots=space.knots),
+        exact={n: v for n, v in space.exact if n.startswith(of_effects)},
+    )
+    kept = [n for n in new.names if n in space.names]
+    to = [new.names.index(n) for n in kept]
+    source = [space.names.index(n) for n in kept]
+    mean, precision = new.mean.copy(), new.precision.copy()
+    mean[to] = space.mean[source]
+    precision[np.ix_(to, to)] = space.precision[np.ix_(source, source)]
+    low, high = new.low.copy(), new.high.copy()
+    low[to], high[to] = space.low[source], space.high[source]
+    for effect in effects:
+        for parameter in effect.parameters:
+            name = f"{effect.name}.{parameter.name}"
+            if name not in new.names:
+                continue
+            i = new.names.index(name)
+            if not parameter.fitted:
+                low[i] = high[i] = mean[i]
+            elif parameter.amplitude and i not in to:
+                # no opinion on how strong it is: cables differ by orders of magnitude
+                precision[i, i] = (parameter.high - parameter.low) ** -2.0
+    return replace(new, mean=mean, precision=precision, low=low, high=high)
+
+
+def pinned(space: ParameterSpace, q: FloatArray) -> ParameterSpace:
+    """The space with its coordinates held at q; effects added to it later are free."""
+    return replace(space, mean=q, low=q.copy(), high=q.copy())
+
+
+def best_begun(prepared: PreparedStudy, model: CableModel, trial: Trial) -> FloatArray:
+    """(unknowns,) of one trial's beginning, the model given; as noted if it cannot be simulated."""
+    beginning = prepared.beginning(trial)
+    problem = gauss_newton.Problem(
+        residuals=lambda q: prepared.white(trial, prepared.predict(trial, [model] * len(q), q)),
+        mean=np.zeros(beginning.count),
+        precision=np.diag(beginning.std**-2),
+        step=beginning.step,
+        low=-beginning.limit,
+        high=beginning.limit,
+    )
+    if beginning.count == 0:
+        return np.zeros(0)
+    start = first_look(prepared, [trial], [model])[trial.name][0]
+    try:
+        return gauss_newton.minimise(problem, start).q
+    except ValueError:
+        return np.zeros(beginning.count)

@@ -1,0 +1,58 @@
+"""The study as a model's mesh would have shown it, so that the mesh's error is no misfit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable.solver import Solver
+from cell.identify.noise import Whitener
+from cell.lab.data.prepared import PreparedStudy
+from cell.lab.fit.fitting import Fit, best_begun
+
+FloatArray = NDArray[np.float64]
+
+#: The mesh and the step are this many times finer in the simulation that tells their errors, which
+#: fall with the square of both: what it still errs by is this share of the difference.
+FINER = 2
+LEFT = 1.0 / (FINER**2 - 1.0)
+
+
+def finer(prepared: PreparedStudy) -> PreparedStudy:
+    """The same on the finer mesh."""
+    coarse = prepared.solver
+    return replace(
+        prepared,
+        slopes=None,
+        solver=Solver(
+            FINER * coarse.segments, coarse.step_s / FINER, coarse.damping, coarse.threads
+        ),
+    )
+
+
+def as_its_mesh_shows(prepared: PreparedStudy, fit: Fit) -> PreparedStudy:
+    """The study less what a converged mesh would show beside the solver's, by a fitted model.
+
+    A mesh's error moves little with the parameters, so that one fit tells it for all: without it
+    an effect that resembles it (`grip_slip`) is found in long records of a long or soft cable.
+    source  deferred correction with Richardson's extrapolation (Stetter 1978, Numer. Math. 29, 425)
+    """
+    trials = prepared.study.trials
+    begun = {
+        t.name: fit.begun.get(t.name, best_begun(prepared, fit.model, t))[None] for t in trials
+    }
+    here = prepared.predict_all(trials, [fit.model], begun)
+    there = finer(prepared).predict_all(trials, [fit.model], begun)
+    moved, shown = dict(prepared.mesh_m), []
+    for trial, coarse, fine in zip(trials, here, there, strict=True):
+        error_m = (1.0 + LEFT) * (fine[0] - coarse[0])
+        if np.all(np.isfinite(error_m)):
+            seen = trial.markers.xy_m + moved.get(trial.name, 0.0) - error_m
+            moved[trial.name] = error_m
+            trial = replace(trial, markers=replace(trial.markers, xy_m=seen))
+        shown.append(trial)
+    study = replace(prepared.study, trials=tuple(shown))
+    whiteners = {t.name: Whitener(t.markers.xy_m, prepared.noise) for t in study.trials}
+    return replace(prepared, study=study, whiteners=whiteners, mesh_m=moved)

@@ -1,0 +1,189 @@
+"""What effects would do to a fitted study: slopes in their amplitudes, for guesses of a shape."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable.effects.base import ActiveEffect, Effect, Parameter
+from cell.cable.model import CableModel
+from cell.identify.gaussian import covariance_root
+from cell.lab.data.prepared import PreparedStudy
+from cell.lab.fit.fitting import Fit, fit_trials
+from cell.lab.statistics.score import Nuisance
+
+FloatArray = NDArray[np.float64]
+
+#: Effects are nudged by this share of their typical size, so that a vanishing slope at zero shows.
+NUDGE = 0.05
+
+
+#: A nudge that moves a marker by more than this many standard deviations of the noise, or that
+#: cannot be simulated, is made smaller, this often.
+LARGEST_CHANGE = 300.0
+
+
+TRIES = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivity:
+    """What an effect's amplitudes do to the fit trials, from none of it.
+
+    values  per guess of its shape parameters, all parameters
+    rows    (shapes, amplitudes, values) whitened change per unit of each amplitude, the prior's
+            rows (zero) included; zero where it cannot be simulated
+    """
+
+    effect: type[Effect]
+    values: tuple[FloatArray, ...]
+    rows: FloatArray
+
+
+def sensitivities(
+    prepared: PreparedStudy, fit: Fit, effects: Sequence[type[Effect]]
+) -> list[Sensitivity]:
+    """Slopes of what is seen in every effect's amplitudes, at every guess of its shape."""
+    guesses = [g for effect in effects for g in _guesses(effect)]
+    change = np.full((len(guesses), len(fit.solution.residual)), np.nan)
+    for _ in range(TRIES):
+        undone = [i for i in range(len(guesses)) if not _usable(change[i])]
+        if not undone:
+            break
+        change[undone] = changes(
+            prepared, fit, [ActiveEffect(guesses[i].effect, guesses[i].values) for i in undone]
+        )
+        for i in undone:
+            if not _usable(change[i]):
+                guesses[i] = guesses[i].smaller()
+    change[[not _usable(row) for row in change]] = 0.0
+    priors = np.zeros((len(guesses), len(fit.solution.q)))
+    rows = np.hstack([change, priors]) / np.array([g.nudge for g in guesses])[:, None]
+    found = []
+    for effect in effects:
+        mine = [i for i, g in enumerate(guesses) if g.effect is effect]
+        shapes = len({guesses[i].shape for i in mine})
+        grouped = rows[mine].reshape(shapes, -1, rows.shape[1])
+        values = tuple(
+            np.array(guesses[mine[shape * grouped.shape[1]]].values) for shape in range(shapes)
+        )
+        found.append(Sensitivity(effect, values, grouped))
+    return found
+
+
+def one_sided(effect: type[Effect]) -> bool:
+    """Whether an effect has one amplitude, and that of one sign."""
+    amplitudes = [p for p in effect.parameters if p.amplitude]
+    return len(amplitudes) == 1 and amplitudes[0].low >= amplitudes[0].default
+
+
+@dataclass(frozen=True)
+class _Guess:
+    """One simulation: one amplitude nudged, the other parameters as guessed."""
+
+    effect: type[Effect]
+    shape: int
+    values: tuple[float, ...]
+    which: int
+    nudge: float
+
+    def smaller(self) -> _Guess:
+        """A tenth of the nudge: this cable is more sensitive than the effect's typical one."""
+        default = self.effect.parameters[self.which].default
+        nudge = 0.1 * self.nudge
+        values = (*self.values[: self.which], default + nudge, *self.values[self.which + 1 :])
+        return _Guess(self.effect, self.shape, values, self.which, nudge)
+
+
+def _usable(change: FloatArray) -> bool:
+    """Whether a nudge's effect could be simulated, and is small enough to be a slope."""
+    return bool(np.all(np.isfinite(change)) and np.max(np.abs(change)) < LARGEST_CHANGE)
+
+
+def changes(prepared: PreparedStudy, fit: Fit, active: Sequence[ActiveEffect]) -> FloatArray:
+    """(effects, rows) whitened change of the fit trials' markers by each effect alone."""
+    model = fit.model
+    models = [model, *(_with(model, a) for a in active)]
+    begun = {name: np.tile(values, (len(models), 1)) for name, values in fit.begun.items()}
+    white = prepared.white_near(fit_trials(prepared), models, begun)
+    return np.asarray(white[0] - white[1:])
+
+
+def _guesses(effect: type[Effect]) -> list[_Guess]:
+    """Every amplitude at every combination of starts of the shape parameters, shape by shape."""
+    if not any(p.amplitude for p in effect.parameters):
+        raise ValueError(f"effect {effect.name}: no parameter switches it off; declare one")
+    guesses = []
+    for shape, values in enumerate(_shapes(effect)):
+        for i, p in enumerate(effect.parameters):
+            if p.amplitude:
+                nudge = _nudge(p)
+                nudged = (*values[:i], p.default + nudge, *values[i + 1 :])
+                guesses.append(_Guess(effect, shape, nudged, i, nudge))
+    return guesses
+
+
+def _shapes(effect: type[Effect]) -> list[tuple[float, ...]]:
+    """Parameters of every shape that is looked at, amplitudes off."""
+    choices = [p.starts if is_shape(p) else (p.default,) for p in effect.parameters]
+    usual = list(itertools.product(*choices))
+    scanned = [
+        (*usual[0][:i], value, *usual[0][i + 1 :])
+        for i, p in enumerate(effect.parameters)
+        for value in p.scan
+    ]
+    return usual + scanned
+
+
+def chances_of(effect: type[Effect]) -> int:
+    """Shapes that a fit from all that were looked at may end in: for each parameter some three."""
+    return int(3 ** sum(map(is_shape, effect.parameters)) * len(_shapes(effect)))
+
+
+def shapes_of(effect: type[Effect]) -> int:
+    """Number of shapes that an effect is tried with."""
+    return int(np.prod([len(p.starts) for p in effect.parameters if is_shape(p)]))
+
+
+def is_shape(parameter: Parameter) -> bool:
+    """Whether a parameter is unknown, yet says nothing of how strong the effect is."""
+    return parameter.fitted and not parameter.amplitude
+
+
+def _nudge(parameter: Parameter) -> float:
+    size = NUDGE * max(abs(s - parameter.default) for s in parameter.starts[:1])
+    size = size or NUDGE * (parameter.high - parameter.low)
+    return size if parameter.default + size <= parameter.high else -size
+
+
+def _with(model: CableModel, active: ActiveEffect) -> CableModel:
+    return CableModel(
+        model.cable,
+        model.rigidity_n_m2,
+        model.exponent,
+        model.viscosity_n_m2_s,
+        model.gravity_m_per_s2,
+        (*model.effects, active),
+    )
+
+
+def nuisance_of(fit: Fit) -> Nuisance:
+    """What the fitted parameters can imitate, their prior as further rows."""
+    root, p = prior_root(fit), len(fit.q)
+    away = np.concatenate([fit.q - fit.space.mean, fit.solution.q[p:]])
+    residual = np.concatenate([fit.solution.residual, root @ away])
+    return Nuisance.of(residual, np.vstack([fit.solution.jacobian, root]))
+
+
+def prior_root(fit: Fit) -> FloatArray:
+    """(rows, p) by which the prior's rows rise with the fit's coordinates, beginnings included."""
+    p, rows = len(fit.q), len(fit.solution.q)
+    precision = np.zeros((rows, rows))
+    precision[:p, :p] = fit.space.precision
+    if any(len(b) > 1 for b in fit.begun.values()):  # modes have a prior; a delay alone is free
+        precision[p:, p:] = np.diag(1.0 / fit.begun_std**2)
+    return np.asarray(covariance_root(precision).T)

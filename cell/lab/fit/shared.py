@@ -1,0 +1,272 @@
+"""A model fitted to many cables at once: effects shared by all, EI(s), N and viscosity of each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc as chi2_sf
+
+from cell.cable.effects.base import Effect
+from cell.cable.model import CableModel
+from cell.cable.solver import Solver
+from cell.identify import gauss_newton
+from cell.identify.fit import variance_inflation
+from cell.identify.noise import Whitener, across
+from cell.identify.parameters import ParameterSpace
+from cell.lab.data.noise_floor import noise_floor
+from cell.lab.data.prepared import PreparedStudy, Work
+from cell.lab.fit.fitting import space_with
+from cell.study.data import Study, Trial
+
+FloatArray = NDArray[np.float64]
+
+#: What is constant in a marker throughout a cable's pictures: how far along the tip is seen, m.
+BIAS_M = 5e-5
+#: Within 0.02 mm of a converged cable, as a bias is; half the cost of the lab's.
+SOLVER = Solver(segments=24, step_s=1.5e-3)
+PASSES = gauss_newton.Options(tolerance=0.3, most_passes=10, least_gain=1e-3, updates=3)
+
+
+def prepared_cycle(study: Study, work: Work | None = None) -> PreparedStudy:
+    """A cycle's study made ready, its simulations counted as `work`.  Raises NoiseUnknownError."""
+    floor = noise_floor(study)
+    noise = replace(floor.noise, bias_m=BIAS_M)
+    whiteners = {t.name: Whitener(t.markers.xy_m, noise) for t in study.trials}
+    return PreparedStudy(study, floor, noise, whiteners, SOLVER, work or Work())
+
+
+def simulated_s(cable: PreparedStudy) -> float:
+    """What simulating a cable in all its trials once counts as, s."""
+    spans = (float(t.markers.t_s[-1] - t.markers.t_s[0]) for t in cable.study.trials)
+    return Work.cost(cable.solver) * sum(spans)
+
+
+@dataclass(frozen=True, eq=False)
+class SharedFit:
+    """A model class fitted to several cables.
+
+    space      of one cable: first its own coordinates, then those that all share
+    own        number of a cable's own coordinates
+    common     (m,) which coordinates of `space` are shared
+    q          (cables, own)
+    theta      (m,) shared coordinates
+    solution   of all at once: q of every cable, then theta
+    rows       of the solution's residual, of each cable
+    inflation  variance factor for residuals larger or more coloured than the noise
+    """
+
+    cables: tuple[PreparedStudy, ...]
+    space: ParameterSpace
+    own: int
+    common: NDArray[np.int64]
+    q: FloatArray
+    theta: FloatArray
+    solution: gauss_newton.Solution
+    rows: tuple[slice, ...]
+    inflation: float
+
+    @property
+    def chi2(self) -> float:
+        """Square of all white residuals, and the prior's term."""
+        return self.solution.objective
+
+    @property
+    def chi2_by_cable(self) -> FloatArray:
+        """(cables,) square of the white residuals."""
+        return np.array([float(np.sum(self.solution.residual[r] ** 2)) for r in self.rows])
+
+    @property
+    def rms_m(self) -> float:
+        """Residual per coordinate, in units of each cable's noise, times the mean noise, m."""
+        count = sum(w.count for c in self.cables for w in c.whiteners.values())
+        noise_m = float(np.mean([c.noise.std_m for c in self.cables]))
+        return noise_m * float(np.sqrt(self.chi2_by_cable.sum() / count))
+
+    @property
+    def end_seen_beyond_m(self) -> FloatArray:
+        """(cables,) how far along it a cable's end is seen from where the fit has it, mean of all
+        its pictures, m.
+        """
+        found = np.empty(len(self.cables))
+        for i, cable in enumerate(self.cables):
+            q = self.space.mean.copy()
+            q[: self.own], q[self.common] = self.q[i], self.theta
+            predicted = cable.predict_all(cable.study.trials, [self.space.model(q)])
+            away = [
+                np.sum((trial.markers.xy_m[:, 0] - points[0, :, 0]) * along_end(trial), axis=1)
+                for trial, points in zip(cable.study.trials, predicted, strict=True)
+            ]
+            found[i] = np.nanmean(np.concatenate(away))
+        return found
+
+    @cached_property
+    def _information(self) -> tuple[FloatArray, FloatArray]:
+        """(cables, m, m) what each cable tells of theta, and (cables, m) where it pulls it."""
+        m, jacobian = len(self.theta), self.solution.jacobian
+        precision = self.space.precision[: self.own, : self.own]
+        tells, pulls = np.zeros((len(self.cables), m, m)), np.zeros((len(self.cables), m))
+        for i, rows in enumerate(self.rows):
+            a = jacobian[rows, i * self.own : (i + 1) * self.own]
+            b = jacobian[rows, len(self.cables) * self.own :]
+            r = self.solution.residual[rows]
+            inner = a.T @ a + precision
+            away = self.q[i] - self.space.mean[: self.own]
+            tells[i] = b.T @ b - b.T @ a @ np.linalg.solve(inner, a.T @ b)
+            pulls[i] = -(b.T @ r - b.T @ a @ np.linalg.solve(inner, a.T @ r + precision @ away))
+        return tells, pulls
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(m, m) of theta."""
+        tells = self._information[0].sum(axis=0) + self._weak
+        return np.asarray(self.inflation * np.linalg.inv(tells))
+
+    @property
+    def by_cable(self) -> tuple[FloatArray, FloatArray]:
+        """(cables, m) theta as each cable alone would have it, (cables, m) standard deviations."""
+        tells, pulls = self._information
+        alone = [np.linalg.inv(t + self._weak) for t in tells]
+        values = np.array([self.theta + v @ p for v, p in zip(alone, pulls, strict=True)])
+        return values, np.sqrt(self.inflation * np.array([np.diag(v) for v in alone]))
+
+    def without(self, i: int) -> FloatArray:
+        """(m,) theta from all cables but one, to first order, within its bounds."""
+        tells, pulls = self._information
+        rest = tells.sum(axis=0) - tells[i] + self._weak
+        theta = self.theta - np.linalg.solve(rest, pulls[i])
+        return np.clip(theta, self.space.low[self.common], self.space.high[self.common])
+
+    @property
+    def _weak(self) -> FloatArray:
+        return np.asarray(self.space.precision[np.ix_(self.common, self.common)])
+
+
+def along_end(trial: Trial) -> FloatArray:
+    """(T, 2) unit vectors along the cable at its end, as seen."""
+    normal = across(trial.markers.xy_m)[:, 0]
+    return np.stack([normal[:, 1], -normal[:, 0]], axis=1)
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Spread of an amplitude between cables.
+
+    tau      standard deviation between cables beyond what each is uncertain by
+    q        Cochran's Q, of so many degrees of freedom; its p-value
+    """
+
+    tau: float
+    q: float
+    freedom: int
+    p_value: float
+
+    @staticmethod
+    def of(values: FloatArray, std: FloatArray) -> Spread:
+        """From each cable's own value.
+
+        source  restricted maximum likelihood by fixed-point iteration: Viechtbauer 2005, J. Educ.
+                Behav. Stat. 30, 261; Q: Cochran 1954, Biometrics 10, 101
+        """
+        v, freedom = std**2, len(values) - 1
+        if freedom < 1:
+            return Spread(0.0, 0.0, 0, 1.0)
+        w = 1.0 / v
+        q = float(np.sum(w * (values - np.average(values, weights=w)) ** 2))
+        tau2 = max(0.0, (q - freedom) / float(w.sum() - (w**2).sum() / w.sum()))
+        for _ in range(100):
+            w = 1.0 / (v + tau2)
+            mean = np.average(values, weights=w)
+            fit = float(np.sum(w**2 * ((values - mean) ** 2 - v)) / np.sum(w**2) + 1.0 / w.sum())
+            if abs(max(0.0, fit) - tau2) < 1e-9 * float(v.mean()):
+                break
+            tau2 = max(0.0, fit)
+        return Spread(float(np.sqrt(tau2)), q, freedom, float(chi2_sf(freedom, q)))
+
+
+def fit_shared(
+    cables: Sequence[PreparedStudy],
+    base: ParameterSpace,
+    q: FloatArray,
+    effects: Sequence[type[Effect]] = (),
+    values: FloatArray | None = None,
+    *,
+    options: gauss_newton.Options = PASSES,
+) -> SharedFit:
+    """Fit all cables at once.
+
+    base     parameters of one cable without the shared effects, with their prior
+    q        (cables, own) where to start, in coordinates of `base`
+    effects  shared by all cables
+    values   (parameters of `effects`) natural values to start from
+    raises   ValueError: a cable cannot be simulated at the start
+    """
+    space = space_with(base, (*base.effects, *effects)) if effects else base
+    own = len(base.names)
+    common = np.array(
+        [i for i in range(own, len(space.names)) if space.high[i] > space.low[i]], dtype=np.int64
+    )
+    start = space.mean.copy()
+    if values is not None:
+        natural = space.natural(start)
+        natural[own:] = values
+        start = space.coordinates(natural)
+    n, m = len(cables), len(common)
+    rows, begin = [], 0
+    for cable in cables:
+        size = sum(cable.whiteners[t.name].rows for t in cable.study.trials)
+        rows.append(slice(begin, begin + size))
+        begin += size
+
+    def residuals(lanes: FloatArray) -> FloatArray:
+        out = np.empty((len(lanes), begin))
+        for i, (cable, row) in enumerate(zip(cables, rows, strict=True)):
+            mine = np.hstack([lanes[:, i * own : (i + 1) * own], lanes[:, n * own :]])
+            moved = np.any(mine != mine[0], axis=1)
+            needed = np.concatenate([[0], np.flatnonzero(moved)])
+            full = np.tile(start, (len(needed), 1))
+            full[:, :own] = mine[needed, :own]
+            full[:, common] = mine[needed, own:]
+            white = _white(cable, [space.model(v) for v in full])
+            out[:, row] = white[0]
+            out[needed, row] = white
+        return out
+
+    precision = np.zeros((n * own + m, n * own + m))
+    for i in range(n):
+        block = slice(i * own, (i + 1) * own)
+        precision[block, block] = space.precision[:own, :own]
+    precision[n * own :, n * own :] = space.precision[np.ix_(common, common)]
+
+    def joined(each: FloatArray) -> FloatArray:
+        return np.concatenate([np.tile(each[:own], n), each[common]])
+
+    problem = gauss_newton.Problem(
+        residuals,
+        joined(space.mean),
+        precision,
+        joined(space.step),
+        joined(space.low),
+        joined(space.high),
+    )
+    begin_at = np.concatenate([q[:, :own].ravel(), start[common]])
+    solution = gauss_newton.minimise(problem, begin_at, options)
+    whiteners = [c.whiteners[t.name] for c in cables for t in c.study.trials]
+    return SharedFit(
+        tuple(cables),
+        space,
+        own,
+        common,
+        solution.q[: n * own].reshape(n, own),
+        solution.q[n * own :],
+        solution,
+        tuple(rows),
+        variance_inflation(solution.residual, whiteners, len(solution.q)),
+    )
+
+
+def _white(cable: PreparedStudy, models: list[CableModel]) -> FloatArray:
+    return cable.all_white(cable.study.trials, models)

@@ -1,0 +1,109 @@
+"""What a simulation and the hand's log are wrong by, beside the noise of the markers.
+
+With many frames an effect shows that moves a marker by a thousandth of the noise: far less than the
+mesh and the step of a simulation, or ten micrometres of noise in the hand's log, do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.identify.hand import HandErrors, likely_motions
+from cell.lab.data.prepared import PreparedStudy
+from cell.lab.fit.fitting import Fit
+from cell.lab.fit.mesh import LEFT, finer
+from cell.study.data import Trial
+
+FloatArray = NDArray[np.float64]
+
+#: Motions of the hand drawn for every trial.
+MOTIONS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Systematic:
+    """Whitened changes of what a fitted model leaves of trials.
+
+    mesh   (rows,) to what a simulation of twice the segments and half the step leaves, beyond what
+           has been taken out of the study
+    doubt  (rows,) the same whether taken out or not: a share `LEFT` of it may still be wrong
+    hands  (motions, rows) by other motions of the hand, as likely as its log
+    ends   (trials,) where the rows of each trial end
+    """
+
+    mesh: FloatArray
+    doubt: FloatArray
+    hands: FloatArray
+    ends: NDArray[np.int_]
+
+    def by_trial(self, rows: FloatArray) -> list[FloatArray]:
+        """Parts (…, rows of a trial) of (…, rows); the prior's rows, which come last, left out."""
+        return np.split(rows[..., : self.ends[-1]], self.ends[:-1], axis=-1)
+
+    def variance(self, left: FloatArray) -> float:
+        """Of the projection of residuals moved by `mesh` on `left` (rows,), beyond that by noise.
+
+        A finer mesh may still err by a share of what it differs by.
+        """
+        rows = left[: self.ends[-1]]
+        by_hand = float(self.by_hand(rows[None])[0, 0])
+        return by_hand + (LEFT * float(self.doubt @ rows)) ** 2
+
+    def covariance(self, answer: FloatArray) -> FloatArray:
+        """(p, p) of what residuals as they are answer by `answer` (p, rows) beyond noise."""
+        by_mesh = answer @ self.doubt  # taken out by another model it may be all wrong
+        return np.asarray(self.by_hand(answer) + np.outer(by_mesh, by_mesh))
+
+    def by_hand(self, answer: FloatArray) -> FloatArray:
+        """(p, p) the hands' share of it: each trial's is wrong in its own way."""
+        pairs = zip(self.by_trial(self.hands), self.by_trial(answer), strict=True)
+        moved = [hands @ rows.T for hands, rows in pairs]
+        return np.asarray(sum(m.T @ m for m in moved) / MOTIONS)
+
+
+def systematic(prepared: PreparedStudy, fit: Fit, trials: Sequence[Trial]) -> Systematic:
+    """Of a model fitted to trials, at its parameters.  What cannot be simulated counts as none."""
+    begun = {name: values[None] for name, values in fit.begun.items()}
+    here = prepared.all_white(trials, [fit.model], begun)[0]
+    fine = finer(prepared).predict_all(trials, [fit.model], begun)
+    doubt = _rows(prepared, trials, fine) - here
+    mesh = doubt
+    if prepared.mesh_m:
+        known = [prepared.mesh_m.get(t.name, 0.0) / (1.0 + LEFT) for t in trials]
+        taken = [points - error for points, error in zip(fine, known, strict=True)]
+        mesh = np.nan_to_num(_rows(prepared, trials, taken) - here, nan=0.0)
+    ends = np.cumsum([prepared.whiteners[t.name].rows for t in trials])
+    hands = [
+        _by_other_hands(prepared, fit, trial, rows)
+        for trial, rows in zip(trials, np.split(here, ends[:-1]), strict=True)
+    ]
+    change = np.concatenate(hands, axis=1)
+    doubt = np.nan_to_num(doubt, nan=0.0)
+    mesh = mesh if prepared.mesh_m else doubt
+    return Systematic(mesh, doubt, np.nan_to_num(change, nan=0.0), ends)
+
+
+def _rows(
+    prepared: PreparedStudy, trials: Sequence[Trial], predicted_m: Sequence[FloatArray]
+) -> FloatArray:
+    """(rows,) whitened residuals of what one model predicts of trials."""
+    pairs = zip(trials, predicted_m, strict=True)
+    return np.concatenate([prepared.white(t, points)[0] for t, points in pairs])
+
+
+def _by_other_hands(
+    prepared: PreparedStudy, fit: Fit, trial: Trial, here: FloatArray
+) -> FloatArray:
+    """(motions, rows) change from `here`, a trial's whitened residual, by other hands' motions."""
+    if all(s.noise_std == 0.0 for s in trial.grip.splines):
+        return np.zeros((MOTIONS, len(here)))
+    motions = likely_motions(trial.grip, HandErrors(MOTIONS))
+    others = [replace(trial, name=f"{trial.name}/{i}", grip=m) for i, m in enumerate(motions)]
+    begun = fit.begun.get(trial.name)
+    known = {} if begun is None else {t.name: begun[None] for t in others}
+    predicted = prepared.predict_all(others, [fit.model], known)
+    return np.asarray(prepared.white(trial, np.concatenate(predicted)) - here)

@@ -1,0 +1,1 @@
+"""What recorded cables of a line have in common: what its model lacks, and a candidate for it."""

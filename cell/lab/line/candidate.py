@@ -1,0 +1,112 @@
+"""A candidate model as a file: the section `model` for the settings, and what speaks for it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cell.files.atomic import write_whole
+from cell.files.yaml_document import yaml_text
+from cell.identify.model_class import source_of
+from cell.lab.data.cycles import RecordedCycle
+from cell.lab.line.gates import Judgement
+from cell.lab.line.learn import Lesson
+from cell.settings import Settings, load_settings
+from cell.settings.line import distinct, line_of
+from cell.settings.model import Model
+from cell.settings.promotion import FORMAT
+from cell.settings.translate import model_hash
+
+
+def lines_of(cycles: Sequence[RecordedCycle], settings: Settings) -> list[dict[str, Any]]:
+    """The lines that cycles were recorded on; one without settings of its own counts as here.
+
+    raises  InputError: a cycle's settings cannot be read
+    """
+    recorded = [c.folder / "settings.yaml" for c in cycles]
+    return distinct(
+        [line_of(load_settings(path) if path.exists() else settings) for path in recorded]
+    )
+
+
+def write_candidate(
+    path: Path,
+    lesson: Lesson,
+    judgement: Judgement,
+    present: Model,
+    lines: Sequence[Mapping[str, Any]],
+) -> None:
+    """Write what was learned, and what from; `read_candidate` reads it.
+
+    present  the model beside which it was learned
+    lines    on which the cycles were recorded, as `lines_of` has them
+    """
+    content = {
+        "format": FORMAT,
+        "beside": model_hash(present),
+        "model": section(lesson, present).model_dump(mode="json", exclude_defaults=True),
+        "tied": list(lesson.tied),
+        "gates": [{"gate": g.name, "passed": g.passed, "found": g.found} for g in judgement.gates],
+        "forecasts": [_plain(asdict(f)) for f in judgement.paired],
+        "votes": [_plain(asdict(v)) for v in lesson.votes],
+        "left_out": list(lesson.left_out),
+        "lines": list(lines),
+        "cycles": [str(c.folder.resolve()) for c in lesson.cycles],
+    }
+    write_whole(path, yaml_text(content))
+
+
+def section(lesson: Lesson, present: Model) -> Model:
+    """The present model with the effects that were learned.
+
+    One parameter is written as `fixed` with its standard deviation, several as a prior, because
+    they depend on each other.
+    """
+    assert lesson.best is not None
+    tried, fit = lesson.best, lesson.best.fit
+    covariance = fit.covariance + np.diag(lesson.between)
+    q = fit.space.mean.copy()
+    q[fit.common] = fit.theta
+    natural = fit.space.natural(q)[fit.common]
+    plain = present.model_dump(mode="json")
+    for effect in tried.effects:
+        known = [n.partition(".")[2] for n in tried.names if n.startswith(f"{effect.name}.")]
+        entry: dict[str, Any] = {"effect": source_of(effect)}
+        if effect.file is not None:
+            entry["sha256"] = effect.file.sha256
+        entry["parameters"] = dict.fromkeys(known, "prior")
+        plain["effects"].append(entry)
+    if len(tried.names) == 1:
+        logarithmic = bool(fit.space.logarithmic[fit.common[0]])
+        std = float(np.sqrt(covariance[0, 0])) * (float(natural[0]) if logarithmic else 1.0)
+        name = tried.names[0].partition(".")[2]
+        known_as = {"fixed": _digits(natural[0]), "std": _digits(std)}
+        plain["effects"][-1]["parameters"] = {name: known_as}
+    else:
+        old = plain["prior"] or {"names": [], "mean": [], "covariance": []}
+        k, m = len(old["names"]), len(tried.names)
+        joint = np.zeros((k + m, k + m))
+        joint[:k, :k] = np.array(old["covariance"]).reshape(k, k)
+        joint[k:, k:] = covariance
+        plain["prior"] = {
+            "names": [*old["names"], *tried.names],
+            "mean": [*old["mean"], *(_digits(v) for v in natural)],
+            "covariance": [[_digits(v) for v in row] for row in joint],
+        }
+    return Model.model_validate(plain)
+
+
+def _digits(value: float) -> float:
+    """Six digits: more are not known, and fewer could make a covariance none."""
+    return float(f"{float(value):.6g}")
+
+
+def _plain(data: dict[str, Any]) -> dict[str, Any]:
+    return {
+        k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in data.items()
+    }

@@ -1,0 +1,232 @@
+"""What recorded cables say is missing in the line's model: which effect, how much, how sure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable.effects.base import Effect
+from cell.cable.geometry import Cable
+from cell.identify.individual import CableRejectedError, IdentifyOptions, identify
+from cell.lab.data.cycles import RecordedCycle
+from cell.lab.data.prepared import PreparedStudy
+from cell.lab.fit.fitting import space_with
+from cell.lab.fit.shared import BIAS_M, SharedFit, Spread, fit_shared, prepared_cycle
+from cell.lab.line.lesson_search import SECOND, Budget, EffectFit, Progress, Search, is_tied, on_all
+from cell.lab.statistics.score import SIGNIFICANCE
+
+FloatArray = NDArray[np.float64]
+
+#: Cables that the library is tried on; and that a model is then fitted to, at most.
+TRIED_ON, FITTED_TO = 4, 12
+#: A model is complete for the line if it misses by no more than this above the noise, m.
+NEGLIGIBLE_M = 5e-6
+#: Standard deviations that are still chance.
+CHANCE = 3.0
+
+
+@dataclass(frozen=True)
+class Vote:
+    """Evidence of one cycle for or against the effect that was added last.
+
+    fall    of its own χ² over the inflation: positive speaks for the effect
+    value   of its first parameter as this cable alone would have it
+    std     of that
+    """
+
+    cycle: str
+    fall: float
+    value: float
+    std: float
+
+
+@dataclass(frozen=True, eq=False)
+class Lesson:
+    """The result of learning from many cables: the missing effects, or that none is missing.
+
+    cycles    that were learned from, as in `votes`
+    baseline  the present model, fitted to them
+    ranking   effects that were refitted beside those before, the likeliest first
+    best      the likeliest, fitted to all of `cycles`; None = nothing significant is missing
+    tied      effects that explain as much as the last of `best`
+    spread    of the first parameter of each effect of `best` between cables
+    votes     for and against the last effect of `best`
+    simpler   the lesson without the last effect; None = there is one effect, or none
+    left_out  what the limit of work has left out
+    """
+
+    cycles: tuple[RecordedCycle, ...]
+    baseline: SharedFit
+    ranking: tuple[EffectFit, ...]
+    best: EffectFit | None
+    tied: tuple[str, ...]
+    spread: tuple[Spread, ...]
+    votes: tuple[Vote, ...]
+    simpler: Lesson | None = None
+    left_out: tuple[str, ...] = ()
+
+    @property
+    def between(self) -> FloatArray:
+        """(m,) variance of each shared parameter between cables."""
+        assert self.best is not None
+        variance = np.zeros(len(self.best.names))
+        for i, spread in zip(self.best.firsts, self.spread, strict=True):
+            variance[i] = spread.tau**2
+        return variance
+
+    @property
+    def noise_m(self) -> float:
+        """Mean noise of the cycles."""
+        return float(np.mean([c.noise.std_m for c in self.baseline.cables]))
+
+
+def learn(
+    cycles: Sequence[RecordedCycle],
+    cable: Cable,
+    options: IdentifyOptions,
+    library: Mapping[str, type[Effect]],
+    progress: Progress = lambda _: None,
+    known: Callable[[Lesson], None] = lambda _: None,
+    budget: Budget | None = None,
+) -> Lesson:
+    """Which effects the model of `options` lacks, as all cycles together see it.
+
+    One at first; a second if the first leaves more than the noise.
+    known   is told of what is certain before the end: what the present model misses, the first
+            effect
+    budget  of simulations, the usual one if none is given
+    raises  ValueError: no cable can be identified; NoiseUnknownError
+    """
+    budget = Budget() if budget is None else budget
+    usable, starts = [], []
+    for cycle in cycles:
+        progress(f"identifying {cycle.name}")
+        trial = cycle.held or cycle.study.trials[0]
+        try:
+            found = identify(trial, cycle.study.arc_length_m, cable, options=options)
+        except CableRejectedError as error:
+            budget.left_out.append(f"{cycle.name}: it cannot be identified, {error}")
+            continue
+        usable.append((cycle, found))
+        starts.append(found.model_error_m)
+    if not usable:
+        raise ValueError("none of these cables could be identified: nothing can be learned")
+
+    # What was measured to tell effects apart comes first, then executions, which are judged by; of
+    # these, those that the model misses most tell most.
+    def rank(i: int) -> tuple[bool, bool, float]:
+        cycle = usable[i][0]
+        return cycle.held is not None, cycle.executed is None, -starts[i]
+
+    ranked = [usable[i] for i in sorted(range(len(usable)), key=rank)]
+    chosen, more = ranked[:FITTED_TO], ranked[FITTED_TO:]
+    if more:
+        named = ", ".join(sorted(cycle.name for cycle, _ in more))
+        budget.left_out.append(f"{named}: {FITTED_TO} cables are learned from at most")
+    prepared = [prepared_cycle(cycle.whole, budget.work) for cycle, _ in chosen]
+    plausible = np.array([found.mean for _, found in chosen])
+    base = options.kind.space(cable, chosen[0][0].study.gravity_m_per_s2)
+    progress("fitting the present model")
+    alone = [fit_shared([p], base, plausible[i : i + 1]) for i, p in enumerate(prepared)]
+    few = prepared[:TRIED_ON]
+    others = [e for e in library.values() if e not in base.effects]
+    baseline = fit_shared(prepared, base, np.vstack([a.q for a in alone]))
+    names = tuple(c for c, _ in chosen)
+    lesson = Lesson(names, baseline, (), None, (), (), ())
+    known(lesson)
+    if not negligible(baseline):
+        search = Search(tuple(few), base, plausible[:TRIED_ON], len(others), budget, progress)
+        lesson = _searched(lesson, search, prepared, plausible, alone[:TRIED_ON], others, known)
+    return replace(lesson, left_out=tuple(budget.left_out))
+
+
+def _searched(
+    none: Lesson,
+    search: Search,
+    prepared: Sequence[PreparedStudy],
+    plausible: FloatArray,
+    alone: Sequence[SharedFit],
+    others: Sequence[type[Effect]],
+    known: Callable[[Lesson], None],
+) -> Lesson:
+    """The lesson with one effect, or two; as it was if none is more than chance.
+
+    none   of the present model
+    alone  that model fitted to each of the search's cables
+    """
+    tried = search.next(alone, others, None)
+    first = _lesson(replace(none, ranking=tuple(tried)), search, prepared, plausible, tried)
+    if first.best is None or negligible(first.best.fit) or len(others) < 2:
+        return first
+    known(first)
+    if not search.budget.allows(SECOND, f"effects beside {first.best.effect.name}"):
+        return first
+    search.progress(f"looking for what {first.best.effect.name} leaves")
+    with_it = space_with(search.base, (*search.base.effects, first.best.effect))
+    assert tuple(with_it.names[i] for i in first.best.fit.common) == first.best.names
+    full = np.tile(with_it.mean, (len(prepared), 1))
+    full[:, : first.best.fit.own], full[:, first.best.fit.common] = (
+        first.best.fit.q,
+        first.best.fit.theta,
+    )
+    left = [fit_shared([p], with_it, full[i : i + 1]) for i, p in enumerate(search.prepared)]
+    rest = [e for e in others if e is not first.best.effect]
+    second = _lesson(first, search, prepared, plausible, search.next(left, rest, tried[0]))
+    if second.best is first.best:
+        return first
+    single = search.last_alone(alone, second.ranking[0])
+    if single is None:
+        return second
+    # what is as good as it beside the first is as good without
+    return replace(_lesson(none, search, prepared, plausible, [single]), tied=second.tied)
+
+
+def _lesson(
+    before: Lesson,
+    search: Search,
+    prepared: Sequence[PreparedStudy],
+    plausible: FloatArray,
+    tried: Sequence[EffectFit],
+) -> Lesson:
+    """The lesson with the best of these; as before, if it is no more than chance."""
+    simpler = before.baseline if before.best is None else before.best.fit
+    if not tried or tried[0].p_value >= SIGNIFICANCE:
+        return before
+    search.progress(f"fitting {tried[0].name} to {len(prepared)} cables")
+    tied = tuple(t.effect.name for t in tried[1:] if is_tied(t, tried[0]))
+    best = on_all(prepared, search.base, plausible, simpler, tried[0], search.budget)
+    values, std = best.fit.by_cable
+    falls = (simpler.chi2_by_cable - best.fit.chi2_by_cable) / best.fit.inflation
+    last = best.firsts[-1]
+    votes = tuple(
+        Vote(cycle.name, float(fall), float(value), float(of_it))
+        for cycle, fall, value, of_it in zip(
+            before.cycles, falls, values[:, last], std[:, last], strict=True
+        )
+    )
+    return Lesson(
+        before.cycles,
+        before.baseline,
+        tuple(tried),
+        best,
+        tied,
+        tuple(Spread.of(values[:, i], std[:, i]) for i in best.firsts),
+        votes,
+        None if before.best is None else before,
+    )
+
+
+def negligible(fit: SharedFit) -> bool:
+    """Whether a model misses no more than the noise, for the line's purpose.
+
+    How far along it a cable's end is seen is allowed for in each cable alone, and hides there how
+    far all of them are: that must be no more than chance, too.
+    """
+    noise_m = float(np.mean([c.noise.std_m for c in fit.cables]))
+    if fit.rms_m**2 - noise_m**2 >= NEGLIGIBLE_M**2:
+        return False
+    beyond_m = fit.end_seen_beyond_m
+    return abs(float(beyond_m.mean())) < CHANCE * BIAS_M / float(np.sqrt(len(beyond_m)))

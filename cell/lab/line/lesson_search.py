@@ -1,0 +1,443 @@
+"""Looks for the effect that several cables' model lacks: in each cable alone, then in all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc as chi2_sf
+
+from cell.cable.effects.base import Effect
+from cell.identify.gauss_newton import Options
+from cell.identify.parameters import ParameterSpace
+from cell.lab.data.prepared import PreparedStudy, Work
+from cell.lab.fit.fitting import Fit
+from cell.lab.fit.sensitivity import shapes_of
+from cell.lab.fit.shared import PASSES, SharedFit, fit_shared, simulated_s
+from cell.lab.search.explore import Candidate, Explorer
+from cell.lab.search.screen import ScreenedEffect, screen
+from cell.lab.statistics.score import holm
+
+FloatArray = NDArray[np.float64]
+
+#: Effects of the screen that are refitted, besides those that are not smooth.
+BEST = 4
+#: Starts of a fit are compared on so many cables, with so many passes.
+START_ON, FIRST_PASSES = 1, replace(PASSES, tolerance=1.0, most_passes=6)
+#: Of an effect with more shapes than this a refit begins with several, the likeliest of the cable
+#: that shows it best: the middle of what cables show is none of them.
+SEVERAL, PLACES = 12, 3
+#: Share of what the slope says that a refit begins with.
+A_LITTLE = 0.05
+#: Fits whose χ² is within this factor of the best are taken to convergence.
+NEAR, ALL_PASSES = 2.0, replace(PASSES, most_passes=30)
+#: A fit of which χ² is above the best by this factor after so many passes is given up; an effect of
+#: which each cable's own fit leaves so much is not fitted to all at once.
+FAR_ABOVE, ENOUGH_PASSES = 4.0, 4
+#: Effects are one class if their χ², over its inflation, differs by less; as in a diagnosis.
+TIE = 9.0
+#: Share of what an effect does that `shared.SOLVER` may err by: of two that are the same physics, a
+#: late arm and a late camera, the one that was there explained less by 0.4 % of it.
+SIMULATED = 0.005
+#: Two cables' own solutions are one if they differ by fewer standard deviations in every parameter.
+ALIKE = 3.0
+#: Motion that may be simulated for a lesson, s, counted as `prepared.Work` does: three to four
+#: minutes of one core.  The shares of it after which no further own solutions are looked for, no
+#: effect is refitted, none is taken to convergence, and no second effect is looked for.
+MOST_SIMULATED_S = 80_000.0
+OWN, REFITS, ENDS, SECOND = 0.4, 0.5, 0.6, 0.6
+#: Passes of the last fit, to all cables, that the limit does not touch.
+LEAST_PASSES = 6
+
+Progress = Callable[[str], None]
+
+
+@dataclass(eq=False)
+class Budget:
+    """What may be simulated, and what was left out because of it.
+
+    most_s  seconds of cables' motion
+    """
+
+    most_s: float = MOST_SIMULATED_S
+    work: Work = field(default_factory=Work)
+    left_out: list[str] = field(default_factory=list)
+
+    def allows(self, share: float, what: str) -> bool:
+        """Whether less than a share of it is spent; if not, it is noted what is left out."""
+        if self.work.simulated_s < share * self.most_s:
+            return True
+        self._leave_out(what)
+        return False
+
+    def passes(self, each_s: float, options: Options, what: str) -> Options:
+        """Options of a fit with as many passes as what is left allows.
+
+        each_s  seconds simulated in a pass
+        """
+        affordable = max(LEAST_PASSES, int((self.most_s - self.work.simulated_s) / each_s))
+        if affordable >= options.most_passes:
+            return options
+        self._leave_out(f"{what} after {affordable} passes")
+        return replace(options, most_passes=affordable)
+
+    def _leave_out(self, what: str) -> None:
+        said = f"{what}, for the limit of {self.most_s:.0f} s of simulated motion"
+        if said not in self.left_out:
+            self.left_out.append(said)
+
+
+@dataclass(frozen=True, eq=False)
+class EffectFit:
+    """Effects fitted to several cables, their parameters shared.
+
+    effects  in the order in which they were added to the model
+    fall     of χ² by the last of them, over the residuals' inflation
+    p_value  of it, adjusted for the size of the library
+    """
+
+    effects: tuple[type[Effect], ...]
+    fit: SharedFit
+    fall: float
+    p_value: float
+
+    @property
+    def effect(self) -> type[Effect]:
+        """The effect that was added last."""
+        return self.effects[-1]
+
+    @property
+    def name(self) -> str:
+        """Names of the effects."""
+        return " + ".join(e.name for e in self.effects)
+
+    @property
+    def firsts(self) -> tuple[int, ...]:
+        """Where the first fitted parameter of each effect stands among the shared ones."""
+        owners = [n.partition(".")[0] for n in self.names]
+        return tuple(owners.index(e.name) for e in self.effects)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Shared parameters, as `effect.parameter`."""
+        return tuple(self.fit.space.names[i] for i in self.fit.common)
+
+
+def library_first(ranked: Sequence[EffectFit]) -> list[EffectFit]:
+    """The likeliest first; a law of a file gives way to an effect of the library that explains as
+    much: its free exponents and places always explain a little more.
+    """
+    named = [t for t in ranked[:1] if t.effect.file is not None]
+    same = [t for t in ranked[1:] if named and t.effect.file is None and is_tied(t, ranked[0])]
+    return sorted(ranked, key=lambda t: t is not same[0]) if same else list(ranked)
+
+
+def is_tied(other: EffectFit, best: EffectFit) -> bool:
+    """Whether an effect explains as much, or would: its fit was left short of its end.
+
+    As much is less than what noise or the simulation's own error can make of it.
+    """
+    left = other.fit.solution.promised if other.fit.chi2 < NEAR * best.fit.chi2 else 0.0
+    as_much = max(TIE, SIMULATED**2 * best.fall)
+    return best.fall - other.fall - left / best.fit.inflation < as_much
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """Looks for the next effect on a few cables.
+
+    base       parameters of one cable without the shared effects
+    plausible  (cables, own) where refits begin: each cable as its hold shows it, frames weighed by
+               what the model misses.  A fit that takes its misfit for information bends EI(s) until
+               it imitates an effect, to where some of it is no longer seen: no way leads back.
+    library    number of effects that could be named
+    """
+
+    prepared: tuple[PreparedStudy, ...]
+    base: ParameterSpace
+    plausible: FloatArray
+    library: int
+    budget: Budget
+    progress: Progress
+
+    def next(
+        self,
+        alone: Sequence[SharedFit],
+        others: Sequence[type[Effect]],
+        simpler: EffectFit | None,
+    ) -> list[EffectFit]:
+        """The likeliest of the other effects, fitted to all cables at once, the best first.
+
+        alone    the simpler model fitted to each cable alone, its effects among the own parameters
+        simpler  effects before it, fitted to these cables; None = none
+        """
+        self.progress("screening the library")
+        screens = [screen(p, as_fit(a), others) for p, a in zip(self.prepared, alone, strict=True)]
+        chosen = _worth_refitting(screens)
+        own = self._own_solutions(alone, chosen, simpler)
+        fits: list[tuple[type[Effect], SharedFit]] = []
+        for effect in chosen:
+            best_chi2 = min((fit.chi2 for _, fit in fits), default=np.inf)
+            if self._hopeless(own, effect, best_chi2):
+                continue
+            if fits and not self.budget.allows(REFITS, f"a fit with {effect.name}"):
+                continue
+            self.progress(f"refitting with {effect.name}")
+            of_it = [s for found in screens for s in found if s.effect is effect]
+            fit = self._refitted(simpler, effect, of_it, [o.get(effect.name) for o in own])
+            if fit is not None:
+                fits.append((effect, fit))
+        if not fits:
+            return []
+        best = min((fit for _, fit in fits), key=lambda f: f.chi2)
+        fits = [
+            (e, self._to_its_end(fit, best) if fit.chi2 < NEAR * best.chi2 else fit)
+            for e, fit in fits
+        ]
+        before = sum(a.chi2 for a in alone) if simpler is None else simpler.fit.chi2
+        return self._ranked(fits, before, simpler)
+
+    def _ranked(
+        self,
+        fits: Sequence[tuple[type[Effect], SharedFit]],
+        before: float,
+        simpler: EffectFit | None,
+    ) -> list[EffectFit]:
+        """Fits by what they explain of χ² before, with the chance of it."""
+        earlier = () if simpler is None else simpler.effects
+        fewer = 0 if simpler is None else len(simpler.fit.theta)
+        inflation = min(fits, key=lambda f: f[1].chi2)[1].inflation
+        falls = [(before - fit.chi2) / inflation for _, fit in fits]
+        p = [
+            float(chi2_sf(len(fit.theta) - fewer, max(fall, 0.0)))
+            for fall, (_, fit) in zip(falls, fits, strict=True)
+        ]
+        adjusted = holm(p + [1.0] * (self.library - len(p)))[: len(p)]
+        tried = [
+            EffectFit((*earlier, effect), fit, float(fall), float(value))
+            for (effect, fit), fall, value in zip(fits, falls, adjusted, strict=True)
+        ]
+        return library_first(sorted(tried, key=lambda t: -t.fall))
+
+    def _own_solutions(
+        self,
+        alone: Sequence[SharedFit],
+        effects: Sequence[type[Effect]],
+        simpler: EffectFit | None,
+    ) -> list[dict[str, Candidate]]:
+        """Per cable what a diagnosis of it alone would find with each effect of several shapes.
+
+        Where an effect acts is found from far by that search only; from a place that one cable
+        shows well a fit to all of them arrives.
+        """
+        shaped = [e for e in effects if shapes_of(e) > 1]
+        found: list[dict[str, Candidate]] = []
+        for number, (prepared, fit) in enumerate(zip(self.prepared, alone, strict=True)):
+            what = f"own solutions of {prepared.study.name}"
+            if not shaped or (number and not self.budget.allows(OWN, what)):
+                found.append({})
+                continue
+            self.progress(f"refitting {prepared.study.name} alone")
+            begin = None if simpler is None else fit.q[0]
+            library = {e.name: e for e in shaped}
+            explorer = Explorer(prepared, fit.space, library, begin=begin)
+            try:
+                candidates = explorer.add(explorer.baseline(), shaped)
+            except ValueError:  # this cable cannot be simulated so
+                candidates = []
+            found.append({c.effects[-1].name: c for c in candidates})
+        return found
+
+    def _hopeless(
+        self, own: Sequence[dict[str, Candidate]], effect: type[Effect], best_chi2: float
+    ) -> bool:
+        """Whether even its own fit to each cable leaves far more than another does of all."""
+        fits = [o[effect.name].fit for o in own if effect.name in o]
+        return len(fits) == len(own) and sum(f.objective for f in fits) > FAR_ABOVE * best_chi2
+
+    def last_alone(self, alone: Sequence[SharedFit], pair: EffectFit) -> EffectFit | None:
+        """The last of two effects without the first, if it explains as much as both.
+
+        The first was the best that there was of what began as small; beside it the second has come
+        to where no way led from none of it.
+        """
+        self.progress(f"trying {pair.effect.name} without {pair.effects[0].name}")
+        values = natural(pair.fit)[len(pair.effects[0].parameters) :]
+        effects = (pair.effect,)
+        try:
+            fit = fit_shared(
+                self.prepared, self.base, pair.fit.q, effects, values, options=ALL_PASSES
+            )
+        except ValueError:
+            return None
+        fall = (sum(a.chi2 for a in alone) - fit.chi2) / fit.inflation
+        p_value = min(1.0, self.library * float(chi2_sf(len(fit.theta), max(fall, 0.0))))
+        single = EffectFit(effects, fit, float(fall), p_value)
+        more = (fit.chi2 - pair.fit.chi2) / pair.fit.inflation
+        return single if more < max(TIE, SIMULATED**2 * fall) else None
+
+    def _to_its_end(self, fit: SharedFit, best: SharedFit) -> SharedFit:
+        """The fit converged: what is compared must not differ by where it was left.
+
+        best  of another effect: what explains as much may do so with the same cables
+        """
+        effects, found = fit.space.effects[len(self.base.effects) :], [fit]
+        for q in [] if fit.solution.converged else [fit.q, *([] if fit is best else [best.q])]:
+            if not self.budget.allows(ENDS, f"the end of the fit of {effects[-1].name}"):
+                break
+            found.append(
+                fit_shared(
+                    self.prepared, self.base, q, effects, natural(found[-1]), options=ALL_PASSES
+                )
+            )
+        return min(found, key=lambda f: f.chi2)
+
+    def _refitted(
+        self,
+        simpler: EffectFit | None,
+        effect: type[Effect],
+        screened: Sequence[ScreenedEffect],
+        own: Sequence[Candidate | None],
+    ) -> SharedFit | None:
+        """The effect fitted to all cables: from what all show of it, and from own solutions."""
+        effects = (effect,) if simpler is None else (*simpler.effects, effect)
+        found: list[SharedFit] = []
+
+        def fitted(q: FloatArray, values: FloatArray) -> None:
+            least = min((f.chi2 for f in found), default=np.inf)
+            options = replace(PASSES, above=(FAR_ABOVE * least, ENOUGH_PASSES))
+            try:
+                fit = fit_shared(self.prepared, self.base, q, effects, values, options=options)
+            except ValueError:
+                return
+            found.append(fit)
+
+        solved = [c for c in own if c is not None]
+        begin = self.plausible.copy()
+        for i, candidate in enumerate(own):
+            if candidate is not None:
+                begin[i] = _of(candidate.fit, self.base.names)
+        for candidate in _distinct(solved, effects):
+            if not found or self.budget.allows(REFITS, f"other starts of {effect.name}"):
+                fitted(begin, _values(candidate.fit, effects))
+        if not found or self.budget.allows(REFITS, f"other starts of {effect.name}"):
+            fitted(*self._where_all_show_it(simpler, effect, screened))
+        return min(found, key=lambda f: f.chi2, default=None)
+
+    def _where_all_show_it(
+        self, simpler: EffectFit | None, effect: type[Effect], screened: Sequence[ScreenedEffect]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Cables' coordinates and the effects' values that lead furthest on a few of the cables."""
+        effects = (effect,) if simpler is None else (*simpler.effects, effect)
+        known = np.zeros(0) if simpler is None else natural(simpler.fit)
+        # The slope says how much of it there is, but the cables were fitted without it: from a
+        # little of it all parameters move together.
+        off = np.array([p.default if p.amplitude else np.nan for p in effect.parameters])
+        most = [np.median(np.array([s.starts[0] for s in screened]), axis=0)]
+        if shapes_of(effect) > SEVERAL:
+            clearest = max(screened, key=lambda s: s.score.statistic)
+            most = [*clearest.starts[:PLACES]]
+        places = [np.where(np.isnan(off), m, off + A_LITTLE * (m - off)) for m in most]
+        if not effect.smooth:
+            places += [
+                np.array([p.starts[min(k, len(p.starts) - 1)] for p in effect.parameters])
+                for k in range(3)
+            ]
+        starts = [np.concatenate([known, values]) for values in places]
+        few, q = slice(0, START_ON), self.plausible
+        found: list[SharedFit] = []
+        for values in starts if len(starts) > 1 else ():
+            try:
+                found.append(
+                    fit_shared(
+                        self.prepared[few], self.base, q[few], effects, values, options=FIRST_PASSES
+                    )
+                )
+            except ValueError:
+                continue
+        begin, values = q.copy(), starts[0]
+        if found:
+            best = min(found, key=lambda f: f.chi2)
+            begin[few], values = best.q, natural(best)
+        return begin, values
+
+
+def _worth_refitting(screens: Sequence[Sequence[ScreenedEffect]]) -> list[type[Effect]]:
+    """The best of all cables' screens, and those that are not smooth, the likeliest first."""
+    score: dict[str, float] = {}
+    for screened in screens:
+        for s in screened:
+            score[s.effect.name] = score.get(s.effect.name, 0.0) + s.score.statistic
+    effects = {s.effect.name: s.effect for s in screens[0]}
+    ranked = [effects[n] for n in sorted(effects, key=lambda n: -score[n])]
+    return ranked[:BEST] + [e for e in ranked[BEST:] if not e.smooth]
+
+
+def _of(fit: Fit, names: Sequence[str]) -> FloatArray:
+    """Coordinates of these parameters in a fit."""
+    return np.array([fit.q[fit.space.names.index(name)] for name in names])
+
+
+def _values(fit: Fit, effects: Sequence[type[Effect]]) -> FloatArray:
+    """Natural values of all parameters of these effects in a fit."""
+    values = fit.space.natural(fit.q)
+    names = [f"{e.name}.{p.name}" for e in effects for p in e.parameters]
+    return np.array([values[fit.space.names.index(name)] for name in names])
+
+
+def _distinct(candidates: Sequence[Candidate], effects: Sequence[type[Effect]]) -> list[Candidate]:
+    """Own solutions, the clearest first, without those that say the same of the effects.
+
+    A candidate's covariance is widened by what it leaves.
+    """
+    kept: list[tuple[Candidate, FloatArray, FloatArray]] = []
+    for candidate in sorted(candidates, key=lambda c: c.fit.objective):
+        fit = candidate.fit
+        names = [n for n in fit.space.names if n.startswith(tuple(f"{e.name}." for e in effects))]
+        index = [fit.space.names.index(n) for n in names]
+        widened = max(1.0, fit.chi2 / max(1, int(np.count_nonzero(fit.solution.residual))))
+        q, variance = fit.q[index], widened * np.diag(fit.covariance)[index]
+        apart = [(q - a) ** 2 > ALIKE**2 * (variance + b) for _, a, b in kept]
+        if all(np.any(far) for far in apart):
+            kept.append((candidate, q, variance))
+    return [candidate for candidate, *_ in kept]
+
+
+def on_all(
+    prepared: Sequence[PreparedStudy],
+    base: ParameterSpace,
+    plausible: FloatArray,
+    simpler: SharedFit,
+    best: EffectFit,
+    budget: Budget,
+) -> EffectFit:
+    """Effects fitted to more cables than they were found on, from there."""
+    q = plausible.copy()
+    q[: len(best.fit.q)] = best.fit.q
+    each_s = sum(simulated_s(cable) for cable in prepared) * (1 + best.fit.own + len(best.names))
+    options = budget.passes(each_s, ALL_PASSES, f"the fit of {best.name} to {len(prepared)} cables")
+    fit = fit_shared(prepared, base, q, best.effects, natural(best.fit), options=options)
+    fall = (simpler.chi2 - fit.chi2) / fit.inflation
+    return replace(best, fit=fit, fall=float(fall))
+
+
+def natural(fit: SharedFit) -> FloatArray:
+    """Natural values of all parameters of the shared effects, those not fitted included."""
+    q = fit.space.mean.copy()
+    q[fit.common] = fit.theta
+    return np.asarray(fit.space.natural(q)[fit.own :])
+
+
+def as_fit(alone: SharedFit) -> Fit:
+    """The fit of a single cable as the screen takes it."""
+    return Fit(
+        space=alone.space,
+        q=alone.q[0],
+        begun={},
+        solution=alone.solution,
+        chi2=float(alone.chi2_by_cable[0]),
+        objective=alone.chi2,
+        rms_m=alone.rms_m,
+    )

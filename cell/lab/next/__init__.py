@@ -1,0 +1,1 @@
+"""What to do next: advice, the motion that tells most, laws to be discovered."""

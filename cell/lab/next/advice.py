@@ -1,0 +1,164 @@
+"""What to do next after a finding of the lab: commands that can be typed as they are printed."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from cell.cable.effects import Effect
+from cell.lab.data.results import Diagnosis, Status, Verdict
+
+#: What the verdicts of a diagnosis mean.
+VERDICTS: dict[Verdict, str] = {
+    "complete": "what the model misses is noise; nothing is missing that these motions could show",
+    "missing": "the effects named are missing in the model, confirmed on motions not fitted to",
+    "unexplained": "the model lacks something, and no effect that was tried explains it to the "
+    "noise",
+    "cannot_tell": "the model lacks something, and these motions cannot tell which effect it is",
+}
+#: What the status of a single effect means.
+STATUSES: dict[Status, str] = {
+    "present": "missing in the model",
+    "inspect": "explains something too, worth a look",
+    "absent": "not it: beside what was found it would have been seen at its typical size",
+    "cannot_tell": "could be there beside what was found and not be seen",
+}
+
+
+def meaning(diagnosis: Diagnosis) -> str:
+    """What the verdict of a diagnosis means."""
+    if "not_searched" in diagnosis.codes:
+        return "the model is none of this cable, and no effect was looked for"
+    if "noise_unknown" in diagnosis.codes and not diagnosis.missing:
+        return "too little is known of the noise to tell whether the model lacks anything"
+    return VERDICTS[diagnosis.verdict]
+
+
+@dataclass(frozen=True)
+class Step:
+    """A suggested next step: why, and the command, if there is one."""
+
+    why: str
+    command: str = ""
+
+
+#: Where no parameter of the model means anything, nothing is to be fitted or looked for.
+MEND = Step(
+    "Mend the study first: signs and axes of its frame, gravity, the order of the markers, the "
+    "datasheet, one clock for both files. The cable must be held at one end only."
+)
+
+
+REST = Step(
+    "Record more frames at rest before each motion, or state the measurement's error as "
+    "noise_std_m in study.yaml."
+)
+
+
+@dataclass(frozen=True)
+class Paths:
+    """Names of study and effect files for the command line.
+
+    study    folder as the user gave it
+    files    a user's own effects by name: path as the user gave it
+    """
+
+    study: Path = Path("STUDY")
+    files: Mapping[str, Path] | None = None
+
+    @staticmethod
+    def of(study: Path, effects: Iterable[type[Effect]]) -> Paths:
+        """Of a study and the effects that it was examined with."""
+        own = {e.name: _shown(e.file.path) for e in effects if e.file is not None}
+        return Paths(study, own)
+
+    def options(self, effects: Iterable[str]) -> str:
+        """`--effect …` for effects by name or file, with a blank before each."""
+        own = self.files or {}
+        return "".join(f" --effect {shlex.quote(str(own.get(e, e)))}" for e in effects)
+
+    def command(self, name: str, effects: Iterable[str] = (), rest: str = "") -> str:
+        """A lab command for the study."""
+        study = shlex.quote(str(self.study))
+        return f"cell {name} {study}{self.options(effects)}{' ' if rest else ''}{rest}"
+
+
+def _shown(path: Path) -> Path:
+    """A path relative to where the user is, if it is below."""
+    here = Path.cwd()
+    return path.relative_to(here) if path.is_relative_to(here) else path
+
+
+def see_the_fall(
+    paths: Paths, effects: Iterable[str], known: Iterable[str] = ()
+) -> tuple[Step, ...]:
+    """Commands that fit a model without and with effects, and compare the two."""
+    both = "--model before.json --model after.json --report comparison.html"
+    return (
+        Step("The model before", paths.command("fit", known, "-o before.json")),
+        Step("and after", paths.command("fit", [*known, *effects], "-o after.json")),
+        Step("The error's fall, side by side", paths.command("compare", (), both)),
+    )
+
+
+def advice(
+    diagnosis: Diagnosis,
+    paths: Paths = Paths(),
+    *,
+    known: tuple[str, ...] = (),
+    accepted: tuple[str, ...] = (),
+) -> tuple[Step, ...]:
+    """What to do after a diagnosis; nothing with an effect that the diagnosis itself rules out.
+
+    known     effects that were part of the model
+    accepted  effects that were confirmed on the way; what explains most, if anything does, is more
+    """
+    if diagnosis.codes & {"not_searched", "hopeless"}:
+        return (MEND,)
+    if "noise_unknown" in diagnosis.codes and not diagnosis.missing:
+        return (REST,)
+    found = [f.effect for f in diagnosis.missing]
+    ruled_out = {r.effect for r in diagnosis.ranking if r.status == "absent"}
+    accepted = tuple(e for e in accepted if e not in ruled_out)
+    motion = Step(
+        "The motion that tells them apart", paths.command("suggest", known, "-o motion.yaml")
+    )
+    match diagnosis.verdict:
+        case "complete":
+            return (Step("Nothing is to be added."),)
+        case "missing":
+            tied = any(f.tied_with for f in diagnosis.missing)
+            return (*see_the_fall(paths, found, known), *([motion] if tied else []))
+        case "unexplained":
+            accepted = tuple(f.effect for f in diagnosis.partial) or accepted
+            there = [*known, *accepted]
+            beside = f" beside {' and '.join(there)}" if there else ""
+            look = paths.command("discover", there, f"-o {_new_law(there)}.py")
+            fall = see_the_fall(paths, accepted, known) if accepted else ()
+            return (*fall, Step(f"To look for an unknown law{beside}", look))
+        case _:
+            return (Step("Measure more. " + motion.why, motion.command),)
+
+
+def after_discovery(
+    effect: str, complete: bool, paths: Paths, known: tuple[str, ...] = ()
+) -> tuple[Step, ...]:
+    """What to do with a discovered law."""
+    steps = see_the_fall(paths, [effect], known)
+    if complete:
+        return steps
+    there = [*known, effect]
+    more = paths.command("discover", there, f"-o {_new_law(there)}.py")
+    return (*steps, Step("To look for what is missing beside it", more))
+
+
+def _new_law(taken: Iterable[str]) -> str:
+    """A name for a law that no effect has yet."""
+    names, number = set(taken), 2
+    if "discovered" not in names:
+        return "discovered"
+    while f"discovered_{number}" in names:
+        number += 1
+    return f"discovered_{number}"

@@ -1,0 +1,247 @@
+"""Discovers a missing law: admissible terms are tried on the residual, those confirmed kept."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cell.cable.effects import Effect, library, load_effect, unscreened
+from cell.files.atomic import write_whole
+from cell.lab.next.terms import Term, admissible, effect_source
+from cell.lab.search.explore import Candidate, Explorer
+from cell.lab.strength.estimate import estimate
+from cell.lab.verdict.diagnose import Examination, diagnose
+from cell.lab.verdict.rules import Rules
+from cell.study.data import Study, Trial
+
+
+@dataclass(frozen=True)
+class LawParameter:
+    """A number of the discovered law, with its 95 % interval."""
+
+    name: str
+    value: float
+    low: float
+    high: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Discovery:
+    """A law that was found, and what it does to the error on held-out trials (else fitted ones).
+
+    effect     its name, that of its file
+    noise_m    of the measurement
+    before_m, after_m   rms error without and with the law
+    confirmed  on held-out trials; False if the study has none
+    complete   whether what is left is noise
+    source     Python of its file
+    """
+
+    effect: str
+    parameters: tuple[LawParameter, ...]
+    laws: tuple[str, ...]
+    noise_m: float
+    before_m: float
+    after_m: float
+    confirmed: bool
+    complete: bool
+    source: str
+
+    @property
+    def removed_share(self) -> float:
+        """Share of the error beyond noise (mean square) that is gone, 0 … 1."""
+        excess = self.before_m**2 - self.noise_m**2
+        fall = self.before_m**2 - self.after_m**2
+        return float(np.clip(fall / excess, 0.0, 1.0)) if excess > 0.0 else 1.0
+
+    def write(self, path: Path) -> None:
+        """Write the effect's file, whole or not at all."""
+        write_whole(path, self.source)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        return {
+            "format": "cable-discovery/1",
+            "effect": self.effect,
+            "accepted": self.confirmed,
+            "complete": self.complete,
+            "laws": list(self.laws),
+            "parameters": {
+                p.name: {"value": p.value, "low": p.low, "high": p.high, "unit": p.unit}
+                for p in self.parameters
+            },
+            "noise_m": self.noise_m,
+            "baseline_rms_m": self.before_m,
+            "rms_m": self.after_m,
+            "removed_share": self.removed_share,
+        }
+
+
+#: Terms are few: all are refitted.
+ALL_TERMS = Rules(best=20)
+
+
+class NothingFoundError(ValueError):
+    """No law may be written.  Scenario: the model is complete already."""
+
+
+def discover(explorer: Explorer, out: Path, rules: Rules = ALL_TERMS) -> Discovery:
+    """Find the missing law as an effect that is named after the file `out`.
+
+    The residual is regressed on what each admissible term would do to the markers (a score test
+    with the cable's own parameters free), the best are refitted, and terms added one after another
+    under the same rules as known effects: significant, and confirmed on held-out trials.  The file
+    is then loaded as any user's and refitted.
+    raises  NothingFoundError: the model is complete, or no term is accepted; ValueError: the name
+            of the file will not do; nothing written
+    """
+    name = effect_name(out, [e.name for e in explorer.space.effects])
+    terms = {t.name: t for t in admissible(_box(explorer.fitted_trials()))}
+    with tempfile.TemporaryDirectory() as folder:
+        tried = _each(terms.values(), Path(folder))
+        search = Explorer(explorer.prepared, explorer.space, tried, explorer.progress)
+        examination = diagnose(search, rules)
+    base, found = search.baseline(), examination.accepted
+    if found is base:
+        study = explorer.prepared.study.name
+        raise NothingFoundError(f"study {study}: {_why_nothing(examination, base)}")
+    added = [e for e in found.effects if e not in explorer.space.effects]
+    settled = estimate(explorer.prepared, found.fit)
+    values = {n: i.value for effect in added for n, i in settled.intervals(effect).items()}
+    kept = [terms[e.name] for e in added]
+    about = f"Law inferred from the residuals of study {explorer.prepared.study.name}."
+    source = effect_source(name, kept, about, values)
+    with tempfile.TemporaryDirectory() as folder:
+        effect = _loaded(Path(folder) / out.name, source)
+        final = _refit(explorer, base, effect)
+    return Discovery(
+        effect=name,
+        source=source,
+        parameters=tuple(
+            LawParameter(n, i.value, i.low, i.high, i.unit)
+            for n, i in estimate(explorer.prepared, final.fit).intervals(effect).items()
+        ),
+        laws=tuple(t.law for t in kept),
+        noise_m=explorer.prepared.floor.noise.std_m,
+        before_m=_error(base),
+        after_m=_error(final),
+        confirmed=final.heldout is not None,
+        complete=examination.diagnosis.verdict != "unexplained",
+    )
+
+
+def effect_name(out: Path, known: Sequence[str] = ()) -> str:
+    """Name of the effect in a file to be written.
+
+    known   names of effects that the model has already
+    raises  ValueError: it is no Python name, or taken
+    """
+    name = out.stem
+    if out.suffix != ".py" or not name.isidentifier():
+        raise ValueError(f"-o {out}: must be a file like law.py; the effect is named after it")
+    if name in {*library(), *unscreened(), *known}:
+        raise ValueError(f"-o {out}: there is an effect {name} already; give the file another name")
+    return name
+
+
+def _why_nothing(examination: Examination, base: Candidate) -> str:
+    """Why no law is written, and what to do."""
+    noise_m = examination.diagnosis.noise_m
+    misses = f"it misses {_error(base) * 1e3:.4f} mm, noise is {noise_m * 1e3:.4f} mm"
+    if examination.diagnosis.verdict == "complete":
+        return (
+            f"the model is complete ({misses}), use it as it is: there is no law to discover; "
+            "nothing written"
+        )
+    nearest = min(examination.singles, key=_error, default=base)
+    tried = ""
+    stopped = any(w.code == "interrupted" for w in examination.diagnosis.warnings)
+    if nearest is not base:
+        name = next(iter(nearest.names - base.names))
+        tried = f"; the nearest, {name}, would leave {_error(nearest) * 1e3:.4f} mm"
+    if stopped:
+        return f"interrupted: no law is confirmed so far ({misses}){tried}; nothing written"
+    return (
+        "no admissible law is significant and confirmed on held-out trials: the model is not "
+        f"complete ({misses}){tried}; nothing written. Measure more motions, or write an effect of "
+        "your own (docs/effects.md)"
+    )
+
+
+def _refit(explorer: Explorer, base: Candidate, effect: type[Effect]) -> Candidate:
+    """The baseline with the effect from its file."""
+    own = Explorer(explorer.prepared, explorer.space, {effect.name: effect}, explorer.progress)
+    better = [c for c in own.add(own.baseline(), [effect]) if _error(c) < _error(base)]
+    if not better:
+        raise NothingFoundError(
+            "the law that was found does not lower the error when it is fitted again from its "
+            "file; nothing written"
+        )
+    return better[0]
+
+
+def _error(candidate: Candidate) -> float:
+    return candidate.heldout.rms_m if candidate.heldout else candidate.fit.rms_m
+
+
+def _loaded(path: Path, source: str) -> type[Effect]:
+    path.write_text(source, encoding="utf-8")
+    return load_effect(path, trusted=True)
+
+
+@dataclass(frozen=True)
+class Laws:
+    """Admissible laws as effects, for `learn` to try beside the library's.
+
+    effects  by name, each in a file of its own
+    written  files that were not there before
+    """
+
+    effects: dict[str, type[Effect]]
+    written: tuple[Path, ...]
+
+    def keep(self, used: Sequence[type[Effect]]) -> tuple[Path, ...]:
+        """Remove the files written that none of these effects is from; those of laws among them."""
+        theirs = tuple(
+            e.file.path for e in used if e.file is not None and self.effects.get(e.name) is e
+        )
+        for path in set(self.written) - set(theirs):
+            path.unlink()
+        return theirs
+
+
+def laws_in(folder: Path, studies: Sequence[Study], known: Sequence[type[Effect]] = ()) -> Laws:
+    """Laws that no effect of the library has; a file that is there already is taken as it is.
+
+    folder   of their files; a model may refer to them
+    studies  of where the cables have been
+    known    effects of the model: laws of their names are left out
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    there = {p.stem for p in folder.glob("*.py")}
+    taken = {e.name for e in known}
+    terms = admissible(_box([t for study in studies for t in study.trials]))
+    effects = {n: load_effect(folder / f"{n}.py") for n in sorted(there - taken)}
+    effects |= _each([t for t in terms if t.name not in there | taken], folder)
+    return Laws(effects, tuple(folder.resolve() / f"{n}.py" for n in effects if n not in there))
+
+
+def _each(terms: Iterable[Term], folder: Path) -> dict[str, type[Effect]]:
+    """Every term as an effect of its own, by name, from its file in the folder."""
+    about = "A law that no effect of the library has."
+    return {
+        t.name: _loaded(folder / f"{t.name}.py", effect_source(t.name, [t], about)) for t in terms
+    }
+
+
+def _box(trials: Sequence[Trial]) -> tuple[float, float, float, float]:
+    """Where the cable was seen in trials: x low, x high, y low, y high, m."""
+    seen = np.concatenate([t.markers.xy_m.reshape(-1, 2) for t in trials])
+    low, high = np.nanmin(seen, axis=0), np.nanmax(seen, axis=0)
+    return float(low[0]), float(high[0]), float(low[1]), float(high[1])

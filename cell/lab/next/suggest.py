@@ -1,0 +1,439 @@
+"""Suggests the safe motion that best tells the remaining candidates apart (T-optimal design).
+
+Source: Atkinson & Fedorov, The design of experiments for discriminating between two rival models,
+Biometrika 62 (1975) 57.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr as normal_cdf
+
+from cell.cable.geometry import Motion
+from cell.cable.model import CableModel
+from cell.files.atomic import write_whole
+from cell.files.yaml_document import yaml_text
+from cell.identify.differences import difference_points
+from cell.identify.gaussian import covariance_root, marginal_chi2
+from cell.identify.noise import Whitener
+from cell.identify.parameters import ParameterSpace
+from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.progress import Progress, no_progress
+from cell.lab.search.explore import Candidate, Explorer
+from cell.lab.strength.compare import everywhere
+from cell.lab.verdict.diagnose import Examination
+from cell.plan.measuring import least_duration_s, quintic
+from cell.settings.surroundings import Surroundings, Swept
+from cell.study.data import Markers, Trial
+
+FloatArray = NDArray[np.float64]
+
+FORMAT = "cell-motion/1"
+STILL_S, HOLD_S, RATE_HZ = 0.2, 1.0, 500.0
+ATTITUDES_RAD = tuple(np.radians([-90.0, -60.0, -30.0, -15.0, 0.0, 15.0, 30.0, 60.0, 90.0]))
+STROKES_M = (
+    (0.0, -0.05), (0.0, -0.08), (0.0, 0.05), (0.0, 0.08),
+    (-0.05, 0.0), (-0.08, 0.0), (0.05, 0.0), (-0.05, -0.05),
+)  # fmt: skip
+SLOWNESS = (1.0, 1.6)
+#: χ² by which one candidate must beat the other to be believed; as `Rules.tie`.
+DECIDED = 9.0
+#: A motion that decides no oftener than this is not suggested: cable and time are better spent.
+LEAST_POWER = 0.05
+#: Repetitions of a motion that are worth naming, at most.
+MOST_REPEATED = 100
+#: More candidates than these are not told apart by one motion.
+MOST_CANDIDATES = 4
+#: The cable is taken to be within so many standard deviations of its prediction.
+SURELY = 3.0
+#: Error of a prediction beyond its standard deviation: what the candidates lack, m.
+MODEL_ERROR_M = 0.001
+#: Between home and the clamp angle of a stroke, the resting cable is looked at this often, rad.
+TURN_RAD = np.radians(15.0)
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """From rest at (x, y), clamp at `angle_rad`, straight by (dx, dy) in `duration_s`, held."""
+
+    angle_rad: float
+    dx_m: float
+    dy_m: float
+    duration_s: float
+    x_m: float = 0.0
+    y_m: float = 0.0
+
+    def describe(self) -> str:
+        """For a person."""
+        return (
+            f"clamp at {np.degrees(self.angle_rad):.0f}°, from ({self.x_m * 1e3:.0f}, "
+            f"{self.y_m * 1e3:.0f}) by ({self.dx_m * 1e3:.0f}, {self.dy_m * 1e3:.0f}) mm in "
+            f"{self.duration_s:.2f} s"
+        )
+
+    def motion(self) -> Motion:
+        """The hand's pose against time: still, a fifth-order polynomial, held."""
+        t_s = np.arange(0.0, STILL_S + self.duration_s + HOLD_S, 1.0 / RATE_HZ)
+        u = np.clip((t_s - STILL_S) / self.duration_s, 0.0, 1.0)
+        s = quintic(u)
+        x, y = self.x_m + self.dx_m * s, self.y_m + self.dy_m * s
+        return Motion(t_s, x, y, np.full_like(t_s, self.angle_rad))
+
+
+@dataclass(frozen=True, eq=False)
+class Rival:
+    """A model that may be the right one.
+
+    q, covariance  (p,), (p, p) coordinates of `space`, and how far they are open
+    """
+
+    name: str
+    space: ParameterSpace
+    q: FloatArray
+    covariance: FloatArray
+
+    @property
+    def model(self) -> CableModel:
+        """The cable at q."""
+        return self.space.model(self.q)
+
+
+@dataclass(frozen=True)
+class Option:
+    """A motion that keeps all limits, and what it tells.
+
+    separation  χ² that it puts between the likeliest candidate and the one hardest to tell from it
+    hardest     that one
+    power       probability that the motion decides against every other candidate, if the noise and
+                the candidates are as they are taken to be
+    """
+
+    motion: Stroke
+    separation: float
+    hardest: str
+    power: float
+
+
+@dataclass(frozen=True)
+class Suggestion:
+    """Motions, the most telling first, and between what they tell.
+
+    refused  how many motions were left out, and for which limit
+    """
+
+    candidates: tuple[str, ...]
+    options: tuple[Option, ...]
+    surroundings: Surroundings
+    refused: Mapping[str, int]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        return {
+            "format": "cable-suggestion/1",
+            "candidates": list(self.candidates),
+            "options": [
+                {
+                    **vars(o.motion),
+                    "separation": o.separation,
+                    "hardest": o.hardest,
+                    "power": o.power,
+                }
+                for o in self.options
+            ],
+            "refused": dict(self.refused),
+        }
+
+
+def suggest_motion(
+    explorer: Explorer, examination: Examination, surroundings: Surroundings
+) -> Suggestion:
+    """The safe motion at which the candidates left differ most, whatever each leaves open.
+
+    Each candidate may move within what the trials so far leave uncertain of it; what then still
+    separates their markers, in standard deviations squared, is the separation.
+    raises  ValueError: nothing is left to tell apart, no motion keeps the limits, or none tells
+    """
+    open_to = [
+        Rival(_label(c), c.fit.space, c.fit.q, c.fit.covariance)
+        for c in rivals(explorer, examination)
+    ]
+    found = telling_motions(explorer.prepared, open_to, surroundings, explorer.progress)
+    if max(option.power for option in found.options) < LEAST_POWER:
+        raise ValueError(_what_would_help(found, explorer.prepared))
+    return found
+
+
+def _what_would_help(found: Suggestion, prepared: PreparedStudy) -> str:
+    """That no motion tells the candidates apart, how far the best is from it, and what helps.
+
+    Separation grows with the number of repetitions, and with the inverse square of the noise.
+    """
+    best = found.options[0]
+    lacking = DECIDED / max(best.separation, 1e-12)
+    noise_mm = prepared.noise.std_m * 1e3
+    helps = []
+    if lacking <= MOST_REPEATED:
+        helps.append(f"the best one {int(np.ceil(lacking))} times over, each as a trial")
+    if lacking <= MOST_REPEATED**2:
+        helps.append(f"noise of {noise_mm / np.sqrt(lacking):.2g} mm instead of {noise_mm:.2g} mm")
+    if refused := sum(found.refused.values()):
+        wider = ", ".join(f"{count} for the {why}" for why, count in found.refused.items())
+        helps.append(f"room for the {refused} motions that were refused, {wider}")
+    helps.append(
+        "measuring what sets them apart in another way (weigh the cable, look at the jaws)"
+    )
+    first, *others = found.candidates
+    return (
+        f"study {prepared.study.name}: no safe motion tells {first} from {' or '.join(others)}; "
+        f"the best, {best.motion.describe()}, decides with probability {best.power:.2f} "
+        f"(separation χ² {best.separation:.2g}, {DECIDED:g} are needed). "
+        f"What would help: {'; '.join(helps)}"
+    )
+
+
+def telling_motions(
+    prepared: PreparedStudy,
+    open_to: Sequence[Rival],
+    surroundings: Surroundings,
+    progress: Progress = no_progress,
+) -> Suggestion:
+    """The safe motions at which these models differ most, whatever each leaves open.
+
+    Interrupted, it has the best of those that were looked at.
+
+    prepared  noise and markers of what will be measured
+    raises    ValueError: no motion keeps the limits; KeyboardInterrupt: before there was one
+    """
+    models = [c.model for c in open_to]
+    options, refused = [], Counter[str]()
+    rest: dict[float, float] = {}
+    offered = strokes(surroundings)
+    try:
+        for done, stroke in enumerate(offered):
+            progress("looking for a motion", done, len(offered))
+            angle = stroke.angle_rad
+            if angle not in rest:
+                rest[angle] = _rest_low_m(prepared, models, surroundings, angle)
+            option = _weighed(prepared, open_to, stroke, surroundings, rest[angle])
+            if isinstance(option, str):
+                refused[option] += 1
+            else:
+                options.append(option)
+    except KeyboardInterrupt:
+        if not options:
+            raise
+    if not options:
+        why = ", ".join(f"{count} for the {reason}" for reason, count in refused.items())
+        raise ValueError(
+            f"none of {sum(refused.values())} motions is safe in this cell: refused {why}; "
+            "widen limits, or let the camera see more"
+        )
+    options.sort(key=lambda o: -o.separation)
+    names = tuple(c.name for c in open_to)
+    return Suggestion(names, tuple(options), surroundings, dict(refused))
+
+
+def rivals(explorer: Explorer, examination: Examination) -> list[Candidate]:
+    """The likeliest set of effects, and those that the trials cannot tell from it.
+
+    If it has no equal, the next likeliest that is not the same with more: one, or several where
+    nothing could be confirmed on held-out trials.
+    raises  ValueError: there is nothing to tell apart
+    """
+    diagnosis, final = examination.diagnosis, examination.steps[-1]
+    if diagnosis.verdict == "complete":
+        raise ValueError(
+            f"study {explorer.prepared.study.name}: the model explains these trials to their "
+            "noise, use it as it is; nothing to tell apart"
+        )
+    known = {c.names: c for c in (*explorer.known(), *examination.singles, *examination.steps)}
+    tied = [
+        known[names]
+        for found in diagnosis.missing
+        for other in found.tied_with
+        if (names := final.names - {found.effect} | {other}) in known
+    ]
+    if tied:
+        return [final, *tied[: MOST_CANDIDATES - 1]]
+    best = sorted(known.values(), key=lambda c: -c.evidence)
+    if diagnosis.missing:
+        best = [final, *(c for c in best if not c.names >= final.names)]
+    if len(best) < 2:
+        raise ValueError(
+            f"study {explorer.prepared.study.name}: there is only one candidate, give more with "
+            "--effect; nothing to tell apart"
+        )
+    return best[: MOST_CANDIDATES if diagnosis.verdict == "cannot_tell" else 2]
+
+
+def strokes(surroundings: Surroundings) -> list[Stroke]:
+    """Strokes from home, as fast as the limits allow and slower, the clamp within its limits."""
+    found = []
+    for angle, (dx, dy), slow in itertools.product(ATTITUDES_RAD, STROKES_M, SLOWNESS):
+        if not surroundings.allows(float(angle)):
+            continue
+        least_s = least_duration_s(
+            float(np.hypot(dx, dy)),
+            (
+                surroundings.velocity_m_per_s,
+                surroundings.acceleration_m_per_s2,
+                surroundings.jerk_m_per_s3,
+            ),
+        )
+        duration_s = round(slow * least_s + 0.005, 3)
+        found.append(Stroke(float(angle), dx, dy, duration_s, *surroundings.home[:2]))
+    return found
+
+
+def write_motion(suggestion: Suggestion, path: Path) -> None:
+    """Write the best motion as YAML for `cell run --motion`: places from the cell's home."""
+    best = suggestion.options[0].motion
+    home_x, home_y, _ = suggestion.surroundings.home
+    x_m, y_m = best.x_m - home_x, best.y_m - home_y
+    first, *others = suggestion.candidates
+    content = {
+        "format": FORMAT,
+        "purpose": f"tell {first} from {', '.join(others)}",
+        "start": {"x_m": round(x_m, 6), "y_m": round(y_m, 6), "angle_rad": best.angle_rad},
+        "still_s": STILL_S,
+        "moves": [
+            {
+                "x_m": round(x_m + best.dx_m, 6),
+                "y_m": round(y_m + best.dy_m, 6),
+                "angle_rad": best.angle_rad,
+                "duration_s": best.duration_s,
+            }
+        ],
+        "hold_s": HOLD_S,
+    }
+    write_whole(path, yaml_text(content))
+
+
+def _weighed(
+    prepared: PreparedStudy,
+    candidates: Sequence[Rival],
+    stroke: Stroke,
+    surroundings: Surroundings,
+    rest_low_m: float,
+) -> Option | str:
+    """A stroke from where it is safe, and what it tells; or what it is refused for."""
+    # The likeliest cable shows quickly where the stroke could begin, if anywhere.
+    cable = _simulated(prepared, [candidates[0].model], stroke, surroundings)[1]
+    start = _start(stroke, cable, np.zeros_like(cable), surroundings, rest_low_m)
+    if isinstance(start, str):
+        return start
+    views, cables, spreads = [], [], []
+    for candidate in candidates:
+        view, cable, spread = _open(prepared, candidate, start, surroundings)
+        views.append(view)
+        cables.append(cable)
+        spreads.append(SURELY * spread + MODEL_ERROR_M)
+    if not all(np.isfinite(v).all() for view in views for v in view):
+        return "simulation"
+    sure = _start(start, np.stack(cables), np.stack(spreads), surroundings, rest_low_m)
+    if isinstance(sure, str):
+        return sure
+    apart = [_separation(views[0], other) for other in views[1:]]
+    missed = [normal_cdf((DECIDED - s) / (2.0 * np.sqrt(max(s, 1e-12)))) for s in apart]
+    hardest = int(np.argmin(apart))
+    return Option(
+        sure, apart[hardest], candidates[1 + hardest].name, float(max(0.0, 1.0 - sum(missed)))
+    )
+
+
+def _start(
+    stroke: Stroke,
+    cable_m: FloatArray,
+    spread_m: FloatArray,
+    surroundings: Surroundings,
+    rest_low_m: float,
+) -> Stroke | str:
+    """The stroke from the place nearest to home at which all of it is safe; or what forbids it.
+
+    cable_m, spread_m  (models, times, points, 2) of the cable, and by which it may be elsewhere
+    """
+    if not np.isfinite(cable_m).all():
+        return "simulation"
+    begin = np.array([stroke.x_m, stroke.y_m])
+    ends = np.array([[0.0, 0.0], [stroke.dx_m, stroke.dy_m]])
+    swept = Swept.of(cable_m - begin, spread_m, ends, stroke.angle_rad, rest_low_m)
+    place = surroundings.nearest_start(swept, (stroke.dx_m, stroke.dy_m))
+    if isinstance(place, str):
+        return place
+    return Stroke(stroke.angle_rad, stroke.dx_m, stroke.dy_m, stroke.duration_s, *place)
+
+
+def _rest_low_m(
+    prepared: PreparedStudy,
+    models: Sequence[CableModel],
+    surroundings: Surroundings,
+    angle_rad: float,
+) -> float:
+    """Least x of the cable at rest beside the hand, turned from home's angle to another, m."""
+    home = surroundings.home[2]
+    steps = 2 + int(abs(angle_rad - home) / TURN_RAD)
+    low = 0.0
+    for angle in np.linspace(home, angle_rad, steps):
+        t_s = np.array([0.0, 0.05, 0.1])
+        motion = Motion(t_s, 0 * t_s, 0 * t_s, np.full(3, angle))
+        trial = Trial("rest", "validate", "equilibrium", motion, _blank(prepared, t_s))
+        for model in models:
+            low = min(
+                low, float(np.nan_to_num(everywhere(prepared, trial, [model])[1][..., 0]).min())
+            )
+    return low - MODEL_ERROR_M
+
+
+def _simulated(
+    prepared: PreparedStudy, models: list[CableModel], stroke: Stroke, surroundings: Surroundings
+) -> tuple[FloatArray, FloatArray]:
+    """Markers and whole cable of models of one kind on a stroke, (models, times, points, 2), m."""
+    motion = stroke.motion()
+    frame_s = float(np.median(np.diff(prepared.study.trials[0].markers.t_s)))
+    if surroundings.frame_rate_hz is not None:
+        frame_s = 1.0 / surroundings.frame_rate_hz
+    t_s = np.arange(frame_s, motion.t_s[-1], frame_s)
+    trial = Trial("stroke", "validate", "equilibrium", motion, _blank(prepared, t_s))
+    return everywhere(prepared, trial, models)
+
+
+def _blank(prepared: PreparedStudy, t_s: FloatArray) -> Markers:
+    return Markers(t_s, np.zeros((len(t_s), len(prepared.study.arc_length_m), 2)))
+
+
+def _open(
+    prepared: PreparedStudy, candidate: Rival, stroke: Stroke, surroundings: Surroundings
+) -> tuple[tuple[FloatArray, FloatArray], FloatArray, FloatArray]:
+    """What a candidate predicts, and how far the trials so far leave that open.
+
+    returns  (whitened markers (rows,), their open directions (rows, parameters)); the cable and its
+             standard deviation, (times, points, 2), m
+    """
+    space, q = candidate.space, candidate.q
+    step = space.difference_steps(q)
+    lanes = [space.model(row) for row in difference_points(q, step)]
+    markers, cable = _simulated(prepared, lanes, stroke, surroundings)
+    root = covariance_root(candidate.covariance)
+    rows = Whitener(np.zeros(markers.shape[1:]), prepared.noise)(markers)
+    open_rows = ((rows[1:] - rows[0]).T / step) @ root
+    moves = np.tensordot(root.T / step, cable[1:] - cable[0], axes=1)
+    return (rows[0], open_rows), cable[0], np.sqrt(np.sum(moves**2, axis=0))
+
+
+def _separation(
+    first: tuple[FloatArray, FloatArray], second: tuple[FloatArray, FloatArray]
+) -> float:
+    """χ² between two candidates that neither's open directions can remove."""
+    return marginal_chi2(first[0] - second[0], np.hstack([first[1], second[1]]))[0]
+
+
+def _label(candidate: Candidate) -> str:
+    return " + ".join(e.name for e in candidate.effects) or "baseline"

@@ -1,0 +1,1 @@
+"""Findings as sentences, tables, figures and pages."""

@@ -1,0 +1,187 @@
+"""The report's overlay: a cable seen and predicted, with a time slider, and its tip."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+from numpy.typing import NDArray
+from plotly.subplots import make_subplots
+
+from cell.lab.report.figures import NOISE, SEEN, Series, laid_out, listed
+from cell.lab.strength.trial_residual import across_tip, displacement, distance, largest
+
+FloatArray = NDArray[np.float64]
+
+#: Frames that the time slider of an overlay offers.
+SLIDER_FRAMES = 60
+#: Errors are drawn so many times larger over the cable, so that they can be seen at all.
+LARGER = (1, 2, 5, 10, 20, 50, 100, 200, 500)
+#: Pixels: of the figure, below its axes, and from the axes to below the slider's labels.
+HEIGHT, BELOW, SLIDER = 680, 210, 150
+#: Share of the picture that the largest errors should fill when drawn larger.
+ERROR_SHARE = 0.12
+
+
+def overlay(series: Sequence[Series], number: int) -> go.Figure:
+    """One trial with a time slider: cable seen and predicted, tip against time, and its error."""
+    comparison = series[0].comparison
+    trial = comparison.study.trials[number]
+    t_s, seen = trial.markers.t_s, trial.markers.xy_m * 1e3
+    models = [s.comparison.predicted_m[trial.name] * 1e3 for s in series]
+    cables = [s.comparison.cable_m[trial.name] * 1e3 for s in series]
+    error = largest(distance(seen, models[0]))
+    larger = _larger(error, comparison.study.cable.free_length_m * 1e3)
+    figure = make_subplots(
+        2,
+        2,
+        specs=[[{"rowspan": 2}, {}], [None, {}]],
+        column_widths=[0.55, 0.45],
+        horizontal_spacing=0.1,
+        vertical_spacing=0.17,
+        subplot_titles=("cable, mm", "height of the tip, mm", "error of the tip, mm"),
+    )
+    shown = np.unique(np.linspace(0, len(t_s) - 1, SLIDER_FRAMES).astype(int))
+    across = across_tip(trial, comparison.predicted_m[trial.name])
+    errors = [np.sum(displacement(seen, m)[:, 0] * across, axis=1) for m in models]
+    _tip_panels(figure, series, t_s, seen, models, errors)
+
+    def at(k: int) -> list[dict[str, Any]]:
+        """What the slider moves: the cable, its errors drawn larger, and two cursors."""
+        drawn = models[0] + displacement(seen, models[0])
+        shapes = [_points(drawn[k]), *(_points(c[k]) for c in cables)]
+        whiskers = [_whiskers(seen[k], m[k], larger) for m in models]
+        x = [round(float(t_s[k]), 4)] * 2
+        return [*shapes, *whiskers, *({"x": x, "y": y} for y in cursors)]
+
+    cursors = [_reach(seen[:, 0, 1]), _reach(np.concatenate(errors))]
+    first = len(figure.data)
+    looks: list[dict[str, Any]] = [
+        {"mode": "markers", "name": "seen", "marker": {"size": 8, "color": SEEN}},
+        *(
+            {"mode": "lines", "name": s.name, "line": {"color": s.colour, "width": s.width}}
+            for s in series
+        ),
+        *(
+            {
+                "mode": "lines",
+                "name": f"error {s.of} × {larger}",
+                "line": {"color": s.colour, "width": 4 + 4 * s.above},
+                "opacity": 0.55,
+                "showlegend": True,
+            }
+            for s in series
+        ),
+        *({"mode": "lines", "line": {"color": "#999", "width": 1}, "showlegend": False},) * 2,
+    ]
+    places = [(1, 1)] * (1 + 2 * len(series)) + [(1, 2), (2, 2)]
+    farthest = np.nan_to_num(distance(seen, models[0])[shown]).max(axis=1)
+    worst = int(shown[np.argmax(farthest)])
+    for data, look, (row, column) in zip(at(worst), looks, places, strict=True):
+        figure.add_scatter(**data, **look, row=row, col=column)
+    moved = list(range(first, len(figure.data)))
+    figure.frames = [
+        go.Frame(name=str(k), traces=moved, data=[go.Scatter(**d) for d in at(int(k))])
+        for k in shown
+    ]
+    both = np.concatenate([p.reshape(-1, 2) for p in (seen, *cables)])
+    low, high = np.nanmin(both, axis=0) - 8.0, np.nanmax(both, axis=0) + 8.0
+    figure.update_xaxes(range=listed(np.array([low[0], high[0]]), 1), row=1, col=1)
+    figure.update_yaxes(range=listed(np.array([low[1], high[1]]), 1), scaleanchor="x", row=1, col=1)
+    span = listed(np.array([t_s[0], t_s[-1]]), 4)
+    figure.update_xaxes(range=span, col=2)
+    figure.update_xaxes(title="s", row=2, col=2)
+    _slider(figure, [(str(k), float(t_s[k])) for k in shown], list(shown).index(worst))
+    figure = laid_out(figure, HEIGHT).update_layout(margin_b=BELOW)
+    drawn = HEIGHT - BELOW - figure.layout.margin.t
+    return figure.update_layout(legend={"y": -SLIDER / drawn, "yanchor": "top"})
+
+
+def _tip_panels(
+    figure: go.Figure,
+    series: Sequence[Series],
+    t_s: FloatArray,
+    seen: FloatArray,
+    models: Sequence[FloatArray],
+    errors: Sequence[FloatArray],
+) -> None:
+    """Height of the tip and its error across the cable, against time; nothing here moves."""
+    noise = 2e3 * series[0].comparison.noise_m
+    times = listed(t_s, 4)
+    dots = {"size": 3, "color": SEEN}
+    figure.add_scatter(
+        x=times, y=listed(seen[:, 0, 1], 4), mode="markers", marker=dots, showlegend=False,
+        row=1, col=2,
+    )  # fmt: skip
+    for s, model, error in zip(series, models, errors, strict=True):
+        style = {"color": s.colour, "width": s.width}
+        for y, row in ((model[:, 0, 1], 1), (error, 2)):
+            figure.add_scatter(
+                x=times, y=listed(y, 4), mode="lines", line=style, showlegend=False,
+                row=row, col=2,
+            )  # fmt: skip
+    figure.add_hrect(
+        y0=-noise, y1=noise, fillcolor=NOISE, opacity=0.2, layer="below", line_width=0, row=2, col=2
+    )
+
+
+def _slider(figure: go.Figure, frames: Sequence[tuple[str, float]], active: int) -> None:
+    """A slider over frames, and a button that plays them."""
+    still = {"mode": "immediate", "frame": {"duration": 0, "redraw": False}}
+    still |= {"transition": {"duration": 0}}
+    play = still | {"frame": {"duration": 60, "redraw": False}, "fromcurrent": True}
+    figure.update_layout(
+        sliders=[
+            {
+                "active": active,
+                "currentvalue": {"prefix": "t = ", "suffix": " s"},
+                "x": 0.08,
+                "len": 0.92,
+                "pad": {"t": 45},
+                "ticklen": 4,
+                "steps": [
+                    {"label": f"{t:.2f}", "method": "animate", "args": [[name], still]}
+                    for name, t in frames
+                ],
+            }
+        ],
+        updatemenus=[
+            {
+                "type": "buttons",
+                "x": 0.0,
+                "xanchor": "left",
+                "y": 0.0,
+                "yanchor": "top",
+                "pad": {"t": 70},
+                "showactive": False,
+                "buttons": [{"label": "▶", "method": "animate", "args": [None, play]}],
+            }
+        ],
+    )
+
+
+def _larger(error: float, length: float) -> int:
+    """By how much errors must be enlarged to be seen beside a cable of this length."""
+    wanted = ERROR_SHARE * length / max(error, 1e-6 * length)
+    return max((k for k in LARGER if k <= wanted), default=1)
+
+
+def _whiskers(seen: FloatArray, model: FloatArray, larger: int) -> dict[str, Any]:
+    """From every marker towards where the model has it, so many times farther."""
+    away = displacement(seen, model)
+    seen = model + away
+    ends = seen - larger * away
+    gaps = np.full_like(seen, np.nan)
+    return _points(np.stack([seen, ends, gaps], axis=1).reshape(-1, 2))
+
+
+def _points(xy: FloatArray) -> dict[str, Any]:
+    return {"x": listed(xy[:, 0], 3), "y": listed(xy[:, 1], 3)}
+
+
+def _reach(values: FloatArray) -> list[float | None]:
+    """Lowest and highest value; None where there are none."""
+    some = values[np.isfinite(values)]
+    return listed(np.array([some.min(), some.max()]), 4) if some.size else [None, None]

@@ -1,0 +1,413 @@
+"""The figures of the lab's report, with plotly; numbers as lists, so that any reader gets them."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import plotly.graph_objects as go
+from numpy.typing import NDArray
+from plotly.subplots import make_subplots
+from scipy.special import ndtri as normal_quantile
+
+from cell.lab.data.results import Diagnosis
+from cell.lab.report.wording import by_evidence, chance, noise_label, places
+from cell.lab.strength.compare import Comparison
+from cell.lab.strength.trial_residual import PHASES, distance, largest, phase_of
+
+FloatArray = NDArray[np.float64]
+
+SEEN, MODEL, ADDED, NOISE, QUIET = "#222222", "#d1495b", "#00798c", "#5c677d", "#c9ced6"
+#: Of the models between the first and the last.
+BETWEEN = ("#edae49", "#7768ae", "#8f5d2b", "#3d8b37", "#c06c9b")
+#: With fewer markers, each is a tick of an axis.
+FEW_MARKERS = 5
+#: Pixels that a panel, and a name below an axis, need at least to be read.
+PANEL_PX, NAME_PX = 310, 90
+#: Family-wise level at which evidence is beyond chance, as a diagnosis asks for.
+CHANCE = 0.01
+
+_STATUS = {
+    "present": (ADDED, "missing in the model"),
+    "inspect": ("#edae49", "worth a look"),
+    "cannot_tell": (QUIET, "cannot tell"),
+    "absent": (NOISE, "not it"),
+}
+
+
+@dataclass(frozen=True)
+class Series:
+    """A model beside the measurements, under the name and in the colour it has in all figures.
+
+    of     the name after "error"
+    above  number of models drawn over it: it is drawn so much larger that equal ones are seen too
+    """
+
+    name: str
+    of: str
+    colour: str
+    comparison: Comparison
+    above: int = 0
+
+    @property
+    def width(self) -> float:
+        """Of its lines, in pixels."""
+        return 1.5 + 2.0 * self.above
+
+    @property
+    def size(self) -> float:
+        """Of its markers, in pixels."""
+        return 8.0 + 5.0 * self.above
+
+
+def waterfall(diagnosis: Diagnosis) -> go.Figure:
+    """Error of the baseline and after each effect added, and the noise."""
+    found = diagnosis.missing or diagnosis.partial
+    names = ["model", *(f"+ {'<br>or '.join((f.effect, *f.tied_with))}" for f in found)]
+    label = noise_label(diagnosis.noise_is_stated)
+    base, errors = diagnosis.baseline, [f.errors for f in found]
+    held, fitted = [base.heldout_rms_m], [base.fit_rms_m]
+    if diagnosis.missing or not found:
+        held += [e.heldout_rms_m for e in errors]
+        fitted += [e.fit_rms_m for e in errors]
+        return _falling(names, held, fitted, diagnosis.noise_m, label)
+    none = [float("nan")] * len(found)
+    before_m = float("nan") if diagnosis.left is None else diagnosis.left.before_rms_m
+    to_all = [before_m, *(e.fit_rms_m for e in errors)]
+    return _falling(names, [*held, *none], [*fitted, *none], diagnosis.noise_m, label, to_all)
+
+
+def history(comparisons: Sequence[Comparison]) -> go.Figure:
+    """Error of models in their order, with the effects that each has more, and the noise."""
+    names, before = [], comparisons[0]
+    for c in comparisons:
+        changes = [f"+ {e}" for e in c.effects if c is before or e not in before.effects]
+        changes += [f"− {e}" for e in before.effects if e not in c.effects]
+        names.append("<br>".join([f"<b>{html.escape(c.model)}</b>", *changes]))
+        before = c
+    return _falling(
+        names,
+        [c.heldout_rms_m for c in comparisons],
+        [c.fit_rms_m for c in comparisons],
+        comparisons[0].noise_m,
+        noise_label(comparisons[0].noise_is_stated),
+    )
+
+
+def _falling(
+    names: Sequence[str],
+    heldout_m: Sequence[float],
+    fit_m: Sequence[float],
+    noise_m: float,
+    noise: str,
+    to_all_m: Sequence[float] = (),
+) -> go.Figure:
+    """Errors of models one after another, on a logarithmic axis.
+
+    to_all_m  of all motions, of models fitted to them all
+    """
+    figure = go.Figure()
+    lines = [
+        ("on motions it was not fitted to", heldout_m, ADDED, "solid"),
+        ("on motions it was fitted to", fit_m, NOISE, "dot"),
+        ("on all motions, fitted to all", to_all_m, BETWEEN[1], "dash"),
+    ]
+    lines = [line for line in lines if np.isfinite(line[1]).any()]
+    sides = _sides([_mm(np.array(values)) for _, values, _, _ in lines])
+    for (label, values, colour, dash), places_of in zip(lines, sides, strict=True):
+        shown = _mm(np.array(values))
+        figure.add_scatter(
+            x=names,
+            y=shown,
+            name=label,
+            mode="lines+markers+text",
+            line={"color": colour, "dash": dash},
+            marker={"size": 11},
+            text=["" if v is None else f"{v:.3g}" for v in shown],
+            textposition=places_of,
+            cliponaxis=False,
+        )
+    _noise_line(figure, noise_m * 1e3, noise)
+    every = [np.array(values) * 1e3 for _, values, _, _ in lines]
+    logarithmic(figure, [*every, np.array([noise_m * 1e3])])
+    figure.update_xaxes(range=[-0.5, len(names) - 0.5], type="category")
+    figure.update_layout(yaxis_title="error, mm rms")
+    return laid_out(figure, 360 + 18 * max(n.count("<br>") for n in names))
+
+
+def _sides(lines: Sequence[Sequence[float | None]]) -> list[list[str]]:
+    """Where each number stands beside its marker: the largest above, the smallest below.
+
+    What is between them, to the right.
+    """
+    found = []
+    for line in lines:
+        beside = []
+        for i, value in enumerate(line):
+            others = [o for other in lines if other is not line and (o := other[i]) is not None]
+            own = 0.0 if value is None else value
+            first = next(other for other in lines if other[i] is not None or other is line) is line
+            if all(own > o or (own == o and first) for o in others):
+                beside.append("top center")
+            elif all(own <= o for o in others):
+                beside.append("bottom center")
+            else:
+                beside.append("middle right")
+        found.append(beside)
+    return found
+
+
+def by_trial(series: Sequence[Series]) -> go.Figure:
+    """Error of every model on every trial, side by side on a logarithmic axis."""
+    first = series[0].comparison
+    roles = {"fit": "fitted", "validate": "held out"}
+    names = [f"{t.name}<br>{roles[t.role]}" for t in first.study.trials]
+    figure = go.Figure()
+    for s in series:
+        figure.add_scatter(
+            x=names,
+            y=_mm(np.array([w.rms_m for w in s.comparison.where])),
+            mode="markers",
+            name=s.name,
+            marker={"color": s.colour, "size": s.size},
+        )
+    _noise_line(figure, first.noise_m * 1e3, noise_label(first.noise_is_stated))
+    errors = [np.array([w.rms_m * 1e3 for w in s.comparison.where]) for s in series]
+    logarithmic(figure, [*errors, np.array([first.noise_m * 1e3])])
+    figure.update_xaxes(type="category")
+    figure.update_layout(yaxis_title="error, mm rms")
+    return laid_out(figure, 380)
+
+
+def logarithmic(figure: go.Figure, values: Sequence[FloatArray], **where: int) -> None:
+    """Makes the y axis logarithmic, with room around positive values and plain numbers on it."""
+    some = np.concatenate([v[np.isfinite(v) & (v > 0.0)] for v in values])
+    low, high = np.log10(some.min()), np.log10(some.max())
+    room = max(0.15, 0.15 * (high - low))  # for the numbers of the lowest and highest
+    low, high = low - room, high + room
+    ticks = thirds() if high - low < 2.0 else [10.0**n for n in range(-6, 4)]
+    if high - low < 0.8:
+        ticks = [m * 10.0**n for n in range(-6, 4) for m in (1, 1.2, 1.5, 2, 3, 4, 5, 6, 8)]
+    figure.update_yaxes(
+        type="log", range=[float(low), float(high)], tickvals=ticks, tickformat="~g", **where
+    )
+
+
+def thirds() -> list[float]:
+    """1, 2 and 5 of every power of ten."""
+    return [m * 10.0**n for n in range(-6, 4) for m in (1, 2, 5)]
+
+
+def ranking(diagnosis: Diagnosis) -> go.Figure:
+    """Evidence for each effect: √χ² explained, whose standard deviation is 1 whatever its size."""
+    rows = list(reversed(by_evidence(diagnosis)))
+    evidence = np.sqrt([max(r.score, 0.0) for r in rows])
+    figure = go.Figure()
+    for status, (colour, label) in _STATUS.items():
+        chosen = [i for i, r in enumerate(rows) if r.status == status]
+        if not chosen:
+            continue
+        figure.add_scatter(
+            x=listed(evidence[chosen], 2),
+            y=[rows[i].effect for i in chosen],
+            mode="markers",
+            name=label,
+            marker={"color": colour, "size": 11},
+            error_x={
+                "type": "data",
+                "array": [2.0] * len(chosen),
+                "arrayminus": listed(np.minimum(2.0, evidence[chosen]), 2),
+                "thickness": 1.5,
+            },
+            customdata=[[places(rows[i].score, 1), chance(rows[i].p_value)] for i in chosen],
+            hovertemplate="%{y}: χ² %{customdata[0]}, p %{customdata[1]}<extra></extra>",
+        )
+    limit = -float(normal_quantile(0.5 * CHANCE / max(len(rows), 1)))
+    figure.add_vline(x=limit, line_dash="dot", line_color=NOISE)
+    figure.add_annotation(
+        x=limit, y=1.0, yref="paper", yanchor="bottom", text="chance", showarrow=False
+    )
+    names = [r.effect for r in rows]
+    figure.update_yaxes(categoryorder="array", categoryarray=names, ticklabelstandoff=8)
+    figure.update_xaxes(title="evidence, standard deviations", rangemode="tozero")
+    figure = laid_out(figure, 130 + 22 * len(rows))
+    return figure.update_layout(margin_l=150)
+
+
+def residual_maps(series: Sequence[Series], number: int) -> go.Figure:
+    """Residual distance of one trial against time and arc length, each model's beside the other.
+
+    Colours are logarithmic, from the noise, which is white.
+    """
+    comparison = series[0].comparison
+    trial = comparison.study.trials[number]
+    t_s = trial.markers.t_s
+    left = [
+        distance(trial.markers.xy_m, s.comparison.predicted_m[trial.name]) * 1e3 for s in series
+    ]
+    noise_mm = comparison.noise_m * 1e3
+    highest = max(4.0 * noise_mm, *(largest(v) for v in left))
+    figure = make_subplots(
+        1, len(series), shared_yaxes=True, subplot_titles=[f"error {s.of}, mm" for s in series],
+        horizontal_spacing=0.04,
+    )  # fmt: skip
+    for column, values in enumerate(left, 1):
+        figure.add_heatmap(
+            x=listed(t_s, 4),
+            y=listed(comparison.study.arc_length_m * 1e3, 2),
+            z=[listed(row, 4) for row in np.log10(np.maximum(values.T, 1e-6))],
+            text=[listed(row, 4) for row in values.T],
+            coloraxis="coloraxis",
+            hovertemplate="%{x:.3f} s, %{y:.0f} mm: %{text:.3g} mm<extra></extra>",
+            row=1,
+            col=column,
+        )
+    moving = t_s[phase_of(trial) == "moving"]
+    for edge in () if not moving.size else (float(moving[0]), float(moving[-1])):
+        figure.add_vline(x=edge, line_dash="dot", line_color="#222")
+    figure.update_xaxes(title="s")
+    figure.update_yaxes(title="from the grip, mm", row=1, col=1)
+    if len(comparison.study.arc_length_m) < FEW_MARKERS:
+        figure.update_yaxes(tickvals=listed(comparison.study.arc_length_m * 1e3, 2))
+    figure.update_layout(
+        coloraxis={
+            "colorscale": [[0.0, "#ffffff"], [0.25, "#fde0c5"], [0.6, "#eb7a52"], [1.0, "#7a0025"]],
+            "cmin": float(np.log10(noise_mm)),
+            "cmax": float(np.log10(highest)),
+            "colorbar": {
+                "title": "mm",
+                "tickvals": [float(np.log10(v)) for v in thirds()],
+                "ticktext": [f"{v:g}" for v in thirds()],
+            },
+        }
+    )
+    return laid_out(figure, 300)
+
+
+def profiles(series: Sequence[Series]) -> go.Figure:
+    """Error by arc length, by phase and by frequency over all trials, against the noise."""
+    figure = make_subplots(
+        1,
+        3,
+        subplot_titles=(
+            "by place on the cable, mm rms",
+            "by phase of the motion, mm rms",
+            "by frequency, mm/√Hz",
+        ),
+    )
+    comparison = series[0].comparison
+    phases = [p for p in PHASES if any(np.isfinite(w.by_phase[p]) for w in comparison.where)]
+    for s in series:
+        wheres = s.comparison.where
+        style = {"color": s.colour, "width": s.width}
+        shared = {"name": s.name, "legendgroup": s.name}
+        figure.add_scatter(
+            x=listed(wheres[0].by_arc_length.centre * 1e3, 2),
+            y=_mm(_mean_square([w.by_arc_length.rms_m for w in wheres])),
+            mode="lines+markers",
+            line=style,
+            marker={"size": s.size - 2.0},
+            **shared,
+            row=1,
+            col=1,
+        )
+        figure.add_scatter(
+            x=phases,
+            y=_mm(_mean_square([np.array([w.by_phase[p] for p in phases]) for w in wheres])),
+            mode="markers",
+            marker={"color": s.colour, "size": s.size},
+            showlegend=False,
+            **shared,
+            row=1,
+            col=2,
+        )
+        grid, density = _spectrum(s.comparison)
+        figure.add_scatter(
+            x=listed(grid, 2),
+            y=listed(density, 6),
+            line=style,
+            mode="lines",
+            showlegend=False,
+            **shared,
+            row=1,
+            col=3,
+        )
+    spectrum = comparison.where[0].spectrum
+    figure.add_scatter(
+        x=listed(spectrum.frequency_hz, 2),
+        y=listed(1e3 * np.sqrt(spectrum.noise), 6),
+        mode="lines",
+        line={"color": NOISE, "dash": "dash"},
+        name=noise_label(comparison.noise_is_stated),
+        row=1,
+        col=3,
+    )
+    for column in (1, 2):
+        figure.add_hline(
+            y=comparison.noise_m * 1e3, line_dash="dash", line_color=NOISE, row=1, col=column
+        )
+        shown = [np.array(t.y, dtype=float) for t in figure.select_traces(row=1, col=column)]
+        logarithmic(figure, [*shown, np.array([comparison.noise_m * 1e3])], row=1, col=column)
+    length = comparison.study.cable.free_length_m * 1e3
+    reach = [-0.05 * length, 1.05 * length]
+    figure.update_xaxes(title="from the grip, mm", range=reach, row=1, col=1)
+    figure.update_xaxes(type="log", title="Hz", tickvals=[0.1, 1, 10, 100, 1000], row=1, col=3)
+    figure.update_yaxes(type="log", tickvals=thirds(), tickformat="~g", row=1, col=3)
+    return laid_out(figure, 380)
+
+
+def _noise_line(figure: go.Figure, noise_mm: float, name: str) -> None:
+    """The noise across a figure; named in the legend, where no number can run into the name."""
+    figure.add_hline(
+        y=noise_mm,
+        line_dash="dash",
+        line_color=NOISE,
+        name=f"{name} {noise_mm:.3g} mm",
+        showlegend=True,
+    )
+
+
+def least_px(figure: go.Figure) -> int:
+    """Width below which its labels would run into each other: narrower pages scroll it."""
+    columns = {round(float(axis.domain[0]), 3) for axis in figure.select_xaxes() if axis.domain}
+    names = [len(set(t.x)) for t in figure.data if figure.layout.xaxis.type == "category"]
+    return max(PANEL_PX * len(columns), NAME_PX * (1 + max(names, default=0)))
+
+
+def laid_out(figure: go.Figure, height: int) -> go.Figure:
+    """The figure in the look and size that all share."""
+    return figure.update_layout(
+        template="plotly_white",
+        height=height,
+        margin={"l": 65, "t": 45, "b": 60, "r": 20},
+        font={"size": 13, "color": "#222", "family": "system-ui, sans-serif"},
+        legend={"orientation": "h", "y": -0.2, "yanchor": "top"},
+        hovermode="closest",
+    )
+
+
+def _mean_square(rows: Sequence[FloatArray]) -> FloatArray:
+    """Root of the mean square over trials; nan where no trial has a value."""
+    table = np.array(rows) ** 2
+    seen = np.isfinite(table)
+    total = np.sum(np.where(seen, table, 0.0), axis=0)
+    return np.asarray(np.sqrt(np.where(seen.any(axis=0), total, np.nan) / seen.sum(axis=0).clip(1)))
+
+
+def _spectrum(comparison: Comparison) -> tuple[FloatArray, FloatArray]:
+    """Frequencies and mean residual amplitude over all trials, mm/√Hz."""
+    spectra = [w.spectrum for w in comparison.where]
+    grid = spectra[0].frequency_hz
+    mean = np.mean([np.interp(grid, s.frequency_hz, s.residual) for s in spectra], axis=0)
+    return grid, np.asarray(1e3 * np.sqrt(mean))
+
+
+def _mm(values_m: FloatArray) -> list[float | None]:
+    return listed(values_m * 1e3, 4)
+
+
+def listed(values: FloatArray, digits: int) -> list[float | None]:
+    """Plain numbers, rounded; None where there is none."""
+    return [round(float(v), digits) if np.isfinite(v) else None for v in values]

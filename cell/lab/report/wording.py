@@ -1,0 +1,317 @@
+"""Findings in plain words: sentences and parts of sentences of the lab."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from cell.lab.data.prepared import ERRS
+from cell.lab.data.results import (
+    Agreement,
+    Diagnosis,
+    Limit,
+    MissingEffect,
+    Peak,
+    RankedEffect,
+    TrialValue,
+)
+from cell.lab.strength.compare import NOTICEABLE, Comparison
+from cell.lab.strength.trial_residual import TrialResidual
+
+#: Table of the nearest effects; their errors are in mm rms.
+NEAREST_HEADS = ("effect", "all trials", "fitted", "held out", "most of it")
+
+#: Table of detection limits.
+LIMIT_HEADS = ("effect", "parameter", "possible (95 %)", "moves the tip by, mm")
+LIMIT_NOTE = (
+    "Each effect alone beside the model found, of the shape that this study shows worst; what the "
+    "model leaves counts as noise. Beyond that range it is excluded; within it could be there"
+)
+
+#: Table of what each trial says.
+AGREEMENT_NOTE = (
+    "Each trial's own value, 95 %, were the shape of EI along the cable and the exponent known as "
+    "all trials together say; “mean_rigidity”: EI, geometric mean along the cable; "
+    "“spread”: standard deviation between trials beyond these intervals"
+)
+
+
+def unexplained(diagnosis: Diagnosis, misses: str, noise_name: str = "camera noise") -> str:
+    """Sentence of a study that no effect explains to the noise: what comes nearest.
+
+    misses  how much the model misses and where, the beginning of the sentence
+    """
+    noise = f"{noise_name} is {short(diagnosis.noise_m * 1e3)} mm"
+    left = diagnosis.left
+    if "not_searched" in diagnosis.codes:
+        return f"{misses}, {noise}: that is no model of this cable, and no effect was looked for."
+    if not diagnosis.partial:
+        said = f"{misses}, {noise}, and no effect that was tried explains it."
+        if left is not None:
+            before = f"{short(left.before_rms_m * 1e3)} mm"
+            said += f" Fitted to all trials it misses {before}{_near(diagnosis)}."
+        return said
+    names = " and ".join(_class(f) for f in diagnosis.partial)
+    explains, it = ("explains", "it") if len(diagnosis.partial) == 1 else ("explain", "them")
+    said = f"{misses}, {noise}; {names} {explains} most of it, not all"
+    if left is not None:
+        said += (
+            f": fitted to all trials the model misses {short(left.before_rms_m * 1e3)} mm without "
+            f"{it} and {short(left.rms_m * 1e3)} mm with {it}, {left.over_noise:.1f} times the "
+            f"noise, most {peak_in_words(left.peak)}"
+        )
+    return f"{said}. What that is, no effect that was tried tells."
+
+
+def interrupted(diagnosis: Diagnosis, misses: str) -> str:
+    """Sentence of a diagnosis that was stopped: what came nearest until then."""
+    said = f"Interrupted. {misses}, {at_noise(diagnosis)}"
+    left = diagnosis.left
+    if not diagnosis.nearest or left is None:
+        return f"{said}; no effect was fitted yet."
+    over_all = f"Over all trials it misses {short(left.before_rms_m * 1e3)} mm{_near(diagnosis)}"
+    return f"{said}. {over_all}; nothing confirmed."
+
+
+def at_noise(diagnosis: Diagnosis) -> str:
+    """The noise beside an error."""
+    noise = f"{short(diagnosis.noise_m * 1e3)} mm"
+    return f"at a stated error of {noise}" if diagnosis.noise_is_stated else f"at {noise} of noise"
+
+
+def noise_label(stated: bool) -> str:
+    """What the line of the noise is called in tables and figures."""
+    return "stated error" if stated else "noise"
+
+
+def _near(diagnosis: Diagnosis) -> str:
+    """What the nearest effects leave of an error, if it is less."""
+    before_m = np.inf if diagnosis.left is None else diagnosis.left.before_rms_m
+    less = [n for n in diagnosis.nearest if short(n.left_rms_m * 1e3) != short(before_m * 1e3)]
+    found = [f"{short(n.left_rms_m * 1e3)} mm with {plain(n.effect)}" for n in less]
+    return f", {_listed(found)}" if found else ", and no effect makes that less"
+
+
+def _class(found: MissingEffect) -> str:
+    """An effect and those that cannot be told from it."""
+    return " or ".join(plain(n) for n in (found.effect, *found.tied_with))
+
+
+def noise_like(noise_mm: float, final: Comparison | None) -> str:
+    """What an error is that is no larger than the noise, in one consistent statement."""
+    if final is None:
+        return f"camera noise ({short(noise_mm)} mm)"
+    patterns, trials = final.patterns(), len(final.where)
+    seen = f"in {patterns} of {trials} trials it has a pattern, too small to be told what from"
+    if not final.noise_is_stated:
+        return (
+            f"camera noise ({short(noise_mm)} mm)"
+            if not patterns
+            else (f"no larger than camera noise ({short(noise_mm)} mm); {seen}")
+        )
+    rest_mm = final.noise_at_rest_m * 1e3
+    camera = f"; camera noise at rest is {short(rest_mm)} mm" if np.isfinite(rest_mm) else ""
+    said = f"within the measurement's error as the study states it ({short(noise_mm)} mm){camera}"
+    return said if not patterns else f"{said}; {seen}"
+
+
+def left_in_words(where: TrialResidual, comparison: Comparison) -> str:
+    """What a model leaves of a trial: noise, a pattern that is no larger, or more."""
+    white = not where.whiteness_p_value < NOTICEABLE
+    if where.rms_m > ERRS * comparison.noise_m:
+        return "more than noise" if white else "a pattern above the noise"
+    if white:
+        return "noise"
+    return (
+        "a pattern within the stated error"
+        if comparison.noise_is_stated
+        else ("a pattern no larger than the noise")
+    )
+
+
+def noise_in_words(comparison: Comparison) -> str:
+    """The noise, and how it is known."""
+    at_rest_m = comparison.noise_at_rest_m
+    if not comparison.noise_is_stated:
+        return f"camera noise {short(comparison.noise_m * 1e3)} mm, measured at rest"
+    camera = (
+        f" (camera noise at rest {short(at_rest_m * 1e3)} mm)" if np.isfinite(at_rest_m) else ""
+    )
+    return f"error of the measurement {short(comparison.noise_m * 1e3)} mm, as stated{camera}"
+
+
+def peak_in_words(peak: Peak) -> str:
+    """Where a residual is largest."""
+    at = f"{peak.arc_length_m * 1e3:.0f} mm from the grip at {peak.time_s:.2f} s of {peak.trial}"
+    return at if not np.isfinite(peak.frequency_hz) else f"{at}, at {peak.frequency_hz:.1f} Hz"
+
+
+def nearest_rows(diagnosis: Diagnosis) -> list[list[str]]:
+    """What the model and each of the nearest effects beside it leave, by `NEAREST_HEADS`."""
+    base, left = diagnosis.baseline, diagnosis.left
+    before_m = float("nan") if left is None else left.before_rms_m
+    rows = [("none", before_m, base, "")]
+    rows += [(n.effect, n.left_rms_m, n.errors, peak_in_words(n.peak)) for n in diagnosis.nearest]
+    return [
+        [name, mm(all_m), mm(errors.fit_rms_m), mm(errors.heldout_rms_m), where]
+        for name, all_m, errors, where in rows
+    ]
+
+
+def nearest_note(diagnosis: Diagnosis) -> str:
+    """What its columns say."""
+    to = "them all" if diagnosis.verdict == "unexplained" else "those to be fitted"
+    return (
+        f"Error, mm rms per coordinate, with each alone beside the model. “all trials”: of them "
+        f"all, fitted to {to}; –: was not so fitted"
+    )
+
+
+def mm(value_m: float) -> str:
+    """An error in a table."""
+    return f"{value_m * 1e3:.3f}" if np.isfinite(value_m) else "–"
+
+
+def limit_rows(diagnosis: Diagnosis) -> list[list[str]]:
+    """Of every effect neither named nor tied: what the study leaves possible, by `LIMIT_HEADS`."""
+    return [
+        [
+            limit.effect,
+            limit.parameter,
+            _range(limit),
+            "" if limit.tip_m is None else short(limit.tip_m * 1e3),
+        ]
+        for limit in sorted(diagnosis.limits, key=lambda one: one.high is None)
+    ]
+
+
+def agreement_sentence(found: Sequence[Agreement]) -> str:
+    """Whether the trials agree, and on what they do not; "" of a single trial."""
+    if not found:
+        return ""
+    trials = f"The {len(found[0].by_trial)} trials"
+    one = [parameter_in_words(a.parameter, a.unit) for a in found if a.agrees]
+    apart = [
+        f"{parameter_in_words(a.parameter, a.unit)}: {_said_by_trials(a)}"
+        for a in found
+        if not a.agrees
+    ]
+    if not apart:
+        return f"{trials} agree on {_listed(one)}."
+    others = f" They agree on {_listed(one)}." if one else ""
+    return f"{trials} disagree on {'; on '.join(apart)}.{others}"
+
+
+def _said_by_trials(agreement: Agreement) -> str:
+    """The range of what trials say of a parameter alone, and how surely they differ."""
+    values = [t.value for t in agreement.by_trial if t.value is not None]
+    unit = "" if agreement.unit == "1" else f" {agreement.unit}"
+    return (
+        f"alone they say {digits(min(values), 3)} … {digits(max(values), 3)}{unit} "
+        f"(p {chance(agreement.p_value, '= ')})"
+    )
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Names as a person lists them."""
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def agreement_heads(found: Sequence[Agreement]) -> list[str]:
+    """Heads of the table of what each trial says."""
+    return ["trial", *(f"{a.parameter}{'' if a.unit == '1' else f', {a.unit}'}" for a in found)]
+
+
+def agreement_rows(found: Sequence[Agreement]) -> list[list[str]]:
+    """What every trial says of every parameter, all together, their spread, and whether it is one.
+
+    By `agreement_heads`.
+    """
+    trials = zip(*(a.by_trial for a in found), strict=True)
+    return [
+        *([values[0].trial, *map(_own_value, values)] for values in trials),
+        ["all together", *(digits(a.value, 4) for a in found)],
+        ["spread", *(digits(a.spread, 2) for a in found)],
+        ["they agree", *("yes" if a.agrees else f"no, p {chance(a.p_value, '= ')}" for a in found)],
+    ]
+
+
+def _own_value(said: TrialValue) -> str:
+    if said.value is None or said.low is None or said.high is None:
+        return "–"
+    low, high = apart(said.low, said.high)
+    return f"{digits(said.value, 4)} ({low} … {high})"
+
+
+def _range(limit: Limit) -> str:
+    if limit.low is None or limit.high is None:
+        return "this study could not have shown it"
+    low, high = apart(limit.low, limit.high)
+    return f"{low} … {high} {'' if limit.unit == '1' else limit.unit}".strip()
+
+
+def apart(low: float, high: float) -> tuple[str, str]:
+    """Two numbers with three digits, and as many more as tell them apart to a tenth."""
+    many = 3
+    while many < 12 and abs(float(f"{low:.{many}g}") - low) > 0.1 * (high - low):
+        many += 1
+    while many < 12 and abs(float(f"{high:.{many}g}") - high) > 0.1 * (high - low):
+        many += 1
+    return digits(low, many), digits(high, many)
+
+
+def place_in_words(share: float) -> str:
+    """Part of the cable, by the share of its length from the grip."""
+    return "at the tip" if share > 0.8 else "at the grip" if share < 0.2 else "in mid-cable"
+
+
+def plain(name: str) -> str:
+    """An effect's name as words."""
+    return name.replace("_", " ")
+
+
+def parameter_in_words(name: str, unit: str) -> str:
+    """A parameter as words: `added_mass.kg_per_m` is "added mass (kg/m)".
+
+    A unit at the end of its name, as names in code have it, is shown as one.
+    """
+    owner, _, own = name.rpartition(".")
+    spoken = unit.replace("/", "_per_").replace("·", "_").replace("²", "2").replace("³", "3")
+    ending = "_" + re.sub(r"[()]", "", spoken).lower()
+    bare = f"_{own}".removesuffix(ending)
+    shown = f" ({unit})" if bare != f"_{own}" else ""
+    return " ".join(plain(f"{owner}_{bare}").split()) + shown
+
+
+def short(value_mm: float) -> str:
+    """Two decimals, or two digits of what is smaller."""
+    return f"{value_mm:.2f}" if value_mm >= 0.0995 else f"{value_mm:.2g}"
+
+
+def digits(value: float, many: int) -> str:
+    """A number with so many digits; 0 has no sign."""
+    return f"{value + 0.0:.{many}g}"
+
+
+def places(value: float, many: int) -> str:
+    """A number with so many decimals; what rounds to 0 has no sign."""
+    shown = f"{value:.{many}f}"
+    return shown if float(shown) else shown.lstrip("-")
+
+
+def correlation(value: float) -> str:
+    """A correlation with its sign; what rounds to 0 has none."""
+    shown = f"{value:+z.2f}"
+    return shown if float(shown) else "0.00"
+
+
+def by_evidence(diagnosis: Diagnosis) -> list[RankedEffect]:
+    """All effects as they are listed and drawn: by the χ² that each explains, the largest first."""
+    return sorted(diagnosis.ranking, key=lambda r: -r.score)
+
+
+def chance(p_value: float, equals: str = "") -> str:
+    """A probability with one digit; what no computer can write is not 0."""
+    return f"{equals}{p_value:.1g}" if p_value > 0.0 else "< 1e-300"

@@ -1,0 +1,108 @@
+"""What a command begins with: an explorer of its study, beside earlier models if there are any."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from cell.cable.effects import Effect
+from cell.cable.geometry import Cable
+from cell.identify.identified import Identified
+from cell.identify.model_class import ModelClass
+from cell.identify.parameters import ParameterSpace
+from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.progress import Progress, no_progress
+from cell.lab.data.selection import EffectSelection, select_effects
+from cell.lab.fit.fitting import pinned, space_with
+from cell.lab.fit.individual_model import check_same_kind, misfit, prior_space, read_model
+from cell.lab.search.explore import Explorer
+from cell.study.data import Study
+
+
+def explorer_of(
+    study: Study,
+    selection: EffectSelection,
+    prior: tuple[Path, Identified] | None = None,
+    progress: Progress = no_progress,
+    kind: ModelClass = ModelClass(),  # noqa: B008
+) -> Explorer:
+    """The study made ready, with an earlier individual's model as prior if there is one.
+
+    The prior's effects are part of the model, and those of the selection that are.
+    kind  what all such cables have in common; an individual's prior has its own
+    """
+    if prior is None:
+        prepared = PreparedStudy.of(study)
+        space = kind.space(study.cable, study.gravity_m_per_s2)
+    else:
+        path, model = prior
+        check_same_kind(path, model, study.cable)
+        space = prior_space(study, model)
+        prepared = PreparedStudy.of(
+            study, misfit=misfit(model, _least_rms_m(study, space, model, selection.candidates))
+        )
+    sought = tuple(e for e in selection.in_model if e not in space.effects)
+    full = space_with(space, [*space.effects, *sought])
+    prior_q = None if prior is None else full.mean
+    return Explorer(prepared, full, selection.candidates, progress, prior_q=prior_q, sought=sought)
+
+
+def read_kind(config: Path | None) -> ModelClass:
+    """What the section `model` of a cell's settings says; the baseline without.
+
+    raises  InputError
+    """
+    if config is None:
+        return ModelClass()
+    from cell.settings import load_settings  # a fifth of a second, which few have need of
+    from cell.settings.translate import model_class_of
+
+    return model_class_of(load_settings(config).model)
+
+
+def _least_rms_m(
+    study: Study,
+    space: ParameterSpace,
+    model: Identified,
+    candidates: Mapping[str, type[Effect]],
+) -> float:
+    """Error of the earlier individual's model with whichever single effect helps it most, m.
+
+    What even that leaves is the model's own error on this study; were it taken for information,
+    the cable's parameters would be bent to remove it.
+    """
+    prepared = PreparedStudy.of(study, misfit=misfit(model))
+    pilot = Explorer(prepared, pinned(space, space.mean), candidates)
+    base = pilot.baseline()
+    smooth = [e for e in candidates.values() if e.smooth and e not in space.effects]
+    tried = pilot.add(base, smooth)
+    return min([base.fit.rms_m, *(c.fit.rms_m for c in tried)])
+
+
+def read_prior(
+    path: Path | None, own: Mapping[str, type[Effect]]
+) -> tuple[Path, Identified] | None:
+    """The model that `--prior` names; `own` effects are given instead of its files'."""
+    return None if path is None else (path, read_model(path, own))
+
+
+def read_models(paths: Sequence[Path], cable: Cable, own: Sequence[str]) -> list[Identified]:
+    """Models of a kind of cable.
+
+    own     files of their own effects, if not where the models say
+    raises  InputError: a model cannot be read or is of another kind of cable; ValueError: no model
+            has one of the effects; EffectError; FileNotFoundError
+    """
+    given = {name: select_effects([name]) for name in own}
+    effects = {n: e for selection in given.values() for n, e in selection.own.items()}
+    models = [read_model(path, effects) for path in paths]
+    for path, model in zip(paths, models, strict=True):
+        check_same_kind(path, model, cable)
+    used = {e.name for m in models for e in m.space.effects}
+    for name, selection in given.items():
+        if selection.in_model[0].name not in used:
+            raise ValueError(
+                f"--effect {name}: is not in {' or '.join(map(str, paths))}; "
+                f"fit a model with it: cell fit STUDY --effect {name} -o model.json"
+            )
+    return models

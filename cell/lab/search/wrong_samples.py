@@ -1,0 +1,72 @@
+"""Samples that a fitted model shows to be wrong: far beside it, and beside those around them.
+
+What the motion hides from a look at the measurements alone, in few frames a second or in little
+noise, shows in what a model leaves of them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.lab.data.prepared import PreparedStudy
+from cell.lab.fit.fitting import errors_m
+from cell.lab.search.explore import Explorer
+from cell.study.data import Study
+from cell.study.left_out import leaving_out
+from cell.study.wrong_samples import wrong_samples
+
+FloatArray = NDArray[np.float64]
+
+#: One that is left out shows others, which the fit had followed.
+_MOST_ROUNDS = 3
+
+
+def without_wrong_samples(explorer: Explorer) -> tuple[Explorer, tuple[str, ...]]:
+    """The explorer of a study without samples that its baseline shows to be wrong; what is told.
+
+    The baseline is fitted here; where nothing is wrong it is the one that the explorer remembers.
+    A trial that the model cannot simulate is left as it is.
+
+    raises  InputError: too many of a marker are wrong
+    """
+    told: tuple[str, ...] = ()
+    for _ in range(_MOST_ROUNDS):
+        wrong = _wrong(explorer)
+        study = explorer.prepared.measured
+        if not any(np.isfinite(w).any() for w in wrong.values()):
+            break
+        cleaner = leaving_out(study, [wrong[t.name] for t in study.trials])
+        told = (*told, *cleaner.notes[len(study.notes) :])
+        explorer = _with_study(explorer, cleaner)
+    return explorer, told
+
+
+def _wrong(explorer: Explorer) -> dict[str, FloatArray]:
+    """Of every trial (times, channels) by how much samples are wrong, m; nan where right."""
+    base = explorer.baseline()
+    study = explorer.prepared.study
+    left = dict(zip((t.name for t in explorer.fitted_trials()),
+                    errors_m(explorer.prepared, base.fit), strict=True))  # fmt: skip
+    if base.heldout is not None:
+        for trial in study.role("validate"):
+            beside = trial.markers.xy_m - base.heldout.predicted_m[trial.name]
+            left[trial.name] = beside.reshape(len(beside), -1)
+    nothing = {t.name: np.full((len(t.markers.t_s), t.markers.xy_m[0].size), np.nan)
+               for t in study.trials}  # fmt: skip
+    return nothing | {
+        t.name: wrong_samples(t.markers.t_s, left[t.name])
+        for t in study.trials
+        if t.name in left and np.any(np.isfinite(left[t.name]))
+    }
+
+
+def _with_study(explorer: Explorer, study: Study) -> Explorer:
+    """A like explorer of measurements that differ a little."""
+    prepared = explorer.prepared
+    misfit = None if prepared.noise_is_measured else prepared.noise
+    again = PreparedStudy.of(study, misfit=misfit, solver=prepared.solver, work=prepared.work)
+    e = explorer
+    return Explorer(
+        again, e.space, e.library, e.progress, prior_q=e.prior_q, begin=e.begin, sought=e.sought
+    )

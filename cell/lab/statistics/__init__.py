@@ -1,0 +1,1 @@
+"""Pure functions of arrays: score tests, corrections for many tests, spectra, whiteness."""

@@ -1,0 +1,204 @@
+"""Score tests on whitened residuals: what an effect would explain beyond the parameters fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc as chi2_sf
+from scipy.special import ndtr as normal_cdf
+
+from cell.identify.gaussian import covariance_root
+
+FloatArray = NDArray[np.float64]
+
+#: Probability of calling something an effect, a law, a disagreement that is none, for all tests of
+#: a question together.
+SIGNIFICANCE = 0.01
+
+#: Draws behind the p-value of a maximum over shapes; below a few of them Bonferroni is used.
+DRAWS = 20_000
+MIN_EXCEEDING = 20
+#: Shapes are nearly the same if what they explain correlates by more than this.
+SAME_SHAPE = 0.9
+MOST_SHAPES = 8
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """Space of residuals that the fitted parameters can imitate, as an orthonormal basis.
+
+    basis      (values, parameters)
+    residual   (values,) whitened residual with that part removed
+    """
+
+    basis: FloatArray
+    residual: FloatArray
+
+    @staticmethod
+    def of(residual: FloatArray, sensitivity: FloatArray) -> Nuisance:
+        """Of a whitened residual (values,) and the fitted parameters' sensitivities (values, p).
+
+        A prior on the parameters enters as further values: one row per prior, zero elsewhere.
+        """
+        basis, r = np.linalg.qr(sensitivity)
+        strength = np.abs(np.diag(r))
+        basis = basis[:, strength > 1e-9 * max(strength.max(initial=0.0), 1e-300)]
+        return Nuisance(basis, residual - basis @ (basis.T @ residual))
+
+    def moved(self, change: FloatArray) -> Nuisance:
+        """With a residual that is changed; the prior's rows, which come last, are not."""
+        behind = len(self.residual) - len(change)
+        moved = self.residual + self.remove(np.pad(change, (0, behind)))
+        return Nuisance(self.basis, moved)
+
+    def remove(self, sensitivity: FloatArray) -> FloatArray:
+        """(…, values) without what the fitted parameters can imitate."""
+        return np.asarray(sensitivity - (sensitivity @ self.basis) @ self.basis.T)
+
+
+@dataclass(frozen=True, eq=False)
+class Score:
+    """Result of a score test.
+
+    statistic    χ² that the effect would explain
+    freedom      number of amplitudes
+    amplitude    (freedom,) expected coefficients of the sensitivities
+    std          (freedom,) their standard deviations, the other amplitudes free
+    shape        which of the shapes offered that is
+    others       further shapes and their coefficients, by falling statistic, none nearly the same
+                 as one before
+    p_value      of the largest statistic over all shapes, under noise alone
+    left         share of the sensitivity (rms) that the fitted parameters cannot imitate
+    """
+
+    statistic: float
+    freedom: int
+    amplitude: FloatArray
+    std: FloatArray
+    shape: int
+    p_value: float
+    left: float
+    others: tuple[tuple[int, FloatArray], ...] = ()
+
+
+def score_test(
+    nuisance: Nuisance, sensitivity: FloatArray, *, one_sided: bool, seed: int = 0
+) -> Score:
+    """Nuisance-projected score test of an effect whose shape parameters are unknown.
+
+    sensitivity  (shapes, amplitudes, values) whitened output per unit of each amplitude, for each
+                 guess of the effect's other parameters (a relaxation time, say); those have no
+                 meaning without the effect, so the test is of the largest statistic (Davies 1987)
+    one_sided    only a positive amplitude is physical, and there is one: at that bound the
+                 statistic is a half-and-half mixture of 0 and χ²(1) (Self and Liang 1987)
+    """
+    shapes, freedom, _ = sensitivity.shape
+    left = nuisance.remove(sensitivity)
+    raw = np.linalg.norm(sensitivity, axis=2)
+    norm = np.linalg.norm(left, axis=2)
+    tried: list[_ShapeScore] = []
+    usable = norm > 1e-6 * np.maximum(raw, 1e-300)
+    for shape in np.flatnonzero(usable.any(axis=1)):
+        rows = left[shape]
+        amplitude = np.linalg.lstsq(rows.T, nuisance.residual, rcond=1e-8)[0]
+        statistic = float(amplitude @ (rows @ nuisance.residual))
+        signed = -statistic if one_sided and amplitude[0] < 0.0 else statistic
+        tried.append(_ShapeScore(signed, int(shape), amplitude, amplitude @ rows))
+    if not tried:
+        return Score(0.0, freedom, np.zeros(freedom), np.full(freedom, np.inf), 0, 1.0, 0.0)
+    tried.sort(key=lambda t: -t.signed)
+    best = tried[0]
+    if freedom == 1:
+        unit = left[usable[:, 0], 0] / norm[usable[:, 0]]
+        z = float(np.sign(best.signed) * np.sqrt(abs(best.signed)))
+        p_value = _p_of_maximum(z, unit @ unit.T, one_sided, seed)
+    else:
+        p_value = min(1.0, shapes * float(chi2_sf(freedom, max(best.signed, 0.0))))
+    return Score(
+        statistic=max(best.signed, 0.0),
+        freedom=freedom,
+        amplitude=best.amplitude,
+        std=np.sqrt(np.diag(np.linalg.pinv(left[best.shape] @ left[best.shape].T))),
+        shape=best.shape,
+        p_value=p_value,
+        left=float(np.linalg.norm(norm[best.shape]) / np.linalg.norm(raw[best.shape])),
+        others=tuple((t.shape, t.amplitude) for t in _distinct(tried)[1:]),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _ShapeScore:
+    signed: float
+    shape: int
+    amplitude: FloatArray
+    explained: FloatArray
+
+
+def _distinct(tried: list[_ShapeScore]) -> list[_ShapeScore]:
+    """The best shapes of which none explains nearly what a better one does."""
+    kept: list[_ShapeScore] = []
+    units: list[FloatArray] = []
+    for one in tried:
+        size = float(np.linalg.norm(one.explained))
+        if len(kept) == MOST_SHAPES or one.signed <= 0.0 or size == 0.0:
+            break
+        unit = one.explained / size
+        if all(abs(float(unit @ u)) < SAME_SHAPE for u in units):
+            kept.append(one)
+            units.append(unit)
+    return kept or tried[:1]
+
+
+def _p_of_maximum(z: float, correlation: FloatArray, one_sided: bool, seed: int) -> float:
+    """P(max of correlated unit normals, or of their magnitudes, ≥ z)."""
+    single = float(normal_cdf(-z)) * (1.0 if one_sided else 2.0)
+    count = len(correlation)
+    if count == 1 or single > 0.5:
+        return min(1.0, single)
+    bound = min(1.0, count * single)
+    if bound * DRAWS < MIN_EXCEEDING:
+        return bound
+    root = covariance_root(correlation)
+    draws = np.random.default_rng(seed).standard_normal((DRAWS, count)) @ root.T
+    largest = (draws if one_sided else np.abs(draws)).max(axis=1)
+    return float(np.clip((1 + np.sum(largest >= z)) / (DRAWS + 1), single, bound))
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """p-values adjusted for choosing among them (Holm 1979): family-wise error at any level."""
+    count = len(p_values)
+    adjusted = [0.0] * count
+    running = 0.0
+    for rank, index in enumerate(sorted(range(count), key=lambda i: p_values[i])):
+        running = max(running, min(1.0, (count - rank) * p_values[index]))
+        adjusted[index] = running
+    return adjusted
+
+
+def delta_bic(delta_chi2: float, parameters: int, values: int, effective_fraction: float) -> float:
+    """BIC gained by an effect (positive = better), with coloured values counted as fewer.
+
+    delta_chi2 is the fall of whitened χ²; each parameter costs the logarithm of the effective
+    number of values.
+    """
+    return float(delta_chi2 - parameters * np.log(max(values * effective_fraction, 2.0)))
+
+
+def boundary_p_value(delta_chi2: float, parameters: int, bounded: int, shapes: int = 1) -> float:
+    """p of a fall of χ² by a refit, with some amplitudes at a bound when the effect is absent.
+
+    parameters  free amplitudes of the effect; `bounded` of them (0 or 1) may not be negative:
+                χ̄² with equal weights on `parameters` − 1 and `parameters` degrees of freedom
+    shapes      guesses of parameters without meaning under absence, each an independent try
+                (a Bonferroni bound on the maximum)
+    """
+    if delta_chi2 <= 0.0:
+        return 1.0
+    tail = float(chi2_sf(parameters, max(delta_chi2, 0.0)))
+    if bounded:
+        below = float(chi2_sf(parameters - 1, max(delta_chi2, 0.0))) if parameters > 1 else 0.0
+        tail = 0.5 * (tail + below)
+    return min(1.0, tail * shapes)

@@ -1,0 +1,137 @@
+"""Statistics of series in time: size, spectrum, whiteness, correlation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc as chi2_sf
+from scipy.special import ndtr as normal_cdf
+
+from cell.identify.noise import Noise
+
+FloatArray = NDArray[np.float64]
+
+
+LAGS = 10
+
+
+#: Wider than the gaps of a lost marker, narrower than the slowest swing.
+MAX_FREQUENCIES = 200
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """Residual and noise power per coordinate, m²/Hz, at `frequency_hz`."""
+
+    frequency_hz: FloatArray
+    residual: FloatArray
+    noise: FloatArray
+
+
+def rms(residual_m: FloatArray) -> float:
+    """Root mean square over what is not nan; nan if nothing is."""
+    seen = residual_m[np.isfinite(residual_m)]
+    return float(np.sqrt(np.mean(seen**2))) if seen.size else float("nan")
+
+
+def spectrum(t_s: FloatArray, residual_m: FloatArray, noise: Noise) -> Spectrum:
+    """Mean power over all coordinates against that of the noise (Lomb and Scargle: any stamps)."""
+    span_s = float(t_s[-1] - t_s[0])
+    highest = 0.5 / float(np.median(np.diff(t_s)))
+    count = int(min(MAX_FREQUENCIES, max(3, highest * span_s)))
+    frequency = np.arange(1, count) * highest / count  # short of Nyquist, where phase is lost
+    series = residual_m.reshape(len(t_s), -1)
+    seen = np.isfinite(series)
+    power, used = np.zeros(len(frequency)), 0
+    for frames in np.unique(seen, axis=1).T:
+        alike = series[frames][:, np.all(frames == seen.T, axis=1)]
+        if len(alike) < 4:
+            continue
+        power += lomb_scargle(t_s[frames], alike - alike.mean(axis=0), frequency).sum(axis=1)
+        used += alike.shape[1]
+    power *= 2.0 * float(np.median(np.diff(t_s))) / max(used, 1)
+    frame_s = float(np.median(np.diff(t_s)))
+    colour = noise.colour
+    shape = noise.white + (1.0 - noise.white) * (1.0 - colour**2) / (
+        1.0 - 2.0 * colour * np.cos(2.0 * np.pi * frequency * frame_s) + colour**2
+    )
+    return Spectrum(frequency, power, 2.0 * noise.std_m**2 * frame_s * shape)
+
+
+def lomb_scargle(t_s: FloatArray, values: FloatArray, frequency_hz: FloatArray) -> FloatArray:
+    """(frequencies, series) periodogram of values (times, series) at any times.
+
+    Half the square that a sine of this frequency takes off; scipy's takes half a second to import.
+    source  Scargle 1982, Astrophys. J. 263, 835
+    """
+    phase = 2.0 * np.pi * frequency_hz[:, None] * t_s
+    phase -= 0.5 * np.arctan2(np.sin(2.0 * phase).sum(1), np.cos(2.0 * phase).sum(1))[:, None]
+    parts = (np.cos(phase), np.sin(phase))
+    squares = [(wave @ values) ** 2 / np.sum(wave**2, axis=1)[:, None] for wave in parts]
+    return np.asarray(0.5 * (squares[0] + squares[1]))
+
+
+def ljung_box(white: FloatArray, lags: int = LAGS) -> float:
+    """p-value that white series (times, series), nan = unseen, are white: Ljung and Box 1978."""
+    statistic, freedom = 0.0, 0
+    for values in white.T:
+        seen = values[np.isfinite(values)]
+        n = len(seen)
+        if n <= 2 * lags:
+            continue
+        centred = seen - seen.mean()
+        power = float(centred @ centred)
+        if power <= 0.0:
+            continue
+        for lag in range(1, lags + 1):
+            r = float(centred[lag:] @ centred[:-lag]) / power
+            statistic += n * (n + 2) * r * r / (n - lag)
+        freedom += lags
+    return float(chi2_sf(freedom, statistic)) if freedom else float("nan")
+
+
+def smoothed(values: FloatArray, window: int) -> FloatArray:
+    """Values (times, series) by cubics fitted to windows of an odd number of neighbours.
+
+    At either end by the cubic of the first and last window; scipy's takes half a second to import.
+    source  Savitzky & Golay 1964, Anal. Chem. 36, 1627
+    """
+    half = window // 2
+    design = np.vander(np.arange(-half, half + 1) / half, 4, increasing=True)
+    fit = design @ np.linalg.pinv(design)
+    around = np.lib.stride_tricks.sliding_window_view(values, window, axis=0)
+    first, last = fit[:half] @ values[:window], fit[half + 1 :] @ values[-window:]
+    return np.concatenate([first, around @ fit[half], last])
+
+
+def correlation(a: FloatArray, b: FloatArray) -> tuple[float, float]:
+    """Of two series, nan = unseen, and its two-sided p-value with their autocorrelations.
+
+    source  Bartlett 1935, J. R. Stat. Soc. 98, 536
+    """
+    both = np.isfinite(a) & np.isfinite(b)
+    if not both.any():
+        return 0.0, 1.0
+    a, b = a[both] - a[both].mean(), b[both] - b[both].mean()
+    power = float(np.sqrt((a @ a) * (b @ b)))
+    n = len(a)
+    if power <= 0.0 or n < 2 * LAGS:
+        return 0.0, 1.0
+    r = float(a @ b) / power
+    lags = range(1, n // 4)
+    shared = sum(_auto(a, k) * _auto(b, k) for k in lags)
+    independent = float(np.clip(n / max(1.0 + 2.0 * shared, 1.0), 4.0, n))
+    z = np.arctanh(np.clip(r, -0.999999, 0.999999)) * np.sqrt(max(independent - 3.0, 1.0))
+    return r, float(2.0 * normal_cdf(-abs(z)))
+
+
+def _auto(values: FloatArray, lag: int) -> float:
+    return float(values[lag:] @ values[:-lag]) / float(values @ values)
+
+
+def overall(parts: Sequence[FloatArray]) -> float:
+    """rms over several residual arrays together."""
+    return rms(np.concatenate([p.ravel() for p in parts])) if parts else float("nan")

@@ -1,0 +1,1 @@
+"""How much: parameters and effects with intervals, limits, profiles, agreement of trials."""

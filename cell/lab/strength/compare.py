@@ -1,0 +1,210 @@
+"""A model against every trial of a study, and where it fails."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable.model import CableModel
+from cell.lab.data.noise_floor import NoiseUnknownError, noise_floor
+from cell.lab.data.prepared import PreparedStudy
+from cell.lab.fit.fitting import best_begun
+from cell.lab.statistics.series import overall
+from cell.lab.strength.trial_residual import TrialResidual, trial_residual, unsimulated_trial
+from cell.study.data import Markers, Study, Trial
+
+FloatArray = NDArray[np.float64]
+
+#: A residual has a pattern below this p-value of its whiteness, and goes with a signal below it.
+NOTICEABLE = 0.01
+#: An error below so many times the noise is noise, of which no share can be said to be gone.
+NOISY = 1.02
+#: Points that show the whole cable, however few markers it has.
+DRAWN = 21
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """A model and a study side by side.
+
+    noise_m      of the measurement: as the study states it, else the camera's at rest
+    noise_at_rest_m   the camera's, from frames in which nothing moves; nan if there are none
+    model        name under which it is shown
+    effects      names of those in it, in the order in which they were added
+    predicted_m  per trial (times, markers, 2)
+    cable_m      per trial (times, `DRAWN` points from tip to grip, 2): the whole cable predicted
+    where        one per trial, in the study's order
+    """
+
+    study: Study
+    noise_m: float
+    fit_rms_m: float
+    heldout_rms_m: float
+    predicted_m: dict[str, FloatArray]
+    cable_m: dict[str, FloatArray]
+    where: tuple[TrialResidual, ...]
+    noise_at_rest_m: float = float("nan")
+    model: str = "model"
+    effects: tuple[str, ...] = ()
+
+    @property
+    def error_m(self) -> float:
+        """rms error on the motions not fitted to, on those fitted to if there are no others."""
+        return self.heldout_rms_m if np.isfinite(self.heldout_rms_m) else self.fit_rms_m
+
+    @property
+    def noise_is_stated(self) -> bool:
+        """Whether the study says what its measurement's error is."""
+        return self.study.noise_std_m is not None
+
+    def patterns(self) -> int:
+        """Number of trials in which the residual is not white."""
+        return sum(w.whiteness_p_value < NOTICEABLE for w in self.where)
+
+    def removed_share(self, before: Comparison) -> float:
+        """Share of the former error beyond noise (mean square) that is gone; < 0 if it grew.
+
+        nan if the former model's error was noise
+        """
+        excess = before.error_m**2 - self.noise_m**2
+        if before.error_m < NOISY * self.noise_m:
+            return float("nan")
+        return float(min((before.error_m**2 - self.error_m**2) / excess, 1.0))
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data: errors per trial, profiles, whiteness, correlations."""
+        roles = {t.name: t.role for t in self.study.trials}
+        return {
+            "format": "cable-comparison/1",
+            "noise_m": self.noise_m,
+            "fit_rms_m": _number(self.fit_rms_m),
+            "heldout_rms_m": _number(self.heldout_rms_m),
+            "trials": [
+                {
+                    "name": w.trial,
+                    "role": roles[w.trial],
+                    "rms_m": _number(w.rms_m),
+                    "by_time": _profile(w.by_time.centre, w.by_time.rms_m, "t_s"),
+                    "by_arc_length": _profile(
+                        w.by_arc_length.centre, w.by_arc_length.rms_m, "arc_length_m"
+                    ),
+                    "by_phase": {k: _number(v) for k, v in w.by_phase.items()},
+                    "by_frequency": {
+                        "frequency_hz": w.spectrum.frequency_hz.tolist(),
+                        "residual_m2_per_hz": w.spectrum.residual.tolist(),
+                        "noise_m2_per_hz": w.spectrum.noise.tolist(),
+                    },
+                    "whiteness_p_value": _number(w.whiteness_p_value),
+                    "follows": [asdict(f) for f in w.correlations],
+                }
+                for w in self.where
+            ],
+        }
+
+
+def compare_model(study: Study, model: CableModel, name: str = "model") -> Comparison:
+    """Errors of a model on all trials; infinite where it cannot be simulated.
+
+    raises  NoiseUnknownError
+    """
+    prepared = PreparedStudy.of(study)
+    study = prepared.study
+    predicted, cable, found = {}, {}, []
+    for trial in study.trials:
+        begun = best_begun(prepared, model, trial)
+        points, shapes = everywhere(prepared, trial, [model], begun)
+        predicted[trial.name], cable[trial.name] = points[0], shapes[0]
+        if not np.isfinite(points).all():
+            found.append(unsimulated_trial(trial, study.arc_length_m, prepared.floor.noise))
+            continue
+        # rows are (markers, axes, times); unseen values are exactly zero there
+        white = prepared.white(trial, points)[0].reshape(-1, 2, len(trial.markers.t_s))
+        white = np.where(np.isfinite(trial.markers.xy_m), np.moveaxis(white, 2, 0), np.nan)
+        found.append(
+            trial_residual(trial, points[0], white, study.arc_length_m, prepared.floor.noise)
+        )
+
+    def error(role: str) -> float:
+        chosen = [t for t in study.trials if t.role == role]
+        if not all(np.isfinite(predicted[t.name]).all() for t in chosen):
+            return float("inf")
+        return overall([t.markers.xy_m - predicted[t.name] for t in chosen])
+
+    return Comparison(
+        study,
+        prepared.floor.noise.std_m,
+        error("fit"),
+        error("validate"),
+        predicted,
+        cable,
+        tuple(found),
+        _noise_at_rest_m(prepared),
+        name,
+        tuple(active.effect.name for active in model.effects),
+    )
+
+
+def _noise_at_rest_m(prepared: PreparedStudy) -> float:
+    if prepared.study.noise_std_m is None:
+        return prepared.floor.noise.std_m
+    try:
+        return noise_floor(replace(prepared.study, noise_std_m=None)).noise.std_m
+    except NoiseUnknownError:
+        return float("nan")
+
+
+def comparisons_json(comparisons: Sequence[Comparison]) -> dict[str, Any]:
+    """Plain data of models beside each other: the last one's, and all of them in `models`."""
+    first = comparisons[0]
+    models = [
+        {
+            "name": c.model,
+            "effects": list(c.effects),
+            "removed_share": None if c is first else _number(c.removed_share(first)),
+            **{k: v for k, v in c.to_json().items() if k not in ("format", "noise_m")},
+        }
+        for c in comparisons
+    ]
+    return {**comparisons[-1].to_json(), "models": models}
+
+
+def model_names(paths: Sequence[Path]) -> list[str]:
+    """Short names of model files, unlike each other."""
+    stems = [p.stem for p in paths]
+    return [s if stems.count(s) == 1 else str(p) for s, p in zip(stems, paths, strict=True)]
+
+
+def everywhere(
+    prepared: PreparedStudy,
+    trial: Trial,
+    models: Sequence[CableModel],
+    begun: FloatArray | None = None,
+) -> tuple[FloatArray, FloatArray]:
+    """Where models put the markers, (models, times, markers, 2), and the cable, (…, `DRAWN`, 2).
+
+    In metres; nan where they cannot be simulated.
+    """
+    study = prepared.study
+    drawn = np.linspace(study.cable.free_length_m, 0.0, DRAWN)
+    arcs = np.unique(np.concatenate([study.arc_length_m, drawn]))[::-1]
+    t_s = trial.markers.t_s
+    blank = replace(trial, markers=Markers(t_s, np.zeros((len(t_s), len(arcs), 2))))
+    finer = replace(prepared, study=replace(study, arc_length_m=arcs))
+    points = finer.predict(
+        blank, models, None if begun is None else np.tile(begun, (len(models), 1))
+    )
+    at, shape = (np.searchsorted(-arcs, -s) for s in (study.arc_length_m, drawn))
+    return points[:, :, at], points[:, :, shape]
+
+
+def _profile(centre: FloatArray, rms_m: FloatArray, name: str) -> dict[str, list[float | None]]:
+    return {name: centre.tolist(), "rms_m": [_number(v) for v in rms_m]}
+
+
+def _number(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

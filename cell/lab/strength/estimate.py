@@ -1,0 +1,113 @@
+"""How strong the effects found are: parameters from all trials, with honest intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri as normal_quantile
+
+from cell.cable.effects.base import Effect
+from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.results import Interval
+from cell.lab.fit.fitting import Fit
+from cell.lab.fit.whole import of_all_trials
+from cell.lab.strength.unmodelled import unmodelled
+
+FloatArray = NDArray[np.float64]
+
+#: Converged simulators of the same cable differ by this much in the parameters that they need.
+MODEL_ERROR = 0.01
+#: A trial is asked about directions of which it holds at least this share of all that is known.
+LEAST_KNOWN = 0.01
+#: Trials that share fewer degrees of freedom than this cannot be said to disagree.
+MIN_FREEDOM = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """A model's parameters from every trial of a study.
+
+    fit           to all trials, those held out included: they have done their work as judges
+    disagreement  mean square by which trials differ in the parameters that each asks for, 1 if by
+                  their noise alone; the covariance is multiplied by it
+    beside        (p, p) covariance beside that by noise: by the hand's log, the mesh, and effects
+                  that the model lacks
+    """
+
+    fit: Fit
+    disagreement: float
+    beside: FloatArray | float = 0.0
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(p, p) of the fit's coordinates."""
+        return np.asarray(self.fit.covariance * self.disagreement + self.beside)
+
+    def intervals(self, effect: type[Effect]) -> dict[str, Interval]:
+        """Values and 95 % intervals of an effect's parameters."""
+        space, q = self.fit.space, self.fit.q
+        systematic = np.zeros(len(q))
+        index = {p.name: space.names.index(f"{effect.name}.{p.name}") for p in effect.parameters}
+        for p in effect.parameters:
+            i = index[p.name]
+            off = (np.log(p.default) if space.logarithmic[i] else p.default) if p.amplitude else 0.0
+            relative = space.logarithmic[i] and not p.amplitude
+            systematic[i] = MODEL_ERROR * (1.0 if relative else abs(q[i] - off))
+        spread = np.sqrt(np.diag(self.covariance) + systematic**2)
+        reach = float(normal_quantile(0.975)) * spread
+        low = space.natural(np.clip(q - reach, space.low, space.high))
+        high = space.natural(np.clip(q + reach, space.low, space.high))
+        value = space.natural(q)
+        return {
+            p.name: Interval(
+                float(value[index[p.name]]),
+                float(low[index[p.name]]),
+                float(high[index[p.name]]),
+                p.unit,
+            )
+            for p in effect.parameters
+            if p.fitted
+        }
+
+
+def estimate(prepared: PreparedStudy, fit: Fit, effects: Iterable[type[Effect]] = ()) -> Estimate:
+    """The parameters of a fitted model, from all trials; the fit's own if some defy simulation.
+
+    effects  that it may lack
+    """
+    try:
+        whole = of_all_trials(prepared, fit)
+    except ValueError:
+        return Estimate(fit, 1.0)
+    solution = whole.fit.solution
+    beside = whole.wrong.covariance((solution.covariance @ solution.jacobian.T)[: len(fit.q)])
+    beside = beside + unmodelled(whole, effects).covariance
+    return Estimate(whole.fit, disagreement(prepared, whole.fit), beside)
+
+
+def disagreement(prepared: PreparedStudy, whole: Fit) -> float:
+    """Cochran's Q of the trials over its degrees of freedom, at least 1.
+
+    Each trial, linearised at the common fit, asks for parameters of its own; where the model errs
+    they differ by more than noise explains.
+    whole   fit to all trials
+    source  Cochran 1954, Biometrics 10, 101; as a factor on the variance: Birge 1932, Phys. Rev.
+            40, 207
+    """
+    solution, p = whole.solution, len(whole.q)
+    free = solution.free[:p]
+    unit = np.linalg.cholesky(whole.covariance[np.ix_(free, free)])
+    square, freedom, begin = 0.0, -float(np.count_nonzero(free)), 0
+    for trial in prepared.study.trials:
+        rows = slice(begin, begin + prepared.whiteners[trial.name].rows)
+        begin = rows.stop
+        jacobian = solution.jacobian[rows, :p][:, free] @ unit
+        known, directions = np.linalg.eigh(jacobian.T @ jacobian)
+        asked = directions.T @ (jacobian.T @ solution.residual[rows])
+        kept = known > LEAST_KNOWN
+        square += float(np.sum(asked[kept] ** 2 / known[kept]))
+        freedom += float(np.count_nonzero(kept))
+    return max(1.0, square / freedom) if freedom >= MIN_FREEDOM else 1.0

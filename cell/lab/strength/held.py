@@ -1,0 +1,116 @@
+"""An effect held at a strength while everything else fitted answers it: what is still seen of it.
+
+Slopes say how much of an effect the other parameters can imitate.  Where they imitate most of it,
+what is left is small beside the curvature of both, and only a fit with the effect held there tells.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable.effects.base import ActiveEffect, Effect
+from cell.identify.gauss_newton import Options
+from cell.identify.parameters import ParameterSpace
+from cell.lab.data.prepared import PreparedStudy
+from cell.lab.fit.fitting import Fit, by_trial, extended, fit_model, fit_trials, space_with
+from cell.lab.fit.sensitivity import prior_root
+
+FloatArray = NDArray[np.float64]
+
+_REFIT = Options(tolerance=0.1, most_passes=15, least_gain=1e-3, updates=3)
+
+
+@dataclass(frozen=True, eq=False)
+class HeldEffect:
+    """An effect beside a fitted model, one amplitude and all its shape held.
+
+    amplitude  number of the parameter that is held; other amplitudes are free
+    space      of the model with the effect
+
+    Changes are whitened, of the fit trials, the prior's rows included.
+    """
+
+    prepared: PreparedStudy
+    fit: Fit
+    effect: type[Effect]
+    amplitude: int
+    space: ParameterSpace
+
+    @staticmethod
+    def beside(
+        prepared: PreparedStudy, fit: Fit, effect: type[Effect], amplitude: int
+    ) -> HeldEffect:
+        """An effect beside a fit to the `fit` trials."""
+        space = space_with(fit.space, (*fit.space.effects, effect))
+        return HeldEffect(prepared, fit, effect, amplitude, space)
+
+    def answer(self, active: ActiveEffect, change: FloatArray, others: FloatArray) -> FloatArray:
+        """(p + unknowns of beginnings,) where everything else goes, were it linear.
+
+        change  (rows,) of what is seen by the effect alone
+        others  (n, rows) the same per unit of each of its free amplitudes
+        """
+        slopes = np.vstack([self.fit.solution.jacobian, prior_root(self.fit)])
+        step = np.linalg.lstsq(np.column_stack([slopes, -others.T]), change, rcond=None)[0]
+        p, all_q = len(self.fit.q), slopes.shape[1]
+        values = np.array(active.values)
+        free = [i for i, x in enumerate(self.effect.parameters) if x.amplitude]
+        values[[i for i in free if i != self.amplitude]] += step[all_q:]
+        q = extended(self.fit, self.space, self.effect, values)
+        q[:p] += step[:p]
+        q = np.clip(q, self.space.low, self.space.high)
+        return np.concatenate([q, self.fit.solution.q[p:] + step[p:all_q]])
+
+    def at(self, active: ActiveEffect, near: FloatArray | None) -> FloatArray:
+        """The effect's held parameters as given, everything else as at `near`; None = as fitted."""
+        q = extended(self.fit, self.space, self.effect, np.array(active.values))
+        if near is None:
+            return np.concatenate([q, self.fit.solution.q[len(self.fit.q) :]])
+        moved = near.copy()
+        for i, x in enumerate(self.effect.parameters):
+            if i == self.amplitude or not x.amplitude:
+                k = self.space.names.index(f"{self.effect.name}.{x.name}")
+                moved[k] = q[k]
+        return moved
+
+    def refitted(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The model's coordinates fitted anew from q, the effect held as there, and the change.
+
+        raises  ValueError: it cannot be simulated there
+        """
+        low, high = self.space.low.copy(), self.space.high.copy()
+        for i, x in enumerate(self.effect.parameters):
+            if i == self.amplitude or not x.amplitude:
+                k = self.space.names.index(f"{self.effect.name}.{x.name}")
+                low[k] = high[k] = q[k]
+        space = replace(self.space, low=low, high=high)
+        fit = fit_model(self.prepared, space, q[: len(space.names)], self.fit.begun, options=_REFIT)
+        change = self.fit.solution.residual - fit.solution.residual
+        return fit.solution.q, self._with_prior(fit.solution.q, change)
+
+    def _with_prior(self, q: FloatArray, change: FloatArray) -> FloatArray:
+        p, fit = len(self.fit.q), self.fit
+        moved = np.concatenate([q[:p], q[len(self.space.names) :]]) - fit.solution.q
+        return np.concatenate([change, -prior_root(fit) @ moved])
+
+
+def all_changes(held: Sequence[HeldEffect], q: Sequence[FloatArray]) -> list[FloatArray]:
+    """(rows,) change from the fit to the model of each effect at its q, simulated together.
+
+    held  beside the same fit
+    q     (p + unknowns of beginnings,) of each
+    """
+    if not held:
+        return []
+    prepared, fit = held[0].prepared, held[0].fit
+    trials = fit_trials(prepared)
+    places = [(h, len(h.space.names), one) for h, one in zip(held, q, strict=True)]
+    models = [fit.model, *(h.space.model(one[:p]) for h, p, one in places)]
+    rest = np.stack([fit.solution.q[len(fit.q) :], *(one[p:] for _, p, one in places)])
+    white = prepared.white_near(trials, models, by_trial(prepared, trials, rest))
+    changes = white[0] - white[1:]
+    return [h._with_prior(one, row) for (h, _, one), row in zip(places, changes, strict=True)]

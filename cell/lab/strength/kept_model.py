@@ -1,0 +1,51 @@
+"""A fit in the form in which a cable's model is kept: with intervals that what it leaves widens."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from cell.cable.effects import Effect
+from cell.identify.fit import frames_seen, variance_inflation
+from cell.identify.identified import Identified
+from cell.lab.data.prepared import PreparedStudy
+from cell.lab.fit.fitting import Fit, fit_trials
+from cell.lab.fit.whole import Whole
+from cell.lab.strength.unmodelled import unmodelled
+
+
+def identified(
+    prepared: PreparedStudy, fit: Fit, effects: Iterable[type[Effect]] = ()
+) -> Identified:
+    """A fit in the form in which models are kept; intervals widened by what it leaves.
+
+    effects  that it may lack: where what is left is not noise, its parameters are as uncertain as
+             they move with those in that explain it
+    """
+    trials = fit_trials(prepared)
+    whiteners = [prepared.whiteners[t.name] for t in trials]
+    solution, p = fit.solution, len(fit.q)
+    inflation = variance_inflation(solution.residual, whiteners, len(solution.q))
+    # What the data say is worth less by the inflation, what the prior says is not.
+    precision = solution.jacobian.T @ solution.jacobian / inflation
+    precision[:p, :p] += fit.space.precision
+    precision[p:, p:] += np.diag(1.0 / fit.begun_std**2)
+    noise_only = np.linalg.inv(precision)
+    whole = Whole(prepared, fit)
+    by_hand = whole.wrong.covariance(noise_only[:p] @ solution.jacobian.T / inflation)
+    missed = unmodelled(whole, effects)
+    return Identified(
+        space=fit.space,
+        mean=fit.q,
+        covariance=np.asarray(noise_only[:p, :p] + by_hand + missed.covariance),
+        noise=prepared.expected,
+        residual_rms_m=fit.rms_m,
+        inflation=inflation,
+        frames_used=sum(frames_seen(t) for t in trials),
+        frames_total=sum(len(t.markers.t_s) for t in trials),
+        passes=fit.solution.passes,
+        method="map",
+        hand_covariance=by_hand,
+        lacks=missed.effects,
+    )

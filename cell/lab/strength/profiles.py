@@ -1,0 +1,146 @@
+"""Profile-likelihood intervals of a fitted model, as data and for its page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri as normal_quantile
+
+from cell.identify.gauss_newton import Options, minimise
+from cell.identify.identified import Identified
+from cell.identify.profile import Profile, profile
+from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.progress import Progress, no_progress
+from cell.lab.fit.fitting import Fit, fit_trials, problem_of
+
+FloatArray = NDArray[np.float64]
+
+#: Each point is a fit of its own, near the one before.
+_POINT = Options(tolerance=0.1, most_passes=12, least_gain=1e-3, updates=3)
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterProfile:
+    """The profile of one parameter in natural values.
+
+    fitted             the fit's value
+    value, low, high   the likeliest, and the ends of the 95 % interval; infinite where it has none
+    wald               low and high by the curvature at the minimum
+    values, rise       (points,) where it was held, and by how much -2 ln likelihood rose there
+    at_bound           (points,) names of other parameters that came to a bound there
+    better             a lower minimum was met on the way
+    """
+
+    name: str
+    unit: str
+    logarithmic: bool
+    fitted: float
+    value: float
+    low: float
+    high: float
+    wald: tuple[float, float]
+    values: FloatArray
+    rise: FloatArray
+    at_bound: tuple[tuple[str, ...], ...]
+    better: bool
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data; null where an interval has no end."""
+        ends = [float(v) if np.isfinite(v) else None for v in (self.low, self.high)]
+        return {
+            "name": self.name,
+            "unit": self.unit,
+            "value": self.value,
+            "low": ends[0],
+            "high": ends[1],
+            "better": self.better,
+            "points": [
+                {"value": float(v), "rise": float(r), "at_bound": list(names)}
+                for v, r, names in zip(self.values, self.rise, self.at_bound, strict=True)
+            ],
+        }
+
+
+def parameter_profiles(
+    prepared: PreparedStudy, fit: Fit, model: Identified, progress: Progress = no_progress
+) -> tuple[ParameterProfile, ...]:
+    """Profiles of all parameters that are free, as `each_profile`."""
+    return tuple(each_profile(prepared, fit, model, progress))
+
+
+def each_profile(
+    prepared: PreparedStudy, fit: Fit, model: Identified, progress: Progress = no_progress
+) -> Iterator[ParameterProfile]:
+    """Profile of one parameter after another that is free, all else refitted at every point.
+
+    What the model leaves beyond noise weighs as in its other intervals: all but the prior is
+    divided by the root of its inflation, so that the likeliest value is nearer to the prior.  What
+    effects that it lacks would make of its parameters is in those alone, not in a profile.
+    model  of the fit: with the noise that it was fitted with
+    """
+    space = fit.space
+    prepared = PreparedStudy.of(
+        prepared.study, misfit=model.noise, solver=prepared.solver, work=prepared.work
+    )
+    problem = problem_of(
+        prepared, space, fit_trials(prepared), temper=float(np.sqrt(model.inflation))
+    )
+    minimum = minimise(problem, fit.solution.q, _POINT)
+    free = [i for i in range(len(space.names)) if problem.low[i] < problem.high[i]]
+    reach = float(normal_quantile(0.975)) * np.sqrt(np.diag(minimum.covariance))
+    low, high = (
+        space.natural(np.clip((minimum.q + side * reach)[: len(fit.q)], space.low, space.high))
+        for side in (-1.0, 1.0)
+    )
+    for done, i in enumerate(free):
+        progress(f"profile of {space.names[i]}", done, len(free))
+        of = profile(problem, minimum, i, _POINT)
+        wald = (float(low[i]), float(high[i]))
+        yield _natural(fit, of, i, float(minimum.q[i]), wald)
+
+
+def _natural(
+    fit: Fit, of: Profile, i: int, best: float, wald: tuple[float, float]
+) -> ParameterProfile:
+    """A profile of coordinate i in natural values; those of beginnings have no name."""
+    space = fit.space
+    logarithmic = bool(space.logarithmic[i])
+
+    def natural(q: float) -> float:
+        return float(np.exp(q)) if logarithmic else q
+
+    names = [*space.names, *["how a trial begins"] * (len(fit.solution.q) - len(space.names))]
+    return ParameterProfile(
+        name=space.names[i],
+        unit=space.units[i],
+        logarithmic=logarithmic,
+        fitted=natural(float(fit.q[i])),
+        value=natural(best),
+        low=natural(of.low) if np.isfinite(of.low) else -np.inf,
+        high=natural(of.high),
+        wald=wald,
+        values=np.array([natural(p.q) for p in of.points]),
+        rise=np.array([p.rise for p in of.points]),
+        at_bound=tuple(tuple(names[k] for k in p.at_bound) for p in of.points),
+        better=of.better,
+    )
+
+
+def profile_sentences(found: Sequence[ParameterProfile]) -> list[str]:
+    """What of the profiles needs words: open intervals, others' bounds, a better minimum."""
+    said = []
+    for p in found:
+        if p.better:
+            said.append(f"{p.name}: on the way a better fit was met than the one begun with")
+        if not (np.isfinite(p.low) and np.isfinite(p.high)):
+            sides = [w for w, v in (("low", p.low), ("high", p.high)) if not np.isfinite(v)]
+            said.append(f"{p.name} is not bounded by this study: no {' or '.join(sides)} value is "
+                        "excluded")  # fmt: skip
+        others = sorted({n for names in p.at_bound for n in names})
+        if others:
+            said.append(f"{p.name}: its interval leans on the bound of {', '.join(others)}")
+    return said

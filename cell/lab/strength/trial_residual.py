@@ -1,0 +1,208 @@
+"""A trial's residual by time, place, phase and frequency, and the signals it correlates with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable.geometry import Motion
+from cell.cable.still import moves_from_s
+from cell.identify.noise import Noise, still_frames
+from cell.lab.statistics.series import (
+    LAGS,
+    Spectrum,
+    correlation,
+    ljung_box,
+    rms,
+    smoothed,
+    spectrum,
+)
+from cell.study.data import Trial
+
+FloatArray = NDArray[np.float64]
+
+TIME_BINS = 24
+#: The swing is `early` for this long after the hand has stopped, then `late`.
+EARLY_SWING_S = 0.3
+PHASES = ("still", "moving", "early swing", "late swing")
+
+
+@dataclass(frozen=True)
+class Profile:
+    """rms residual over groups: `centre`, `rms_m` (groups,); nan where nothing was seen."""
+
+    centre: FloatArray
+    rms_m: FloatArray
+
+
+@dataclass(frozen=True)
+class Correlation:
+    """Correlation of the tip's residual with a signal, and its two-sided p-value."""
+
+    signal: str
+    correlation: float
+    p_value: float
+
+
+@dataclass(frozen=True)
+class TrialResidual:
+    """Size of one trial's residual by time, place, phase and frequency.
+
+    by_time     over `TIME_BINS` equal spans; by_arc_length over markers; by_phase over `PHASES`
+    tip_m       (TIME_BINS,) largest distance between tip seen and predicted, m
+    whiteness   p-value of Ljung and Box over all markers: small = the residual has a pattern
+    correlations   of the tip's residual with signals, strongest first
+    """
+
+    trial: str
+    rms_m: float
+    by_time: Profile
+    by_arc_length: Profile
+    by_phase: dict[str, float]
+    spectrum: Spectrum
+    whiteness_p_value: float
+    correlations: tuple[Correlation, ...]
+
+
+def trial_residual(
+    trial: Trial,
+    predicted_m: FloatArray,
+    white: FloatArray,
+    arc_length_m: FloatArray,
+    noise: Noise,
+) -> TrialResidual:
+    """Residual statistics of a trial.
+
+    predicted_m  (times, markers, 2), m
+    white        (times, markers, 2) whitened residual, nan where not seen
+    """
+    t_s = trial.markers.t_s
+    residual = trial.markers.xy_m - predicted_m
+    edges = np.linspace(t_s[0], t_s[-1], min(TIME_BINS, len(t_s)) + 1)
+    bins = np.clip(np.searchsorted(edges, t_s, "right") - 1, 0, len(edges) - 2)
+    by_time = [rms(residual[bins == b]) for b in range(len(edges) - 1)]
+    names = phase_of(trial)
+    return TrialResidual(
+        trial=trial.name,
+        rms_m=rms(residual),
+        by_time=Profile(0.5 * (edges[1:] + edges[:-1]), np.array(by_time)),
+        by_arc_length=Profile(
+            arc_length_m, np.array([rms(residual[:, m]) for m in range(residual.shape[1])])
+        ),
+        by_phase={p: rms(residual[names == p]) for p in PHASES},
+        spectrum=spectrum(t_s, residual, noise),
+        whiteness_p_value=ljung_box(white.reshape(len(t_s), -1)),
+        correlations=correlations(trial, predicted_m, white),
+    )
+
+
+def unsimulated_trial(trial: Trial, arc_length_m: FloatArray, noise: Noise) -> TrialResidual:
+    """Of a trial that the model cannot be simulated in: an infinite error, and no place for it."""
+    t_s, markers = trial.markers.t_s, len(arc_length_m)
+    blank = spectrum(t_s, np.full((len(t_s), markers, 2), np.nan), noise)
+    bins = min(TIME_BINS, len(t_s))
+    edges = np.linspace(t_s[0], t_s[-1], bins + 1)
+    return TrialResidual(
+        trial=trial.name,
+        rms_m=float("inf"),
+        by_time=Profile(0.5 * (edges[1:] + edges[:-1]), np.full(bins, np.nan)),
+        by_arc_length=Profile(arc_length_m, np.full(markers, np.nan)),
+        by_phase=dict.fromkeys(PHASES, float("nan")),
+        spectrum=blank,
+        whiteness_p_value=float("nan"),
+        correlations=(),
+    )
+
+
+def displacement(seen: FloatArray, model: FloatArray) -> FloatArray:
+    """(…, 2) from model to what was seen: along one coordinate alone where the other was not."""
+    away = seen - model
+    lost = np.isnan(away)
+    return np.where(lost & ~lost.all(axis=-1, keepdims=True), 0.0, away)
+
+
+def distance(seen: FloatArray, model: FloatArray) -> FloatArray:
+    """(…) of `displacement`, nan where neither coordinate was seen."""
+    return np.asarray(np.linalg.norm(displacement(seen, model), axis=-1))
+
+
+def phase_of(trial: Trial) -> NDArray[np.str_]:
+    """(times,) the phase of the motion, one of `PHASES`, at each marker time."""
+    t_s = trial.markers.t_s
+    still = still_frames(t_s, trial.grip, trial.rests_until_s)
+    start_s = float(t_s[still.stop]) if still.stop < len(t_s) else np.inf
+    stop_s = max(_stop_s(trial.grip), start_s)
+    limits = [start_s, stop_s, stop_s + EARLY_SWING_S]
+    return np.array(PHASES)[np.searchsorted(limits, t_s, "right")]
+
+
+def _stop_s(motion: Motion) -> float:
+    """When the hand comes to rest for good: the onset of the motion run backwards."""
+    t_s = motion.t_s
+    mirrored = t_s[0] + t_s[-1]
+    backward = Motion(
+        mirrored - t_s[::-1], motion.x_m[::-1], motion.y_m[::-1], motion.angle_rad[::-1]
+    )
+    onset_s = moves_from_s(backward)
+    return float(mirrored - onset_s) if np.isfinite(onset_s) else float(t_s[0])
+
+
+def correlations(
+    trial: Trial, predicted_m: FloatArray, white: FloatArray
+) -> tuple[Correlation, ...]:
+    """Signals that the residual of the outermost marker is correlated with, strongest first.
+
+    The whitened residual along the cable's normal is correlated with each signal at that marker;
+    its p-value counts only the independent values of the two series (Bartlett 1935).
+    """
+    t_s = trial.markers.t_s
+    if len(t_s) < 2 * LAGS:
+        return ()
+    grip = _hand(trial)
+    normal = across_tip(trial, predicted_m)
+    velocity = np.sum(np.gradient(predicted_m[:, 0], t_s, axis=0) * normal, axis=1)
+    smooth = min(len(t_s) - (1 - len(t_s) % 2), 11)
+    hand = smoothed(grip, smooth)
+    acceleration = np.gradient(np.gradient(hand, t_s, axis=0), t_s, axis=0)
+    chord = np.unwrap(np.arctan2(-normal[:, 0], normal[:, 1]))
+    signals = {
+        "base acceleration, x": acceleration[:, 0],
+        "base acceleration, y": acceleration[:, 1],
+        "tip velocity": velocity,
+        "|v|v of the tip": np.abs(velocity) * velocity,
+        "curvature rate": np.gradient(chord - trial_angle(trial, t_s), t_s),
+    }
+    # of a marker of which one coordinate is seen, as much as that shows
+    seen = np.isfinite(white[:, 0])
+    error = np.sum(np.where(seen, white[:, 0], 0.0) * normal, axis=1)
+    error = np.where(seen.any(axis=1), error, np.nan)
+    found = [Correlation(name, *correlation(error, values)) for name, values in signals.items()]
+    return tuple(sorted(found, key=lambda f: -abs(f.correlation)))
+
+
+def across_tip(trial: Trial, predicted_m: FloatArray) -> FloatArray:
+    """(times, 2) unit vector across the cable at the outermost marker."""
+    # the grip stands in as second marker where there is only one
+    points = np.concatenate([predicted_m, _hand(trial)[:, None]], axis=1)
+    along = points[:, 0] - points[:, 1]
+    along /= np.maximum(np.linalg.norm(along, axis=1), 1e-12)[:, None]
+    return np.column_stack([-along[:, 1], along[:, 0]])
+
+
+def _hand(trial: Trial) -> FloatArray:
+    """(times, 2) logged gripping point at the markers' times, m."""
+    t_s, grip = trial.markers.t_s, trial.grip
+    return np.column_stack([np.interp(t_s, grip.t_s, v) for v in (grip.x_m, grip.y_m)])
+
+
+def trial_angle(trial: Trial, t_s: FloatArray) -> FloatArray:
+    """Logged clamp angle at times, rad."""
+    return np.asarray(np.interp(t_s, trial.grip.t_s, trial.grip.angle_rad))
+
+
+def largest(values: FloatArray) -> float:
+    """The 99th percentile of what is finite; 0 if nothing is."""
+    some = values[np.isfinite(values)]
+    return float(np.percentile(some, 99)) if some.size else 0.0

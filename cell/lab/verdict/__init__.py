@@ -1,0 +1,1 @@
+"""What may be claimed of a study: diagnosis, its checks, partial explanations, doubts."""

@@ -1,0 +1,81 @@
+"""Whether what a model leaves asks for more: in each trial, of a wider law, of another effect."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable.effects.base import Effect
+from cell.lab.data.prepared import PreparedStudy
+from cell.lab.fit.fitting import Fit
+from cell.lab.verdict.smooth_part import SmoothPart, Together, noise_was_seen, together
+
+FloatArray = NDArray[np.float64]
+
+#: Nothing is asked for in directions of the parameters that change less than by this share.
+LEAST_ASKED = 1e-6
+
+
+@lru_cache(maxsize=4)
+def of_what_trials_ask_for(
+    prepared: PreparedStudy, fit: Fit, parameters: Fit | None = None
+) -> SmoothPart | None:
+    """Of what each trial would change in the model's parameters, were they its own.
+
+    A right model is the same in every trial.  A wrong one must bend for each motion, and does so
+    in these few directions: far from noise where all that is smooth still looks like it.
+
+    parameters  the model whose parameters are asked, if it is another: one with an effect more
+    """
+    if not noise_was_seen(prepared):
+        return None
+    left, asked = together(prepared, fit), together(prepared, parameters or fit)
+    if left is None or asked is None:
+        return None
+    solution = asked.whole.fit.solution
+    slopes = np.split(solution.jacobian[:, solution.free], left.whole.wrong.ends[:-1])
+    bases = {}
+    for whitener, part in zip(left.whiteners, slopes, strict=True):
+        units, sizes, _ = np.linalg.svd(part, full_matrices=False)
+        bases[whitener] = units[:, sizes > LEAST_ASKED * sizes[0]]
+    return left.part(lambda whitener, rows: np.asarray(bases[whitener].T @ rows))
+
+
+def of_a_wider_law(prepared: PreparedStudy, fit: Fit, effect: type[Effect]) -> SmoothPart | None:
+    """Of what an effect's wider law would explain beside it; None without one.
+
+    Of an effect that is there its own law is all there is.  One in the place of another, which no
+    library has, leaves a little of it, the same in every trial, and in these few directions.
+    """
+    left = None if effect.wider is None else together(prepared, fit)
+    if effect.wider is None or left is None:
+        return None
+    rows = left.whole.sensitivities([effect.wider])[0].rows[0]
+    return left.judged(_directions(left, rows) @ left.every.T)
+
+
+def of_effects(
+    prepared: PreparedStudy, fit: Fit, effects: Sequence[type[Effect]]
+) -> dict[str, tuple[SmoothPart, float]]:
+    """Of what each of some effects would explain beside the model: the plainest of its shapes.
+
+    returns  by name, with the p-value of the plainest of so many; empty where a trial cannot be
+             simulated
+    """
+    left = together(prepared, fit)
+    found: dict[str, tuple[SmoothPart, float]] = {}
+    for slopes in [] if left is None else left.whole.sensitivities(effects):
+        assert left is not None
+        parts = [left.judged(_directions(left, rows) @ left.every.T) for rows in slopes.rows]
+        best = min(parts, key=lambda part: part.p_value)
+        found[slopes.effect.name] = best, min(1.0, len(parts) * best.p_value)
+    return found
+
+
+def _directions(left: Together, rows: FloatArray) -> FloatArray:
+    """(directions, values) orthonormal, of what changes (n, values) do that nothing fitted does."""
+    units, sizes, _ = np.linalg.svd(left.whole.linear.seen(rows).T, full_matrices=False)
+    return np.asarray(units[:, sizes > LEAST_ASKED * float(np.linalg.norm(rows))].T)

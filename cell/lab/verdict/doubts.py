@@ -1,0 +1,315 @@
+"""What makes a fit or a diagnosis doubtful, each with a code for programs and a sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from cell.cable.effects.base import Effect
+from cell.lab.data.noise_floor import Floor
+from cell.lab.data.prepared import ERRS
+from cell.lab.data.results import Doubt
+from cell.lab.fit.fitting import Fit, fit_trials
+from cell.lab.search.explore import Candidate, Explorer
+
+#: A model that leaves this share of what the markers move (rms) is no model of the cable.
+HOPELESS_SHARE = 0.5
+#: One that leaves more than this many times as much is not of this cable in this frame; an effect
+#: beside it is not looked for.  Cables in need of an effect have left 1.2 times as much, mirrored
+#: ones 3 to 12.
+NO_MODEL = 2.0
+#: Error over noise from which a fit's intervals rest on the model's own error.
+BEYOND_NOISE = 3.0
+#: A cable of which EI differs by more than this factor from place to place is none, if its model
+#: leaves that much; the prior's random walk gives it 7 standard deviations.
+UNLIKE_ANY = 20.0
+#: Two fits are different minima if EI differs by more than this factor anywhere.
+APART = 2.0
+#: Or if a parameter of an effect differs by more than so many standard deviations.
+APART_STD = 3.0
+#: Effects that a warning names, at most.
+TOLD = 3
+#: An amplitude is at its bound within this share of the way there from none of the effect.
+NEAR_BOUND = 0.01
+
+
+def fit_doubts(explorer: Explorer, candidate: Candidate) -> tuple[Doubt, ...]:
+    """Of a fitted model: hopeless, far beyond the noise, no minimum, at a bound, or diverging."""
+    fit, floor = candidate.fit, explorer.prepared.floor
+    to_all = "" if explorer.prepared.study.role("validate") else " to all trials"
+    found = []
+    moved_m = _moved_m(explorer)
+    worst_m = max(fit.rms_m, candidate.heldout.rms_m if candidate.heldout else 0.0)
+    if is_hopeless(explorer, fit):
+        found.append(
+            Doubt(
+                "hopeless",
+                f"the fit{to_all} misses {fit.rms_m * 1e3:.3g} mm of markers that move by "
+                f"{moved_m * 1e3:.3g} mm (rms): its parameters mean nothing; check the study's "
+                "frame, times and datasheet",
+            )
+        )
+    elif np.isfinite(worst_m) and worst_m > BEYOND_NOISE * floor.noise.std_m:
+        found.append(
+            Doubt(
+                "beyond_noise",
+                f"the model misses {worst_m * 1e3:.3g} mm, {worst_m / floor.noise.std_m:.0f} times "
+                "the noise: it lacks something; `cell diagnose STUDY` says what",
+            )
+        )
+    found += _wrong_minimum(explorer, candidate)
+    found += [
+        Doubt(
+            "at_bound",
+            f"{name} is at its bound, {value:.4g} {unit}: an answer that the limit gave, not the "
+            "measurement",
+        )
+        for name, value, unit in at_bound(fit)
+    ]
+    if candidate.heldout is not None:
+        found += [
+            Doubt(
+                "diverges",
+                f"the model cannot be simulated in trial {name}, which it was not fitted to",
+            )
+            for name, predicted in candidate.heldout.predicted_m.items()
+            if not np.isfinite(predicted).all()
+        ]
+    return tuple(found)
+
+
+def _wrong_minimum(explorer: Explorer, candidate: Candidate) -> list[Doubt]:
+    """Of a model that leaves far more than noise: EI of no cable, or another from another start."""
+    noise_m, fit = explorer.prepared.floor.noise.std_m, candidate.fit
+    left_m = max(fit.rms_m, candidate.heldout.rms_m if candidate.heldout else 0.0)
+    if not left_m > BEYOND_NOISE * noise_m:
+        second = explorer.second
+        as_good = second is not None and second.rms_m <= ERRS * fit.rms_m
+        return _starts_disagree(explorer) if as_good else []
+    found = []
+    rigidity = fit.model.rigidity_n_m2
+    differs = float(rigidity.max() / rigidity.min())
+    if differs > UNLIKE_ANY:
+        found.append(
+            Doubt(
+                "implausible",
+                f"EI differs {differs:.0f}-fold along the cable while {fit.rms_m * 1e3:.3g} mm are "
+                "missed: no cable is like that, its parameters mean nothing; the search is in a "
+                "wrong minimum, or the study not as it says (frame, datasheet, how trials begin)",
+            )
+        )
+    found += _starts_disagree(explorer)
+    return found
+
+
+def _starts_disagree(explorer: Explorer) -> list[Doubt]:
+    """Of a baseline that ends elsewhere from a second start, in EI or in its effects."""
+    base, other = explorer.baseline().fit, explorer.elsewhere()
+    if other is None:
+        return []
+    apart = np.log(other.model.rigidity_n_m2) - np.log(base.model.rigidity_n_m2)
+    factor = float(np.exp(np.abs(apart).max()))
+    found = [f"EI up to {factor:.1f}-fold apart"] if factor >= APART else []
+    found += _effects_apart(base, other)
+    if not found:
+        return []
+    return [
+        Doubt(
+            "starts_disagree",
+            f"from two starts the fit ends in different places: one misses {base.rms_m * 1e3:.3g} "
+            f"mm, the other {other.rms_m * 1e3:.3g} mm, with {' and '.join(found)}; there may be a "
+            "better one",
+        )
+    ]
+
+
+def _effects_apart(base: Fit, other: Fit) -> list[str]:
+    """Parameters of effects in which two fits differ by more than what is left of either allows."""
+    values, others = base.space.natural(base.q), other.space.natural(other.q)
+    found = []
+    for i, name in enumerate(base.space.names):
+        if "." not in name:
+            continue
+        variance = sum(_widened(fit) * fit.covariance[i, i] for fit in (base, other))
+        if abs(other.q[i] - base.q[i]) > APART_STD * np.sqrt(variance):
+            unit = "" if base.space.units[i] == "1" else f" {base.space.units[i]}"
+            found.append(f"{name} {values[i]:.3g} and {others[i]:.3g}{unit}")
+    return found
+
+
+def _widened(fit: Fit) -> float:
+    """By which what a fit leaves widens variances, at least 1."""
+    return max(1.0, fit.chi2 / max(1, int(np.count_nonzero(fit.solution.residual))))
+
+
+def lacking_doubt(lacks: Sequence[str]) -> tuple[Doubt, ...]:
+    """Of a fitted model beside which effects are seen; none if there are none."""
+    if not lacks:
+        return ()
+    return (
+        Doubt(
+            "lacks",
+            f"what the model leaves is not noise, {' and '.join(lacks)} beside it would explain "
+            "most of it: the intervals hold what the parameters would be then; `cell diagnose "
+            "STUDY` tells more",
+        ),
+    )
+
+
+def is_hopeless(explorer: Explorer, fit: Fit) -> bool:
+    """Whether a fit misses more than half of what the markers move: no model of this cable."""
+    return fit.rms_m > HOPELESS_SHARE * _moved_m(explorer)
+
+
+def is_no_model(explorer: Explorer, fit: Fit) -> bool:
+    """Whether a fit misses so much more than the markers move that no effect can be what lacks."""
+    return fit.rms_m > NO_MODEL * _moved_m(explorer)
+
+
+def no_model_doubt() -> Doubt:
+    """Of a diagnosis that looked for no effect."""
+    return Doubt(
+        "not_searched",
+        "no effect was looked for: what misses more than the markers move is no model of this "
+        "cable; mend the study first (the signs of y_m and angle_rad, gravity, the order of the "
+        "markers, the datasheet, one clock for both files)",
+    )
+
+
+def unsimulated_doubt() -> Doubt:
+    """Of a diagnosis that could not go on: it says what it knew until then."""
+    return Doubt(
+        "unsimulated",
+        "the search ended at a model that cannot be simulated; what was fitted until then is "
+        "told, nothing is confirmed: a baseline this far off hints at the study's frame, its "
+        "datasheet or its clock",
+    )
+
+
+def doubts(
+    explorer: Explorer, whole: Explorer, final: Candidate, cut_short: bool
+) -> tuple[Doubt, ...]:
+    """Of a diagnosis: of its final model, and whether the search for more was cut short.
+
+    whole  what the final model was fitted with
+    """
+    found = fit_doubts(whole, final)
+    codes = {w.code for w in found}
+    if "beyond_noise" in codes and "starts_disagree" not in codes:  # `whole` has looked at no other
+        found += tuple(_starts_disagree(explorer))
+    if cut_short:
+        simulated_s = explorer.prepared.work.simulated_s
+        found += (
+            Doubt(
+                "cut_short",
+                f"the search for further effects ended after {simulated_s:.0f} s of motion had "
+                "been simulated",
+            ),
+        )
+    return tuple(w for w in found if w.code != "beyond_noise")
+
+
+def interrupted_doubt(what: str) -> Doubt:
+    """Of a result that was asked for before it was complete."""
+    return Doubt("interrupted", f"interrupted: {what}")
+
+
+def unseen_doubt(effect: str) -> Doubt:
+    """Of an effect that rests on the fit trials alone."""
+    return Doubt(
+        "unconfirmed",
+        f"the held-out trials cannot show {effect}: it explains the trials fitted to and is not "
+        "confirmed; hold out a trial in which it would be seen",
+    )
+
+
+def noise_unknown_doubt(floor: Floor) -> Doubt:
+    """Of a model that leaves noise, where the rest was too short to tell what noise is."""
+    low_m, high_m = floor.range_m or (floor.noise.std_m, floor.noise.std_m)
+    remedy = f"record at least {floor.frames_needed} frames at rest before each motion"
+    if floor.hidden:
+        remedy = "write the markers with more digits, as they are rounded to more than they vary"
+    return Doubt(
+        "noise_unknown",
+        f"the frames at rest tell the noise only to {low_m * 1e3:.2g} … {high_m * 1e3:.2g} mm: an "
+        f"error as large as the noise would pass for it; {remedy}, or give noise_std_m in "
+        "study.yaml",
+    )
+
+
+def barely_seen_doubt(effect: str) -> Doubt:
+    """Of an effect too small in these trials to be told from what no library has."""
+    return Doubt(
+        "barely_seen",
+        f"the trials show so little of {effect} that half of it could be left unnoticed: an effect "
+        "that the library lacks may be behind it; add a motion that shows more of it, such as "
+        "`cell suggest STUDY` finds, or repeat these with less noise",
+    )
+
+
+def suspected_doubts(effects: Sequence[str]) -> tuple[Doubt, ...]:
+    """Of effects that all trials together ask for and the held-out ones do not bear out."""
+    if not effects:
+        return ()
+    more = f" and {len(effects) - TOLD} more" if len(effects) > TOLD else ""
+    return (
+        Doubt(
+            "suspected",
+            f"all trials together ask for {' or '.join(effects[:TOLD])}{more} far more plainly "
+            "than chance would, and those held out do not bear it out: that nothing else is "
+            "missing is not claimed; add a motion that tells, such as `cell suggest STUDY` finds",
+        ),
+    )
+
+
+def broken_law_doubt(effect: type[Effect]) -> Doubt:
+    """Of an effect that explains most, but not by its own law."""
+    wider = effect.wider.name if effect.wider is not None else ""
+    return Doubt(
+        "other_law",
+        f"{effect.name} explains most, but its law does not hold: `--effect {wider}`, which is "
+        "freer, explains more; something that the library lacks and that looks like it is there",
+    )
+
+
+def prior_only_doubt(effect: str) -> Doubt:
+    """Of an effect that without the prior is not needed, or explains nothing."""
+    return Doubt(
+        "prior_only",
+        f"the prior alone asks for {effect}: without it, as another cable than the prior's, the "
+        f"study does not bear {effect} out; give the prior of this cable, or none",
+    )
+
+
+def _moved_m(explorer: Explorer) -> float:
+    """rms distance of the fit trials' markers from their own means, per coordinate, m."""
+    square, count = 0.0, 0
+    for trial in fit_trials(explorer.prepared):
+        for series in trial.markers.xy_m.reshape(len(trial.markers.t_s), -1).T:
+            seen = series[np.isfinite(series)]
+            if seen.size:
+                square += float(np.sum((seen - seen.mean()) ** 2))
+                count += seen.size
+    return float(np.sqrt(square / max(count, 1)))
+
+
+def at_bound(fit: Fit) -> list[tuple[str, float, str]]:
+    """Fitted parameters that lie at a bound, except amplitudes that are absent there.
+
+    An amplitude that is all but there is there: the last of the way costs a search nothing.
+    """
+    space, q = fit.space, fit.q
+    absent = {
+        f"{e.name}.{p.name}": p.default for e in space.effects for p in e.parameters if p.amplitude
+    }
+    values = space.natural(q)
+    found = []
+    for i, name in enumerate(space.names):
+        default = absent.get(name)
+        ends = space.natural(space.low)[i], space.natural(space.high)[i]
+        near = [0.0 if default is None else NEAR_BOUND * abs(end - default) for end in ends]
+        outside = values[i] <= ends[0] + near[0] or values[i] >= ends[1] - near[1]
+        if space.low[i] < space.high[i] and outside and default != values[i]:
+            found.append((name, float(values[i]), space.units[i]))
+    return found

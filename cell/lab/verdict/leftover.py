@@ -1,0 +1,173 @@
+"""What an explanation leaves: how much, how much of it is independent, and where it is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.results import Peak
+from cell.lab.fit.fitting import errors_m, fit_trials
+from cell.lab.search.explore import Candidate
+from cell.lab.statistics.series import rms, spectrum
+from cell.lab.strength.trial_residual import TIME_BINS
+from cell.study.data import Study
+
+FloatArray = NDArray[np.float64]
+
+#: Frames of a trial over this many are the largest lag at which a residual is compared with itself.
+LARGEST_LAG = 4
+MOST_LAGS = 2000
+
+
+@dataclass(frozen=True)
+class Leftover:
+    """The residual of a model over all trials of a study.
+
+    mean_square_m2   per coordinate; inf if a trial cannot be simulated
+    independent      values in it that are independent of each other: of its mean square, as a
+                     sum of squares, twice the square of the mean over the variance
+    """
+
+    mean_square_m2: float
+    independent: float
+
+    @property
+    def rms_m(self) -> float:
+        """Per coordinate, over all trials."""
+        return float(np.sqrt(self.mean_square_m2))
+
+
+def residuals_m(prepared: PreparedStudy, candidate: Candidate) -> dict[str, FloatArray]:
+    """Per trial (times, channels): measured − predicted, m, nan where not seen."""
+    names = [trial.name for trial in fit_trials(prepared)]
+    found = dict(zip(names, errors_m(prepared, candidate.fit), strict=True))
+    if candidate.heldout is not None:
+        for trial in prepared.study.role("validate"):
+            error = trial.markers.xy_m - candidate.heldout.predicted_m[trial.name]
+            found[trial.name] = error.reshape(len(error), -1)
+    return found
+
+
+def leftover(prepared: PreparedStudy, candidate: Candidate) -> Leftover:
+    """What a candidate leaves of all trials."""
+    held = candidate.heldout
+    if held is not None and not np.isfinite(held.rms_m):
+        return Leftover(np.inf, 2.0)
+    errors = list(residuals_m(prepared, candidate).values())
+    seen = np.concatenate([e.ravel() for e in errors])
+    seen = seen[np.isfinite(seen)]
+    return Leftover(float(np.mean(seen**2)), independent_values(errors))
+
+
+def independent_values(errors: Sequence[FloatArray]) -> float:
+    """How many independent values have a mean square as uncertain as that of these residuals.
+
+    Correlation counts along the frames and between channels, wherever a model errs it errs for
+    many frames and along the whole cable.
+    errors  per trial (times, channels), nan where not seen
+    source  Bartlett 1946, J. R. Stat. Soc. Suppl. 8, 27: Σ ρ² over lags; between channels the
+            same sum over the correlation matrix, (tr K)² / tr K²
+    """
+    filled = [np.where(np.isfinite(e), e, 0.0) for e in errors]
+    count = sum(int(np.isfinite(e).sum()) for e in errors)
+    power = sum(float(np.sum(e * e)) for e in filled)
+    if count == 0 or power == 0.0:
+        return 2.0
+    together = np.sum([e.T @ e for e in filled], axis=0)
+    channels = power**2 / float(np.sum(np.square(together)))
+    frames = count / filled[0].shape[1]
+    squares = 0.0
+    for lag in range(1, min(MOST_LAGS, max(len(e) for e in filled) // LARGEST_LAG)):
+        products = [e[lag:] * e[:-lag] for e in filled if len(e) > LARGEST_LAG * lag]
+        r = sum(float(np.sum(p)) for p in products) / power
+        squares += r * r - 1.0 / (frames * channels)  # less what chance alone would give
+    return max(2.0, float(frames * channels / (1.0 + 2.0 * max(squares, 0.0))))
+
+
+def deviance(better: Leftover, worse: Leftover) -> float:
+    """−2 ln of how much less likely the worse residual is, if neither's size is known beforehand.
+
+    Where models err by more than the measurement, what they could be wrong by is what they leave.
+    """
+    if not np.isfinite(worse.mean_square_m2):
+        return np.inf if np.isfinite(better.mean_square_m2) else 0.0
+    return better.independent * float(np.log(worse.mean_square_m2 / better.mean_square_m2))
+
+
+def advantage(
+    prepared: PreparedStudy, better: Candidate, worse: Candidate, lag_share: float = 0.25
+) -> float:
+    """By how many standard deviations one candidate leaves less than another, both of them wrong.
+
+    What they differ by is summed over channels and trials frame by frame, so that trials which
+    repeat each other count as the one motion that they are, and its standard deviation is that of
+    a coloured series: an advantage of a single moment of the motion is worth little.
+    lag_share  largest lag of the covariances, of the longest trial's frames
+    source     Vuong 1989, Econometrica 57, 307; long-run variance after Newey and West 1987,
+               Econometrica 55, 703
+    """
+    mine, others = residuals_m(prepared, better), residuals_m(prepared, worse)
+    gained = np.zeros(max(len(e) for e in mine.values()))
+    for name, error in mine.items():
+        gained[: len(error)] += np.nansum(others[name] ** 2 - error**2, axis=1)
+    about, lags = gained - gained.mean(), int(lag_share * len(gained))
+    variance = float(about @ about)
+    for lag in range(1, lags + 1):
+        variance += 2.0 * (1.0 - lag / (lags + 1)) * float(about[lag:] @ about[:-lag])
+    return float(gained.sum() / np.sqrt(variance)) if variance > 0.0 else 0.0
+
+
+def removed_share(noise_m: float, before: Leftover, after: Leftover) -> float:
+    """Share of the mean square beyond noise that is gone, 0 … 1."""
+    if not np.isfinite(after.mean_square_m2):
+        return 0.0
+    if not np.isfinite(before.mean_square_m2):
+        return 1.0
+    excess = max(before.mean_square_m2 - noise_m**2, 1e-30)
+    return float(np.clip((before.mean_square_m2 - after.mean_square_m2) / excess, 0.0, 1.0))
+
+
+def peak(prepared: PreparedStudy, candidate: Candidate) -> Peak:
+    """Where a candidate leaves most: in the trial, at the time and at the marker of largest rms."""
+    study = prepared.study
+    errors = residuals_m(prepared, candidate)
+    trial = max(errors, key=lambda name: _size(errors[name]))
+    times = next(t.markers.t_s for t in study.trials if t.name == trial)
+    error = errors[trial]
+    edges = np.linspace(times[0], times[-1], min(TIME_BINS, len(times)) + 1)
+    bins = np.clip(np.searchsorted(edges, times, "right") - 1, 0, len(edges) - 2)
+    by_time = [rms(error[bins == b]) for b in range(len(edges) - 1)]
+    latest = int(np.nanargmax(np.nan_to_num(by_time)))
+    return Peak(
+        trial,
+        float(0.5 * (edges[latest] + edges[latest + 1])),
+        _place(study, errors),
+        _frequency(prepared, times, error),
+    )
+
+
+def _size(error: FloatArray) -> float:
+    size = rms(error)
+    return size if np.isfinite(size) else -1.0
+
+
+def _place(study: Study, errors: Mapping[str, FloatArray]) -> float:
+    """Arc length of the marker with the largest rms over all trials, m."""
+    markers = len(study.arc_length_m)
+    by_marker = [
+        rms(np.concatenate([e.reshape(len(e), markers, -1)[:, m].ravel() for e in errors.values()]))
+        for m in range(markers)
+    ]
+    return float(study.arc_length_m[int(np.argmax(np.nan_to_num(by_marker)))])
+
+
+def _frequency(prepared: PreparedStudy, t_s: FloatArray, error: FloatArray) -> float:
+    """Frequency at which a residual is farthest above the noise, Hz."""
+    if len(t_s) < 8 or not np.isfinite(error).any():
+        return float("nan")
+    found = spectrum(t_s, error, prepared.floor.noise)
+    return float(found.frequency_hz[int(np.argmax(found.residual / found.noise))])

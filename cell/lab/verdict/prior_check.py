@@ -1,0 +1,101 @@
+"""Whether effects named beside an earlier individual's model are there without it too."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from scipy.special import chdtrc as chi2_sf
+
+from cell.cable.effects.base import Effect
+from cell.identify.parameters import ParameterSpace
+from cell.lab.data.prepared import PreparedStudy
+from cell.lab.fit.fitting import space_with
+from cell.lab.search.explore import Candidate, Explorer
+from cell.lab.verdict.rules import Rules
+from cell.lab.verdict.verdict import above_noise, close_rivals, explains
+
+#: A cable is not the prior's if its parameters are as far from it with less chance than this.
+ANOTHER = 1e-3
+
+
+def asked_by_prior_only(
+    explorer: Explorer,
+    base: Candidate,
+    final: Candidate,
+    tied: Mapping[str, Sequence[str]],
+    rules: Rules,
+) -> tuple[str, ...]:
+    """Effects that another cable than the prior's would do without, or that do not explain it.
+
+    The study is asked without the prior: the fewest of them that explain it to its noise are
+    needed, each unless another, not `tied` with it, explains as much or more in its place.
+    Where, with all of them in, parameters that agree with the prior explain the study to the
+    measurement's noise, they account for all that sets this cable apart; then one that the prior
+    alone asks for is what a prior is for.  Several are not: that the cable is another says less.
+    """
+    if explorer.prior_q is None or final is base:
+        return ()
+    added = [e for e in final.effects if e not in explorer.space.effects]
+    spared = int(_of_this_cable(explorer, final, rules))
+    if len(added) <= spared:
+        return ()
+    found = not_borne_out(_without_prior(explorer), added, tied, rules)
+    return found if len(found) > spared else ()
+
+
+def _without_prior(explorer: Explorer) -> Explorer:
+    """The same study, as of a cable of which nothing is known."""
+    prepared, space = explorer.prepared, explorer.space
+    free = ParameterSpace.of(space.cable, gravity_m_per_s2=space.gravity_m_per_s2)
+    return Explorer(
+        PreparedStudy.of(prepared.measured, solver=prepared.solver, work=prepared.work),
+        space_with(free, space.effects),
+        explorer.library,
+        explorer.progress,
+    )
+
+
+def not_borne_out(
+    alone: Explorer,
+    effects: Sequence[type[Effect]],
+    tied: Mapping[str, Sequence[str]],
+    rules: Rules,
+) -> tuple[str, ...]:
+    """Those of some effects that a study, asked without a prior, does not need or explain."""
+    tried = [alone.baseline()]
+    while tried:
+        fewest = [c for c in tried if explains(alone, alone.baseline(), c, rules)]
+        if fewest:
+            needed = max(fewest, key=lambda c: c.evidence)
+            return tuple(
+                e.name
+                for e in effects
+                if e.name not in needed.names
+                or _in_place(alone, needed, e, rules) - set(tied.get(e.name, ()))
+            )
+        rest = [[e for e in effects if e.name not in c.names] for c in tried]
+        more = [alone.add(c, others) for c, others in zip(tried, rest, strict=True) if others]
+        tried = list({c.names: c for found in more for c in found}.values())
+    return tuple(e.name for e in effects)
+
+
+def _in_place(
+    alone: Explorer, needed: Candidate, effect: type[Effect], rules: Rules
+) -> frozenset[str]:
+    """Effects that explain as much as one of a candidate's, or more, in its place."""
+    rest = alone.without(needed, effect)
+    rivals = alone.add(rest, alone.worth_refitting(rest, rules.best))
+    found = [c.names - rest.names for c in close_rivals(alone, needed, rivals, rules)]
+    return frozenset().union(*found) - needed.names
+
+
+def _of_this_cable(explorer: Explorer, final: Candidate, rules: Rules) -> bool:
+    """Whether a model explains the study to the measurement's noise, and agrees with the prior."""
+    if above_noise(explorer, final) > rules.gross_misfit:
+        return False
+    space = explorer.space
+    own = [final.fit.space.names.index(n) for n in space.names]
+    away = final.fit.q[own] - space.mean
+    square = float(away @ space.precision @ away)
+    return bool(np.isfinite(square) and float(chi2_sf(len(away), square)) > ANOTHER)

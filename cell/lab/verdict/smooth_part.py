@@ -1,0 +1,294 @@
+"""Whether the slow part of what a model leaves is noise: misfits are there, and little noise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property, lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc as chi2_sf
+from scipy.special import fdtrc as f_sf
+
+from cell.identify.gaussian import marginal_chi2
+from cell.identify.noise import Whitener
+from cell.lab.data.noise_floor import MAX_COLOUR, Floor
+from cell.lab.data.prepared import PreparedStudy
+from cell.lab.fit.fitting import Fit, HeldoutRows, best_begun, fit_trials, heldout_rows
+from cell.lab.fit.mesh import LEFT
+from cell.lab.fit.sensitivity import prior_root
+from cell.lab.fit.systematic import MOTIONS, systematic
+from cell.lab.fit.whole import Whole, of_all_trials
+
+FloatArray = NDArray[np.float64]
+
+#: A smooth residual changes over no fewer frames than this, and is of so many powers of the place.
+SLOW_FRAMES, ALONG = 8, 3
+
+
+@dataclass(frozen=True)
+class SmoothPart:
+    """χ² of the smooth part of a residual, allowing for what the fit leaves uncertain.
+
+    chi2     about `count` if the model is right; inf where the cable cannot be simulated
+    rows     values of the whole residual
+    freedom  degrees of freedom behind the noise's level there
+    """
+
+    chi2: float
+    count: float
+    rows: int
+    freedom: float
+
+    @property
+    def excess(self) -> float:
+        """What is beyond noise, per value; below 0 by chance."""
+        return self.chi2 / self.count - 1.0
+
+    @property
+    def excess_of_all(self) -> float:
+        """The same as a mean square over the whole residual, in units of the noise's."""
+        return (self.chi2 - self.count) / self.rows
+
+    @property
+    def p_value(self) -> float:
+        """Of noise alone."""
+        return self.chance_of(self.excess)
+
+    def chance_of(self, excess: float) -> float:
+        """p-value that so much beyond noise would have."""
+        if not np.isfinite(self.freedom):
+            return float(chi2_sf(self.count, self.count * (1.0 + excess)))
+        return float(f_sf(self.count, self.freedom, 1.0 + excess))
+
+
+@lru_cache(maxsize=16)
+def smooth_part(prepared: PreparedStudy, fit: Fit) -> SmoothPart | None:
+    """Of what a fit leaves on the held-out trials; None where it says nothing.
+
+    It says nothing without held-out trials, and where the noise is an earlier model's misfit or a
+    level that the study states: that may be smooth itself.
+    """
+    if not noise_was_seen(prepared) or not prepared.study.role("validate"):
+        return None
+    rows = heldout_rows(prepared, fit)
+    chi2, count = np.inf, 1
+    if np.all(np.isfinite(rows.residual)) and np.all(np.isfinite(rows.spread)):
+        coarse = _coarse(prepared, rows, rows.residual[None])
+        chi2, count = _chi2(coarse[0], _coarse(prepared, rows, rows.spread.T)), coarse.shape[1]
+    return SmoothPart(chi2, count, len(rows.residual), prepared.floor.slow_freedom)
+
+
+def noise_was_seen(prepared: PreparedStudy) -> bool:
+    """Whether the level of noise is that of still frames: not stated, nor a model's error."""
+    return prepared.noise_is_measured and not prepared.floor.stated
+
+
+def of_a_finer_model(prepared: PreparedStudy, fit: Fit) -> SmoothPart | None:
+    """The same of a converged mesh, and beside what the log of the hand may be wrong by.
+
+    To first order: the parameters follow what mesh and hand change in the trials that they were
+    fitted to, and what stays of it is seen in those held out.
+    """
+    seen = smooth_part(prepared, fit)
+    if seen is None or not np.isfinite(seen.chi2):
+        return seen
+    rows, held = heldout_rows(prepared, fit), prepared.study.role("validate")
+    begun = {**fit.begun, **{t.name: best_begun(prepared, fit.model, t) for t in held}}
+    there = systematic(prepared, replace(fit, begun=begun), held)
+    fitted = systematic(prepared, fit, fit_trials(prepared))
+    mesh = there.mesh + _followed(fit, fitted.mesh[None])[0] @ rows.by_parameters.T
+    doubt = there.doubt + _followed(fit, fitted.doubt[None])[0] @ rows.by_parameters.T
+    changes = [doubt[None], there.hands]
+    for part in np.split(np.arange(fitted.hands.shape[1]), fitted.ends[:-1]):
+        alone = np.zeros_like(fitted.hands)  # every trial's log is wrong in its own way
+        alone[:, part] = fitted.hands[:, part]
+        changes.append(_followed(fit, alone) @ rows.by_parameters.T)
+    spread = _coarse(prepared, rows, rows.spread.T)
+    residual = _coarse(prepared, rows, (rows.residual + (1.0 + LEFT) * mesh)[None])[0]
+    sizes = [_chi2(row, spread) for row in _coarse(prepared, rows, np.concatenate(changes))]
+    expected = seen.count + LEFT**2 * sizes[0] + sum(sizes[1:]) / MOTIONS
+    return replace(seen, chi2=_chi2(residual, spread) * seen.count / expected)
+
+
+@lru_cache(maxsize=4)
+def of_all_trials_together(prepared: PreparedStudy, fit: Fit) -> SmoothPart | None:
+    """Of what stays in every trial when the model is fitted to all of them; None as above.
+
+    Twice the values, and the level of the noise is known from all frames: what is not smooth in
+    the residual tells it and its colour as the still frames do.  Mesh and hand are allowed for.
+
+    returns  None too where a trial cannot be simulated
+    """
+    left = together(prepared, fit) if noise_was_seen(prepared) else None
+    return None if left is None else left.part(_of_trial)
+
+
+@dataclass(frozen=True, eq=False)
+class Together:
+    """A model fitted to all trials: what it leaves, and what that is known to be wrong by.
+
+    every     (1 + errors + basis, rows) residual, less the mesh's error, and without what the
+              parameters imitate; what mesh and hands may still change it by; the parameters' basis.
+              The prior's rows come last
+    """
+
+    whole: Whole
+    whiteners: list[Whitener]
+    every: FloatArray
+    errors: int
+
+    @cached_property
+    def by_trial(self) -> list[tuple[Whitener, FloatArray]]:
+        """`every` of each trial, (…, rows of the trial)."""
+        return list(zip(self.whiteners, self.whole.wrong.by_trial(self.every), strict=True))
+
+    @cached_property
+    def level(self) -> tuple[float, float]:
+        """Of slow noise, and the degrees of freedom behind it; as stated, if it is."""
+        floor = self.whole.prepared.floor
+        if not noise_was_seen(self.whole.prepared):
+            return 1.0, np.inf
+        return _slow_level(floor, [_Fast.of(w, p[0]) for w, p in self.by_trial])
+
+    def part(self, coordinates: Callable[[Whitener, FloatArray], FloatArray]) -> SmoothPart:
+        """χ² in orthonormal directions of each trial: (directions, n) coordinates of (rows, n)."""
+        return self.judged(np.concatenate([coordinates(w, p.T) for w, p in self.by_trial]))
+
+    def judged(self, coarse: FloatArray) -> SmoothPart:
+        """χ² by (directions, 1 + errors + basis) coordinates of `every` in orthonormal ones."""
+        by_errors = float(np.sum(coarse[:, 1 : 1 + self.errors] ** 2))
+        count = len(coarse) - float(np.sum(coarse[:, 1 + self.errors :] ** 2))
+        level, freedom = self.level
+        chi2 = float(coarse[:, 0] @ coarse[:, 0]) * count / (count * level + by_errors)
+        return SmoothPart(chi2, count, sum(w.count for w in self.whiteners), freedom)
+
+
+@lru_cache(maxsize=4)
+def together(prepared: PreparedStudy, fit: Fit) -> Together | None:
+    """A model fitted to all trials; None where one of them cannot be simulated."""
+    try:
+        whole = of_all_trials(prepared, fit)
+    except ValueError:
+        return None
+    linear, wrong, trials = whole.linear, whole.wrong, fit_trials(whole.prepared)
+    rows = wrong.ends[-1]
+    changes = [np.append(wrong.doubt, np.zeros(len(linear.left) - rows))[None] * LEFT]
+    for part in np.split(np.arange(rows), wrong.ends[:-1]):
+        alone = np.zeros((MOTIONS, len(linear.left)))  # every trial's log is wrong in its own way
+        alone[:, part] = wrong.hands[:, part] / np.sqrt(MOTIONS)
+        changes.append(alone)
+    errors = linear.seen(np.concatenate(changes))
+    every = np.vstack([linear.left, errors, linear.basis.T])
+    whiteners = [whole.prepared.whiteners[t.name] for t in trials]
+    return Together(whole, whiteners, every, len(errors))
+
+
+@dataclass(frozen=True)
+class _Fast:
+    """White residuals of a trial without their smooth part: sums over frames and channels.
+
+    square, products    of values, and of each with the one of the frame before
+    values, neighbours  what these sums are of white noise of unit size
+    """
+
+    square: float
+    products: float
+    values: float
+    neighbours: float
+    pairs: int
+
+    @staticmethod
+    def of(whitener: Whitener, white: FloatArray) -> _Fast:
+        """Of (rows,)."""
+        grid = white.reshape(-1, whitener.channels, whitener.frames)
+        square = products = values = neighbours = 0.0
+        pairs = 0
+        for channel in range(whitener.channels):
+            modes = _smooth_modes(whitener, channel)
+            series = grid[:, channel]
+            fast = series - (modes @ (modes.T @ series.ravel())).reshape(series.shape)
+            seen = whitener.seen[..., channel].T
+            both = seen[:, 1:] & seen[:, :-1]
+            fast = np.where(seen, fast, 0.0)
+            shaped = modes.reshape(*series.shape, -1)
+            square += float(np.sum(fast**2))
+            products += float(np.sum(fast[:, 1:] * fast[:, :-1]))
+            values += float(seen.sum()) - modes.shape[1]
+            neighbours -= float(np.sum((shaped[:, 1:] * shaped[:, :-1])[both]))
+            pairs += int(both.sum())
+        return _Fast(square, products, values, neighbours, pairs)
+
+
+def _slow_level(floor: Floor, parts: Sequence[_Fast]) -> tuple[float, float]:
+    """Mean square of the noise's smooth part once whitened, 1 if the floor is right; its freedom.
+
+    Noise of another colour than it was whitened for keeps a correlation with the frame before, and
+    is by so much stronger where it is slow.
+    """
+    square, products, values, neighbours, pairs = (
+        sum(getattr(p, f.name) for p in parts) for f in fields(_Fast)
+    )
+    level = square / values
+    off = (products - neighbours * level) / (level * pairs)
+    alike = floor.effective_fraction
+    colour = (1.0 - alike) / (1.0 + alike)
+    slow = level * ((1.0 - colour) / (1.0 - min(colour + off, MAX_COLOUR))) ** 2
+    freedom = values / (1.0 + 2.0 / floor.effective_fraction)
+    together = freedom + floor.slow_freedom
+    return (freedom * slow + floor.slow_freedom) / together, together
+
+
+def _followed(fit: Fit, changes: FloatArray) -> FloatArray:
+    """(n, p) moves of a fit's parameters that changes (n, rows) of its residual bring about."""
+    solution = fit.solution
+    slopes = np.vstack([solution.jacobian, prior_root(fit)])[:, solution.free]
+    padded = np.zeros((len(slopes), len(changes)))
+    padded[: changes.shape[1]] = changes.T
+    moves = np.zeros((len(changes), len(solution.q)))
+    moves[:, solution.free] = -np.linalg.lstsq(slopes, padded, rcond=None)[0].T
+    return moves[:, : len(fit.q)]
+
+
+def _chi2(residual: FloatArray, spread: FloatArray) -> float:
+    """Of (values,), allowing for what (k, values) are the standard deviations of."""
+    return marginal_chi2(residual, spread.T)[0]
+
+
+def _coarse(prepared: PreparedStudy, rows: HeldoutRows, white: FloatArray) -> FloatArray:
+    """(n, modes of all trials) coordinates, white again, of (n, rows) in smooth functions."""
+    trials = prepared.study.role("validate")
+    parts = np.split(white.T, rows.ends[:-1])
+    return np.concatenate(
+        [_of_trial(prepared.whiteners[t.name], p) for t, p in zip(trials, parts, strict=True)]
+    ).T
+
+
+def _of_trial(whitener: Whitener, white: FloatArray) -> FloatArray:
+    """(modes, columns) of (rows, columns) of one trial."""
+    grid = white.reshape(-1, whitener.channels, whitener.frames, white.shape[1])
+    parts = []
+    for channel in range(whitener.channels):
+        modes = _smooth_modes(whitener, channel)
+        parts.append(modes.T @ grid[:, channel].reshape(len(modes), -1))
+    return np.concatenate(parts)
+
+
+@lru_cache(maxsize=64)
+def _smooth_modes(whitener: Whitener, channel: int) -> FloatArray:
+    """(markers × frames, modes) orthonormal smooth functions of what was seen in a channel.
+
+    Cosines in time and polynomials along the cable span them.  A misfit of the model is there, of
+    noise only a few per cent.
+    """
+    seen = whitener.seen[..., channel]
+    frames, markers = seen.shape
+    slow = max(2, frames // SLOW_FRAMES)
+    in_time = np.cos(np.pi * np.outer(np.arange(frames) + 0.5, np.arange(slow)) / frames)
+    along = np.vander(np.linspace(-1.0, 1.0, markers), min(markers, ALONG))
+    functions = np.einsum("mk,tj->mtkj", along, in_time).reshape(markers * frames, -1)
+    functions = functions * seen.T.reshape(-1, 1)
+    values, vectors = np.linalg.eigh(functions.T @ functions)
+    good = values > 1e-9 * max(values[-1], 1e-300)
+    return np.asarray(functions @ (vectors[:, good] / np.sqrt(values[good])))

@@ -1,0 +1,54 @@
+"""Differences of simulations with a longer step: used where they are the same, and only there."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cell.cable.solver import Solver
+from cell.identify.gauss_newton import jacobian_at
+from cell.identify.parameters import ParameterSpace
+from cell.lab.data.prepared import PreparedStudy
+from cell.lab.fit.fitting import fit_model, fit_trials, heldout, problem_of
+from cell.lab.fit.slopes import HARMLESS, with_slopes
+
+
+@pytest.fixture(scope="module")
+def fitted(make_study):
+    study = make_study([], seed=3)
+    prepared, space = PreparedStudy.of(study), ParameterSpace.of(study.cable)
+    return prepared, fit_model(prepared, space, space.start(2.5e-5))
+
+
+def test_a_longer_step_leaves_slopes_and_what_follows_from_them(fitted):
+    prepared, fit = fitted
+    coarser, same = with_slopes(prepared, fit)
+    assert coarser.slopes is not None
+    assert coarser.slopes.step_s > prepared.solver.step_s
+    problem = problem_of(prepared, fit.space, fit_trials(prepared))
+    exact = jacobian_at(problem, fit.solution.q)
+    off = np.linalg.norm(same.solution.jacobian - exact, axis=0)
+    assert np.all(off < HARMLESS * np.sqrt(np.sum(exact**2, axis=0) + np.diag(problem.precision)))
+    before, after = heldout(prepared, fit), heldout(coarser, fit)
+    assert after.rms_m == before.rms_m
+    assert after.log_likelihood == pytest.approx(before.log_likelihood, abs=0.02)
+    again = fit_model(coarser, fit.space, fit.space.start(2.5e-5))
+    assert np.abs(again.q - fit.q).max() < 0.02 * np.sqrt(np.diag(fit.covariance)).max()
+
+
+def test_where_a_longer_step_would_do_harm_none_is_taken(fitted):
+    prepared, fit = fitted
+    rough = replace(prepared, solver=Solver(segments=32, step_s=8e-3))
+    fit = fit_model(rough, fit.space, fit.q)
+    assert with_slopes(rough, fit)[0].slopes is None
+
+
+def test_how_far_a_search_goes_does_not_depend_on_the_step_of_slopes(fitted):
+    prepared, fit = fitted
+    trials = fit_trials(prepared)
+    counted = []
+    for study in (prepared, replace(prepared, slopes=Solver(32, 3e-3))):
+        before = study.work.simulated_s
+        study.white_near(trials, [fit.model] * 3)
+        counted.append(study.work.simulated_s - before)
+    assert counted[0] == counted[1] > 0.0

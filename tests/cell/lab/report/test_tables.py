@@ -1,0 +1,136 @@
+"""The sentences that people read: grammar, size of numbers, and what to do next."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from cell.cable.effects import library
+from cell.identify.parameters import ParameterSpace
+from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.results import Diagnosis, Doubt, Errors, MissingEffect
+from cell.lab.next.advice import Paths, advice
+from cell.lab.next.discover import Discovery
+from cell.lab.report.tables import discovery_sentence, sentence, steps_text, verdict_line
+from cell.lab.report.wording import apart, left_in_words, noise_in_words
+from cell.lab.search.explore import Explorer
+from cell.lab.strength.compare import compare_model
+from cell.lab.verdict.doubts import prior_only_doubt
+
+
+def diagnosis(verdict, *names, tied=(), noise_m=1e-4, after_m=1e-4):
+    missing = tuple(MissingEffect(n, tied, 1e-9, 90.0, {}, Errors(after_m, after_m)) for n in names)
+    return Diagnosis(noise_m, Errors(9e-4, 9e-4), verdict, missing)
+
+
+def test_what_effects_do_to_the_error_is_said_in_millimetres():
+    """A share of squares is none of millimetres: "46 %" of nearly nothing, "99 %" of everything."""
+    one = sentence(diagnosis("missing", "tip_mass"))
+    assert "misses 0.90 mm; with tip mass in it 0.10 mm: camera noise (0.10 mm)." in one
+    left = sentence(diagnosis("cannot_tell", "tip_mass", after_m=5e-4))
+    assert "with tip mass in it 0.50 mm: 5.0 times the noise, not yet explained." in left
+    assert "%" not in one + left
+    both = sentence(diagnosis("missing", "tip_mass", "air_drag"))
+    assert "with tip mass and air drag in it 0.10 mm" in both
+
+
+def test_where_the_noise_is_not_known_no_effect_is_said_to_lack_and_rest_is_asked_for():
+    """Of what may be noise: "lacks something", and a motion to tell apart effects of which none was
+    named.
+    """
+    unknown = replace(diagnosis("cannot_tell"), warnings=(Doubt("noise_unknown", "…"),))
+    assert sentence(unknown).endswith("too few to tell whether that is noise.")
+    assert "lacks something" not in verdict_line(unknown)
+    said = steps_text(advice(unknown))
+    assert "frames at rest" in said
+    assert "cell suggest" not in said
+
+
+def test_one_effect_that_a_prior_alone_asks_for_is_not_told_from_others():
+    found = diagnosis("cannot_tell", "tip_mass")
+    asked = replace(found, warnings=(prior_only_doubt("tip_mass"),))
+    assert sentence(asked).endswith("Without the prior the study does not bear this out.")
+    assert sentence(found).endswith("These motions cannot tell them apart.")
+
+
+def test_small_noise_is_not_rounded_to_nothing():
+    said = sentence(diagnosis("unexplained", noise_m=2.4e-6))
+    assert "camera noise is 0.0024 mm" in said
+    assert "misses 0.90 mm" in said
+
+
+@pytest.mark.parametrize(
+    ("found", "says"),
+    [
+        (diagnosis("complete"), "Nothing"),
+        (diagnosis("missing", "tip_mass"), "cell fit STUDY --effect tip_mass -o"),
+        (diagnosis("missing", "tip_mass"), "cell compare STUDY --model before.json --model"),
+        (diagnosis("missing", "tip_mass", tied=("added_mass",)), "cell suggest STUDY"),
+        (diagnosis("unexplained"), "cell discover STUDY"),
+        (diagnosis("cannot_tell"), "cell suggest STUDY"),
+    ],
+)
+def test_the_advice_fits_the_verdict(found, says):
+    assert says in steps_text(advice(found))
+
+
+def test_commands_name_what_was_given_and_quote_it():
+    paths = Paths(Path("my study"), {"fan": Path("effects/fan.py")})
+    said = steps_text(advice(diagnosis("missing", "fan"), paths))
+    assert "cell fit 'my study' --effect effects/fan.py -o after.json" in said
+    assert "`" not in said
+
+
+def test_a_law_of_ones_own_that_does_not_explain_all_does_not_end_in_a_circle():
+    paths = Paths(Path("s"), {"discovered": Path("discovered.py")})
+    said = steps_text(advice(diagnosis("unexplained"), paths, accepted=("discovered",)))
+    assert "cell fit s --effect discovered.py -o after.json" in said
+    assert "cell discover s --effect discovered.py -o discovered_2.py" in said
+
+
+def test_one_statement_about_noise_where_the_study_states_it_and_the_camera_is_better(make_study):
+    """A small mass leaves a pattern below the stated error: nobody may call it camera noise."""
+    mass = library()["tip_mass"].active(mass_kg=2e-6)
+    study = make_study([mass], seed=4, noise_m=2e-6, colour=0.0)
+    study = replace(study, noise_std_m=2e-5)
+    explorer = Explorer(PreparedStudy.of(study), ParameterSpace.of(study.cable), {})
+    shown = compare_model(study, explorer.baseline().fit.model)
+    assert shown.patterns() > 0
+    assert shown.noise_at_rest_m == pytest.approx(2e-6, rel=0.1)
+    small = Errors(shown.fit_rms_m, shown.heldout_rms_m)
+    said = sentence(Diagnosis(shown.noise_m, small, "complete"), shown, shown)
+    assert "within the measurement's error as the study states it (0.02 mm)" in said
+    assert "camera noise at rest is 0.002 mm" in said
+    assert f"in {shown.patterns()} of 4 trials it has a pattern" in said
+    assert "camera noise (0.02" not in said
+    words = {left_in_words(w, shown) for w in shown.where}
+    assert words <= {"noise", "a pattern within the stated error"}
+    assert "as stated (camera noise at rest 0.002 mm)" in noise_in_words(shown)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "shown"),
+    [
+        (0.0, 0.0118, ("0", "0.0118")),
+        (0.99993, 1.00008, ("0.99993", "1.00008")),  # was "1 … 1"
+        (-1.68e-5, 8.36e-6, ("-1.68e-05", "8.36e-06")),
+        (1.0, 1.0, ("1", "1")),
+    ],
+)
+def test_the_ends_of_a_narrow_range_are_told_apart(low, high, shown):
+    assert apart(low, high) == shown
+
+
+@pytest.mark.parametrize(
+    ("after_m", "complete", "left"),
+    [
+        (5.2e-5, True, "What is left is noise."),
+        (9e-5, True, "What is left is 1.8 times the noise: little beside it, but not noise."),
+        (9e-4, False, "What is left is 18.0 times the noise: something else is missing too."),
+    ],
+)
+def test_what_a_law_leaves_is_called_noise_only_if_it_is(
+    after_m: float, complete: bool, left: str
+) -> None:
+    law = Discovery("hb", (), (), 5e-5, 4.5e-3, after_m, True, complete, "")
+    assert discovery_sentence(law).endswith(left)

@@ -1,0 +1,248 @@
+"""Which of several fits of one more effect is kept."""
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from cell.cable.effects import library, load_effect
+from cell.identify.gauss_newton import UnsimulatedError
+from cell.identify.parameters import ParameterSpace
+from cell.lab.data import side_by_side
+from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.selection import select_effects
+from cell.lab.fit.fitting import space_with
+from cell.lab.next.terms import admissible, effect_source
+from cell.lab.search import explore
+from cell.lab.search.explore import Candidate, Explorer
+from cell.lab.search.setup import explorer_of
+from cell.lab.verdict import diagnose as diagnosing
+from cell.lab.verdict.doubts import fit_doubts
+from cell.lab.verdict.rules import DEFAULT_RULES
+
+DOCS = Path(__file__).parents[4] / "docs"
+
+#: Objective on the fit trials → evidence, held-out trials included: the best fit forecasts badly.
+EVIDENCE = {100.0: -5000.0, 120.0: -70.0, 300.0: -160.0}
+
+
+@pytest.mark.parametrize(("name", "kept"), [("point", 120.0), ("tip_mass", 100.0)])
+def test_of_places_of_a_force_the_one_is_kept_that_holds_beyond_the_motions_fitted_to(
+    name, kept, make_study, tmp_path, monkeypatch
+):
+    term = {t.name: t for t in admissible((-0.1, 0.0, -0.09, 0.0))}["point"]
+    path = tmp_path / "point.py"
+    path.write_text(effect_source("point", [term], "A law."), encoding="utf-8")
+    effect = load_effect(path, trusted=True) if name == "point" else library()[name]
+    study = make_study(seed=2)
+    explorer = Explorer(PreparedStudy.of(study), ParameterSpace.of(study.cable), {name: effect})
+    base = explorer.baseline()
+    explorer.screened(base)
+    objectives = iter([*EVIDENCE, *[400.0] * 100])
+    weighed = []
+
+    def fit_model(*args, **options):
+        return SimpleNamespace(objective=next(objectives), solution=SimpleNamespace(settled=True))
+
+    def weigh(explorer, effects, fit):
+        weighed.append(fit.objective)
+        return Candidate(effects, fit, None, EVIDENCE[fit.objective])
+
+    monkeypatch.setattr(explore, "fit_model", fit_model)
+    monkeypatch.setattr(Explorer, "_sought", lambda *args: list(range(len(EVIDENCE))))
+    monkeypatch.setattr(Explorer, "_promising", lambda *args: list(range(len(EVIDENCE))))
+    monkeypatch.setattr(Explorer, "_weigh", weigh)
+    (candidate,) = explorer.add(base, [effect])
+    assert candidate.fit.objective == kept
+    assert weighed == (list(EVIDENCE) if name == "point" else [kept])
+
+
+@pytest.mark.parametrize(("passes", "polished"), [(5, 1), (explore.POLISH.most_passes, 3)])
+def test_what_was_taken_as_far_as_it_goes_is_not_taken_there_again(
+    make_study, monkeypatch, passes, polished
+):
+    """Fitted again at every look, a candidate moved on while others were compared with it.
+
+    One that was stopped by the number of passes goes on.
+    """
+    effect = library()["tip_mass"]
+    study = make_study(seed=2)
+    explorer = Explorer(PreparedStudy.of(study), ParameterSpace.of(study.cable), {"x": effect})
+    base = explorer.baseline()
+    explorer.screened(base)
+    fits = []
+
+    def fit_model(*args, **options):
+        fits.append(options["options"])
+        return SimpleNamespace(
+            objective=1.0,
+            begun={},
+            space=None,
+            q=None,
+            solution=SimpleNamespace(settled=False, passes=passes),
+        )
+
+    monkeypatch.setattr(explore, "fit_model", fit_model)
+    monkeypatch.setattr(
+        Explorer, "_weigh", lambda explorer, effects, fit: Candidate(effects, fit, None, 0.0)
+    )
+    for _ in range(3):
+        explorer.add(base, [effect])
+    assert fits.count(explore.POLISH) == polished
+
+
+def test_a_cable_that_only_an_effect_kept_from_collapsing_is_begun_anew_without_it(
+    make_study, monkeypatch
+):
+    """A diagnosis ended there with "the model cannot be simulated at the start of the fit"."""
+    effect = library()["tip_mass"]
+    study = make_study(seed=2)
+    explorer = Explorer(PreparedStudy.of(study), ParameterSpace.of(study.cable), {"x": effect})
+    space = space_with(explorer.space, [effect])
+    q = space.mean - 100.0
+    fit = SimpleNamespace(space=space, q=q, begun={})
+    begun = []
+
+    def fit_model(prepared, space, start, *args, **options):
+        begun.append(start)
+        if len(begun) == 1:
+            raise ValueError
+        return "found"
+
+    monkeypatch.setattr(explore, "fit_model", fit_model)
+    monkeypatch.setattr(explore, "cold_start", lambda *args: "cold")
+    monkeypatch.setattr(Explorer, "_weigh", lambda explorer, effects, fit: fit)
+    assert explorer.without(Candidate((effect,), fit, None, 0.0), effect) == "found"
+    assert np.array_equal(begun[0], q[:-1])
+    assert begun[1] == "cold"
+
+
+def test_jaws_whose_pads_creep_are_found_from_where_softer_bending_imitates_stiff_ones(make_study):
+    """From a retardation of 10 ms alone the search always fell back to a rigid grip."""
+    effect = library()["grip_compliance"]
+    study = make_study([effect.active(rad_per_n_m=160.0, time_s=0.06)], seed=3)
+    prepared = PreparedStudy.of(study)
+    explorer = Explorer(prepared, ParameterSpace.of(study.cable), {effect.name: effect})
+    (found,) = explorer.add(explorer.baseline(), [effect])
+    values = found.fit.space.natural(found.fit.q)[-2:]
+    assert values == pytest.approx([160.0, 0.06], rel=0.1)
+    given = Explorer(prepared, ParameterSpace.of(study.cable, effects=(effect,)), {}).baseline()
+    assert given.fit.rms_m == pytest.approx(found.fit.rms_m, rel=1e-3)
+
+
+def test_of_two_minima_without_an_effect_the_likelier_is_kept(make_study, monkeypatch):
+    """A poor fit of the right effect made any second one look necessary."""
+    first, second = library()["tip_mass"], library()["air_drag"]
+    study = make_study(seed=2)
+    explorer = Explorer(PreparedStudy.of(study), ParameterSpace.of(study.cable), {})
+    poor = Candidate((first,), None, None, -2000.0)
+    none = Candidate((), None, None, -3000.0)
+    explorer._known = {frozenset(): none, frozenset({"tip_mass"}): poor}
+    better = Candidate((first,), None, None, -1000.0)
+    fitted = []
+
+    def taken_out(explorer, candidate, rest):
+        fitted.append(rest)
+
+    monkeypatch.setattr(Explorer, "_taken_out", taken_out)
+    monkeypatch.setattr(Explorer, "_weigh", lambda *args: better)
+    both = Candidate((first, second), None, None, 0.0)
+    assert [explorer.without(both, second) for _ in range(2)] == [better, better]
+    assert fitted == [(first,)]
+    assert explorer.without(Candidate((first,), None, None, 0.0), first) is none
+
+
+@pytest.fixture(scope="module")
+def one_and_two(make_study):
+    """What one and two processes find of the same study, and the work that they count."""
+    known = library()
+    study = make_study([known["tip_mass"].active(mass_kg=3e-5)], seed=8)
+    names = ("air_drag", "tip_mass", "grip_angle", "bending_hysteresis", "draught")
+    found = []
+    for cores in (1, 2):
+        explorer = Explorer(
+            PreparedStudy.of(study), ParameterSpace.of(study.cable), {n: known[n] for n in names}
+        )
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(side_by_side, "threads", lambda cores=cores: cores)
+            base = explorer.baseline()
+            added = explorer.add(base, explorer.worth_refitting(base, 5))
+        found.append((added, explorer.prepared.work.simulated_s))
+    return found
+
+
+def test_candidates_are_the_same_whichever_process_fitted_them(one_and_two):
+    (here, work_s), (shared, shared_s) = one_and_two
+    assert [c.names for c in here] == [c.names for c in shared]
+    assert [c.evidence for c in here] == [c.evidence for c in shared]
+    for a, b in zip(here, shared, strict=True):
+        assert np.array_equal(a.fit.q, b.fit.q)
+        assert np.array_equal(a.fit.solution.jacobian, b.fit.solution.jacobian)
+        assert a.effects == b.effects
+    assert work_s == shared_s
+
+
+def test_candidates_of_another_process_have_the_effects_of_this_one(make_study, tmp_path):
+    """A user's effect is of no module that another process could look it up in."""
+    effects = {}
+    for term in [t for t in admissible((-0.1, 0.0, -0.09, 0.0)) if t.name != "point"][:2]:
+        path = tmp_path / f"own_{term.name}.py"
+        path.write_text(effect_source(f"own_{term.name}", [term], "A law."), encoding="utf-8")
+        effects[f"own_{term.name}"] = load_effect(path, trusted=True)
+    study = make_study(seed=2)
+    explorer = Explorer(PreparedStudy.of(study), ParameterSpace.of(study.cable), effects)
+    found = explorer.add(explorer.baseline(), list(effects.values()))
+    assert [c.effects[-1] for c in found] == list(effects.values())
+    assert all(c.fit.space.effects == c.effects for c in found)
+
+
+def test_a_fit_that_ended_at_the_edge_of_what_can_be_simulated_stays_there(make_study, monkeypatch):
+    """Taken on from there it could not begin, and the whole search ended."""
+    study = make_study(seed=2)
+    explorer = Explorer(PreparedStudy.of(study), ParameterSpace.of(study.cable), {})
+    base = explorer.baseline()
+
+    def impossible(*args, **options):
+        raise UnsimulatedError("the model cannot be simulated at the start of the fit")
+
+    monkeypatch.setattr(explore, "fit_model", impossible)
+    assert explorer._polished(base) is base
+    assert not explorer.rebase(base.fit.q, 0.0)
+
+
+def test_an_effect_explains_no_less_than_nothing(make_study):
+    """A refit that ended above the model without its effect was listed with χ² of −22740898."""
+    study = make_study(seed=2)
+    names = ("tip_mass", "air_drag")
+    space = ParameterSpace.of(study.cable)
+    explorer = Explorer(PreparedStudy.of(study), space, {n: library()[n] for n in names})
+    base = explorer.baseline()
+    (stuck,) = explorer.add(base, [library()["tip_mass"]])
+    stuck = replace(stuck, fit=replace(stuck.fit, solution=replace(
+        stuck.fit.solution, objective=base.fit.objective + 1e6)))  # fmt: skip
+    assert diagnosing._sound([stuck], base) == []
+    rows = diagnosing._ranking(explorer, base, base, [stuck], set(), DEFAULT_RULES)
+    assert min(r.score for r in rows) >= 0.0
+
+
+def test_a_fit_with_an_effect_looks_as_hard_for_it_as_a_diagnosis(make_study, tmp_path):
+    """The docs' magnet, from its typical place: 1.03 mm were left where 0.06 could be."""
+    example = (
+        (DOCS / "effects.md").read_text(encoding="utf-8").partition("<!-- file: magnet.py -->")
+    )
+    path = tmp_path / "magnet.py"
+    path.write_text(example[2].split("```")[1].removeprefix("python\n"), encoding="utf-8")
+    selection = select_effects([str(path)])
+    (magnet,) = selection.in_model
+    there = {"strength_n_m": 2.3e-5, "x_m": -0.11, "y_m": -0.09}
+    study = make_study([magnet.active(**there)], seed=1, noise_m=5e-5)
+    explorer = explorer_of(replace(study, trials=study.trials[:2]), selection)
+    fit = explorer.baseline().fit
+    found = dict(zip(fit.space.names, fit.space.natural(fit.q), strict=True))
+    assert fit.rms_m < 6e-5
+    assert {n: found[f"magnet.{n}"] for n in there} == pytest.approx(there, rel=0.02)
+    assert explorer.second is not None
+    assert explorer.second.rms_m > 2e-4, "where it ended from its typical place"
+    assert not any(w.code == "starts_disagree" for w in fit_doubts(explorer, explorer.baseline()))

@@ -1,0 +1,60 @@
+"""Parameters from all trials: trials of one cable agree, of two cables they do not."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+
+from cell.cable.effects import library
+from cell.identify.parameters import ParameterSpace
+from cell.lab.data.prepared import PreparedStudy
+from cell.lab.fit import whole
+from cell.lab.fit.fitting import fit_model
+from cell.lab.fit.starts import cold_start
+from cell.lab.strength.estimate import estimate
+
+
+def fitted(study):
+    prepared = PreparedStudy.of(study)
+    space = ParameterSpace.of(study.cable, effects=[library()["tip_mass"]])
+    baseline = ParameterSpace.of(study.cable)
+    start = space.mean.copy()
+    start[: len(baseline.names)] = cold_start(prepared, baseline)
+    return prepared, fit_model(prepared, space, start)
+
+
+def test_all_trials_know_more_and_agree(make_study):
+    prepared, fit = fitted(make_study([library()["tip_mass"].active(mass_kg=2e-5)], seed=3))
+    found = estimate(prepared, fit)
+    assert found.disagreement < 1.5
+    assert np.all(np.diag(found.fit.covariance) <= 1.01 * np.diag(fit.covariance))
+    mass = found.intervals(library()["tip_mass"])["mass_kg"]
+    assert mass.low < 2e-5 < mass.high
+    assert mass.high - mass.low < 0.1 * 2e-5
+
+
+def test_trials_of_different_cables_disagree_and_widen_the_interval(make_study):
+    mass = library()["tip_mass"]
+    one, other = (make_study([mass.active(mass_kg=m)], seed=3) for m in (2e-5, 3e-5))
+    mixed = replace(one, trials=(*one.trials[:2], *other.trials[2:]))
+    prepared, fit = fitted(mixed)
+    found = estimate(prepared, fit)
+    assert found.disagreement > 3.0
+    interval = found.intervals(mass)["mass_kg"]
+    alone = estimate(*fitted(one)).intervals(mass)["mass_kg"]
+    assert interval.high - interval.low > 1.5 * (alone.high - alone.low)
+
+
+def test_a_fit_whose_last_place_cannot_be_simulated_is_its_own_estimate(monkeypatch):
+    """A diagnosis ended there with "the model cannot be simulated at the start of the fit"."""
+
+    def impossible(*args, **options):
+        raise ValueError
+
+    class Stub(SimpleNamespace):
+        __hash__ = object.__hash__
+
+    monkeypatch.setattr(whole, "fit_model", impossible)
+    fit = Stub(space=None, q=None, begun={})
+    found = estimate(Stub(study=Stub(trials=())), fit)
+    assert (found.fit, found.disagreement) == (fit, 1.0)

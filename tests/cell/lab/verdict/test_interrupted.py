@@ -1,0 +1,190 @@
+"""A diagnosis that a person stops says what it knows so far, and claims nothing."""
+
+import json
+import os
+import signal
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import cell.cli.lab
+from cell.cable.effects import library
+from cell.cli import app
+from cell.identify.parameters import ParameterSpace
+from cell.lab.data.prepared import PreparedStudy, StoppedError
+from cell.lab.next.suggest import Option, Rival, telling_motions
+from cell.lab.next.terms import admissible
+from cell.lab.report.tables import sentence
+from cell.lab.search.explore import Explorer
+from cell.lab.verdict.additions import with_limits
+from cell.lab.verdict.diagnose import diagnose
+from cell.settings.surroundings import Surroundings
+from cell.study.folder import write_study
+
+KNOWN = library()
+NAMES = ("air_drag", "tip_mass", "grip_angle", "natural_curvature")
+
+
+@pytest.fixture(scope="module")
+def study(make_study):
+    return make_study([KNOWN["tip_mass"].active(mass_kg=3e-5)], seed=8)
+
+
+def stopped_when(study, text, done=0):
+    """An explorer that is stopped when it says so."""
+
+    def progress(said, count=0, total=0):
+        if text in said and count >= done:
+            explorer.prepared.work.stop()
+
+    space = ParameterSpace.of(study.cable)
+    chosen = {n: KNOWN[n] for n in NAMES}
+    explorer = Explorer(PreparedStudy.of(study), space, chosen, progress)
+    return explorer
+
+
+def test_what_was_fitted_until_then_is_told_and_nothing_claimed(study):
+    explorer = stopped_when(study, "refitted with", 3)
+    examination = with_limits(explorer, diagnose(explorer))
+    found = examination.diagnosis
+    assert found.verdict == "cannot_tell"
+    assert found.missing == ()
+    assert found.limits == ()
+    assert found.warnings[0].code == "interrupted"
+    assert 1 <= len(found.nearest) <= 3
+    assert len(found.ranking) == len(NAMES)
+    assert sentence(found).startswith("Interrupted. The model misses")
+    assert "nothing confirmed" in sentence(found)
+
+
+def test_stopped_before_the_second_search_has_begun_the_first_is_told(study, monkeypatch):
+    """After an effect is found, the mesh's error is that of another model: all is fitted again."""
+    explorer = stopped_when(study, "looking where to begin")
+    explorer.prepared = replace(explorer.prepared, mesh_m={study.trials[0].name: 0.0})
+    before = stopped_when(study, "never")
+    before.prepared = explorer.prepared
+    before.screened(before.baseline())
+    vars(explorer).update({**vars(before), "progress": explorer.progress})
+    monkeypatch.setattr("cell.lab.search.explore.as_its_mesh_shows", lambda prepared, fit: prepared)
+    found = diagnose(explorer).diagnosis
+    assert found.verdict == "cannot_tell"
+    assert found.warnings[0].code == "interrupted"
+    assert found.baseline.fit_rms_m == pytest.approx(before.baseline().fit.rms_m)
+
+
+def test_before_the_baseline_there_is_nothing_to_tell(study):
+    with pytest.raises(StoppedError):
+        diagnose(stopped_when(study, "looking where to begin"))
+
+
+def test_a_verdict_that_is_known_stays_when_its_limits_are_stopped(study):
+    explorer = stopped_when(study, "how strong")
+    found = with_limits(explorer, diagnose(explorer)).diagnosis
+    assert found.verdict == "missing"
+    assert found.limits == ()
+    assert [w.code for w in found.warnings] == ["interrupted"]
+
+
+class Interrupting:
+    """A progress line during which a signal comes."""
+
+    def __init__(self, during, number):
+        self.during, self.number, self.pressed = during, number, False
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        pass
+
+    def __call__(self, text, done=0, total=0):
+        if self.during in text and not self.pressed:
+            self.pressed = True
+            os.kill(os.getpid(), self.number)
+
+
+def interrupted(monkeypatch, during, number, *given):
+    """A command during whose work somebody wants it to end, when it says that it is doing that."""
+    monkeypatch.setattr(cell.cli.lab, "working", lambda command: Interrupting(during, number))
+    before = {s: signal.getsignal(s) for s in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        return CliRunner().invoke(app, [str(word) for word in given])
+    finally:
+        for s, handler in before.items():
+            signal.signal(s, handler)
+
+
+@pytest.fixture
+def folder(study, tmp_path):
+    write_study(study, tmp_path / "study")
+    return tmp_path / "study"
+
+
+def test_a_diagnosis_gives_the_best_answer_so_far(folder, tmp_path, monkeypatch):
+    out, page = tmp_path / "found.json", tmp_path / "found.html"
+    given = ["diagnose", folder, "-o", out, "--report", page]
+    result = interrupted(monkeypatch, "refitted with", signal.SIGTERM, *given)
+    assert result.exit_code == 128 + signal.SIGTERM
+    assert "Interrupted." in result.output
+    found = json.loads(out.read_text())
+    assert (found["verdict"], found["missing"]) == ("cannot_tell", [])
+    assert found["warnings"][0]["code"] == "interrupted"
+    assert page.is_file()
+
+
+def test_a_fit_is_told_without_what_would_have_followed(folder, tmp_path, monkeypatch):
+    out, page = tmp_path / "model.json", tmp_path / "profiles.html"
+    given = ["fit", folder, "-o", out, "--profile", page]
+    result = interrupted(monkeypatch, "profile of ", signal.SIGINT, *given)
+    assert result.exit_code == 128 + signal.SIGINT
+    assert "viscosity" in result.stdout
+    assert "was not computed, or not all of it" in result.stdout
+    found = json.loads(out.read_text())
+    assert found["warnings"][0]["code"] == "interrupted"
+    assert found["agreement"]
+    assert found["profiles"] == []
+    assert not page.exists()
+
+
+def test_a_fit_that_is_not_known_yet_writes_nothing(folder, tmp_path, monkeypatch):
+    out = tmp_path / "model.json"
+    result = interrupted(monkeypatch, "fitting", signal.SIGTERM, "fit", folder, "-o", out)
+    assert result.exit_code == 128 + signal.SIGTERM
+    assert "nothing is known yet, and nothing was written" in result.stderr
+    assert not out.exists()
+
+
+def test_a_law_that_is_not_confirmed_yet_is_not_written(folder, tmp_path, monkeypatch):
+    out = tmp_path / "law.py"
+    monkeypatch.setattr("cell.lab.next.discover.admissible", lambda box_m: admissible(box_m)[:2])
+    given = ["discover", folder, "-o", out]
+    result = interrupted(monkeypatch, "refitted with", signal.SIGTERM, *given)
+    assert result.exit_code == 128 + signal.SIGTERM
+    assert "interrupted: no law is confirmed so far (it misses" in result.stdout
+    assert "the nearest, " in result.stdout
+    assert not out.exists()
+
+
+def test_the_best_motion_so_far_is_suggested(study, monkeypatch):
+    """Once some were looked at."""
+    looked: list[float] = []
+
+    def weighed(prepared, rivals, stroke, surroundings, low_m):
+        looked.append(stroke.angle_rad)
+        if len(looked) > 3:
+            raise KeyboardInterrupt
+        return "view" if len(looked) == 1 else Option(stroke, float(len(looked)), "b", 0.5)
+
+    monkeypatch.setattr("cell.lab.next.suggest._weighed", weighed)
+    monkeypatch.setattr("cell.lab.next.suggest._rest_low_m", lambda *_: 0.0)
+    space = ParameterSpace.of(study.cable)
+    rivals = [Rival(n, space, space.mean, np.eye(len(space.mean))) for n in "ab"]
+    prepared = PreparedStudy.of(study)
+    found = telling_motions(prepared, rivals, Surroundings.read(None))
+    assert [o.separation for o in found.options] == [3.0, 2.0]
+    assert found.refused == {"view": 1}
+    looked.extend([0.0] * 3)
+    with pytest.raises(KeyboardInterrupt):
+        telling_motions(prepared, rivals, Surroundings.read(None))

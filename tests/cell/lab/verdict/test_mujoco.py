@@ -1,0 +1,91 @@
+"""The lab on studies that MuJoCo made: no line of the project's own physics is in them."""
+
+import sys
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cell.cable.dynamics import simulate
+from cell.cable.effects import library
+from cell.cable.geometry import Cable, Motion
+from cell.cable.model import CableModel
+from cell.identify.parameters import ParameterSpace
+from cell.lab.data.prepared import PreparedStudy
+from cell.lab.search.explore import Explorer
+from cell.lab.verdict.diagnose import diagnose
+from cell.study.folder import read_study
+
+pytest.importorskip("mujoco")
+
+TOOL = Path(__file__).parents[4] / "tools" / "mujoco_studies.py"
+RIVALS = (
+    "tip_mass", "bending_hysteresis", "grip_compliance", "grip_angle", "natural_curvature",
+    "linear_air_drag",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def peer():
+    spec = spec_from_file_location("mujoco_studies", TOOL)
+    sys.modules[spec.name] = module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    yield module
+    del sys.modules[spec.name]
+
+
+@pytest.fixture
+def explored(peer, tmp_path):
+    def explore(**hidden):
+        cable = peer.Specimen(hidden=peer.Hidden(**hidden))
+        strokes = [s for s in peer.STROKES if s.name in ("identify", "probe_up", "deep", "aslant")]
+        folder = tmp_path / "peer"
+        peer.write_study(folder, cable, seed=1, colour=0.3, strokes=tuple(strokes))
+        study = read_study(folder)
+        names = {n: library()[n] for n in RIVALS}
+        return diagnose(
+            Explorer(PreparedStudy.of(study), ParameterSpace.of(study.cable), names)
+        ).diagnosis
+
+    return explore
+
+
+def test_both_engines_move_the_same_cable_alike(peer):
+    cable, stroke = peer.Specimen(), peer.STROKES[0]
+    t_s = np.arange(0.0, 1.0, 0.01)
+    theirs = peer.seen(cable, stroke, t_s)
+    log = np.arange(0.0, 1.1, 0.002)
+    x, y = peer.Hand(stroke, peer.Hidden()).place(log).T
+    model = CableModel(
+        Cable(peer.LENGTH_M, peer.DENSITY_KG_PER_M, peer.WIDTH_M, peer.THICKNESS_M),
+        cable.rigidity(np.linspace(0.0, 1.0, 15)),
+        viscosity_n_m2_s=cable.viscosity_n_m2_s,
+    )
+    ours = simulate(model, Motion(log, x, y, 0 * log), t_s, np.linspace(0.1, 0.0, peer.MARKERS))[0]
+    assert np.sqrt(np.mean((ours - theirs) ** 2)) < 1e-5
+    assert np.abs(theirs[:, 0] - theirs[0, 0]).max() > 0.05  # it does swing
+
+
+def test_a_chain_without_anything_hidden_is_complete(explored):
+    found = explored()
+    assert found.verdict == "complete"
+    assert found.baseline.heldout_rms_m == pytest.approx(1e-4, rel=0.04)
+
+
+@pytest.mark.parametrize(
+    ("effect", "hidden", "parameter", "true"),
+    [
+        ("tip_mass", 3e-5, "mass_kg", 3e-5),
+        ("grip_compliance", 250.0, "rad_per_n_m", 250.0),
+        ("bending_hysteresis", (4e-6, 1.2), "moment_n_m", 4e-6),
+    ],
+)
+def test_what_is_hidden_in_a_chain_is_named_and_measured(explored, effect, hidden, parameter, true):
+    found = explored(**{effect: hidden})
+    assert found.verdict == "missing"
+    assert [f.effect for f in found.missing] == [effect]
+    value = found.missing[0].parameters[parameter]
+    assert value.low < true < value.high
+    assert value.value == pytest.approx(true, rel=0.12)
+    assert found.missing[0].errors.heldout_rms_m < 1.04e-4

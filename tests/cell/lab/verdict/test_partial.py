@@ -1,0 +1,187 @@
+"""Partial explanations keep their ties, and answers that a bound gave are none."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import pytest
+
+from cell.cable.effects import library
+from cell.identify.parameters import ParameterSpace
+from cell.lab.data.prepared import PreparedStudy
+from cell.lab.fit.fitting import space_with
+from cell.lab.search.explore import Explorer
+from cell.lab.verdict import partial
+from cell.lab.verdict.diagnose import diagnose
+from cell.lab.verdict.leftover import Leftover, deviance
+from cell.lab.verdict.partial import largest_step, tied_so_far
+from cell.lab.verdict.rules import DEFAULT_RULES
+
+KNOWN = library()
+
+
+@pytest.fixture(scope="module")
+def partly(make_study):
+    """Late pictures, a load, and something that the library lacks."""
+    hidden = [
+        KNOWN["camera_latency"].active(delay_s=0.02),
+        KNOWN["tip_mass"].active(mass_kg=6e-5),
+        KNOWN["camera_scale"].active(factor=1.01),
+    ]
+    study = make_study(hidden, seed=31)
+    names = ("camera_latency", "robot_lag", "tip_mass")
+    space = ParameterSpace.of(study.cable)
+    return diagnose(Explorer(PreparedStudy.of(study), space, {n: KNOWN[n] for n in names}))
+
+
+def test_an_effect_found_first_keeps_its_ties_when_a_second_is_in(partly):
+    """Pictures late or a hand late: no motion from rest tells them apart."""
+    found = partly.diagnosis
+    assert found.verdict == "unexplained"
+    named = {f.effect: f.tied_with for f in found.partial}
+    assert len(named) == 2
+    assert "tip_mass" in named
+    assert named.get("camera_latency", ("robot_lag",)) == ("robot_lag",)
+    assert named.get("robot_lag", ("camera_latency",)) == ("camera_latency",)
+
+
+def test_an_answer_that_a_bound_gave_explains_nothing(partly):
+    """The first step is taken as it is, and not with its effect at the parameter's bound."""
+    base, first, *_ = partly.partial
+    space = first.fit.space
+    explorer = Explorer(partly.weighed, space_with(space, ()), {})
+    assert largest_step(explorer, base, [first], 1, DEFAULT_RULES) is first
+    q = first.fit.q.copy()
+    q[-1] = space.high[-1]
+    limited = replace(first, fit=replace(first.fit, q=q))
+    assert largest_step(explorer, base, [limited], 1, DEFAULT_RULES) is None
+
+
+def test_what_leaves_as_little_with_one_effect_more_is_tied_where_more_is_missing(monkeypatch):
+    """A bar with 52 g at its tip: 0.32 mm with added mass, 0.41 with a tip mass, 0.30 of 0.03 mm
+    of noise with a tip mass and relaxation.  Added mass alone was named.
+    """
+    left_mm = {
+        ("added_mass",): 0.32,
+        ("tip_mass",): 0.41,
+        ("draught",): 0.52,
+        ("air_drag",): 0.54,
+        ("added_mass", "draught"): 0.30,
+        ("draught", "robot_lag"): 0.45,
+        ("stress_relaxation", "tip_mass"): 0.30,
+        ("air_drag", "stress_relaxation"): 0.20,
+    }
+    fits = {
+        names: SimpleNamespace(names=frozenset(names), effects=[KNOWN[n] for n in names])
+        for names in left_mm
+    }
+    noise = SimpleNamespace(noise=SimpleNamespace(std_m=3e-5))
+    explorer = SimpleNamespace(
+        known=lambda: tuple(fits.values()),
+        baseline=lambda: None,
+        prepared=SimpleNamespace(floor=noise),
+    )
+    monkeypatch.setattr(partial, "_as_good", lambda *args: [])
+    monkeypatch.setattr(partial, "_any_at_bound", lambda *args: False)
+    monkeypatch.setattr(
+        partial,
+        "leftover",
+        lambda _, c: Leftover((1e-3 * left_mm[tuple(sorted(c.names))]) ** 2, 80.0),
+    )
+    found = fits[("added_mass",)]
+    named = tied_so_far(explorer, found, KNOWN["added_mass"], DEFAULT_RULES)
+    assert named == ("tip_mass",)  # draught does not; air drag is not among the nearest
+    noise.noise = SimpleNamespace(std_m=3e-4)  # nothing beyond noise is left
+    assert tied_so_far(explorer, found, KNOWN["added_mass"], DEFAULT_RULES) == ()
+
+
+def single(name, left_mm, ahead=0.0, at_bound=False):
+    """A fitted effect that leaves so much, so many standard deviations worse than the best."""
+    effects = [KNOWN[name]] if name else []
+    fit = SimpleNamespace(solution=SimpleNamespace(converged=True))
+    return SimpleNamespace(
+        names=frozenset(e.name for e in effects),
+        effects=effects,
+        fit=fit,
+        chi2=left_mm,
+        left=Leftover((1e-3 * left_mm) ** 2, 90.0),
+        ahead=ahead,
+        at_bound=at_bound,
+    )
+
+
+def test_ties_are_what_models_that_are_all_wrong_cannot_tell(monkeypatch):
+    """A bar with 52 g at its tip: by 90 independent values tip mass (0.39 mm) was none of the ties
+    of hysteresis (0.32), and an added mass at its bound was one.
+    """
+    base, final = single("", 0.54), single("bending_hysteresis", 0.32)
+    rivals = [
+        single("tip_mass", 0.39, ahead=1.1),
+        single("natural_curvature", 0.39, ahead=2.5),
+        single("added_mass", 0.31, at_bound=True),
+        single("camera_latency", 0.50, ahead=1.4),  # significant, but little of the error
+        single("stress_relaxation", 0.33, ahead=9.0),  # hardly more at all
+    ]
+    explorer = SimpleNamespace(
+        known=lambda: (base, final, *rivals),
+        baseline=lambda: base,
+        library=KNOWN,
+        prepared=SimpleNamespace(floor=SimpleNamespace(noise=SimpleNamespace(std_m=3e-5))),
+    )
+    monkeypatch.setattr(partial, "_near", lambda *args: [])
+    monkeypatch.setattr(partial, "_at_bound", lambda small, large: large.at_bound)
+    monkeypatch.setattr(partial, "leftover", lambda _, c: c.left)
+    monkeypatch.setattr(partial, "advantage", lambda _, better, worse: worse.ahead)
+    monkeypatch.setattr(
+        partial,
+        "close_rivals",
+        lambda *args: [c for c in rivals if deviance(final.left, c.left) < DEFAULT_RULES.tie],
+    )
+    named = tied_so_far(explorer, final, KNOWN["bending_hysteresis"], DEFAULT_RULES)
+    assert named == ("stress_relaxation", "tip_mass")
+
+
+def test_singles_are_compared_when_their_fits_are_finished():
+    """Twelve passes left 0.45 mm with a natural curvature, another eight 0.35."""
+    base = single("", 0.54)
+    begun = [single(n, 0.45) for n in ("natural_curvature", "tip_mass", "air_drag", "draught")]
+    begun.append(single("added_mass", 0.31))
+    for candidate in begun[:-1]:
+        candidate.fit.solution.converged = False
+    asked = []
+
+    def add(_, effects):
+        asked.append(len(effects))
+        return [single(e.name, 0.35) for e in effects]
+
+    ended = partial._finished(SimpleNamespace(add=add), base, begun)
+    assert [c.chi2 for c in ended] == [0.35, 0.35, 0.35, 0.35, 0.31]
+    assert [c.names for c in ended] == [c.names for c in begun]
+    assert asked == [3, 1]
+
+
+def test_of_effects_put_in_order_each_must_be_worth_something_beside_those_before(monkeypatch):
+    """A load explained "most" at p = 1: the one before it had been exchanged for a better."""
+    base, first, second = single("", 30.0), single("natural_curvature", 10.0), single("", 9.9)
+    second.names = frozenset({"natural_curvature", "tip_mass"})
+    chances = {(base.names, first.names): 1e-9, (first.names, second.names): 0.2}
+    monkeypatch.setattr(
+        partial, "p_value_of", lambda _, small, large, n: chances[small.names, large.names]
+    )
+    steps = [base, first, second]
+    assert partial._borne_out(None, steps, 17, DEFAULT_RULES) == [base, first]
+    chances[first.names, second.names] = 1e-3
+    assert partial._borne_out(None, steps, 17, DEFAULT_RULES) == steps
+
+
+def test_what_was_not_fitted_to_the_fit_trials_alone_has_no_error_of_them(partly):
+    """The error of all trials stood below "fitted"."""
+    found = replace(partly.diagnosis.nearest[0])
+    whole = partial.Partial(
+        Explorer(partly.weighed, space_with(partly.final.fit.space, ()), {}),
+        tuple(c for c in partly.partial if len(c.names) == 1),
+        partly.partial,
+    )
+    (near,) = partial.nearest(whole, (), DEFAULT_RULES)
+    assert near.left_rms_m > 0.0
+    assert near.errors == partial.NOT_FITTED
+    assert found.errors.heldout_rms_m > 0.0

@@ -1,0 +1,141 @@
+"""The smooth part of a residual: noise if the model is right, and what a claim may leave of it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cell.cable.effects import library
+from cell.cable.solver import Solver
+from cell.identify.noise import Noise, Whitener
+from cell.identify.parameters import ParameterSpace
+from cell.lab.data.noise_floor import Floor
+from cell.lab.data.prepared import PreparedStudy
+from cell.lab.fit.fitting import fit_model, heldout
+from cell.lab.fit.starts import cold_start
+from cell.lab.verdict.asked import of_what_trials_ask_for
+from cell.lab.verdict.smooth_part import (
+    SmoothPart,
+    _Fast,
+    _of_trial,
+    _slow_level,
+    of_a_finer_model,
+    of_all_trials_together,
+    smooth_part,
+)
+from cell.study.data import Markers
+
+
+def coloured(rng, shape, colour):
+    noise = rng.normal(size=shape)
+    for i in range(1, len(noise)):
+        noise[i] = colour * noise[i - 1] + np.sqrt(1.0 - colour**2) * noise[i]
+    return noise
+
+
+def fitted(study, solver=None):
+    prepared = PreparedStudy.of(study)
+    if solver is not None:
+        prepared = replace(prepared, solver=solver)
+    space = ParameterSpace.of(study.cable)
+    return prepared, fit_model(prepared, space, cold_start(prepared, space))
+
+
+@pytest.mark.parametrize("seed", [2, 3, 4])
+@pytest.mark.parametrize("colour", [0.0, 0.8])
+@pytest.mark.parametrize("lost", [0.0, 0.05])
+def test_a_right_models_smooth_residual_is_noise(make_study, seed, colour, lost):
+    study = make_study(seed=seed, colour=colour)
+    rng = np.random.default_rng(seed)
+
+    def with_gaps(trial):
+        seen = rng.uniform(size=trial.markers.xy_m.shape[:2]) >= lost
+        xy_m = np.where(seen[..., None], trial.markers.xy_m, np.nan)
+        return replace(trial, markers=Markers(trial.markers.t_s, xy_m))
+
+    part = smooth_part(*fitted(replace(study, trials=tuple(with_gaps(t) for t in study.trials))))
+    level = 0.0 if colour == 0.0 else 0.15  # as well as the colour is known
+    assert abs(part.excess) < 4.0 * np.sqrt(2.0 / part.count) + level
+
+
+def test_a_wrong_models_smooth_residual_is_not_though_all_of_it_may_be(make_study):
+    mass = library()["tip_mass"].active(mass_kg=1.2e-5)
+    prepared, fit = fitted(make_study([mass], seed=8, noise_m=2e-4))
+    weighed = heldout(prepared, fit)
+    assert weighed.chi2 < 1.1 * weighed.count
+    assert smooth_part(prepared, fit).excess > 0.4
+
+
+def test_what_a_coarse_mesh_leaves_is_not_taken_for_a_misfit(make_study):
+    study = make_study(seed=2, noise_m=3e-5)
+    prepared, fit = fitted(study, Solver(segments=12, step_s=2e-3))
+    coarse, finer = smooth_part(prepared, fit), of_a_finer_model(prepared, fit)
+    assert coarse.excess > 0.5
+    assert finer.excess < 0.4 * coarse.excess
+
+
+def test_a_misfit_stays_one_on_a_finer_mesh(make_study):
+    mass = library()["tip_mass"].active(mass_kg=1.2e-5)
+    prepared, fit = fitted(make_study([mass], seed=8, noise_m=2e-4))
+    coarse, finer = smooth_part(prepared, fit), of_a_finer_model(prepared, fit)
+    assert finer.excess == pytest.approx(coarse.excess, rel=0.1)
+
+
+def test_nothing_is_said_where_the_study_states_its_noise(make_study):
+    study = replace(make_study(seed=2), noise_std_m=2e-4)
+    assert smooth_part(*fitted(study)) is None
+
+
+def test_the_chance_of_an_excess_allows_for_how_well_the_noise_is_known():
+    sure, unsure = SmoothPart(630.0, 630, 18_000, 1e6), SmoothPart(630.0, 630, 18_000, 150.0)
+    assert sure.chance_of(0.2) < 1e-3 < 0.05 < unsure.chance_of(0.2)
+    assert sure.p_value == pytest.approx(0.5, abs=0.01)
+
+
+@pytest.mark.parametrize("lost", [0.0, 0.05])
+@pytest.mark.parametrize("told", [0.5, 0.6, 0.7])
+def test_the_level_of_slow_noise_is_seen_in_the_fast(told, lost):
+    """Noise of correlation 0.6 that was taken for another: six trials of it tell."""
+    rng = np.random.default_rng(7)
+    whiteners, fast, slow = [], [], []
+    for _ in range(6):
+        noise_m = 1e-4 * coloured(rng, (200, 15, 2), 0.6)
+        noise_m[rng.uniform(size=noise_m.shape[:2]) < lost] = np.nan
+        whiteners.append(Whitener(noise_m, Noise(1e-4, told)))
+        white = whiteners[-1](np.zeros((1, *noise_m.shape)))[0]
+        fast.append(_Fast.of(whiteners[-1], white))
+        slow.append(_of_trial(whiteners[-1], white[:, None])[:, 0])
+    level, freedom = _slow_level(Floor(Noise(1e-4, told), 1e-3), fast)
+    seen = np.concatenate(slow)
+    expected = ((1.0 - told) / 0.4) ** 2 * (1.0 - 0.6**2) / (1.0 - told**2)
+    assert level == pytest.approx(expected, rel=4.0 * np.sqrt(2.0 / freedom) + 0.02)
+    assert np.mean(seen**2) == pytest.approx(level, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("look", "angle_rad", "noise_m"),
+    [(of_all_trials_together, 0.012, 1e-4), (of_what_trials_ask_for, 0.02, 2e-4)],
+)
+def test_what_a_clamp_askew_leaves_beside_natural_curvature_is_told_from_noise(
+    make_study, look, angle_rad, noise_m
+):
+    angle = library()["grip_angle"].active(angle_rad=angle_rad)
+    study = make_study([angle], seed=1, noise_m=noise_m)
+    prepared = PreparedStudy.of(study)
+    right, wrong = (
+        ParameterSpace.of(study.cable, effects=(library()[name],))
+        for name in ("grip_angle", "natural_curvature")
+    )
+    told = [
+        look(prepared, fit_model(prepared, space, cold_start(prepared, space)))
+        for space in (right, wrong)
+    ]
+    assert told[0].p_value > 0.01
+    assert told[1].p_value < 1e-6
+
+
+@pytest.mark.parametrize("seed", [2, 3, 4, 5])
+def test_trials_of_a_right_model_ask_for_nothing(make_study, seed):
+    asked = of_what_trials_ask_for(*fitted(make_study(seed=seed)))
+    assert asked.p_value > 1e-3
+    assert 10 < asked.count < 40  # four trials, each of nine parameters but for what is shared
