@@ -216,7 +216,13 @@ def warnings_and_table(found: Found, text: str) -> list[str]:
             wrong.append("no effect was looked for, and effects are listed")
         if code == "not_searched" and "effect that was tried" in text:
             wrong.append("no effect was looked for, and some were tried")
-        if code in ("suspected", "other_law", "unconfirmed", "barely_seen", "prior_only"):
+        if code in (
+            "possibly_omitted",
+            "wider_law",
+            "heldout_insensitive",
+            "weakly_identified",
+            "prior_driven",
+        ):
             wrong += [f"{code} of {e}, which is absent" for e, s in status.items()
                       if s == "absent" and re.search(rf"\b{e}\b", message)]  # fmt: skip
         bound = re.match(rf"(\w+)\.(\w+) is at its bound, {NUMBER}", message)

@@ -107,7 +107,7 @@ def test_a_model_whose_trials_ask_for_an_effect_is_not_called_complete(seed, nam
     explorer = Explorer(PreparedStudy.of(study), ParameterSpace.of(study.cable), tried)
     found = diagnose(explorer).diagnosis
     assert found.verdict == "cannot_tell"
-    assert [w.code for w in found.warnings] == ["suspected"]
+    assert [w.code for w in found.warnings] == ["possibly_omitted"]
     assert f"ask for {name}" in found.warnings[0].message
     assert sentence(found).endswith(f"; {ASKED}")
 

@@ -157,6 +157,27 @@ class Doubt:
 
 
 @dataclass(frozen=True)
+class CheckResult:
+    """What a check of the verdict asked, and the answer.
+
+    statistic  None where the question does not apply to the study
+    passes     how the statistic compares with the limit if all is well
+    passed     None where the question does not apply
+    failing    the verdict if it fails, unless another check makes it worse
+    failed     sentence that says so
+    """
+
+    name: str
+    question: str
+    statistic: float | None
+    passes: str
+    limit: float
+    passed: bool | None
+    failing: str
+    failed: str
+
+
+@dataclass(frozen=True)
 class RankedEffect:
     """An effect and its evidence; `score`: χ² that it explains beyond the baseline, fit trials."""
 
@@ -177,6 +198,7 @@ class Diagnosis:
     nearest   of an unexplained study: the single effects that leave least
     limits    how strong the effects could be that are neither named nor tied
     agreement  of the trials, in each parameter of the final model; none of a single trial
+    checks    asked of the model, in order; the verdict is the worst of those that failed
     """
 
     noise_m: float
@@ -191,6 +213,7 @@ class Diagnosis:
     limits: tuple[Limit, ...] = ()
     agreement: tuple[Agreement, ...] = ()
     noise_is_stated: bool = False
+    checks: tuple[CheckResult, ...] = ()
 
     @property
     def codes(self) -> frozenset[str]:
@@ -227,6 +250,10 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
                 "peak": _peak(n.peak),
             }
             for n in diagnosis.nearest
+        ],
+        "checks": [
+            vars(c) | {"statistic": None if c.statistic is None else _number(c.statistic)}
+            for c in diagnosis.checks
         ],
         "warnings": [vars(w) for w in diagnosis.warnings],
         "limits": [vars(limit) for limit in diagnosis.limits],

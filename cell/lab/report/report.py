@@ -34,6 +34,8 @@ from cell.lab.report.figures import (
 from cell.lab.report.tables import comparison_sentence, sentence, warning_lines
 from cell.lab.report.wording import (
     AGREEMENT_NOTE,
+    CHECK_HEADS,
+    CHECK_NOTE,
     LIMIT_HEADS,
     LIMIT_NOTE,
     NEAREST_HEADS,
@@ -42,6 +44,7 @@ from cell.lab.report.wording import (
     agreement_sentence,
     by_evidence,
     chance,
+    check_rows,
     correlation,
     digits,
     left_in_words,
@@ -147,6 +150,7 @@ def diagnosis_page(
         parts += ["<h2>What is missing</h2>", _parameters(examination), _laws(examination)]
     parts += [
         *_evidence(examination),
+        *_checks(diagnosis),
         *_limits(diagnosis),
         *_agreement(diagnosis),
         f"<h2>{'What is left' if diagnosis.verdict == 'complete' else _FAILS}</h2>",
@@ -375,6 +379,14 @@ def _nearest(diagnosis: Diagnosis) -> list[str]:
         return []
     return ["<h3>Nearest effects</h3>", _table(NEAREST_HEADS, nearest_rows(diagnosis), (1, 2, 3)),
             f'<p class="note">{nearest_note(diagnosis)}.</p>']  # fmt: skip
+
+
+def _checks(diagnosis: Diagnosis) -> list[str]:
+    """What the verdict rests on, if anything was asked."""
+    if not diagnosis.checks:
+        return []
+    table = _table(CHECK_HEADS, check_rows(diagnosis), (1, 2))
+    return ["<h2>What the verdict rests on</h2>", f'<p class="note">{CHECK_NOTE}.</p>', table]
 
 
 def _limits(diagnosis: Diagnosis) -> list[str]:

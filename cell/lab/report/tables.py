@@ -17,6 +17,8 @@ from cell.lab.data.results import Agreement, Diagnosis, Doubt, Errors
 from cell.lab.next.advice import STATUSES, Step, meaning
 from cell.lab.report.wording import (
     AGREEMENT_NOTE,
+    CHECK_HEADS,
+    CHECK_NOTE,
     LIMIT_HEADS,
     LIMIT_NOTE,
     NEAREST_HEADS,
@@ -26,6 +28,7 @@ from cell.lab.report.wording import (
     at_noise,
     by_evidence,
     chance,
+    check_rows,
     correlation,
     digits,
     interrupted,
@@ -40,6 +43,7 @@ from cell.lab.report.wording import (
     plain,
     short,
     unexplained,
+    why_not_told,
 )
 from cell.lab.strength.compare import Comparison
 from cell.lab.verdict.rules import DEFAULT_RULES
@@ -48,19 +52,8 @@ if TYPE_CHECKING:
     from cell.lab.next.discover import Discovery
     from cell.lab.next.suggest import Suggestion
 
-NOT_TOLD = "These motions cannot tell them apart."
-NOT_CONFIRMED = "The motions not fitted to cannot show it: it is not confirmed."
-BARELY_SEEN = "So little of it is seen that an effect the library lacks could be behind it."
-ASKED = (
-    "all trials together ask for more than is in the model, and those held out do not bear it out."
-)
-NOT_WITHOUT_PRIOR = "Without the prior the study does not bear this out."
-#: What is said where no effect is named and the model is not complete, by a warning's code.
-NOTHING_NAMED = {
-    "suspected": ASKED,
-    "noise_unknown": "the frames at rest are too few to tell whether that is noise.",
-}
-NOT_WHY = "these motions cannot tell why."
+#: Said where no check failed: the search was stopped.
+NOT_WHY = "These motions cannot tell why."
 #: Column of what was fitted to held-out trials too.
 FITTED_TO_ALL = "fitted to all"
 #: Up to so many times the noise a remaining error is called noise.
@@ -92,8 +85,7 @@ def sentence(
     if "interrupted" in diagnosis.codes and not diagnosis.missing:
         return interrupted(diagnosis, misses)
     if not diagnosis.missing:
-        why = next((t for c, t in NOTHING_NAMED.items() if c in diagnosis.codes), NOT_WHY)
-        return f"{misses}, {at_noise(diagnosis)}; {why}"
+        return f"{misses}, {at_noise(diagnosis)}. {why_not_told(diagnosis) or NOT_WHY}"
     after_mm = _shown_mm(diagnosis.missing[-1].errors)
     names = " and ".join(
         " or ".join(plain(n) for n in (f.effect, *f.tied_with)) for f in diagnosis.missing
@@ -101,19 +93,8 @@ def sentence(
     rest = f"{after_mm / noise_mm:.1f} times the noise, not yet explained"
     if after_mm < NOISE_ALONE * noise_mm:
         rest = noise_like(noise_mm, final)
-    hedge = f" {_why_not_told(diagnosis)}" if diagnosis.verdict == "cannot_tell" else ""
+    hedge = f" {why_not_told(diagnosis)}" if diagnosis.verdict == "cannot_tell" else ""
     return f"{misses}; with {names} in it {short(after_mm)} mm: {rest}.{hedge}"
-
-
-def _why_not_told(diagnosis: Diagnosis) -> str:
-    """Why an effect that explains is not claimed."""
-    why = {
-        "unconfirmed": NOT_CONFIRMED,
-        "prior_only": NOT_WITHOUT_PRIOR,
-        "barely_seen": BARELY_SEEN,
-        "suspected": f"But {ASKED}",
-    }
-    return next((text for code, text in why.items() if code in diagnosis.codes), NOT_TOLD)
 
 
 def _worst_place(comparison: Comparison) -> str:
@@ -208,6 +189,18 @@ def limits_table(diagnosis: Diagnosis) -> Table:
     return table
 
 
+def checks_table(diagnosis: Diagnosis) -> Table:
+    """What the verdict rests on."""
+    table = Table(title="What the verdict rests on", box=SIMPLE_HEAD)
+    for column in CHECK_HEADS:
+        table.add_column(column, justify="right" if column in ("answer", "limit") else "left")
+    colours = {"passed": "green", "failed": "red"}
+    for row in check_rows(diagnosis):
+        table.add_row(*map(Text, row[:-1]), Text(row[-1], colours.get(row[-1], "dim")))
+    table.caption = CHECK_NOTE
+    return table
+
+
 def agreement_table(found: Sequence[Agreement]) -> Table:
     """What each trial alone says of what the model has."""
     table = Table(title="What each trial alone says", box=SIMPLE_HEAD)
@@ -234,6 +227,7 @@ def diagnosis_parts(
         *([agreement_sentence(agreement)] if agreement else []),
         waterfall_table(diagnosis),
         *([nearest_table(diagnosis)] if diagnosis.nearest else []),
+        *([checks_table(diagnosis)] if diagnosis.checks else []),
         *([ranking_table(diagnosis)] if diagnosis.ranking else []),
         *([limits_table(diagnosis)] if diagnosis.limits else []),
         *([agreement_table(agreement)] if agreement else []),

@@ -30,12 +30,39 @@ LIMIT_NOTE = (
     "model leaves counts as noise. Beyond that range it is excluded; within it could be there"
 )
 
+#: Table of the checks.
+_SIGNS = {"<=": "≤", ">=": "≥", "<": "<", ">": ">"}
+CHECK_HEADS = ("question", "answer", "limit", "result")
+CHECK_NOTE = (
+    "The verdict is the worst of what failed; “–”: the question does not apply. docs/lab.md has "
+    "each check's statistic and the reason for its limit"
+)
+
 #: Table of what each trial says.
 AGREEMENT_NOTE = (
     "Each trial's own value, 95 %, were the shape of EI along the cable and the exponent known as "
     "all trials together say; “mean_rigidity”: EI, geometric mean along the cable; "
     "“spread”: standard deviation between trials beyond these intervals"
 )
+
+
+def check_rows(diagnosis: Diagnosis) -> list[tuple[str, str, str, str]]:
+    """Question, answer, limit and result of every check."""
+    words = {True: "passed", False: "failed", None: "–"}
+    return [
+        (
+            c.question,
+            "–" if c.statistic is None else short(c.statistic),
+            f"{_SIGNS[c.passes]} {c.limit:g}",
+            words[c.passed],
+        )
+        for c in diagnosis.checks
+    ]
+
+
+def why_not_told(diagnosis: Diagnosis) -> str:
+    """Why nothing is claimed of a model that leaves noise; empty if nothing speaks against it."""
+    return next((c.failed for c in diagnosis.checks if c.passed is False), "")
 
 
 def unexplained(diagnosis: Diagnosis, misses: str, noise_name: str = "camera noise") -> str:

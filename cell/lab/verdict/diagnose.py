@@ -17,36 +17,19 @@ from cell.lab.search.explore import Candidate, Explorer, Gain
 from cell.lab.search.screen import ScreenedEffect
 from cell.lab.statistics.score import holm
 from cell.lab.strength.estimate import Estimate, estimate
+from cell.lab.verdict.checks import answers, explains, verdict_of
 from cell.lab.verdict.doubts import (
-    barely_seen_doubt,
-    broken_law_doubt,
     doubts,
     interrupted_doubt,
     is_no_model,
     no_model_doubt,
-    noise_unknown_doubt,
-    prior_only_doubt,
-    suspected_doubts,
-    unseen_doubt,
     unsimulated_doubt,
 )
+from cell.lab.verdict.evidence import Evidence, above_noise
 from cell.lab.verdict.leftover import leftover, removed_share
 from cell.lab.verdict.partial import Partial, explain_partly, nearest, tied_so_far, what_is_left
-from cell.lab.verdict.prior_check import asked_by_prior_only
+from cell.lab.verdict.rivals import added_effect, chance_of, close_rivals
 from cell.lab.verdict.rules import DEFAULT_RULES, Rules
-from cell.lab.verdict.verdict import (
-    above_noise,
-    added_effect,
-    barely_seen,
-    broken_laws,
-    chance_of,
-    close_rivals,
-    explains,
-    hopeless_search,
-    suspected,
-    unconfirmed,
-    verdict_of,
-)
 
 _LOG = logging.getLogger(__name__)
 
@@ -106,29 +89,19 @@ def _examined(explorer: Explorer, rules: Rules) -> Examination:
     current, cut_short = _searched(explorer, base, len(screened), rules)
     if current is not base and explorer.settle_mesh(current):
         return _examined(explorer, rules)
-    found = explains(explorer, base, current, rules)
+    found = explains(Evidence(explorer, base, current, rules))
+    tied: dict[str, tuple[str, ...]] = {}
+    steps: tuple[Candidate, ...] = (base,)
+    partial = Partial(explorer, tuple(singles), (base,))
     if found:
         current, tied = _without_anybodys(explorer, base, current, rules)
         steps = _in_order(explorer, current)
-        partial = Partial(explorer, tuple(singles), (base,))
     else:
-        steps, tied = (base,), {}
         partial = explain_partly(explorer, explorer.known(), len(screened), rules)
-    unseen = unconfirmed(explorer, current, rules) if found else ()
-    asked = asked_by_prior_only(explorer, base, current, tied, rules) if found else ()
-    barely = barely_seen(explorer, current, rules) if found else ()
+    evidence = Evidence(explorer, base, current, rules, tied)
+    asked = tuple(answers(evidence))
+    verdict = verdict_of(asked, evidence.is_base)
     rivals = {n for names in tied.values() for n in names}
-    judged = found and explorer.prepared.noise_is_measured
-    judged = judged and not _below_stated(explorer, current, rules)
-    suspects = suspected(explorer, base, current, rivals, rules) if judged else ()
-    near = (
-        above_noise(explorer, current) < rules.gross_misfit
-    )  # or more is missing than a law tells
-    broken = broken_laws(explorer, base, current, rules) if near and not found else ()
-    floor = explorer.prepared.floor
-    unknown = found and current is base and not floor.level_known
-    doubted = (*unseen, *barely, *asked, *suspects, *(["noise"] if unknown else []))
-    verdict: Verdict = verdict_of(base, current, tied, doubted, rules) if found else "unexplained"
     whole, most = partial.explorer, partial.steps
     also = {e.name: tied_so_far(whole, most[-1], e, rules) for e in _added(whole, most[-1])}
     final = current if found else most[-1]
@@ -146,13 +119,9 @@ def _examined(explorer: Explorer, rules: Rules) -> Examination:
         nearest=() if found else nearest(partial, _sound(singles, base), rules),
         warnings=(
             *doubts(explorer, whole, final, cut_short),
-            *map(unseen_doubt, unseen),
-            *map(barely_seen_doubt, [name for name in barely if name not in unseen]),
-            *map(prior_only_doubt, asked),
-            *suspected_doubts(suspects),
-            *([noise_unknown_doubt(floor)] if unknown else []),
-            *(broken_law_doubt(e) for e in current.effects if e.name in broken),
+            *(doubt for answer in asked for doubt in answer.warnings(evidence)),
         ),
+        checks=tuple(answer.result(evidence) for answer in asked),
     )
     return Examination(
         diagnosis, steps, tuple(screened), tuple(singles), current, final, whole.prepared, most
@@ -209,9 +178,9 @@ def _searched(
     """The baseline with the effects that are believed; whether the search was cut short."""
     current = base
     for _ in range(rules.most_effects):
-        if _below_stated(explorer, current, rules):
+        if Evidence(explorer, explorer.baseline(), current, rules).below_stated:
             break
-        if hopeless_search(explorer, current, rules, rules.hopeless_left):
+        if _hopeless_search(explorer, current, rules, rules.hopeless_left):
             break
         spent = explorer.prepared.work.simulated_s > rules.most_simulated_s
         if spent and current is not base:  # beside the baseline, all were refitted already
@@ -220,23 +189,31 @@ def _searched(
         better = _accepted(explorer, current, options, library, rules)
         if better is None:
             break
-        if not hopeless_search(explorer, better, rules, rules.unexchanged_left):
+        if not _hopeless_search(explorer, better, rules, rules.unexchanged_left):
             better = _exchanged(explorer, better, rules)
         current = _pruned(explorer, better, rules)
         _LOG.info("with %s: %s", ", ".join(sorted(current.names)), _errors_in_words(current))
     return current, False
 
 
+def _hopeless_search(
+    explorer: Explorer, current: Candidate, rules: Rules, most_left: float
+) -> bool:
+    """Whether no further effect, nor another for one found, can be hoped to leave noise.
+
+    So it is if two have been found, and still more than a share `most_left` of the error is left.
+    """
+    if len(current.names) - len(explorer.space.effects) < rules.first_effects:
+        return False
+    prepared = explorer.prepared
+    before, after = leftover(prepared, explorer.baseline()), leftover(prepared, current)
+    left = 1.0 - removed_share(prepared.floor.noise.std_m, before, after)
+    return left > most_left
+
+
 def _added(explorer: Explorer, candidate: Candidate) -> list[type[Effect]]:
     """Effects of a candidate that the baseline did not have already."""
     return [e for e in candidate.effects if e not in explorer.space.effects]
-
-
-def _below_stated(explorer: Explorer, candidate: Candidate, rules: Rules) -> bool:
-    """Whether a candidate errs by much less than the measurement is said to."""
-    worst_m = max(candidate.fit.rms_m, candidate.heldout.rms_m if candidate.heldout else 0.0)
-    floor = explorer.prepared.floor
-    return floor.stated and worst_m < rules.doubted * floor.noise.std_m
 
 
 def _accepted(
@@ -357,7 +334,7 @@ def _without_anybodys(
     for effect in added if len(added) > 1 else ():
         if len(tied[effect.name]) + 1 > rules.most_tied:
             rest = explorer.without(found, effect)
-            if explains(explorer, base, rest, rules):
+            if explains(Evidence(explorer, base, rest, rules)):
                 return _without_anybodys(explorer, base, rest, rules)
     return found, tied
 

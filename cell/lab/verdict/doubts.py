@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cell.cable.effects.base import Effect
-from cell.lab.data.noise_floor import Floor
 from cell.lab.data.prepared import ERRS
 from cell.lab.data.results import Doubt
 from cell.lab.fit.fitting import Fit, fit_trials
 from cell.lab.search.explore import Candidate, Explorer
+from cell.lab.verdict.evidence import Evidence
+from cell.lab.verdict.questions import Reading
 
 #: A model that leaves this share of what the markers move (rms) is no model of the cable.
 HOPELESS_SHARE = 0.5
@@ -215,47 +215,59 @@ def interrupted_doubt(what: str) -> Doubt:
     return Doubt("interrupted", f"interrupted: {what}")
 
 
-def unseen_doubt(effect: str) -> Doubt:
-    """Of an effect that rests on the fit trials alone."""
-    return Doubt(
-        "unconfirmed",
-        f"the held-out trials cannot show {effect}: it explains the trials fitted to and is not "
-        "confirmed; hold out a trial in which it would be seen",
+def insensitive_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
+    """Of effects that rest on the fit trials alone."""
+    return tuple(
+        Doubt(
+            "heldout_insensitive",
+            f"the held-out trials cannot show {effect}: it explains the trials fitted to and is "
+            "not confirmed; hold out a trial in which it would be seen",
+        )
+        for effect in reading.effects
     )
 
 
-def noise_unknown_doubt(floor: Floor) -> Doubt:
+def noise_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
     """Of a model that leaves noise, where the rest was too short to tell what noise is."""
+    floor = evidence.noise_model
     low_m, high_m = floor.range_m or (floor.noise.std_m, floor.noise.std_m)
     remedy = f"record at least {floor.frames_needed} frames at rest before each motion"
     if floor.hidden:
         remedy = "write the markers with more digits, as they are rounded to more than they vary"
-    return Doubt(
-        "noise_unknown",
-        f"the frames at rest tell the noise only to {low_m * 1e3:.2g} … {high_m * 1e3:.2g} mm: an "
-        f"error as large as the noise would pass for it; {remedy}, or give noise_std_m in "
-        "study.yaml",
+    return (
+        Doubt(
+            "noise_unknown",
+            f"the frames at rest tell the noise only to {low_m * 1e3:.2g} … {high_m * 1e3:.2g} mm: "
+            f"an error as large as the noise would pass for it; {remedy}, or give noise_std_m in "
+            "study.yaml",
+        ),
     )
 
 
-def barely_seen_doubt(effect: str) -> Doubt:
-    """Of an effect too small in these trials to be told from what no library has."""
-    return Doubt(
-        "barely_seen",
-        f"the trials show so little of {effect} that half of it could be left unnoticed: an effect "
-        "that the library lacks may be behind it; add a motion that shows more of it, such as "
-        "`cell suggest STUDY` finds, or repeat these with less noise",
+def weak_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
+    """Of effects too small in these trials to be told from what no library has."""
+    least = evidence.rules.least_visible
+    seen = [e for e in evidence.added if e.name in reading.effects]
+    if evidence.final.heldout is not None:
+        seen = [e for e in seen if evidence.explorer.visible(evidence.final, e) >= least]
+    return tuple(
+        Doubt(
+            "weakly_identified",
+            f"the trials show so little of {effect.name} that half of it could be left unnoticed: "
+            "an effect that the library lacks may be behind it; add a motion that shows more of "
+            "it, such as `cell suggest STUDY` finds, or repeat these with less noise",
+        )
+        for effect in seen
     )
 
 
-def suspected_doubts(effects: Sequence[str]) -> tuple[Doubt, ...]:
+def omitted_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
     """Of effects that all trials together ask for and the held-out ones do not bear out."""
-    if not effects:
-        return ()
+    effects = reading.effects
     more = f" and {len(effects) - TOLD} more" if len(effects) > TOLD else ""
     return (
         Doubt(
-            "suspected",
+            "possibly_omitted",
             f"all trials together ask for {' or '.join(effects[:TOLD])}{more} far more plainly "
             "than chance would, and those held out do not bear it out: that nothing else is "
             "missing is not claimed; add a motion that tells, such as `cell suggest STUDY` finds",
@@ -263,22 +275,29 @@ def suspected_doubts(effects: Sequence[str]) -> tuple[Doubt, ...]:
     )
 
 
-def broken_law_doubt(effect: type[Effect]) -> Doubt:
-    """Of an effect that explains most, but not by its own law."""
-    wider = effect.wider.name if effect.wider is not None else ""
-    return Doubt(
-        "other_law",
-        f"{effect.name} explains most, but its law does not hold: `--effect {wider}`, which is "
-        "freer, explains more; something that the library lacks and that looks like it is there",
+def wider_law_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
+    """Of effects that explain most, but not by their own law."""
+    broken = [e for e in evidence.final.effects if e.name in reading.effects]
+    return tuple(
+        Doubt(
+            "wider_law",
+            f"{effect.name} explains most, but its law does not hold: `--effect "
+            f"{'' if effect.wider is None else effect.wider.name}`, which is freer, explains more; "
+            "something that the library lacks and that looks like it is there",
+        )
+        for effect in broken
     )
 
 
-def prior_only_doubt(effect: str) -> Doubt:
-    """Of an effect that without the prior is not needed, or explains nothing."""
-    return Doubt(
-        "prior_only",
-        f"the prior alone asks for {effect}: without it, as another cable than the prior's, the "
-        f"study does not bear {effect} out; give the prior of this cable, or none",
+def prior_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
+    """Of effects that without the prior are not needed, or explain nothing."""
+    return tuple(
+        Doubt(
+            "prior_driven",
+            f"the prior alone asks for {effect}: without it, as another cable than the prior's, "
+            f"the study does not bear {effect} out; give the prior of this cable, or none",
+        )
+        for effect in reading.effects
     )
 
 

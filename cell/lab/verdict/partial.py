@@ -23,8 +23,8 @@ from cell.lab.search.explore import POLISHED, Candidate, Explorer
 from cell.lab.statistics.score import holm
 from cell.lab.verdict.doubts import at_bound, is_hopeless
 from cell.lab.verdict.leftover import advantage, deviance, leftover, peak, removed_share
+from cell.lab.verdict.rivals import added_effect, chance, chance_of, close_rivals
 from cell.lab.verdict.rules import Rules
-from cell.lab.verdict.verdict import added_effect, chance, chance_of, close_rivals
 
 FloatArray = NDArray[np.float64]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from scipy.special import chdtrc as chi2_sf
@@ -12,20 +12,17 @@ from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import space_with
 from cell.lab.search.explore import Candidate, Explorer
+from cell.lab.verdict.evidence import Evidence, above_noise
+from cell.lab.verdict.rivals import close_rivals
 from cell.lab.verdict.rules import Rules
-from cell.lab.verdict.verdict import above_noise, close_rivals, explains
+
+Explains = Callable[[Evidence], bool]
 
 #: A cable is not the prior's if its parameters are as far from it with less chance than this.
 ANOTHER = 1e-3
 
 
-def asked_by_prior_only(
-    explorer: Explorer,
-    base: Candidate,
-    final: Candidate,
-    tied: Mapping[str, Sequence[str]],
-    rules: Rules,
-) -> tuple[str, ...]:
+def asked_by_prior_only(evidence: Evidence, explains: Explains) -> tuple[str, ...]:
     """Effects that another cable than the prior's would do without, or that do not explain it.
 
     The study is asked without the prior: the fewest of them that explain it to its noise are
@@ -34,13 +31,14 @@ def asked_by_prior_only(
     measurement's noise, they account for all that sets this cable apart; then one that the prior
     alone asks for is what a prior is for.  Several are not: that the cable is another says less.
     """
-    if explorer.prior_q is None or final is base:
+    explorer, final, rules = evidence.explorer, evidence.final, evidence.rules
+    if explorer.prior_q is None or evidence.is_base:
         return ()
-    added = [e for e in final.effects if e not in explorer.space.effects]
     spared = int(_of_this_cable(explorer, final, rules))
-    if len(added) <= spared:
+    if len(evidence.added) <= spared:
         return ()
-    found = not_borne_out(_without_prior(explorer), added, tied, rules)
+    alone = _without_prior(explorer)
+    found = not_borne_out(alone, evidence.added, evidence.tied, rules, explains)
     return found if len(found) > spared else ()
 
 
@@ -61,11 +59,12 @@ def not_borne_out(
     effects: Sequence[type[Effect]],
     tied: Mapping[str, Sequence[str]],
     rules: Rules,
+    explains: Explains,
 ) -> tuple[str, ...]:
     """Those of some effects that a study, asked without a prior, does not need or explain."""
     tried = [alone.baseline()]
     while tried:
-        fewest = [c for c in tried if explains(alone, alone.baseline(), c, rules)]
+        fewest = [c for c in tried if explains(Evidence(alone, alone.baseline(), c, rules))]
         if fewest:
             needed = max(fewest, key=lambda c: c.evidence)
             return tuple(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from cell.lab.data.noise_floor import KNOWN_WITHIN
 from cell.lab.statistics.score import SIGNIFICANCE
 
 
@@ -28,7 +29,7 @@ class Rules:
     most_tied        more than these tied: these motions cannot tell
     most_effects     added one after another
     best             of the screen that are refitted, besides all that are not smooth
-    doubted          a stated noise of which a model leaves less than this share bounds what the
+    below_stated     a stated noise of which a model leaves less than this share bounds what the
                      measurement can be trusted for: below it nothing more is claimed
     misfit_significance   of what a model leaves on the held-out trials
     misfit, gross_misfit  rms over noise from which that matters; and does whatever it was before
@@ -42,6 +43,9 @@ class Rules:
                      effect's smooth part, or else it is not told from effects of no library
     most_share       of the error beyond noise that an effect removes if it explains most, not all
     nearest          effects that an unexplained study is told of
+    least_heldout    held-out trials that confirm an effect
+    most_prior_driven   effects that only an earlier cable's model asks for
+    noise_known_within  largest mean square over the noise's that the rest may allow
     most_simulated_s  after so many seconds of motion simulated no further effect is sought; some
                      twenty seconds on two cores, and as much again for what was begun
     first_effects, hopeless_left, unexchanged_left   after so many effects no more are sought if a
@@ -62,7 +66,10 @@ class Rules:
     most_tied: int = 3
     most_effects: int = 3
     best: int = 6
-    doubted: float = 0.8
+    below_stated: float = 0.8
+    least_heldout: float = 1.0
+    most_prior_driven: float = 0.0
+    noise_known_within: float = KNOWN_WITHIN
     misfit: float = 1.04
     gross_misfit: float = 1.10
     misfit_share: float = 0.1

@@ -10,16 +10,17 @@ from cell.lab.fit.fitting import Fit, errors_m, heldout_rows
 from cell.lab.fit.whole import of_all_trials
 from cell.lab.search.explore import Candidate
 from cell.lab.verdict.leftover import residuals_m
-from cell.lab.verdict.rules import Rules
 
 
-def within_stated(prepared: PreparedStudy, final: Candidate, rules: Rules) -> bool:
-    """Whether what a candidate leaves is no more than the study states its markers err by.
+def chance_of_stated(prepared: PreparedStudy, final: Candidate, negligible: float) -> float:
+    """p-value of an error so far above what the study states its markers err by.
 
     Fitted, held out (allowing for what the fit leaves uncertain there), and fitted to all trials
     together: a right model can do that.  A mean square of them is worth as many values as their
     correlation leaves independent, along the frames ((1 − ρ²) / (1 + ρ²), of a mean square) and
     between the markers.
+
+    negligible  error over the stated one up to which the p-value is 1: a model errs by as much
     """
     floor = prepared.floor
     square_m2, again = floor.noise.std_m**2, floor.noise.colour**2
@@ -27,23 +28,24 @@ def within_stated(prepared: PreparedStudy, final: Candidate, rules: Rules) -> bo
     left = [(errors_m(prepared, final.fit), 0.0)]
     if final.heldout is not None:
         if not np.isfinite(final.heldout.rms_m):
-            return False
+            return 0.0
         errors = residuals_m(prepared, final)
         held = [errors[t.name] for t in prepared.study.role("validate")]
         left.append((held, _uncertain_m2(prepared, final.fit)))
         try:
             whole = of_all_trials(prepared, final.fit)
         except ValueError:
-            return False
+            return 0.0
         left.append((errors_m(whole.prepared, whole.fit), 0.0))
+    least = 1.0
     for some, uncertain_m2 in left:
         seen = np.concatenate([e[np.isfinite(e)] for e in some])
         ratio = float(np.mean(seen**2)) / (square_m2 + uncertain_m2)
         independent = share * len(seen)
         chance = float(chi2_sf(independent, independent * ratio))
-        if ratio > rules.misfit**2 and chance < rules.misfit_significance:
-            return False
-    return True
+        if ratio > negligible**2:
+            least = min(least, chance)
+    return least
 
 
 def _uncertain_m2(prepared: PreparedStudy, fit: Fit) -> float:

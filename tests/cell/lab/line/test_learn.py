@@ -602,7 +602,7 @@ def test_a_law_that_the_library_lacks_is_learned_and_kept_in_a_file(
     )
     monkeypatch.setattr("cell.lab.next.discover.admissible", lambda _: (square,))
     monkeypatch.setattr(
-        "cell.lab.search.setup.library", lambda: {"tip_mass": library()["tip_mass"]}
+        "cell.lab.data.selection.library", lambda: {"tip_mass": library()["tip_mass"]}
     )
     for cycle in dragged[:1]:
         write_study(cycle.study, tmp_path / "runs" / cycle.name)

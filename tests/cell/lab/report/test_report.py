@@ -16,7 +16,8 @@ from cell.lab.search.explore import Explorer
 from cell.lab.strength.compare import compare_model
 from cell.lab.strength.kept_model import identified
 from cell.lab.verdict.diagnose import diagnose
-from cell.lab.verdict.doubts import suspected_doubts
+from cell.lab.verdict.doubts import omitted_doubts
+from cell.lab.verdict.questions import Reading
 from cell.study.data import Markers
 
 
@@ -61,7 +62,8 @@ def diagnosed(make_study):
     examination = diagnose(explorer)
     comparisons = [compare_model(study, c.fit.model) for c in examination.steps]
     model = identified(explorer.prepared, examination.steps[-1].fit)
-    warned = replace(examination.diagnosis, warnings=suspected_doubts(["air_drag"]))
+    asked = omitted_doubts(None, Reading(0.0, ("air_drag",)))
+    warned = replace(examination.diagnosis, warnings=asked)
     examination = replace(examination, diagnosis=warned)
     text = diagnosis_page(examination, comparisons, model, advice(examination.diagnosis))
     return study, examination.diagnosis, comparisons, text

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -15,7 +16,9 @@ from cell.lab.report.tables import discovery_sentence, sentence, steps_text, ver
 from cell.lab.report.wording import apart, left_in_words, noise_in_words
 from cell.lab.search.explore import Explorer
 from cell.lab.strength.compare import compare_model
-from cell.lab.verdict.doubts import prior_only_doubt
+from cell.lab.verdict.checks import CHECKS, Answer
+from cell.lab.verdict.questions import Reading
+from cell.lab.verdict.rules import DEFAULT_RULES
 
 
 def diagnosis(verdict, *names, tied=(), noise_m=1e-4, after_m=1e-4):
@@ -39,6 +42,7 @@ def test_where_the_noise_is_not_known_no_effect_is_said_to_lack_and_rest_is_aske
     named.
     """
     unknown = replace(diagnosis("cannot_tell"), warnings=(Doubt("noise_unknown", "…"),))
+    unknown = replace(unknown, checks=(failed("noise_known"),))
     assert sentence(unknown).endswith("too few to tell whether that is noise.")
     assert "lacks something" not in verdict_line(unknown)
     said = steps_text(advice(unknown))
@@ -46,11 +50,19 @@ def test_where_the_noise_is_not_known_no_effect_is_said_to_lack_and_rest_is_aske
     assert "cell suggest" not in said
 
 
+def failed(name):
+    """A check that failed."""
+    (check,) = [c for c in CHECKS if c.name == name]
+    evidence = SimpleNamespace(rules=DEFAULT_RULES)
+    return Answer(check, Reading(0.0, ("tip_mass",)), passed=False).result(evidence)
+
+
 def test_one_effect_that_a_prior_alone_asks_for_is_not_told_from_others():
     found = diagnosis("cannot_tell", "tip_mass")
-    asked = replace(found, warnings=(prior_only_doubt("tip_mass"),))
+    asked = replace(found, checks=(failed("prior_driven"),))
     assert sentence(asked).endswith("Without the prior the study does not bear this out.")
-    assert sentence(found).endswith("These motions cannot tell them apart.")
+    tied = replace(found, checks=(failed("ties"),))
+    assert sentence(tied).endswith("These motions cannot tell them apart.")
 
 
 def test_small_noise_is_not_rounded_to_nothing():

@@ -25,7 +25,7 @@ SCHEMA = {
     "additionalProperties": False,
     "required": [
         "format", "noise_m", "baseline", "verdict", "missing", "ranking", "left", "partial",
-        "nearest", "warnings", "limits", "agreement", "noise_is_stated",
+        "nearest", "warnings", "limits", "agreement", "noise_is_stated", "checks",
     ],
     "properties": {
         "format": {"const": "cable-diagnosis/1"},
@@ -36,6 +36,14 @@ SCHEMA = {
         "partial": {"items": {"required": ["effect", "tied_with", "explained_share"]}},
         "nearest": {"items": {"required": ["effect", "explained_share", "fit_rms_m", "peak"]}},
         "warnings": {"items": {"required": ["code", "message"]}},
+        "checks": {
+            "items": {
+                "required": [
+                    "name", "question", "statistic", "passes", "limit", "passed", "failing",
+                    "failed",
+                ],
+            },
+        },
         "limits": {
             "items": {"required": ["effect", "parameter", "unit", "low", "high", "tip_m"]},
         },

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from cell.cable.effects import load_effect
 from cell.cli import app
-from cell.lab.search import setup as session
+from cell.lab.data import selection
 from cell.study.folder import write_study
 
 run = CliRunner().invoke
@@ -144,9 +144,9 @@ def test_an_effect_that_no_model_has_is_refused(folder, effect_file, tmp_path):
 
 @pytest.fixture
 def few_rivals(monkeypatch):
-    known = session.library()
+    known = selection.library()
     rivals = {n: known[n] for n in ("tip_mass", "air_drag", "natural_curvature")}
-    monkeypatch.setattr(session, "library", lambda: rivals)
+    monkeypatch.setattr(selection, "library", lambda: rivals)
     return set(rivals)
 
 

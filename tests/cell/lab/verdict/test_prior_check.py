@@ -11,6 +11,8 @@ from cell.lab.data.selection import EffectSelection
 from cell.lab.search.setup import explorer_of
 from cell.lab.strength.fitted_study import fit_study
 from cell.lab.verdict import prior_check
+from cell.lab.verdict.checks import explains
+from cell.lab.verdict.evidence import Evidence
 from cell.lab.verdict.prior_check import asked_by_prior_only, not_borne_out
 from cell.lab.verdict.rules import DEFAULT_RULES
 
@@ -33,7 +35,7 @@ def asked(study, model, effect):
     explorer = explorer_of(study, FEW, (Path("model.json"), model))
     base = explorer.baseline()
     (final,) = explorer.add(base, [KNOWN[effect]])
-    return asked_by_prior_only(explorer, base, final, {}, DEFAULT_RULES)
+    return asked_by_prior_only(Evidence(explorer, base, final, DEFAULT_RULES), explains)
 
 
 def test_an_effect_that_only_another_cables_model_asks_for_is_told(make_study, model):
@@ -64,7 +66,7 @@ def test_of_several_effects_a_prior_may_ask_for_one_alone(monkeypatch, named, no
     monkeypatch.setattr(prior_check, "not_borne_out", lambda *_: not_borne)
     explorer = SimpleNamespace(prior_q=[0.0], space=SimpleNamespace(effects=()))
     base, final = (SimpleNamespace(effects=tuple(KNOWN[n] for n in e)) for e in ((), named))
-    assert asked_by_prior_only(explorer, base, final, {}, DEFAULT_RULES) == told
+    assert asked_by_prior_only(Evidence(explorer, base, final, DEFAULT_RULES), explains) == told
 
 
 def test_an_effect_in_whose_place_another_explains_more_without_the_prior_is_told(monkeypatch):
@@ -89,10 +91,13 @@ def test_an_effect_in_whose_place_another_explains_more_without_the_prior_is_tol
         worth_refitting=lambda *_: [KNOWN[n] for n in ("grip_angle", "camera_roll")],
         add=lambda _, effects: [grip] if len(effects) == 1 else [grip, angle, roll],
     )
-    monkeypatch.setattr(prior_check, "explains", lambda *args: args[2] is not base)
+
+    def explained(evidence):
+        return evidence.final is not base
+
     named = [KNOWN["grip_compliance"]]
-    assert not_borne_out(alone, named, {}, DEFAULT_RULES) == ("grip_compliance",)
+    assert not_borne_out(alone, named, {}, DEFAULT_RULES, explained) == ("grip_compliance",)
     ties = {"grip_compliance": ("grip_angle",)}
-    assert not_borne_out(alone, named, ties, DEFAULT_RULES) == ()
+    assert not_borne_out(alone, named, ties, DEFAULT_RULES, explained) == ()
     angle.chi2 = 13250.0  # no tie
-    assert not_borne_out(alone, named, {}, DEFAULT_RULES) == ()
+    assert not_borne_out(alone, named, {}, DEFAULT_RULES, explained) == ()

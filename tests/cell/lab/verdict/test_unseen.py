@@ -40,7 +40,7 @@ def test_an_effect_that_the_held_out_frames_cannot_see_is_found_and_not_confirme
     found = diagnosed(late, ("camera_latency", "tip_mass", "air_drag")).diagnosis
     assert found.verdict == "cannot_tell"
     assert [f.effect for f in found.missing] == ["camera_latency"]
-    assert "unconfirmed" in [w.code for w in found.warnings]
+    assert "heldout_insensitive" in [w.code for w in found.warnings]
     assert "it is not confirmed" in sentence(found)
 
 
@@ -56,4 +56,4 @@ def test_held_out_frames_that_see_it_confirm_it(make_study):
     found = diagnosed(study, ("camera_latency", "tip_mass")).diagnosis
     assert found.verdict == "missing"
     assert [f.effect for f in found.missing] == ["camera_latency"]
-    assert "unconfirmed" not in [w.code for w in found.warnings]
+    assert "heldout_insensitive" not in [w.code for w in found.warnings]

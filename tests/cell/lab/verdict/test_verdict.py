@@ -136,7 +136,7 @@ def test_an_effect_in_place_of_one_that_the_library_lacks_is_not_claimed(
     found = diagnose(explore(study, ("natural_curvature", "air_drag")))
     assert found.diagnosis.verdict == "unexplained"
     assert [f.effect for f in found.diagnosis.partial] == ["natural_curvature"]
-    (doubt,) = [w for w in found.diagnosis.warnings if w.code == "other_law"]
+    (doubt,) = [w for w in found.diagnosis.warnings if w.code == "wider_law"]
     assert "natural_curvature explains most, but its law does not hold" in doubt.message
     assert "--effect rest_shape" in doubt.message
 
@@ -179,6 +179,6 @@ def test_an_effect_so_small_that_another_could_be_behind_it_is_not_claimed(make_
     study = make_study([joint], seed=1)
     told = diagnose(explore(study, ("grip_compliance", "air_drag"))).diagnosis
     assert told.verdict == "cannot_tell"
-    assert [w.code for w in told.warnings] == ["barely_seen"]
+    assert [w.code for w in told.warnings] == ["weakly_identified"]
     assert "half of it could be left unnoticed" in told.warnings[0].message
     assert sentence(told).endswith(BARELY_SEEN)

@@ -1,0 +1,288 @@
+"""The checks of a verdict, as one table: what is asked, the limit, and what failing it means.
+
+A model that fails a check of the first part leaves more than noise: the study is `unexplained`.  A
+check of the second part that fails says why nothing is claimed: `cannot_tell`.  The verdict is the
+worst of what failed; text, page, JSON and the reference in docs print these rows.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from cell.lab.data.results import CheckResult, Doubt, Verdict
+from cell.lab.verdict import doubts, questions
+from cell.lab.verdict.evidence import Evidence
+from cell.lab.verdict.prior_check import asked_by_prior_only
+from cell.lab.verdict.questions import Reading
+
+_PASSES = {"<=": operator.le, ">=": operator.ge, "<": operator.lt, ">": operator.gt}
+
+
+@dataclass(frozen=True)
+class Check:
+    """A question that is asked of a model before anything is claimed of it.
+
+    name       code in JSON, and of the warning if there is one
+    statistic  the number that answers the question; None where it does not apply
+    passes     how the statistic compares with the limit if all is well
+    limit      field of `Rules`
+    failing    what the verdict is then, unless another check makes it worse
+    failed     sentence that says so
+    reason     why this limit: a source, or what was measured
+    warn       warnings with the numbers of the study
+    """
+
+    name: str
+    question: str
+    statistic: Callable[[Evidence], Reading | None]
+    passes: Literal["<=", ">=", "<", ">"]
+    limit: str
+    failing: Literal["unexplained", "cannot_tell"]
+    failed: str
+    reason: str
+    warn: Callable[[Evidence, Reading], tuple[Doubt, ...]] | None = None
+
+    def ask(self, evidence: Evidence) -> Answer:
+        """Of a model."""
+        reading = self.statistic(evidence)
+        if reading is None:
+            return Answer(self, None, None)
+        limit = getattr(evidence.rules, self.limit)
+        return Answer(self, reading, bool(_PASSES[self.passes](reading.value, limit)))
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A check's answer; `passed` is None where the question does not apply."""
+
+    check: Check
+    reading: Reading | None
+    passed: bool | None
+
+    def warnings(self, evidence: Evidence) -> tuple[Doubt, ...]:
+        """With the numbers of the study, if it failed."""
+        if self.passed is not False or self.check.warn is None or self.reading is None:
+            return ()
+        return self.check.warn(evidence, self.reading)
+
+    def result(self, evidence: Evidence) -> CheckResult:
+        """As data."""
+        check = self.check
+        return CheckResult(
+            name=check.name,
+            question=check.question,
+            statistic=None if self.reading is None else self.reading.value,
+            passes=check.passes,
+            limit=float(getattr(evidence.rules, check.limit)),
+            passed=self.passed,
+            failing=check.failing,
+            failed=check.failed,
+        )
+
+
+LEAVES_NOISE: tuple[Check, ...] = (
+    Check(
+        "stated_error",
+        "Is what is left within the error that the study states?",
+        questions.within_stated,
+        ">=",
+        "misfit_significance",
+        "unexplained",
+        "It misses more than the measurement's stated error.",
+        "p-value of χ² of independent values; up to 4 % above are the model's own error",
+    ),
+    Check(
+        "fitted_error",
+        "Is the error on the trials fitted to that of the noise?",
+        questions.fitted_ratio,
+        "<=",
+        "gross_misfit",
+        "unexplained",
+        "It misses more than noise on the trials that it was fitted to.",
+        "converged simulators of one cable differ by less; 10 % of 0.1 mm is far below a mouth",
+    ),
+    Check(
+        "heldout_smooth",
+        "Is the slow part of the error on held-out trials noise?",
+        questions.heldout_smooth,
+        ">=",
+        "misfit_significance",
+        "unexplained",
+        "On held-out trials it leaves a slow error that noise does not make.",
+        "p-value of χ² of slow functions of time and place, where misfits are and little noise",
+    ),
+    Check(
+        "all_trials_smooth",
+        "Fitted to all trials, is the slow part of the error noise?",
+        questions.all_trials_smooth,
+        ">=",
+        "misfit_significance",
+        "unexplained",
+        "Fitted to all trials it leaves a slow error that noise does not make.",
+        "as above, with twice the values and the level of noise known from all frames",
+    ),
+    Check(
+        "parameter_constancy",
+        "Would each trial by itself ask for the same parameters?",
+        questions.parameter_constancy,
+        ">=",
+        "misfit_significance",
+        "unexplained",
+        "Single trials ask for different parameters, which one cable does not have.",
+        "a score test of parameters per trial: a wrong model bends differently in each motion",
+    ),
+    Check(
+        "wider_law",
+        "Does the law of each effect hold, or does a wider law explain more?",
+        questions.wider_law,
+        ">=",
+        "law_significance",
+        "unexplained",
+        "A wider law than the effect's own explains more: something else is there.",
+        "a score test of the wider law's parameters (Lagrange multiplier)",
+        doubts.wider_law_doubts,
+    ),
+    Check(
+        "residual_level",
+        "Is the whole error on held-out trials no more than noise?",
+        questions.residual_level,
+        ">=",
+        "misfit_significance",
+        "unexplained",
+        "It misses more than noise.",
+        "F or χ² test; the noise's level is known from so many still frames",
+    ),
+    Check(
+        "earlier_model",
+        "Beside an earlier cable's model: is most of what that misses explained?",
+        questions.explained_of_earlier,
+        ">",
+        "most_share",
+        "unexplained",
+        "It leaves most of what the earlier cable's model misses.",
+        "what is left may be the earlier model's own error, so half must go",
+    ),
+)
+
+
+def explains(evidence: Evidence) -> bool:
+    """Whether what the model leaves is noise, or of an earlier cable's error."""
+    return all(check.ask(evidence).passed is not False for check in LEAVES_NOISE)
+
+
+def _asked_by_prior_only(evidence: Evidence) -> Reading | None:
+    """Number of effects that only an earlier cable's model asks for; which."""
+    if evidence.explorer.prior_q is None or evidence.is_base:
+        return None
+    asked = asked_by_prior_only(evidence, explains)
+    return Reading(float(len(asked)), asked)
+
+
+MAY_BE_CLAIMED: tuple[Check, ...] = (
+    Check(
+        "confirmation",
+        "Is there a held-out trial to confirm what was found?",
+        questions.heldout_trials,
+        ">=",
+        "least_heldout",
+        "cannot_tell",
+        "No trial is held out: it is not confirmed.",
+        "an effect is confirmed only on a motion that was not fitted to",
+    ),
+    Check(
+        "heldout_insensitive",
+        "Can the held-out trials see each effect found?",
+        questions.least_visible,
+        ">=",
+        "least_visible",
+        "cannot_tell",
+        "The held-out trials cannot show it: it is not confirmed.",
+        "ln of the likelihood ratio with and without the effect; 1 is two log units of deviance",
+        doubts.insensitive_doubts,
+    ),
+    Check(
+        "ties",
+        "How many effects explain as much as each effect found?",
+        questions.most_tied,
+        "<=",
+        "most_tied",
+        "cannot_tell",
+        "These motions cannot tell them apart.",
+        "one of three is an answer that an engineer can test; one of more is none",
+    ),
+    Check(
+        "weakly_identified",
+        "Would the trials notice if half of an effect found were left?",
+        questions.half_seen,
+        "<",
+        "half_seen",
+        "cannot_tell",
+        "So little of it is seen that an effect the library lacks could be behind it.",
+        "power: what half of the effect leaves must fail the checks above at 5 %",
+        doubts.weak_doubts,
+    ),
+    Check(
+        "prior_driven",
+        "How many effects does only the earlier cable's model ask for?",
+        _asked_by_prior_only,
+        "<=",
+        "most_prior_driven",
+        "cannot_tell",
+        "Without the prior the study does not bear this out.",
+        "without the prior, as of another cable, the study must bear each effect out",
+        doubts.prior_doubts,
+    ),
+    Check(
+        "possibly_omitted",
+        "Do all trials together ask for another effect?",
+        questions.possibly_omitted,
+        ">=",
+        "misfit_significance",
+        "cannot_tell",
+        "All trials together ask for more than the model has; those held out do not bear it out.",
+        "a score test of each effect of the library (Lagrange multiplier), Holm-corrected",
+        doubts.omitted_doubts,
+    ),
+    Check(
+        "noise_known",
+        "Does the rest tell the noise well enough for “complete” to mean something?",
+        questions.noise_range,
+        "<",
+        "noise_known_within",
+        "cannot_tell",
+        "The frames at rest are too few to tell whether that is noise.",
+        "an error as large as the noise itself would be more than the rest allows",
+        doubts.noise_doubts,
+    ),
+)
+CHECKS = (*LEAVES_NOISE, *MAY_BE_CLAIMED)
+
+
+def answers(evidence: Evidence) -> Iterator[Answer]:
+    """Of every check that is needed for the verdict, in order.
+
+    Where a model is far above the noise, nothing is asked after the first check that fails; what
+    may be claimed is asked only of a model that leaves noise.
+    """
+    explained = True
+    for check in LEAVES_NOISE:
+        if not explained and evidence.over_noise >= evidence.rules.gross_misfit:
+            return
+        answer = check.ask(evidence)
+        explained &= answer.passed is not False
+        yield answer
+    if explained:
+        yield from (check.ask(evidence) for check in MAY_BE_CLAIMED)
+
+
+def verdict_of(found: Sequence[Answer], is_base: bool) -> Verdict:
+    """The worst of what failed; else that the model is complete, or an effect is missing."""
+    failed = {a.check.failing for a in found if a.passed is False}
+    if "unexplained" in failed:
+        return "unexplained"
+    if "cannot_tell" in failed:
+        return "cannot_tell"
+    return "complete" if is_base else "missing"

@@ -1,0 +1,71 @@
+"""What the checks ask of a model that may explain a study: each quantity worked out once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+from cell.cable.effects.base import Effect
+from cell.lab.data.noise_floor import Floor
+from cell.lab.data.prepared import PreparedStudy
+from cell.lab.search.explore import Candidate, Explorer
+from cell.lab.verdict.rules import Rules
+from cell.lab.verdict.smooth_part import SmoothPart, smooth_part
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """A fitted model, the baseline, and the study they are held against.
+
+    final  the model that may explain the study; the baseline itself if nothing was added
+    tied   of each effect that was added, those that explain as much in its place
+    """
+
+    explorer: Explorer
+    base: Candidate
+    final: Candidate
+    rules: Rules
+    tied: Mapping[str, Sequence[str]] = field(default_factory=dict)
+
+    @property
+    def prepared(self) -> PreparedStudy:
+        """The study."""
+        return self.explorer.prepared
+
+    @property
+    def noise_model(self) -> Floor:
+        """Noise of the measurement."""
+        return self.prepared.floor
+
+    @property
+    def is_base(self) -> bool:
+        """Whether no effect was added."""
+        return self.final is self.base
+
+    @property
+    def added(self) -> list[type[Effect]]:
+        """Effects of the model that the baseline lacks."""
+        return [e for e in self.final.effects if e not in self.explorer.space.effects]
+
+    @cached_property
+    def smooth_before(self) -> SmoothPart | None:
+        """The smooth part of what the baseline leaves on the held-out trials."""
+        return smooth_part(self.prepared, self.base.fit)
+
+    @cached_property
+    def over_noise(self) -> float:
+        """Larger of the fitted and the held-out error, over the measurement's noise."""
+        return above_noise(self.explorer, self.final)
+
+    @property
+    def below_stated(self) -> bool:
+        """Whether the model errs by much less than the measurement is said to."""
+        floor = self.noise_model
+        return floor.stated and self.over_noise < self.rules.below_stated
+
+
+def above_noise(explorer: Explorer, candidate: Candidate) -> float:
+    """Larger of a candidate's fitted and held-out error over the measurement's noise."""
+    held_m = candidate.heldout.rms_m if candidate.heldout else 0.0
+    return max(candidate.fit.rms_m, held_m) / explorer.prepared.floor.noise.std_m

@@ -1,0 +1,226 @@
+"""What the checks ask, as functions of the evidence: each answers with one number."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import chdtrc as chi2_sf
+from scipy.special import fdtrc as f_sf
+
+from cell.lab.fit.fitting import Fit, fit_trials
+from cell.lab.statistics.score import holm
+from cell.lab.verdict.asked import of_a_wider_law, of_effects, of_what_trials_ask_for
+from cell.lab.verdict.evidence import Evidence
+from cell.lab.verdict.leftover import leftover, removed_share
+from cell.lab.verdict.smooth_part import SmoothPart, of_a_finer_model, of_all_trials_together
+from cell.lab.verdict.stated import chance_of_stated
+
+
+@dataclass(frozen=True)
+class Reading:
+    """The number that answers a question, and the effects that it is about."""
+
+    value: float
+    effects: tuple[str, ...] = ()
+
+
+def within_stated(evidence: Evidence) -> Reading | None:
+    """p-value of an error so far above what the study states; None if it states none."""
+    prepared = evidence.prepared
+    if not (prepared.noise_is_measured and prepared.floor.stated):
+        return None
+    return Reading(chance_of_stated(prepared, evidence.final, evidence.rules.misfit))
+
+
+def _judged_by_rest(evidence: Evidence) -> bool:
+    """Whether the noise is told by the frames, or is an earlier model's error: not stated."""
+    prepared = evidence.prepared
+    return not (prepared.noise_is_measured and prepared.floor.stated)
+
+
+def fitted_ratio(evidence: Evidence) -> Reading | None:
+    """Error on the trials fitted to, over the noise."""
+    if not _judged_by_rest(evidence):
+        return None
+    return Reading(evidence.final.fit.rms_m / evidence.prepared.expected.std_m)
+
+
+def heldout_smooth(evidence: Evidence) -> Reading | None:
+    """p-value of the slow part of the error on the held-out trials."""
+    return _of_part(evidence, of_a_finer_model(evidence.prepared, evidence.final.fit))
+
+
+def all_trials_smooth(evidence: Evidence) -> Reading | None:
+    """p-value of the slow part of the error of the fit to all trials."""
+    if not _has_smooth_part(evidence):
+        return None
+    return _of_part(evidence, of_all_trials_together(evidence.prepared, evidence.final.fit))
+
+
+def parameter_constancy(evidence: Evidence) -> Reading | None:
+    """p-value of what the trials would change in the parameters, if each had its own."""
+    if not _has_smooth_part(evidence):
+        return None
+    return _of_part(evidence, of_what_trials_ask_for(evidence.prepared, evidence.final.fit))
+
+
+def wider_law(evidence: Evidence) -> Reading | None:
+    """Smallest p-value of the wider laws of effects beyond a negligible part; those broken."""
+    before, rules = evidence.smooth_before, evidence.rules
+    if before is None or not _judged_by_rest(evidence):
+        return None
+    chances = {}
+    for effect in evidence.final.effects:
+        left = of_a_wider_law(evidence.prepared, evidence.final.fit, effect)
+        if left is not None:
+            negligible = left.excess_of_all <= rules.law_share * before.excess_of_all
+            chances[effect.name] = 1.0 if negligible else left.p_value
+    broken = tuple(name for name, p in chances.items() if p < rules.law_significance)
+    return Reading(min(chances.values()), broken) if chances else None
+
+
+def residual_level(evidence: Evidence) -> Reading | None:
+    """p-value of the whole error, 1 where it is so little above noise that a model errs as much."""
+    if not _judged_by_rest(evidence):
+        return None
+    prepared, base, final, rules = evidence.prepared, evidence.base, evidence.final, evidence.rules
+    noise_m = prepared.expected.std_m
+    if final.heldout is not None and base.heldout is not None:
+        chi2, count, rms_m = final.heldout.chi2, final.heldout.count, final.heldout.rms_m
+        before_m = base.heldout.rms_m
+    else:
+        count = prepared.count(fit_trials(prepared)) - len(final.fit.q)
+        chi2, rms_m, before_m = final.fit.chi2, final.fit.rms_m, base.fit.rms_m
+    ratio = max(rms_m / noise_m, float(np.sqrt(chi2 / count)))
+    left = (rms_m**2 - noise_m**2) / max(before_m**2 - noise_m**2, 1e-30)
+    if ratio < rules.misfit or (ratio < rules.gross_misfit and left < rules.misfit_share):
+        return Reading(1.0)
+    return Reading(_p_value(chi2, count, prepared.floor.freedom))
+
+
+def explained_of_earlier(evidence: Evidence) -> Reading | None:
+    """Share that is gone of what an earlier cable's model misses here; 1 at the noise."""
+    prepared = evidence.prepared
+    if prepared.noise_is_measured:
+        return None
+    if evidence.over_noise < evidence.rules.gross_misfit:
+        return Reading(1.0)
+    if evidence.is_base:
+        return Reading(0.0)
+    before = leftover(prepared, evidence.explorer.prior_candidate())
+    after = leftover(prepared, evidence.final)
+    return Reading(removed_share(prepared.floor.noise.std_m, before, after))
+
+
+def heldout_trials(evidence: Evidence) -> Reading | None:
+    """Number of trials that confirm what was found; None where nothing was."""
+    if evidence.is_base:
+        return None
+    held = evidence.prepared.study.role("validate")
+    return Reading(float(len(held)) if evidence.final.heldout is not None else 0.0)
+
+
+def least_visible(evidence: Evidence) -> Reading | None:
+    """Smallest ln likelihood ratio, on held-out trials, with and without an effect found."""
+    if evidence.final.heldout is None or not evidence.added:
+        return None
+    seen = {e.name: evidence.explorer.visible(evidence.final, e) for e in evidence.added}
+    unseen = tuple(name for name, ln in seen.items() if ln < evidence.rules.least_visible)
+    return Reading(min(seen.values()), unseen)
+
+
+def most_tied(evidence: Evidence) -> Reading | None:
+    """Largest number of effects that explain as much as one found, itself included."""
+    if evidence.is_base:
+        return None
+    counts = {name: len(tied) + 1 for name, tied in evidence.tied.items()}
+    return Reading(float(max(counts.values(), default=1)))
+
+
+def half_seen(evidence: Evidence) -> Reading | None:
+    """Largest p-value, over the effects found, that half of what each explains would have."""
+    if not evidence.added:
+        return None
+    without = {e.name: evidence.explorer.without(evidence.final, e).fit for e in evidence.added}
+    chances = {name: _chance_of_half(evidence, fit) for name, fit in without.items()}
+    weak = tuple(name for name, p in chances.items() if p >= evidence.rules.half_seen)
+    return Reading(max(chances.values()), weak)
+
+
+def _chance_of_half(evidence: Evidence, without: Fit) -> float:
+    """p-value by the plainest look, 0 where there is none; further ones only if needed."""
+    prepared, least = evidence.prepared, 1.0
+    looks: tuple[Callable[[], SmoothPart | None], ...] = (
+        lambda: of_a_finer_model(prepared, without),
+        lambda: of_what_trials_ask_for(prepared, without),
+        lambda: of_what_trials_ask_for(prepared, without, evidence.final.fit),
+    )
+    for look in looks:
+        part = look()
+        least = min(least, 0.0 if part is None else part.chance_of(0.5 * part.excess))
+        if least < evidence.rules.half_seen:
+            break
+    return least
+
+
+def possibly_omitted(evidence: Evidence) -> Reading | None:
+    """Smallest Holm-corrected p-value of another effect in all trials; those plain.
+
+    Those held out do not confirm them, or they would have been accepted.  Who has all that is
+    there asks for nothing more than a negligible part of what was explained.
+    """
+    if not evidence.prepared.noise_is_measured or evidence.below_stated:
+        return None
+    explorer, final, rules = evidence.explorer, evidence.final, evidence.rules
+    rivals = {name for names in evidence.tied.values() for name in names}
+    offered = [e for n, e in explorer.library.items() if n not in {*final.names, *rivals}]
+    asked = of_effects(evidence.prepared, final.fit, offered)
+    adjusted = holm([p for _, p in asked.values()])
+    fall = evidence.base.chi2 - final.chi2
+    chances = {
+        name: p if part.chi2 - part.count > rules.law_share * fall else 1.0
+        for (name, (part, _)), p in zip(asked.items(), adjusted, strict=True)
+    }
+    plain = sorted((p, name) for name, p in chances.items() if p < rules.misfit_significance)
+    return Reading(min(chances.values(), default=1.0), tuple(name for _, name in plain))
+
+
+def noise_range(evidence: Evidence) -> Reading | None:
+    """Largest mean square that the rest allows the noise, over its best estimate."""
+    noise = evidence.noise_model
+    if not evidence.is_base or noise.range_m is None:
+        return None
+    return Reading(noise.range_m[1] ** 2 / noise.noise.std_m**2)
+
+
+def _has_smooth_part(evidence: Evidence) -> bool:
+    """Whether the slow part of an error says something here."""
+    return evidence.smooth_before is not None and _judged_by_rest(evidence)
+
+
+def _of_part(evidence: Evidence, left: SmoothPart | None) -> Reading | None:
+    """p-value of a part of the error, 1 where it is negligible.
+
+    A tenth of it counts where more than a tenth of what the baseline leaves beyond noise is left.
+    """
+    before, rules = evidence.smooth_before, evidence.rules
+    if before is None or left is None or not _judged_by_rest(evidence):
+        return None
+    shares = rules.smooth_shares
+    if evidence.is_base:
+        shares = ((0.0, rules.misfit_significance),)
+    least = 1.0
+    for share, significance in shares:
+        too_much = left.excess_of_all > share * before.excess_of_all
+        if too_much or left.excess_of_all > rules.gross_smooth_misfit:
+            least = min(least, left.p_value * rules.misfit_significance / significance)
+    return Reading(least)
+
+
+def _p_value(chi2: float, count: int, freedom: float) -> float:
+    """Of a χ² of `count` values whose unit is known from `freedom` others."""
+    if np.isfinite(freedom):
+        return float(f_sf(count, freedom, chi2 / count))
+    return float(chi2_sf(count, chi2))
