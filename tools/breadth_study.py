@@ -35,6 +35,8 @@ from outside_laws import LAWS
 from scipy import stats
 
 from cell.cable.effects import Effect, library
+from cell.cable.solver import DivergedError
+from cell.cable.statics import UnsettledError
 from cell.files.input_error import InputError
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.noise_floor import NoiseUnknownError
@@ -122,8 +124,11 @@ def judged(kind: str, conditions: Conditions, seed: int, known_power: float | No
         clean = world.clean()
     else:
         effect, offered = _hidden(kind, conditions.number, known)
-        _, clean, reached = world.showing(effect)
         there = effect.name
+        try:
+            _, clean, reached = world.showing(effect)
+        except (DivergedError, UnsettledError) as error:  # no cable swings so: nothing to judge
+            return _unmade(kind, conditions, there, str(error))
         power = known_power
         if power is None:
             power = _power(world, clean, seed, len(known))
@@ -175,6 +180,12 @@ def _power(world: World, clean: Sequence[np.ndarray], seed: int, tests: int) -> 
     quiet = PreparedStudy.of(replace(study, noise_std_m=_true_noise_m(conditions)))
     independent = (1.0 - conditions.colour) / (1.0 + conditions.colour)
     return power_of(independent * evidence(quiet, ParameterSpace.of(study.cable)), quiet, tests)
+
+
+def _unmade(kind: str, conditions: Conditions, hidden: str, why: str) -> Row:
+    """Of a world that cannot be simulated."""
+    return Row(kind, conditions.number, hidden, 0.0, 0.0, "not made", "", "", np.nan, np.nan, 0,
+               0.0, why.replace("\n", " ")[:200])  # fmt: skip
 
 
 def _judge(task: tuple[str, Conditions, int, float | None]) -> Row:

@@ -52,7 +52,7 @@ def check_rows(diagnosis: Diagnosis) -> list[tuple[str, str, str, str]]:
     return [
         (
             c.question,
-            "–" if c.statistic is None else short(c.statistic),
+            "–" if c.statistic is None else f"{c.statistic:.3g}",
             f"{_SIGNS[c.passes]} {c.limit:g}",
             words[c.passed],
         )

@@ -1,0 +1,148 @@
+"""The table of checks: the verdict is the worst of what failed, and every row can be read."""
+
+from dataclasses import fields
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from cell.lab.verdict import questions
+from cell.lab.verdict.checks import (
+    CHECKS,
+    LEAVES_NOISE,
+    MAY_BE_CLAIMED,
+    Answer,
+    Check,
+    answers,
+    explains,
+    verdict_of,
+)
+from cell.lab.verdict.evidence import Evidence
+from cell.lab.verdict.questions import Reading
+from cell.lab.verdict.rules import DEFAULT_RULES, Rules
+from cell.lab.verdict.smooth_part import SmoothPart
+
+NAMES = [c.name for c in CHECKS]
+
+
+def by_name(name: str) -> Check:
+    return next(c for c in CHECKS if c.name == name)
+
+
+@pytest.mark.parametrize("check", CHECKS, ids=NAMES)
+def test_a_row_has_a_question_a_limit_a_sentence_and_a_reason(check):
+    assert check.question.endswith("?")
+    assert check.failed.endswith(".") and check.failed[0].isupper()
+    assert check.reason
+    assert check.limit in {f.name for f in fields(Rules)}
+    assert (check.failing == "unexplained") == (check in LEAVES_NOISE)
+
+
+def test_names_are_unique():
+    assert len(set(NAMES)) == len(NAMES)
+
+
+@pytest.mark.parametrize(
+    ("failed", "is_base", "verdict"),
+    [
+        ((), True, "complete"),
+        ((), False, "missing"),
+        (("ties",), False, "cannot_tell"),
+        (("noise_known",), True, "cannot_tell"),
+        (("wider_law",), False, "unexplained"),
+        (("ties", "residual_level"), False, "unexplained"),
+    ],
+)
+def test_the_verdict_is_the_worst_of_what_failed(failed, is_base, verdict):
+    found = [Answer(c, Reading(0.0), c.name not in failed) for c in CHECKS]
+    assert verdict_of(found, is_base) == verdict
+
+
+def test_what_does_not_apply_fails_nothing():
+    assert verdict_of([Answer(c, None, None) for c in CHECKS], is_base=True) == "complete"
+
+
+@pytest.mark.parametrize(
+    ("value", "passes", "passed"),
+    [(1.0, "<=", True), (1.0, "<", False), (1.0, ">=", True), (1.0, ">", False)],
+)
+def test_a_limit_is_met_as_its_sign_says(value, passes, passed):
+    check = Check(
+        "n", "?", lambda _: Reading(value), passes, "least_heldout", "cannot_tell", "", ""
+    )
+    assert check.ask(SimpleNamespace(rules=DEFAULT_RULES)).passed is passed
+
+
+def fake(**given):
+    """Evidence of a study with held-out trials, at the noise, whose parts can be set."""
+    noise = SimpleNamespace(std_m=1e-4)
+    floor = SimpleNamespace(stated=False, noise=noise, range_m=None, freedom=np.inf)
+    study = SimpleNamespace(role=lambda _: [1, 2])
+    prepared = SimpleNamespace(
+        noise_is_measured=True, floor=floor, expected=noise, study=study, count=lambda _: 1000
+    )
+    explorer = SimpleNamespace(prepared=prepared, space=SimpleNamespace(effects=()), prior_q=None)
+
+    def candidate(rms_m: float, chi2: float, effects=()):
+        heldout = SimpleNamespace(rms_m=rms_m, chi2=chi2, count=1000)
+        fit = SimpleNamespace(rms_m=rms_m, chi2=chi2, q=np.zeros(5))
+        return SimpleNamespace(fit=fit, heldout=heldout, effects=effects)
+
+    base, final = candidate(2e-4, 4000.0), candidate(*given.pop("final", (1e-4, 1000.0)))
+    return Evidence(explorer, base, final, DEFAULT_RULES, given.pop("tied", {}))
+
+
+@pytest.mark.parametrize(
+    ("rms_m", "chi2", "passed"),
+    [
+        (1.00e-4, 1000.0, True),
+        (1.03e-4, 1061.0, True),  # below the margin: models err by as much
+        (1.08e-4, 1166.0, True),  # little of what the baseline misses
+        (1.15e-4, 1322.0, False),
+    ],
+)
+def test_the_whole_error_must_be_noise_or_close_to_it(rms_m, chi2, passed):
+    answer = by_name("residual_level").ask(fake(final=(rms_m, chi2)))
+    assert answer.passed is passed
+
+
+def test_a_fit_of_more_than_noise_explains_nothing_and_ends_the_questions():
+    evidence = fake(final=(1.2e-4, 1440.0))
+    assert not explains(evidence)
+    asked = list(answers(evidence))
+    assert [a.check.name for a in asked] == ["stated_error", "fitted_error"]
+    assert verdict_of(asked, is_base=False) == "unexplained"
+
+
+def test_a_negligible_smooth_part_passes_whatever_its_chance(monkeypatch):
+    part = SmoothPart(chi2=400.0, count=200.0, rows=100_000, freedom=np.inf)
+    before = SmoothPart(chi2=90_000.0, count=200.0, rows=100_000, freedom=np.inf)
+    evidence = fake()
+    vars(evidence)["smooth_before"] = before
+    monkeypatch.setattr(questions, "of_a_finer_model", lambda *_: part)
+    assert part.p_value < 1e-6
+    assert questions.heldout_smooth(evidence).value == 1.0
+    vars(evidence)["smooth_before"] = SmoothPart(500.0, 200.0, 100_000, np.inf)
+    assert by_name("heldout_smooth").ask(evidence).passed is False
+
+
+def test_ties_count_the_effect_itself():
+    tied = {"a": ("b", "c"), "d": ()}
+    assert questions.most_tied(fake(tied=tied)).value == 3.0
+    assert by_name("ties").ask(fake(tied=tied)).passed is True
+    assert by_name("ties").ask(fake(tied={"a": ("b", "c", "d")})).passed is False
+
+
+def test_every_row_of_what_may_be_claimed_is_asked_of_a_model_at_the_noise(monkeypatch):
+    for name in ("of_a_finer_model", "of_all_trials_together", "of_what_trials_ask_for"):
+        monkeypatch.setattr(questions, name, lambda *_: None)
+    monkeypatch.setattr(questions, "of_effects", lambda *_: {})
+    evidence = fake()
+    vars(evidence)["smooth_before"] = None
+    object.__setattr__(evidence, "final", evidence.base)
+    evidence.base.fit.rms_m = evidence.base.heldout.rms_m = 1e-4
+    evidence.base.heldout.chi2 = 1000.0
+    evidence.explorer.library, evidence.base.names = {}, frozenset()
+    evidence.base.chi2 = 0.0
+    asked = [a.check.name for a in answers(evidence)]
+    assert asked == [*(c.name for c in LEAVES_NOISE), *(c.name for c in MAY_BE_CLAIMED)]
