@@ -44,7 +44,7 @@ from cell.lab.data.opened_study import open_study
 from cell.lab.data.prepared import PreparedStudy, all_fitted
 from cell.lab.data.results import Diagnosis
 from cell.lab.data.selection import EffectSelection
-from cell.lab.search.setup import explorer_of
+from cell.lab.search.setup import fit_cache_of
 from cell.lab.verdict.diagnose import diagnose
 from cell.study.folder import write_study
 
@@ -137,9 +137,9 @@ def judged(kind: str, conditions: Conditions, seed: int, known_power: float | No
     with TemporaryDirectory() as folder:
         write_study(world.study(clean, seed), Path(folder))
         try:
-            explorer = explorer_of(open_study(Path(folder)), EffectSelection((), offered))
-            found = diagnose(explorer).diagnosis
-            simulated_s = explorer.prepared.work.simulated_s
+            fits = fit_cache_of(open_study(Path(folder)), EffectSelection((), offered))
+            found = diagnose(fits).diagnosis
+            simulated_s = fits.prepared.work.simulated_s
         except (InputError, NoiseUnknownError) as error:
             refused = str(error).replace(folder, "").replace("\n", " ")[:200]
     verdict = "refused" if refused else found.verdict

@@ -139,7 +139,7 @@ class Setup:
 
 def measured(seed: int) -> dict[str, float]:
     """True errors and stated bounds of one set-up: mm, degrees; and the peers' errors."""
-    begun = time.process_time()
+    initial_states = time.process_time()
     setup = Setup(seed)
     camera, views, _ = camera_from(setup.board_pictures(), BOARD)
     shown, held_out = setup.shown(POSES), setup.shown(HELD_OUT)
@@ -162,7 +162,7 @@ def measured(seed: int) -> dict[str, float]:
         peer = opencv_view(views, shown, setup, method)
         away = np.linalg.norm(peer.to_plane(grid) - setup.view.to_plane(grid), axis=-1)
         row |= {f"{name}_rms": 1e3 * rms(away), f"{name}_max": 1e3 * float(np.nanmax(away))}
-    row["cpu_s"] = time.process_time() - begun
+    row["cpu_s"] = time.process_time() - initial_states
     return row
 
 

@@ -31,7 +31,7 @@ from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import MissingEffect
 from cell.lab.fit.fitting import fit_trials
-from cell.lab.search.explore import Explorer
+from cell.lab.search.fit_cache import FitCache
 from cell.lab.verdict.diagnose import diagnose
 
 SIGNIFICANCE = 0.01
@@ -109,12 +109,12 @@ def one(seed: int, hide: str) -> Outcome:
     told = effects[: {"unknown": 0, "mixed": 1}.get(hide, len(effects))]
     taken = _class_of(e.name for e in effects if e not in told)
     offered = {n: e for n, e in known.items() if n not in taken}
-    found = diagnose(Explorer(prepared, space, offered)).diagnosis
+    found = diagnose(FitCache(prepared, space, offered)).diagnosis
     lacking = {"pair": [[e] for e in effects], "mixed": [effects[:1]]}.get(hide, [[]])
     spaces = [ParameterSpace.of(study.cable, effects=rest) for rest in lacking]
     clean = make_study(seed, active, noise_m=1e-9, colour=0.0)
     quiet = PreparedStudy.of(replace(clean, noise_std_m=prepared.noise.std_m))
-    independent = prepared.floor.effective_fraction
+    independent = prepared.noise_model.effective_fraction
     power = min(power_of(independent * evidence(quiet, s), quiet, len(known)) for s in spaces)
     names = tuple(e.name for e in effects)
     count = 1 if hide == "mixed" else len(names)
@@ -155,8 +155,8 @@ def evidence(quiet: PreparedStudy, space: ParameterSpace) -> float:
 
     Its level is taken for seen: what is left there is no noise to learn correlations from.
     """
-    told = replace(quiet, floor=replace(quiet.floor, freedom=1e9))
-    return Explorer(told, space, {}).baseline().fit.chi2
+    told = replace(quiet, noise_model=replace(quiet.noise_model, dof=1e9))
+    return FitCache(told, space, {}).baseline().fit.chi2
 
 
 def least_evidence(quiet: PreparedStudy, tests: int) -> float:

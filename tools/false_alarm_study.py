@@ -32,8 +32,8 @@ from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import Diagnosis
 from cell.lab.data.selection import EffectSelection
-from cell.lab.search.explore import Explorer
-from cell.lab.search.setup import explorer_of
+from cell.lab.search.fit_cache import FitCache
+from cell.lab.search.setup import fit_cache_of
 from cell.lab.strength.fitted_study import fit_study
 from cell.lab.verdict.diagnose import diagnose
 from cell.study.data import Markers, Study
@@ -63,11 +63,11 @@ def _complete(seeds: range) -> int:
     for seed in seeds:
         study = make_study(seed)
         prepared = PreparedStudy.of(study)
-        found = diagnose(Explorer(prepared, ParameterSpace.of(study.cable), library())).diagnosis
+        found = diagnose(FitCache(prepared, ParameterSpace.of(study.cable), library())).diagnosis
         verdicts[found.verdict] = verdicts.get(found.verdict, 0) + 1
         named = ", ".join(f.effect for f in found.missing)
-        noise = prepared.floor.noise
-        print(f"{seed:4d}  noise {noise.std_m * 1e3:.3f} mm, AR {noise.colour:.2f}  "
+        noise = prepared.noise_model.noise
+        print(f"{seed:4d}  noise {noise.std_m * 1e3:.3f} mm, AR {noise.ar1:.2f}  "
               f"{found.verdict} {named}", flush=True)  # fmt: skip
     false = len(seeds) - verdicts.get("complete", 0)
     print(f"\n{verdicts}\nfalse claims: {_share(false, len(seeds))}")
@@ -114,14 +114,14 @@ def beside_bad_prior(seed: int, kind: str) -> tuple[tuple[str, ...], Diagnosis]:
     earlier = _short(make_study(seed if same else other, before, noise_seed=other))
     if kind == "wrong shapes":
         earlier = _with_wrong_shapes(rng, earlier)
-    model, *_ = fit_study(explorer_of(earlier, EffectSelection((), library())))
+    model, *_ = fit_study(fit_cache_of(earlier, EffectSelection((), library())))
     if kind == "stiffer":
         mean = model.mean.copy()
         mean[: model.space.knots] += np.log(3.0)
         model = replace(model, mean=mean)
     study = _short(make_study(seed, there))
     prior = (Path("earlier.json"), model)
-    found = diagnose(explorer_of(study, EffectSelection((), library()), prior)).diagnosis
+    found = diagnose(fit_cache_of(study, EffectSelection((), library()), prior)).diagnosis
     return tuple(a.effect.name for a in there), found
 
 

@@ -24,8 +24,8 @@ from cell.cable.effects import ActiveEffect, Effect, library
 from cell.cable.model import CableModel
 from cell.identify.identified import Identified
 from cell.lab.data.selection import EffectSelection
-from cell.lab.search.explore import Explorer
-from cell.lab.search.setup import explorer_of
+from cell.lab.search.fit_cache import FitCache
+from cell.lab.search.setup import fit_cache_of
 from cell.lab.strength.estimate import estimate
 from cell.lab.strength.fitted_study import fit_study
 
@@ -33,7 +33,7 @@ from cell.lab.strength.fitted_study import fit_study
 KINDS = ("EI", "exponent", "viscosity", "amplitude", "shape")
 
 
-def drawn(seed: int, size: float, unknown: bool) -> tuple[str, Explorer, CableModel]:
+def drawn(seed: int, size: float, unknown: bool) -> tuple[str, FitCache, CableModel]:
     """A study's two effects in words, the study with the first in the model, and the truth."""
     known = library()
     names = sorted(known)
@@ -51,8 +51,8 @@ def drawn(seed: int, size: float, unknown: bool) -> tuple[str, Explorer, CableMo
     out = {lacking.name} if unknown else set()
     out |= ONE_CLASS if out & ONE_CLASS else set()
     offered: dict[str, type[Effect]] = {n: e for n, e in known.items() if n not in out}
-    explorer = explorer_of(study, EffectSelection((present,), offered))
-    return " without ".join(a.effect.name for a in there), explorer, truth
+    fits = fit_cache_of(study, EffectSelection((present,), offered))
+    return " without ".join(a.effect.name for a in there), fits, truth
 
 
 def held(model: Identified, truth: CableModel) -> Iterator[tuple[str, str, bool]]:
@@ -71,10 +71,10 @@ def held(model: Identified, truth: CableModel) -> Iterator[tuple[str, str, bool]
             yield name, kind, bool(low[i] <= true[i] <= high[i])
 
 
-def held_by_all(explorer: Explorer, truth: CableModel) -> Iterator[tuple[str, str, bool]]:
+def held_by_all(fits: FitCache, truth: CableModel) -> Iterator[tuple[str, str, bool]]:
     """The same of the effect's parameters from all trials, as in a diagnosis."""
     present: ActiveEffect = truth.effects[0]
-    found = estimate(explorer.prepared, explorer.baseline().fit, explorer.library.values())
+    found = estimate(fits.prepared, fits.baseline().fit, fits.library.values())
     true = dict(zip((p.name for p in present.effect.parameters), present.values, strict=True))
     amplitudes = {p.name for p in present.effect.parameters if p.amplitude}
     for name, interval in found.intervals(present.effect).items():
@@ -93,11 +93,11 @@ def main() -> None:
     good: Counter[str] = Counter()
     count: Counter[str] = Counter()
     for seed in range(given.first, given.first + given.studies):
-        words, explorer, truth = drawn(seed, given.size, given.unknown)
+        words, fits, truth = drawn(seed, given.size, given.unknown)
         if given.all_trials:
-            asked = held_by_all(explorer, truth)
+            asked = held_by_all(fits, truth)
         else:
-            model, *_ = fit_study(explorer)
+            model, *_ = fit_study(fits)
             words += f", seen beside it: {', '.join(model.lacks) or 'nothing'}"
             asked = held(model, truth)
         missed = []

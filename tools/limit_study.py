@@ -23,9 +23,9 @@ from cell.cable.effects import library
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy, all_fitted
 from cell.lab.data.results import Limit
+from cell.lab.fit.all_trials_fit import AllTrialsFit
 from cell.lab.fit.fitting import Fit
-from cell.lab.fit.whole import Whole
-from cell.lab.search.explore import Explorer
+from cell.lab.search.fit_cache import FitCache
 from cell.lab.strength.limits import limits
 from cell.study.data import Study
 
@@ -91,7 +91,7 @@ def _one(
     name = chosen or list(known)[seed % len(known)]
     tried = [known[name]] if chosen else list(known.values())
     none = {e: {p.name: p.default for p in known[e].parameters} for e in known}
-    found = limits(Whole(*_fitted(make_study(seed))), tried)
+    found = limits(AllTrialsFit(*_fitted(make_study(seed))), tried)
     shown = [x for x in found if x.high is not None]
     missed = [x for x in shown if not _holds(x, none[x.effect])]
     of_both = [x for x in shown if x.low != none[x.effect][x.parameter]]
@@ -110,7 +110,9 @@ def _one(
         values[limit.parameter] = off + size * (limit.high - off)
         study = make_study(seed, [effect.active(**values)], noise_seed=number * OTHER_NOISE + seed)
         again = next(
-            x for x in limits(Whole(*_fitted(study)), [effect]) if x.parameter == limit.parameter
+            x
+            for x in limits(AllTrialsFit(*_fitted(study)), [effect])
+            if x.parameter == limit.parameter
         )
         held = again.high is None or _holds(again, values)
         hidden[size, signs].add(held)
@@ -121,7 +123,7 @@ def _one(
 def _fitted(study: Study) -> tuple[PreparedStudy, Fit]:
     prepared = PreparedStudy.of(all_fitted(study))
     space = ParameterSpace.of(study.cable)
-    return prepared, Explorer(prepared, space, {}).baseline().fit
+    return prepared, FitCache(prepared, space, {}).baseline().fit
 
 
 def _holds(limit: Limit, values: dict[str, float]) -> bool:

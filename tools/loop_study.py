@@ -33,9 +33,9 @@ from cell.cable.effects import ActiveEffect, library
 from cell.lab.data.cycles import RecordedCycle
 from cell.lab.line.candidate import section
 from cell.lab.line.gates import best_judged
-from cell.lab.line.learn import Lesson, learn
-from cell.lab.next.ask import MOST_ASKED, motion_that_tells, worth_it
+from cell.lab.line.learn import LearningResult, learn
 from cell.lab.next.discover import laws_in
+from cell.lab.next.next_motion import MOST_ASKED, motion_that_tells, worth_it
 from cell.run.station import Task
 from cell.settings import Settings, load_settings
 from cell.settings.surroundings import Surroundings
@@ -179,7 +179,7 @@ def _learned(
     seed: int,
     there: Sequence[ActiveEffect],
     laws: bool,
-) -> tuple[Lesson, int]:
+) -> tuple[LearningResult, int]:
     """The lesson of these cables and those measured because of ties; how many these are."""
     surroundings, tried = Surroundings.read(CONFIG), library()
     if laws or any(a.effect.name in LAWS for a in there):

@@ -16,7 +16,7 @@ from mujoco_studies import CASES, specimen, write_study
 
 from cell.lab.data.opened_study import open_study
 from cell.lab.data.selection import select_effects
-from cell.lab.search.setup import explorer_of
+from cell.lab.search.setup import fit_cache_of
 from cell.lab.verdict.diagnose import diagnose
 
 #: What should be named, and how the verdict may read, where the case is not one effect's name.
@@ -53,7 +53,7 @@ def main() -> int:
             cable = specimen(seed, CASES[case])
             write_study(folder, cable, seed=seed, noise_m=noise_m, colour=colour)
             begin_s = time.perf_counter()
-            found = diagnose(explorer_of(open_study(folder), select_effects([]))).diagnosis
+            found = diagnose(fit_cache_of(open_study(folder), select_effects([]))).diagnosis
             took_s = time.perf_counter() - begin_s
             last = found.missing[-1].errors if found.missing else found.baseline
             named = " + ".join("|".join((f.effect, *f.tied_with)) for f in found.missing)

@@ -25,7 +25,7 @@ from cell.lab.data.opened_study import open_study
 from cell.lab.data.results import Diagnosis
 from cell.lab.data.selection import select_effects
 from cell.lab.next.discover import NothingFoundError, discover
-from cell.lab.search.setup import explorer_of
+from cell.lab.search.setup import fit_cache_of
 from cell.lab.verdict.diagnose import diagnose
 
 DEFAULT = Path(__file__).resolve().parents[2] / "shared" / "data" / "practice"
@@ -71,14 +71,14 @@ class Row:
 
 def examine(folder: Path, truth: dict[str, Any], with_discovery: bool) -> Row:
     began = time.monotonic()
-    explorer = explorer_of(open_study(folder), select_effects([]))
-    found = diagnose(explorer).diagnosis
+    fits = fit_cache_of(open_study(folder), select_effects([]))
+    found = diagnose(fits).diagnosis
     seconds = time.monotonic() - began
     removed = None
     if with_discovery and found.verdict == "unexplained":
         nothing = contextlib.suppress(NothingFoundError)
         with nothing, tempfile.TemporaryDirectory() as scratch:
-            removed = discover(explorer, Path(scratch) / "discovered.py").removed_share
+            removed = discover(fits, Path(scratch) / "discovered.py").removed_share
     return Row(folder.name, truth["effects"], found, seconds, removed)
 
 

@@ -46,7 +46,7 @@ from cell.lab.data.opened_study import open_study
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import Diagnosis, Errors
 from cell.lab.data.selection import EffectSelection
-from cell.lab.search.setup import explorer_of
+from cell.lab.search.setup import fit_cache_of
 from cell.lab.verdict.diagnose import diagnose
 from cell.study.data import Markers, Study, Trial
 from cell.study.folder import write_study
@@ -252,7 +252,7 @@ def one(seed: int) -> tuple[Rig, ActiveEffect, RigOutcome, float]:
     with TemporaryDirectory() as folder:
         write_study(rig_study(rig, effect), Path(folder))
         try:
-            found = diagnose(explorer_of(open_study(Path(folder)), selection)).diagnosis
+            found = diagnose(fit_cache_of(open_study(Path(folder)), selection)).diagnosis
         except (InputError, NoiseUnknownError) as error:
             refused = str(error).replace(folder, "")
     outcome = RigOutcome("one", (name,), power, found.verdict, classes(found.missing), beside,

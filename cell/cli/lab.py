@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from cell.lab.data.progress import Progress
     from cell.lab.data.results import Agreement, Doubt
     from cell.lab.data.selection import EffectSelection
-    from cell.lab.search.explore import Explorer
+    from cell.lab.search.fit_cache import FitCache
     from cell.lab.strength.compare import Comparison
     from cell.lab.strength.profiles import ParameterProfile
     from cell.terminal.progress import ProgressLine
@@ -112,12 +112,12 @@ def fit(
         answering() as interrupted,
     ):
         selection = select_effects(effect or [])
-        explorer = _explorer(study, selection, prior, progress, config)
-        model, candidate, fitted_to = fit_study(explorer)
+        fits = _explorer(study, selection, prior, progress, config)
+        model, candidate, fitted_to = fit_study(fits)
         warnings: tuple[Doubt, ...] = lacking_doubt(model.lacks)
         trials: Sequence[Agreement] = ()
         with suppress(KeyboardInterrupt):
-            warnings = (*fit_doubts(explorer, candidate), *warnings)
+            warnings = (*fit_doubts(fits, candidate), *warnings)
             trials = agreement(fitted_to, candidate.fit, progress)
             if profile is not None:
                 from cell.lab.strength.profiles import each_profile, profile_sentences
@@ -137,14 +137,14 @@ def fit(
 
     def printed() -> None:
         if print_result(written, out, as_json):
-            errors = errors_line(explorer.prepared, candidate.errors)
+            errors = errors_line(fits.prepared, candidate.errors)
             apart = [agreement_sentence(trials), agreement_table(trials)] if trials else []
             show(*warning_lines(warnings), errors, model_table(model), *apart, *said)
 
     def page(path: Path) -> None:
         from cell.lab.report.report import profile_page, write_page
 
-        write_page(profile_page(explorer.prepared.study.name, found), path)
+        write_page(profile_page(fits.prepared.study.name, found), path)
 
     deliver(printed, *json_files(written, out, as_json), (profile if found else None, page))
     if interrupted:
@@ -166,7 +166,7 @@ def compare(
     report: ReportFile = None,
     force: Force = False,
 ) -> None:
-    """Compare models with every trial of a study: overlay, error, noise floor, where they fail.
+    """Compare models with every trial of a study: overlay, error, noise, where they fail.
 
     Of several, given in the order in which they were made, the errors stand side by side: how they
     fall as effects are added, and maps before and after.
@@ -233,18 +233,18 @@ def diagnose(
 
     with refusing(*results or [], report, force=force), working("diagnose") as progress:
         selection = select_for_diagnosis(effect or [], known or [])
-        explorer = _explorer(study, selection, prior, progress, config)
+        fits = _explorer(study, selection, prior, progress, config)
         gc.freeze()  # what is loaded stays: not looked through for garbage again and again
-        with stoppable(explorer.prepared.work.stop) as interrupted:
-            examination = with_limits(explorer, diagnose_study(explorer))
-            examination = with_agreement(explorer, examination)
-        steps = [explorer.prior_candidate(), *examination.steps[1:]]
+        with stoppable(fits.prepared.work.stop) as interrupted:
+            examination = with_limits(fits, diagnose_study(fits))
+            examination = with_agreement(fits, examination)
+        steps = [fits.prior_candidate(), *examination.steps[1:]]
         shown = steps if report else [steps[0], *steps[1:][-1:]]
-        comparisons = [compare_model(explorer.prepared.study, c.fit.model) for c in shown]
-        in_model = explorer.space.effects
+        comparisons = [compare_model(fits.prepared.study, c.fit.model) for c in shown]
+        in_model = fits.space.effects
         todo = advice(
             examination.diagnosis,
-            Paths.of(study, [*in_model, *explorer.library.values()]),
+            Paths.of(study, [*in_model, *fits.library.values()]),
             known=tuple(e.name for e in in_model),
             accepted=tuple(e.name for e in examination.accepted.effects if e not in in_model),
         )
@@ -259,7 +259,7 @@ def diagnose(
         from cell.lab.report.report import diagnosis_page, write_page
 
         fitted = examination.steps[-1].fit
-        model = identified(explorer.prepared, fitted, explorer.library.values())
+        model = identified(fits.prepared, fitted, fits.library.values())
         write_page(diagnosis_page(examination, comparisons, model, todo), path)
 
     deliver(printed, *json_files(data, *results or []), (report, page))
@@ -309,16 +309,16 @@ def discover(
     with refusing(out, as_json, force=force), working("discover") as progress:
         effect_name(out)
         selection = select_effects(effect or [])
-        explorer = _explorer(study, selection, prior, progress)
-        with stoppable(explorer.prepared.work.stop) as interrupted:
+        fits = _explorer(study, selection, prior, progress)
+        with stoppable(fits.prepared.work.stop) as interrupted:
             try:
-                discovery = discover_effect(explorer, out)
+                discovery = discover_effect(fits, out)
             except NothingFoundError as error:
                 if not interrupted:
                     raise
                 print(error)
                 raise typer.Exit(interrupted.code) from error
-    known = explorer.space.effects
+    known = fits.space.effects
     paths = Paths.of(study, known)
     paths = Paths(study, {**(paths.files or {}), discovery.effect: out})
     todo = after_discovery(
@@ -363,14 +363,14 @@ def suggest(
     with refusing(out, as_json, force=force), working("suggest") as progress:
         surroundings = Surroundings.read(config)
         selection = select_for_diagnosis(effect or [], known or [])
-        explorer = _explorer(study, selection, prior, progress, config)
-        with stoppable(explorer.prepared.work.stop) as interrupted:
-            diagnosed = diagnose_study(explorer)
+        fits = _explorer(study, selection, prior, progress, config)
+        with stoppable(fits.prepared.work.stop) as interrupted:
+            diagnosed = diagnose_study(fits)
         if interrupted:
             show(verdict_line(diagnosed.diagnosis), *warning_lines(diagnosed.diagnosis.warnings))
             raise typer.Exit(interrupted.code)
         with answering() as interrupted:
-            suggestion = suggest_motion(explorer, diagnosed, surroundings)
+            suggestion = suggest_motion(fits, diagnosed, surroundings)
         if interrupted:
             tell_notes(["not all motions were looked at: the best of those that were"])
     data = suggestion.to_json()
@@ -391,11 +391,11 @@ def study(
     force: Force = False,
 ) -> None:
     """Gather recorded cycles of one cable into a study."""
-    from cell.lab.data.gather import gather_into
+    from cell.lab.data.merge_studies import merge_into
 
     with refusing(), working("study"):
         check_new_study(out, force=force)
-        gathered, left_out = gather_into(out, runs)
+        gathered, left_out = merge_into(out, runs)
     tell_notes(gathered.notes)
     for line in left_out:
         print(f"left out: {line}", file=sys.stderr)
@@ -434,27 +434,27 @@ def _explorer(
     prior: Path | None,
     progress: Progress,
     config: Path | None = None,
-) -> Explorer:
+) -> FitCache:
     """A study made ready, with the model files and settings that the command line names.
 
     What is odd about the study is told.
     """
     from cell.lab.data.opened_study import open_study
-    from cell.lab.search.setup import explorer_of, read_kind, read_prior
+    from cell.lab.search.setup import fit_cache_of, read_kind, read_prior
     from cell.lab.search.wrong_samples import without_wrong_samples
 
     study = open_study(folder)
     tell_notes(study.notes)
-    explorer = explorer_of(
+    fits = fit_cache_of(
         study,
         selection,
         read_prior(prior, selection.own),
         progress,
         read_kind(config),
     )
-    explorer, more = without_wrong_samples(explorer)
+    fits, more = without_wrong_samples(fits)
     tell_notes(more)
-    return explorer
+    return fits
 
 
 def working(command: str) -> ProgressLine:

@@ -20,7 +20,7 @@ from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, Config, Interruption, answer
 if TYPE_CHECKING:
     from cell.lab.data.progress import Progress
     from cell.lab.line.gates import Judgement
-    from cell.lab.line.learn import Lesson
+    from cell.lab.line.learn import LearningResult
 
 app = group()
 
@@ -62,7 +62,7 @@ def learn(
     from cell.settings.line import other_lines
     from cell.settings.translate import cable_of, identification_of
 
-    known: list[Lesson] = []
+    known: list[LearningResult] = []
     more = Laws({}, ())
     with (
         refusing(out, _motion(out)),
@@ -107,7 +107,7 @@ def learn(
     raise typer.Exit(NOT_ALL_DONE)
 
 
-def _print(lesson: Lesson, judgement: Judgement, more: Sequence[str]) -> None:
+def _print(lesson: LearningResult, judgement: Judgement, more: Sequence[str]) -> None:
     """What was learned, what speaks for it, and more lines."""
     from cell.lab.report.lesson_tables import gates_table, lesson_lines, votes_table
 
@@ -121,7 +121,7 @@ def _print(lesson: Lesson, judgement: Judgement, more: Sequence[str]) -> None:
 
 @contextmanager
 def _so_far(
-    known: Sequence[Lesson], interrupted: Interruption, tidy_up: Callable[[], object]
+    known: Sequence[LearningResult], interrupted: Interruption, tidy_up: Callable[[], object]
 ) -> Iterator[None]:
     """Interrupted, it prints the last of what is known by then, and ends the command."""
     from cell.lab.report.lesson_tables import lesson_lines
@@ -163,10 +163,10 @@ def _measured(out: Path) -> Path:
 
 
 def _asking(
-    lesson: Lesson, config: Path, out: Path, again: str, progress: Progress
+    lesson: LearningResult, config: Path, out: Path, again: str, progress: Progress
 ) -> tuple[list[str], list[Delivery]]:
     """The motion that tells what these cycles cannot: the commands for it, and its file."""
-    from cell.lab.next.ask import MOST_ASKED, asked, motion_that_tells, worth_it
+    from cell.lab.next.next_motion import MOST_ASKED, asked, motion_that_tells, worth_it
     from cell.lab.next.suggest import write_motion
     from cell.settings.surroundings import Surroundings
 

@@ -25,7 +25,7 @@ class Noise:
     """Error of one coordinate of one marker: coloured in time, and constant within a trial.
 
     std_m        standard deviation in one frame, m
-    colour       correlation between neighbouring frames (AR(1) coefficient), 0 … <1
+    ar1          correlation between neighbouring frames (AR(1) coefficient), 0 … <1
     white        share of the variance that is new in every frame beside that, 0 … <1: of values
                  that are rounded, say
     bias_m       standard deviation of what is constant throughout a trial, m
@@ -34,7 +34,7 @@ class Noise:
     """
 
     std_m: float
-    colour: float = 0.0
+    ar1: float = 0.0
     bias_m: float = 0.0
     across_only: bool = False
     white: float = 0.0
@@ -42,8 +42,8 @@ class Noise:
     def __post_init__(self) -> None:
         if not (np.isfinite(self.std_m) and self.std_m > 0.0):
             raise ValueError(f"noise std is {self.std_m} m: must be finite and > 0")
-        if not 0.0 <= self.colour < 1.0:
-            raise ValueError(f"noise colour is {self.colour}: must be in [0, 1)")
+        if not 0.0 <= self.ar1 < 1.0:
+            raise ValueError(f"noise ar1 is {self.ar1}: must be in [0, 1)")
         if not 0.0 <= self.white < 1.0:
             raise ValueError(f"noise white is {self.white}: must be in [0, 1)")
         if not self.bias_m >= 0.0:
@@ -52,7 +52,7 @@ class Noise:
     @property
     def effective_fraction(self) -> float:
         """Independent values per value, when averaging: (1 − ρ) / (1 + ρ) of what is coloured."""
-        slow = (1.0 + self.colour) / (1.0 - self.colour)
+        slow = (1.0 + self.ar1) / (1.0 - self.ar1)
         return 1.0 / (self.white + (1.0 - self.white) * slow)
 
 
@@ -212,7 +212,7 @@ def _innovations(
     last_seen = np.maximum.accumulate(np.where(seen, frame, -1), axis=0)
     gap = frame[1:] - last_seen[:-1]
     memory = np.zeros(seen.shape)
-    memory[1:] = np.where(seen[1:] & (last_seen[:-1] >= 0), noise.colour**gap, 0.0)
+    memory[1:] = np.where(seen[1:] & (last_seen[:-1] >= 0), noise.ar1**gap, 0.0)
     gain = np.ones(seen.shape)
     if noise.white > 0.0:
         variance = innovation_variances(seen, memory, noise.white, gain)

@@ -138,7 +138,7 @@ def fit_as_paper(
     still = still[np.isfinite(still).all((1, 2))]
     if len(still) == 0:
         raise FitError("the cable is not seen at rest")
-    independent = len(still) * (1.0 - noise.colour) / (1.0 + noise.colour)
+    independent = len(still) * (1.0 - noise.ar1) / (1.0 + noise.ar1)
     node_std_m = noise.std_m / np.sqrt(max(1.0, independent))
     shape = still_shape(
         still.mean(0), float(trial.grip.angle_rad[0]), cable, gravity_m_per_s2, node_std_m

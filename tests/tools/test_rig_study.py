@@ -19,7 +19,7 @@ from cell.cable.geometry import Cable
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.report.tables import ASKED, sentence
-from cell.lab.search.explore import Explorer
+from cell.lab.search.fit_cache import FitCache
 from cell.lab.verdict.diagnose import diagnose
 
 TIED = frozenset({"camera_latency", "robot_lag"})
@@ -87,8 +87,8 @@ def test_a_complete_model_of_a_rig_with_erring_shapes_is_called_complete(seed):
         for n in ("air_drag", "natural_curvature")
         if n not in {e.name for e in space.effects}
     }
-    explorer = Explorer(PreparedStudy.of(study), space, tried)
-    assert diagnose(explorer).diagnosis.verdict == "complete"
+    fits = FitCache(PreparedStudy.of(study), space, tried)
+    assert diagnose(fits).diagnosis.verdict == "complete"
 
 
 @pytest.mark.parametrize(
@@ -104,8 +104,8 @@ def test_a_model_whose_trials_ask_for_an_effect_is_not_called_complete(seed, nam
     rig = rig_study.Rig.drawn(seed, name)
     study = rig_study.rig_study(rig, known[name].active(**values))
     tried = {n: known[n] for n in (name, "air_drag", "camera_roll")}
-    explorer = Explorer(PreparedStudy.of(study), ParameterSpace.of(study.cable), tried)
-    found = diagnose(explorer).diagnosis
+    fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), tried)
+    found = diagnose(fits).diagnosis
     assert found.verdict == "cannot_tell"
     assert [w.code for w in found.warnings] == ["possibly_omitted"]
     assert f"ask for {name}" in found.warnings[0].message
@@ -119,5 +119,5 @@ def test_a_known_ringing_is_fitted_at_its_own_frequency_by_a_slow_camera():
     hidden = ringing.active(amplitude_m=-4.01e-4, frequency_hz=10.21)
     study = rig_study.rig_study(rig, hidden)
     space = ParameterSpace.of(study.cable, effects=(ringing,))
-    fit = Explorer(PreparedStudy.of(study), space, {}).baseline().fit
+    fit = FitCache(PreparedStudy.of(study), space, {}).baseline().fit
     assert fit.model.effects[0].named["frequency_hz"] == pytest.approx(10.21, abs=0.3)

@@ -43,10 +43,10 @@ class NoiseUnknownError(ValueError):
 
 
 @dataclass(frozen=True)
-class Floor:
-    """The noise floor: what no model can explain, and how well that itself is known.
+class NoiseModel:
+    """The noise of the markers: what no model can explain, and how well that itself is known.
 
-    freedom   degrees of freedom behind the level; `inf` if the study states it
+    dof   degrees of freedom behind the level; `inf` if the study states it
     coloured  whether still frames have shown its colour
     together  channels that err together, as of markers taken from a fitted shape: so many values
               tell as much as one
@@ -57,9 +57,9 @@ class Floor:
     """
 
     noise: Noise
-    freedom: float
+    dof: float
     coloured: bool = True
-    together: float = 1.0
+    correlated_channels: float = 1.0
     rest: Rest | None = field(default=None, compare=False, repr=False)
     range_m: tuple[float, float] | None = None
     slow: float | None = None
@@ -68,7 +68,7 @@ class Floor:
     @property
     def stated(self) -> bool:
         """Whether the study states the level."""
-        return bool(np.isinf(self.freedom))
+        return bool(np.isinf(self.dof))
 
     @property
     def level_known(self) -> bool:
@@ -89,9 +89,11 @@ class Floor:
     @property
     def weighed(self) -> Noise:
         """Noise of independent markers that tell as much."""
-        if self.together == 1.0:
+        if self.correlated_channels == 1.0:
             return self.noise
-        return replace(self.noise, std_m=self.noise.std_m * float(np.sqrt(self.together)))
+        return replace(
+            self.noise, std_m=self.noise.std_m * float(np.sqrt(self.correlated_channels))
+        )
 
     @property
     def effective_fraction(self) -> float:
@@ -99,15 +101,15 @@ class Floor:
         return self.noise.effective_fraction
 
     @property
-    def slow_freedom(self) -> float:
+    def slow_dof(self) -> float:
         """Degrees of freedom behind the level of its slow part, which the colour decides.
 
         That level is the innovations' variance over (1 − ρ)²; the variance of ρ is (1 − ρ²) / n.
         """
-        return self.slow or self.freedom / (1.0 + 2.0 / self.effective_fraction)
+        return self.slow or self.dof / (1.0 + 2.0 / self.effective_fraction)
 
 
-def floor_of_residuals(floor: Floor, errors: Sequence[FloatArray]) -> Floor:
+def floor_of_residuals(noise_model: NoiseModel, errors: Sequence[FloatArray]) -> NoiseModel:
     """A stated floor with the correlations that a fitted model's residuals have.
 
     A study that states its error has it from elsewhere: from shapes fitted to pictures, say, which
@@ -120,23 +122,25 @@ def floor_of_residuals(floor: Floor, errors: Sequence[FloatArray]) -> Floor:
     """
     filled = [np.where(np.isfinite(e), e, 0.0) for e in errors]
     power = sum(float(np.sum(e * e)) for e in filled)
-    if not floor.stated or power == 0.0:
-        return floor
+    if not noise_model.stated or power == 0.0:
+        return noise_model
     pairs = [np.isfinite(e[1:]) & np.isfinite(e[:-1]) for e in errors]
     products = sum(float(np.sum((e[1:] * e[:-1])[p])) for e, p in zip(filled, pairs, strict=True))
     count, neighbours = (sum(int(x.sum()) for x in y) for y in (map(np.isfinite, errors), pairs))
     colour = float(np.clip(products / max(neighbours, 1) * count / power, 0.0, MAX_COLOUR))
-    if floor.coloured:
-        colour = min(colour, floor.noise.colour)
+    if noise_model.coloured:
+        colour = min(colour, noise_model.noise.ar1)
     channels = np.sum([e.T @ e for e in filled], axis=0)
     there = int(np.count_nonzero(np.diag(channels)))
     frames = count / there * (1.0 - colour**2) / (1.0 + colour**2)
     alike = float(np.sum(channels**2)) / power**2 - 1.0 / frames
     together = float(np.clip(there * alike, 1.0, there))
-    return replace(floor, noise=replace(floor.noise, colour=colour), together=together)
+    return replace(
+        noise_model, noise=replace(noise_model.noise, ar1=colour), correlated_channels=together
+    )
 
 
-def noise_floor(study: Study) -> Floor:
+def noise_floor(study: Study) -> NoiseModel:
     """Noise floor of a study, from the frames before anything moves, all markers together.
 
     Restricted maximum likelihood of level and AR(1) correlation; each coordinate of each trial has
@@ -152,12 +156,12 @@ def noise_floor(study: Study) -> Floor:
                 f"study {study.name}: no trial has {MIN_STILL_FRAMES} frames before the hand "
                 "moves, so the camera's noise is unknown; give noise_std_m in study.yaml"
             )
-        return Floor(Noise(study.noise_std_m), np.inf, coloured=False)
+        return NoiseModel(Noise(study.noise_std_m), np.inf, coloured=False)
     rest = Rest.of(blocks, _resolution_m(study))
-    found, freedom = rest.likeliest()
+    found, dof = rest.likeliest()
     if study.noise_std_m is None:
-        return Floor(found, freedom, rest=rest)
-    return Floor(Noise(study.noise_std_m, found.colour), np.inf)
+        return NoiseModel(found, dof, rest=rest)
+    return NoiseModel(Noise(study.noise_std_m, found.ar1), np.inf)
 
 
 @dataclass(frozen=True)
@@ -219,11 +223,11 @@ class Rest:
     def likeliest(self) -> tuple[Noise, float]:
         """Level and colour, by the rest alone, and the degrees of freedom behind the level."""
         colour = self._colour()
-        square, freedom, _ = self.sums(colour)
-        std_m = max(float(np.sqrt(square / freedom)), 1e-12)
+        square, dof, _ = self.sums(colour)
+        std_m = max(float(np.sqrt(square / dof)), 1e-12)
         if self.is_hidden(std_m):
-            return Noise(self.resolution_m / np.sqrt(12.0)), float(freedom)
-        return Noise(std_m, colour), float(freedom)
+            return Noise(self.resolution_m / np.sqrt(12.0)), float(dof)
+        return Noise(std_m, colour), float(dof)
 
     def is_hidden(self, std_m: float) -> bool:
         """Whether values are rounded so much that a cable at rest does not show their error."""
@@ -239,22 +243,22 @@ class Rest:
     def allowed(self, noises: Sequence[tuple[float, float]]) -> Allowed:
         """The levels that the rest allows with each of some colours and white shares."""
         sums = np.array([self.sums(colour, white) for colour, white in noises])
-        square, freedom, fixed = sums.T
-        level = np.maximum(square / freedom, 1e-24)
+        square, dof, fixed = sums.T
+        level = np.maximum(square / dof, 1e-24)
         if self.is_hidden(float(np.sqrt(level.min()))):
-            once_m2 = 0.25 * self.resolution_m**2 / freedom  # a value that changed a step once
+            once_m2 = 0.25 * self.resolution_m**2 / dof  # a value that changed a step once
             nothing = np.zeros(len(noises))
             likeliest = np.full(len(noises), level.min()) + once_m2
             return Allowed(
-                likeliest, nothing, nothing, nothing, float(freedom[0]), self.resolution_m, True
+                likeliest, nothing, nothing, nothing, float(dof[0]), self.resolution_m, True
             )
-        profile = freedom * np.log(level) + fixed
+        profile = dof * np.log(level) + fixed
         unlikely = profile - profile.min()
-        return Allowed(level, unlikely, square, fixed, float(freedom[0]), self.resolution_m)
+        return Allowed(level, unlikely, square, fixed, float(dof[0]), self.resolution_m)
 
     def sums(self, colour: float, white: float = 0.0) -> tuple[float, int, float]:
         """Innovations' square, its degrees of freedom, and log determinants, for a noise."""
-        square, freedom, log_det = 0.0, 0, 0.0
+        square, dof, log_det = 0.0, 0, 0.0
         for block in self.blocks:
             frames, series = block.z_m.shape
             u = np.linspace(-1.0, 1.0, frames)
@@ -262,13 +266,13 @@ class Rest:
             z, of_frames = _white(block.z_m, colour, white)
             q, r = np.linalg.qr(powers)
             square += float(np.sum((z - q @ (q.T @ z)) ** 2))
-            freedom += (frames - self.degree - 1) * series
+            dof += (frames - self.degree - 1) * series
             log_det += of_frames + 2.0 * series * float(np.log(np.abs(np.diag(r))).sum())
-        return square, freedom, log_det
+        return square, dof, log_det
 
     def _restricted(self, colour: float) -> float:
-        square, freedom, log_det = self.sums(colour)
-        return freedom * float(np.log(max(square, 1e-300))) + log_det
+        square, dof, log_det = self.sums(colour)
+        return dof * float(np.log(max(square, 1e-300))) + log_det
 
     def _colour(self) -> float:
         found = where_least(self._restricted, 0.0, MAX_COLOUR, within=1e-5)
@@ -288,11 +292,11 @@ class Remainder:
     """What of a residual neither fitted parameters nor any effect could explain, in motion.
 
     errors_m  per trial (times, channels), nan where not seen or at rest
-    freedom   values less what was taken out of them
+    dof   values less what was taken out of them
     """
 
     errors_m: tuple[FloatArray, ...]
-    freedom: float
+    dof: float
 
     def sums(self, noises: Sequence[tuple[float, float]]) -> tuple[FloatArray, FloatArray]:
         """Of colours and white shares the innovations' square, m², and their log determinant."""
@@ -303,7 +307,7 @@ class Remainder:
             series = np.ascontiguousarray(np.where(seen, error, 0.0))
             for i, (colour, white) in enumerate(noises):
                 found[i] += _innovation_sums(series, seen, colour, white)
-        return found[:, 0], found[:, 1] * self.freedom / max(count, 1)
+        return found[:, 0], found[:, 1] * self.dof / max(count, 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -311,7 +315,7 @@ class Allowed:
     """Levels that a rest allows, for each of some colours and white shares.
 
     level_m2   likeliest variance; −2 ln of its likelihood is `unlikely` above that of the best
-    square_m2, fixed   −2 ln of the likelihood of a variance v is freedom · ln v + square / v +
+    square_m2, fixed   −2 ln of the likelihood of a variance v is dof · ln v + square / v +
                        fixed
     hidden     rounding hides the error from a cable at rest: what is seen bounds it, no more
     """
@@ -320,14 +324,14 @@ class Allowed:
     unlikely: FloatArray
     square_m2: FloatArray
     fixed: FloatArray
-    freedom: float
+    dof: float
     resolution_m: float
     hidden: bool = False
 
     @property
     def weight(self) -> float:
         """Values that the rest's likelihood is worth beside others'."""
-        return 0.0 if self.hidden else self.freedom
+        return 0.0 if self.hidden else self.dof
 
     def within(self, limit: float) -> tuple[FloatArray, FloatArray]:
         """Least and largest variance with a likelihood ratio below a limit, m².
@@ -337,7 +341,7 @@ class Allowed:
         source  Wilks 1938; u − ln u = 1 + k is solved by Lambert's W
         """
         of_rounding = self.resolution_m**2 / 12.0
-        slack = (limit - self.unlikely) / self.freedom
+        slack = (limit - self.unlikely) / self.dof
         inside = -np.exp(-1.0 - np.maximum(slack, 0.0))
         least, largest = (self.level_m2 / -lambertw(inside, k).real for k in (-1, 0))
         least = np.maximum(0.0 if self.hidden else least, of_rounding)
@@ -352,7 +356,7 @@ class Allowed:
         return float(np.sqrt(least[there].min())), float(np.sqrt(largest[there].max()))
 
 
-def floor_of_all_frames(floor: Floor, remainder: Remainder) -> Floor:
+def floor_of_all_frames(noise_model: NoiseModel, remainder: Remainder) -> NoiseModel:
     """The noise, of all that the rest allows, that explains rest and remainder best.
 
     Few still frames leave level and colour uncertain, and a noise taken for known that is not makes
@@ -360,45 +364,45 @@ def floor_of_all_frames(floor: Floor, remainder: Remainder) -> Floor:
     within what the rest allows, and what goes beyond that is no noise.
     source  Berger and Boos 1994, J. Am. Stat. Assoc. 89, 1012: nuisances within a confidence set
     """
-    if floor.rest is None:
-        return floor
-    noises = floor.rest.noises
-    rest = floor.rest.allowed(noises)
+    if noise_model.rest is None:
+        return noise_model
+    noises = noise_model.rest.noises
+    rest = noise_model.rest.allowed(noises)
     least, largest = rest.within(ALLOWED)
     moving_m2, log_det = remainder.sums(noises)
-    square, freedom = rest.square_m2 + moving_m2, rest.weight + remainder.freedom
-    wanted = square / max(freedom, 1.0)
+    square, dof = rest.square_m2 + moving_m2, rest.weight + remainder.dof
+    wanted = square / max(dof, 1.0)
     level = np.clip(wanted, least, np.maximum(largest, least))
-    cost = freedom * np.log(level) + square / level + rest.fixed + log_det
+    cost = dof * np.log(level) + square / level + rest.fixed + log_det
     cost = np.where(least <= largest, cost, np.inf)
     best = int(np.argmin(cost))
     colour, white = noises[best]
     noise = Noise(float(np.sqrt(level[best])), colour, white=white)
     if not least[best] <= wanted[best] <= largest[best]:
-        freedom = floor.freedom
+        dof = noise_model.dof
     slow = None
     if len(noises) > len(COLOURS):
         fractions = np.array([Noise(1.0, *n[:1], white=n[1]).effective_fraction for n in noises])
-        slow = _freedom_of(np.log(level / fractions), cost, freedom)
-    told = replace(floor, range_m=rest.range_m, hidden=rest.hidden)
-    if _alike(noise, floor.noise):
+        slow = _freedom_of(np.log(level / fractions), cost, dof)
+    told = replace(noise_model, range_m=rest.range_m, hidden=rest.hidden)
+    if _alike(noise, noise_model.noise):
         return told
-    return replace(told, noise=noise, freedom=freedom, slow=slow)
+    return replace(told, noise=noise, dof=dof, slow=slow)
 
 
-def _freedom_of(log_level: FloatArray, cost: FloatArray, freedom: float) -> float:
+def _freedom_of(log_level: FloatArray, cost: FloatArray, dof: float) -> float:
     """Degrees of freedom behind a level that is as uncertain as noises of such a cost leave it."""
     likely = cost < cost.min() + 2.0 * ALLOWED
     weight = np.exp(-0.5 * (cost[likely] - cost.min()))
     weight /= weight.sum()
     mean = float(weight @ log_level[likely])
-    variance = float(weight @ (log_level[likely] - mean) ** 2) + 2.0 / max(freedom, 1.0)
+    variance = float(weight @ (log_level[likely] - mean) ** 2) + 2.0 / max(dof, 1.0)
     return 2.0 / variance
 
 
 def _alike(one: Noise, other: Noise) -> bool:
     level = abs(np.log(one.std_m / other.std_m))
-    colour = abs(np.log((1.0 - one.colour) / (1.0 - other.colour)))
+    colour = abs(np.log((1.0 - one.ar1) / (1.0 - other.ar1)))
     return bool(max(level, colour) < UNCHANGED)
 
 

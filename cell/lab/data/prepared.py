@@ -12,8 +12,8 @@ from cell.cable.model import CableModel
 from cell.cable.solver import Solver
 from cell.identify.fit import Lane, predict_lanes
 from cell.identify.noise import Noise, Whitener, still_frames
-from cell.lab.data.beginnings import Beginning, beginning_of
-from cell.lab.data.noise_floor import Floor, floor_of_residuals, noise_floor
+from cell.lab.data.noise_floor import NoiseModel, floor_of_residuals, noise_floor
+from cell.lab.data.unknown_start import InitialState, initial_state_of
 from cell.study.data import Study, Trial
 
 FloatArray = NDArray[np.float64]
@@ -60,7 +60,7 @@ class Work:
 
 @dataclass(frozen=True, eq=False)
 class PreparedStudy:
-    """A study, its noise floor, and what whitens its trials.
+    """A study, its noise, and what whitens its trials.
 
     work   what has been simulated of it
     noise  used for whitening: the floor's, or larger where an earlier individual's model is known
@@ -73,7 +73,7 @@ class PreparedStudy:
     """
 
     study: Study
-    floor: Floor
+    noise_model: NoiseModel
     noise: Noise
     whiteners: dict[str, Whitener]
     solver: Solver
@@ -97,35 +97,47 @@ class PreparedStudy:
         raises  NoiseUnknownError
         """
         study = placed(study)
-        floor = noise_floor(study)
-        noise = misfit if misfit and misfit.std_m > ERRS * floor.noise.std_m else floor.noise
+        noise_model = noise_floor(study)
+        noise = (
+            misfit
+            if misfit and misfit.std_m > ERRS * noise_model.noise.std_m
+            else noise_model.noise
+        )
         whiteners = {t.name: Whitener(t.markers.xy_m, noise) for t in study.trials}
-        return PreparedStudy(study, floor, noise, whiteners, solver or SOLVER, work or Work())
+        return PreparedStudy(study, noise_model, noise, whiteners, solver or SOLVER, work or Work())
 
     @property
     def noise_is_measured(self) -> bool:
         """Whether the noise is the measurement's own, not an earlier model's error."""
-        return self.noise == self.floor.weighed
+        return self.noise == self.noise_model.weighed
 
     @property
     def expected(self) -> Noise:
         """What a right model leaves: the measurement's noise or an earlier model's error."""
-        return self.floor.noise if self.noise_is_measured else self.noise
+        return self.noise_model.noise if self.noise_is_measured else self.noise
 
     def judged_by(self, errors: Sequence[FloatArray]) -> PreparedStudy:
         """The same with the correlations of a stated error as a model's residuals have them.
 
         errors  per trial (times, channels), m, nan where not seen
         """
-        floor = floor_of_residuals(self.floor, errors) if self.noise_is_measured else self.floor
-        return self if floor == self.floor else self.with_floor(floor)
+        noise_model = (
+            floor_of_residuals(self.noise_model, errors)
+            if self.noise_is_measured
+            else self.noise_model
+        )
+        return self if noise_model == self.noise_model else self.with_floor(noise_model)
 
-    def with_floor(self, floor: Floor) -> PreparedStudy:
+    def with_floor(self, noise_model: NoiseModel) -> PreparedStudy:
         """The same, whitened for another noise of the measurement."""
-        if floor.weighed == self.noise:
-            return replace(self, floor=floor)
-        whiteners = {t.name: Whitener(t.markers.xy_m, floor.weighed) for t in self.study.trials}
-        return replace(self, floor=floor, noise=floor.weighed, whiteners=whiteners)
+        if noise_model.weighed == self.noise:
+            return replace(self, noise_model=noise_model)
+        whiteners = {
+            t.name: Whitener(t.markers.xy_m, noise_model.weighed) for t in self.study.trials
+        }
+        return replace(
+            self, noise_model=noise_model, noise=noise_model.weighed, whiteners=whiteners
+        )
 
     @property
     def measured(self) -> Study:
@@ -138,36 +150,38 @@ class PreparedStudy:
         ]
         return replace(self.study, trials=tuple(trials))
 
-    def beginning(self, trial: Trial) -> Beginning:
+    def beginning(self, trial: Trial) -> InitialState:
         """What is unknown of how a trial begins."""
-        return beginning_of(trial, self.study.cable, self.study.gravity_m_per_s2)
+        return initial_state_of(trial, self.study.cable, self.study.gravity_m_per_s2)
 
     def predict(
-        self, trial: Trial, models: Sequence[CableModel], begun: FloatArray | None = None
+        self, trial: Trial, models: Sequence[CableModel], initial_states: FloatArray | None = None
     ) -> FloatArray:
         """(lanes, times, markers, 2) where models put a trial's markers, m; nan where they cannot.
 
-        begun  (lanes, unknowns) of the trial's beginning.  While a release is late the hand stands
-               still, so that everything happens later by as much.
+        initial_states  (lanes, unknowns) of the trial.  While a release is late the hand stands
+            still, so that everything happens later by as much.
         """
-        known = None if begun is None else {trial.name: begun}
+        known = None if initial_states is None else {trial.name: initial_states}
         return self.predict_all([trial], models, known)[0]
 
     def predict_all(
         self,
         trials: Sequence[Trial],
         models: Sequence[CableModel],
-        begun: Mapping[str, FloatArray] | None = None,
+        initial_states: Mapping[str, FloatArray] | None = None,
     ) -> list[FloatArray]:
         """The same of several trials; all lanes of those that begin alike go into one batch.
 
-        begun  by trial, 0 where none is given
+        initial_states  by trial, 0 where none is given
         """
         alike: dict[object, list[tuple[str, int, Lane]]] = {}
         for trial in trials:
             t_s, beginning = trial.markers.t_s, self.beginning(trial)
             self.work.add(len(models), float(t_s[-1] - t_s[0]), self.counted or self.solver)
-            unknown = (begun or {}).get(trial.name, np.zeros((len(models), beginning.count)))
+            unknown = (initial_states or {}).get(
+                trial.name, np.zeros((len(models), beginning.count))
+            )
             late = beginning.delay_s(unknown)
             times = {float(d): t_s - d for d in np.unique(late)}
             for number, (model, d) in enumerate(zip(models, late, strict=True)):
@@ -195,10 +209,10 @@ class PreparedStudy:
         self,
         trials: Sequence[Trial],
         models: Sequence[CableModel],
-        begun: Mapping[str, FloatArray] | None = None,
+        initial_states: Mapping[str, FloatArray] | None = None,
     ) -> FloatArray:
         """(lanes, rows) whitened residuals of what models predict of all the trials."""
-        predicted = self.predict_all(trials, models, begun)
+        predicted = self.predict_all(trials, models, initial_states)
         parts = [self.white(t, points) for t, points in zip(trials, predicted, strict=True)]
         return np.concatenate(parts, axis=1)
 
@@ -210,14 +224,14 @@ class PreparedStudy:
         self,
         trials: Sequence[Trial],
         models: Sequence[CableModel],
-        begun: Mapping[str, FloatArray] | None = None,
+        initial_states: Mapping[str, FloatArray] | None = None,
     ) -> FloatArray:
         """As `all_white`, of models near the first: only the differences from it count."""
         if self.slopes is not None:
-            white = self.coarser(self.slopes).all_white(trials, models, begun)
+            white = self.coarser(self.slopes).all_white(trials, models, initial_states)
             if np.all(np.isfinite(white[0])):
                 return white
-        return self.all_white(trials, models, begun)
+        return self.all_white(trials, models, initial_states)
 
     def count(self, trials: Sequence[Trial]) -> int:
         """Coordinates seen in trials."""

@@ -17,7 +17,7 @@ from cell.identify.gauss_newton import Solution
 from cell.identify.gaussian import covariance_root, marginal_chi2
 from cell.identify.parameters import ParameterSpace, Prior
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.fit.first_look import first_look
+from cell.lab.fit.initial_state import estimate_initial_states
 from cell.lab.statistics.series import overall
 from cell.study.data import Trial
 
@@ -29,21 +29,21 @@ class Fit:
     """A model fitted to the fit trials.
 
     q          (p,) coordinates of `space`
-    begun      unknowns of each fit trial's beginning, where it has any
+    initial_states      unknowns of each fit trial's beginning, where it has any
     solution   of the minimiser; its coordinates are q, then these unknowns
     chi2       whitened square residuals; objective adds the prior's
     rms_m      per coordinate
-    begun_std  of the prior of all these unknowns
+    initial_state_std  of the prior of all these unknowns
     """
 
     space: ParameterSpace
     q: FloatArray
-    begun: dict[str, FloatArray]
+    initial_states: dict[str, FloatArray]
     solution: Solution
     chi2: float
     objective: float
     rms_m: float
-    begun_std: FloatArray = field(default_factory=lambda: np.zeros(0))
+    initial_state_std: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     @property
     def model(self) -> CableModel:
@@ -105,35 +105,37 @@ def fit_model(
     prepared: PreparedStudy,
     space: ParameterSpace,
     start: FloatArray,
-    begun: Mapping[str, FloatArray] | None = None,
+    initial_states: Mapping[str, FloatArray] | None = None,
     *,
     trials: Sequence[Trial] | None = None,
-    temper: float = 1.0,
+    residual_scale: float = 1.0,
     options: gauss_newton.Options = gauss_newton.Options(tolerance=0.03),  # noqa: B008
     from_far: bool = False,
 ) -> Fit:
     """Fit near `start`, with what is unknown of the trials' beginnings as further unknowns.
 
-    begun   where to begin with these, as of an earlier fit
+    initial_states   where to begin with these, as of an earlier fit
     trials  default: the `fit` trials
-    temper  residuals are divided by it: where a model cannot fit, the prior then still keeps its
-            parameters plausible
+    residual_scale  residuals are divided by it: where a model cannot fit, the prior then still
+            keeps its parameters plausible
     from_far  the way is long: it is gone with the simulations that slopes are taken of, if there
             are any, and only its end looked for with the study's own
     raises  ValueError: the model cannot be simulated at the start
     """
     trials = fit_trials(prepared) if trials is None else trials
     p, std = len(space.names), _joined([prepared.beginning(t).std for t in trials])
-    problem = problem_of(prepared, space, trials, temper)
-    begin = _nearer_beginning(prepared, space, trials, start, begun or {})
+    problem = problem_of(prepared, space, trials, residual_scale)
+    begin = _nearer_beginning(prepared, space, trials, start, initial_states or {})
     solution = None
     if from_far and prepared.slopes is not None:
-        coarse = problem_of(prepared.coarser(prepared.slopes), space, trials, temper)
+        coarse = problem_of(prepared.coarser(prepared.slopes), space, trials, residual_scale)
         solution = _minimised_in_two(coarse, problem, begin, options)
     if solution is None:
         solution = gauss_newton.minimise(problem, begin, options)
     solution = replace(
-        solution, residual=solution.residual * temper, jacobian=solution.jacobian * temper
+        solution,
+        residual=solution.residual * residual_scale,
+        jacobian=solution.jacobian * residual_scale,
     )
     q, found = solution.q[:p], by_trial(prepared, trials, solution.q[None, p:])
     predicted = prepared.predict_all(trials, [space.model(q)], found)
@@ -168,11 +170,14 @@ def _minimised_in_two(
 
 
 def problem_of(
-    prepared: PreparedStudy, space: ParameterSpace, trials: Sequence[Trial], temper: float = 1.0
+    prepared: PreparedStudy,
+    space: ParameterSpace,
+    trials: Sequence[Trial],
+    residual_scale: float = 1.0,
 ) -> gauss_newton.Problem:
     """What a fit minimises: over the cable's coordinates, then the trials' beginnings.
 
-    temper  residuals are divided by it
+    residual_scale  residuals are divided by it
     """
     unknown = [prepared.beginning(t) for t in trials]
     p, std = len(space.names), _joined([b.std for b in unknown])
@@ -185,10 +190,10 @@ def problem_of(
         near = prepared.coarser(prepared.slopes)
 
         def slopes(q: FloatArray) -> FloatArray:
-            return residuals(near, space, trials, q) / temper
+            return residuals(near, space, trials, q) / residual_scale
 
     return gauss_newton.Problem(
-        residuals=lambda q: residuals(prepared, space, trials, q) / temper,
+        residuals=lambda q: residuals(prepared, space, trials, q) / residual_scale,
         slopes=slopes,
         mean=np.concatenate([space.mean, np.zeros(len(std))]),
         precision=precision,
@@ -225,7 +230,7 @@ def _nearer_beginning(
 
     Those of trials that begin bent belong to a model; the set that leaves less is taken.
     """
-    looked = first_look(prepared, trials, [space.model(start)])
+    looked = estimate_initial_states(prepared, trials, [space.model(start)])
     given = {t.name: known.get(t.name, looked[t.name][0]) for t in trials}
     if not known or not any(t.bent for t in trials):
         return np.concatenate([start, *given.values()])
@@ -248,10 +253,10 @@ def residuals(
         return _each_once(prepared, space, trials, q)
     models = [space.model(row) for row in q[:, :p]]
     if q.shape[1] > p or not any(t.bent for t in trials):
-        begun = by_trial(prepared, trials, q[:, p:]) if q.shape[1] > p else {}
+        initial_states = by_trial(prepared, trials, q[:, p:]) if q.shape[1] > p else {}
     else:
-        begun = first_look(prepared, trials, models)
-    return prepared.all_white(trials, models, begun)
+        initial_states = estimate_initial_states(prepared, trials, models)
+    return prepared.all_white(trials, models, initial_states)
 
 
 def _each_once(
@@ -259,9 +264,9 @@ def _each_once(
 ) -> FloatArray:
     """The same; lanes that differ in how another trial begins are simulated once in each trial."""
     p = len(space.names)
-    begun, parts = by_trial(prepared, trials, q[:, p:]), []
+    initial_states, parts = by_trial(prepared, trials, q[:, p:]), []
     for trial in trials:
-        own = begun.get(trial.name, q[:, :0])
+        own = initial_states.get(trial.name, q[:, :0])
         rows, lane = np.unique(np.hstack([q[:, :p], own]), axis=0, return_inverse=True)
         models = [space.model(row) for row in rows[:, :p]]
         parts.append(prepared.white(trial, prepared.predict(trial, models, rows[:, p:]))[lane])
@@ -317,12 +322,14 @@ def heldout_rows(prepared: PreparedStudy, fit: Fit) -> HeldoutRows:
     space, p = fit.space, len(fit.q)
     steps = space.difference_steps(fit.q)
     lanes = [space.model(q) for q in difference_points(fit.q, steps)]
-    begun, more = _begun_and_moved(prepared, fit.model, trials, len(lanes))
+    initial_states, more = _begun_and_moved(prepared, fit.model, trials, len(lanes))
     lanes += [fit.model] * more
-    here = prepared.predict_all(trials, lanes[:1], {n: rows[:1] for n, rows in begun.items()})
+    here = prepared.predict_all(
+        trials, lanes[:1], {n: rows[:1] for n, rows in initial_states.items()}
+    )
     predicted = {t.name: points[0] for t, points in zip(trials, here, strict=True)}
     rows = [prepared.white(t, points)[0] for t, points in zip(trials, here, strict=True)]
-    near = prepared.white_near(trials, lanes, begun)
+    near = prepared.white_near(trials, lanes, initial_states)
     sensitivity = np.asarray((near[1 : p + 1] - near[0]).T / steps)
     spread = sensitivity @ covariance_root(fit.covariance)
     if more:
@@ -332,7 +339,7 @@ def heldout_rows(prepared: PreparedStudy, fit: Fit) -> HeldoutRows:
     return HeldoutRows(predicted, np.concatenate(rows), ends, sensitivity, spread)
 
 
-def visible(prepared: PreparedStudy, fit: Fit, effect: type[Effect]) -> float:
+def heldout_log_lr(prepared: PreparedStudy, fit: Fit, effect: type[Effect]) -> float:
     """ln of how much likelier the held-out trials must be with an effect of the fit than without.
 
     By the effect itself: it is switched off and all else left as fitted, but for what the fit
@@ -345,10 +352,13 @@ def visible(prepared: PreparedStudy, fit: Fit, effect: type[Effect]) -> float:
     rest = [i for i in range(p) if i not in own]
     off = extended(fit, space, effect, np.array([q.default for q in effect.parameters]))
     lanes = [space.model(q) for q in (*difference_points(fit.q, steps), off)]
-    begun, more = _begun_and_moved(prepared, fit.model, trials, len(lanes))
+    initial_states, more = _begun_and_moved(prepared, fit.model, trials, len(lanes))
     if not any(t.bent for t in trials):
-        begun, more = {name: rows[: len(lanes)] for name, rows in begun.items()}, 0
-    white = prepared.white_near(trials, [*lanes, *[fit.model] * more], begun)
+        initial_states, more = (
+            {name: rows[: len(lanes)] for name, rows in initial_states.items()},
+            0,
+        )
+    white = prepared.white_near(trials, [*lanes, *[fit.model] * more], initial_states)
     moved, white = white[len(lanes) :], white[: len(lanes)]
     if not (np.all(np.isfinite(white[:-1])) and np.all(np.isfinite(moved))):
         return 0.0
@@ -375,13 +385,13 @@ def _begun_and_moved(
     """
     beginnings = [(t, b) for t in trials if (b := prepared.beginning(t)).count]
     more = max((b.count for _, b in beginnings), default=0)
-    begun = {}
+    initial_states = {}
     for trial, beginning in beginnings:
-        rows = np.tile(best_begun(prepared, model, trial), (lanes + more, 1))
+        rows = np.tile(best_initial_state(prepared, model, trial), (lanes + more, 1))
         for i, step in enumerate(beginning.step):
             rows[lanes + i, i] += step
-        begun[trial.name] = rows
-    return begun, more
+        initial_states[trial.name] = rows
+    return initial_states, more
 
 
 def _spread_of_beginning(prepared: PreparedStudy, trial: Trial, moved: FloatArray) -> FloatArray:
@@ -459,7 +469,7 @@ def pinned(space: ParameterSpace, q: FloatArray) -> ParameterSpace:
     return replace(space, mean=q, low=q.copy(), high=q.copy())
 
 
-def best_begun(prepared: PreparedStudy, model: CableModel, trial: Trial) -> FloatArray:
+def best_initial_state(prepared: PreparedStudy, model: CableModel, trial: Trial) -> FloatArray:
     """(unknowns,) of one trial's beginning, the model given; as noted if it cannot be simulated."""
     beginning = prepared.beginning(trial)
     problem = gauss_newton.Problem(
@@ -472,7 +482,7 @@ def best_begun(prepared: PreparedStudy, model: CableModel, trial: Trial) -> Floa
     )
     if beginning.count == 0:
         return np.zeros(0)
-    start = first_look(prepared, [trial], [model])[trial.name][0]
+    start = estimate_initial_states(prepared, [trial], [model])[trial.name][0]
     try:
         return gauss_newton.minimise(problem, start).q
     except ValueError:

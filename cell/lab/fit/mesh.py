@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from cell.cable.solver import Solver
 from cell.identify.noise import Whitener
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.fit.fitting import Fit, best_begun
+from cell.lab.fit.fitting import Fit, best_initial_state
 
 FloatArray = NDArray[np.float64]
 
@@ -40,11 +40,12 @@ def as_its_mesh_shows(prepared: PreparedStudy, fit: Fit) -> PreparedStudy:
     source  deferred correction with Richardson's extrapolation (Stetter 1978, Numer. Math. 29, 425)
     """
     trials = prepared.study.trials
-    begun = {
-        t.name: fit.begun.get(t.name, best_begun(prepared, fit.model, t))[None] for t in trials
+    initial_states = {
+        t.name: fit.initial_states.get(t.name, best_initial_state(prepared, fit.model, t))[None]
+        for t in trials
     }
-    here = prepared.predict_all(trials, [fit.model], begun)
-    there = finer(prepared).predict_all(trials, [fit.model], begun)
+    here = prepared.predict_all(trials, [fit.model], initial_states)
+    there = finer(prepared).predict_all(trials, [fit.model], initial_states)
     moved, shown = dict(prepared.mesh_m), []
     for trial, coarse, fine in zip(trials, here, there, strict=True):
         error_m = (1.0 + LEFT) * (fine[0] - coarse[0])

@@ -108,8 +108,10 @@ def changes(prepared: PreparedStudy, fit: Fit, active: Sequence[ActiveEffect]) -
     """(effects, rows) whitened change of the fit trials' markers by each effect alone."""
     model = fit.model
     models = [model, *(_with(model, a) for a in active)]
-    begun = {name: np.tile(values, (len(models), 1)) for name, values in fit.begun.items()}
-    white = prepared.white_near(fit_trials(prepared), models, begun)
+    initial_states = {
+        name: np.tile(values, (len(models), 1)) for name, values in fit.initial_states.items()
+    }
+    white = prepared.white_near(fit_trials(prepared), models, initial_states)
     return np.asarray(white[0] - white[1:])
 
 
@@ -184,6 +186,8 @@ def prior_root(fit: Fit) -> FloatArray:
     p, rows = len(fit.q), len(fit.solution.q)
     precision = np.zeros((rows, rows))
     precision[:p, :p] = fit.space.precision
-    if any(len(b) > 1 for b in fit.begun.values()):  # modes have a prior; a delay alone is free
-        precision[p:, p:] = np.diag(1.0 / fit.begun_std**2)
+    if any(
+        len(b) > 1 for b in fit.initial_states.values()
+    ):  # modes have a prior; a delay alone is free
+        precision[p:, p:] = np.diag(1.0 / fit.initial_state_std**2)
     return np.asarray(covariance_root(precision).T)

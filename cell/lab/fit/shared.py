@@ -33,10 +33,10 @@ PASSES = gauss_newton.Options(tolerance=0.3, most_passes=10, least_gain=1e-3, up
 
 def prepared_cycle(study: Study, work: Work | None = None) -> PreparedStudy:
     """A cycle's study made ready, its simulations counted as `work`.  Raises NoiseUnknownError."""
-    floor = noise_floor(study)
-    noise = replace(floor.noise, bias_m=BIAS_M)
+    noise_model = noise_floor(study)
+    noise = replace(noise_model.noise, bias_m=BIAS_M)
     whiteners = {t.name: Whitener(t.markers.xy_m, noise) for t in study.trials}
-    return PreparedStudy(study, floor, noise, whiteners, SOLVER, work or Work())
+    return PreparedStudy(study, noise_model, noise, whiteners, SOLVER, work or Work())
 
 
 def simulated_s(cable: PreparedStudy) -> float:
@@ -161,7 +161,7 @@ class Spread:
 
     tau: float
     q: float
-    freedom: int
+    dof: int
     p_value: float
 
     @staticmethod
@@ -171,12 +171,12 @@ class Spread:
         source  restricted maximum likelihood by fixed-point iteration: Viechtbauer 2005, J. Educ.
                 Behav. Stat. 30, 261; Q: Cochran 1954, Biometrics 10, 101
         """
-        v, freedom = std**2, len(values) - 1
-        if freedom < 1:
+        v, dof = std**2, len(values) - 1
+        if dof < 1:
             return Spread(0.0, 0.0, 0, 1.0)
         w = 1.0 / v
         q = float(np.sum(w * (values - np.average(values, weights=w)) ** 2))
-        tau2 = max(0.0, (q - freedom) / float(w.sum() - (w**2).sum() / w.sum()))
+        tau2 = max(0.0, (q - dof) / float(w.sum() - (w**2).sum() / w.sum()))
         for _ in range(100):
             w = 1.0 / (v + tau2)
             mean = np.average(values, weights=w)
@@ -184,7 +184,7 @@ class Spread:
             if abs(max(0.0, fit) - tau2) < 1e-9 * float(v.mean()):
                 break
             tau2 = max(0.0, fit)
-        return Spread(float(np.sqrt(tau2)), q, freedom, float(chi2_sf(freedom, q)))
+        return Spread(float(np.sqrt(tau2)), q, dof, float(chi2_sf(dof, q)))
 
 
 def fit_shared(

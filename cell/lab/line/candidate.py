@@ -15,7 +15,7 @@ from cell.files.yaml_document import yaml_text
 from cell.identify.model_class import source_of
 from cell.lab.data.cycles import RecordedCycle
 from cell.lab.line.gates import Judgement
-from cell.lab.line.learn import Lesson
+from cell.lab.line.learn import LearningResult
 from cell.settings import Settings, load_settings
 from cell.settings.line import distinct, line_of
 from cell.settings.model import Model
@@ -36,7 +36,7 @@ def lines_of(cycles: Sequence[RecordedCycle], settings: Settings) -> list[dict[s
 
 def write_candidate(
     path: Path,
-    lesson: Lesson,
+    lesson: LearningResult,
     judgement: Judgement,
     present: Model,
     lines: Sequence[Mapping[str, Any]],
@@ -61,7 +61,7 @@ def write_candidate(
     write_whole(path, yaml_text(content))
 
 
-def section(lesson: Lesson, present: Model) -> Model:
+def section(lesson: LearningResult, present: Model) -> Model:
     """The present model with the effects that were learned.
 
     One parameter is written as `fixed` with its standard deviation, several as a prior, because

@@ -19,7 +19,7 @@ from cell.identify.individual import CableRejectedError, IdentifyOptions, identi
 from cell.identify.model_class import ModelClass
 from cell.lab.data.cycles import RecordedCycle
 from cell.lab.fit.shared import BIAS_M, Spread, along_end
-from cell.lab.line.learn import Lesson
+from cell.lab.line.learn import LearningResult
 from cell.lab.line.lesson_search import EffectFit
 from cell.plan.destination import Destination
 from cell.plan.passage import measured_passage
@@ -93,7 +93,9 @@ class Judgement:
         return all(gate.passed for gate in self.gates)
 
 
-def judge(lesson: Lesson, settings: Settings, known: Sequence[ForecastPair] = ()) -> Judgement:
+def judge(
+    lesson: LearningResult, settings: Settings, known: Sequence[ForecastPair] = ()
+) -> Judgement:
     """The lesson's candidate held against every condition, for the line of these settings.
 
     known   forecasts of the present model that were made already; of any candidate
@@ -108,8 +110,8 @@ def judge(lesson: Lesson, settings: Settings, known: Sequence[ForecastPair] = ()
 
 
 def best_judged(
-    lesson: Lesson, settings: Settings, known: Sequence[ForecastPair] = ()
-) -> tuple[Lesson, Judgement]:
+    lesson: LearningResult, settings: Settings, known: Sequence[ForecastPair] = ()
+) -> tuple[LearningResult, Judgement]:
     """The lesson, or the simpler one in it if its last effect does not help; and its judgement.
 
     The last effect helps if with it unseen cables are forecast better than without, by the gate
@@ -132,7 +134,7 @@ def best_judged(
 
 
 def forecasts(
-    lesson: Lesson,
+    lesson: LearningResult,
     cable: Cable,
     options: IdentifyOptions,
     destination: Destination,
@@ -172,7 +174,7 @@ def forecasts(
 
 
 def with_effect(
-    kind: ModelClass, tried: EffectFit, theta: FloatArray, lesson: Lesson
+    kind: ModelClass, tried: EffectFit, theta: FloatArray, lesson: LearningResult
 ) -> ModelClass:
     """The model class with an effect at theta: as uncertain as it is, and as cables differ."""
     covariance = tried.fit.covariance.copy()
@@ -257,7 +259,9 @@ def _parted(held: Trial) -> tuple[Trial, Trial]:
     )
 
 
-def gates(lesson: Lesson, paired: Sequence[ForecastPair], destination: Destination) -> list[Gate]:
+def gates(
+    lesson: LearningResult, paired: Sequence[ForecastPair], destination: Destination
+) -> list[Gate]:
     """All conditions, each with what was found."""
     assert lesson.best is not None
     before = np.array([f.present_m for f in paired])
@@ -349,7 +353,7 @@ def _none(tried: EffectFit, i: int, parameter: Parameter) -> float:
     return float(np.log(parameter.default)) if logarithmic else parameter.default
 
 
-def _consistent(lesson: Lesson) -> Gate:
+def _consistent(lesson: LearningResult) -> Gate:
     """Whether the effects stay as they are whichever cable is left out."""
     assert lesson.best is not None
     tried, fit = lesson.best, lesson.best.fit
@@ -387,7 +391,7 @@ def _alike(tried: EffectFit) -> Gate:
         spread = Spread.of(values[:, i], np.hypot(std[:, i], may))
         found = (
             f"{tried.names[i]} differs by {spread.tau:.2g} beyond a tenth of it: "
-            f"Q {spread.q:.1f} of {spread.freedom}, p = {spread.p_value:.1g}"
+            f"Q {spread.q:.1f} of {spread.dof}, p = {spread.p_value:.1g}"
         )
         least = min(least, (spread.p_value, found))
     return Gate(name, least[0] >= HETEROGENEOUS, least[1] or "no strength is fitted")

@@ -29,7 +29,7 @@ CHANCE = 3.0
 
 
 @dataclass(frozen=True)
-class Vote:
+class CycleEvidence:
     """Evidence of one cycle for or against the effect that was added last.
 
     fall    of its own χ² over the inflation: positive speaks for the effect
@@ -44,7 +44,7 @@ class Vote:
 
 
 @dataclass(frozen=True, eq=False)
-class Lesson:
+class LearningResult:
     """The result of learning from many cables: the missing effects, or that none is missing.
 
     cycles    that were learned from, as in `votes`
@@ -64,8 +64,8 @@ class Lesson:
     best: EffectFit | None
     tied: tuple[str, ...]
     spread: tuple[Spread, ...]
-    votes: tuple[Vote, ...]
-    simpler: Lesson | None = None
+    votes: tuple[CycleEvidence, ...]
+    simpler: LearningResult | None = None
     left_out: tuple[str, ...] = ()
 
     @property
@@ -89,9 +89,9 @@ def learn(
     options: IdentifyOptions,
     library: Mapping[str, type[Effect]],
     progress: Progress = lambda _: None,
-    known: Callable[[Lesson], None] = lambda _: None,
+    known: Callable[[LearningResult], None] = lambda _: None,
     budget: Budget | None = None,
-) -> Lesson:
+) -> LearningResult:
     """Which effects the model of `options` lacks, as all cycles together see it.
 
     One at first; a second if the first leaves more than the noise.
@@ -135,7 +135,7 @@ def learn(
     others = [e for e in library.values() if e not in base.effects]
     baseline = fit_shared(prepared, base, np.vstack([a.q for a in alone]))
     names = tuple(c for c, _ in chosen)
-    lesson = Lesson(names, baseline, (), None, (), (), ())
+    lesson = LearningResult(names, baseline, (), None, (), (), ())
     known(lesson)
     if not negligible(baseline):
         search = Search(tuple(few), base, plausible[:TRIED_ON], len(others), budget, progress)
@@ -144,14 +144,14 @@ def learn(
 
 
 def _searched(
-    none: Lesson,
+    none: LearningResult,
     search: Search,
     prepared: Sequence[PreparedStudy],
     plausible: FloatArray,
     alone: Sequence[SharedFit],
     others: Sequence[type[Effect]],
-    known: Callable[[Lesson], None],
-) -> Lesson:
+    known: Callable[[LearningResult], None],
+) -> LearningResult:
     """The lesson with one effect, or two; as it was if none is more than chance.
 
     none   of the present model
@@ -185,12 +185,12 @@ def _searched(
 
 
 def _lesson(
-    before: Lesson,
+    before: LearningResult,
     search: Search,
     prepared: Sequence[PreparedStudy],
     plausible: FloatArray,
     tried: Sequence[EffectFit],
-) -> Lesson:
+) -> LearningResult:
     """The lesson with the best of these; as before, if it is no more than chance."""
     simpler = before.baseline if before.best is None else before.best.fit
     if not tried or tried[0].p_value >= SIGNIFICANCE:
@@ -202,12 +202,12 @@ def _lesson(
     falls = (simpler.chi2_by_cable - best.fit.chi2_by_cable) / best.fit.inflation
     last = best.firsts[-1]
     votes = tuple(
-        Vote(cycle.name, float(fall), float(value), float(of_it))
+        CycleEvidence(cycle.name, float(fall), float(value), float(of_it))
         for cycle, fall, value, of_it in zip(
             before.cycles, falls, values[:, last], std[:, last], strict=True
         )
     )
-    return Lesson(
+    return LearningResult(
         before.cycles,
         before.baseline,
         tuple(tried),

@@ -16,7 +16,7 @@ from cell.lab.data.prepared import PreparedStudy, Work
 from cell.lab.fit.fitting import Fit
 from cell.lab.fit.sensitivity import shapes_of
 from cell.lab.fit.shared import PASSES, SharedFit, fit_shared, simulated_s
-from cell.lab.search.explore import Candidate, Explorer
+from cell.lab.search.fit_cache import FitCache, FittedModel
 from cell.lab.search.screen import ScreenedEffect, screen
 from cell.lab.statistics.score import holm
 
@@ -226,14 +226,14 @@ class Search:
         alone: Sequence[SharedFit],
         effects: Sequence[type[Effect]],
         simpler: EffectFit | None,
-    ) -> list[dict[str, Candidate]]:
+    ) -> list[dict[str, FittedModel]]:
         """Per cable what a diagnosis of it alone would find with each effect of several shapes.
 
         Where an effect acts is found from far by that search only; from a place that one cable
         shows well a fit to all of them arrives.
         """
         shaped = [e for e in effects if shapes_of(e) > 1]
-        found: list[dict[str, Candidate]] = []
+        found: list[dict[str, FittedModel]] = []
         for number, (prepared, fit) in enumerate(zip(self.prepared, alone, strict=True)):
             what = f"own solutions of {prepared.study.name}"
             if not shaped or (number and not self.budget.allows(OWN, what)):
@@ -242,16 +242,16 @@ class Search:
             self.progress(f"refitting {prepared.study.name} alone")
             begin = None if simpler is None else fit.q[0]
             library = {e.name: e for e in shaped}
-            explorer = Explorer(prepared, fit.space, library, begin=begin)
+            fits = FitCache(prepared, fit.space, library, begin=begin)
             try:
-                candidates = explorer.add(explorer.baseline(), shaped)
+                candidates = fits.fit_extended(fits.baseline(), shaped)
             except ValueError:  # this cable cannot be simulated so
                 candidates = []
             found.append({c.effects[-1].name: c for c in candidates})
         return found
 
     def _hopeless(
-        self, own: Sequence[dict[str, Candidate]], effect: type[Effect], best_chi2: float
+        self, own: Sequence[dict[str, FittedModel]], effect: type[Effect], best_chi2: float
     ) -> bool:
         """Whether even its own fit to each cable leaves far more than another does of all."""
         fits = [o[effect.name].fit for o in own if effect.name in o]
@@ -299,7 +299,7 @@ class Search:
         simpler: EffectFit | None,
         effect: type[Effect],
         screened: Sequence[ScreenedEffect],
-        own: Sequence[Candidate | None],
+        own: Sequence[FittedModel | None],
     ) -> SharedFit | None:
         """The effect fitted to all cables: from what all show of it, and from own solutions."""
         effects = (effect,) if simpler is None else (*simpler.effects, effect)
@@ -387,12 +387,14 @@ def _values(fit: Fit, effects: Sequence[type[Effect]]) -> FloatArray:
     return np.array([values[fit.space.names.index(name)] for name in names])
 
 
-def _distinct(candidates: Sequence[Candidate], effects: Sequence[type[Effect]]) -> list[Candidate]:
+def _distinct(
+    candidates: Sequence[FittedModel], effects: Sequence[type[Effect]]
+) -> list[FittedModel]:
     """Own solutions, the clearest first, without those that say the same of the effects.
 
     A candidate's covariance is widened by what it leaves.
     """
-    kept: list[tuple[Candidate, FloatArray, FloatArray]] = []
+    kept: list[tuple[FittedModel, FloatArray, FloatArray]] = []
     for candidate in sorted(candidates, key=lambda c: c.fit.objective):
         fit = candidate.fit
         names = [n for n in fit.space.names if n.startswith(tuple(f"{e.name}." for e in effects))]
@@ -435,7 +437,7 @@ def as_fit(alone: SharedFit) -> Fit:
     return Fit(
         space=alone.space,
         q=alone.q[0],
-        begun={},
+        initial_states={},
         solution=alone.solution,
         chi2=float(alone.chi2_by_cable[0]),
         objective=alone.chi2,

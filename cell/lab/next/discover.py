@@ -13,7 +13,7 @@ import numpy as np
 from cell.cable.effects import Effect, library, load_effect, unscreened
 from cell.files.atomic import write_whole
 from cell.lab.next.terms import Term, admissible, effect_source
-from cell.lab.search.explore import Candidate, Explorer
+from cell.lab.search.fit_cache import FitCache, FittedModel
 from cell.lab.strength.estimate import estimate
 from cell.lab.verdict.diagnose import Examination, diagnose
 from cell.lab.verdict.rules import Rules
@@ -84,14 +84,14 @@ class Discovery:
 
 
 #: Terms are few: all are refitted.
-ALL_TERMS = Rules(best=20)
+ALL_TERMS = Rules(max_refits=20)
 
 
 class NothingFoundError(ValueError):
     """No law may be written.  Scenario: the model is complete already."""
 
 
-def discover(explorer: Explorer, out: Path, rules: Rules = ALL_TERMS) -> Discovery:
+def discover(fits: FitCache, out: Path, rules: Rules = ALL_TERMS) -> Discovery:
     """Find the missing law as an effect that is named after the file `out`.
 
     The residual is regressed on what each admissible term would do to the markers (a score test
@@ -101,34 +101,34 @@ def discover(explorer: Explorer, out: Path, rules: Rules = ALL_TERMS) -> Discove
     raises  NothingFoundError: the model is complete, or no term is accepted; ValueError: the name
             of the file will not do; nothing written
     """
-    name = effect_name(out, [e.name for e in explorer.space.effects])
-    terms = {t.name: t for t in admissible(_box(explorer.fitted_trials()))}
+    name = effect_name(out, [e.name for e in fits.space.effects])
+    terms = {t.name: t for t in admissible(_box(fits.fitted_trials()))}
     with tempfile.TemporaryDirectory() as folder:
         tried = _each(terms.values(), Path(folder))
-        search = Explorer(explorer.prepared, explorer.space, tried, explorer.progress)
+        search = FitCache(fits.prepared, fits.space, tried, fits.progress)
         examination = diagnose(search, rules)
     base, found = search.baseline(), examination.accepted
     if found is base:
-        study = explorer.prepared.study.name
+        study = fits.prepared.study.name
         raise NothingFoundError(f"study {study}: {_why_nothing(examination, base)}")
-    added = [e for e in found.effects if e not in explorer.space.effects]
-    settled = estimate(explorer.prepared, found.fit)
+    added = [e for e in found.effects if e not in fits.space.effects]
+    settled = estimate(fits.prepared, found.fit)
     values = {n: i.value for effect in added for n, i in settled.intervals(effect).items()}
     kept = [terms[e.name] for e in added]
-    about = f"Law inferred from the residuals of study {explorer.prepared.study.name}."
+    about = f"Law inferred from the residuals of study {fits.prepared.study.name}."
     source = effect_source(name, kept, about, values)
     with tempfile.TemporaryDirectory() as folder:
         effect = _loaded(Path(folder) / out.name, source)
-        final = _refit(explorer, base, effect)
+        final = _refit(fits, base, effect)
     return Discovery(
         effect=name,
         source=source,
         parameters=tuple(
             LawParameter(n, i.value, i.low, i.high, i.unit)
-            for n, i in estimate(explorer.prepared, final.fit).intervals(effect).items()
+            for n, i in estimate(fits.prepared, final.fit).intervals(effect).items()
         ),
         laws=tuple(t.law for t in kept),
-        noise_m=explorer.prepared.floor.noise.std_m,
+        noise_m=fits.prepared.noise_model.noise.std_m,
         before_m=_error(base),
         after_m=_error(final),
         confirmed=final.heldout is not None,
@@ -150,7 +150,7 @@ def effect_name(out: Path, known: Sequence[str] = ()) -> str:
     return name
 
 
-def _why_nothing(examination: Examination, base: Candidate) -> str:
+def _why_nothing(examination: Examination, base: FittedModel) -> str:
     """Why no law is written, and what to do."""
     noise_m = examination.diagnosis.noise_m
     misses = f"it misses {_error(base) * 1e3:.4f} mm, noise is {noise_m * 1e3:.4f} mm"
@@ -174,10 +174,10 @@ def _why_nothing(examination: Examination, base: Candidate) -> str:
     )
 
 
-def _refit(explorer: Explorer, base: Candidate, effect: type[Effect]) -> Candidate:
+def _refit(fits: FitCache, base: FittedModel, effect: type[Effect]) -> FittedModel:
     """The baseline with the effect from its file."""
-    own = Explorer(explorer.prepared, explorer.space, {effect.name: effect}, explorer.progress)
-    better = [c for c in own.add(own.baseline(), [effect]) if _error(c) < _error(base)]
+    own = FitCache(fits.prepared, fits.space, {effect.name: effect}, fits.progress)
+    better = [c for c in own.fit_extended(own.baseline(), [effect]) if _error(c) < _error(base)]
     if not better:
         raise NothingFoundError(
             "the law that was found does not lower the error when it is fitted again from its "
@@ -186,7 +186,7 @@ def _refit(explorer: Explorer, base: Candidate, effect: type[Effect]) -> Candida
     return better[0]
 
 
-def _error(candidate: Candidate) -> float:
+def _error(candidate: FittedModel) -> float:
     return candidate.heldout.rms_m if candidate.heldout else candidate.fit.rms_m
 
 

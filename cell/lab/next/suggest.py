@@ -27,7 +27,7 @@ from cell.identify.noise import Whitener
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.progress import Progress, no_progress
-from cell.lab.search.explore import Candidate, Explorer
+from cell.lab.search.fit_cache import FitCache, FittedModel
 from cell.lab.strength.compare import everywhere
 from cell.lab.verdict.diagnose import Examination
 from cell.plan.measuring import least_duration_s, quintic
@@ -153,7 +153,7 @@ class Suggestion:
 
 
 def suggest_motion(
-    explorer: Explorer, examination: Examination, surroundings: Surroundings
+    fits: FitCache, examination: Examination, surroundings: Surroundings
 ) -> Suggestion:
     """The safe motion at which the candidates left differ most, whatever each leaves open.
 
@@ -162,12 +162,11 @@ def suggest_motion(
     raises  ValueError: nothing is left to tell apart, no motion keeps the limits, or none tells
     """
     open_to = [
-        Rival(_label(c), c.fit.space, c.fit.q, c.fit.covariance)
-        for c in rivals(explorer, examination)
+        Rival(_label(c), c.fit.space, c.fit.q, c.fit.covariance) for c in rivals(fits, examination)
     ]
-    found = telling_motions(explorer.prepared, open_to, surroundings, explorer.progress)
+    found = telling_motions(fits.prepared, open_to, surroundings, fits.progress)
     if max(option.power for option in found.options) < LEAST_POWER:
-        raise ValueError(_what_would_help(found, explorer.prepared))
+        raise ValueError(_what_would_help(found, fits.prepared))
     return found
 
 
@@ -241,7 +240,7 @@ def telling_motions(
     return Suggestion(names, tuple(options), surroundings, dict(refused))
 
 
-def rivals(explorer: Explorer, examination: Examination) -> list[Candidate]:
+def rivals(fits: FitCache, examination: Examination) -> list[FittedModel]:
     """The likeliest set of effects, and those that the trials cannot tell from it.
 
     If it has no equal, the next likeliest that is not the same with more: one, or several where
@@ -251,10 +250,10 @@ def rivals(explorer: Explorer, examination: Examination) -> list[Candidate]:
     diagnosis, final = examination.diagnosis, examination.steps[-1]
     if diagnosis.verdict == "complete":
         raise ValueError(
-            f"study {explorer.prepared.study.name}: the model explains these trials to their "
+            f"study {fits.prepared.study.name}: the model explains these trials to their "
             "noise, use it as it is; nothing to tell apart"
         )
-    known = {c.names: c for c in (*explorer.known(), *examination.singles, *examination.steps)}
+    known = {c.names: c for c in (*fits.known(), *examination.singles, *examination.steps)}
     tied = [
         known[names]
         for found in diagnosis.missing
@@ -268,7 +267,7 @@ def rivals(explorer: Explorer, examination: Examination) -> list[Candidate]:
         best = [final, *(c for c in best if not c.names >= final.names)]
     if len(best) < 2:
         raise ValueError(
-            f"study {explorer.prepared.study.name}: there is only one candidate, give more with "
+            f"study {fits.prepared.study.name}: there is only one candidate, give more with "
             "--effect; nothing to tell apart"
         )
     return best[: MOST_CANDIDATES if diagnosis.verdict == "cannot_tell" else 2]
@@ -435,5 +434,5 @@ def _separation(
     return marginal_chi2(first[0] - second[0], np.hstack([first[1], second[1]]))[0]
 
 
-def _label(candidate: Candidate) -> str:
+def _label(candidate: FittedModel) -> str:
     return " + ".join(e.name for e in candidate.effects) or "baseline"

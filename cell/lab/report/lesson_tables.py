@@ -10,12 +10,12 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from cell.lab.line.gates import Gate
-from cell.lab.line.learn import Lesson
+from cell.lab.line.learn import LearningResult
 
 FloatArray = NDArray[np.float64]
 
 
-def lesson_lines(lesson: Lesson, *, so_far: bool = False) -> list[str]:
+def lesson_lines(lesson: LearningResult, *, so_far: bool = False) -> list[str]:
     """What is missing, how much of the error it explains, and how sure that is.
 
     so_far  the search for effects was interrupted
@@ -44,10 +44,10 @@ def lesson_lines(lesson: Lesson, *, so_far: bool = False) -> list[str]:
     if lesson.tied:
         lines.append(f"these cycles cannot tell it from: {', '.join(lesson.tied)}")
     for i, s in zip(best.firsts, lesson.spread, strict=True):
-        if s.freedom > 0:
+        if s.dof > 0:
             lines.append(
                 f"{best.names[i]} differs between cables by {s.tau:.3g} (standard deviation; "
-                f"Cochran's Q {s.q:.1f} of {s.freedom}, {_chance(s.p_value)})"
+                f"Cochran's Q {s.q:.1f} of {s.dof}, {_chance(s.p_value)})"
             )
     if so_far:
         lines.append("interrupted before it was judged by the gates; nothing was written")
@@ -58,7 +58,7 @@ def _cables(count: int) -> str:
     return f"{count} cable" if count == 1 else f"{count} cables"
 
 
-def votes_table(lesson: Lesson) -> Table:
+def votes_table(lesson: LearningResult) -> Table:
     """Which cycles speak for the effect, and which against."""
     assert lesson.best is not None
     name = lesson.best.names[lesson.best.firsts[-1]]
@@ -85,7 +85,7 @@ def _chance(p_value: float) -> str:
     return f"p = {p_value:.2g}" if p_value > 1e-300 else "p < 1e-300"
 
 
-def _point(lesson: Lesson) -> FloatArray:
+def _point(lesson: LearningResult) -> FloatArray:
     assert lesson.best is not None
     q = lesson.best.fit.space.mean.copy()
     q[lesson.best.fit.common] = lesson.best.fit.theta

@@ -132,7 +132,7 @@ def nearest_table(diagnosis: Diagnosis) -> Table:
 
 
 def waterfall_table(diagnosis: Diagnosis) -> Table:
-    """Error of the baseline, after each effect added, and the noise floor."""
+    """Error of the baseline, after each effect added, and the noise."""
     table = Table(title="Error, mm rms per coordinate", box=SIMPLE_HEAD)
     in_part, left = bool(diagnosis.partial), diagnosis.left
     heads = ("model", "fitted", "held out", *[FITTED_TO_ALL] * in_part, "parameters (95 %)", "p")
@@ -262,7 +262,7 @@ def errors_line(prepared: PreparedStudy, errors: Errors) -> str:
     return (
         f"error {mm(errors.fit_rms_m)} mm fitted, {mm(errors.heldout_rms_m)} mm held out, "
         f"{noise_label(prepared.study.noise_std_m is not None)} "
-        f"{mm(prepared.floor.noise.std_m)} mm (rms per coordinate)"
+        f"{mm(prepared.noise_model.noise.std_m)} mm (rms per coordinate)"
     )
 
 

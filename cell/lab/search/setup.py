@@ -1,4 +1,4 @@
-"""What a command begins with: an explorer of its study, beside earlier models if there are any."""
+"""What a command begins with: the fits of its study, beside earlier models if there are any."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from cell.lab.data.progress import Progress, no_progress
 from cell.lab.data.selection import EffectSelection, select_effects
 from cell.lab.fit.fitting import pinned, space_with
 from cell.lab.fit.individual_model import check_same_kind, misfit, prior_space, read_model
-from cell.lab.search.explore import Explorer
+from cell.lab.search.fit_cache import FitCache
 from cell.study.data import Study
 
 
-def explorer_of(
+def fit_cache_of(
     study: Study,
     selection: EffectSelection,
     prior: tuple[Path, Identified] | None = None,
     progress: Progress = no_progress,
     kind: ModelClass = ModelClass(),  # noqa: B008
-) -> Explorer:
+) -> FitCache:
     """The study made ready, with an earlier individual's model as prior if there is one.
 
     The prior's effects are part of the model, and those of the selection that are.
@@ -44,7 +44,7 @@ def explorer_of(
     sought = tuple(e for e in selection.in_model if e not in space.effects)
     full = space_with(space, [*space.effects, *sought])
     prior_q = None if prior is None else full.mean
-    return Explorer(prepared, full, selection.candidates, progress, prior_q=prior_q, sought=sought)
+    return FitCache(prepared, full, selection.candidates, progress, prior_q=prior_q, sought=sought)
 
 
 def read_kind(config: Path | None) -> ModelClass:
@@ -72,10 +72,10 @@ def _least_rms_m(
     the cable's parameters would be bent to remove it.
     """
     prepared = PreparedStudy.of(study, misfit=misfit(model))
-    pilot = Explorer(prepared, pinned(space, space.mean), candidates)
+    pilot = FitCache(prepared, pinned(space, space.mean), candidates)
     base = pilot.baseline()
     smooth = [e for e in candidates.values() if e.smooth and e not in space.effects]
-    tried = pilot.add(base, smooth)
+    tried = pilot.fit_extended(base, smooth)
     return min([base.fit.rms_m, *(c.fit.rms_m for c in tried)])
 
 

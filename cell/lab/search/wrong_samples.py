@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import errors_m
-from cell.lab.search.explore import Explorer
+from cell.lab.search.fit_cache import FitCache
 from cell.study.data import Study
 from cell.study.left_out import leaving_out
 from cell.study.wrong_samples import wrong_samples
@@ -22,32 +22,32 @@ FloatArray = NDArray[np.float64]
 _MOST_ROUNDS = 3
 
 
-def without_wrong_samples(explorer: Explorer) -> tuple[Explorer, tuple[str, ...]]:
-    """The explorer of a study without samples that its baseline shows to be wrong; what is told.
+def without_wrong_samples(fits: FitCache) -> tuple[FitCache, tuple[str, ...]]:
+    """The fits of a study without samples that its baseline shows to be wrong; what is told.
 
-    The baseline is fitted here; where nothing is wrong it is the one that the explorer remembers.
+    The baseline is fitted here; where nothing is wrong it is the one that the fits remembers.
     A trial that the model cannot simulate is left as it is.
 
     raises  InputError: too many of a marker are wrong
     """
     told: tuple[str, ...] = ()
     for _ in range(_MOST_ROUNDS):
-        wrong = _wrong(explorer)
-        study = explorer.prepared.measured
+        wrong = _wrong(fits)
+        study = fits.prepared.measured
         if not any(np.isfinite(w).any() for w in wrong.values()):
             break
         cleaner = leaving_out(study, [wrong[t.name] for t in study.trials])
         told = (*told, *cleaner.notes[len(study.notes) :])
-        explorer = _with_study(explorer, cleaner)
-    return explorer, told
+        fits = _with_study(fits, cleaner)
+    return fits, told
 
 
-def _wrong(explorer: Explorer) -> dict[str, FloatArray]:
+def _wrong(fits: FitCache) -> dict[str, FloatArray]:
     """Of every trial (times, channels) by how much samples are wrong, m; nan where right."""
-    base = explorer.baseline()
-    study = explorer.prepared.study
-    left = dict(zip((t.name for t in explorer.fitted_trials()),
-                    errors_m(explorer.prepared, base.fit), strict=True))  # fmt: skip
+    base = fits.baseline()
+    study = fits.prepared.study
+    left = dict(zip((t.name for t in fits.fitted_trials()),
+                    errors_m(fits.prepared, base.fit), strict=True))  # fmt: skip
     if base.heldout is not None:
         for trial in study.role("validate"):
             beside = trial.markers.xy_m - base.heldout.predicted_m[trial.name]
@@ -61,12 +61,12 @@ def _wrong(explorer: Explorer) -> dict[str, FloatArray]:
     }
 
 
-def _with_study(explorer: Explorer, study: Study) -> Explorer:
-    """A like explorer of measurements that differ a little."""
-    prepared = explorer.prepared
+def _with_study(fits: FitCache, study: Study) -> FitCache:
+    """The same cache for measurements that differ a little."""
+    prepared = fits.prepared
     misfit = None if prepared.noise_is_measured else prepared.noise
     again = PreparedStudy.of(study, misfit=misfit, solver=prepared.solver, work=prepared.work)
-    e = explorer
-    return Explorer(
+    e = fits
+    return FitCache(
         again, e.space, e.library, e.progress, prior_q=e.prior_q, begin=e.begin, sought=e.sought
     )

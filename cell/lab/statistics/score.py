@@ -65,8 +65,8 @@ class Score:
 
     statistic    χ² that the effect would explain
     freedom      number of amplitudes
-    amplitude    (freedom,) expected coefficients of the sensitivities
-    std          (freedom,) their standard deviations, the other amplitudes free
+    amplitude    (dof,) expected coefficients of the sensitivities
+    std          (dof,) their standard deviations, the other amplitudes free
     shape        which of the shapes offered that is
     others       further shapes and their coefficients, by falling statistic, none nearly the same
                  as one before
@@ -75,7 +75,7 @@ class Score:
     """
 
     statistic: float
-    freedom: int
+    dof: int
     amplitude: FloatArray
     std: FloatArray
     shape: int
@@ -95,7 +95,7 @@ def score_test(
     one_sided    only a positive amplitude is physical, and there is one: at that bound the
                  statistic is a half-and-half mixture of 0 and χ²(1) (Self and Liang 1987)
     """
-    shapes, freedom, _ = sensitivity.shape
+    shapes, dof, _ = sensitivity.shape
     left = nuisance.remove(sensitivity)
     raw = np.linalg.norm(sensitivity, axis=2)
     norm = np.linalg.norm(left, axis=2)
@@ -108,18 +108,18 @@ def score_test(
         signed = -statistic if one_sided and amplitude[0] < 0.0 else statistic
         tried.append(_ShapeScore(signed, int(shape), amplitude, amplitude @ rows))
     if not tried:
-        return Score(0.0, freedom, np.zeros(freedom), np.full(freedom, np.inf), 0, 1.0, 0.0)
+        return Score(0.0, dof, np.zeros(dof), np.full(dof, np.inf), 0, 1.0, 0.0)
     tried.sort(key=lambda t: -t.signed)
     best = tried[0]
-    if freedom == 1:
+    if dof == 1:
         unit = left[usable[:, 0], 0] / norm[usable[:, 0]]
         z = float(np.sign(best.signed) * np.sqrt(abs(best.signed)))
         p_value = _p_of_maximum(z, unit @ unit.T, one_sided, seed)
     else:
-        p_value = min(1.0, shapes * float(chi2_sf(freedom, max(best.signed, 0.0))))
+        p_value = min(1.0, shapes * float(chi2_sf(dof, max(best.signed, 0.0))))
     return Score(
         statistic=max(best.signed, 0.0),
-        freedom=freedom,
+        dof=dof,
         amplitude=best.amplitude,
         std=np.sqrt(np.diag(np.linalg.pinv(left[best.shape] @ left[best.shape].T))),
         shape=best.shape,

@@ -54,7 +54,7 @@ def spectrum(t_s: FloatArray, residual_m: FloatArray, noise: Noise) -> Spectrum:
         used += alike.shape[1]
     power *= 2.0 * float(np.median(np.diff(t_s))) / max(used, 1)
     frame_s = float(np.median(np.diff(t_s)))
-    colour = noise.colour
+    colour = noise.ar1
     shape = noise.white + (1.0 - noise.white) * (1.0 - colour**2) / (
         1.0 - 2.0 * colour * np.cos(2.0 * np.pi * frequency * frame_s) + colour**2
     )
@@ -76,7 +76,7 @@ def lomb_scargle(t_s: FloatArray, values: FloatArray, frequency_hz: FloatArray) 
 
 def ljung_box(white: FloatArray, lags: int = LAGS) -> float:
     """p-value that white series (times, series), nan = unseen, are white: Ljung and Box 1978."""
-    statistic, freedom = 0.0, 0
+    statistic, dof = 0.0, 0
     for values in white.T:
         seen = values[np.isfinite(values)]
         n = len(seen)
@@ -89,8 +89,8 @@ def ljung_box(white: FloatArray, lags: int = LAGS) -> float:
         for lag in range(1, lags + 1):
             r = float(centred[lag:] @ centred[:-lag]) / power
             statistic += n * (n + 2) * r * r / (n - lag)
-        freedom += lags
-    return float(chi2_sf(freedom, statistic)) if freedom else float("nan")
+        dof += lags
+    return float(chi2_sf(dof, statistic)) if dof else float("nan")
 
 
 def smoothed(values: FloatArray, window: int) -> FloatArray:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cell.cable.model import CableModel
 from cell.lab.data.noise_floor import NoiseUnknownError, noise_floor
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.fit.fitting import best_begun
+from cell.lab.fit.fitting import best_initial_state
 from cell.lab.statistics.series import overall
 from cell.lab.strength.trial_residual import TrialResidual, trial_residual, unsimulated_trial
 from cell.study.data import Markers, Study, Trial
@@ -116,17 +116,17 @@ def compare_model(study: Study, model: CableModel, name: str = "model") -> Compa
     study = prepared.study
     predicted, cable, found = {}, {}, []
     for trial in study.trials:
-        begun = best_begun(prepared, model, trial)
-        points, shapes = everywhere(prepared, trial, [model], begun)
+        initial_states = best_initial_state(prepared, model, trial)
+        points, shapes = everywhere(prepared, trial, [model], initial_states)
         predicted[trial.name], cable[trial.name] = points[0], shapes[0]
         if not np.isfinite(points).all():
-            found.append(unsimulated_trial(trial, study.arc_length_m, prepared.floor.noise))
+            found.append(unsimulated_trial(trial, study.arc_length_m, prepared.noise_model.noise))
             continue
         # rows are (markers, axes, times); unseen values are exactly zero there
         white = prepared.white(trial, points)[0].reshape(-1, 2, len(trial.markers.t_s))
         white = np.where(np.isfinite(trial.markers.xy_m), np.moveaxis(white, 2, 0), np.nan)
         found.append(
-            trial_residual(trial, points[0], white, study.arc_length_m, prepared.floor.noise)
+            trial_residual(trial, points[0], white, study.arc_length_m, prepared.noise_model.noise)
         )
 
     def error(role: str) -> float:
@@ -137,7 +137,7 @@ def compare_model(study: Study, model: CableModel, name: str = "model") -> Compa
 
     return Comparison(
         study,
-        prepared.floor.noise.std_m,
+        prepared.noise_model.noise.std_m,
         error("fit"),
         error("validate"),
         predicted,
@@ -151,7 +151,7 @@ def compare_model(study: Study, model: CableModel, name: str = "model") -> Compa
 
 def _noise_at_rest_m(prepared: PreparedStudy) -> float:
     if prepared.study.noise_std_m is None:
-        return prepared.floor.noise.std_m
+        return prepared.noise_model.noise.std_m
     try:
         return noise_floor(replace(prepared.study, noise_std_m=None)).noise.std_m
     except NoiseUnknownError:
@@ -183,7 +183,7 @@ def everywhere(
     prepared: PreparedStudy,
     trial: Trial,
     models: Sequence[CableModel],
-    begun: FloatArray | None = None,
+    initial_states: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Where models put the markers, (models, times, markers, 2), and the cable, (…, `DRAWN`, 2).
 
@@ -196,7 +196,7 @@ def everywhere(
     blank = replace(trial, markers=Markers(t_s, np.zeros((len(t_s), len(arcs), 2))))
     finer = replace(prepared, study=replace(study, arc_length_m=arcs))
     points = finer.predict(
-        blank, models, None if begun is None else np.tile(begun, (len(models), 1))
+        blank, models, None if initial_states is None else np.tile(initial_states, (len(models), 1))
     )
     at, shape = (np.searchsorted(-arcs, -s) for s in (study.arc_length_m, drawn))
     return points[:, :, at], points[:, :, shape]

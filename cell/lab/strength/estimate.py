@@ -12,9 +12,9 @@ from scipy.special import ndtri as normal_quantile
 from cell.cable.effects.base import Effect
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import Interval
+from cell.lab.fit.all_trials_fit import of_all_trials
 from cell.lab.fit.fitting import Fit
-from cell.lab.fit.whole import of_all_trials
-from cell.lab.strength.unmodelled import unmodelled
+from cell.lab.strength.omitted_effect_bias import omitted_effect_bias
 
 FloatArray = NDArray[np.float64]
 
@@ -83,8 +83,10 @@ def estimate(prepared: PreparedStudy, fit: Fit, effects: Iterable[type[Effect]] 
     except ValueError:
         return Estimate(fit, 1.0)
     solution = whole.fit.solution
-    beside = whole.wrong.covariance((solution.covariance @ solution.jacobian.T)[: len(fit.q)])
-    beside = beside + unmodelled(whole, effects).covariance
+    beside = whole.systematic_error.covariance(
+        (solution.covariance @ solution.jacobian.T)[: len(fit.q)]
+    )
+    beside = beside + omitted_effect_bias(whole, effects).covariance
     return Estimate(whole.fit, disagreement(prepared, whole.fit), beside)
 
 
@@ -100,7 +102,7 @@ def disagreement(prepared: PreparedStudy, whole: Fit) -> float:
     solution, p = whole.solution, len(whole.q)
     free = solution.free[:p]
     unit = np.linalg.cholesky(whole.covariance[np.ix_(free, free)])
-    square, freedom, begin = 0.0, -float(np.count_nonzero(free)), 0
+    square, dof, begin = 0.0, -float(np.count_nonzero(free)), 0
     for trial in prepared.study.trials:
         rows = slice(begin, begin + prepared.whiteners[trial.name].rows)
         begin = rows.stop
@@ -109,5 +111,5 @@ def disagreement(prepared: PreparedStudy, whole: Fit) -> float:
         asked = directions.T @ (jacobian.T @ solution.residual[rows])
         kept = known > LEAST_KNOWN
         square += float(np.sum(asked[kept] ** 2 / known[kept]))
-        freedom += float(np.count_nonzero(kept))
-    return max(1.0, square / freedom) if freedom >= MIN_FREEDOM else 1.0
+        dof += float(np.count_nonzero(kept))
+    return max(1.0, square / dof) if dof >= MIN_FREEDOM else 1.0

@@ -88,7 +88,9 @@ class HeldEffect:
                 k = self.space.names.index(f"{self.effect.name}.{x.name}")
                 low[k] = high[k] = q[k]
         space = replace(self.space, low=low, high=high)
-        fit = fit_model(self.prepared, space, q[: len(space.names)], self.fit.begun, options=_REFIT)
+        fit = fit_model(
+            self.prepared, space, q[: len(space.names)], self.fit.initial_states, options=_REFIT
+        )
         change = self.fit.solution.residual - fit.solution.residual
         return fit.solution.q, self._with_prior(fit.solution.q, change)
 

@@ -10,9 +10,9 @@ from cell.cable.effects import Effect
 from cell.identify.fit import frames_seen, variance_inflation
 from cell.identify.identified import Identified
 from cell.lab.data.prepared import PreparedStudy
+from cell.lab.fit.all_trials_fit import AllTrialsFit
 from cell.lab.fit.fitting import Fit, fit_trials
-from cell.lab.fit.whole import Whole
-from cell.lab.strength.unmodelled import unmodelled
+from cell.lab.strength.omitted_effect_bias import omitted_effect_bias
 
 
 def identified(
@@ -30,11 +30,11 @@ def identified(
     # What the data say is worth less by the inflation, what the prior says is not.
     precision = solution.jacobian.T @ solution.jacobian / inflation
     precision[:p, :p] += fit.space.precision
-    precision[p:, p:] += np.diag(1.0 / fit.begun_std**2)
+    precision[p:, p:] += np.diag(1.0 / fit.initial_state_std**2)
     noise_only = np.linalg.inv(precision)
-    whole = Whole(prepared, fit)
-    by_hand = whole.wrong.covariance(noise_only[:p] @ solution.jacobian.T / inflation)
-    missed = unmodelled(whole, effects)
+    whole = AllTrialsFit(prepared, fit)
+    by_hand = whole.systematic_error.covariance(noise_only[:p] @ solution.jacobian.T / inflation)
+    missed = omitted_effect_bias(whole, effects)
     return Identified(
         space=fit.space,
         mean=fit.q,

@@ -18,10 +18,10 @@ from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.progress import Progress, no_progress
 from cell.lab.data.results import Limit
 from cell.lab.data.side_by_side import side_by_side
+from cell.lab.fit.all_trials_fit import AllTrialsFit
 from cell.lab.fit.fitting import fit_trials
 from cell.lab.fit.sensitivity import Sensitivity, changes, nuisance_of, one_sided
-from cell.lab.fit.systematic import Systematic
-from cell.lab.fit.whole import Whole
+from cell.lab.fit.systematic_error import SystematicError
 from cell.lab.statistics.score import Nuisance
 from cell.lab.strength.estimate import LEAST_KNOWN, MIN_FREEDOM
 from cell.lab.strength.held import HeldEffect, all_changes
@@ -52,7 +52,7 @@ STEEPEST = 3.0
 
 
 def limits(
-    whole: Whole, effects: Sequence[type[Effect]], progress: Progress = no_progress
+    whole: AllTrialsFit, effects: Sequence[type[Effect]], progress: Progress = no_progress
 ) -> tuple[Limit, ...]:
     """95 % limits of the amplitudes of effects beside a fitted model, each effect alone.
 
@@ -94,16 +94,16 @@ class _Common:
     inflation  by which what the model leaves beyond noise widens variances
     """
 
-    whole: Whole
+    whole: AllTrialsFit
     nuisance: Nuisance
     inflation: float
 
     @staticmethod
-    def of(whole: Whole) -> _Common:
-        prepared, fit, wrong = whole.prepared, whole.fit, whole.wrong
+    def of(whole: AllTrialsFit) -> _Common:
+        prepared, fit, errs = whole.prepared, whole.fit, whole.systematic_error
         whiteners = [prepared.whiteners[t.name] for t in fit_trials(prepared)]
-        nuisance = nuisance_of(fit).moved(wrong.mesh)
-        residual = nuisance.residual[: len(wrong.mesh)]
+        nuisance = nuisance_of(fit).moved(errs.mesh)
+        residual = nuisance.residual[: len(errs.mesh)]
         return _Common(whole, nuisance, variance_inflation(residual, whiteners, len(fit.q)))
 
     def effects(self, more: Iterable[type[Effect]]) -> tuple[type[Effect], ...]:
@@ -116,7 +116,7 @@ def _limits_of(common: _Common, effects: Sequence[type[Effect]]) -> tuple[Limit,
     whole = common.whole
     prepared, fit = whole.prepared.on_one_core(), whole.fit
     found = [
-        _Search(slopes, j, common.nuisance, whole.wrong, common.inflation)
+        _Search(slopes, j, common.nuisance, whole.systematic_error, common.inflation)
         for slopes in replace(whole, prepared=prepared).sensitivities(effects)
         for j in range(slopes.rows.shape[1])
     ]
@@ -174,7 +174,7 @@ class _Search:
         slopes: Sensitivity,
         j: int,
         nuisance: Nuisance,
-        wrong: Systematic,
+        systematic_error: SystematicError,
         inflation: float,
     ) -> None:
         self.effect = slopes.effect
@@ -182,7 +182,7 @@ class _Search:
         self.which = amplitudes[j]
         self._parameter: Parameter = slopes.effect.parameters[self.which]
         self._nuisance = nuisance
-        self._wrong = wrong
+        self._systematic_error = systematic_error
         self._inflation = inflation
         self._one_sided = one_sided(slopes.effect)
         tail = 1.0 - CONFIDENCE if self._one_sided else 0.5 * (1.0 - CONFIDENCE)
@@ -226,25 +226,27 @@ class _Search:
         """Expected size and its standard deviation, by what is seen per unit of the amplitude."""
         square = float(left @ left)
         size = float(left @ self._nuisance.residual) / square
-        factor = self._inflation + self._wrong.variance(left) / square
+        factor = self._inflation + self._systematic_error.variance(left) / square
         return size, float(np.sqrt(max(factor, self._disagreement(left, size, factor)) / square))
 
     def _disagreement(self, left: FloatArray, size: float, expected: float) -> float:
-        """Cochran's Q over its freedom: by how much trials ask for sizes of their own.
+        """Cochran's Q over its degrees of freedom: by how much trials ask for sizes of their own.
 
         Where that is no more than chance may do, `expected`.
         """
         parts = zip(
-            self._wrong.by_trial(left), self._wrong.by_trial(self._nuisance.residual), strict=True
+            self._systematic_error.by_trial(left),
+            self._systematic_error.by_trial(self._nuisance.residual),
+            strict=True,
         )
         known, asked = np.array([(one @ one, one @ residual) for one, residual in parts]).T
         telling = known > LEAST_KNOWN * known.sum()
-        freedom = int(telling.sum()) - 1
-        if freedom < MIN_FREEDOM:
+        dof = int(telling.sum()) - 1
+        if dof < MIN_FREEDOM:
             return expected
         q = float(np.sum((asked - size * known)[telling] ** 2 / known[telling]))
-        disagree = float(chi2_sf(freedom, q / expected)) < 1.0 - CONFIDENCE
-        return q / freedom if disagree else expected
+        disagree = float(chi2_sf(dof, q / expected)) < 1.0 - CONFIDENCE
+        return q / dof if disagree else expected
 
     def _end(self, sign: float, size: float, std: float) -> float:
         """End of the range on a side, from none of the effect."""

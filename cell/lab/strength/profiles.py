@@ -87,7 +87,7 @@ def each_profile(
         prepared.study, misfit=model.noise, solver=prepared.solver, work=prepared.work
     )
     problem = problem_of(
-        prepared, space, fit_trials(prepared), temper=float(np.sqrt(model.inflation))
+        prepared, space, fit_trials(prepared), residual_scale=float(np.sqrt(model.inflation))
     )
     minimum = minimise(problem, fit.solution.q, _POINT)
     free = [i for i in range(len(space.names)) if problem.low[i] < problem.high[i]]

@@ -18,8 +18,8 @@ from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.progress import Progress, no_progress
 from cell.lab.data.results import Agreement, TrialValue
 from cell.lab.data.side_by_side import side_by_side
+from cell.lab.fit.all_trials_fit import of_all_trials
 from cell.lab.fit.fitting import Fit, fit_model
-from cell.lab.fit.whole import of_all_trials
 from cell.lab.statistics.score import SIGNIFICANCE, holm
 from cell.lab.strength.estimate import MODEL_ERROR
 from cell.study.data import Trial
@@ -167,15 +167,17 @@ def _alone(
         precision=held + free @ prior @ free.T,
     )
     try:
-        fit = fit_model(prepared, of_one, whole.q, whole.begun, trials=[trial], options=ALONE)
+        fit = fit_model(
+            prepared, of_one, whole.q, whole.initial_states, trials=[trial], options=ALONE
+        )
     except ValueError:
         return None
     whitener = prepared.whiteners[trial.name]
     slopes = fit.solution.jacobian
     if slopes.shape[1] > p:  # less what its unknown beginning can imitate
-        begun = np.vstack([slopes[:, p:], np.diag(1.0 / fit.begun_std)])
-        padded = np.vstack([slopes[:, :p], np.zeros((len(fit.begun_std), p))])
-        basis = np.linalg.qr(begun)[0]
+        initial_states = np.vstack([slopes[:, p:], np.diag(1.0 / fit.initial_state_std)])
+        padded = np.vstack([slopes[:, :p], np.zeros((len(fit.initial_state_std), p))])
+        basis = np.linalg.qr(initial_states)[0]
         slopes = padded - basis @ (basis.T @ padded)
     inflation = variance_inflation(fit.solution.residual, [whitener], len(quantities))
     slopes = slopes[:, :p] / np.sqrt(inflation)
@@ -218,8 +220,8 @@ def _said(
     ones = np.ones(len(x))
     total = float(ones @ weights @ ones)
     middle = float(ones @ weights @ x) / total
-    scatter, freedom = float((x - middle) @ weights @ (x - middle)), len(x) - 1
+    scatter, dof = float((x - middle) @ weights @ (x - middle)), len(x) - 1
     per_variance = float(np.trace(weights)) - float(ones @ weights @ weights @ ones) / total
-    spread = float(np.sqrt(max(0.0, scatter - freedom) / per_variance))
+    spread = float(np.sqrt(max(0.0, scatter - dof) / per_variance))
     natural = spread * (quantity.natural(middle) if quantity.logarithmic else 1.0)
-    return tuple(found), natural, float(chi2_sf(freedom, scatter))
+    return tuple(found), natural, float(chi2_sf(dof, scatter))

@@ -6,15 +6,15 @@ from dataclasses import replace
 
 from cell.lab.data.prepared import StoppedError
 from cell.lab.data.results import Limit
-from cell.lab.fit.whole import Whole, of_all_trials
-from cell.lab.search.explore import Explorer
+from cell.lab.fit.all_trials_fit import AllTrialsFit, of_all_trials
+from cell.lab.search.fit_cache import FitCache
 from cell.lab.strength.limits import limits
 from cell.lab.strength.trial_agreement import agreement
 from cell.lab.verdict.diagnose import Examination
 from cell.lab.verdict.doubts import interrupted_doubt
 
 
-def with_limits(explorer: Explorer, examination: Examination) -> Examination:
+def with_limits(fits: FitCache, examination: Examination) -> Examination:
     """The examination with limits of every effect that was tried and is neither named nor tied.
 
     None of an unexplained study: beside a wrong model the true effect would be excluded; nor beside
@@ -24,35 +24,33 @@ def with_limits(explorer: Explorer, examination: Examination) -> Examination:
     if diagnosis.verdict == "unexplained" or diagnosis.codes & {"interrupted", "hopeless"}:
         return examination
     try:
-        return replace(
-            examination, diagnosis=replace(diagnosis, limits=_limits(explorer, examination))
-        )
+        return replace(examination, diagnosis=replace(diagnosis, limits=_limits(fits, examination)))
     except StoppedError:
-        explorer.prepared.work.stopped = False
+        fits.prepared.work.stopped = False
         doubt = interrupted_doubt("how strong other effects could be was not computed")
         return replace(
             examination, diagnosis=replace(diagnosis, warnings=(*diagnosis.warnings, doubt))
         )
 
 
-def _limits(explorer: Explorer, examination: Examination) -> tuple[Limit, ...]:
+def _limits(fits: FitCache, examination: Examination) -> tuple[Limit, ...]:
     """Limits of what the examination has neither named nor tied."""
     diagnosis = examination.diagnosis
     named = {n for f in (*diagnosis.missing, *diagnosis.partial) for n in (f.effect, *f.tied_with)}
     final = examination.final
     absent = [
         effect
-        for name, effect in explorer.library.items()
+        for name, effect in fits.library.items()
         if name not in named and name not in final.names
     ]
     try:
         whole = of_all_trials(examination.weighed, final.fit)
     except ValueError:  # as far as the fitted trials tell
-        whole = Whole(examination.weighed, final.fit)
-    return limits(whole, absent, explorer.progress)
+        whole = AllTrialsFit(examination.weighed, final.fit)
+    return limits(whole, absent, fits.progress)
 
 
-def with_agreement(explorer: Explorer, examination: Examination) -> Examination:
+def with_agreement(fits: FitCache, examination: Examination) -> Examination:
     """The examination with what each trial alone says of what the final model has.
 
     None, and a warning, where there is no time for it; none where no model's parameters mean
@@ -62,9 +60,9 @@ def with_agreement(explorer: Explorer, examination: Examination) -> Examination:
     if diagnosis.codes & {"interrupted", "not_searched", "hopeless"}:
         return examination
     try:
-        found = agreement(explorer.prepared, examination.final.fit, explorer.progress)
+        found = agreement(fits.prepared, examination.final.fit, fits.progress)
     except StoppedError:
-        explorer.prepared.work.stopped = False
+        fits.prepared.work.stopped = False
         doubt = interrupted_doubt("whether the trials agree was not computed")
         diagnosis = replace(diagnosis, warnings=(*diagnosis.warnings, doubt))
         return replace(examination, diagnosis=diagnosis)

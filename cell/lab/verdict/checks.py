@@ -160,7 +160,7 @@ LEAVES_NOISE: tuple[Check, ...] = (
         "Beside an earlier cable's model: is most of what that misses explained?",
         questions.explained_of_earlier,
         ">",
-        "most_share",
+        "least_share",
         "unexplained",
         "It leaves most of what the earlier cable's model misses.",
         "what is left may be the earlier model's own error, so half must go",
@@ -175,7 +175,7 @@ def explains(evidence: Evidence) -> bool:
 
 def _asked_by_prior_only(evidence: Evidence) -> Reading | None:
     """Number of effects that only an earlier cable's model asks for; which."""
-    if evidence.explorer.prior_q is None or evidence.is_base:
+    if evidence.fits.prior_q is None or evidence.is_base:
         return None
     asked = asked_by_prior_only(evidence, explains)
     return Reading(float(len(asked)), asked)
@@ -208,7 +208,7 @@ MAY_BE_CLAIMED: tuple[Check, ...] = (
         "How many effects explain as much as each effect found?",
         questions.most_tied,
         "<=",
-        "most_tied",
+        "max_tied",
         "cannot_tell",
         "These motions cannot tell them apart.",
         "one of three is an answer that an engineer can test; one of more is none",
@@ -229,7 +229,7 @@ MAY_BE_CLAIMED: tuple[Check, ...] = (
         "How many effects does only the earlier cable's model ask for?",
         _asked_by_prior_only,
         "<=",
-        "most_prior_driven",
+        "max_prior_driven",
         "cannot_tell",
         "Without the prior the study does not bear this out.",
         "without the prior, as of another cable, the study must bear each effect out",

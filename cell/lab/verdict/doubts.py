@@ -9,7 +9,7 @@ import numpy as np
 from cell.lab.data.prepared import ERRS
 from cell.lab.data.results import Doubt
 from cell.lab.fit.fitting import Fit, fit_trials
-from cell.lab.search.explore import Candidate, Explorer
+from cell.lab.search.fit_cache import FitCache, FittedModel
 from cell.lab.verdict.evidence import Evidence
 from cell.lab.verdict.questions import Reading
 
@@ -34,14 +34,14 @@ TOLD = 3
 NEAR_BOUND = 0.01
 
 
-def fit_doubts(explorer: Explorer, candidate: Candidate) -> tuple[Doubt, ...]:
+def fit_doubts(fits: FitCache, candidate: FittedModel) -> tuple[Doubt, ...]:
     """Of a fitted model: hopeless, far beyond the noise, no minimum, at a bound, or diverging."""
-    fit, floor = candidate.fit, explorer.prepared.floor
-    to_all = "" if explorer.prepared.study.role("validate") else " to all trials"
+    fit, noise_model = candidate.fit, fits.prepared.noise_model
+    to_all = "" if fits.prepared.study.role("validate") else " to all trials"
     found = []
-    moved_m = _moved_m(explorer)
+    moved_m = _moved_m(fits)
     worst_m = max(fit.rms_m, candidate.heldout.rms_m if candidate.heldout else 0.0)
-    if is_hopeless(explorer, fit):
+    if is_hopeless(fits, fit):
         found.append(
             Doubt(
                 "hopeless",
@@ -50,15 +50,15 @@ def fit_doubts(explorer: Explorer, candidate: Candidate) -> tuple[Doubt, ...]:
                 "frame, times and datasheet",
             )
         )
-    elif np.isfinite(worst_m) and worst_m > BEYOND_NOISE * floor.noise.std_m:
+    elif np.isfinite(worst_m) and worst_m > BEYOND_NOISE * noise_model.noise.std_m:
         found.append(
             Doubt(
                 "beyond_noise",
-                f"the model misses {worst_m * 1e3:.3g} mm, {worst_m / floor.noise.std_m:.0f} times "
-                "the noise: it lacks something; `cell diagnose STUDY` says what",
+                f"the model misses {worst_m * 1e3:.3g} mm, {worst_m / noise_model.noise.std_m:.0f} "
+                "times the noise: it lacks something; `cell diagnose STUDY` says what",
             )
         )
-    found += _wrong_minimum(explorer, candidate)
+    found += _wrong_minimum(fits, candidate)
     found += [
         Doubt(
             "at_bound",
@@ -79,14 +79,14 @@ def fit_doubts(explorer: Explorer, candidate: Candidate) -> tuple[Doubt, ...]:
     return tuple(found)
 
 
-def _wrong_minimum(explorer: Explorer, candidate: Candidate) -> list[Doubt]:
+def _wrong_minimum(fits: FitCache, candidate: FittedModel) -> list[Doubt]:
     """Of a model that leaves far more than noise: EI of no cable, or another from another start."""
-    noise_m, fit = explorer.prepared.floor.noise.std_m, candidate.fit
+    noise_m, fit = fits.prepared.noise_model.noise.std_m, candidate.fit
     left_m = max(fit.rms_m, candidate.heldout.rms_m if candidate.heldout else 0.0)
     if not left_m > BEYOND_NOISE * noise_m:
-        second = explorer.second
+        second = fits.second
         as_good = second is not None and second.rms_m <= ERRS * fit.rms_m
-        return _starts_disagree(explorer) if as_good else []
+        return _starts_disagree(fits) if as_good else []
     found = []
     rigidity = fit.model.rigidity_n_m2
     differs = float(rigidity.max() / rigidity.min())
@@ -99,13 +99,13 @@ def _wrong_minimum(explorer: Explorer, candidate: Candidate) -> list[Doubt]:
                 "wrong minimum, or the study not as it says (frame, datasheet, how trials begin)",
             )
         )
-    found += _starts_disagree(explorer)
+    found += _starts_disagree(fits)
     return found
 
 
-def _starts_disagree(explorer: Explorer) -> list[Doubt]:
+def _starts_disagree(fits: FitCache) -> list[Doubt]:
     """Of a baseline that ends elsewhere from a second start, in EI or in its effects."""
-    base, other = explorer.baseline().fit, explorer.elsewhere()
+    base, other = fits.baseline().fit, fits.second_start()
     if other is None:
         return []
     apart = np.log(other.model.rigidity_n_m2) - np.log(base.model.rigidity_n_m2)
@@ -157,14 +157,14 @@ def lacking_doubt(lacks: Sequence[str]) -> tuple[Doubt, ...]:
     )
 
 
-def is_hopeless(explorer: Explorer, fit: Fit) -> bool:
+def is_hopeless(fits: FitCache, fit: Fit) -> bool:
     """Whether a fit misses more than half of what the markers move: no model of this cable."""
-    return fit.rms_m > HOPELESS_SHARE * _moved_m(explorer)
+    return fit.rms_m > HOPELESS_SHARE * _moved_m(fits)
 
 
-def is_no_model(explorer: Explorer, fit: Fit) -> bool:
+def is_no_model(fits: FitCache, fit: Fit) -> bool:
     """Whether a fit misses so much more than the markers move that no effect can be what lacks."""
-    return fit.rms_m > NO_MODEL * _moved_m(explorer)
+    return fit.rms_m > NO_MODEL * _moved_m(fits)
 
 
 def no_model_doubt() -> Doubt:
@@ -188,7 +188,7 @@ def unsimulated_doubt() -> Doubt:
 
 
 def doubts(
-    explorer: Explorer, whole: Explorer, final: Candidate, cut_short: bool
+    fits: FitCache, whole: FitCache, final: FittedModel, cut_short: bool
 ) -> tuple[Doubt, ...]:
     """Of a diagnosis: of its final model, and whether the search for more was cut short.
 
@@ -197,9 +197,9 @@ def doubts(
     found = fit_doubts(whole, final)
     codes = {w.code for w in found}
     if "beyond_noise" in codes and "starts_disagree" not in codes:  # `whole` has looked at no other
-        found += tuple(_starts_disagree(explorer))
+        found += tuple(_starts_disagree(fits))
     if cut_short:
-        simulated_s = explorer.prepared.work.simulated_s
+        simulated_s = fits.prepared.work.simulated_s
         found += (
             Doubt(
                 "cut_short",
@@ -229,10 +229,10 @@ def insensitive_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...
 
 def noise_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
     """Of a model that leaves noise, where the rest was too short to tell what noise is."""
-    floor = evidence.noise_model
-    low_m, high_m = floor.range_m or (floor.noise.std_m, floor.noise.std_m)
-    remedy = f"record at least {floor.frames_needed} frames at rest before each motion"
-    if floor.hidden:
+    noise_model = evidence.noise_model
+    low_m, high_m = noise_model.range_m or (noise_model.noise.std_m, noise_model.noise.std_m)
+    remedy = f"record at least {noise_model.frames_needed} frames at rest before each motion"
+    if noise_model.hidden:
         remedy = "write the markers with more digits, as they are rounded to more than they vary"
     return (
         Doubt(
@@ -249,7 +249,7 @@ def weak_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
     least = evidence.rules.least_visible
     seen = [e for e in evidence.added if e.name in reading.effects]
     if evidence.final.heldout is not None:
-        seen = [e for e in seen if evidence.explorer.visible(evidence.final, e) >= least]
+        seen = [e for e in seen if evidence.fits.heldout_log_lr(evidence.final, e) >= least]
     return tuple(
         Doubt(
             "weakly_identified",
@@ -301,10 +301,10 @@ def prior_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
     )
 
 
-def _moved_m(explorer: Explorer) -> float:
+def _moved_m(fits: FitCache) -> float:
     """rms distance of the fit trials' markers from their own means, per coordinate, m."""
     square, count = 0.0, 0
-    for trial in fit_trials(explorer.prepared):
+    for trial in fit_trials(fits.prepared):
         for series in trial.markers.xy_m.reshape(len(trial.markers.t_s), -1).T:
             seen = series[np.isfinite(series)]
             if seen.size:

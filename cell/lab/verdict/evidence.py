@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 from cell.cable.effects.base import Effect
-from cell.lab.data.noise_floor import Floor
+from cell.lab.data.noise_floor import NoiseModel
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.search.explore import Candidate, Explorer
+from cell.lab.search.fit_cache import FitCache, FittedModel
 from cell.lab.verdict.rules import Rules
 from cell.lab.verdict.smooth_part import SmoothPart, smooth_part
 
@@ -22,21 +22,21 @@ class Evidence:
     tied   of each effect that was added, those that explain as much in its place
     """
 
-    explorer: Explorer
-    base: Candidate
-    final: Candidate
+    fits: FitCache
+    base: FittedModel
+    final: FittedModel
     rules: Rules
     tied: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     @property
     def prepared(self) -> PreparedStudy:
         """The study."""
-        return self.explorer.prepared
+        return self.fits.prepared
 
     @property
-    def noise_model(self) -> Floor:
+    def noise_model(self) -> NoiseModel:
         """Noise of the measurement."""
-        return self.prepared.floor
+        return self.prepared.noise_model
 
     @property
     def is_base(self) -> bool:
@@ -46,7 +46,7 @@ class Evidence:
     @property
     def added(self) -> list[type[Effect]]:
         """Effects of the model that the baseline lacks."""
-        return [e for e in self.final.effects if e not in self.explorer.space.effects]
+        return [e for e in self.final.effects if e not in self.fits.space.effects]
 
     @cached_property
     def smooth_before(self) -> SmoothPart | None:
@@ -56,16 +56,16 @@ class Evidence:
     @cached_property
     def over_noise(self) -> float:
         """Larger of the fitted and the held-out error, over the measurement's noise."""
-        return above_noise(self.explorer, self.final)
+        return above_noise(self.fits, self.final)
 
     @property
     def below_stated(self) -> bool:
         """Whether the model errs by much less than the measurement is said to."""
-        floor = self.noise_model
-        return floor.stated and self.over_noise < self.rules.below_stated
+        noise_model = self.noise_model
+        return noise_model.stated and self.over_noise < self.rules.below_stated
 
 
-def above_noise(explorer: Explorer, candidate: Candidate) -> float:
+def above_noise(fits: FitCache, candidate: FittedModel) -> float:
     """Larger of a candidate's fitted and held-out error over the measurement's noise."""
     held_m = candidate.heldout.rms_m if candidate.heldout else 0.0
-    return max(candidate.fit.rms_m, held_m) / explorer.prepared.floor.noise.std_m
+    return max(candidate.fit.rms_m, held_m) / fits.prepared.noise_model.noise.std_m

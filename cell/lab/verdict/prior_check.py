@@ -11,7 +11,7 @@ from cell.cable.effects.base import Effect
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import space_with
-from cell.lab.search.explore import Candidate, Explorer
+from cell.lab.search.fit_cache import FitCache, FittedModel
 from cell.lab.verdict.evidence import Evidence, above_noise
 from cell.lab.verdict.rivals import close_rivals
 from cell.lab.verdict.rules import Rules
@@ -31,31 +31,31 @@ def asked_by_prior_only(evidence: Evidence, explains: Explains) -> tuple[str, ..
     measurement's noise, they account for all that sets this cable apart; then one that the prior
     alone asks for is what a prior is for.  Several are not: that the cable is another says less.
     """
-    explorer, final, rules = evidence.explorer, evidence.final, evidence.rules
-    if explorer.prior_q is None or evidence.is_base:
+    fits, final, rules = evidence.fits, evidence.final, evidence.rules
+    if fits.prior_q is None or evidence.is_base:
         return ()
-    spared = int(_of_this_cable(explorer, final, rules))
+    spared = int(_of_this_cable(fits, final, rules))
     if len(evidence.added) <= spared:
         return ()
-    alone = _without_prior(explorer)
+    alone = _without_prior(fits)
     found = not_borne_out(alone, evidence.added, evidence.tied, rules, explains)
     return found if len(found) > spared else ()
 
 
-def _without_prior(explorer: Explorer) -> Explorer:
+def _without_prior(fits: FitCache) -> FitCache:
     """The same study, as of a cable of which nothing is known."""
-    prepared, space = explorer.prepared, explorer.space
+    prepared, space = fits.prepared, fits.space
     free = ParameterSpace.of(space.cable, gravity_m_per_s2=space.gravity_m_per_s2)
-    return Explorer(
+    return FitCache(
         PreparedStudy.of(prepared.measured, solver=prepared.solver, work=prepared.work),
         space_with(free, space.effects),
-        explorer.library,
-        explorer.progress,
+        fits.library,
+        fits.progress,
     )
 
 
 def not_borne_out(
-    alone: Explorer,
+    alone: FitCache,
     effects: Sequence[type[Effect]],
     tied: Mapping[str, Sequence[str]],
     rules: Rules,
@@ -74,26 +74,28 @@ def not_borne_out(
                 or _in_place(alone, needed, e, rules) - set(tied.get(e.name, ()))
             )
         rest = [[e for e in effects if e.name not in c.names] for c in tried]
-        more = [alone.add(c, others) for c, others in zip(tried, rest, strict=True) if others]
+        more = [
+            alone.fit_extended(c, others) for c, others in zip(tried, rest, strict=True) if others
+        ]
         tried = list({c.names: c for found in more for c in found}.values())
     return tuple(e.name for e in effects)
 
 
 def _in_place(
-    alone: Explorer, needed: Candidate, effect: type[Effect], rules: Rules
+    alone: FitCache, needed: FittedModel, effect: type[Effect], rules: Rules
 ) -> frozenset[str]:
     """Effects that explain as much as one of a candidate's, or more, in its place."""
-    rest = alone.without(needed, effect)
-    rivals = alone.add(rest, alone.worth_refitting(rest, rules.best))
+    rest = alone.fit_reduced(needed, effect)
+    rivals = alone.fit_extended(rest, alone.shortlist(rest, rules.max_refits))
     found = [c.names - rest.names for c in close_rivals(alone, needed, rivals, rules)]
     return frozenset().union(*found) - needed.names
 
 
-def _of_this_cable(explorer: Explorer, final: Candidate, rules: Rules) -> bool:
+def _of_this_cable(fits: FitCache, final: FittedModel, rules: Rules) -> bool:
     """Whether a model explains the study to the measurement's noise, and agrees with the prior."""
-    if above_noise(explorer, final) > rules.gross_misfit:
+    if above_noise(fits, final) > rules.gross_misfit:
         return False
-    space = explorer.space
+    space = fits.space
     own = [final.fit.space.names.index(n) for n in space.names]
     away = final.fit.q[own] - space.mean
     square = float(away @ space.precision @ away)

@@ -11,10 +11,10 @@ from scipy.special import fdtrc as f_sf
 
 from cell.lab.fit.fitting import Fit, fit_trials
 from cell.lab.statistics.score import holm
-from cell.lab.verdict.asked import of_a_wider_law, of_effects, of_what_trials_ask_for
 from cell.lab.verdict.evidence import Evidence
-from cell.lab.verdict.leftover import leftover, removed_share
+from cell.lab.verdict.residual_summary import removed_share, residual_summary
 from cell.lab.verdict.smooth_part import SmoothPart, of_a_finer_model, of_all_trials_together
+from cell.lab.verdict.specification import of_effects, parameter_constancy_of, wider_law_of
 from cell.lab.verdict.stated import chance_of_stated
 
 
@@ -29,7 +29,7 @@ class Reading:
 def within_stated(evidence: Evidence) -> Reading | None:
     """p-value of an error so far above what the study states; None if it states none."""
     prepared = evidence.prepared
-    if not (prepared.noise_is_measured and prepared.floor.stated):
+    if not (prepared.noise_is_measured and prepared.noise_model.stated):
         return None
     return Reading(chance_of_stated(prepared, evidence.final, evidence.rules.misfit))
 
@@ -37,7 +37,7 @@ def within_stated(evidence: Evidence) -> Reading | None:
 def _judged_by_rest(evidence: Evidence) -> bool:
     """Whether the noise is told by the frames, or is an earlier model's error: not stated."""
     prepared = evidence.prepared
-    return not (prepared.noise_is_measured and prepared.floor.stated)
+    return not (prepared.noise_is_measured and prepared.noise_model.stated)
 
 
 def fitted_ratio(evidence: Evidence) -> Reading | None:
@@ -63,7 +63,7 @@ def parameter_constancy(evidence: Evidence) -> Reading | None:
     """p-value of what the trials would change in the parameters, if each had its own."""
     if not _has_smooth_part(evidence):
         return None
-    return _of_part(evidence, of_what_trials_ask_for(evidence.prepared, evidence.final.fit))
+    return _of_part(evidence, parameter_constancy_of(evidence.prepared, evidence.final.fit))
 
 
 def wider_law(evidence: Evidence) -> Reading | None:
@@ -73,7 +73,7 @@ def wider_law(evidence: Evidence) -> Reading | None:
         return None
     chances = {}
     for effect in evidence.final.effects:
-        left = of_a_wider_law(evidence.prepared, evidence.final.fit, effect)
+        left = wider_law_of(evidence.prepared, evidence.final.fit, effect)
         if left is not None:
             negligible = left.excess_of_all <= rules.law_share * before.excess_of_all
             chances[effect.name] = 1.0 if negligible else left.p_value
@@ -97,7 +97,7 @@ def residual_level(evidence: Evidence) -> Reading | None:
     left = (rms_m**2 - noise_m**2) / max(before_m**2 - noise_m**2, 1e-30)
     if ratio < rules.misfit or (ratio < rules.gross_misfit and left < rules.misfit_share):
         return Reading(1.0)
-    return Reading(_p_value(chi2, count, prepared.floor.freedom))
+    return Reading(_p_value(chi2, count, prepared.noise_model.dof))
 
 
 def explained_of_earlier(evidence: Evidence) -> Reading | None:
@@ -109,9 +109,9 @@ def explained_of_earlier(evidence: Evidence) -> Reading | None:
         return Reading(1.0)
     if evidence.is_base:
         return Reading(0.0)
-    before = leftover(prepared, evidence.explorer.prior_candidate())
-    after = leftover(prepared, evidence.final)
-    return Reading(removed_share(prepared.floor.noise.std_m, before, after))
+    before = residual_summary(prepared, evidence.fits.prior_candidate())
+    after = residual_summary(prepared, evidence.final)
+    return Reading(removed_share(prepared.noise_model.noise.std_m, before, after))
 
 
 def heldout_trials(evidence: Evidence) -> Reading | None:
@@ -126,7 +126,7 @@ def least_visible(evidence: Evidence) -> Reading | None:
     """Smallest ln likelihood ratio, on held-out trials, with and without an effect found."""
     if evidence.final.heldout is None or not evidence.added:
         return None
-    seen = {e.name: evidence.explorer.visible(evidence.final, e) for e in evidence.added}
+    seen = {e.name: evidence.fits.heldout_log_lr(evidence.final, e) for e in evidence.added}
     unseen = tuple(name for name, ln in seen.items() if ln < evidence.rules.least_visible)
     return Reading(min(seen.values()), unseen)
 
@@ -143,7 +143,7 @@ def half_seen(evidence: Evidence) -> Reading | None:
     """Largest p-value, over the effects found, that half of what each explains would have."""
     if not evidence.added:
         return None
-    without = {e.name: evidence.explorer.without(evidence.final, e).fit for e in evidence.added}
+    without = {e.name: evidence.fits.fit_reduced(evidence.final, e).fit for e in evidence.added}
     chances = {name: _chance_of_half(evidence, fit) for name, fit in without.items()}
     weak = tuple(name for name, p in chances.items() if p >= evidence.rules.half_seen)
     return Reading(max(chances.values()), weak)
@@ -154,8 +154,8 @@ def _chance_of_half(evidence: Evidence, without: Fit) -> float:
     prepared, least = evidence.prepared, 1.0
     looks: tuple[Callable[[], SmoothPart | None], ...] = (
         lambda: of_a_finer_model(prepared, without),
-        lambda: of_what_trials_ask_for(prepared, without),
-        lambda: of_what_trials_ask_for(prepared, without, evidence.final.fit),
+        lambda: parameter_constancy_of(prepared, without),
+        lambda: parameter_constancy_of(prepared, without, evidence.final.fit),
     )
     for look in looks:
         part = look()
@@ -173,9 +173,9 @@ def possibly_omitted(evidence: Evidence) -> Reading | None:
     """
     if not evidence.prepared.noise_is_measured or evidence.below_stated:
         return None
-    explorer, final, rules = evidence.explorer, evidence.final, evidence.rules
+    fits, final, rules = evidence.fits, evidence.final, evidence.rules
     rivals = {name for names in evidence.tied.values() for name in names}
-    offered = [e for n, e in explorer.library.items() if n not in {*final.names, *rivals}]
+    offered = [e for n, e in fits.library.items() if n not in {*final.names, *rivals}]
     asked = of_effects(evidence.prepared, final.fit, offered)
     adjusted = holm([p for _, p in asked.values()])
     fall = evidence.base.chi2 - final.chi2
@@ -219,8 +219,8 @@ def _of_part(evidence: Evidence, left: SmoothPart | None) -> Reading | None:
     return Reading(least)
 
 
-def _p_value(chi2: float, count: int, freedom: float) -> float:
+def _p_value(chi2: float, count: int, dof: float) -> float:
     """Of a χ² of `count` values whose unit is known from `freedom` others."""
-    if np.isfinite(freedom):
-        return float(f_sf(count, freedom, chi2 / count))
+    if np.isfinite(dof):
+        return float(f_sf(count, dof, chi2 / count))
     return float(chi2_sf(count, chi2))

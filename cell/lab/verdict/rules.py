@@ -16,19 +16,19 @@ class Rules:
     heldout_gain     ln of how much likelier the held-out trials must become
     least_visible    ln of how much likelier the effect itself, all else as fitted, must make them:
                      below, they cannot see it, and what they gain comes by other parameters
-    blind            effects that the held-out trials see by less than this share of the χ² that
+    heldout_insensitive  effects that the held-out trials see by less than this share of the χ² that
                      they explain of the fit trials are found, but not confirmed
     first_share, more_share, excess_share   least fall of the held-out mean square: of the noise's
                      for the first effect and for more, and of the baseline's excess for more.
                      Below lie the errors of models, ours included, whatever their significance
-    tie              sets of effects are tied if their χ² over all trials differs by less
-    advantage        where no set of effects leaves noise, one that leaves less by fewer standard
+    tie_delta_chi2  sets of effects are tied if their χ² over all trials differs by less
+    vuong_z  where no set of effects leaves noise, one that leaves less by fewer standard
                      deviations than this is tied with what leaves more.  Beside white noise 1.5 is
                      Δχ² = 9; with covariances over a quarter of the frames that becomes 2
                      (Kiefer and Vogelsang 2005, Econometric Theory 21, 1130)
-    most_tied        more than these tied: these motions cannot tell
-    most_effects     added one after another
-    best             of the screen that are refitted, besides all that are not smooth
+    max_tied        more than these tied: these motions cannot tell
+    max_effects     added one after another
+    max_refits  of the screen that are refitted, besides all that are not smooth
     below_stated     a stated noise of which a model leaves less than this share bounds what the
                      measurement can be trusted for: below it nothing more is claimed
     misfit_significance   of what a model leaves on the held-out trials
@@ -41,12 +41,12 @@ class Rules:
                      more than its own, if that is more than such a share of the baseline's excess
     half_seen        significance at which the trials must be able to show half of an
                      effect's smooth part, or else it is not told from effects of no library
-    most_share       of the error beyond noise that an effect removes if it explains most, not all
+    least_share       of the error beyond noise that an effect removes if it explains most, not all
     nearest          effects that an unexplained study is told of
     least_heldout    held-out trials that confirm an effect
-    most_prior_driven   effects that only an earlier cable's model asks for
+    max_prior_driven   effects that only an earlier cable's model asks for
     noise_known_within  largest mean square over the noise's that the rest may allow
-    most_simulated_s  after so many seconds of motion simulated no further effect is sought; some
+    max_simulated_s  after so many seconds of motion simulated no further effect is sought; some
                      twenty seconds on two cores, and as much again for what was begun
     first_effects, hopeless_left, unexchanged_left   after so many effects no more are sought if a
                      larger share than this of the error beyond noise is left, and none exchanged
@@ -57,18 +57,18 @@ class Rules:
     significance: float = SIGNIFICANCE
     heldout_gain: float = 3.0
     least_visible: float = 1.0
-    blind: float = 0.1
+    heldout_insensitive: float = 0.1
     first_share: float = 0.003
     more_share: float = 0.01
     excess_share: float = 0.001
-    tie: float = 9.0
-    advantage: float = 2.0
-    most_tied: int = 3
-    most_effects: int = 3
-    best: int = 6
+    tie_delta_chi2: float = 9.0
+    vuong_z: float = 2.0
+    max_tied: int = 3
+    max_effects: int = 3
+    max_refits: int = 6
     below_stated: float = 0.8
     least_heldout: float = 1.0
-    most_prior_driven: float = 0.0
+    max_prior_driven: float = 0.0
     noise_known_within: float = KNOWN_WITHIN
     misfit: float = 1.04
     gross_misfit: float = 1.10
@@ -79,9 +79,9 @@ class Rules:
     law_significance: float = 1e-4
     law_share: float = 1e-3
     half_seen: float = 0.05
-    most_share: float = 0.5
+    least_share: float = 0.5
     nearest: int = 3
-    most_simulated_s: float = 40_000.0
+    max_simulated_s: float = 40_000.0
     first_effects: int = 2
     hopeless_left: float = 0.1
     unexchanged_left: float = 0.5

@@ -13,13 +13,13 @@ from scipy.special import fdtrc as f_sf
 
 from cell.identify.gaussian import marginal_chi2
 from cell.identify.noise import Whitener
-from cell.lab.data.noise_floor import MAX_COLOUR, Floor
+from cell.lab.data.noise_floor import MAX_COLOUR, NoiseModel
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.fit.fitting import Fit, HeldoutRows, best_begun, fit_trials, heldout_rows
+from cell.lab.fit.all_trials_fit import AllTrialsFit, of_all_trials
+from cell.lab.fit.fitting import Fit, HeldoutRows, best_initial_state, fit_trials, heldout_rows
 from cell.lab.fit.mesh import LEFT
 from cell.lab.fit.sensitivity import prior_root
-from cell.lab.fit.systematic import MOTIONS, systematic
-from cell.lab.fit.whole import Whole, of_all_trials
+from cell.lab.fit.systematic_error import MOTIONS, systematic_error
 
 FloatArray = NDArray[np.float64]
 
@@ -39,7 +39,7 @@ class SmoothPart:
     chi2: float
     count: float
     rows: int
-    freedom: float
+    dof: float
 
     @property
     def excess(self) -> float:
@@ -58,9 +58,9 @@ class SmoothPart:
 
     def chance_of(self, excess: float) -> float:
         """p-value that so much beyond noise would have."""
-        if not np.isfinite(self.freedom):
+        if not np.isfinite(self.dof):
             return float(chi2_sf(self.count, self.count * (1.0 + excess)))
-        return float(f_sf(self.count, self.freedom, 1.0 + excess))
+        return float(f_sf(self.count, self.dof, 1.0 + excess))
 
 
 @lru_cache(maxsize=16)
@@ -77,12 +77,12 @@ def smooth_part(prepared: PreparedStudy, fit: Fit) -> SmoothPart | None:
     if np.all(np.isfinite(rows.residual)) and np.all(np.isfinite(rows.spread)):
         coarse = _coarse(prepared, rows, rows.residual[None])
         chi2, count = _chi2(coarse[0], _coarse(prepared, rows, rows.spread.T)), coarse.shape[1]
-    return SmoothPart(chi2, count, len(rows.residual), prepared.floor.slow_freedom)
+    return SmoothPart(chi2, count, len(rows.residual), prepared.noise_model.slow_dof)
 
 
 def noise_was_seen(prepared: PreparedStudy) -> bool:
     """Whether the level of noise is that of still frames: not stated, nor a model's error."""
-    return prepared.noise_is_measured and not prepared.floor.stated
+    return prepared.noise_is_measured and not prepared.noise_model.stated
 
 
 def of_a_finer_model(prepared: PreparedStudy, fit: Fit) -> SmoothPart | None:
@@ -95,9 +95,12 @@ def of_a_finer_model(prepared: PreparedStudy, fit: Fit) -> SmoothPart | None:
     if seen is None or not np.isfinite(seen.chi2):
         return seen
     rows, held = heldout_rows(prepared, fit), prepared.study.role("validate")
-    begun = {**fit.begun, **{t.name: best_begun(prepared, fit.model, t) for t in held}}
-    there = systematic(prepared, replace(fit, begun=begun), held)
-    fitted = systematic(prepared, fit, fit_trials(prepared))
+    initial_states = {
+        **fit.initial_states,
+        **{t.name: best_initial_state(prepared, fit.model, t) for t in held},
+    }
+    there = systematic_error(prepared, replace(fit, initial_states=initial_states), held)
+    fitted = systematic_error(prepared, fit, fit_trials(prepared))
     mesh = there.mesh + _followed(fit, fitted.mesh[None])[0] @ rows.by_parameters.T
     doubt = there.doubt + _followed(fit, fitted.doubt[None])[0] @ rows.by_parameters.T
     changes = [doubt[None], there.hands]
@@ -121,12 +124,12 @@ def of_all_trials_together(prepared: PreparedStudy, fit: Fit) -> SmoothPart | No
 
     returns  None too where a trial cannot be simulated
     """
-    left = together(prepared, fit) if noise_was_seen(prepared) else None
+    left = all_trials_residual(prepared, fit) if noise_was_seen(prepared) else None
     return None if left is None else left.part(_of_trial)
 
 
 @dataclass(frozen=True, eq=False)
-class Together:
+class AllTrialsResidual:
     """A model fitted to all trials: what it leaves, and what that is known to be wrong by.
 
     every     (1 + errors + basis, rows) residual, less the mesh's error, and without what the
@@ -134,7 +137,7 @@ class Together:
               The prior's rows come last
     """
 
-    whole: Whole
+    whole: AllTrialsFit
     whiteners: list[Whitener]
     every: FloatArray
     errors: int
@@ -142,15 +145,17 @@ class Together:
     @cached_property
     def by_trial(self) -> list[tuple[Whitener, FloatArray]]:
         """`every` of each trial, (…, rows of the trial)."""
-        return list(zip(self.whiteners, self.whole.wrong.by_trial(self.every), strict=True))
+        return list(
+            zip(self.whiteners, self.whole.systematic_error.by_trial(self.every), strict=True)
+        )
 
     @cached_property
     def level(self) -> tuple[float, float]:
         """Of slow noise, and the degrees of freedom behind it; as stated, if it is."""
-        floor = self.whole.prepared.floor
+        noise_model = self.whole.prepared.noise_model
         if not noise_was_seen(self.whole.prepared):
             return 1.0, np.inf
-        return _slow_level(floor, [_Fast.of(w, p[0]) for w, p in self.by_trial])
+        return _slow_level(noise_model, [_Fast.of(w, p[0]) for w, p in self.by_trial])
 
     def part(self, coordinates: Callable[[Whitener, FloatArray], FloatArray]) -> SmoothPart:
         """χ² in orthonormal directions of each trial: (directions, n) coordinates of (rows, n)."""
@@ -160,29 +165,29 @@ class Together:
         """χ² by (directions, 1 + errors + basis) coordinates of `every` in orthonormal ones."""
         by_errors = float(np.sum(coarse[:, 1 : 1 + self.errors] ** 2))
         count = len(coarse) - float(np.sum(coarse[:, 1 + self.errors :] ** 2))
-        level, freedom = self.level
+        level, dof = self.level
         chi2 = float(coarse[:, 0] @ coarse[:, 0]) * count / (count * level + by_errors)
-        return SmoothPart(chi2, count, sum(w.count for w in self.whiteners), freedom)
+        return SmoothPart(chi2, count, sum(w.count for w in self.whiteners), dof)
 
 
 @lru_cache(maxsize=4)
-def together(prepared: PreparedStudy, fit: Fit) -> Together | None:
+def all_trials_residual(prepared: PreparedStudy, fit: Fit) -> AllTrialsResidual | None:
     """A model fitted to all trials; None where one of them cannot be simulated."""
     try:
         whole = of_all_trials(prepared, fit)
     except ValueError:
         return None
-    linear, wrong, trials = whole.linear, whole.wrong, fit_trials(whole.prepared)
-    rows = wrong.ends[-1]
-    changes = [np.append(wrong.doubt, np.zeros(len(linear.left) - rows))[None] * LEFT]
-    for part in np.split(np.arange(rows), wrong.ends[:-1]):
+    linear, errs, trials = whole.linear, whole.systematic_error, fit_trials(whole.prepared)
+    rows = errs.ends[-1]
+    changes = [np.append(errs.doubt, np.zeros(len(linear.left) - rows))[None] * LEFT]
+    for part in np.split(np.arange(rows), errs.ends[:-1]):
         alone = np.zeros((MOTIONS, len(linear.left)))  # every trial's log is wrong in its own way
-        alone[:, part] = wrong.hands[:, part] / np.sqrt(MOTIONS)
+        alone[:, part] = errs.hands[:, part] / np.sqrt(MOTIONS)
         changes.append(alone)
     errors = linear.seen(np.concatenate(changes))
     every = np.vstack([linear.left, errors, linear.basis.T])
     whiteners = [whole.prepared.whiteners[t.name] for t in trials]
-    return Together(whole, whiteners, every, len(errors))
+    return AllTrialsResidual(whole, whiteners, every, len(errors))
 
 
 @dataclass(frozen=True)
@@ -221,8 +226,8 @@ class _Fast:
         return _Fast(square, products, values, neighbours, pairs)
 
 
-def _slow_level(floor: Floor, parts: Sequence[_Fast]) -> tuple[float, float]:
-    """Mean square of the noise's smooth part once whitened, 1 if the floor is right; its freedom.
+def _slow_level(noise_model: NoiseModel, parts: Sequence[_Fast]) -> tuple[float, float]:
+    """Mean square of the noise's smooth part once whitened, 1 if the noise is right; its dof.
 
     Noise of another colour than it was whitened for keeps a correlation with the frame before, and
     is by so much stronger where it is slow.
@@ -232,12 +237,12 @@ def _slow_level(floor: Floor, parts: Sequence[_Fast]) -> tuple[float, float]:
     )
     level = square / values
     off = (products - neighbours * level) / (level * pairs)
-    alike = floor.effective_fraction
+    alike = noise_model.effective_fraction
     colour = (1.0 - alike) / (1.0 + alike)
     slow = level * ((1.0 - colour) / (1.0 - min(colour + off, MAX_COLOUR))) ** 2
-    freedom = values / (1.0 + 2.0 / floor.effective_fraction)
-    together = freedom + floor.slow_freedom
-    return (freedom * slow + floor.slow_freedom) / together, together
+    dof = values / (1.0 + 2.0 / noise_model.effective_fraction)
+    together = dof + noise_model.slow_dof
+    return (dof * slow + noise_model.slow_dof) / together, together
 
 
 def _followed(fit: Fit, changes: FloatArray) -> FloatArray:

@@ -6,13 +6,13 @@ import numpy as np
 from scipy.special import chdtrc as chi2_sf
 
 from cell.lab.data.prepared import PreparedStudy
+from cell.lab.fit.all_trials_fit import of_all_trials
 from cell.lab.fit.fitting import Fit, errors_m, heldout_rows
-from cell.lab.fit.whole import of_all_trials
-from cell.lab.search.explore import Candidate
-from cell.lab.verdict.leftover import residuals_m
+from cell.lab.search.fit_cache import FittedModel
+from cell.lab.verdict.residual_summary import residuals_m
 
 
-def chance_of_stated(prepared: PreparedStudy, final: Candidate, negligible: float) -> float:
+def chance_of_stated(prepared: PreparedStudy, final: FittedModel, negligible: float) -> float:
     """p-value of an error so far above what the study states its markers err by.
 
     Fitted, held out (allowing for what the fit leaves uncertain there), and fitted to all trials
@@ -22,9 +22,9 @@ def chance_of_stated(prepared: PreparedStudy, final: Candidate, negligible: floa
 
     negligible  error over the stated one up to which the p-value is 1: a model errs by as much
     """
-    floor = prepared.floor
-    square_m2, again = floor.noise.std_m**2, floor.noise.colour**2
-    share = (1.0 - again) / (1.0 + again) / floor.together
+    noise_model = prepared.noise_model
+    square_m2, again = noise_model.noise.std_m**2, noise_model.noise.ar1**2
+    share = (1.0 - again) / (1.0 + again) / noise_model.correlated_channels
     left = [(errors_m(prepared, final.fit), 0.0)]
     if final.heldout is not None:
         if not np.isfinite(final.heldout.rms_m):

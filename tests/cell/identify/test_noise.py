@@ -60,7 +60,7 @@ def test_whitening_equals_the_dense_covariance() -> None:
     predicted = np.nan_to_num(measured) - error[:, None]
     white = Whitener(measured, noise)(predicted[None])[0].reshape(2, frames)
     frame = np.arange(frames)[seen]
-    dense = noise.std_m**2 * noise.colour ** np.abs(frame[:, None] - frame) + noise.bias_m**2
+    dense = noise.std_m**2 * noise.ar1 ** np.abs(frame[:, None] - frame) + noise.bias_m**2
     for channel in (0, 1):
         e = error[seen, channel]
         expected = e @ np.linalg.solve(dense, e)

@@ -7,7 +7,7 @@ import pytest
 
 from cell.identify.noise import Noise
 from cell.lab.data.noise_floor import (
-    Floor,
+    NoiseModel,
     NoiseUnknownError,
     Remainder,
     floor_of_all_frames,
@@ -19,15 +19,15 @@ from cell.study.data import Markers
 
 @pytest.mark.parametrize("colour", [0.0, 0.5, 0.9])
 def test_level_and_colour_are_recovered(make_study, colour):
-    found = [noise_floor(make_study(seed=s, colour=colour, noise_m=2e-4)).noise for s in range(3)]
-    assert np.mean([n.colour for n in found]) == pytest.approx(colour, abs=0.05)
+    found = [noise_floor(make_study(seed=s, ar1=colour, noise_m=2e-4)).noise for s in range(3)]
+    assert np.mean([n.ar1 for n in found]) == pytest.approx(colour, abs=0.05)
     assert np.mean([n.std_m for n in found]) == pytest.approx(
         2e-4, rel=0.03 if colour < 0.6 else 0.1
     )
 
 
 def test_a_settling_cable_does_not_count_as_noise(make_study):
-    study = make_study(colour=0.0)
+    study = make_study(ar1=0.0)
     drifting = []
     for trial in study.trials:
         sag = 2e-3 * np.exp(-trial.markers.t_s / 0.15)[:, None, None]
@@ -36,12 +36,12 @@ def test_a_settling_cable_does_not_count_as_noise(make_study):
         )
     found = noise_floor(replace(study, trials=tuple(drifting))).noise
     assert found.std_m == pytest.approx(1e-4, rel=0.1)
-    assert found.colour < 0.2
+    assert found.ar1 < 0.2
 
 
 def test_lost_frames_and_markers_cost_no_more_than_themselves(make_study):
     """Every marker lost once at rest, and all of them in one frame."""
-    study = make_study(colour=0.5, noise_m=2e-4)
+    study = make_study(ar1=0.5, noise_m=2e-4)
     gappy = []
     for trial in study.trials:
         xy_m = trial.markers.xy_m.copy()
@@ -49,10 +49,10 @@ def test_lost_frames_and_markers_cost_no_more_than_themselves(make_study):
         for marker in range(xy_m.shape[1]):
             xy_m[8 + marker % 3, marker] = np.nan
         gappy.append(replace(trial, markers=Markers(trial.markers.t_s, xy_m)))
-    floor, whole = noise_floor(replace(study, trials=tuple(gappy))), noise_floor(study)
-    assert floor.noise.std_m == pytest.approx(2e-4, rel=0.05)
-    assert floor.noise.colour == pytest.approx(0.5, abs=0.1)
-    assert 0.5 * whole.freedom < floor.freedom < whole.freedom
+    noise_model, whole = noise_floor(replace(study, trials=tuple(gappy))), noise_floor(study)
+    assert noise_model.noise.std_m == pytest.approx(2e-4, rel=0.05)
+    assert noise_model.noise.ar1 == pytest.approx(0.5, abs=0.1)
+    assert 0.5 * whole.dof < noise_model.dof < whole.dof
 
 
 def test_a_stated_level_is_kept(make_study):
@@ -79,19 +79,21 @@ def test_a_stated_error_is_as_correlated_as_what_a_model_leaves():
         along = np.linspace(0.1, 1.0, 6)[:, None] ** np.arange(1, 3)
         errors.append(1e-3 * np.einsum("tkc,mk->tmc", shapes, along).reshape(180, 12))
     errors[0][5:9, 3] = np.nan
-    stated = Floor(Noise(1e-3, 0.9), np.inf)
+    stated = NoiseModel(Noise(1e-3, 0.9), np.inf)
     found = floor_of_residuals(stated, errors)
     assert found.noise.std_m == 1e-3
-    assert found.noise.colour == pytest.approx(2.0 / 3.0, abs=0.06)
-    assert 12.0 / found.together == pytest.approx(2.4, rel=0.2)  # of two shapes, two coordinates
-    assert found.weighed.std_m == pytest.approx(1e-3 * np.sqrt(found.together))
+    assert found.noise.ar1 == pytest.approx(2.0 / 3.0, abs=0.06)
+    assert 12.0 / found.correlated_channels == pytest.approx(
+        2.4, rel=0.2
+    )  # of two shapes, two coordinates
+    assert found.weighed.std_m == pytest.approx(1e-3 * np.sqrt(found.correlated_channels))
     white = [1e-3 * rng.normal(size=(180, 12)) for _ in range(3)]
     alone = floor_of_residuals(replace(stated, coloured=False), white)
-    assert alone.together == pytest.approx(1.0, abs=0.1)
-    assert alone.noise.colour == pytest.approx(0.0, abs=0.05)
+    assert alone.correlated_channels == pytest.approx(1.0, abs=0.1)
+    assert alone.noise.ar1 == pytest.approx(0.0, abs=0.05)
     bound = replace(stated, noise=Noise(1e-3, 0.3))
-    assert floor_of_residuals(bound, errors).noise.colour == 0.3
-    seen = Floor(Noise(1e-3, 0.9), 400.0)
+    assert floor_of_residuals(bound, errors).noise.ar1 == 0.3
+    seen = NoiseModel(Noise(1e-3, 0.9), 400.0)
     assert floor_of_residuals(seen, errors) == seen
 
 
@@ -120,11 +122,11 @@ def test_few_still_frames_are_helped_by_those_in_motion(make_study):
     """By 12 frames of one marker the level is right to 30 %, by all to 8 %; colour likewise."""
     alone, helped = [], []
     for seed in range(6):
-        floor = noise_floor(cut(make_study(seed=seed, colour=0.6), 12, 1))
-        found = floor_of_all_frames(floor, moving(seed, 1e-4, 0.6))
-        alone.append([floor.noise.std_m / 1e-4, floor.noise.colour])
-        helped.append([found.noise.std_m / 1e-4, found.noise.colour])
-        assert found.freedom > floor.freedom
+        noise_model = noise_floor(cut(make_study(seed=seed, ar1=0.6), 12, 1))
+        found = floor_of_all_frames(noise_model, moving(seed, 1e-4, 0.6))
+        alone.append([noise_model.noise.std_m / 1e-4, noise_model.noise.ar1])
+        helped.append([found.noise.std_m / 1e-4, found.noise.ar1])
+        assert found.dof > noise_model.dof
     before, after = (np.sqrt(np.mean((np.array(v) - [1.0, 0.6]) ** 2, 0)) for v in (alone, helped))
     assert np.all(after < [0.2, 0.15])
     assert np.all(after < 0.5 * before)
@@ -133,24 +135,24 @@ def test_few_still_frames_are_helped_by_those_in_motion(make_study):
 def test_what_the_rest_does_not_allow_is_no_noise(make_study):
     """A misfit of three times the noise stays one, beside a long rest and a short one."""
     for frames, most in ((38, 1.3), (12, 2.6)):
-        floor = noise_floor(cut(make_study(colour=0.0), frames, 2))
-        found = floor_of_all_frames(floor, moving(0, 3e-4, 0.8))
+        noise_model = noise_floor(cut(make_study(ar1=0.0), frames, 2))
+        found = floor_of_all_frames(noise_model, moving(0, 3e-4, 0.8))
         assert found.noise.std_m < most * 1e-4
-        assert found.freedom == floor.freedom
+        assert found.dof == noise_model.dof
 
 
 def test_a_known_level_and_a_long_rest_are_left_alone(make_study):
     stated = noise_floor(replace(make_study(), noise_std_m=1e-4))
     assert floor_of_all_frames(stated, moving(0, 3e-4, 0.8)) is stated
-    floor = noise_floor(make_study(colour=0.3))
-    found = floor_of_all_frames(floor, moving(0, 1e-4, 0.3))
-    assert found.noise.std_m == pytest.approx(floor.noise.std_m, rel=0.03)
+    noise_model = noise_floor(make_study(ar1=0.3))
+    found = floor_of_all_frames(noise_model, moving(0, 1e-4, 0.3))
+    assert found.noise.std_m == pytest.approx(noise_model.noise.std_m, rel=0.03)
     assert found.level_known
 
 
 def test_whether_the_rest_was_long_enough_is_told(make_study):
     """Twelve frames of a marker leave room for an error as large as the noise, forty do not."""
-    study = make_study(seed=1, colour=0.0)
+    study = make_study(seed=1, ar1=0.0)
     short = floor_of_all_frames(noise_floor(cut(study, 10, 1)), moving(1, 1e-4, 0.0))
     assert not short.level_known
     assert short.frames_needed >= 20
@@ -170,21 +172,21 @@ def rounded(study, step_m):
 def test_values_rounded_to_more_than_they_vary_hide_their_error(make_study):
     """Steps of 0.4 mm, noise of 0.02 mm: at rest nearly nothing moves, in motion 0.115 mm err."""
     step_m = 4e-4
-    floor = noise_floor(rounded(make_study(noise_m=2e-5), step_m))
-    assert floor.noise.std_m == pytest.approx(step_m / np.sqrt(12.0), rel=1e-6)
-    found = floor_of_all_frames(floor, moving(0, 1.3e-4, 0.0))
+    noise_model = noise_floor(rounded(make_study(noise_m=2e-5), step_m))
+    assert noise_model.noise.std_m == pytest.approx(step_m / np.sqrt(12.0), rel=1e-6)
+    found = floor_of_all_frames(noise_model, moving(0, 1.3e-4, 0.0))
     assert found.noise.std_m == pytest.approx(1.3e-4, rel=0.1)
-    gross = floor_of_all_frames(floor, moving(0, 6e-4, 0.0))
+    gross = floor_of_all_frames(noise_model, moving(0, 6e-4, 0.0))
     assert step_m / np.sqrt(12.0) < gross.noise.std_m < 0.5 * step_m
 
 
 def test_rounding_beside_coloured_noise_is_white(make_study):
     """The slow part is that of what is coloured: of one AR(1) for both it would be a half."""
     step_m, rng = 2e-4, np.random.default_rng(0)
-    floor = noise_floor(rounded(make_study(colour=0.8), step_m))
+    noise_model = noise_floor(rounded(make_study(ar1=0.8), step_m))
     errors = 1e-4 * coloured(rng, (400, 22), 0.8) + step_m * rng.uniform(-0.5, 0.5, (400, 22))
-    found = floor_of_all_frames(floor, Remainder((errors,), errors.size))
-    assert found.noise.colour == pytest.approx(0.8, abs=0.04)
+    found = floor_of_all_frames(noise_model, Remainder((errors,), errors.size))
+    assert found.noise.ar1 == pytest.approx(0.8, abs=0.04)
     assert found.noise.white == pytest.approx(0.25, abs=0.1)
     slow = found.noise.std_m**2 / found.effective_fraction
     assert slow == pytest.approx(1e-8 * 9.0 + step_m**2 / 12.0, rel=0.2)

@@ -38,9 +38,9 @@ def test_a_long_way_gone_coarsely_ends_where_a_fine_one_does(make_study, monkeyp
     simulated = []
     predict_all = PreparedStudy.predict_all
 
-    def counted(self, trials, models, begun=None):
+    def counted(self, trials, models, initial_states=None):
         simulated.append((self.solver.step_s, len(models)))
-        return predict_all(self, trials, models, begun)
+        return predict_all(self, trials, models, initial_states)
 
     monkeypatch.setattr(PreparedStudy, "predict_all", counted)
     found = fit_model(prepared, space, start, from_far=True)

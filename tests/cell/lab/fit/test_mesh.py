@@ -13,8 +13,8 @@ from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import fit_trials
 from cell.lab.fit.mesh import as_its_mesh_shows
-from cell.lab.fit.systematic import systematic
-from cell.lab.search.explore import Explorer
+from cell.lab.fit.systematic_error import systematic_error
+from cell.lab.search.fit_cache import FitCache
 from cell.lab.verdict.diagnose import diagnose
 from cell.study.data import Markers, Study, Trial
 
@@ -46,13 +46,13 @@ def study(noise_m, frames_hz=60.0):
 
 def test_once_taken_out_little_of_it_is_left():
     made = replace(study(1e-7), noise_std_m=1e-4)
-    explorer = Explorer(PreparedStudy.of(made), ParameterSpace.of(CABLE), {})
-    raw, fit = PreparedStudy.of(made), explorer.baseline().fit
-    clean = explorer.prepared
+    fits = FitCache(PreparedStudy.of(made), ParameterSpace.of(CABLE), {})
+    raw, fit = PreparedStudy.of(made), fits.baseline().fit
+    clean = fits.prepared
     trials = fit_trials(raw)
 
     def size(prepared):
-        return float(np.linalg.norm(systematic(prepared, fit, trials).mesh))
+        return float(np.linalg.norm(systematic_error(prepared, fit, trials).mesh))
 
     assert size(clean) < 0.1 * size(raw)
     trial, moved = raw.study.trials[0].markers, clean.study.trials[0].markers
@@ -66,6 +66,6 @@ def test_a_complete_model_of_a_soft_cable_lacks_nothing():
     """The mesh's error looks like a longer cable, a softer grip: 0.2 mm of noise showed it."""
     made = study(2e-4)
     space = ParameterSpace.of(CABLE)
-    found = diagnose(Explorer(PreparedStudy.of(made), space, library())).diagnosis
+    found = diagnose(FitCache(PreparedStudy.of(made), space, library())).diagnosis
     assert found.verdict == "complete"
     assert found.missing == ()

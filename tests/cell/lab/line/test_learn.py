@@ -34,14 +34,14 @@ from cell.lab.data.selection import select_effects
 from cell.lab.fit.shared import SharedFit, Spread, along_end, fit_shared, prepared_cycle
 from cell.lab.line.candidate import lines_of, section, write_candidate
 from cell.lab.line.gates import ForecastPair, Gate, Judgement, best_judged, forecasts, gates, judge
-from cell.lab.line.learn import Lesson, learn, negligible
+from cell.lab.line.learn import LearningResult, learn, negligible
 from cell.lab.line.lesson_search import ALL_PASSES, TIE, Budget, EffectFit, Search, library_first
-from cell.lab.next.ask import _of_the_next_cable, asked, motion_that_tells, worth_it
 from cell.lab.next.discover import Laws, laws_in
 from cell.lab.next.motion_file import load_motion
+from cell.lab.next.next_motion import _of_the_next_cable, asked, motion_that_tells, worth_it
 from cell.lab.next.terms import admissible
 from cell.lab.report.lesson_tables import lesson_lines
-from cell.lab.search.setup import explorer_of, read_kind
+from cell.lab.search.setup import fit_cache_of, read_kind
 from cell.settings import load_settings
 from cell.settings.model import Model
 from cell.settings.promotion import read_candidate
@@ -84,12 +84,12 @@ def dragged() -> list[RecordedCycle]:
 
 
 @pytest.fixture(scope="module")
-def lesson(dragged: list[RecordedCycle]) -> Lesson:
+def lesson(dragged: list[RecordedCycle]) -> LearningResult:
     task = cell_task(SETTINGS)
     return learn(dragged, task.cable, task.identification, TRIED)
 
 
-def test_the_effect_that_all_cables_share_is_named_with_its_size(lesson: Lesson) -> None:
+def test_the_effect_that_all_cables_share_is_named_with_its_size(lesson: LearningResult) -> None:
     assert lesson.best is not None
     assert lesson.best.effect.name == "air_drag"
     assert lesson.best.fit.theta[0] == pytest.approx(2.0, abs=0.1)
@@ -101,7 +101,7 @@ def test_the_effect_that_all_cables_share_is_named_with_its_size(lesson: Lesson)
 
 
 def test_a_cable_left_out_is_forecast_better_and_the_candidate_passes(
-    lesson: Lesson, tmp_path: Path
+    lesson: LearningResult, tmp_path: Path
 ) -> None:
     judgement = judge(lesson, SETTINGS)
     paired = judgement.paired
@@ -122,7 +122,7 @@ def test_a_cable_left_out_is_forecast_better_and_the_candidate_passes(
     assert stated.fixed == pytest.approx(2.0, abs=3.0 * stated.std)
 
 
-def test_of_a_rejected_cable_the_rest_of_its_hold_is_forecast(lesson: Lesson) -> None:
+def test_of_a_rejected_cable_the_rest_of_its_hold_is_forecast(lesson: LearningResult) -> None:
     task = cell_task(SETTINGS)
     rejected = tuple(replace(c, executed=None) for c in lesson.cycles[:1])
     one = replace(lesson, cycles=rejected)
@@ -131,7 +131,9 @@ def test_of_a_rejected_cable_the_rest_of_its_hold_is_forecast(lesson: Lesson) ->
     assert found.candidate_m < 0.7 * found.present_m
 
 
-def test_an_end_that_pictures_place_too_far_along_is_no_error_of_a_forecast(lesson: Lesson) -> None:
+def test_an_end_that_pictures_place_too_far_along_is_no_error_of_a_forecast(
+    lesson: LearningResult,
+) -> None:
     """60 µm of it hid what a model gains of that size; a millimetre is not the pictures'."""
     task = cell_task(SETTINGS)
     (cycle,) = cycles_in({"air_drag": {"drag_coefficient": 2.0}}, 1, 6, sharp=True)
@@ -153,7 +155,7 @@ def test_an_end_that_pictures_place_too_far_along_is_no_error_of_a_forecast(less
     assert forecast_m(1e-3) > 8e-4
 
 
-def test_with_the_effect_learned_another_cable_is_followed(lesson: Lesson) -> None:
+def test_with_the_effect_learned_another_cable_is_followed(lesson: LearningResult) -> None:
     """A cable that was not learned from: the model misses it by the noise alone."""
     task = cell_task(SETTINGS)
     (other,) = cycles_in({"air_drag": {"drag_coefficient": 2.0}}, 1, 6)
@@ -167,21 +169,21 @@ def test_with_the_effect_learned_another_cable_is_followed(lesson: Lesson) -> No
     assert found[1].model_error_m < 0.15 * found[0].model_error_m
 
 
-def test_the_lab_starts_from_the_lines_model(lesson: Lesson, tmp_path: Path) -> None:
+def test_the_lab_starts_from_the_lines_model(lesson: LearningResult, tmp_path: Path) -> None:
     """With the effect in the settings, a study of such a cable is explained without a word more."""
     section_text = yaml_text({"model": section(lesson, Model()).model_dump(exclude_defaults=True)})
     config = tmp_path / "cell.yaml"
     config.write_text((ROOT / "config/fake.yaml").read_text("utf-8") + section_text, "utf-8")
     study = lesson.cycles[0].study
     rms_m = [
-        explorer_of(study, select_effects([]), kind=read_kind(given)).baseline().fit.rms_m
+        fit_cache_of(study, select_effects([]), kind=read_kind(given)).baseline().fit.rms_m
         for given in (None, config)
     ]
     assert rms_m[1] < 0.8 * rms_m[0]
     assert rms_m[1] < 1.2 * lesson.noise_m  # seen too far along the cable, too
 
 
-def test_a_forecast_that_is_no_better_is_stopped_at_the_gate(lesson: Lesson) -> None:
+def test_a_forecast_that_is_no_better_is_stopped_at_the_gate(lesson: LearningResult) -> None:
     task = cell_task(SETTINGS)
     same = [ForecastPair(str(i), 2e-4, 2e-4, 1.0, 1.0, 1e-4, 1e-4) for i in range(6)]
     worse = [*same[:5], ForecastPair("5", 2e-4, 4e-4, 1.0, 1.0, 1e-4, 2e-4)]
@@ -195,7 +197,9 @@ def test_a_forecast_that_is_no_better_is_stopped_at_the_gate(lesson: Lesson) -> 
     assert failed(few) == {"enough forecasts"}
 
 
-def test_what_noise_hides_in_the_destination_is_sure_from_all_frames(lesson: Lesson) -> None:
+def test_what_noise_hides_in_the_destination_is_sure_from_all_frames(
+    lesson: LearningResult,
+) -> None:
     """58 → 37 µm in the mouth was refused with p = 0.08: two of six cables had their noise there.
 
     What is better in the mouth by chance alone is refused still, as is what is not better there.
@@ -217,7 +221,7 @@ def test_what_noise_hides_in_the_destination_is_sure_from_all_frames(lesson: Les
 
 
 def test_of_a_wind_from_above_the_wind_from_the_side_need_not_stay_whichever_cable_is_left_out(
-    lesson: Lesson,
+    lesson: LearningResult,
 ) -> None:
     """What is none of an effect's strength may change its sign."""
     draught = library()["draught"]
@@ -245,7 +249,7 @@ def test_of_a_wind_from_above_the_wind_from_the_side_need_not_stay_whichever_cab
 
 
 def test_an_effect_of_one_line_in_two_does_not_pass(
-    lesson: Lesson, dragged: list[RecordedCycle]
+    lesson: LearningResult, dragged: list[RecordedCycle]
 ) -> None:
     """Draught "against" in 6 of 12 cycles, Q with p = 5e-28, passed all seven gates."""
     task = cell_task(SETTINGS)
@@ -335,7 +339,7 @@ def test_two_effects_that_all_cables_share_are_found_one_after_the_other() -> No
     identification_of(SETTINGS.model_copy(update={"model": model}))  # can be used as it is
 
 
-def test_a_second_effect_that_explains_all_does_not_keep_the_first(lesson: Lesson) -> None:
+def test_a_second_effect_that_explains_all_does_not_keep_the_first(lesson: LearningResult) -> None:
     """The first was named because from none of the second no way led to it: a magnet was learned
     as a field that grows evenly and a magnet, which the gates refuse.
     """
@@ -380,7 +384,7 @@ def test_a_cable_that_was_bent_to_imitate_an_effect_does_not_hide_it() -> None:
 
 
 def test_an_effect_that_does_not_help_unseen_cables_is_left_out(
-    lesson: Lesson, monkeypatch: pytest.MonkeyPatch
+    lesson: LearningResult, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Here the second effect is the first again: every forecast stays as it was.
 
@@ -455,13 +459,13 @@ def test_cycles_of_another_cable_or_none_are_refused(
 
 
 @pytest.fixture(scope="module")
-def tied(lesson: Lesson) -> Lesson:
+def tied(lesson: LearningResult) -> LearningResult:
     """As if a load at the tip explained the dragged cables as well."""
     assert {t.effect.name for t in lesson.ranking} == set(TRIED)
     return replace(lesson, tied=("tip_mass",))
 
 
-def test_the_motion_tells_the_tied_effects_of_a_cable_not_seen_yet(tied: Lesson) -> None:
+def test_the_motion_tells_the_tied_effects_of_a_cable_not_seen_yet(tied: LearningResult) -> None:
     suggestion = motion_that_tells(tied, Surroundings.read(CONFIG))
     assert suggestion is not None
     assert suggestion.candidates == ("air_drag", "tip_mass")
@@ -473,7 +477,9 @@ def test_the_motion_tells_the_tied_effects_of_a_cable_not_seen_yet(tied: Lesson)
     assert motion_that_tells(replace(tied, tied=()), Surroundings.read(CONFIG)) is None
 
 
-def test_the_next_cable_may_be_as_far_away_as_these_are_from_each_other(tied: Lesson) -> None:
+def test_the_next_cable_may_be_as_far_away_as_these_are_from_each_other(
+    tied: LearningResult,
+) -> None:
     fit = tied.ranking[0].fit
     rival = _of_the_next_cable(tied.ranking[0])
     open_to = np.diag(rival.covariance)[: fit.own]
@@ -484,7 +490,7 @@ def test_the_next_cable_may_be_as_far_away_as_these_are_from_each_other(tied: Le
 
 @pytest.fixture
 def said(
-    tied: Lesson, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tied: LearningResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[tuple[Path, list[str]]]:
     """Folder, and lines that `cell learn` prints of the tied lesson there."""
     for cycle in tied.cycles:
@@ -499,7 +505,7 @@ def said(
 
 @pytest.mark.parametrize("known", [True, False])
 def test_interrupted_it_says_what_it_knows(
-    tied: Lesson, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, known: bool
+    tied: LearningResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, known: bool
 ) -> None:
     def interrupted(*given: Any) -> None:
         if known:
@@ -542,7 +548,7 @@ def test_what_is_printed_can_be_typed(said: tuple[Path, list[str]]) -> None:
 
 
 def test_after_two_motions_nothing_more_is_asked_for(
-    tied: Lesson, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tied: LearningResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """They are the cycles without a hold of the line's own, and are learned from first."""
     stroke = replace(tied.cycles[0].study.trials[0], name="stroke")

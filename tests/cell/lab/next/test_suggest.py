@@ -25,7 +25,7 @@ from cell.lab.next.suggest import (
     suggest_motion,
     write_motion,
 )
-from cell.lab.search.explore import Explorer
+from cell.lab.search.fit_cache import FitCache
 from cell.lab.verdict.diagnose import diagnose
 from cell.plan.measuring import measuring_path
 from cell.settings import load_settings
@@ -51,13 +51,13 @@ def test_strokes_keep_the_limits():
 
 @pytest.fixture(scope="module")
 def tied(make_study):
-    """Explorer and examination of a study that hardly tells added mass from natural curvature."""
+    """Fits and examination of a study that hardly tells added mass from natural curvature."""
     known = library()
     study = make_study([known["added_mass"].active(kg_per_m=3e-4)], seed=3)
     study = replace(study, trials=tuple(t for t in study.trials if t.name != "up"))
     rivals = {n: known[n] for n in ("added_mass", "natural_curvature")}
-    explorer = Explorer(PreparedStudy.of(study), ParameterSpace.of(study.cable), rivals)
-    return explorer, diagnose(explorer)
+    fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), rivals)
+    return fits, diagnose(fits)
 
 
 def test_the_clamp_is_tilted_to_tell_added_mass_from_natural_curvature(tied):
@@ -163,9 +163,9 @@ def test_a_motion_that_tells_nothing_is_refused_and_it_is_said_what_would_help(t
 def test_a_complete_model_leaves_nothing_to_tell(make_study):
     study = make_study(seed=5)
     rivals = {n: library()[n] for n in ("tip_mass", "grip_angle")}
-    explorer = Explorer(PreparedStudy.of(study), ParameterSpace.of(study.cable), rivals)
+    fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), rivals)
     with pytest.raises(ValueError, match="nothing to tell apart"):
-        suggest_motion(explorer, diagnose(explorer), Surroundings())
+        suggest_motion(fits, diagnose(fits), Surroundings())
 
 
 def swept(**changes):

@@ -12,7 +12,7 @@ from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.next.advice import advice
 from cell.lab.report.report import comparison_page, diagnosis_page
-from cell.lab.search.explore import Explorer
+from cell.lab.search.fit_cache import FitCache
 from cell.lab.strength.compare import compare_model
 from cell.lab.strength.kept_model import identified
 from cell.lab.verdict.diagnose import diagnose
@@ -54,14 +54,14 @@ class Page(HTMLParser):
 @pytest.fixture(scope="module")
 def diagnosed(make_study):
     study = make_study([library()["tip_mass"].active(mass_kg=3e-5)], seed=12)
-    explorer = Explorer(
+    fits = FitCache(
         PreparedStudy.of(study),
         ParameterSpace.of(study.cable),
         {n: library()[n] for n in ("tip_mass", "linear_air_drag")},
     )
-    examination = diagnose(explorer)
+    examination = diagnose(fits)
     comparisons = [compare_model(study, c.fit.model) for c in examination.steps]
-    model = identified(explorer.prepared, examination.steps[-1].fit)
+    model = identified(fits.prepared, examination.steps[-1].fit)
     asked = omitted_doubts(None, Reading(0.0, ("air_drag",)))
     warned = replace(examination.diagnosis, warnings=asked)
     examination = replace(examination, diagnosis=warned)

@@ -14,7 +14,7 @@ from cell.lab.next.advice import Paths, advice
 from cell.lab.next.discover import Discovery
 from cell.lab.report.tables import discovery_sentence, sentence, steps_text, verdict_line
 from cell.lab.report.wording import apart, left_in_words, noise_in_words
-from cell.lab.search.explore import Explorer
+from cell.lab.search.fit_cache import FitCache
 from cell.lab.strength.compare import compare_model
 from cell.lab.verdict.checks import CHECKS, Answer
 from cell.lab.verdict.questions import Reading
@@ -103,10 +103,10 @@ def test_a_law_of_ones_own_that_does_not_explain_all_does_not_end_in_a_circle():
 def test_one_statement_about_noise_where_the_study_states_it_and_the_camera_is_better(make_study):
     """A small mass leaves a pattern below the stated error: nobody may call it camera noise."""
     mass = library()["tip_mass"].active(mass_kg=2e-6)
-    study = make_study([mass], seed=4, noise_m=2e-6, colour=0.0)
+    study = make_study([mass], seed=4, noise_m=2e-6, ar1=0.0)
     study = replace(study, noise_std_m=2e-5)
-    explorer = Explorer(PreparedStudy.of(study), ParameterSpace.of(study.cable), {})
-    shown = compare_model(study, explorer.baseline().fit.model)
+    fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), {})
+    shown = compare_model(study, fits.baseline().fit.model)
     assert shown.patterns() > 0
     assert shown.noise_at_rest_m == pytest.approx(2e-6, rel=0.1)
     small = Errors(shown.fit_rms_m, shown.heldout_rms_m)

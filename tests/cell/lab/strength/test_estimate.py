@@ -55,6 +55,6 @@ def test_a_fit_whose_last_place_cannot_be_simulated_is_its_own_estimate(monkeypa
         __hash__ = object.__hash__
 
     monkeypatch.setattr(whole, "fit_model", impossible)
-    fit = Stub(space=None, q=None, begun={})
+    fit = Stub(space=None, q=None, initial_states={})
     found = estimate(Stub(study=Stub(trials=())), fit)
     assert (found.fit, found.disagreement) == (fit, 1.0)

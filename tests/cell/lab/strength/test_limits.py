@@ -14,10 +14,10 @@ from cell.cable.solver import Solver
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy, all_fitted
 from cell.lab.data.results import to_json
+from cell.lab.fit.all_trials_fit import AllTrialsFit
 from cell.lab.fit.fitting import extended, fit_model, space_with
-from cell.lab.fit.whole import Whole
 from cell.lab.report.wording import limit_rows
-from cell.lab.search.explore import Explorer
+from cell.lab.search.fit_cache import FitCache
 from cell.lab.strength.limits import _Search, limits
 from cell.lab.verdict.additions import with_limits
 from cell.lab.verdict.diagnose import diagnose
@@ -28,9 +28,9 @@ KNOWN = library()
 
 def baseline(study):
     prepared = PreparedStudy.of(all_fitted(study))
-    explorer = Explorer(prepared, ParameterSpace.of(study.cable), {})
-    fit = explorer.baseline().fit
-    return explorer.prepared, fit
+    fits = FitCache(prepared, ParameterSpace.of(study.cable), {})
+    fit = fits.baseline().fit
+    return fits.prepared, fit
 
 
 @pytest.fixture(scope="module")
@@ -66,9 +66,9 @@ def test_at_its_limit_an_effect_costs_what_excludes_it(fitted, name):
     """
     prepared, fit = fitted
     effect = KNOWN[name]
-    (found,) = limits(Whole(prepared, fit), [effect])
+    (found,) = limits(AllTrialsFit(prepared, fit), [effect])
     finer = PreparedStudy.of(prepared.measured, solver=Solver(segments=64, step_s=5e-4))
-    prepared = finer.with_floor(prepared.floor)
+    prepared = finer.with_floor(prepared.noise_model)
     rise = misfit(prepared, fit, effect, found.high) - misfit(prepared, fit, effect)
     reach = 1.960 if name == "camera_scale" else 1.645
     assert np.sqrt(rise) == pytest.approx(reach, rel=0.15)
@@ -76,7 +76,7 @@ def test_at_its_limit_an_effect_costs_what_excludes_it(fitted, name):
 
 def test_a_limit_is_of_one_sign_where_the_effect_is(fitted):
     prepared, fit = fitted
-    drag, roll = limits(Whole(prepared, fit), [KNOWN["air_drag"], KNOWN["camera_roll"]])
+    drag, roll = limits(AllTrialsFit(prepared, fit), [KNOWN["air_drag"], KNOWN["camera_roll"]])
     assert (drag.low, drag.unit) == (0.0, "1")
     assert 0.0 < drag.high < 2.0
     assert roll.low < roll.high
@@ -85,24 +85,24 @@ def test_a_limit_is_of_one_sign_where_the_effect_is(fitted):
 
 
 def test_of_two_amplitudes_each_has_its_own_limit(fitted):
-    found = limits(Whole(*fitted), [KNOWN["natural_curvature"]])
+    found = limits(AllTrialsFit(*fitted), [KNOWN["natural_curvature"]])
     assert [f.parameter for f in found] == ["curvature_1_per_m", "gradient_1_per_m2"]
 
 
 def test_what_softer_bending_near_the_clamp_imitates_is_not_excluded(make_study, fitted):
     """EI(s) was fitted without the jaws' compliance and has taken it up."""
     effect = KNOWN["grip_compliance"]
-    (limit,) = limits(Whole(*fitted), [effect])
+    (limit,) = limits(AllTrialsFit(*fitted), [effect])
     true = 2.0 * limit.high
     study = make_study([effect.active(rad_per_n_m=true)], seed=22)
-    (found,) = limits(Whole(*baseline(study)), [effect])
+    (found,) = limits(AllTrialsFit(*baseline(study)), [effect])
     assert true < found.high < 3.0 * true + limit.high
 
 
 def test_limits_hold_for_every_shape_that_fits_as_well(make_study):
     """A ringing that soon dies away must be stronger than one that lasts to be seen as well."""
     ringing = KNOWN["robot_ringing"].active(amplitude_m=6e-5, frequency_hz=12.0, damping=0.05)
-    (found,) = limits(Whole(*baseline(make_study([ringing], seed=21))), [ringing.effect])
+    (found,) = limits(AllTrialsFit(*baseline(make_study([ringing], seed=21))), [ringing.effect])
     assert found.low < 6e-5 < found.high
 
 
@@ -111,7 +111,9 @@ def test_what_nothing_shows_is_not_excluded(make_study):
     study = make_study([], seed=21)
     still = [_at_rest(t) for t in study.trials[:1]]
     prepared, fit = baseline(replace(study, trials=tuple(still)))
-    latency, angle = limits(Whole(prepared, fit), [KNOWN["camera_latency"], KNOWN["grip_slip"]])
+    latency, angle = limits(
+        AllTrialsFit(prepared, fit), [KNOWN["camera_latency"], KNOWN["grip_slip"]]
+    )
     assert (latency.low, latency.high, latency.tip_m) == (None, None, None)
     assert angle.high is not None
 
@@ -126,7 +128,7 @@ def test_a_strong_effect_that_bends_what_the_others_do_does_not_lower_its_limit(
 
     grip = KNOWN["grip_compliance"]
     study = made(1522, [grip.active(rad_per_n_m=46.0)], noise_seed=301522)
-    (found,) = limits(Whole(*baseline(study)), [grip])
+    (found,) = limits(AllTrialsFit(*baseline(study)), [grip])
     assert 46.0 < found.high < 80.0
 
 
@@ -138,7 +140,7 @@ def test_where_trials_disagree_on_an_effect_its_limits_are_wider(make_study):
     xy_m = turned.markers.xy_m @ np.array([[c, s], [-s, c]])
     turned = replace(turned, name="turned", markers=Markers(turned.markers.t_s, xy_m))
     prepared, fit = baseline(replace(study, trials=(*study.trials, turned)))
-    (roll,) = limits(Whole(prepared, fit), [KNOWN["camera_roll"]])
+    (roll,) = limits(AllTrialsFit(prepared, fit), [KNOWN["camera_roll"]])
     assert roll.low < 0.0 < roll.high
 
 
@@ -146,8 +148,8 @@ def test_a_diagnosis_tells_them_for_what_is_neither_named_nor_tied(make_study):
     study = make_study([KNOWN["tip_mass"].active(mass_kg=3e-5)], seed=8)
     names = ("tip_mass", "air_drag", "camera_scale")
     space = ParameterSpace.of(study.cable)
-    explorer = Explorer(PreparedStudy.of(study), space, {n: KNOWN[n] for n in names})
-    examination = with_limits(explorer, diagnose(explorer))
+    fits = FitCache(PreparedStudy.of(study), space, {n: KNOWN[n] for n in names})
+    examination = with_limits(fits, diagnose(fits))
     found = examination.diagnosis
     assert [f.effect for f in found.missing] == ["tip_mass"]
     assert [limit.effect for limit in found.limits] == ["air_drag", "camera_scale"]

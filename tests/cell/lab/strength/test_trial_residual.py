@@ -31,7 +31,7 @@ def test_the_spectrum_of_noise_is_the_noise_floor():
 
 
 def test_a_late_error_at_the_tip_is_placed(make_study):
-    study = make_study(colour=0.0)
+    study = make_study(ar1=0.0)
     trial = study.trials[0]
     predicted = trial.markers.xy_m.copy()
     late = phase_of(trial) == "late swing"
@@ -53,7 +53,7 @@ def test_phases_follow_the_hand(make_study):
 
 
 def test_an_error_that_follows_the_tip_velocity_is_named(make_study):
-    study = make_study(colour=0.0)
+    study = make_study(ar1=0.0)
     trial = study.trials[0]
     seen = trial.markers.xy_m
     velocity = np.gradient(seen[:, 0], trial.markers.t_s, axis=0)

@@ -15,7 +15,7 @@ from cell.cable.modes import mode_curvature
 from cell.cable.solver import Solver
 from cell.cli import app
 from cell.lab.data.selection import EffectSelection
-from cell.lab.search.setup import explorer_of
+from cell.lab.search.setup import fit_cache_of
 from cell.lab.strength.compare import compare_model
 from cell.lab.strength.fitted_study import fit_study
 from cell.lab.verdict.diagnose import diagnose
@@ -84,7 +84,7 @@ def after(grip, begin_s):
 
 def examined(study, *names):
     candidates = {n: e for n, e in library().items() if n in names}
-    return diagnose(explorer_of(study, EffectSelection((), candidates))).diagnosis
+    return diagnose(fit_cache_of(study, EffectSelection((), candidates))).diagnosis
 
 
 def test_a_release_noted_30_ms_early_is_found():
@@ -95,15 +95,15 @@ def test_a_release_noted_30_ms_early_is_found():
     seen = simulate(truth(), still, t_s, ARCS_M, solver=WORLD, start="straight", release_s=0.13)[0]
     seen = seen + NOISE_M * np.random.default_rng(6).normal(size=seen.shape)
     trial = Trial("let_go", "fit", "straight", still, Markers(t_s, seen), 0.1)
-    fit = explorer_of(Study("s", CABLE, ARCS_M, (trial,)), EffectSelection((), {})).baseline().fit
-    assert fit.begun["let_go"][0] == pytest.approx(0.03, abs=5e-4)
+    fit = fit_cache_of(Study("s", CABLE, ARCS_M, (trial,)), EffectSelection((), {})).baseline().fit
+    assert fit.initial_states["let_go"][0] == pytest.approx(0.03, abs=5e-4)
     assert fit.rms_m == pytest.approx(NOISE_M, rel=0.05)
 
 
 @pytest.mark.parametrize("made", [held, moving])
 def test_the_cable_is_found_however_it_begins(made):
     study = made()
-    model, candidate, _ = fit_study(explorer_of(study, EffectSelection((), {})))
+    model, candidate, _ = fit_study(fit_cache_of(study, EffectSelection((), {})))
     found = {n: (q, s) for n, q, s in zip(
         model.space.names, model.mean, np.sqrt(np.diag(model.covariance)), strict=True
     )}  # fmt: skip

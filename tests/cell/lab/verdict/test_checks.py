@@ -76,12 +76,16 @@ def test_a_limit_is_met_as_its_sign_says(value, passes, passed):
 def fake(**given):
     """Evidence of a study with held-out trials, at the noise, whose parts can be set."""
     noise = SimpleNamespace(std_m=1e-4)
-    floor = SimpleNamespace(stated=False, noise=noise, range_m=None, freedom=np.inf)
+    noise_model = SimpleNamespace(stated=False, noise=noise, range_m=None, dof=np.inf)
     study = SimpleNamespace(role=lambda _: [1, 2])
     prepared = SimpleNamespace(
-        noise_is_measured=True, floor=floor, expected=noise, study=study, count=lambda _: 1000
+        noise_is_measured=True,
+        noise_model=noise_model,
+        expected=noise,
+        study=study,
+        count=lambda _: 1000,
     )
-    explorer = SimpleNamespace(prepared=prepared, space=SimpleNamespace(effects=()), prior_q=None)
+    fits = SimpleNamespace(prepared=prepared, space=SimpleNamespace(effects=()), prior_q=None)
 
     def candidate(rms_m: float, chi2: float, effects=()):
         heldout = SimpleNamespace(rms_m=rms_m, chi2=chi2, count=1000)
@@ -89,7 +93,7 @@ def fake(**given):
         return SimpleNamespace(fit=fit, heldout=heldout, effects=effects)
 
     base, final = candidate(2e-4, 4000.0), candidate(*given.pop("final", (1e-4, 1000.0)))
-    return Evidence(explorer, base, final, DEFAULT_RULES, given.pop("tied", {}))
+    return Evidence(fits, base, final, DEFAULT_RULES, given.pop("tied", {}))
 
 
 @pytest.mark.parametrize(
@@ -115,8 +119,8 @@ def test_a_fit_of_more_than_noise_explains_nothing_and_ends_the_questions():
 
 
 def test_a_negligible_smooth_part_passes_whatever_its_chance(monkeypatch):
-    part = SmoothPart(chi2=400.0, count=200.0, rows=100_000, freedom=np.inf)
-    before = SmoothPart(chi2=90_000.0, count=200.0, rows=100_000, freedom=np.inf)
+    part = SmoothPart(chi2=400.0, count=200.0, rows=100_000, dof=np.inf)
+    before = SmoothPart(chi2=90_000.0, count=200.0, rows=100_000, dof=np.inf)
     evidence = fake()
     vars(evidence)["smooth_before"] = before
     monkeypatch.setattr(questions, "of_a_finer_model", lambda *_: part)
@@ -134,7 +138,7 @@ def test_ties_count_the_effect_itself():
 
 
 def test_every_row_of_what_may_be_claimed_is_asked_of_a_model_at_the_noise(monkeypatch):
-    for name in ("of_a_finer_model", "of_all_trials_together", "of_what_trials_ask_for"):
+    for name in ("of_a_finer_model", "of_all_trials_together", "parameter_constancy_of"):
         monkeypatch.setattr(questions, name, lambda *_: None)
     monkeypatch.setattr(questions, "of_effects", lambda *_: {})
     evidence = fake()
@@ -142,7 +146,7 @@ def test_every_row_of_what_may_be_claimed_is_asked_of_a_model_at_the_noise(monke
     object.__setattr__(evidence, "final", evidence.base)
     evidence.base.fit.rms_m = evidence.base.heldout.rms_m = 1e-4
     evidence.base.heldout.chi2 = 1000.0
-    evidence.explorer.library, evidence.base.names = {}, frozenset()
+    evidence.fits.library, evidence.base.names = {}, frozenset()
     evidence.base.chi2 = 0.0
     asked = [a.check.name for a in answers(evidence)]
     assert asked == [*(c.name for c in LEAVES_NOISE), *(c.name for c in MAY_BE_CLAIMED)]

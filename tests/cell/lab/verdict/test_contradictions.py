@@ -19,7 +19,7 @@ from cell.lab.data.results import RankedEffect, to_json
 from cell.lab.fit.fitting import fit_model
 from cell.lab.next.advice import MEND, Paths, advice
 from cell.lab.report.tables import diagnosis_parts
-from cell.lab.search.explore import Explorer
+from cell.lab.search.fit_cache import FitCache
 from cell.lab.strength.compare import compare_model
 from cell.lab.verdict import partial
 from cell.lab.verdict.additions import with_agreement
@@ -35,16 +35,16 @@ from contradictions import contradictions
 KNOWN = library()
 
 
-def explorer_of(study, names):
+def fit_cache_of(study, names):
     space = ParameterSpace.of(study.cable)
-    return Explorer(PreparedStudy.of(study), space, {n: KNOWN[n] for n in names})
+    return FitCache(PreparedStudy.of(study), space, {n: KNOWN[n] for n in names})
 
 
 def told(study, names):
     """A diagnosis as the command ends with it: JSON and text."""
-    explorer = explorer_of(study, names)
-    examination = with_agreement(explorer, diagnose(explorer))
-    ends = (explorer.baseline(), examination.steps[-1])
+    fits = fit_cache_of(study, names)
+    examination = with_agreement(fits, diagnose(fits))
+    ends = (fits.baseline(), examination.steps[-1])
     comparisons = [compare_model(study, c.fit.model) for c in ends]
     todo = advice(examination.diagnosis, Paths(Path("STUDY")))
     return examination, printed(examination.diagnosis, comparisons, todo)
@@ -112,17 +112,19 @@ def test_an_effect_explains_only_what_the_model_without_it_does_not(make_study, 
     been fitted on from there.  From where that ended the magnet alone leaves as little.
     """
     study = all_fitted(make_study(seed=5))
-    whole = explorer_of(study, ("tip_mass", "air_drag"))
+    whole = fit_cache_of(study, ("tip_mass", "air_drag"))
     base = whole.baseline()
-    begun = base.fit.q + 0.6 * np.eye(len(base.fit.q))[0]
-    stuck = fit_model(whole.prepared, base.fit.space, begun, options=Options(most_passes=1))
+    initial_states = base.fit.q + 0.6 * np.eye(len(base.fit.q))[0]
+    stuck = fit_model(
+        whole.prepared, base.fit.space, initial_states, options=Options(most_passes=1)
+    )
     stuck = whole._weigh(base.effects, stuck)
     assert stuck.fit.rms_m > 1.2 * base.fit.rms_m
     monkeypatch.setitem(whole._known, base.names, stuck)
     singles = partial._singles(whole, 2, DEFAULT_RULES)
     assert whole.baseline().fit.rms_m == pytest.approx(base.fit.rms_m, rel=0.01)
     assert partial.largest_step(whole, whole.baseline(), singles, 2, DEFAULT_RULES) is None
-    assert not whole.rebase(whole.baseline().fit.q, DEFAULT_RULES.tie)
+    assert not whole.rebase(whole.baseline().fit.q, DEFAULT_RULES.tie_delta_chi2)
 
 
 @pytest.fixture(scope="module")

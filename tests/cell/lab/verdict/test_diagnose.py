@@ -12,11 +12,11 @@ from cell.cable.effects import library
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import to_json
-from cell.lab.search.explore import Explorer
+from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.screen import screen
 from cell.lab.verdict import diagnose as diagnosis_module
 from cell.lab.verdict.additions import with_agreement
-from cell.lab.verdict.diagnose import _without_anybodys, diagnose
+from cell.lab.verdict.diagnose import _drop_ambiguous, diagnose
 from cell.lab.verdict.rules import DEFAULT_RULES
 from cell.study.folder import read_study
 
@@ -88,14 +88,14 @@ RIVALS = ("air_drag", "linear_air_drag", "tip_mass", "grip_angle", "natural_curv
 def explore(study, names=RIVALS):
     known = library()
     space = ParameterSpace.of(study.cable, gravity_m_per_s2=study.gravity_m_per_s2)
-    return Explorer(PreparedStudy.of(study), space, {n: known[n] for n in names})
+    return FitCache(PreparedStudy.of(study), space, {n: known[n] for n in names})
 
 
 def test_an_effect_that_was_refitted_is_weighed_however_much_that_took(make_study):
     """Of a long study nothing was accepted, because its first refits had taken all there was."""
     drag = library()["air_drag"].active(drag_coefficient=2.0)
-    explorer = explore(make_study([drag], seed=6), ("air_drag", "tip_mass"))
-    found = diagnose(explorer, replace(DEFAULT_RULES, most_simulated_s=0.0)).diagnosis
+    fits = explore(make_study([drag], seed=6), ("air_drag", "tip_mass"))
+    found = diagnose(fits, replace(DEFAULT_RULES, max_simulated_s=0.0)).diagnosis
     assert [f.effect for f in found.missing] == ["air_drag"]
     assert "cut_short" in [w.code for w in found.warnings]
 
@@ -111,8 +111,8 @@ def test_a_complete_model_is_called_complete(make_study):
 
 def test_a_hidden_effect_is_named_measured_and_removed(make_study):
     drag = library()["air_drag"].active(drag_coefficient=2.0)
-    explorer = explore(make_study([drag], seed=6))
-    found = with_agreement(explorer, diagnose(explorer)).diagnosis
+    fits = explore(make_study([drag], seed=6))
+    found = with_agreement(fits, diagnose(fits)).diagnosis
     assert found.verdict == "missing"
     assert [f.effect for f in found.missing] == ["air_drag"]
     assert {a.parameter: a.agrees for a in found.agreement}["air_drag.drag_coefficient"]
@@ -140,7 +140,7 @@ def test_two_effects_are_both_found(make_study):
 
 def test_nothing_is_claimed_below_the_noise_that_the_study_states(make_study):
     slip = library()["grip_slip"].active(length_m=2e-5)
-    study = make_study([slip], seed=4, noise_m=1e-5, colour=0.0)
+    study = make_study([slip], seed=4, noise_m=1e-5, ar1=0.0)
     names = ("grip_slip", "tip_mass")
     assert diagnose(explore(study, names)).diagnosis.verdict == "missing"
     found = diagnose(explore(replace(study, noise_std_m=2e-5), names)).diagnosis
@@ -150,7 +150,7 @@ def test_nothing_is_claimed_below_the_noise_that_the_study_states(make_study):
 def test_beside_a_true_effect_too_nothing_is_claimed_below_the_stated_noise(make_study):
     known = library()
     hidden = [known["tip_mass"].active(mass_kg=3e-5), known["grip_slip"].active(length_m=2e-5)]
-    study = make_study(hidden, seed=4, noise_m=1e-5, colour=0.0)
+    study = make_study(hidden, seed=4, noise_m=1e-5, ar1=0.0)
     names = ("grip_slip", "tip_mass")
     found = diagnose(explore(study, names)).diagnosis
     assert {f.effect for f in found.missing} == set(names)
@@ -184,9 +184,9 @@ def test_without_held_out_trials_nothing_is_claimed(make_study):
 
 
 def test_screening_a_cable_that_its_typical_nudges_would_break(make_study):
-    explorer = explore(make_study(), ("grip_compliance",))
-    stiff = replace(explorer.baseline().fit, q=explorer.baseline().fit.q.copy())
-    (found,) = screen(explorer.prepared, stiff, [library()["grip_compliance"]])
+    fits = explore(make_study(), ("grip_compliance",))
+    stiff = replace(fits.baseline().fit, q=fits.baseline().fit.q.copy())
+    (found,) = screen(fits.prepared, stiff, [library()["grip_compliance"]])
     assert np.isfinite(found.score.statistic)
 
 
@@ -209,7 +209,7 @@ def test_what_any_of_many_effects_does_beside_one_is_none_of_them(monkeypatch):
     first, second = library()["grip_compliance"], library()["linear_air_drag"]
     pair = SimpleNamespace(effects=[first, second])
     alone = SimpleNamespace(effects=[first])
-    explorer = SimpleNamespace(
+    fits = SimpleNamespace(
         space=SimpleNamespace(effects=[]),
         without=lambda found, effect: {second: alone}.get(effect),
     )
@@ -217,11 +217,11 @@ def test_what_any_of_many_effects_does_beside_one_is_none_of_them(monkeypatch):
     monkeypatch.setattr(diagnosis_module, "_tied", lambda _, found, effect, rules: ties[effect])
     enough = [True]
     monkeypatch.setattr(diagnosis_module, "explains", lambda *args: enough[0])
-    given = (explorer, None, pair, DEFAULT_RULES)
-    assert _without_anybodys(*given) == (alone, {first.name: ()})
+    given = (fits, None, pair, DEFAULT_RULES)
+    assert _drop_ambiguous(*given) == (alone, {first.name: ()})
     enough[0] = False
-    assert _without_anybodys(*given)[0] is pair
+    assert _drop_ambiguous(*given)[0] is pair
     enough[0], ties[second] = True, ("a",)
-    assert _without_anybodys(*given)[0] is pair
+    assert _drop_ambiguous(*given)[0] is pair
     ties[first] = ties[second] = ("a", "b", "c")
-    assert _without_anybodys(explorer, None, alone, DEFAULT_RULES)[0] is alone
+    assert _drop_ambiguous(fits, None, alone, DEFAULT_RULES)[0] is alone

@@ -14,7 +14,7 @@ from cell.cli import app
 from cell.identify.gauss_newton import UnsimulatedError
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.search.explore import Explorer
+from cell.lab.search.fit_cache import FitCache
 from cell.lab.verdict.diagnose import diagnose
 from cell.lab.verdict.doubts import at_bound, fit_doubts
 from cell.study.data import Markers
@@ -103,13 +103,13 @@ def test_a_wrong_minimum_far_above_the_noise_says_so(
         return SimpleNamespace(space=space, q=q, model=space.model(q), rms_m=left_mm * 1e-3)
 
     candidate = SimpleNamespace(fit=fit(rigidity_n_m2), heldout=None)
-    explorer = SimpleNamespace(
+    fits = SimpleNamespace(
         prepared=PreparedStudy.of(replace(loaded, noise_std_m=1e-4)),
         baseline=lambda: candidate,
         elsewhere=lambda: None if elsewhere_n_m2 is None else fit(elsewhere_n_m2),
         second=None,
     )
-    found = {w.code for w in fit_doubts(explorer, candidate)}
+    found = {w.code for w in fit_doubts(fits, candidate)}
     assert found - {"beyond_noise"} == codes
 
 
@@ -131,13 +131,13 @@ def test_a_fit_whose_second_start_ends_at_another_place_of_an_effect_says_so(loa
 
     def said(second, rms_m):
         first = SimpleNamespace(fit=fit(1e-5, rms_m), heldout=None)
-        explorer = SimpleNamespace(
+        fits = SimpleNamespace(
             prepared=PreparedStudy.of(replace(loaded, noise_std_m=1e-4)),
             baseline=lambda: first,
             elsewhere=lambda: second,
             second=second,
         )
-        return {w.code: w.message for w in fit_doubts(explorer, first)}
+        return {w.code: w.message for w in fit_doubts(fits, first)}
 
     found = said(fit(4e-5, 1.1e-3), 1e-3)["starts_disagree"]
     assert "one misses 1 mm, the other 1.1 mm, with tip_mass.mass_kg 1e-05 and 4e-05 kg" in found
@@ -149,10 +149,10 @@ def test_a_fit_whose_second_start_ends_at_another_place_of_an_effect_says_so(loa
 
 def test_of_a_baseline_that_cannot_fit_a_second_start_is_looked_at(make_study, loaded):
     late = library()["camera_latency"].active(delay_s=0.03)
-    poor = Explorer(PreparedStudy.of(make_study([late])), ParameterSpace.of(loaded.cable), {})
-    assert poor.elsewhere().objective >= 0.999 * poor.baseline().fit.objective
-    good = Explorer(PreparedStudy.of(make_study()), ParameterSpace.of(loaded.cable), {})
-    assert good.elsewhere() is None
+    poor = FitCache(PreparedStudy.of(make_study([late])), ParameterSpace.of(loaded.cable), {})
+    assert poor.second_start().objective >= 0.999 * poor.baseline().fit.objective
+    good = FitCache(PreparedStudy.of(make_study()), ParameterSpace.of(loaded.cable), {})
+    assert good.second_start() is None
 
 
 def test_a_prior_and_an_effect_that_it_lacks_go_together(loaded, tmp_path):
@@ -192,13 +192,13 @@ def test_beside_what_is_no_model_of_the_cable_nothing_is_looked_for(make_study, 
         replace(t, markers=Markers(t.markers.t_s, t.markers.xy_m * [1.0, -1.0]))
         for t in study.trials
     ]
-    explorer = Explorer(
+    fits = FitCache(
         PreparedStudy.of(replace(study, trials=tuple(flipped))),
         ParameterSpace.of(study.cable),
         {"tip_mass": library()["tip_mass"]},
     )
-    monkeypatch.setattr(Explorer, "add", None)
-    found = diagnose(explorer).diagnosis
+    monkeypatch.setattr(FitCache, "add", None)
+    found = diagnose(fits).diagnosis
     assert (found.verdict, found.missing, found.partial) == ("unexplained", (), ())
     assert [w.code for w in found.warnings][:2] == ["not_searched", "hopeless"]
     assert "signs of y_m" in found.warnings[0].message
@@ -207,13 +207,13 @@ def test_beside_what_is_no_model_of_the_cable_nothing_is_looked_for(make_study, 
 def test_a_search_that_cannot_go_on_tells_what_it_knew(make_study, monkeypatch):
     study = make_study(seed=2)
     tip_mass = {"tip_mass": library()["tip_mass"]}
-    explorer = Explorer(PreparedStudy.of(study), ParameterSpace.of(study.cable), tip_mass)
+    fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), tip_mass)
 
     def impossible(*args):
         raise UnsimulatedError
 
-    monkeypatch.setattr(Explorer, "add", impossible)
-    found = diagnose(explorer).diagnosis
+    monkeypatch.setattr(FitCache, "add", impossible)
+    found = diagnose(fits).diagnosis
     assert found.verdict == "cannot_tell"
     assert [w.code for w in found.warnings] == ["unsimulated"]
     assert found.baseline.fit_rms_m > 0.0

@@ -17,7 +17,7 @@ from cell.lab.data.prepared import PreparedStudy, StoppedError
 from cell.lab.next.suggest import Option, Rival, telling_motions
 from cell.lab.next.terms import admissible
 from cell.lab.report.tables import sentence
-from cell.lab.search.explore import Explorer
+from cell.lab.search.fit_cache import FitCache
 from cell.lab.verdict.additions import with_limits
 from cell.lab.verdict.diagnose import diagnose
 from cell.settings.surroundings import Surroundings
@@ -33,21 +33,21 @@ def study(make_study):
 
 
 def stopped_when(study, text, done=0):
-    """An explorer that is stopped when it says so."""
+    """The fits that is stopped when it says so."""
 
     def progress(said, count=0, total=0):
         if text in said and count >= done:
-            explorer.prepared.work.stop()
+            fits.prepared.work.stop()
 
     space = ParameterSpace.of(study.cable)
     chosen = {n: KNOWN[n] for n in NAMES}
-    explorer = Explorer(PreparedStudy.of(study), space, chosen, progress)
-    return explorer
+    fits = FitCache(PreparedStudy.of(study), space, chosen, progress)
+    return fits
 
 
 def test_what_was_fitted_until_then_is_told_and_nothing_claimed(study):
-    explorer = stopped_when(study, "refitted with", 3)
-    examination = with_limits(explorer, diagnose(explorer))
+    fits = stopped_when(study, "refitted with", 3)
+    examination = with_limits(fits, diagnose(fits))
     found = examination.diagnosis
     assert found.verdict == "cannot_tell"
     assert found.missing == ()
@@ -61,14 +61,16 @@ def test_what_was_fitted_until_then_is_told_and_nothing_claimed(study):
 
 def test_stopped_before_the_second_search_has_begun_the_first_is_told(study, monkeypatch):
     """After an effect is found, the mesh's error is that of another model: all is fitted again."""
-    explorer = stopped_when(study, "looking where to begin")
-    explorer.prepared = replace(explorer.prepared, mesh_m={study.trials[0].name: 0.0})
+    fits = stopped_when(study, "looking where to begin")
+    fits.prepared = replace(fits.prepared, mesh_m={study.trials[0].name: 0.0})
     before = stopped_when(study, "never")
-    before.prepared = explorer.prepared
+    before.prepared = fits.prepared
     before.screened(before.baseline())
-    vars(explorer).update({**vars(before), "progress": explorer.progress})
-    monkeypatch.setattr("cell.lab.search.explore.as_its_mesh_shows", lambda prepared, fit: prepared)
-    found = diagnose(explorer).diagnosis
+    vars(fits).update({**vars(before), "progress": fits.progress})
+    monkeypatch.setattr(
+        "cell.lab.search.fit_cache.as_its_mesh_shows", lambda prepared, fit: prepared
+    )
+    found = diagnose(fits).diagnosis
     assert found.verdict == "cannot_tell"
     assert found.warnings[0].code == "interrupted"
     assert found.baseline.fit_rms_m == pytest.approx(before.baseline().fit.rms_m)
@@ -80,8 +82,8 @@ def test_before_the_baseline_there_is_nothing_to_tell(study):
 
 
 def test_a_verdict_that_is_known_stays_when_its_limits_are_stopped(study):
-    explorer = stopped_when(study, "how strong")
-    found = with_limits(explorer, diagnose(explorer)).diagnosis
+    fits = stopped_when(study, "how strong")
+    found = with_limits(fits, diagnose(fits)).diagnosis
     assert found.verdict == "missing"
     assert found.limits == ()
     assert [w.code for w in found.warnings] == ["interrupted"]

@@ -13,7 +13,7 @@ from cell.cable.geometry import Cable, Motion
 from cell.cable.model import CableModel
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.search.explore import Explorer
+from cell.lab.search.fit_cache import FitCache
 from cell.lab.verdict.diagnose import diagnose
 from cell.study.folder import read_study
 
@@ -41,11 +41,11 @@ def explored(peer, tmp_path):
         cable = peer.Specimen(hidden=peer.Hidden(**hidden))
         strokes = [s for s in peer.STROKES if s.name in ("identify", "probe_up", "deep", "aslant")]
         folder = tmp_path / "peer"
-        peer.write_study(folder, cable, seed=1, colour=0.3, strokes=tuple(strokes))
+        peer.write_study(folder, cable, seed=1, ar1=0.3, strokes=tuple(strokes))
         study = read_study(folder)
         names = {n: library()[n] for n in RIVALS}
         return diagnose(
-            Explorer(PreparedStudy.of(study), ParameterSpace.of(study.cable), names)
+            FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), names)
         ).diagnosis
 
     return explore

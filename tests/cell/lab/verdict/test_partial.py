@@ -9,11 +9,11 @@ from cell.cable.effects import library
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import space_with
-from cell.lab.search.explore import Explorer
+from cell.lab.search.fit_cache import FitCache
 from cell.lab.verdict import partial
 from cell.lab.verdict.diagnose import diagnose
-from cell.lab.verdict.leftover import Leftover, deviance
 from cell.lab.verdict.partial import largest_step, tied_so_far
+from cell.lab.verdict.residual_summary import ResidualSummary, log_variance_ratio
 from cell.lab.verdict.rules import DEFAULT_RULES
 
 KNOWN = library()
@@ -30,7 +30,7 @@ def partly(make_study):
     study = make_study(hidden, seed=31)
     names = ("camera_latency", "robot_lag", "tip_mass")
     space = ParameterSpace.of(study.cable)
-    return diagnose(Explorer(PreparedStudy.of(study), space, {n: KNOWN[n] for n in names}))
+    return diagnose(FitCache(PreparedStudy.of(study), space, {n: KNOWN[n] for n in names}))
 
 
 def test_an_effect_found_first_keeps_its_ties_when_a_second_is_in(partly):
@@ -48,12 +48,12 @@ def test_an_answer_that_a_bound_gave_explains_nothing(partly):
     """The first step is taken as it is, and not with its effect at the parameter's bound."""
     base, first, *_ = partly.partial
     space = first.fit.space
-    explorer = Explorer(partly.weighed, space_with(space, ()), {})
-    assert largest_step(explorer, base, [first], 1, DEFAULT_RULES) is first
+    fits = FitCache(partly.weighed, space_with(space, ()), {})
+    assert largest_step(fits, base, [first], 1, DEFAULT_RULES) is first
     q = first.fit.q.copy()
     q[-1] = space.high[-1]
     limited = replace(first, fit=replace(first.fit, q=q))
-    assert largest_step(explorer, base, [limited], 1, DEFAULT_RULES) is None
+    assert largest_step(fits, base, [limited], 1, DEFAULT_RULES) is None
 
 
 def test_what_leaves_as_little_with_one_effect_more_is_tied_where_more_is_missing(monkeypatch):
@@ -75,23 +75,23 @@ def test_what_leaves_as_little_with_one_effect_more_is_tied_where_more_is_missin
         for names in left_mm
     }
     noise = SimpleNamespace(noise=SimpleNamespace(std_m=3e-5))
-    explorer = SimpleNamespace(
+    fits = SimpleNamespace(
         known=lambda: tuple(fits.values()),
         baseline=lambda: None,
-        prepared=SimpleNamespace(floor=noise),
+        prepared=SimpleNamespace(noise_model=noise),
     )
     monkeypatch.setattr(partial, "_as_good", lambda *args: [])
     monkeypatch.setattr(partial, "_any_at_bound", lambda *args: False)
     monkeypatch.setattr(
         partial,
         "leftover",
-        lambda _, c: Leftover((1e-3 * left_mm[tuple(sorted(c.names))]) ** 2, 80.0),
+        lambda _, c: ResidualSummary((1e-3 * left_mm[tuple(sorted(c.names))]) ** 2, 80.0),
     )
     found = fits[("added_mass",)]
-    named = tied_so_far(explorer, found, KNOWN["added_mass"], DEFAULT_RULES)
+    named = tied_so_far(fits, found, KNOWN["added_mass"], DEFAULT_RULES)
     assert named == ("tip_mass",)  # draught does not; air drag is not among the nearest
     noise.noise = SimpleNamespace(std_m=3e-4)  # nothing beyond noise is left
-    assert tied_so_far(explorer, found, KNOWN["added_mass"], DEFAULT_RULES) == ()
+    assert tied_so_far(fits, found, KNOWN["added_mass"], DEFAULT_RULES) == ()
 
 
 def single(name, left_mm, ahead=0.0, at_bound=False):
@@ -103,7 +103,7 @@ def single(name, left_mm, ahead=0.0, at_bound=False):
         effects=effects,
         fit=fit,
         chi2=left_mm,
-        left=Leftover((1e-3 * left_mm) ** 2, 90.0),
+        left=ResidualSummary((1e-3 * left_mm) ** 2, 90.0),
         ahead=ahead,
         at_bound=at_bound,
     )
@@ -121,11 +121,11 @@ def test_ties_are_what_models_that_are_all_wrong_cannot_tell(monkeypatch):
         single("camera_latency", 0.50, ahead=1.4),  # significant, but little of the error
         single("stress_relaxation", 0.33, ahead=9.0),  # hardly more at all
     ]
-    explorer = SimpleNamespace(
+    fits = SimpleNamespace(
         known=lambda: (base, final, *rivals),
         baseline=lambda: base,
         library=KNOWN,
-        prepared=SimpleNamespace(floor=SimpleNamespace(noise=SimpleNamespace(std_m=3e-5))),
+        prepared=SimpleNamespace(noise_model=SimpleNamespace(noise=SimpleNamespace(std_m=3e-5))),
     )
     monkeypatch.setattr(partial, "_near", lambda *args: [])
     monkeypatch.setattr(partial, "_at_bound", lambda small, large: large.at_bound)
@@ -134,18 +134,24 @@ def test_ties_are_what_models_that_are_all_wrong_cannot_tell(monkeypatch):
     monkeypatch.setattr(
         partial,
         "close_rivals",
-        lambda *args: [c for c in rivals if deviance(final.left, c.left) < DEFAULT_RULES.tie],
+        lambda *args: [
+            c
+            for c in rivals
+            if log_variance_ratio(final.left, c.left) < DEFAULT_RULES.tie_delta_chi2
+        ],
     )
-    named = tied_so_far(explorer, final, KNOWN["bending_hysteresis"], DEFAULT_RULES)
+    named = tied_so_far(fits, final, KNOWN["bending_hysteresis"], DEFAULT_RULES)
     assert named == ("stress_relaxation", "tip_mass")
 
 
 def test_singles_are_compared_when_their_fits_are_finished():
     """Twelve passes left 0.45 mm with a natural curvature, another eight 0.35."""
     base = single("", 0.54)
-    begun = [single(n, 0.45) for n in ("natural_curvature", "tip_mass", "air_drag", "draught")]
-    begun.append(single("added_mass", 0.31))
-    for candidate in begun[:-1]:
+    initial_states = [
+        single(n, 0.45) for n in ("natural_curvature", "tip_mass", "air_drag", "draught")
+    ]
+    initial_states.append(single("added_mass", 0.31))
+    for candidate in initial_states[:-1]:
         candidate.fit.solution.converged = False
     asked = []
 
@@ -153,9 +159,9 @@ def test_singles_are_compared_when_their_fits_are_finished():
         asked.append(len(effects))
         return [single(e.name, 0.35) for e in effects]
 
-    ended = partial._finished(SimpleNamespace(add=add), base, begun)
+    ended = partial._finished(SimpleNamespace(add=add), base, initial_states)
     assert [c.chi2 for c in ended] == [0.35, 0.35, 0.35, 0.35, 0.31]
-    assert [c.names for c in ended] == [c.names for c in begun]
+    assert [c.names for c in ended] == [c.names for c in initial_states]
     assert asked == [3, 1]
 
 
@@ -177,7 +183,7 @@ def test_what_was_not_fitted_to_the_fit_trials_alone_has_no_error_of_them(partly
     """The error of all trials stood below "fitted"."""
     found = replace(partly.diagnosis.nearest[0])
     whole = partial.Partial(
-        Explorer(partly.weighed, space_with(partly.final.fit.space, ()), {}),
+        FitCache(partly.weighed, space_with(partly.final.fit.space, ()), {}),
         tuple(c for c in partly.partial if len(c.names) == 1),
         partly.partial,
     )

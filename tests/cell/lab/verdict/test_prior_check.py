@@ -8,7 +8,7 @@ import pytest
 
 from cell.cable.effects import library
 from cell.lab.data.selection import EffectSelection
-from cell.lab.search.setup import explorer_of
+from cell.lab.search.setup import fit_cache_of
 from cell.lab.strength.fitted_study import fit_study
 from cell.lab.verdict import prior_check
 from cell.lab.verdict.checks import explains
@@ -28,14 +28,14 @@ def short(study):
 
 @pytest.fixture(scope="module")
 def model(make_study):
-    return fit_study(explorer_of(short(make_study([], seed=5)), FEW))[0]
+    return fit_study(fit_cache_of(short(make_study([], seed=5)), FEW))[0]
 
 
 def asked(study, model, effect):
-    explorer = explorer_of(study, FEW, (Path("model.json"), model))
-    base = explorer.baseline()
-    (final,) = explorer.add(base, [KNOWN[effect]])
-    return asked_by_prior_only(Evidence(explorer, base, final, DEFAULT_RULES), explains)
+    fits = fit_cache_of(study, FEW, (Path("model.json"), model))
+    base = fits.baseline()
+    (final,) = fits.fit_extended(base, [KNOWN[effect]])
+    return asked_by_prior_only(Evidence(fits, base, final, DEFAULT_RULES), explains)
 
 
 def test_an_effect_that_only_another_cables_model_asks_for_is_told(make_study, model):
@@ -62,11 +62,11 @@ def test_an_effect_that_is_all_that_sets_a_cable_apart_is_not(make_study, model)
 def test_of_several_effects_a_prior_may_ask_for_one_alone(monkeypatch, named, not_borne, told):
     """A mass, a curvature and a relaxation brought a complete study back to a threefold EI."""
     monkeypatch.setattr(prior_check, "_of_this_cable", lambda *_: True)
-    monkeypatch.setattr(prior_check, "_without_prior", lambda explorer: explorer)
+    monkeypatch.setattr(prior_check, "_without_prior", lambda fits: fits)
     monkeypatch.setattr(prior_check, "not_borne_out", lambda *_: not_borne)
-    explorer = SimpleNamespace(prior_q=[0.0], space=SimpleNamespace(effects=()))
+    fits = SimpleNamespace(prior_q=[0.0], space=SimpleNamespace(effects=()))
     base, final = (SimpleNamespace(effects=tuple(KNOWN[n] for n in e)) for e in ((), named))
-    assert asked_by_prior_only(Evidence(explorer, base, final, DEFAULT_RULES), explains) == told
+    assert asked_by_prior_only(Evidence(fits, base, final, DEFAULT_RULES), explains) == told
 
 
 def test_an_effect_in_whose_place_another_explains_more_without_the_prior_is_told(monkeypatch):
@@ -83,12 +83,12 @@ def test_an_effect_in_whose_place_another_explains_more_without_the_prior_is_tol
 
     base, grip = fitted(chi2=18000.0), fitted("grip_compliance", chi2=13237.0)
     angle, roll = fitted("grip_angle", chi2=13047.0), fitted("camera_roll", chi2=13300.0)
-    prepared = SimpleNamespace(floor=SimpleNamespace(noise=SimpleNamespace(std_m=1e-4)))
+    prepared = SimpleNamespace(noise_model=SimpleNamespace(noise=SimpleNamespace(std_m=1e-4)))
     alone = SimpleNamespace(
         prepared=prepared,
         baseline=lambda: base,
         without=lambda *_: base,
-        worth_refitting=lambda *_: [KNOWN[n] for n in ("grip_angle", "camera_roll")],
+        shortlist=lambda *_: [KNOWN[n] for n in ("grip_angle", "camera_roll")],
         add=lambda _, effects: [grip] if len(effects) == 1 else [grip, angle, roll],
     )
 

@@ -9,11 +9,10 @@ from cell.cable.effects import library
 from cell.cable.solver import Solver
 from cell.identify.noise import Noise, Whitener
 from cell.identify.parameters import ParameterSpace
-from cell.lab.data.noise_floor import Floor
+from cell.lab.data.noise_floor import NoiseModel
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import fit_model, heldout
 from cell.lab.fit.starts import cold_start
-from cell.lab.verdict.asked import of_what_trials_ask_for
 from cell.lab.verdict.smooth_part import (
     SmoothPart,
     _Fast,
@@ -23,6 +22,7 @@ from cell.lab.verdict.smooth_part import (
     of_all_trials_together,
     smooth_part,
 )
+from cell.lab.verdict.specification import parameter_constancy_of
 from cell.study.data import Markers
 
 
@@ -45,7 +45,7 @@ def fitted(study, solver=None):
 @pytest.mark.parametrize("colour", [0.0, 0.8])
 @pytest.mark.parametrize("lost", [0.0, 0.05])
 def test_a_right_models_smooth_residual_is_noise(make_study, seed, colour, lost):
-    study = make_study(seed=seed, colour=colour)
+    study = make_study(seed=seed, ar1=colour)
     rng = np.random.default_rng(seed)
 
     def with_gaps(trial):
@@ -105,16 +105,16 @@ def test_the_level_of_slow_noise_is_seen_in_the_fast(told, lost):
         white = whiteners[-1](np.zeros((1, *noise_m.shape)))[0]
         fast.append(_Fast.of(whiteners[-1], white))
         slow.append(_of_trial(whiteners[-1], white[:, None])[:, 0])
-    level, freedom = _slow_level(Floor(Noise(1e-4, told), 1e-3), fast)
+    level, dof = _slow_level(NoiseModel(Noise(1e-4, told), 1e-3), fast)
     seen = np.concatenate(slow)
     expected = ((1.0 - told) / 0.4) ** 2 * (1.0 - 0.6**2) / (1.0 - told**2)
-    assert level == pytest.approx(expected, rel=4.0 * np.sqrt(2.0 / freedom) + 0.02)
+    assert level == pytest.approx(expected, rel=4.0 * np.sqrt(2.0 / dof) + 0.02)
     assert np.mean(seen**2) == pytest.approx(level, rel=0.2)
 
 
 @pytest.mark.parametrize(
     ("look", "angle_rad", "noise_m"),
-    [(of_all_trials_together, 0.012, 1e-4), (of_what_trials_ask_for, 0.02, 2e-4)],
+    [(of_all_trials_together, 0.012, 1e-4), (parameter_constancy_of, 0.02, 2e-4)],
 )
 def test_what_a_clamp_askew_leaves_beside_natural_curvature_is_told_from_noise(
     make_study, look, angle_rad, noise_m
@@ -136,6 +136,6 @@ def test_what_a_clamp_askew_leaves_beside_natural_curvature_is_told_from_noise(
 
 @pytest.mark.parametrize("seed", [2, 3, 4, 5])
 def test_trials_of_a_right_model_ask_for_nothing(make_study, seed):
-    asked = of_what_trials_ask_for(*fitted(make_study(seed=seed)))
+    asked = parameter_constancy_of(*fitted(make_study(seed=seed)))
     assert asked.p_value > 1e-3
     assert 10 < asked.count < 40  # four trials, each of nine parameters but for what is shared

@@ -9,7 +9,7 @@ from cell.cable.effects import library
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.report.tables import sentence
-from cell.lab.search.explore import Explorer
+from cell.lab.search.fit_cache import FitCache
 from cell.lab.verdict.diagnose import diagnose
 from cell.study.data import Markers
 
@@ -18,7 +18,7 @@ KNOWN = library()
 
 def diagnosed(study, names):
     space = ParameterSpace.of(study.cable)
-    return diagnose(Explorer(PreparedStudy.of(study), space, {n: KNOWN[n] for n in names}))
+    return diagnose(FitCache(PreparedStudy.of(study), space, {n: KNOWN[n] for n in names}))
 
 
 def at_rest(trial):

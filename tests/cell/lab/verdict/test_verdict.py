@@ -14,9 +14,14 @@ from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import to_json
 from cell.lab.next.advice import advice
 from cell.lab.report.tables import BARELY_SEEN, sentence, steps_text
-from cell.lab.search.explore import Explorer
+from cell.lab.search.fit_cache import FitCache
 from cell.lab.verdict.diagnose import diagnose
-from cell.lab.verdict.leftover import Leftover, deviance, independent_values, removed_share
+from cell.lab.verdict.residual_summary import (
+    ResidualSummary,
+    independent_values,
+    log_variance_ratio,
+    removed_share,
+)
 from cell.study.data import Markers
 
 
@@ -24,7 +29,7 @@ def explore(study, names, misfit=None):
     known = library()
     space = ParameterSpace.of(study.cable)
     prepared = PreparedStudy.of(study, misfit=misfit)
-    return Explorer(prepared, space, {n: known[n] for n in names})
+    return FitCache(prepared, space, {n: known[n] for n in names})
 
 
 @pytest.fixture(scope="module")
@@ -40,8 +45,8 @@ def curved_and_loaded(make_study):
 @pytest.fixture(scope="module")
 def unexplained(curved_and_loaded):
     """The load is not in the library, the curvature is."""
-    explorer = explore(curved_and_loaded, ("natural_curvature", "air_drag", "grip_slip"))
-    return diagnose(explorer).diagnosis
+    fits = explore(curved_and_loaded, ("natural_curvature", "air_drag", "grip_slip"))
+    return diagnose(fits).diagnosis
 
 
 def test_what_explains_most_is_reported_with_its_share_and_what_it_leaves(unexplained):
@@ -88,8 +93,8 @@ def test_the_nearest_effects_are_named_with_what_they_leave_and_where(
 def test_an_earlier_models_error_is_not_the_measurements_noise(make_study, misfit_m):
     """However bad the earlier model was, what is left above the noise is not called complete."""
     study = make_study([library()["tip_mass"].active(mass_kg=3e-5)], seed=8)
-    explorer = explore(study, ("air_drag", "grip_slip"), Noise(misfit_m))
-    found = diagnose(explorer).diagnosis
+    fits = explore(study, ("air_drag", "grip_slip"), Noise(misfit_m))
+    found = diagnose(fits).diagnosis
     assert found.left.over_noise > 1.2
     assert found.verdict == "unexplained"
     assert found.missing == ()
@@ -112,13 +117,15 @@ def test_residuals_count_for_as_many_values_as_are_independent():
 
 def test_explanations_are_told_apart_by_what_they_leave_not_by_camera_noise():
     """4 % less error of 30 independent values is nothing, whatever χ² makes of it."""
-    better, worse = Leftover(1.0e-6, 30.0), Leftover(1.05e-6, 30.0)
-    assert deviance(better, worse) < 2.0
-    assert deviance(replace(better, independent=3000.0), worse) > 100.0
-    assert deviance(better, Leftover(np.inf, 2.0)) == np.inf
-    assert removed_share(1e-3, Leftover(5e-6, 9.0), Leftover(2e-6, 9.0)) == pytest.approx(0.75)
-    assert removed_share(1e-3, Leftover(np.inf, 9.0), Leftover(2e-6, 9.0)) == 1.0
-    assert removed_share(1e-3, Leftover(5e-6, 9.0), Leftover(np.inf, 9.0)) == 0.0
+    better, worse = ResidualSummary(1.0e-6, 30.0), ResidualSummary(1.05e-6, 30.0)
+    assert log_variance_ratio(better, worse) < 2.0
+    assert log_variance_ratio(replace(better, independent=3000.0), worse) > 100.0
+    assert log_variance_ratio(better, ResidualSummary(np.inf, 2.0)) == np.inf
+    assert removed_share(
+        1e-3, ResidualSummary(5e-6, 9.0), ResidualSummary(2e-6, 9.0)
+    ) == pytest.approx(0.75)
+    assert removed_share(1e-3, ResidualSummary(np.inf, 9.0), ResidualSummary(2e-6, 9.0)) == 1.0
+    assert removed_share(1e-3, ResidualSummary(5e-6, 9.0), ResidualSummary(np.inf, 9.0)) == 0.0
 
 
 @pytest.mark.parametrize(

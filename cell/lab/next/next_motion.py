@@ -8,7 +8,7 @@ import numpy as np
 
 from cell.lab.data.cycles import RecordedCycle
 from cell.lab.data.progress import Progress, no_progress
-from cell.lab.line.learn import Lesson
+from cell.lab.line.learn import LearningResult
 from cell.lab.line.lesson_search import EffectFit
 from cell.lab.next.suggest import MOST_CANDIDATES, Option, Rival, Suggestion, telling_motions
 from cell.settings.surroundings import Surroundings
@@ -25,7 +25,7 @@ def asked(cycles: Sequence[RecordedCycle]) -> int:
 
 
 def motion_that_tells(
-    lesson: Lesson, surroundings: Surroundings, progress: Progress = no_progress
+    lesson: LearningResult, surroundings: Surroundings, progress: Progress = no_progress
 ) -> Suggestion | None:
     """Motions that tell the lesson's effect from those tied with it; None = nothing is tied.
 

@@ -36,7 +36,7 @@ _FARTHEST = 4.0
 
 
 @dataclass(frozen=True, eq=False)
-class Beginning:
+class InitialState:
     """The unknowns of a trial's beginning, all 0 as noted: delay of a release, places, velocities.
 
     std, step, limit  (unknowns,) of the prior, of finite differences, largest magnitude
@@ -59,18 +59,20 @@ class Beginning:
         """Whether the cable may begin beside its equilibrium."""
         return self.places > 0
 
-    def delay_s(self, begun: FloatArray) -> FloatArray:
+    def delay_s(self, initial_states: FloatArray) -> FloatArray:
         """(lanes,) delays among unknowns (lanes, unknowns)."""
-        return begun[:, 0] if self.delayed else np.zeros(len(begun))
+        return initial_states[:, 0] if self.delayed else np.zeros(len(initial_states))
 
-    def modes(self, begun: FloatArray) -> FloatArray:
+    def modes(self, initial_states: FloatArray) -> FloatArray:
         """(2, `MODES`) places and velocities among unknowns (unknowns,)."""
         modes = np.zeros((2, MODES))
-        modes.ravel()[: self.places + self.velocities] = begun[int(self.delayed) :]
+        modes.ravel()[: self.places + self.velocities] = initial_states[int(self.delayed) :]
         return modes
 
 
-def beginning_of(trial: Trial, cable: Cable, gravity_m_per_s2: tuple[float, float]) -> Beginning:
+def initial_state_of(
+    trial: Trial, cable: Cable, gravity_m_per_s2: tuple[float, float]
+) -> InitialState:
     """What is unknown of how a trial begins."""
     delayed = trial.start in ("straight", "held")
     places = MODES if trial.bent else 0
@@ -82,7 +84,7 @@ def beginning_of(trial: Trial, cable: Cable, gravity_m_per_s2: tuple[float, floa
     of_delay = [RELEASE_STD_S] * delayed, [_DELAY_STEP_S] * delayed, [RELEASE_LIMIT_S] * delayed
     std = np.concatenate([place, velocity])
     step = np.concatenate([np.full(places, 1.0), np.full(velocities, pace_per_s)]) * _MODE_STEP
-    return Beginning(
+    return InitialState(
         delayed,
         places,
         velocities,

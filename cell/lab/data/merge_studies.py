@@ -48,7 +48,7 @@ class _Cycle:
     settings: Document | None
 
 
-def gather(runs: Sequence[Path], name: str) -> Study:
+def merge_studies(runs: Sequence[Path], name: str) -> Study:
     """One study of the studies in cycles' folders (or of studies themselves).
 
     The first cycle's roles are kept; later cycles' trials are only compared with, so that what was
@@ -81,14 +81,14 @@ def gather(runs: Sequence[Path], name: str) -> Study:
     return replace(made, noise_std_m=stated_m)
 
 
-def gather_into(folder: Path, runs: Sequence[Path]) -> tuple[Study, list[str]]:
+def merge_into(folder: Path, runs: Sequence[Path]) -> tuple[Study, list[str]]:
     """The studies of cycles gathered into one, written to a folder and named after it.
 
     returns  the study; and which cycles were left out because nothing was measured in them
-    raises   InputError: as `gather`, or nothing was measured in any
+    raises   InputError: as `merge_studies`, or nothing was measured in any
     """
     found, left_out = measured(runs)
-    study = gather(found, folder.name)
+    study = merge_studies(found, folder.name)
     write_study(study, folder)
     return study, left_out
 

@@ -27,10 +27,10 @@ from cell.lab.fit.fitting import (
     fit_model,
     fit_trials,
     heldout,
+    heldout_log_lr,
     pinned,
     residuals,
     space_with,
-    visible,
 )
 from cell.lab.fit.mesh import as_its_mesh_shows
 from cell.lab.fit.remainder import remainder
@@ -66,7 +66,7 @@ SEARCH = Options(tolerance=0.3, most_passes=10, least_gain=1e-3, updates=3)
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class FittedModel:
     """A set of effects, fitted and weighed.
 
     evidence  ln of the fit trials' likelihood less BIC's penalty, plus that of the held-out trials
@@ -112,7 +112,7 @@ class _Refit:
 
 
 @dataclass(eq=False)
-class Explorer:
+class FitCache:
     """Remembers every set of effects that it has fitted to one study.
 
     believed  an earlier individual's coordinates: an effect may be all that sets this one apart
@@ -129,17 +129,17 @@ class Explorer:
     begin: FloatArray | None = None
     sought: tuple[type[Effect], ...] = ()
     _settled: bool = False
-    _before_settled: Explorer | None = None
-    _known: dict[frozenset[str], Candidate] = field(default_factory=dict)
+    _before_settled: FitCache | None = None
+    _known: dict[frozenset[str], FittedModel] = field(default_factory=dict)
     _screens: dict[frozenset[str], list[ScreenedEffect]] = field(default_factory=dict)
     _tempered: Fit | None = None
-    _elsewhere: Fit | None = None
-    _prior_candidate: Candidate | None = None
-    _visible: dict[tuple[frozenset[str], str], float] = field(default_factory=dict)
+    _second_start: Fit | None = None
+    _prior_candidate: FittedModel | None = None
+    _heldout_log_lr: dict[tuple[frozenset[str], str], float] = field(default_factory=dict)
     _were_polished: set[frozenset[str]] = field(default_factory=set)
     _ways_down: set[tuple[frozenset[str], frozenset[str]]] = field(default_factory=set)
 
-    def baseline(self) -> Candidate:
+    def baseline(self) -> FittedModel:
         """The model with no effects beyond those that `space` brings along."""
         key = frozenset(e.name for e in self.space.effects)
         if key not in self._known:
@@ -178,12 +178,12 @@ class Explorer:
         if fit.rms_m <= ERRS * self.prepared.expected.std_m:
             self.prepared = as_its_mesh_shows(self.prepared, fit)
         try:
-            return fit_model(self.prepared, self.space, fit.q, fit.begun, options=POLISH)
+            return fit_model(self.prepared, self.space, fit.q, fit.initial_states, options=POLISH)
         except ValueError:
             self.prepared = before
             return fit
 
-    def settle_mesh(self, found: Candidate) -> bool:
+    def settle_mesh(self, found: FittedModel) -> bool:
         """Take the mesh's error by a model that was found out of the study, and forget all fits.
 
         The baseline's own, which imitated what was missing, was another.  Noise stays as it is.
@@ -193,8 +193,8 @@ class Explorer:
             return False
         self._before_settled = copy.copy(self)
         self.prepared, self._settled = as_its_mesh_shows(self.prepared, found.fit), True
-        self._tempered = self._elsewhere = self._prior_candidate = None
-        self._known, self._screens, self._visible = {}, {}, {}
+        self._tempered = self._second_start = self._prior_candidate = None
+        self._known, self._screens, self._heldout_log_lr = {}, {}, {}
         self._were_polished, self._ways_down = set(), set()
         return True
 
@@ -203,18 +203,18 @@ class Explorer:
 
         returns  whether a baseline is known
         """
-        if not self.begun() and self._before_settled is not None:
+        if not self.baseline_is_fitted() and self._before_settled is not None:
             vars(self).update(vars(self._before_settled))
-        return self.begun()
+        return self.baseline_is_fitted()
 
     def _know_noise(self, fit: Fit) -> None:
-        floor = self.prepared.floor
-        if floor.rest is None or not self.prepared.noise_is_measured:
+        noise_model = self.prepared.noise_model
+        if noise_model.rest is None or not self.prepared.noise_is_measured:
             return
         known = frozenset(e.name for e in self.space.effects)
         others = [e for name, e in self.library.items() if name not in known]
-        floor = floor_of_all_frames(floor, remainder(self.prepared, fit, others))
-        self.prepared = self.prepared.with_floor(floor)
+        noise_model = floor_of_all_frames(noise_model, remainder(self.prepared, fit, others))
+        self.prepared = self.prepared.with_floor(noise_model)
 
     def _from_other_starts(self, fit: Fit, start: FloatArray, count: int) -> Fit:
         """The best fit of a baseline that cannot fit from its first start; the next is kept, too.
@@ -222,16 +222,18 @@ class Explorer:
         A model that lacks something puts it into EI(s); the prior keeps a tempered fit plausible.
         """
         fits = [fit]
-        temper = TEMPER * float(np.sqrt(fit.chi2 / count))
+        residual_scale = TEMPER * float(np.sqrt(fit.chi2 / count))
         if (added := self._found_by_adding()) is not None:
             fits = sorted([fit, added], key=lambda f: f.objective)
-        tempered = fit_model(self.prepared, self.space, start, temper=temper, options=REFIT)
+        tempered = fit_model(
+            self.prepared, self.space, start, residual_scale=residual_scale, options=REFIT
+        )
         self._tempered = tempered
         if not fits[0].solution.converged:
             with contextlib.suppress(ValueError):  # where it ended nothing is simulated
                 fits.append(fit_model(self.prepared, self.space, tempered.q, options=POLISH))
         best, *others = sorted(fits, key=lambda f: f.objective)
-        self._elsewhere = others[0] if others else None
+        self._second_start = others[0] if others else None
         return best
 
     def _beginning(self) -> FloatArray:
@@ -252,34 +254,36 @@ class Explorer:
         space, library = space_with(self.space, rest), {e.name: e for e in self.sought}
         known = [i for i, name in enumerate(self.space.names) if name in space.names]
         prior_q = None if self.prior_q is None else self.prior_q[known]
-        search = Explorer(self.prepared, space, library, self.progress, prior_q)
+        search = FitCache(self.prepared, space, library, self.progress, prior_q)
         with contextlib.suppress(ValueError):
             found = search.baseline()
             while left := [e for e in self.sought if e not in found.effects]:
-                found = min(search.add(found, left), key=lambda c: c.fit.objective)
+                found = min(search.fit_extended(found, left), key=lambda c: c.fit.objective)
             q = self.space.mean.copy()
             for i, name in enumerate(self.space.names):
                 q[i] = found.fit.q[found.fit.space.names.index(name)]
             inside = np.clip(q, self.space.low, self.space.high)
-            return fit_model(self.prepared, self.space, inside, found.fit.begun, options=POLISH)
+            return fit_model(
+                self.prepared, self.space, inside, found.fit.initial_states, options=POLISH
+            )
         return None
 
     @property
     def second(self) -> Fit | None:
         """Where the baseline's fit ended from a second start, if one was tried."""
-        return self._elsewhere
+        return self._second_start
 
-    def elsewhere(self) -> Fit | None:
+    def second_start(self) -> Fit | None:
         """Where the baseline's fit ends from a second start; None where the first is good enough.
 
         The second is the tempered fit; of two that were compared it is the worse.
         """
         base = self.baseline()
-        if self._elsewhere is None and self._tempered is not None:
+        if self._second_start is None and self._tempered is not None:
             with contextlib.suppress(ValueError):
                 start = self._tempered.q
-                self._elsewhere = fit_model(self.prepared, base.fit.space, start, options=POLISH)
-        return self._elsewhere
+                self._second_start = fit_model(self.prepared, base.fit.space, start, options=POLISH)
+        return self._second_start
 
     def rebase(self, start: FloatArray, least: float) -> bool:
         """Fit the baseline from another start too; True if χ² ends lower by at least so much.
@@ -291,7 +295,7 @@ class Explorer:
             fit = fit_model(self.prepared, base.fit.space, start, options=POLISH)
             if fit.objective < base.fit.objective - least:
                 self._known = {base.names: self._weigh(base.effects, fit)}
-                self._screens, self._visible = {}, {}
+                self._screens, self._heldout_log_lr = {}, {}
                 self._were_polished, self._ways_down = set(), set()
                 return True
         return False
@@ -336,7 +340,7 @@ class Explorer:
                 fits.append(fit_model(self.prepared, self.space, q, options=REFIT))
         return min(fits, key=lambda f: f.objective).q if fits else start
 
-    def prior_candidate(self) -> Candidate:
+    def prior_candidate(self) -> FittedModel:
         """The earlier individual's model as it is; the baseline if there is none."""
         if self.prior_q is None:
             return self.baseline()
@@ -351,22 +355,22 @@ class Explorer:
         """The study for a fit that runs beside others: on one core."""
         return self.prepared.on_one_core()
 
-    def begun(self) -> bool:
+    def baseline_is_fitted(self) -> bool:
         """Whether the baseline has been fitted."""
         return frozenset(e.name for e in self.space.effects) in self._known
 
-    def known(self) -> tuple[Candidate, ...]:
+    def known(self) -> tuple[FittedModel, ...]:
         """Every candidate so far."""
         return tuple(self._known.values())
 
-    def screened(self, base: Candidate) -> list[ScreenedEffect]:
+    def screened(self, base: FittedModel) -> list[ScreenedEffect]:
         """Score tests of the whole library against a candidate, likeliest first."""
         if base.names not in self._screens:
             others = [e for n, e in self.library.items() if n not in base.names]
             self._screens[base.names] = screen(self.prepared, base.fit, others)
         return self._screens[base.names]
 
-    def worth_refitting(self, base: Candidate, best: int) -> list[type[Effect]]:
+    def shortlist(self, base: FittedModel, best: int) -> list[type[Effect]]:
         """The `best` of the screen, and what it may misjudge: all effects that are not smooth."""
         ranked = sorted(self.screened(base), key=lambda s: (s.score.p_value, -s.score.statistic))
         rough = [s.effect for s in ranked[best:] if not s.effect.smooth]
@@ -377,7 +381,7 @@ class Explorer:
         return fit_trials(self.prepared)
 
     def _screened_elsewhere(
-        self, base: Candidate, effects: Sequence[type[Effect]]
+        self, base: FittedModel, effects: Sequence[type[Effect]]
     ) -> list[ScreenedEffect]:
         """The same from the tempered baseline and from what was believed of the cable.
 
@@ -390,7 +394,7 @@ class Explorer:
             found += screen(self.prepared, self.prior_candidate().fit, effects)
         return found
 
-    def add(self, base: Candidate, effects: Sequence[type[Effect]]) -> list[Candidate]:
+    def fit_extended(self, base: FittedModel, effects: Sequence[type[Effect]]) -> list[FittedModel]:
         """The candidate with each of the effects added to it, side by side on all cores.
 
         An effect with which the cable cannot be simulated from any start is left out.
@@ -399,19 +403,19 @@ class Explorer:
         for screened in (*self.screened(base), *self._screened_elsewhere(base, effects)):
             screens.setdefault(screened.effect.name, []).append(screened)
 
-        def refitted(job: _Refit) -> Candidate | None:
+        def refitted(job: _Refit) -> FittedModel | None:
             return self._extended(base, job.effect, screens[job.effect.name], job.options)
 
         keys = {e: frozenset({*base.names, e.name}) for e in effects}
         unknown = [e for e in effects if keys[e] not in self._known]
         done = itertools.count(len(effects) - len(unknown) + 1)
 
-        def fitted(job: _Refit, candidate: Candidate | None) -> None:
+        def fitted(job: _Refit, candidate: FittedModel | None) -> None:
             if candidate is not None:
                 self._known[candidate.names] = candidate
             self.progress(f"refitted with {job.effect.name}", next(done), len(effects))
 
-        def polished(_: Candidate, candidate: Candidate) -> None:
+        def polished(_: FittedModel, candidate: FittedModel) -> None:
             self._known[candidate.names] = candidate
             if candidate.fit.solution.passes < POLISH.most_passes:  # it gained no more
                 self._were_polished.add(candidate.names)
@@ -437,13 +441,13 @@ class Explorer:
             beside.map(self._polished, [c for c in likely if self._unpolished(c, far)], polished)
         return [self._known[c.names] for c in found]
 
-    def _unpolished(self, candidate: Candidate, far: float) -> bool:
+    def _unpolished(self, candidate: FittedModel, far: float) -> bool:
         """Whether a candidate is worth to be taken to convergence, and never was."""
         if candidate.fit.solution.settled or candidate.names in self._were_polished:
             return False
         return candidate.fit.objective <= far
 
-    def _polished(self, candidate: Candidate) -> Candidate:
+    def _polished(self, candidate: FittedModel) -> FittedModel:
         """The candidate taken to convergence, or as near as it comes.
 
         One that ended where the cable can hardly be simulated stays there.
@@ -453,20 +457,20 @@ class Explorer:
                 self._alone,
                 candidate.fit.space,
                 candidate.fit.q,
-                candidate.fit.begun,
+                candidate.fit.initial_states,
                 options=POLISH,
             )
             return self._weigh(candidate.effects, fit)
         return candidate
 
-    def visible(self, candidate: Candidate, effect: type[Effect]) -> float:
+    def heldout_log_lr(self, candidate: FittedModel, effect: type[Effect]) -> float:
         """ln of how much likelier an effect of a candidate must make the held-out trials."""
         key = (candidate.names, effect.name)
-        if key not in self._visible:
-            self._visible[key] = visible(self.prepared, candidate.fit, effect)
-        return self._visible[key]
+        if key not in self._heldout_log_lr:
+            self._heldout_log_lr[key] = heldout_log_lr(self.prepared, candidate.fit, effect)
+        return self._heldout_log_lr[key]
 
-    def without(self, candidate: Candidate, effect: type[Effect]) -> Candidate:
+    def fit_reduced(self, candidate: FittedModel, effect: type[Effect]) -> FittedModel:
         """The candidate with one effect taken out, refitted from where it was with it.
 
         Where that set of effects is known from elsewhere, the likelier fit of the two: an effect
@@ -482,19 +486,19 @@ class Explorer:
                 self._known[key] = found
         return self._known[key]
 
-    def _taken_out(self, candidate: Candidate, rest: tuple[type[Effect], ...]) -> Fit:
+    def _taken_out(self, candidate: FittedModel, rest: tuple[type[Effect], ...]) -> Fit:
         """A candidate's fit with only these of its effects."""
         space = space_with(candidate.fit.space, rest)
         q = space.mean.copy()
         for i, name in enumerate(space.names):
             q[i] = candidate.fit.q[candidate.fit.space.names.index(name)]
         try:
-            return fit_model(self.prepared, space, q, candidate.fit.begun, options=REFIT)
+            return fit_model(self.prepared, space, q, candidate.fit.initial_states, options=REFIT)
         except ValueError:  # a cable that only the effect kept from collapsing
             q = cold_start(self.prepared, space)
             return fit_model(self.prepared, space, q, options=REFIT)
 
-    def gain(self, small: Candidate, large: Candidate) -> Gain:
+    def gain(self, small: FittedModel, large: FittedModel) -> Gain:
         """What `large` has over `small`, which lacks one of its effects."""
         effect = next(e for e in large.effects if e.name not in small.names)
         amplitudes = [p for p in effect.parameters if p.amplitude]
@@ -511,18 +515,18 @@ class Explorer:
                 fall,
                 sum(p.fitted for p in effect.parameters),
                 count,
-                self.prepared.floor.effective_fraction,
+                self.prepared.noise_model.effective_fraction,
             ),
             heldout=held,
         )
 
     def _extended(
         self,
-        base: Candidate,
+        base: FittedModel,
         effect: type[Effect],
         screens: Sequence[ScreenedEffect],
         options: Options,
-    ) -> Candidate | None:
+    ) -> FittedModel | None:
         """The candidate with an effect added, from the starts that each screen has found.
 
         The first screen is of the candidate itself.
@@ -556,12 +560,12 @@ class Explorer:
                     promising += [
                         q for q in map(starts.__getitem__, likeliest) if is_new(q, promising)
                     ]
-            fits += self._fits_from(space, each_once(promising), base.fit.begun, options)
+            fits += self._fits_from(space, each_once(promising), base.fit.initial_states, options)
             fall = base.fit.objective - min((f.objective for f in fits), default=np.inf)
             unkept = not placed and fall < KEPT * screens[0].score.statistic
             if origin is base.fit.q and unkept:
                 rest = [q for q in starts[: len(screens[0].starts)] if is_new(q, promising)]
-                fits += self._fits_from(space, rest, base.fit.begun, options)
+                fits += self._fits_from(space, rest, base.fit.initial_states, options)
         if not fits:
             return None
         # Of a force at a place, what follows the fitted motions best may do anything beyond them.
@@ -572,7 +576,7 @@ class Explorer:
         self,
         space: ParameterSpace,
         starts: Sequence[FloatArray],
-        begun: dict[str, FloatArray],
+        initial_states: dict[str, FloatArray],
         options: Options,
     ) -> list[Fit]:
         """Fits from starts at which the cable can be simulated."""
@@ -580,12 +584,12 @@ class Explorer:
         for q in starts:
             with contextlib.suppress(ValueError):
                 found.append(
-                    fit_model(self._alone, space, q, begun, options=options, from_far=True)
+                    fit_model(self._alone, space, q, initial_states, options=options, from_far=True)
                 )
         return found
 
     def _sought(
-        self, base: Candidate, space: ParameterSpace, starts: Sequence[FloatArray]
+        self, base: FittedModel, space: ParameterSpace, starts: Sequence[FloatArray]
     ) -> list[FloatArray]:
         """Where tempered fits from all starts lead to, the best of them.
 
@@ -593,11 +597,18 @@ class Explorer:
         be noise.
         """
         count = self.prepared.count(fit_trials(self.prepared))
-        temper = TEMPER * max(1.0, float(np.sqrt(base.fit.chi2 / count)))
+        residual_scale = TEMPER * max(1.0, float(np.sqrt(base.fit.chi2 / count)))
         fits = []
         for q in starts:
             try:
-                fit = fit_model(self._alone, space, q, temper=temper, options=SEARCH, from_far=True)
+                fit = fit_model(
+                    self._alone,
+                    space,
+                    q,
+                    residual_scale=residual_scale,
+                    options=SEARCH,
+                    from_far=True,
+                )
                 fits.append(fit)
             except ValueError:
                 continue
@@ -610,10 +621,10 @@ class Explorer:
         order = np.argsort(np.where(np.isfinite(square), square, np.inf), kind="stable")
         return np.asarray(starts[order[:count]])
 
-    def _weigh(self, effects: tuple[type[Effect], ...], fit: Fit) -> Candidate:
+    def _weigh(self, effects: tuple[type[Effect], ...], fit: Fit) -> FittedModel:
         held = heldout(self._alone, fit)
         count = self.prepared.count(fit_trials(self.prepared))
         extra = sum(p.fitted for e in effects for p in e.parameters)
-        penalty = -delta_bic(0.0, extra, count, self.prepared.floor.effective_fraction)
+        penalty = -delta_bic(0.0, extra, count, self.prepared.noise_model.effective_fraction)
         evidence = -0.5 * (fit.objective + penalty) + (held.log_likelihood if held else 0.0)
-        return Candidate(effects, fit, held, evidence)
+        return FittedModel(effects, fit, held, evidence)

@@ -6,7 +6,7 @@ import pytest
 
 from cell.cable.effects import library
 from cell.lab.data.selection import EffectSelection
-from cell.lab.search.setup import explorer_of
+from cell.lab.search.setup import fit_cache_of
 from cell.lab.strength.fitted_study import fit_study
 from cell.lab.verdict.doubts import lacking_doubt
 
@@ -19,7 +19,7 @@ TRUE = {"exponent": 1.05, "viscosity": 1e-7}
 def fitted(study, offered=FEW):
     """The model of a study's first two trials that knows of no effect."""
     study = replace(study, trials=study.trials[:2])
-    return fit_study(explorer_of(study, EffectSelection((), {n: KNOWN[n] for n in offered})))[0]
+    return fit_study(fit_cache_of(study, EffectSelection((), {n: KNOWN[n] for n in offered})))[0]
 
 
 def held(model):

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from cell.cli import app
 from cell.files.input_error import InputError
-from cell.lab.data.gather import gather
+from cell.lab.data.merge_studies import merge_studies
 from cell.lab.data.opened_study import open_study
 from cell.study.data import Markers
 from cell.study.folder import write_study
@@ -42,7 +42,7 @@ def record(tmp_path, measured):
 
 def refused(runs):
     with pytest.raises(InputError) as caught:
-        gather(runs, "together")
+        merge_studies(runs, "together")
     return str(caught.value)
 
 
@@ -51,7 +51,7 @@ def test_cycles_of_one_cable_become_one_study(record, measured):
         record("first"),
         record("second", changes=[("y_m: [-0.10, 0.02]", "y_m: [-0.12, 0.02]")]),  # of the hand
     ]
-    study = gather(runs, "together")
+    study = merge_studies(runs, "together")
     assert len(study.trials) == 2 * len(measured[0].trials)
     assert study.trials[0].name == "first_identify"
     assert {t.role for t in study.trials[len(measured[0].trials) :]} == {"validate"}
@@ -101,7 +101,7 @@ def test_a_marker_that_is_never_seen_at_rest_tells_nothing(record, measured):
         return replace(trial, markers=Markers(trial.markers.t_s, xy_m))
 
     other = replace(measured[0], trials=tuple(blind(t) for t in measured[0].trials))
-    assert len(gather([record("first"), record("second", study=other)], "x").trials) == 8
+    assert len(merge_studies([record("first"), record("second", study=other)], "x").trials) == 8
 
 
 def test_a_cycle_given_twice_is_refused(record):
@@ -138,6 +138,6 @@ def test_nodes_that_the_cell_placed_wrong_along_the_cable_are_left_out_and_told(
     run = record("first", study=study)
     opened = open_study(run)
     assert np.isnan(opened.trials[0].markers.xy_m[rows, 0]).any(axis=1).all()
-    gathered = gather([run, record("second")], "together")
+    gathered = merge_studies([run, record("second")], "together")
     assert np.isnan(gathered.trials[0].markers.xy_m[rows, 0]).any(axis=1).all()
     assert any("lie apart from the rows before and after" in note for note in gathered.notes)

@@ -26,7 +26,7 @@ BELIEVED = 1e-3
 _PASSES = 3
 
 
-def first_look(
+def estimate_initial_states(
     prepared: PreparedStudy, trials: Sequence[Trial], models: Sequence[CableModel]
 ) -> dict[str, FloatArray]:
     """By trial the likeliest unknowns of its beginning, (models, unknowns); a delay is left at 0.
@@ -39,9 +39,9 @@ def first_look(
 
 def _looked(prepared: PreparedStudy, trial: Trial, models: Sequence[CableModel]) -> FloatArray:
     beginning, lanes = prepared.beginning(trial), len(models)
-    begun = np.zeros((lanes, beginning.count))
+    initial_states = np.zeros((lanes, beginning.count))
     if not beginning.bent:
-        return begun
+        return initial_states
     early = _early(prepared, trial)
     seen = np.isfinite(early.markers.xy_m)
     noise_m = max(prepared.noise.std_m, BELIEVED * prepared.study.cable.free_length_m)
@@ -50,7 +50,7 @@ def _looked(prepared: PreparedStudy, trial: Trial, models: Sequence[CableModel])
     prior = np.diag(1.0 / beginning.std[free] ** 2)
     every = [m for m in models for _ in range(len(free) + 1)]
     for _ in range(_PASSES):
-        tried = np.repeat(begun, len(free) + 1, axis=0).reshape(lanes, len(free) + 1, -1)
+        tried = np.repeat(initial_states, len(free) + 1, axis=0).reshape(lanes, len(free) + 1, -1)
         for row, i in enumerate(free, 1):
             tried[:, row, i] += beginning.step[i]
         points = prepared.predict(early, every, tried.reshape(-1, beginning.count))
@@ -58,11 +58,11 @@ def _looked(prepared: PreparedStudy, trial: Trial, models: Sequence[CableModel])
         slopes = (points[:, 1:] - points[:, :1]) / beginning.step[free][:, None]
         missed = early.markers.xy_m[seen] / noise_m - points[:, 0]
         for lane in np.flatnonzero(np.isfinite(points).all(axis=(1, 2))):
-            s, here = slopes[lane], begun[lane, free]
+            s, here = slopes[lane], initial_states[lane, free]
             step = np.linalg.solve(s @ s.T + prior, s @ missed[lane] - prior @ here)
-            begun[lane, free] = here + step
-        begun = np.clip(begun, -beginning.limit, beginning.limit)
-    return begun
+            initial_states[lane, free] = here + step
+        initial_states = np.clip(initial_states, -beginning.limit, beginning.limit)
+    return initial_states
 
 
 def _early(prepared: PreparedStudy, trial: Trial) -> Trial:

@@ -16,8 +16,8 @@ from cell.lab.data.selection import select_effects
 from cell.lab.fit.fitting import space_with
 from cell.lab.next.terms import admissible, effect_source
 from cell.lab.search import explore
-from cell.lab.search.explore import Candidate, Explorer
-from cell.lab.search.setup import explorer_of
+from cell.lab.search.fit_cache import FitCache, FittedModel
+from cell.lab.search.setup import fit_cache_of
 from cell.lab.verdict import diagnose as diagnosing
 from cell.lab.verdict.doubts import fit_doubts
 from cell.lab.verdict.rules import DEFAULT_RULES
@@ -37,24 +37,24 @@ def test_of_places_of_a_force_the_one_is_kept_that_holds_beyond_the_motions_fitt
     path.write_text(effect_source("point", [term], "A law."), encoding="utf-8")
     effect = load_effect(path, trusted=True) if name == "point" else library()[name]
     study = make_study(seed=2)
-    explorer = Explorer(PreparedStudy.of(study), ParameterSpace.of(study.cable), {name: effect})
-    base = explorer.baseline()
-    explorer.screened(base)
+    fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), {name: effect})
+    base = fits.baseline()
+    fits.screened(base)
     objectives = iter([*EVIDENCE, *[400.0] * 100])
     weighed = []
 
     def fit_model(*args, **options):
         return SimpleNamespace(objective=next(objectives), solution=SimpleNamespace(settled=True))
 
-    def weigh(explorer, effects, fit):
+    def weigh(fits, effects, fit):
         weighed.append(fit.objective)
-        return Candidate(effects, fit, None, EVIDENCE[fit.objective])
+        return FittedModel(effects, fit, None, EVIDENCE[fit.objective])
 
     monkeypatch.setattr(explore, "fit_model", fit_model)
-    monkeypatch.setattr(Explorer, "_sought", lambda *args: list(range(len(EVIDENCE))))
-    monkeypatch.setattr(Explorer, "_promising", lambda *args: list(range(len(EVIDENCE))))
-    monkeypatch.setattr(Explorer, "_weigh", weigh)
-    (candidate,) = explorer.add(base, [effect])
+    monkeypatch.setattr(FitCache, "_sought", lambda *args: list(range(len(EVIDENCE))))
+    monkeypatch.setattr(FitCache, "_promising", lambda *args: list(range(len(EVIDENCE))))
+    monkeypatch.setattr(FitCache, "_weigh", weigh)
+    (candidate,) = fits.fit_extended(base, [effect])
     assert candidate.fit.objective == kept
     assert weighed == (list(EVIDENCE) if name == "point" else [kept])
 
@@ -69,16 +69,16 @@ def test_what_was_taken_as_far_as_it_goes_is_not_taken_there_again(
     """
     effect = library()["tip_mass"]
     study = make_study(seed=2)
-    explorer = Explorer(PreparedStudy.of(study), ParameterSpace.of(study.cable), {"x": effect})
-    base = explorer.baseline()
-    explorer.screened(base)
+    fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), {"x": effect})
+    base = fits.baseline()
+    fits.screened(base)
     fits = []
 
     def fit_model(*args, **options):
         fits.append(options["options"])
         return SimpleNamespace(
             objective=1.0,
-            begun={},
+            initial_states={},
             space=None,
             q=None,
             solution=SimpleNamespace(settled=False, passes=passes),
@@ -86,10 +86,10 @@ def test_what_was_taken_as_far_as_it_goes_is_not_taken_there_again(
 
     monkeypatch.setattr(explore, "fit_model", fit_model)
     monkeypatch.setattr(
-        Explorer, "_weigh", lambda explorer, effects, fit: Candidate(effects, fit, None, 0.0)
+        FitCache, "_weigh", lambda fits, effects, fit: FittedModel(effects, fit, None, 0.0)
     )
     for _ in range(3):
-        explorer.add(base, [effect])
+        fits.fit_extended(base, [effect])
     assert fits.count(explore.POLISH) == polished
 
 
@@ -99,24 +99,24 @@ def test_a_cable_that_only_an_effect_kept_from_collapsing_is_begun_anew_without_
     """A diagnosis ended there with "the model cannot be simulated at the start of the fit"."""
     effect = library()["tip_mass"]
     study = make_study(seed=2)
-    explorer = Explorer(PreparedStudy.of(study), ParameterSpace.of(study.cable), {"x": effect})
-    space = space_with(explorer.space, [effect])
+    fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), {"x": effect})
+    space = space_with(fits.space, [effect])
     q = space.mean - 100.0
-    fit = SimpleNamespace(space=space, q=q, begun={})
-    begun = []
+    fit = SimpleNamespace(space=space, q=q, initial_states={})
+    initial_states = []
 
     def fit_model(prepared, space, start, *args, **options):
-        begun.append(start)
-        if len(begun) == 1:
+        initial_states.append(start)
+        if len(initial_states) == 1:
             raise ValueError
         return "found"
 
     monkeypatch.setattr(explore, "fit_model", fit_model)
     monkeypatch.setattr(explore, "cold_start", lambda *args: "cold")
-    monkeypatch.setattr(Explorer, "_weigh", lambda explorer, effects, fit: fit)
-    assert explorer.without(Candidate((effect,), fit, None, 0.0), effect) == "found"
-    assert np.array_equal(begun[0], q[:-1])
-    assert begun[1] == "cold"
+    monkeypatch.setattr(FitCache, "_weigh", lambda fits, effects, fit: fit)
+    assert fits.fit_reduced(FittedModel((effect,), fit, None, 0.0), effect) == "found"
+    assert np.array_equal(initial_states[0], q[:-1])
+    assert initial_states[1] == "cold"
 
 
 def test_jaws_whose_pads_creep_are_found_from_where_softer_bending_imitates_stiff_ones(make_study):
@@ -124,11 +124,11 @@ def test_jaws_whose_pads_creep_are_found_from_where_softer_bending_imitates_stif
     effect = library()["grip_compliance"]
     study = make_study([effect.active(rad_per_n_m=160.0, time_s=0.06)], seed=3)
     prepared = PreparedStudy.of(study)
-    explorer = Explorer(prepared, ParameterSpace.of(study.cable), {effect.name: effect})
-    (found,) = explorer.add(explorer.baseline(), [effect])
+    fits = FitCache(prepared, ParameterSpace.of(study.cable), {effect.name: effect})
+    (found,) = fits.fit_extended(fits.baseline(), [effect])
     values = found.fit.space.natural(found.fit.q)[-2:]
     assert values == pytest.approx([160.0, 0.06], rel=0.1)
-    given = Explorer(prepared, ParameterSpace.of(study.cable, effects=(effect,)), {}).baseline()
+    given = FitCache(prepared, ParameterSpace.of(study.cable, effects=(effect,)), {}).baseline()
     assert given.fit.rms_m == pytest.approx(found.fit.rms_m, rel=1e-3)
 
 
@@ -136,22 +136,22 @@ def test_of_two_minima_without_an_effect_the_likelier_is_kept(make_study, monkey
     """A poor fit of the right effect made any second one look necessary."""
     first, second = library()["tip_mass"], library()["air_drag"]
     study = make_study(seed=2)
-    explorer = Explorer(PreparedStudy.of(study), ParameterSpace.of(study.cable), {})
-    poor = Candidate((first,), None, None, -2000.0)
-    none = Candidate((), None, None, -3000.0)
-    explorer._known = {frozenset(): none, frozenset({"tip_mass"}): poor}
-    better = Candidate((first,), None, None, -1000.0)
+    fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), {})
+    poor = FittedModel((first,), None, None, -2000.0)
+    none = FittedModel((), None, None, -3000.0)
+    fits._known = {frozenset(): none, frozenset({"tip_mass"}): poor}
+    better = FittedModel((first,), None, None, -1000.0)
     fitted = []
 
-    def taken_out(explorer, candidate, rest):
+    def taken_out(fits, candidate, rest):
         fitted.append(rest)
 
-    monkeypatch.setattr(Explorer, "_taken_out", taken_out)
-    monkeypatch.setattr(Explorer, "_weigh", lambda *args: better)
-    both = Candidate((first, second), None, None, 0.0)
-    assert [explorer.without(both, second) for _ in range(2)] == [better, better]
+    monkeypatch.setattr(FitCache, "_taken_out", taken_out)
+    monkeypatch.setattr(FitCache, "_weigh", lambda *args: better)
+    both = FittedModel((first, second), None, None, 0.0)
+    assert [fits.fit_reduced(both, second) for _ in range(2)] == [better, better]
     assert fitted == [(first,)]
-    assert explorer.without(Candidate((first,), None, None, 0.0), first) is none
+    assert fits.fit_reduced(FittedModel((first,), None, None, 0.0), first) is none
 
 
 @pytest.fixture(scope="module")
@@ -162,14 +162,14 @@ def one_and_two(make_study):
     names = ("air_drag", "tip_mass", "grip_angle", "bending_hysteresis", "draught")
     found = []
     for cores in (1, 2):
-        explorer = Explorer(
+        fits = FitCache(
             PreparedStudy.of(study), ParameterSpace.of(study.cable), {n: known[n] for n in names}
         )
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(side_by_side, "threads", lambda cores=cores: cores)
-            base = explorer.baseline()
-            added = explorer.add(base, explorer.worth_refitting(base, 5))
-        found.append((added, explorer.prepared.work.simulated_s))
+            base = fits.baseline()
+            added = fits.fit_extended(base, fits.shortlist(base, 5))
+        found.append((added, fits.prepared.work.simulated_s))
     return found
 
 
@@ -192,8 +192,8 @@ def test_candidates_of_another_process_have_the_effects_of_this_one(make_study, 
         path.write_text(effect_source(f"own_{term.name}", [term], "A law."), encoding="utf-8")
         effects[f"own_{term.name}"] = load_effect(path, trusted=True)
     study = make_study(seed=2)
-    explorer = Explorer(PreparedStudy.of(study), ParameterSpace.of(study.cable), effects)
-    found = explorer.add(explorer.baseline(), list(effects.values()))
+    fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), effects)
+    found = fits.fit_extended(fits.baseline(), list(effects.values()))
     assert [c.effects[-1] for c in found] == list(effects.values())
     assert all(c.fit.space.effects == c.effects for c in found)
 
@@ -201,15 +201,15 @@ def test_candidates_of_another_process_have_the_effects_of_this_one(make_study, 
 def test_a_fit_that_ended_at_the_edge_of_what_can_be_simulated_stays_there(make_study, monkeypatch):
     """Taken on from there it could not begin, and the whole search ended."""
     study = make_study(seed=2)
-    explorer = Explorer(PreparedStudy.of(study), ParameterSpace.of(study.cable), {})
-    base = explorer.baseline()
+    fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), {})
+    base = fits.baseline()
 
     def impossible(*args, **options):
         raise UnsimulatedError("the model cannot be simulated at the start of the fit")
 
     monkeypatch.setattr(explore, "fit_model", impossible)
-    assert explorer._polished(base) is base
-    assert not explorer.rebase(base.fit.q, 0.0)
+    assert fits._polished(base) is base
+    assert not fits.rebase(base.fit.q, 0.0)
 
 
 def test_an_effect_explains_no_less_than_nothing(make_study):
@@ -217,13 +217,13 @@ def test_an_effect_explains_no_less_than_nothing(make_study):
     study = make_study(seed=2)
     names = ("tip_mass", "air_drag")
     space = ParameterSpace.of(study.cable)
-    explorer = Explorer(PreparedStudy.of(study), space, {n: library()[n] for n in names})
-    base = explorer.baseline()
-    (stuck,) = explorer.add(base, [library()["tip_mass"]])
+    fits = FitCache(PreparedStudy.of(study), space, {n: library()[n] for n in names})
+    base = fits.baseline()
+    (stuck,) = fits.fit_extended(base, [library()["tip_mass"]])
     stuck = replace(stuck, fit=replace(stuck.fit, solution=replace(
         stuck.fit.solution, objective=base.fit.objective + 1e6)))  # fmt: skip
     assert diagnosing._sound([stuck], base) == []
-    rows = diagnosing._ranking(explorer, base, base, [stuck], set(), DEFAULT_RULES)
+    rows = diagnosing._ranking(fits, base, base, [stuck], set(), DEFAULT_RULES)
     assert min(r.score for r in rows) >= 0.0
 
 
@@ -238,11 +238,11 @@ def test_a_fit_with_an_effect_looks_as_hard_for_it_as_a_diagnosis(make_study, tm
     (magnet,) = selection.in_model
     there = {"strength_n_m": 2.3e-5, "x_m": -0.11, "y_m": -0.09}
     study = make_study([magnet.active(**there)], seed=1, noise_m=5e-5)
-    explorer = explorer_of(replace(study, trials=study.trials[:2]), selection)
-    fit = explorer.baseline().fit
+    fits = fit_cache_of(replace(study, trials=study.trials[:2]), selection)
+    fit = fits.baseline().fit
     found = dict(zip(fit.space.names, fit.space.natural(fit.q), strict=True))
     assert fit.rms_m < 6e-5
     assert {n: found[f"magnet.{n}"] for n in there} == pytest.approx(there, rel=0.02)
-    assert explorer.second is not None
-    assert explorer.second.rms_m > 2e-4, "where it ended from its typical place"
-    assert not any(w.code == "starts_disagree" for w in fit_doubts(explorer, explorer.baseline()))
+    assert fits.second is not None
+    assert fits.second.rms_m > 2e-4, "where it ended from its typical place"
+    assert not any(w.code == "starts_disagree" for w in fit_doubts(fits, fits.baseline()))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import Peak
 from cell.lab.fit.fitting import errors_m, fit_trials
-from cell.lab.search.explore import Candidate
+from cell.lab.search.fit_cache import FittedModel
 from cell.lab.statistics.series import rms, spectrum
 from cell.lab.strength.trial_residual import TIME_BINS
 from cell.study.data import Study
@@ -24,7 +24,7 @@ MOST_LAGS = 2000
 
 
 @dataclass(frozen=True)
-class Leftover:
+class ResidualSummary:
     """The residual of a model over all trials of a study.
 
     mean_square_m2   per coordinate; inf if a trial cannot be simulated
@@ -41,7 +41,7 @@ class Leftover:
         return float(np.sqrt(self.mean_square_m2))
 
 
-def residuals_m(prepared: PreparedStudy, candidate: Candidate) -> dict[str, FloatArray]:
+def residuals_m(prepared: PreparedStudy, candidate: FittedModel) -> dict[str, FloatArray]:
     """Per trial (times, channels): measured − predicted, m, nan where not seen."""
     names = [trial.name for trial in fit_trials(prepared)]
     found = dict(zip(names, errors_m(prepared, candidate.fit), strict=True))
@@ -52,15 +52,15 @@ def residuals_m(prepared: PreparedStudy, candidate: Candidate) -> dict[str, Floa
     return found
 
 
-def leftover(prepared: PreparedStudy, candidate: Candidate) -> Leftover:
+def residual_summary(prepared: PreparedStudy, candidate: FittedModel) -> ResidualSummary:
     """What a candidate leaves of all trials."""
     held = candidate.heldout
     if held is not None and not np.isfinite(held.rms_m):
-        return Leftover(np.inf, 2.0)
+        return ResidualSummary(np.inf, 2.0)
     errors = list(residuals_m(prepared, candidate).values())
     seen = np.concatenate([e.ravel() for e in errors])
     seen = seen[np.isfinite(seen)]
-    return Leftover(float(np.mean(seen**2)), independent_values(errors))
+    return ResidualSummary(float(np.mean(seen**2)), independent_values(errors))
 
 
 def independent_values(errors: Sequence[FloatArray]) -> float:
@@ -88,7 +88,7 @@ def independent_values(errors: Sequence[FloatArray]) -> float:
     return max(2.0, float(frames * channels / (1.0 + 2.0 * max(squares, 0.0))))
 
 
-def deviance(better: Leftover, worse: Leftover) -> float:
+def log_variance_ratio(better: ResidualSummary, worse: ResidualSummary) -> float:
     """−2 ln of how much less likely the worse residual is, if neither's size is known beforehand.
 
     Where models err by more than the measurement, what they could be wrong by is what they leave.
@@ -98,8 +98,8 @@ def deviance(better: Leftover, worse: Leftover) -> float:
     return better.independent * float(np.log(worse.mean_square_m2 / better.mean_square_m2))
 
 
-def advantage(
-    prepared: PreparedStudy, better: Candidate, worse: Candidate, lag_share: float = 0.25
+def vuong_z(
+    prepared: PreparedStudy, better: FittedModel, worse: FittedModel, lag_share: float = 0.25
 ) -> float:
     """By how many standard deviations one candidate leaves less than another, both of them wrong.
 
@@ -121,7 +121,7 @@ def advantage(
     return float(gained.sum() / np.sqrt(variance)) if variance > 0.0 else 0.0
 
 
-def removed_share(noise_m: float, before: Leftover, after: Leftover) -> float:
+def removed_share(noise_m: float, before: ResidualSummary, after: ResidualSummary) -> float:
     """Share of the mean square beyond noise that is gone, 0 … 1."""
     if not np.isfinite(after.mean_square_m2):
         return 0.0
@@ -131,7 +131,7 @@ def removed_share(noise_m: float, before: Leftover, after: Leftover) -> float:
     return float(np.clip((before.mean_square_m2 - after.mean_square_m2) / excess, 0.0, 1.0))
 
 
-def peak(prepared: PreparedStudy, candidate: Candidate) -> Peak:
+def peak(prepared: PreparedStudy, candidate: FittedModel) -> Peak:
     """Where a candidate leaves most: in the trial, at the time and at the marker of largest rms."""
     study = prepared.study
     errors = residuals_m(prepared, candidate)
@@ -169,5 +169,5 @@ def _frequency(prepared: PreparedStudy, t_s: FloatArray, error: FloatArray) -> f
     """Frequency at which a residual is farthest above the noise, Hz."""
     if len(t_s) < 8 or not np.isfinite(error).any():
         return float("nan")
-    found = spectrum(t_s, error, prepared.floor.noise)
+    found = spectrum(t_s, error, prepared.noise_model.noise)
     return float(found.frequency_hz[int(np.argmax(found.residual / found.noise))])

@@ -11,7 +11,12 @@ from numpy.typing import NDArray
 from cell.cable.effects.base import Effect
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import Fit
-from cell.lab.verdict.smooth_part import SmoothPart, Together, noise_was_seen, together
+from cell.lab.verdict.smooth_part import (
+    AllTrialsResidual,
+    SmoothPart,
+    all_trials_residual,
+    noise_was_seen,
+)
 
 FloatArray = NDArray[np.float64]
 
@@ -20,7 +25,7 @@ LEAST_ASKED = 1e-6
 
 
 @lru_cache(maxsize=4)
-def of_what_trials_ask_for(
+def parameter_constancy_of(
     prepared: PreparedStudy, fit: Fit, parameters: Fit | None = None
 ) -> SmoothPart | None:
     """Of what each trial would change in the model's parameters, were they its own.
@@ -32,11 +37,14 @@ def of_what_trials_ask_for(
     """
     if not noise_was_seen(prepared):
         return None
-    left, asked = together(prepared, fit), together(prepared, parameters or fit)
+    left, asked = (
+        all_trials_residual(prepared, fit),
+        all_trials_residual(prepared, parameters or fit),
+    )
     if left is None or asked is None:
         return None
     solution = asked.whole.fit.solution
-    slopes = np.split(solution.jacobian[:, solution.free], left.whole.wrong.ends[:-1])
+    slopes = np.split(solution.jacobian[:, solution.free], left.whole.systematic_error.ends[:-1])
     bases = {}
     for whitener, part in zip(left.whiteners, slopes, strict=True):
         units, sizes, _ = np.linalg.svd(part, full_matrices=False)
@@ -44,13 +52,13 @@ def of_what_trials_ask_for(
     return left.part(lambda whitener, rows: np.asarray(bases[whitener].T @ rows))
 
 
-def of_a_wider_law(prepared: PreparedStudy, fit: Fit, effect: type[Effect]) -> SmoothPart | None:
+def wider_law_of(prepared: PreparedStudy, fit: Fit, effect: type[Effect]) -> SmoothPart | None:
     """Of what an effect's wider law would explain beside it; None without one.
 
     Of an effect that is there its own law is all there is.  One in the place of another, which no
     library has, leaves a little of it, the same in every trial, and in these few directions.
     """
-    left = None if effect.wider is None else together(prepared, fit)
+    left = None if effect.wider is None else all_trials_residual(prepared, fit)
     if effect.wider is None or left is None:
         return None
     rows = left.whole.sensitivities([effect.wider])[0].rows[0]
@@ -65,7 +73,7 @@ def of_effects(
     returns  by name, with the p-value of the plainest of so many; empty where a trial cannot be
              simulated
     """
-    left = together(prepared, fit)
+    left = all_trials_residual(prepared, fit)
     found: dict[str, tuple[SmoothPart, float]] = {}
     for slopes in [] if left is None else left.whole.sensitivities(effects):
         assert left is not None
@@ -75,7 +83,7 @@ def of_effects(
     return found
 
 
-def _directions(left: Together, rows: FloatArray) -> FloatArray:
+def _directions(left: AllTrialsResidual, rows: FloatArray) -> FloatArray:
     """(directions, values) orthonormal, of what changes (n, values) do that nothing fitted does."""
     units, sizes, _ = np.linalg.svd(left.whole.linear.seen(rows).T, full_matrices=False)
     return np.asarray(units[:, sizes > LEAST_ASKED * float(np.linalg.norm(rows))].T)

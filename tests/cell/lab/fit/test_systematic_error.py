@@ -9,7 +9,7 @@ from cell.cable.geometry import Motion
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import fit_model, fit_trials
-from cell.lab.fit.systematic import systematic
+from cell.lab.fit.systematic_error import systematic_error
 
 LOG_M = 1e-5
 
@@ -17,7 +17,7 @@ LOG_M = 1e-5
 @pytest.fixture(scope="module")
 def quiet(make_study):
     """A study with hardly any noise, in units of 0.1 mm."""
-    study = replace(make_study([], noise_m=1e-9, colour=0.0, seed=3), noise_std_m=1e-4)
+    study = replace(make_study([], noise_m=1e-9, ar1=0.0, seed=3), noise_std_m=1e-4)
     return replace(study, trials=study.trials[:2])
 
 
@@ -36,7 +36,7 @@ def logged(trial, seed):
 
 def test_most_of_what_a_fit_leaves_without_noise_is_its_mesh(quiet):
     prepared, fit = fitted(quiet)
-    wrong = systematic(prepared, fit, fit_trials(prepared))
+    wrong = systematic_error(prepared, fit, fit_trials(prepared))
     answers = np.linalg.qr(fit.solution.jacobian)[0]
     mesh = wrong.mesh - answers @ (answers.T @ wrong.mesh)
     left = fit.solution.residual - answers @ (answers.T @ fit.solution.residual)
@@ -53,7 +53,7 @@ def test_other_hands_move_a_cable_as_much_as_the_noise_of_the_log_did(quiet):
         noisy = [logged(t, seed) for t in trials]
         real.append(prepared.all_white(noisy, [fit.model])[0] - there)
     noisy = replace(prepared, study=replace(quiet, trials=tuple(noisy)))
-    wrong = systematic(noisy, fit, fit_trials(noisy))
+    wrong = systematic_error(noisy, fit, fit_trials(noisy))
     expected, seen = (np.mean(np.sum(np.square(v), axis=1)) for v in (wrong.hands, real))
     assert 0.5 < expected / seen < 2.0
     assert wrong.variance(there) > 0.0

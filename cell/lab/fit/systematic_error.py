@@ -25,7 +25,7 @@ MOTIONS = 8
 
 
 @dataclass(frozen=True, eq=False)
-class Systematic:
+class SystematicError:
     """Whitened changes of what a fitted model leaves of trials.
 
     mesh   (rows,) to what a simulation of twice the segments and half the step leaves, beyond what
@@ -65,11 +65,11 @@ class Systematic:
         return np.asarray(sum(m.T @ m for m in moved) / MOTIONS)
 
 
-def systematic(prepared: PreparedStudy, fit: Fit, trials: Sequence[Trial]) -> Systematic:
+def systematic_error(prepared: PreparedStudy, fit: Fit, trials: Sequence[Trial]) -> SystematicError:
     """Of a model fitted to trials, at its parameters.  What cannot be simulated counts as none."""
-    begun = {name: values[None] for name, values in fit.begun.items()}
-    here = prepared.all_white(trials, [fit.model], begun)[0]
-    fine = finer(prepared).predict_all(trials, [fit.model], begun)
+    initial_states = {name: values[None] for name, values in fit.initial_states.items()}
+    here = prepared.all_white(trials, [fit.model], initial_states)[0]
+    fine = finer(prepared).predict_all(trials, [fit.model], initial_states)
     doubt = _rows(prepared, trials, fine) - here
     mesh = doubt
     if prepared.mesh_m:
@@ -84,7 +84,7 @@ def systematic(prepared: PreparedStudy, fit: Fit, trials: Sequence[Trial]) -> Sy
     change = np.concatenate(hands, axis=1)
     doubt = np.nan_to_num(doubt, nan=0.0)
     mesh = mesh if prepared.mesh_m else doubt
-    return Systematic(mesh, doubt, np.nan_to_num(change, nan=0.0), ends)
+    return SystematicError(mesh, doubt, np.nan_to_num(change, nan=0.0), ends)
 
 
 def _rows(
@@ -103,7 +103,7 @@ def _by_other_hands(
         return np.zeros((MOTIONS, len(here)))
     motions = likely_motions(trial.grip, HandErrors(MOTIONS))
     others = [replace(trial, name=f"{trial.name}/{i}", grip=m) for i, m in enumerate(motions)]
-    begun = fit.begun.get(trial.name)
-    known = {} if begun is None else {t.name: begun[None] for t in others}
+    initial_states = fit.initial_states.get(trial.name)
+    known = {} if initial_states is None else {t.name: initial_states[None] for t in others}
     predicted = prepared.predict_all(others, [fit.model], known)
     return np.asarray(prepared.white(trial, np.concatenate(predicted)) - here)

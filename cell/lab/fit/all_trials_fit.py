@@ -14,7 +14,7 @@ from cell.identify.gauss_newton import Options
 from cell.lab.data.prepared import PreparedStudy, pooled
 from cell.lab.fit.fitting import Fit, fit_model, fit_trials
 from cell.lab.fit.sensitivity import Sensitivity, prior_root, sensitivities
-from cell.lab.fit.systematic import Systematic, systematic
+from cell.lab.fit.systematic_error import SystematicError, systematic_error
 
 FloatArray = NDArray[np.float64]
 
@@ -35,12 +35,12 @@ class Linear:
     left: FloatArray
 
     @staticmethod
-    def of(fit: Fit, wrong: Systematic) -> Linear:
+    def of(fit: Fit, systematic_error: SystematicError) -> Linear:
         """Of a fit at its minimum."""
         solution, root = fit.solution, prior_root(fit)
         slopes = np.vstack([solution.jacobian, root])[:, solution.free]
         away = np.concatenate([fit.q - fit.space.mean, solution.q[len(fit.q) :]])
-        residual = np.concatenate([solution.residual + wrong.mesh, root @ away])
+        residual = np.concatenate([solution.residual + systematic_error.mesh, root @ away])
         basis, triangle = np.linalg.qr(slopes)
         return Linear(basis, triangle, residual - basis @ (basis.T @ residual))
 
@@ -54,7 +54,7 @@ class Linear:
 
 
 @dataclass(frozen=True, eq=False)
-class Whole:
+class AllTrialsFit:
     """A model fitted to the `fit` trials of a study, what may be wrong with it, and its slopes."""
 
     prepared: PreparedStudy
@@ -62,14 +62,14 @@ class Whole:
     _slopes: dict[type[Effect], Sensitivity] = field(default_factory=dict)
 
     @cached_property
-    def wrong(self) -> Systematic:
+    def systematic_error(self) -> SystematicError:
         """By what the hand's log and the mesh may err."""
-        return systematic(self.prepared, self.fit, fit_trials(self.prepared))
+        return systematic_error(self.prepared, self.fit, fit_trials(self.prepared))
 
     @cached_property
     def linear(self) -> Linear:
         """What is left of the study near the fit."""
-        return Linear.of(self.fit, self.wrong)
+        return Linear.of(self.fit, self.systematic_error)
 
     def sensitivities(self, effects: Iterable[type[Effect]]) -> list[Sensitivity]:
         """What the amplitudes of effects do to the trials, in the order of the effects."""
@@ -81,10 +81,12 @@ class Whole:
 
 
 @lru_cache(maxsize=4)
-def of_all_trials(prepared: PreparedStudy, fit: Fit) -> Whole:
+def of_all_trials(prepared: PreparedStudy, fit: Fit) -> AllTrialsFit:
     """The model of a fit, fitted to every trial of its study.
 
     raises  ValueError: a trial cannot be simulated
     """
     together = pooled(prepared)
-    return Whole(together, fit_model(together, fit.space, fit.q, fit.begun, options=CONVERGED))
+    return AllTrialsFit(
+        together, fit_model(together, fit.space, fit.q, fit.initial_states, options=CONVERGED)
+    )

@@ -3,19 +3,19 @@
 import numpy as np
 import pytest
 
-from cell.lab.verdict import leftover
-from cell.lab.verdict.leftover import advantage
+from cell.lab.verdict import residual_summary
+from cell.lab.verdict.residual_summary import vuong_z
 
 RNG = np.random.default_rng(5)
 
 
 @pytest.fixture
 def compared(monkeypatch):
-    """`advantage` of residuals given as they are, per trial (times, channels)."""
+    """`vuong_z` of residuals given as they are, per trial (times, channels)."""
 
     def compare(better, worse):
-        monkeypatch.setattr(leftover, "residuals_m", lambda _, errors: errors)
-        return advantage(None, better, worse)
+        monkeypatch.setattr(residual_summary, "residuals_m", lambda _, errors: errors)
+        return vuong_z(None, better, worse)
 
     return compare
 

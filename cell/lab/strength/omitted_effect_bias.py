@@ -17,10 +17,10 @@ from scipy.special import chdtrc as chi2_sf
 from cell.cable.effects.base import Effect
 from cell.identify.fit import variance_inflation
 from cell.lab.data.prepared import PreparedStudy
+from cell.lab.fit.all_trials_fit import AllTrialsFit, Linear
 from cell.lab.fit.fitting import Fit, fit_trials
 from cell.lab.fit.sensitivity import one_sided
-from cell.lab.fit.systematic import Systematic
-from cell.lab.fit.whole import Linear, Whole
+from cell.lab.fit.systematic_error import SystematicError
 from cell.lab.statistics.score import SIGNIFICANCE
 
 FloatArray = NDArray[np.float64]
@@ -34,7 +34,7 @@ LEAST_LEFT = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Unmodelled:
+class OmittedEffectBias:
     """What is seen of effects beside a fitted model.
 
     effects     that explain what it leaves, linearly, the one that explains most first
@@ -58,16 +58,16 @@ class _Option:
     seen: FloatArray
 
 
-def unmodelled(whole: Whole, effects: Iterable[type[Effect]]) -> Unmodelled:
+def omitted_effect_bias(whole: AllTrialsFit, effects: Iterable[type[Effect]]) -> OmittedEffectBias:
     """Of a fitted model that lacks some of the effects, or others."""
-    prepared, fit, wrong = whole.prepared, whole.fit, whole.wrong
+    prepared, fit, errs = whole.prepared, whole.fit, whole.systematic_error
     p, none = len(fit.q), np.zeros((len(fit.q), len(fit.q)))
     tried = [e for e in effects if e.name not in {x.name for x in fit.space.effects}]
     linear = whole.linear
     options = _options(whole, tried, linear)
-    chosen, factor = _explaining(prepared, fit, options, linear, wrong)
+    chosen, factor = _explaining(prepared, fit, options, linear, errs)
     if not chosen:
-        return Unmodelled((), none)
+        return OmittedEffectBias((), none)
     rows, seen = (np.vstack([getattr(o, v) for o in chosen]) for v in ("rows", "seen"))
     amplitudes = np.linalg.lstsq(seen.T, linear.left, rcond=1e-8)[0]
     by_each = linear.moved(rows)
@@ -76,10 +76,10 @@ def unmodelled(whole: Whole, effects: Iterable[type[Effect]]) -> Unmodelled:
     all_of = np.zeros((len(fit.solution.q), len(fit.solution.q)))
     free = fit.solution.free
     all_of[np.ix_(free, free)] = np.outer(moved, moved) + spread + _by_parts(prepared, fit, linear)
-    return Unmodelled(tuple(o.effect.name for o in chosen), all_of[:p, :p])
+    return OmittedEffectBias(tuple(o.effect.name for o in chosen), all_of[:p, :p])
 
 
-def _options(whole: Whole, effects: Sequence[type[Effect]], linear: Linear) -> list[_Option]:
+def _options(whole: AllTrialsFit, effects: Sequence[type[Effect]], linear: Linear) -> list[_Option]:
     """Effects at every guess of their shape, but those of which nothing is seen."""
     options = []
     for slopes in whole.sensitivities(effects):
@@ -95,7 +95,7 @@ def _explaining(
     fit: Fit,
     options: Sequence[_Option],
     linear: Linear,
-    wrong: Systematic,
+    systematic_error: SystematicError,
 ) -> tuple[list[_Option], float]:
     """Those that explain most, one after another while significant; and the variance left."""
     whiteners = [prepared.whiteners[t.name] for t in fit_trials(prepared)]
@@ -109,8 +109,8 @@ def _explaining(
         if best is None or not (square := float(explained @ explained)) > 0.0:
             break
         after = left - explained
-        inflation = variance_inflation(after[: len(wrong.mesh)], whiteners, len(fit.q))
-        expected = inflation + wrong.variance(explained) / square
+        inflation = variance_inflation(after[: len(systematic_error.mesh)], whiteners, len(fit.q))
+        expected = inflation + systematic_error.variance(explained) / square
         chance = len(options) * float(chi2_sf(len(best.rows), square / expected))
         if chance > SIGNIFICANCE:
             break
