@@ -160,6 +160,7 @@ class Doubt:
 class CheckResult:
     """What a check of the verdict asked, and the answer.
 
+    unit       of statistic and limit
     statistic  None where the question does not apply to the study
     passes     how the statistic compares with the limit if all is well
     passed     None where the question does not apply
@@ -169,6 +170,7 @@ class CheckResult:
 
     name: str
     question: str
+    unit: str
     statistic: float | None
     passes: str
     limit: float

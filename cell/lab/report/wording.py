@@ -53,7 +53,7 @@ def check_rows(diagnosis: Diagnosis) -> list[tuple[str, str, str, str]]:
         (
             c.question,
             "–" if c.statistic is None else f"{c.statistic:.3g}",
-            f"{_SIGNS[c.passes]} {c.limit:g}",
+            f"{c.unit} {_SIGNS[c.passes]} {c.limit:g}",
             words[c.passed],
         )
         for c in diagnosis.checks

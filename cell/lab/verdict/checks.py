@@ -26,17 +26,19 @@ class Check:
     """A question that is asked of a model before anything is claimed of it.
 
     name       code in JSON, and of the warning if there is one
+    unit       of the statistic: p (of noise alone), ln LR (ln of a likelihood ratio), …
     statistic  the number that answers the question; None where it does not apply
     passes     how the statistic compares with the limit if all is well
     limit      field of `Rules`
     failing    what the verdict is then, unless another check makes it worse
     failed     sentence that says so
-    reason     why this limit: a source, or what was measured
+    reason     how it is judged, and why so: a test by its name, or what was measured
     warn       warnings with the numbers of the study
     """
 
     name: str
     question: str
+    unit: str
     statistic: Callable[[Evidence], Reading | None]
     passes: Literal["<=", ">=", "<", ">"]
     limit: str
@@ -74,6 +76,7 @@ class Answer:
         return CheckResult(
             name=check.name,
             question=check.question,
+            unit=check.unit,
             statistic=None if self.reading is None else self.reading.value,
             passes=check.passes,
             limit=float(getattr(evidence.rules, check.limit)),
@@ -86,47 +89,52 @@ class Answer:
 LEAVES_NOISE: tuple[Check, ...] = (
     Check(
         "stated_error",
-        "Is what is left within the error that the study states?",
+        "Is the error within what the study states?",
+        "p",
         questions.within_stated,
         ">=",
         "misfit_significance",
         "unexplained",
         "It misses more than the measurement's stated error.",
-        "p-value of χ² of independent values; up to 4 % above are the model's own error",
+        "the p-value of χ² of independent values; up to 4 % above it are a model's own error",
     ),
     Check(
         "fitted_error",
-        "Is the error on the trials fitted to that of the noise?",
+        "Is the error on the trials fitted to that of noise?",
+        "error / noise",
         questions.fitted_ratio,
         "<=",
         "gross_misfit",
         "unexplained",
         "It misses more than noise on the trials that it was fitted to.",
-        "converged simulators of one cable differ by less; 10 % of 0.1 mm is far below a mouth",
+        "the ratio of both; converged simulators of one cable differ by less than 10 %",
     ),
     Check(
         "heldout_smooth",
-        "Is the slow part of the error on held-out trials noise?",
+        "Is the slow error on held-out trials noise?",
+        "p",
         questions.heldout_smooth,
         ">=",
         "misfit_significance",
         "unexplained",
         "On held-out trials it leaves a slow error that noise does not make.",
-        "p-value of χ² of slow functions of time and place, where misfits are and little noise",
+        "χ² of slow functions of time and place, where misfits are and little noise",
     ),
     Check(
         "all_trials_smooth",
-        "Fitted to all trials, is the slow part of the error noise?",
+        "Is the slow error of a fit to all trials noise?",
+        "p",
         questions.all_trials_smooth,
         ">=",
         "misfit_significance",
         "unexplained",
         "Fitted to all trials it leaves a slow error that noise does not make.",
-        "as above, with twice the values and the level of noise known from all frames",
+        "the same with more values, and the level of noise known from all frames",
     ),
     Check(
         "parameter_constancy",
-        "Would each trial by itself ask for the same parameters?",
+        "Do all trials ask for the same parameters?",
+        "p",
         questions.parameter_constancy,
         ">=",
         "misfit_significance",
@@ -136,7 +144,8 @@ LEAVES_NOISE: tuple[Check, ...] = (
     ),
     Check(
         "wider_law",
-        "Does the law of each effect hold, or does a wider law explain more?",
+        "Does the law of each effect hold?",
+        "p",
         questions.wider_law,
         ">=",
         "law_significance",
@@ -147,23 +156,25 @@ LEAVES_NOISE: tuple[Check, ...] = (
     ),
     Check(
         "residual_level",
-        "Is the whole error on held-out trials no more than noise?",
+        "Is the error on held-out trials that of noise?",
+        "p",
         questions.residual_level,
         ">=",
         "misfit_significance",
         "unexplained",
         "It misses more than noise.",
-        "F or χ² test; the noise's level is known from so many still frames",
+        "an F or χ² test, as the noise's level is known from so many still frames",
     ),
     Check(
         "earlier_model",
-        "Beside an earlier cable's model: is most of what that misses explained?",
+        "Is most of the earlier model's error explained?",
+        "share",
         questions.explained_of_earlier,
         ">",
         "least_share",
         "unexplained",
         "It leaves most of what the earlier cable's model misses.",
-        "what is left may be the earlier model's own error, so half must go",
+        "the share that goes: what is left may be the earlier model's own error",
     ),
 )
 
@@ -184,38 +195,42 @@ def _asked_by_prior_only(evidence: Evidence) -> Reading | None:
 MAY_BE_CLAIMED: tuple[Check, ...] = (
     Check(
         "confirmation",
-        "Is there a held-out trial to confirm what was found?",
+        "Is a trial held out to confirm what was found?",
+        "trials",
         questions.heldout_trials,
         ">=",
         "least_heldout",
         "cannot_tell",
         "No trial is held out: it is not confirmed.",
-        "an effect is confirmed only on a motion that was not fitted to",
+        "their number: an effect is confirmed only on a motion that was not fitted to",
     ),
     Check(
         "heldout_insensitive",
-        "Can the held-out trials see each effect found?",
+        "Do the held-out trials see each effect found?",
+        "ln LR",
         questions.least_visible,
         ">=",
         "least_visible",
         "cannot_tell",
         "The held-out trials cannot show it: it is not confirmed.",
-        "ln of the likelihood ratio with and without the effect; 1 is two log units of deviance",
+        "ln of the likelihood ratio with and without the effect",
         doubts.insensitive_doubts,
     ),
     Check(
         "ties",
-        "How many effects explain as much as each effect found?",
+        "How many effects explain as much?",
+        "effects",
         questions.most_tied,
         "<=",
         "max_tied",
         "cannot_tell",
         "These motions cannot tell them apart.",
-        "one of three is an answer that an engineer can test; one of more is none",
+        "their number: one of three is an answer that can be tested, one of more is none",
     ),
     Check(
         "weakly_identified",
-        "Would the trials notice if half of an effect found were left?",
+        "Would half of an effect be noticed if it were left?",
+        "p",
         questions.half_seen,
         "<",
         "half_seen",
@@ -226,18 +241,20 @@ MAY_BE_CLAIMED: tuple[Check, ...] = (
     ),
     Check(
         "prior_driven",
-        "How many effects does only the earlier cable's model ask for?",
+        "How many effects does only the prior ask for?",
+        "effects",
         _asked_by_prior_only,
         "<=",
         "max_prior_driven",
         "cannot_tell",
         "Without the prior the study does not bear this out.",
-        "without the prior, as of another cable, the study must bear each effect out",
+        "a diagnosis without the prior, as of another cable",
         doubts.prior_doubts,
     ),
     Check(
         "possibly_omitted",
         "Do all trials together ask for another effect?",
+        "p",
         questions.possibly_omitted,
         ">=",
         "misfit_significance",
@@ -247,14 +264,15 @@ MAY_BE_CLAIMED: tuple[Check, ...] = (
         doubts.omitted_doubts,
     ),
     Check(
-        "noise_known",
-        "Does the rest tell the noise well enough for “complete” to mean something?",
+        "noise_unknown",
+        "Is the noise known well enough?",
+        "mean square ratio",
         questions.noise_range,
         "<",
         "noise_known_within",
         "cannot_tell",
         "The frames at rest are too few to tell whether that is noise.",
-        "an error as large as the noise itself would be more than the rest allows",
+        "the largest noise that the rest allows: another error as large must be more than that",
         doubts.noise_doubts,
     ),
 )

@@ -32,6 +32,20 @@ APART_STD = 3.0
 TOLD = 3
 #: An amplitude is at its bound within this share of the way there from none of the effect.
 NEAR_BOUND = 0.01
+#: Warnings that come of no check, by code: what was found, and what verdict it brings, if any.
+MEANINGS = {
+    "hopeless": ("misses more than half of what the markers move", ""),
+    "not_searched": ("misses more than twice what the markers move", "unexplained"),
+    "beyond_noise": ("a fit leaves more than 3 times the noise", ""),
+    "implausible": ("EI differs more than 20-fold along the cable", ""),
+    "starts_disagree": ("a second start ends at another minimum", ""),
+    "at_bound": ("a parameter is at its bound", ""),
+    "diverges": ("a held-out trial cannot be simulated", ""),
+    "unsimulated": ("the search ended where nothing can be simulated", "cannot_tell"),
+    "cut_short": ("the search for more effects reached its limit of work", ""),
+    "interrupted": ("a person stopped the command", "cannot_tell"),
+    "lacks": ("of a fit: effects of the library explain what it leaves", ""),
+}
 
 
 def fit_doubts(fits: FitCache, candidate: FittedModel) -> tuple[Doubt, ...]:

@@ -50,7 +50,7 @@ def measure(hold_motion: Motion) -> Measure:
         seed: int = 0,
         *,
         noise_m: float = 5e-5,
-        colour: float = 0.0,
+        ar1: float = 0.0,
         log_noise_m: float = 1e-5,
         motion: Motion = hold_motion,
     ) -> World:
@@ -59,7 +59,7 @@ def measure(hold_motion: Motion) -> Measure:
         clean = simulate(model, motion, t_s, node_arc_lengths(0.1), solver=WORLD)[0]
         error = rng.normal(0.0, 1.0, clean.shape)
         for i in range(1, len(error)):
-            error[i] = colour * error[i - 1] + np.sqrt(1.0 - colour**2) * error[i]
+            error[i] = ar1 * error[i - 1] + np.sqrt(1.0 - ar1**2) * error[i]
         logged = [v + rng.normal(0.0, log_noise_m, len(v)) for v in (motion.x_m, motion.y_m)]
         grip = Motion(motion.t_s, *logged, motion.angle_rad)
         markers = Markers(t_s, clean + noise_m * error)

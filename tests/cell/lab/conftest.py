@@ -41,10 +41,10 @@ STROKES = (
 )
 
 
-def coloured(rng: np.random.Generator, shape: tuple[int, ...], colour: float) -> np.ndarray:
+def coloured(rng: np.random.Generator, shape: tuple[int, ...], ar1: float) -> np.ndarray:
     noise = rng.normal(size=shape)
     for i in range(1, len(noise)):
-        noise[i] = colour * noise[i - 1] + np.sqrt(1 - colour**2) * noise[i]
+        noise[i] = ar1 * noise[i - 1] + np.sqrt(1 - ar1**2) * noise[i]
     return noise
 
 
@@ -55,7 +55,7 @@ def make_study() -> MakeStudy:
         *,
         seed: int = 0,
         noise_m: float = 1e-4,
-        colour: float = 0.3,
+        ar1: float = 0.3,
         strokes: Sequence[Stroke] = STROKES,
     ) -> Study:
         rng = np.random.default_rng(seed)
@@ -74,7 +74,7 @@ def make_study() -> MakeStudy:
         trials = []
         made = simulate_each(model, motions, times_s, arcs, solver=WORLD)  # as fast as a single one
         for stroke, motion, t_s, clean in zip(strokes, motions, times_s, made, strict=True):
-            seen = clean + noise_m * coloured(rng, clean.shape, colour)
+            seen = clean + noise_m * coloured(rng, clean.shape, ar1)
             trials.append(
                 Trial(stroke.name, stroke.role, "equilibrium", motion, Markers(t_s, seen))
             )

@@ -42,7 +42,7 @@ def test_where_the_noise_is_not_known_no_effect_is_said_to_lack_and_rest_is_aske
     named.
     """
     unknown = replace(diagnosis("cannot_tell"), warnings=(Doubt("noise_unknown", "…"),))
-    unknown = replace(unknown, checks=(failed("noise_known"),))
+    unknown = replace(unknown, checks=(failed("noise_unknown"),))
     assert sentence(unknown).endswith("too few to tell whether that is noise.")
     assert "lacks something" not in verdict_line(unknown)
     said = steps_text(advice(unknown))

@@ -31,7 +31,8 @@ def by_name(name: str) -> Check:
 
 @pytest.mark.parametrize("check", CHECKS, ids=NAMES)
 def test_a_row_has_a_question_a_limit_a_sentence_and_a_reason(check):
-    assert check.question.endswith("?")
+    assert check.question.endswith("?") and len(check.question) <= 60
+    assert check.unit
     assert check.failed.endswith(".") and check.failed[0].isupper()
     assert check.reason
     assert check.limit in {f.name for f in fields(Rules)}
@@ -48,7 +49,7 @@ def test_names_are_unique():
         ((), True, "complete"),
         ((), False, "missing"),
         (("ties",), False, "cannot_tell"),
-        (("noise_known",), True, "cannot_tell"),
+        (("noise_unknown",), True, "cannot_tell"),
         (("wider_law",), False, "unexplained"),
         (("ties", "residual_level"), False, "unexplained"),
     ],
@@ -68,7 +69,7 @@ def test_what_does_not_apply_fails_nothing():
 )
 def test_a_limit_is_met_as_its_sign_says(value, passes, passed):
     check = Check(
-        "n", "?", lambda _: Reading(value), passes, "least_heldout", "cannot_tell", "", ""
+        "n", "?", "", lambda _: Reading(value), passes, "least_heldout", "cannot_tell", "", ""
     )
     assert check.ask(SimpleNamespace(rules=DEFAULT_RULES)).passed is passed
 

@@ -39,7 +39,7 @@ SCHEMA = {
         "checks": {
             "items": {
                 "required": [
-                    "name", "question", "statistic", "passes", "limit", "passed", "failing",
+                    "name", "question", "unit", "statistic", "passes", "limit", "passed", "failing",
                     "failed",
                 ],
             },

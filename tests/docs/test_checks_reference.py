@@ -1,0 +1,24 @@
+"""The reference of checks in docs is what the lab asks."""
+
+import re
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT / "tools"))
+
+import checks_reference  # noqa: E402
+
+
+def test_the_page_has_what_the_table_says() -> None:
+    text = checks_reference.PAGE.read_text(encoding="utf-8")
+    assert text == checks_reference.page(text), "run: python tools/checks_reference.py"
+
+
+def test_every_warning_that_the_lab_gives_is_listed() -> None:
+    """A code that no table has would be met by a reader who finds nothing of it."""
+    source = (ROOT / "cell/lab/verdict/doubts.py").read_text(encoding="utf-8")
+    codes = set(re.findall(r'Doubt\(\s*"(\w+)"', source))
+    listed = checks_reference.reference()
+    assert codes
+    assert all(f"`{code}`" in listed for code in codes)
