@@ -102,6 +102,10 @@ class UnsimulatedError(ValueError):
     """A fit begun where its model cannot be simulated.  Scenario: a cable too soft for its load."""
 
 
+#: What a fit ends with whose model cannot be simulated, or leaves nothing to be solved for.
+UNSIMULATED = (UnsimulatedError, np.linalg.LinAlgError)
+
+
 def minimise(
     problem: Problem,
     start: FloatArray,

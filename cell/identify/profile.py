@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri as normal_quantile
 
-from cell.identify.gauss_newton import Options, Problem, Solution, minimise
+from cell.identify.gauss_newton import UNSIMULATED, Options, Problem, Solution, minimise
 
 FloatArray = NDArray[np.float64]
 
@@ -146,7 +146,7 @@ def _held(
     low[index] = high[index] = q[index] = value
     try:
         return minimise(replace(problem, low=low, high=high), q, options)
-    except ValueError:
+    except UNSIMULATED:
         return None
 
 

@@ -18,8 +18,9 @@ from cell.cable.effects import library
 from cell.cable.geometry import Cable
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.report.tables import ASKED, sentence
+from cell.lab.report.tables import sentence
 from cell.lab.search.fit_cache import FitCache
+from cell.lab.verdict.checks import CHECKS
 from cell.lab.verdict.diagnose import diagnose
 
 TIED = frozenset({"camera_latency", "robot_lag"})
@@ -109,7 +110,8 @@ def test_a_model_whose_trials_ask_for_an_effect_is_not_called_complete(seed, nam
     assert found.verdict == "cannot_tell"
     assert [w.code for w in found.warnings] == ["possibly_omitted"]
     assert f"ask for {name}" in found.warnings[0].message
-    assert sentence(found).endswith(f"; {ASKED}")
+    (omitted,) = [c.failed for c in CHECKS if c.name == "possibly_omitted"]
+    assert sentence(found).endswith(f". {omitted}")
 
 
 def test_a_known_ringing_is_fitted_at_its_own_frequency_by_a_slow_camera():

@@ -84,7 +84,7 @@ class AllTrialsFit:
 def of_all_trials(prepared: PreparedStudy, fit: Fit) -> AllTrialsFit:
     """The model of a fit, fitted to every trial of its study.
 
-    raises  ValueError: a trial cannot be simulated
+    raises  UnsimulatedError: a trial cannot be simulated
     """
     together = pooled(prepared)
     return AllTrialsFit(

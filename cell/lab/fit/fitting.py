@@ -13,7 +13,7 @@ from cell.cable.effects.base import Effect
 from cell.cable.model import CableModel
 from cell.identify import gauss_newton
 from cell.identify.differences import difference_points
-from cell.identify.gauss_newton import Solution
+from cell.identify.gauss_newton import UNSIMULATED, Solution
 from cell.identify.gaussian import covariance_root, marginal_chi2
 from cell.identify.parameters import ParameterSpace, Prior
 from cell.lab.data.prepared import PreparedStudy
@@ -120,7 +120,7 @@ def fit_model(
             keeps its parameters plausible
     from_far  the way is long: it is gone with the simulations that slopes are taken of, if there
             are any, and only its end looked for with the study's own
-    raises  ValueError: the model cannot be simulated at the start
+    raises  UnsimulatedError: the model cannot be simulated at the start
     """
     trials = fit_trials(prepared) if trials is None else trials
     p, std = len(space.names), _joined([prepared.beginning(t).std for t in trials])
@@ -485,5 +485,5 @@ def best_initial_state(prepared: PreparedStudy, model: CableModel, trial: Trial)
     start = estimate_initial_states(prepared, [trial], [model])[trial.name][0]
     try:
         return gauss_newton.minimise(problem, start).q
-    except ValueError:
+    except UNSIMULATED:
         return np.zeros(beginning.count)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc as chi2_sf
 
 from cell.cable.effects.base import Effect
-from cell.identify.gauss_newton import Options
+from cell.identify.gauss_newton import UNSIMULATED, Options
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy, Work
 from cell.lab.fit.fitting import Fit
@@ -245,7 +245,7 @@ class Search:
             fits = FitCache(prepared, fit.space, library, begin=begin)
             try:
                 candidates = fits.fit_extended(fits.baseline(), shaped)
-            except ValueError:  # this cable cannot be simulated so
+            except UNSIMULATED:  # this cable cannot be simulated so
                 candidates = []
             found.append({c.effects[-1].name: c for c in candidates})
         return found
@@ -270,7 +270,7 @@ class Search:
             fit = fit_shared(
                 self.prepared, self.base, pair.fit.q, effects, values, options=ALL_PASSES
             )
-        except ValueError:
+        except UNSIMULATED:
             return None
         fall = (sum(a.chi2 for a in alone) - fit.chi2) / fit.inflation
         p_value = min(1.0, self.library * float(chi2_sf(len(fit.theta), max(fall, 0.0))))
@@ -310,7 +310,7 @@ class Search:
             options = replace(PASSES, above=(FAR_ABOVE * least, ENOUGH_PASSES))
             try:
                 fit = fit_shared(self.prepared, self.base, q, effects, values, options=options)
-            except ValueError:
+            except UNSIMULATED:
                 return
             found.append(fit)
 
@@ -355,7 +355,7 @@ class Search:
                         self.prepared[few], self.base, q[few], effects, values, options=FIRST_PASSES
                     )
                 )
-            except ValueError:
+            except UNSIMULATED:
                 continue
         begin, values = q.copy(), starts[0]
         if found:

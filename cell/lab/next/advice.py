@@ -33,6 +33,8 @@ def meaning(diagnosis: Diagnosis) -> str:
         return "the model is none of this cable, and no effect was looked for"
     if "noise_unknown" in diagnosis.codes and not diagnosis.missing:
         return "too little is known of the noise to tell whether the model lacks anything"
+    if "interrupted" in diagnosis.codes and not diagnosis.missing:
+        return "the search was stopped before it could tell whether the model lacks anything"
     return VERDICTS[diagnosis.verdict]
 
 

@@ -9,8 +9,12 @@ from numpy.typing import NDArray
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
+from cell.lab.data.prepared import ERRS
 from cell.lab.line.gates import Gate
 from cell.lab.line.learn import LearningResult
+
+#: What helps where the library has no name for what is missing.
+LAWS = "`cell learn --laws` looks for a law that is not in the library"
 
 FloatArray = NDArray[np.float64]
 
@@ -30,7 +34,10 @@ def lesson_lines(lesson: LearningResult, *, so_far: bool = False) -> list[str]:
     if lesson.best is None:
         if lesson.left_out:
             return [first, "no effect that was tried explains more than chance; not all was tried"]
-        return [first, "no effect of the library explains more than chance: the model is complete"]
+        nothing = "no effect of the library explains more than chance"
+        if before_m > ERRS * noise_m:
+            return [first, f"{nothing}, and the model misses more than noise: {LAWS}"]
+        return [first, f"{nothing}: the model is complete"]
     best, lines = lesson.best, [first]
     natural = best.fit.space.natural(_point(lesson))[best.fit.common]
     values = ", ".join(

@@ -62,7 +62,7 @@ def check_rows(diagnosis: Diagnosis) -> list[tuple[str, str, str, str]]:
 
 def why_not_told(diagnosis: Diagnosis) -> str:
     """Why nothing is claimed of a model that leaves noise; empty if nothing speaks against it."""
-    return next((c.failed for c in diagnosis.checks if c.passed is False), "")
+    return " ".join(c.failed for c in diagnosis.checks if c.passed is False)
 
 
 def unexplained(diagnosis: Diagnosis, misses: str, noise_name: str = "camera noise") -> str:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable.effects.base import Effect
-from cell.identify.gauss_newton import Options
+from cell.identify.gauss_newton import UNSIMULATED, Options
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.noise_floor import floor_of_all_frames
 from cell.lab.data.prepared import ERRS, PreparedStudy
@@ -179,7 +179,7 @@ class FitCache:
             self.prepared = as_its_mesh_shows(self.prepared, fit)
         try:
             return fit_model(self.prepared, self.space, fit.q, fit.initial_states, options=POLISH)
-        except ValueError:
+        except UNSIMULATED:
             self.prepared = before
             return fit
 
@@ -230,7 +230,7 @@ class FitCache:
         )
         self._tempered = tempered
         if not fits[0].solution.converged:
-            with contextlib.suppress(ValueError):  # where it ended nothing is simulated
+            with contextlib.suppress(*UNSIMULATED):  # where it ended nothing is simulated
                 fits.append(fit_model(self.prepared, self.space, tempered.q, options=POLISH))
         best, *others = sorted(fits, key=lambda f: f.objective)
         self._second_start = others[0] if others else None
@@ -255,7 +255,7 @@ class FitCache:
         known = [i for i, name in enumerate(self.space.names) if name in space.names]
         prior_q = None if self.prior_q is None else self.prior_q[known]
         search = FitCache(self.prepared, space, library, self.progress, prior_q)
-        with contextlib.suppress(ValueError):
+        with contextlib.suppress(*UNSIMULATED):
             found = search.baseline()
             while left := [e for e in self.sought if e not in found.effects]:
                 found = min(search.fit_extended(found, left), key=lambda c: c.fit.objective)
@@ -280,7 +280,7 @@ class FitCache:
         """
         base = self.baseline()
         if self._second_start is None and self._tempered is not None:
-            with contextlib.suppress(ValueError):
+            with contextlib.suppress(*UNSIMULATED):
                 start = self._tempered.q
                 self._second_start = fit_model(self.prepared, base.fit.space, start, options=POLISH)
         return self._second_start
@@ -291,7 +291,7 @@ class FitCache:
         It is the baseline then, and what was fitted beside the former one is forgotten.
         """
         base = self.baseline()
-        with contextlib.suppress(ValueError):  # where it ended nothing is simulated
+        with contextlib.suppress(*UNSIMULATED):  # where it ended nothing is simulated
             fit = fit_model(self.prepared, base.fit.space, start, options=POLISH)
             if fit.objective < base.fit.objective - least:
                 self._known = {base.names: self._weigh(base.effects, fit)}
@@ -308,7 +308,7 @@ class FitCache:
         rest = space_with(self.space, [e for e in self.space.effects if e not in narrow])
         q = start[[self.space.names.index(name) for name in rest.names]]
         natural = self.space.natural(start)
-        with contextlib.suppress(ValueError):
+        with contextlib.suppress(*UNSIMULATED):
             fit = fit_model(self.prepared, rest, q, options=REFIT)
             for found in screen(self.prepared, fit, narrow):
                 for p, value in zip(found.effect.parameters, found.starts[0], strict=True):
@@ -336,7 +336,7 @@ class FitCache:
             return start
         fits = []
         for q in starts:
-            with contextlib.suppress(ValueError):
+            with contextlib.suppress(*UNSIMULATED):
                 fits.append(fit_model(self.prepared, self.space, q, options=REFIT))
         return min(fits, key=lambda f: f.objective).q if fits else start
 
@@ -452,7 +452,7 @@ class FitCache:
 
         One that ended where the cable can hardly be simulated stays there.
         """
-        with contextlib.suppress(ValueError):
+        with contextlib.suppress(*UNSIMULATED):
             fit = fit_model(
                 self._alone,
                 candidate.fit.space,
@@ -494,7 +494,7 @@ class FitCache:
             q[i] = candidate.fit.q[candidate.fit.space.names.index(name)]
         try:
             return fit_model(self.prepared, space, q, candidate.fit.initial_states, options=REFIT)
-        except ValueError:  # a cable that only the effect kept from collapsing
+        except UNSIMULATED:  # a cable that only the effect kept from collapsing
             q = cold_start(self.prepared, space)
             return fit_model(self.prepared, space, q, options=REFIT)
 
@@ -582,7 +582,7 @@ class FitCache:
         """Fits from starts at which the cable can be simulated."""
         found = []
         for q in starts:
-            with contextlib.suppress(ValueError):
+            with contextlib.suppress(*UNSIMULATED):
                 found.append(
                     fit_model(self._alone, space, q, initial_states, options=options, from_far=True)
                 )
@@ -610,7 +610,7 @@ class FitCache:
                     from_far=True,
                 )
                 fits.append(fit)
-            except ValueError:
+            except UNSIMULATED:
                 continue
         return [f.q for f in sorted(fits, key=lambda f: f.objective)[:PLACES]]
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri as normal_quantile
 
 from cell.cable.effects.base import Effect
+from cell.identify.gauss_newton import UNSIMULATED
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import Interval
 from cell.lab.fit.all_trials_fit import of_all_trials
@@ -80,7 +81,7 @@ def estimate(prepared: PreparedStudy, fit: Fit, effects: Iterable[type[Effect]] 
     """
     try:
         whole = of_all_trials(prepared, fit)
-    except ValueError:
+    except UNSIMULATED:
         return Estimate(fit, 1.0)
     solution = whole.fit.solution
     beside = whole.systematic_error.covariance(

@@ -80,7 +80,7 @@ class HeldEffect:
     def refitted(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The model's coordinates fitted anew from q, the effect held as there, and the change.
 
-        raises  ValueError: it cannot be simulated there
+        raises  UnsimulatedError: it cannot be simulated there
         """
         low, high = self.space.low.copy(), self.space.high.copy()
         for i, x in enumerate(self.effect.parameters):

@@ -14,6 +14,7 @@ from scipy.special import ndtri as normal_quantile
 from cell.cable.effects.base import ActiveEffect, Effect, Parameter
 from cell.cable.solver import threads
 from cell.identify.fit import variance_inflation
+from cell.identify.gauss_newton import UNSIMULATED
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.progress import Progress, no_progress
 from cell.lab.data.results import Limit
@@ -312,7 +313,7 @@ class _Search:
         for _ in range(REFITS):
             try:
                 q, change = held.refitted(held.at(self.active(side), q))
-            except ValueError:
+            except UNSIMULATED:
                 side.seen = False
                 return
             size, std = self._estimate(change / side.size)

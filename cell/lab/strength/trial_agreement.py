@@ -12,7 +12,7 @@ from scipy.special import chdtrc as chi2_sf
 from scipy.special import ndtri as normal_quantile
 
 from cell.identify.fit import variance_inflation
-from cell.identify.gauss_newton import Options
+from cell.identify.gauss_newton import UNSIMULATED, Options
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.progress import Progress, no_progress
@@ -119,7 +119,7 @@ def _of_all(prepared: PreparedStudy, fit: Fit) -> Fit:
     """The model fitted to all trials; as it was fitted if some cannot be simulated."""
     try:
         return of_all_trials(prepared, fit).fit
-    except ValueError:
+    except UNSIMULATED:
         return fit
 
 
@@ -170,7 +170,7 @@ def _alone(
         fit = fit_model(
             prepared, of_one, whole.q, whole.initial_states, trials=[trial], options=ALONE
         )
-    except ValueError:
+    except UNSIMULATED:
         return None
     whitener = prepared.whiteners[trial.name]
     slopes = fit.solution.jacobian

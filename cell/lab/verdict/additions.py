@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from cell.identify.gauss_newton import UNSIMULATED
 from cell.lab.data.prepared import StoppedError
 from cell.lab.data.results import Limit
 from cell.lab.fit.all_trials_fit import AllTrialsFit, of_all_trials
@@ -45,7 +46,7 @@ def _limits(fits: FitCache, examination: Examination) -> tuple[Limit, ...]:
     ]
     try:
         whole = of_all_trials(examination.weighed, final.fit)
-    except ValueError:  # as far as the fitted trials tell
+    except UNSIMULATED:  # as far as the fitted trials tell
         whole = AllTrialsFit(examination.weighed, final.fit)
     return limits(whole, absent, fits.progress)
 

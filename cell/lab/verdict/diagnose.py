@@ -112,10 +112,10 @@ def _examined(fits: FitCache, rules: Rules) -> Examination:
         noise_is_stated=fits.prepared.study.noise_std_m is not None,
         baseline=(base if verdict == "complete" else fits.prior_candidate()).errors,
         verdict=verdict,
-        missing=_all_found(fits, steps, tied, len(screened)),
+        missing=_all_found(fits, steps, tied, len(screened), rules),
         ranking=_ranking(fits, base, steps[-1], singles, rivals, rules),
         left=what_is_left(whole, most[0], final),
-        partial=_all_found(whole, most, also, len(screened)),
+        partial=_all_found(whole, most, also, len(screened), rules),
         nearest=() if found else nearest(partial, _sound(singles, base), rules),
         warnings=(
             *doubts(fits, whole, final, cut_short),
@@ -345,6 +345,7 @@ def _all_found(
     steps: Sequence[FittedModel],
     tied: dict[str, tuple[str, ...]],
     library: int,
+    rules: Rules,
 ) -> tuple[MissingEffect, ...]:
     """What each step after the first has added."""
     if len(steps) == 1:
@@ -354,7 +355,7 @@ def _all_found(
     left = [residual_summary(fits.prepared, c) for c in steps]
     return tuple(
         replace(
-            _found(fits, small, large, tied, library, final),
+            _found(fits, small, large, tied, library, final, rules),
             explained_share=removed_share(noise_m, left[0], after),
         )
         for (small, large), after in zip(itertools.pairwise(steps), left[1:], strict=True)
@@ -368,11 +369,12 @@ def _found(
     tied: dict[str, tuple[str, ...]],
     library: int,
     final: Estimate,
+    rules: Rules,
 ) -> MissingEffect:
     effect = added_effect(small, large)
     gain = fits.gain(small, large)
     p_value = gain.p_value
-    if above_noise(fits, large) > DEFAULT_RULES.misfit:
+    if above_noise(fits, large) > rules.misfit:
         p_value = max(p_value, chance_of(fits, small, large))
     return MissingEffect(
         effect=effect.name,

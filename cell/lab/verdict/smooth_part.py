@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc as chi2_sf
 from scipy.special import fdtrc as f_sf
 
+from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.gaussian import marginal_chi2
 from cell.identify.noise import Whitener
 from cell.lab.data.noise_floor import MAX_COLOUR, NoiseModel
@@ -175,7 +176,7 @@ def all_trials_residual(prepared: PreparedStudy, fit: Fit) -> AllTrialsResidual 
     """A model fitted to all trials; None where one of them cannot be simulated."""
     try:
         whole = of_all_trials(prepared, fit)
-    except ValueError:
+    except UNSIMULATED:
         return None
     linear, errs, trials = whole.linear, whole.systematic_error, fit_trials(whole.prepared)
     rows = errs.ends[-1]

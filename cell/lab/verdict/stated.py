@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import chdtrc as chi2_sf
 
+from cell.identify.gauss_newton import UNSIMULATED
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.all_trials_fit import of_all_trials
 from cell.lab.fit.fitting import Fit, errors_m, heldout_rows
@@ -34,7 +35,7 @@ def chance_of_stated(prepared: PreparedStudy, final: FittedModel, negligible: fl
         left.append((held, _uncertain_m2(prepared, final.fit)))
         try:
             whole = of_all_trials(prepared, final.fit)
-        except ValueError:
+        except UNSIMULATED:
             return 0.0
         left.append((errors_m(whole.prepared, whole.fit), 0.0))
     least = 1.0

@@ -228,7 +228,7 @@ def test_a_config_or_effect_that_is_missing_is_named(folder, tmp_path):
 def test_no_command_waits_for_statistics_that_it_does_not_use() -> None:
     """`scipy.stats` and `scipy.signal` take half a second of every start."""
     program = (
-        "import sys, cell.lab.session, cell.lab.limits, cell.lab.suggest\n"
+        "import sys, cell.lab.search.setup, cell.lab.strength.limits, cell.lab.next.suggest\n"
         "print(*sorted({'scipy.stats', 'scipy.signal'} & set(sys.modules)))"
     )
     done = subprocess.run(

@@ -15,7 +15,7 @@ from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.selection import select_effects
 from cell.lab.fit.fitting import space_with
 from cell.lab.next.terms import admissible, effect_source
-from cell.lab.search import explore
+from cell.lab.search import fit_cache
 from cell.lab.search.fit_cache import FitCache, FittedModel
 from cell.lab.search.setup import fit_cache_of
 from cell.lab.verdict import diagnose as diagnosing
@@ -50,7 +50,7 @@ def test_of_places_of_a_force_the_one_is_kept_that_holds_beyond_the_motions_fitt
         weighed.append(fit.objective)
         return FittedModel(effects, fit, None, EVIDENCE[fit.objective])
 
-    monkeypatch.setattr(explore, "fit_model", fit_model)
+    monkeypatch.setattr(fit_cache, "fit_model", fit_model)
     monkeypatch.setattr(FitCache, "_sought", lambda *args: list(range(len(EVIDENCE))))
     monkeypatch.setattr(FitCache, "_promising", lambda *args: list(range(len(EVIDENCE))))
     monkeypatch.setattr(FitCache, "_weigh", weigh)
@@ -59,7 +59,7 @@ def test_of_places_of_a_force_the_one_is_kept_that_holds_beyond_the_motions_fitt
     assert weighed == (list(EVIDENCE) if name == "point" else [kept])
 
 
-@pytest.mark.parametrize(("passes", "polished"), [(5, 1), (explore.POLISH.most_passes, 3)])
+@pytest.mark.parametrize(("passes", "polished"), [(5, 1), (fit_cache.POLISH.most_passes, 3)])
 def test_what_was_taken_as_far_as_it_goes_is_not_taken_there_again(
     make_study, monkeypatch, passes, polished
 ):
@@ -72,10 +72,10 @@ def test_what_was_taken_as_far_as_it_goes_is_not_taken_there_again(
     fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), {"x": effect})
     base = fits.baseline()
     fits.screened(base)
-    fits = []
+    made = []
 
     def fit_model(*args, **options):
-        fits.append(options["options"])
+        made.append(options["options"])
         return SimpleNamespace(
             objective=1.0,
             initial_states={},
@@ -84,13 +84,13 @@ def test_what_was_taken_as_far_as_it_goes_is_not_taken_there_again(
             solution=SimpleNamespace(settled=False, passes=passes),
         )
 
-    monkeypatch.setattr(explore, "fit_model", fit_model)
+    monkeypatch.setattr(fit_cache, "fit_model", fit_model)
     monkeypatch.setattr(
         FitCache, "_weigh", lambda fits, effects, fit: FittedModel(effects, fit, None, 0.0)
     )
     for _ in range(3):
         fits.fit_extended(base, [effect])
-    assert fits.count(explore.POLISH) == polished
+    assert made.count(fit_cache.POLISH) == polished
 
 
 def test_a_cable_that_only_an_effect_kept_from_collapsing_is_begun_anew_without_it(
@@ -108,11 +108,11 @@ def test_a_cable_that_only_an_effect_kept_from_collapsing_is_begun_anew_without_
     def fit_model(prepared, space, start, *args, **options):
         initial_states.append(start)
         if len(initial_states) == 1:
-            raise ValueError
+            raise UnsimulatedError
         return "found"
 
-    monkeypatch.setattr(explore, "fit_model", fit_model)
-    monkeypatch.setattr(explore, "cold_start", lambda *args: "cold")
+    monkeypatch.setattr(fit_cache, "fit_model", fit_model)
+    monkeypatch.setattr(fit_cache, "cold_start", lambda *args: "cold")
     monkeypatch.setattr(FitCache, "_weigh", lambda fits, effects, fit: fit)
     assert fits.fit_reduced(FittedModel((effect,), fit, None, 0.0), effect) == "found"
     assert np.array_equal(initial_states[0], q[:-1])
@@ -207,7 +207,7 @@ def test_a_fit_that_ended_at_the_edge_of_what_can_be_simulated_stays_there(make_
     def impossible(*args, **options):
         raise UnsimulatedError("the model cannot be simulated at the start of the fit")
 
-    monkeypatch.setattr(explore, "fit_model", impossible)
+    monkeypatch.setattr(fit_cache, "fit_model", impossible)
     assert fits._polished(base) is base
     assert not fits.rebase(base.fit.q, 0.0)
 

@@ -6,9 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 
 from cell.cable.effects import library
+from cell.identify.gauss_newton import UnsimulatedError
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.fit import whole
+from cell.lab.fit import all_trials_fit
 from cell.lab.fit.fitting import fit_model
 from cell.lab.fit.starts import cold_start
 from cell.lab.strength.estimate import estimate
@@ -49,12 +50,12 @@ def test_a_fit_whose_last_place_cannot_be_simulated_is_its_own_estimate(monkeypa
     """A diagnosis ended there with "the model cannot be simulated at the start of the fit"."""
 
     def impossible(*args, **options):
-        raise ValueError
+        raise UnsimulatedError
 
     class Stub(SimpleNamespace):
         __hash__ = object.__hash__
 
-    monkeypatch.setattr(whole, "fit_model", impossible)
+    monkeypatch.setattr(all_trials_fit, "fit_model", impossible)
     fit = Stub(space=None, q=None, initial_states={})
     found = estimate(Stub(study=Stub(trials=())), fit)
     assert (found.fit, found.disagreement) == (fit, 1.0)

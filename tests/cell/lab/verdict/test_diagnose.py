@@ -211,7 +211,7 @@ def test_what_any_of_many_effects_does_beside_one_is_none_of_them(monkeypatch):
     alone = SimpleNamespace(effects=[first])
     fits = SimpleNamespace(
         space=SimpleNamespace(effects=[]),
-        without=lambda found, effect: {second: alone}.get(effect),
+        fit_reduced=lambda found, effect: {second: alone}.get(effect),
     )
     ties = {first: (), second: ("a", "b", "c", "d", "e", "f", "g")}
     monkeypatch.setattr(diagnosis_module, "_tied", lambda _, found, effect, rules: ties[effect])

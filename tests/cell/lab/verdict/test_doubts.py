@@ -106,7 +106,7 @@ def test_a_wrong_minimum_far_above_the_noise_says_so(
     fits = SimpleNamespace(
         prepared=PreparedStudy.of(replace(loaded, noise_std_m=1e-4)),
         baseline=lambda: candidate,
-        elsewhere=lambda: None if elsewhere_n_m2 is None else fit(elsewhere_n_m2),
+        second_start=lambda: None if elsewhere_n_m2 is None else fit(elsewhere_n_m2),
         second=None,
     )
     found = {w.code for w in fit_doubts(fits, candidate)}
@@ -134,7 +134,7 @@ def test_a_fit_whose_second_start_ends_at_another_place_of_an_effect_says_so(loa
         fits = SimpleNamespace(
             prepared=PreparedStudy.of(replace(loaded, noise_std_m=1e-4)),
             baseline=lambda: first,
-            elsewhere=lambda: second,
+            second_start=lambda: second,
             second=second,
         )
         return {w.code: w.message for w in fit_doubts(fits, first)}
@@ -197,7 +197,7 @@ def test_beside_what_is_no_model_of_the_cable_nothing_is_looked_for(make_study, 
         ParameterSpace.of(study.cable),
         {"tip_mass": library()["tip_mass"]},
     )
-    monkeypatch.setattr(FitCache, "add", None)
+    monkeypatch.setattr(FitCache, "fit_extended", None)
     found = diagnose(fits).diagnosis
     assert (found.verdict, found.missing, found.partial) == ("unexplained", (), ())
     assert [w.code for w in found.warnings][:2] == ["not_searched", "hopeless"]
@@ -212,7 +212,7 @@ def test_a_search_that_cannot_go_on_tells_what_it_knew(make_study, monkeypatch):
     def impossible(*args):
         raise UnsimulatedError
 
-    monkeypatch.setattr(FitCache, "add", impossible)
+    monkeypatch.setattr(FitCache, "fit_extended", impossible)
     found = diagnose(fits).diagnosis
     assert found.verdict == "cannot_tell"
     assert [w.code for w in found.warnings] == ["unsimulated"]

@@ -16,7 +16,7 @@ from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy, StoppedError
 from cell.lab.next.suggest import Option, Rival, telling_motions
 from cell.lab.next.terms import admissible
-from cell.lab.report.tables import sentence
+from cell.lab.report.tables import sentence, verdict_line
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.verdict.additions import with_limits
 from cell.lab.verdict.diagnose import diagnose
@@ -56,6 +56,7 @@ def test_what_was_fitted_until_then_is_told_and_nothing_claimed(study):
     assert 1 <= len(found.nearest) <= 3
     assert len(found.ranking) == len(NAMES)
     assert sentence(found).startswith("Interrupted. The model misses")
+    assert "lacks something" not in verdict_line(found)
     assert "nothing confirmed" in sentence(found)
 
 

@@ -41,7 +41,7 @@ def explored(peer, tmp_path):
         cable = peer.Specimen(hidden=peer.Hidden(**hidden))
         strokes = [s for s in peer.STROKES if s.name in ("identify", "probe_up", "deep", "aslant")]
         folder = tmp_path / "peer"
-        peer.write_study(folder, cable, seed=1, ar1=0.3, strokes=tuple(strokes))
+        peer.write_study(folder, cable, seed=1, colour=0.3, strokes=tuple(strokes))
         study = read_study(folder)
         names = {n: library()[n] for n in RIVALS}
         return diagnose(

@@ -70,13 +70,13 @@ def test_what_leaves_as_little_with_one_effect_more_is_tied_where_more_is_missin
         ("stress_relaxation", "tip_mass"): 0.30,
         ("air_drag", "stress_relaxation"): 0.20,
     }
-    fits = {
+    models = {
         names: SimpleNamespace(names=frozenset(names), effects=[KNOWN[n] for n in names])
         for names in left_mm
     }
     noise = SimpleNamespace(noise=SimpleNamespace(std_m=3e-5))
     fits = SimpleNamespace(
-        known=lambda: tuple(fits.values()),
+        known=lambda: tuple(models.values()),
         baseline=lambda: None,
         prepared=SimpleNamespace(noise_model=noise),
     )
@@ -84,10 +84,10 @@ def test_what_leaves_as_little_with_one_effect_more_is_tied_where_more_is_missin
     monkeypatch.setattr(partial, "_any_at_bound", lambda *args: False)
     monkeypatch.setattr(
         partial,
-        "leftover",
+        "residual_summary",
         lambda _, c: ResidualSummary((1e-3 * left_mm[tuple(sorted(c.names))]) ** 2, 80.0),
     )
-    found = fits[("added_mass",)]
+    found = models[("added_mass",)]
     named = tied_so_far(fits, found, KNOWN["added_mass"], DEFAULT_RULES)
     assert named == ("tip_mass",)  # draught does not; air drag is not among the nearest
     noise.noise = SimpleNamespace(std_m=3e-4)  # nothing beyond noise is left
@@ -129,8 +129,8 @@ def test_ties_are_what_models_that_are_all_wrong_cannot_tell(monkeypatch):
     )
     monkeypatch.setattr(partial, "_near", lambda *args: [])
     monkeypatch.setattr(partial, "_at_bound", lambda small, large: large.at_bound)
-    monkeypatch.setattr(partial, "leftover", lambda _, c: c.left)
-    monkeypatch.setattr(partial, "advantage", lambda _, better, worse: worse.ahead)
+    monkeypatch.setattr(partial, "residual_summary", lambda _, c: c.left)
+    monkeypatch.setattr(partial, "vuong_z", lambda _, better, worse: worse.ahead)
     monkeypatch.setattr(
         partial,
         "close_rivals",
@@ -159,7 +159,7 @@ def test_singles_are_compared_when_their_fits_are_finished():
         asked.append(len(effects))
         return [single(e.name, 0.35) for e in effects]
 
-    ended = partial._finished(SimpleNamespace(add=add), base, initial_states)
+    ended = partial._finished(SimpleNamespace(fit_extended=add), base, initial_states)
     assert [c.chi2 for c in ended] == [0.35, 0.35, 0.35, 0.35, 0.31]
     assert [c.names for c in ended] == [c.names for c in initial_states]
     assert asked == [3, 1]

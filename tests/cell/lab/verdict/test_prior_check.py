@@ -87,9 +87,9 @@ def test_an_effect_in_whose_place_another_explains_more_without_the_prior_is_tol
     alone = SimpleNamespace(
         prepared=prepared,
         baseline=lambda: base,
-        without=lambda *_: base,
+        fit_reduced=lambda *_: base,
         shortlist=lambda *_: [KNOWN[n] for n in ("grip_angle", "camera_roll")],
-        add=lambda _, effects: [grip] if len(effects) == 1 else [grip, angle, roll],
+        fit_extended=lambda _, effects: [grip] if len(effects) == 1 else [grip, angle, roll],
     )
 
     def explained(evidence):

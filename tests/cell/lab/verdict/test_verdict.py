@@ -13,8 +13,9 @@ from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import to_json
 from cell.lab.next.advice import advice
-from cell.lab.report.tables import BARELY_SEEN, sentence, steps_text
+from cell.lab.report.tables import sentence, steps_text
 from cell.lab.search.fit_cache import FitCache
+from cell.lab.verdict.checks import CHECKS
 from cell.lab.verdict.diagnose import diagnose
 from cell.lab.verdict.residual_summary import (
     ResidualSummary,
@@ -188,4 +189,5 @@ def test_an_effect_so_small_that_another_could_be_behind_it_is_not_claimed(make_
     assert told.verdict == "cannot_tell"
     assert [w.code for w in told.warnings] == ["weakly_identified"]
     assert "half of it could be left unnoticed" in told.warnings[0].message
-    assert sentence(told).endswith(BARELY_SEEN)
+    (weak,) = [c.failed for c in CHECKS if c.name == "weakly_identified"]
+    assert sentence(told).endswith(weak)
