@@ -94,7 +94,7 @@ def _examined(fits: FitCache, rules: Rules) -> Examination:
     steps: tuple[FittedModel, ...] = (base,)
     partial = Partial(fits, tuple(singles), (base,))
     if found:
-        current, tied = _drop_ambiguous(fits, base, current, rules)
+        current, tied = with_ties(fits, base, current, rules)
         steps = _in_order(fits, current)
     else:
         partial = explain_partly(fits, fits.known(), len(screened), rules)
@@ -322,7 +322,7 @@ def _tied(
     return tuple(name for name in names if name not in final.names)
 
 
-def _drop_ambiguous(
+def with_ties(
     fits: FitCache, base: FittedModel, found: FittedModel, rules: Rules
 ) -> tuple[FittedModel, dict[str, tuple[str, ...]]]:
     """What was found, and the ties of each effect, without one that too many others could be.
@@ -336,7 +336,7 @@ def _drop_ambiguous(
         if len(tied[effect.name]) + 1 > rules.max_tied:
             rest = fits.fit_reduced(found, effect)
             if explains(Evidence(fits, base, rest, rules)):
-                return _drop_ambiguous(fits, base, rest, rules)
+                return with_ties(fits, base, rest, rules)
     return found, tied
 
 

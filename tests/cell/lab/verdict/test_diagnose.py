@@ -16,7 +16,7 @@ from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.screen import screen
 from cell.lab.verdict import diagnose as diagnosis_module
 from cell.lab.verdict.additions import with_agreement
-from cell.lab.verdict.diagnose import _drop_ambiguous, diagnose
+from cell.lab.verdict.diagnose import diagnose, with_ties
 from cell.lab.verdict.rules import DEFAULT_RULES
 from cell.study.folder import read_study
 
@@ -218,10 +218,10 @@ def test_what_any_of_many_effects_does_beside_one_is_none_of_them(monkeypatch):
     enough = [True]
     monkeypatch.setattr(diagnosis_module, "explains", lambda *args: enough[0])
     given = (fits, None, pair, DEFAULT_RULES)
-    assert _drop_ambiguous(*given) == (alone, {first.name: ()})
+    assert with_ties(*given) == (alone, {first.name: ()})
     enough[0] = False
-    assert _drop_ambiguous(*given)[0] is pair
+    assert with_ties(*given)[0] is pair
     enough[0], ties[second] = True, ("a",)
-    assert _drop_ambiguous(*given)[0] is pair
+    assert with_ties(*given)[0] is pair
     ties[first] = ties[second] = ("a", "b", "c")
-    assert _drop_ambiguous(fits, None, alone, DEFAULT_RULES)[0] is alone
+    assert with_ties(fits, None, alone, DEFAULT_RULES)[0] is alone
