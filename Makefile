@@ -55,60 +55,60 @@ hardware: $(VENV)/.dev   ## the conformance suite on the devices of CONFIG=file;
 	$(BIN)/pytest -v -rs --hardware --config $(CONFIG) tests/drivers/conformance
 
 bench: $(VENV)/.dev   ## speed, as ratios against a peer in one run
-	$(BIN)/python tools/bench.py
+	$(BIN)/python -m tools.bench.bench
 
 figures: $(VENV)/.dev   ## the paper's figures from this code
-	$(BIN)/python tools/paper_figures.py
+	$(BIN)/python -m tools.figures.paper_figures
 
 learn: $(VENV)/.dev   ## an effect hidden in the world is found, promoted, and its cables are inserted
-	$(BIN)/python tools/learn.py $(if $(EFFECT),--effect $(EFFECT))
+	$(BIN)/python -m tools.studies.learn $(if $(EFFECT),--effect $(EFFECT))
 
 jaw-plate: $(VENV)/.dev   ## the drawing of the jaw's plate, to scale
-	$(BIN)/python tools/jaw_plate.py -o docs/images/jaw_plate.pdf --png docs/images/jaw_plate.png
+	$(BIN)/python -m tools.figures.jaw_plate -o docs/images/jaw_plate.pdf --png docs/images/jaw_plate.png
 
 picture: $(VENV)/.dev   ## the README's picture, of a simulated cycle
-	$(BIN)/python tools/cycle_picture.py
+	$(BIN)/python -m tools.figures.cycle_picture
 
 docs: $(VENV)/.dev   ## run every command of README and docs, the slow ones too
 	CELL_DOCS=all $(BIN)/pytest tests/docs
 
 coverage: $(VENV)/.dev   ## do the 95 % intervals cover the truth? 100 filmed cables, ~10 min
-	$(BIN)/python tools/coverage_study.py --pictures
+	$(BIN)/python -m tools.studies.coverage_study --pictures
 
 practice: $(VENV)/.dev   ## every practice study beside its truth
-	$(BIN)/python tools/practice_table.py --discover
+	$(BIN)/python -m tools.studies.practice_table --discover
 
 false-alarms: $(VENV)/.dev   ## false claims of the lab on 200 complete studies (long)
-	$(BIN)/python tools/false_alarm_study.py --studies 200
+	$(BIN)/python -m tools.studies.false_alarm_study --studies 200
 
 confusion: $(VENV)/.dev   ## which effect is named: for each of the library, outside it, in pairs (long)
-	$(BIN)/python tools/confusion_study.py --studies 100
-	$(BIN)/python tools/confusion_study.py --studies 34 --first 200 --hide unknown
-	$(BIN)/python tools/confusion_study.py --studies 20 --first 300 --hide pair
+	$(BIN)/python -m tools.studies.confusion_study --studies 100
+	$(BIN)/python -m tools.studies.confusion_study --studies 34 --first 200 --hide unknown
+	$(BIN)/python -m tools.studies.confusion_study --studies 20 --first 300 --hide pair
 
 words: $(VENV)/.dev   ## does a diagnosis contradict its own numbers? practice, measured and 24 made studies (long)
-	$(BIN)/python tools/words_study.py
+	$(BIN)/python -m tools.studies.words_study
 
 rigs: $(VENV)/.dev   ## what is named in 60 studies that imitate real rigs, one effect hidden in each (long)
-	$(BIN)/python tools/rig_study.py --studies 60
+	$(BIN)/python -m tools.studies.rig_study --studies 60
 
 breadth: $(VENV)/.dev   ## verdicts over the breadth of what users bring: 350 studies (long; BREADTH=file.csv goes on with a file)
-	$(BIN)/python tools/breadth_study.py $(or $(BREADTH),breadth.csv)
+	$(BIN)/python -m tools.studies.breadth_study $(or $(BREADTH),breadth.csv)
 
 endings: $(VENV)/.dev   ## how 204 cables end in worlds with each effect at twice its size: none may fail (long)
-	$(BIN)/python tools/endings_study.py --learn grip_angle camera_roll
+	$(BIN)/python -m tools.studies.endings_study --learn grip_angle camera_roll
 
 fault-trials: $(VENV)/.dev   ## a fault in every device in every step, and processes killed, ~40 min
-	$(BIN)/python tools/fault_trials.py --patience-s 0.15 -o docs/fault_trials.md
+	$(BIN)/python -m tools.faults.fault_trials --patience-s 0.15 -o docs/fault_trials.md
 
 calibration-study: $(VENV)/.dev   ## true errors of 20 calibrations beside what they say, and beside OpenCV, ~4 min
-	$(BIN)/python tools/calibration_study.py --setups 20
+	$(BIN)/python -m tools.studies.calibration_study --setups 20
 
 malformed: $(VENV)/.dev   ## 1,000 spoilt studies, settings, motions, models and effects
 	MALFORMED_CASES=1000 $(BIN)/pytest -n 2 tests/end_to_end/test_malformed.py
 
 endurance: $(VENV)/.dev   ## 500 cycles against the emulators: memory, threads, files (~40 min)
-	$(BIN)/python tools/endurance.py --cycles 500
+	$(BIN)/python -m tools.faults.endurance --cycles 500
 
 $(VENV)/bin/python:
 	@test -n "$(PYTHON)" || { echo "error: Python 3.11 to 3.13 is needed; none found on PATH (set PYTHON=/path/to/python3.11)"; exit 2; }

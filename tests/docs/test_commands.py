@@ -148,6 +148,9 @@ def not_there(text: str) -> list[str]:
                 found += [name] if command is None else []
             case ["make", *names]:
                 found += [f"make {n}" for n in names if "=" not in n and n not in targets]
+            case ["python", "-m", module, *_]:
+                there = (ROOT / module.replace(".", "/")).with_suffix(".py").exists()
+                found += [] if there else [module]
             case ["python", script, *_]:
                 found += [] if (ROOT / script).exists() else [script]
     return found
@@ -226,8 +229,10 @@ def test_numbers_agree_within_their_share_and_words_exactly() -> None:
 
 def test_what_a_block_names_and_is_not_there_is_found() -> None:
     text = "cell fit STUDY [-o F] [--efect NAME|file.py]\n  [--prior F]\ncell fitt\nmake runn X=1\n"
-    text += ".venv/bin/python tools/none.py --seeds 3   # long\n.venv/bin/cell check --config F\n"
-    assert not_there(text) == ["fit --efect", "fitt", "make runn", "tools/none.py"]
+    text += ".venv/bin/python -m tools.bench.none --seeds 3   # long\npython none.py\n"
+    text += ".venv/bin/python -m tools.bench.bench\n.venv/bin/cell check --config F\n"
+    wrong = ["fit --efect", "fitt", "make runn", "tools.bench.none", "none.py"]
+    assert not_there(text) == wrong
 
 
 def test_blocks_are_found_with_their_comments() -> None:

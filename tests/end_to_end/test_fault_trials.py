@@ -15,7 +15,7 @@ import pytest
 pytest.importorskip("rtde_control", reason="ur-rtde has no wheel for this machine")
 pytestmark = pytest.mark.real_time
 
-TOOL = Path(__file__).parents[2] / "tools" / "fault_trials.py"
+ROOT = Path(__file__).parents[2]
 
 
 def test_the_cell_stops_names_the_fault_keeps_the_cable_and_works_again() -> None:
@@ -25,10 +25,22 @@ def test_the_cell_stops_names_the_fault_keeps_the_cable_and_works_again() -> Non
         "camera: falls silent in lower",
         "gripper: unplugged in hold_and_capture",
     ]
-    command = [sys.executable, str(TOOL), "--only", *trials, "--kills", "2", "--attempts", "3"]
+    command = [
+        sys.executable,
+        "-m",
+        "tools.faults.fault_trials",
+        "--only",
+        *trials,
+        "--kills",
+        "2",
+        "--attempts",
+        "3",
+    ]
     command += ["--patience-s", "0.5", "--bar-ms", "1000"]
     command += ["--host", f"127.{120 + worker // 250 % 100}.{1 + worker % 250}.10"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=500, check=False)
+    done = subprocess.run(
+        command, cwd=ROOT, capture_output=True, text=True, timeout=500, check=False
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     assert "3 of 3 trials passed" in done.stdout
     assert "2 kills" in done.stdout

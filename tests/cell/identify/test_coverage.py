@@ -1,30 +1,13 @@
-"""A small run of `tools/coverage_study.py`: the study itself, and its bars on few cables."""
-
-import importlib.util
-import sys
-from pathlib import Path
-from types import ModuleType
+"""A small run of `coverage_study`: the study itself, and its bars on few cables."""
 
 import numpy as np
-import pytest
 
 from cell.identify.individual import IdentifyOptions
+from tools.studies.coverage_study import Errors, photographed, study
 
 
-@pytest.fixture(scope="module")
-def coverage() -> ModuleType:
-    path = Path(__file__).parents[3] / "tools/coverage_study.py"
-    spec = importlib.util.spec_from_file_location("coverage_study", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["coverage_study"] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-def test_intervals_cover_and_errors_are_small(coverage: ModuleType) -> None:
-    outcomes = coverage.study(48, 1, coverage.Errors(), IdentifyOptions())
+def test_intervals_cover_and_errors_are_small() -> None:
+    outcomes = study(48, 1, Errors(), IdentifyOptions())
     rigidity = np.concatenate([o.rigidity_error for o in outcomes])
     assert np.sqrt(np.mean(rigidity**2)) < 0.02
     assert np.abs(rigidity).max() < 0.06
@@ -37,15 +20,15 @@ def test_intervals_cover_and_errors_are_small(coverage: ModuleType) -> None:
     assert np.mean([o.inflation for o in outcomes]) < 1.5
 
 
-def test_from_rendered_pictures(coverage: ModuleType) -> None:
-    outcome = coverage.study(1, 2, coverage.Errors(), IdentifyOptions(), coverage.photographed)[0]
+def test_from_rendered_pictures() -> None:
+    outcome = study(1, 2, Errors(), IdentifyOptions(), photographed)[0]
     assert np.abs(outcome.rigidity_error).max() < 0.05
     assert abs(outcome.viscosity_error) < 0.15
     assert abs(outcome.exponent_error) < 0.01
 
 
-def test_an_error_nobody_allows_for_is_not_covered(coverage: ModuleType) -> None:
+def test_an_error_nobody_allows_for_is_not_covered() -> None:
     """The study can fail: nodes bent by ten times what vision is believed to do."""
-    errors = coverage.Errors(across_m=6e-5)
-    outcomes = coverage.study(4, 3, errors, IdentifyOptions())
+    errors = Errors(across_m=6e-5)
+    outcomes = study(4, 3, errors, IdentifyOptions())
     assert np.mean(np.concatenate([o.rigidity_covered for o in outcomes])) < 0.9

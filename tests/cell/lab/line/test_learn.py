@@ -6,7 +6,6 @@ import os
 import re
 import shlex
 import signal
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -49,6 +48,9 @@ from cell.settings.surroundings import Surroundings
 from cell.settings.translate import identification_of
 from cell.study.data import Markers, Study, Trial
 from cell.study.folder import write_study
+from tools.studies.coverage_study import Errors
+from tools.studies.loop_study import SEEN, cycles_of, recorded_cycle
+from tools.worlds.fast_cell import fast_cycle, with_world
 
 ROOT = Path(__file__).parents[4]
 CONFIG = ROOT / "config" / "fake.yaml"
@@ -59,13 +61,6 @@ TRIED = {n: library()[n] for n in ("air_drag", "tip_mass")}
 def cycles_in(
     effects: dict[str, dict[str, float]], count: int, seed: int, *, sharp: bool = False
 ) -> list[RecordedCycle]:
-    sys.path.insert(0, str(ROOT / "tools"))
-    try:
-        from coverage_study import Errors
-        from fast_cell import fast_cycle, with_world
-        from loop_study import SEEN
-    finally:
-        sys.path.pop(0)
     task, found = cell_task(SETTINGS), []
     errors = SEEN if sharp else Errors()
     for number in range(1, count + 1):
@@ -273,11 +268,6 @@ def test_an_effect_of_one_line_in_two_does_not_pass(
 
 def test_a_place_that_cables_together_miss_is_found_from_each_alone(tmp_path: Path) -> None:
     """Point-like pull at (−0.11, −0.09): all at once it ended at 0.31 mm, fall_off at its bound."""
-    sys.path.insert(0, str(ROOT / "tools"))
-    try:
-        from loop_study import cycles_of, recorded_cycle
-    finally:
-        sys.path.pop(0)
     text = (ROOT / "docs" / "effects.md").read_text(encoding="utf-8")
     example = text.partition("<!-- file: magnet.py -->")[2].split("```")[1]
     path = tmp_path / "magnet.py"

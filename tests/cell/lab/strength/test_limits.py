@@ -1,9 +1,7 @@
 """Limits of effects that a study does not show: at the true edge, and silent where it is blind."""
 
 import json
-import sys
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -22,6 +20,7 @@ from cell.lab.strength.limits import _Search, limits
 from cell.lab.verdict.additions import with_limits
 from cell.lab.verdict.diagnose import diagnose
 from cell.study.data import Markers
+from tools.worlds import made_studies
 
 KNOWN = library()
 
@@ -123,11 +122,8 @@ def test_a_strong_effect_that_bends_what_the_others_do_does_not_lower_its_limit(
 
     The limit ended at one of both in turns: here at 2.7 rad/(N·m) for a grip that gives 46.
     """
-    sys.path.insert(0, str(Path(__file__).parents[4] / "tools"))
-    from made_studies import make_study as made
-
     grip = KNOWN["grip_compliance"]
-    study = made(1522, [grip.active(rad_per_n_m=46.0)], noise_seed=301522)
+    study = made_studies.make_study(1522, [grip.active(rad_per_n_m=46.0)], noise_seed=301522)
     (found,) = limits(AllTrialsFit(*baseline(study)), [grip])
     assert 46.0 < found.high < 80.0
 

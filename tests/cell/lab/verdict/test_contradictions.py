@@ -3,7 +3,6 @@
 import io
 import json
 import re
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,10 +26,7 @@ from cell.lab.verdict.diagnose import diagnose
 from cell.lab.verdict.rules import DEFAULT_RULES
 from cell.study.data import Markers
 from cell.terminal.fitting import show
-
-sys.path.insert(0, str(Path(__file__).parents[4] / "tools"))
-
-from contradictions import contradictions
+from tools.studies.contradictions import contradictions
 
 KNOWN = library()
 

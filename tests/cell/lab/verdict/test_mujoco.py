@@ -1,9 +1,5 @@
 """The lab on studies that MuJoCo made: no line of the project's own physics is in them."""
 
-import sys
-from importlib.util import module_from_spec, spec_from_file_location
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -19,7 +15,6 @@ from cell.study.folder import read_study
 
 pytest.importorskip("mujoco")
 
-TOOL = Path(__file__).parents[4] / "tools" / "mujoco_studies.py"
 RIVALS = (
     "tip_mass", "bending_hysteresis", "grip_compliance", "grip_angle", "natural_curvature",
     "linear_air_drag",
@@ -28,11 +23,9 @@ RIVALS = (
 
 @pytest.fixture(scope="module")
 def peer():
-    spec = spec_from_file_location("mujoco_studies", TOOL)
-    sys.modules[spec.name] = module = module_from_spec(spec)
-    spec.loader.exec_module(module)
-    yield module
-    del sys.modules[spec.name]
+    from tools.worlds import mujoco_studies  # needs mujoco
+
+    return mujoco_studies
 
 
 @pytest.fixture

@@ -1,0 +1,1 @@
+"""What measures, tries and draws the cell: run as modules from the project's root."""

@@ -1,0 +1,146 @@
+"""Servo loop of the arm's driver at 500 Hz with vision running: measured where commands arrive.
+
+The shipped emulated cell: real RTDE client, rendered pictures of a swinging cable as a stream, and
+the cable looked for in each of them by the process that also commands the arm.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from calib.plane import PlaneView
+from cell.build import real_devices
+from cell.computer.stalls import StallProbe, Stalls
+from cell.run.warm_up import warm_up_vision
+from cell.settings import load_settings
+from cell.settings.translate import vision_of
+from cell.simulated.emulated import EmulatedCell
+from cell.vision.detect import VisionOptions, detect
+from cell.vision.sighting import Sighting
+from drivers.interfaces import Camera, DeviceError, Trajectory
+
+CONFIG = Path(__file__).parents[2] / "config" / "emulated.yaml"
+HOST = "127.0.0.76"
+PORTION = 300  # frames recorded at a time
+STROKE_M, SWING_S = 0.03, 1.5
+
+
+@dataclass(frozen=True)
+class Servo:
+    """Times between two commands as the controller got them, s, and frames seen meanwhile.
+
+    cpu_s     of this process: arm, camera and vision
+    troubles  what the camera said when it could not keep up; it was connected again
+    stalls    of this computer in the same time
+    """
+
+    gaps_s: np.ndarray
+    frames: int
+    unseen: int
+    seconds: float
+    cpu_s: float
+    troubles: tuple[str, ...]
+    stalls: Stalls
+
+    def percentile_ms(self, q: float) -> float:
+        return 1e3 * float(np.percentile(self.gaps_s, q))
+
+
+def up_and_down(seconds: float, rate_hz: float) -> Trajectory:
+    """Down and up again and again, from rest to rest."""
+    t_s = np.arange(0.0, seconds, 1.0 / rate_hz)
+    fade = np.clip(np.minimum(t_s, t_s[-1] - t_s) / SWING_S, 0.0, 1.0)
+    fade = fade**3 * (10.0 - 15.0 * fade + 6.0 * fade * fade)
+    y_m = -0.5 * STROKE_M * (1.0 - np.cos(2.0 * np.pi * t_s / SWING_S)) * fade
+    return Trajectory(t_s, 0.0 * t_s, y_m, 0.0 * t_s)
+
+
+class _Watcher:
+    """Looks for the cable in what the camera gives; a camera that falls behind is no end."""
+
+    def __init__(self, camera: Camera, plane: PlaneView, options: VisionOptions) -> None:
+        self._camera, self._plane, self._options = camera, plane, options
+        self._previous: Sighting | None = None
+        self.frames = self.unseen = 0
+        self.troubles: list[str] = []
+
+    def watch(self, until_s: float) -> None:
+        connected = False
+        while time.monotonic() < until_s:
+            try:
+                if not connected:
+                    self._camera.connect()
+                    connected = True
+                self._portion(until_s)
+            except DeviceError as error:
+                self.troubles.append(str(error))
+                self._camera.close()
+                connected = False
+
+    def _portion(self, until_s: float) -> None:
+        self._camera.start(PORTION)
+        while (frame := self._camera.read()) is not None:
+            self._previous = detect(
+                frame.image, frame.t_s, self._plane, self._options, self._previous
+            )
+            self.frames += 1
+            self.unseen += not self._previous.seen
+            if time.monotonic() > until_s:
+                self._camera.stop()
+
+
+def servo(seconds: float) -> Servo:
+    with tempfile.TemporaryDirectory() as name:
+        content = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
+        content["arm"]["host"] = HOST
+        content["camera"]["device"] = f"tcp://{HOST}:5600"
+        content["gripper"]["port"] = str(Path(name) / "gripper")
+        path = Path(name) / "servo.yaml"
+        path.write_text(yaml.safe_dump(content), encoding="utf-8")
+        settings = load_settings(path)
+        view = settings.camera.view
+        plane = PlaneView.from_scale(
+            view.metres_per_pixel, view.origin_column_px, view.origin_row_px
+        )
+        options = vision_of(settings)
+        warm_up_vision(options)  # compiling on a new machine would hold everything up
+        devices = real_devices(settings)
+        with EmulatedCell(settings, seed=1) as emulated, StallProbe() as probe:
+            devices.gripper.connect()
+            devices.arm.connect()
+            devices.gripper.grip(settings.gripper.force_n)
+            emulated.controller.ask("servo_gaps")
+            watcher = _Watcher(devices.camera, plane, options)
+            probe.take()
+            cpu_s = time.process_time()
+            devices.arm.follow(up_and_down(seconds, devices.arm.rate_hz))
+            watcher.watch(time.monotonic() + seconds)
+            cpu_s = time.process_time() - cpu_s
+            stalls = probe.take()
+            gaps_s = np.array(emulated.controller.ask("servo_gaps")["gaps_s"])
+            devices.arm.close()
+            devices.camera.close()
+            devices.gripper.close()
+    troubles = tuple(watcher.troubles)
+    return Servo(gaps_s, watcher.frames, watcher.unseen, seconds, cpu_s, troubles, stalls)
+
+
+def summary(found: Servo) -> str:
+    gaps_s = found.gaps_s
+    troubles = "".join(f"\n  the emulated camera fell behind: {said}" for said in found.troubles)
+    return (
+        f"  {len(gaps_s)} commands in {found.seconds:.0f} s, {found.frames} frames looked at "
+        f"({found.unseen} without cable), load average {os.getloadavg()[0]:.1f}\n"
+        f"  period median {found.percentile_ms(50.0):.2f} ms, p99 {found.percentile_ms(99.0):.2f}, "
+        f"p99.9 {found.percentile_ms(99.9):.2f}, longest {found.percentile_ms(100.0):.2f}; "
+        f"{np.mean(gaps_s > 0.0025):.3%} above 2.5 ms\n"
+        f"  CPU time of arm, camera and vision: {found.cpu_s / found.seconds:.0%} of a core\n"
+        f"  {found.stalls}{troubles}"
+    )

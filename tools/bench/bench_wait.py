@@ -1,0 +1,310 @@
+"""How long the robot waits for the computer, over many cycles at the speed of reality.
+
+    python -m tools.bench.bench_wait [--cycles 30] [--seed 1] [--burn 1] [--effects air_drag …]
+
+Beside every wait stands the longest stall of this computer in that cycle, as another process
+measured it, and the CPU time of the cell: a share of two cores while the hold is filmed, and what
+is left to compute after its last frame.  `--burn` keeps so many cores busy all the time.  With
+`--effects` the baseline's waits are measured first, then those of cells whose cables have an effect
+and whose model has learned it.
+
+A real camera does not need the computer to draw its pictures.  So each cycle is run twice: here
+without pause, which gives the pictures, and then at the speed of reality with these, by a process
+that does nothing else, as `cell run` does.  Its first cycle is its first.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import sys
+import tempfile
+import time
+from contextlib import ExitStack, closing, suppress
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cell.build import cell_with, twin_devices
+from cell.computer.stalls import StallProbe
+from cell.records.result import Result
+from cell.run.cycle import Cell
+from cell.run.plans import EXECUTE, HOLD, IDENTIFY
+from cell.settings import Settings, load_settings
+from cell.simulated.twins import build_twins
+from drivers.interfaces import Camera, Frame
+from drivers.priority import take_precedence
+from drivers.sim.clock import SimClock
+
+#: No hand shall hold a cable longer for want of a decision.
+MOST_WAITED_MS = 50.0
+
+CONFIG = Path(__file__).parents[2] / "config" / "fake.yaml"
+
+
+@dataclass(frozen=True)
+class Wait:
+    """One cycle.
+
+    wait_s    from when the last frame of the hold was taken until the offset was chosen, as the
+              cell reports it, and the time by which that frame was read later than it could have
+              been, which a simulated clock does not see
+    behind_s  this time alone
+    hold_cpu  CPU time of the cell's processes during the hold, share of two cores
+    after_cpu_s  the same after the last frame, until the offset was chosen
+    load      runnable processes of the machine, mean of the last minute
+    stall_s   longest stall of this computer during the cycle
+    """
+
+    outcome: str
+    wait_s: float
+    behind_s: float
+    hold_cpu: float
+    after_cpu_s: float
+    load: float
+    stall_s: float = 0.0
+
+
+class Recorder:
+    """A camera that keeps what it gives."""
+
+    def __init__(self, camera: Camera, clock: SimClock) -> None:
+        self._camera, self._clock = camera, clock
+        self.name = camera.name
+        self.recordings: list[list[tuple[float, Frame]]] = []
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._camera, name)
+
+    def start(self, frame_count: int) -> None:
+        self._start_s = self._clock.now_s()
+        self.recordings.append([])
+        self._camera.start(frame_count)
+
+    def read(self) -> Frame | None:
+        frame = self._camera.read()
+        if frame is not None:
+            since_s = replace(frame, t_s=frame.t_s - self._start_s)
+            self.recordings[-1].append((self._clock.now_s() - self._start_s, since_s))
+        return frame
+
+
+class Player:
+    """A camera that gives what another one kept, at the speed of the clock."""
+
+    def __init__(self, clock: SimClock, frame_rate_hz: float) -> None:
+        self.name, self.frame_rate_hz = "camera", frame_rate_hz
+        self._clock = clock
+        self.recordings: list[list[tuple[float, Frame]]] = []
+        self.late_s: list[list[float]] = []
+        self._left: list[tuple[float, Frame]] = []
+
+    def connect(self) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+    def stop(self) -> None:
+        self._left = []
+
+    def start(self, frame_count: int) -> None:
+        self._start_s = self._clock.now_s()
+        self._left = self.recordings.pop(0)
+        self.late_s.append([])
+
+    def read(self) -> Frame | None:
+        if not self._left:
+            return None
+        ready_s, frame = self._left.pop(0)
+        self._clock.forward_to_s(self._start_s + ready_s)
+        self.late_s[-1].append(time.perf_counter() - ready_s)
+        return replace(frame, t_s=frame.t_s + self._start_s)
+
+
+def measured(settings: Settings, seed: int, cycles: int, to_parent: Connection) -> None:
+    """Run the cycles whose pictures come through the pipe, and send back what they took."""
+    end_in_order()
+    take_precedence()  # as a cell does whose devices are real
+    twins = build_twins(settings, seed, cycles)
+    player = Player(twins.world.clock, twins.camera.frame_rate_hz)
+    devices = replace(twin_devices(twins), camera=player)
+    with tempfile.TemporaryDirectory() as runs:
+        began: dict[str, tuple[float, float]] = {}
+
+        def on_step(number: int, step: str) -> None:
+            if step in (HOLD.name, IDENTIFY.name, EXECUTE.name):  # to ask takes 0.5 ms itself
+                began[step] = time.perf_counter(), cpu_s()
+
+        ended = suppress(EOFError, BrokenPipeError, ConnectionResetError)  # the other process was
+        with ended, closing(cell_with(settings, devices, Path(runs), on_step)) as cell:
+            for number in range(1, cycles + 1):
+                player.recordings, player.late_s = to_parent.recv(), []
+                began.clear()
+                result = cycle_of(cell, number)
+                hold = player.late_s[0]
+                behind_s = hold[-1] - min(hold)
+                waited_s = np.nan if result.wait_s is None else result.wait_s + behind_s
+                hold = spent(began, HOLD.name, IDENTIFY.name)
+                left = spent(began, IDENTIFY.name, EXECUTE.name)
+                share = hold[1] / (2.0 * hold[0])
+                load = os.getloadavg()[0]
+                to_parent.send(Wait(result.outcome.value, waited_s, behind_s, share, left[1], load))
+
+
+_SIGNALS: list[int] = []
+
+
+def end_in_order() -> None:
+    """Have SIGTERM end this process as its last line would: else what it shares stays behind."""
+
+    def end(number: int, frame: object) -> None:
+        _SIGNALS.append(number)
+        sys.exit(128 + number)
+
+    signal.signal(signal.SIGTERM, end)
+
+
+def cycle_of(cell: Cell, number: int) -> Result:
+    """Run a cycle, which takes whatever stops it for a fault; end after it if this is to end."""
+    result = cell.run_cycle(number)
+    if _SIGNALS:
+        sys.exit(128 + _SIGNALS[0])
+    return result
+
+
+def cpu_s() -> float:
+    """CPU time of this process and its children so far, s."""
+    return sum(cpu_of(pid) for pid in processes())
+
+
+def processes() -> dict[int, str]:
+    """Numbers and command lines of this process and its children."""
+    pids = [os.getpid()]
+    for task in Path("/proc/self/task").iterdir():  # any thread may have started some
+        pids += [int(pid) for pid in (task / "children").read_text().split()]
+    found = {}
+    for pid in pids:
+        with suppress(OSError):  # it has ended
+            found[pid] = Path(f"/proc/{pid}/cmdline").read_text().replace("\0", " ")
+    return found
+
+
+def cpu_of(pid: int) -> float:
+    """CPU time of a process so far, s."""
+    total_ns = 0
+    with suppress(OSError):
+        for task in Path(f"/proc/{pid}/task").iterdir():
+            total_ns += int((task / "schedstat").read_text().split()[0])
+    return 1e-9 * total_ns
+
+
+def spent(began: dict[str, tuple[float, float]], step: str, until: str) -> tuple[float, float]:
+    """Time and CPU time, s, from when a step began until another did; nan if one did not."""
+    if step not in began or until not in began:
+        return np.nan, np.nan
+    (t0, cpu0), (t1, cpu1) = began[step], began[until]
+    return t1 - t0, cpu1 - cpu0
+
+
+def burn() -> None:
+    """Keep a core busy."""
+    while True:
+        pass
+
+
+def waits(cycles: int, seed: int, burners: int, settings: Settings | None = None) -> list[Wait]:
+    """Every cycle's wait, told as it comes; settings: None = those of the simulated cell."""
+    end_in_order()
+    settings = load_settings(CONFIG) if settings is None else settings
+    real = settings.world.model_copy(update={"real_time_factor": 1.0})
+    context = get_context("spawn")
+    here, there = context.Pipe()
+    child = context.Process(
+        target=measured, args=(settings.model_copy(update={"world": real}), seed, cycles, there)
+    )
+    child.start()
+    twins = build_twins(settings, seed, cycles)
+    recorder = Recorder(twins.camera, twins.world.clock)
+    found = []
+    with ExitStack() as stack:
+        for _ in range(burners):
+            burner = context.Process(target=burn, daemon=True)
+            burner.start()
+            stack.callback(burner.terminate)
+        stack.callback(child.join)
+        stack.callback(here.close)
+        runs = stack.enter_context(tempfile.TemporaryDirectory())
+        probe = stack.enter_context(StallProbe())
+        devices = replace(twin_devices(twins), camera=recorder)
+        cell = cell_with(settings, devices, Path(runs), lambda number, step: None)
+        stack.callback(cell.close)
+        for number in range(1, cycles + 1):
+            recorder.recordings = []
+            cycle_of(cell, number)
+            probe.take()
+            here.send(recorder.recordings)
+            recorder.recordings = []
+            found.append(replace(here.recv(), stall_s=probe.take().longest_s))
+            w = found[-1]
+            print(
+                f"  cycle {number:3d}: {w.outcome}, {w.wait_s * 1e3:6.1f} ms, of these vision "
+                f"behind by {w.behind_s * 1e3:5.1f} ms; "
+                f"computer's stall {w.stall_s * 1e3:5.1f} ms; "
+                f"CPU {w.hold_cpu:.0%} of two cores, {w.after_cpu_s * 1e3:.1f} ms at the end; "
+                f"load {w.load:.1f}",
+                flush=True,
+            )
+    return found
+
+
+def summary(found: list[Wait]) -> str:
+    """Quantiles and a histogram."""
+    ms = 1e3 * np.array([w.wait_s for w in found])
+    own = ms - 1e3 * np.array([w.stall_s for w in found])
+    middle, most, worst = np.nanquantile(ms, [0.5, 0.95, 1.0])
+    lines = [
+        f"  {len(ms)} cycles, load {np.mean([w.load for w in found]):.1f}: median {middle:.1f} ms, "
+        f"95 % within {most:.1f} ms, worst {worst:.1f} ms, first {ms[0]:.1f} ms; "
+        f"{np.mean(ms <= MOST_WAITED_MS):.0%} within {MOST_WAITED_MS:g} ms",
+        f"  beyond the computer's own stall: median {np.nanmedian(own):.1f} ms, 95 % within "
+        f"{np.nanquantile(own, 0.95):.1f} ms",
+        f"  CPU: {np.nanmedian([w.hold_cpu for w in found]):.0%} of two cores during the hold, "
+        f"{1e3 * np.nanmedian([w.after_cpu_s for w in found]):.1f} ms after the last frame",
+    ]
+    edges = [0, 10, 20, 30, 40, 50, 75, 100, 200, np.inf]
+    for low, high in pairwise(edges):
+        count = int(np.sum((ms > low) & (ms <= high)))
+        if count:
+            lines.append(f"  {low:4.0f} … {high:4.0f} ms  {'█' * count} {count}")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--cycles", type=int, default=30)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--burn", type=int, default=0, metavar="CORES")
+    parser.add_argument("--effects", nargs="*", default=[], metavar="NAME")
+    options = parser.parse_args()
+    asked = options.cycles, options.seed, options.burn
+    base = waits(*asked)
+    print(summary(base))
+    for name in options.effects:
+        from tools.bench.effect_cost import learned
+
+        print(f"{name}, in the world and in the model", flush=True)
+        found = waits(*asked, learned(load_settings(CONFIG), name, options.seed))
+        print(summary(found))
+        most, baseline = (np.nanmedian([w.wait_s for w in ws]) for ws in (found, base))
+        print(f"  {name}: median wait {most / baseline:.2f} × the baseline's", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Faults and endurance: devices that fail, processes that are killed, hundreds of cycles."""

@@ -1,0 +1,125 @@
+"""Hundreds of cycles through the real clients against the emulators: `make endurance`.
+
+Waits and hold are as short as identification allows; the arm's protocol itself runs in real time.
+After every cycle memory, threads and file handles of the cell's two processes (its own and the
+arm's child) are counted; the table gives their slope per cycle after the first tenth.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import tempfile
+import time
+from collections import Counter
+from dataclasses import astuple, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from cell.build import cell_with, real_devices
+from cell.records.result import Outcome
+from cell.settings import load_settings
+from cell.simulated.emulated import EmulatedCell
+from tools.faults.short_cycles import short_cycles
+
+#: Waits that just leave enough to identify a cable, s.
+SHORTEST = {"calm_s": 0.0, "still_s": 0.3, "hold_s": 0.4, "decide_s": 0.3, "settle_s": 0.05}
+#: Growth that counts as none over 500 cycles: KiB, threads, handles.
+FLAT = (10_240.0, 1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class ResourceUse:
+    """What a process holds."""
+
+    memory_kib: int
+    threads: int
+    handles: int
+
+
+def held_by(pid: int) -> ResourceUse:
+    status = dict(
+        line.split(":", 1) for line in Path(f"/proc/{pid}/status").read_text().splitlines()
+    )
+    handles = len(list(Path(f"/proc/{pid}/fd").iterdir()))
+    return ResourceUse(int(status["VmRSS"].split()[0]), int(status["Threads"]), handles)
+
+
+def slopes(rows: list[ResourceUse]) -> tuple[np.ndarray, np.ndarray]:
+    """(3,) growth per cycle after the first tenth, and its standard error."""
+    values = np.array([astuple(r) for r in rows[len(rows) // 10 :]], dtype=float)
+    number = np.arange(len(values)) - 0.5 * (len(values) - 1)
+    spread = float(number @ number)
+    slope = number @ (values - values.mean(axis=0)) / spread
+    left = values - values.mean(axis=0) - number[:, None] * slope
+    return slope, np.sqrt((left**2).sum(axis=0) / max(1, len(values) - 2) / spread)
+
+
+def report(name: str, rows: list[ResourceUse]) -> bool:
+    slope, error = slopes(rows)
+    first, last = rows[len(rows) // 10], rows[-1]
+    flat = True
+    for what, unit, k in (("memory", "KiB", 0), ("threads", "", 1), ("handles", "", 2)):
+        grown = 500.0 * (slope[k] - 2.0 * error[k])
+        holds = grown <= FLAT[k]
+        flat &= bool(holds)
+        print(
+            f"  {name:6s} {what:8s} {astuple(first)[k]:8d} → {astuple(last)[k]:8d} {unit:4s} "
+            f"slope {slope[k]:+.4f} ± {2.0 * error[k]:.4f} per cycle  "
+            f"{'flat' if holds else 'GROWS'}"
+        )
+    return flat
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cycles", type=int, default=500)
+    parser.add_argument("--minutes", type=float, default=np.inf, help="stop after so long")
+    parser.add_argument("--host", default="127.0.0.78", help="address of the emulated arm")
+    parser.add_argument("--patience-s", type=float, default=0.15, help="with the gripper")
+    arguments = parser.parse_args()
+    outcomes: Counter[str] = Counter()
+    own: list[ResourceUse] = []
+    child: list[ResourceUse] = []
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        path = short_cycles(
+            folder, arguments.host, arguments.patience_s, own_patience=True, **SHORTEST
+        )
+        settings = load_settings(path)
+        with EmulatedCell(settings, seed=1) as emulated:
+            devices = real_devices(settings)
+            steps: list[str] = []
+            cell = cell_with(
+                settings, devices, folder / "runs", lambda number, step: steps.append(step)
+            )
+            began_s = time.monotonic()
+            for number in range(1, arguments.cycles + 1):
+                steps.clear()
+                result = cell.run_cycle(number)
+                outcomes[result.outcome.value] += 1
+                if result.outcome is Outcome.REJECTED:
+                    print(f"cycle {number}: {result.reason}", flush=True)
+                if result.outcome is Outcome.FAILED:
+                    print(f"cycle {number}: {result.fault}", flush=True)
+                    cell.acknowledge()
+                own.append(held_by(os.getpid()))
+                if devices.arm._child is not None:
+                    child.append(held_by(devices.arm._child.process.pid))
+                if number % 25 == 0:
+                    passed_s = time.monotonic() - began_s
+                    print(f"{number:4d} {dict(outcomes)} {own[-1]} {passed_s:.0f} s", flush=True)
+                if time.monotonic() - began_s > 60.0 * arguments.minutes:
+                    break
+            lost = emulated.camera.counts().dropped
+            cell.close()
+    count = sum(outcomes.values())
+    print(f"\n{count} cycles: {dict(outcomes)}; {lost} pictures lost by the camera")
+    print(f"load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")
+    flat = [report("cell", own), report("child", child)]
+    return int(not all(flat) or outcomes["failed"] > 0)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

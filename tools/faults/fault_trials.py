@@ -1,0 +1,325 @@
+"""Every device × every step of a cycle × every fault, against the emulators: `make fault-trials`.
+
+A trial injects a fault when a step begins (in steps that move: when the arm moves) and demands:
+the cell stops and names device, step and remedy; the record is closed and says the same; the jaws
+hold what they held; and after the person's repair and acknowledgement the next cycle inserts.
+Then processes of the cell are killed at random moments, and the emulated arm must stand 200 ms
+later.  A summary goes to `docs/fault_trials.md`, every trial to the CSV beside it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import random
+import tempfile
+import threading
+import time
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cell.build import cell_with, real_devices
+from cell.records.folder import read_record
+from cell.records.result import Outcome, Result
+from cell.run.cycle import Cell
+from cell.run.machine import Event
+from cell.run.plans import INSERTING
+from cell.settings import Settings, load_settings
+from cell.simulated.emulated import EmulatedCell
+from drivers.recording import CaptureOptions
+from drivers.serial_gripper import SerialGripperOptions
+from tools.faults.fault_kills import STILL_S, Kill, kill_somebody
+from tools.faults.fault_kinds import KINDS, Kind, Victim
+from tools.faults.fault_table import (
+    Row,
+    csv_text,
+    kills_table,
+    load_average,
+    page,
+    percentile,
+    summary,
+)
+from tools.faults.short_cycles import short_cycles
+
+ROOT = Path(__file__).parents[2]
+TABLE = ROOT / "docs" / "fault_trials.md"
+BAR_S = 0.1
+#: Waits and hold, s.
+SHORT = {"calm_s": 0.1, "still_s": 0.3, "hold_s": 0.5, "decide_s": 0.5, "settle_s": 0.1}
+#: How long the gripper's driver waits for an answer, as shipped; in the gripper's own trials.
+SHIPPED_S = SerialGripperOptions("").reply_s
+#: Steps in which a fault waits until the arm moves.
+MOVING = ("lower", "execute", "go_home")
+#: Steps at whose end a cable is held if it was at their beginning.
+HOLDING = tuple(step.name for step in INSERTING.steps if step.holding)
+
+
+@dataclass
+class Trial:
+    """A fault in a step, and what came of it."""
+
+    kind: Kind
+    step: str
+    given_s: float | None = None
+    held_before: bool = False
+    noticed: str = ""
+    reaction_s: float | None = None
+    moved_on_s: float = 0.0
+    attempts: int = 0
+    wrong: list[str] = field(default_factory=list)
+
+    @property
+    def name(self) -> str:
+        return f"{self.kind.device}: {self.kind.fault} in {self.step}"
+
+    def begin(self) -> None:
+        self.given_s, self.reaction_s, self.wrong, self.noticed = None, None, [], ""
+        self.moved_on_s, self.attempts = 0.0, self.attempts + 1
+
+    def kept(self) -> dict[str, Any]:
+        names = ("noticed", "reaction_s", "moved_on_s", "attempts", "wrong")
+        return {name: getattr(self, name) for name in names}
+
+
+def all_trials() -> list[Trial]:
+    found = []
+    for kind in KINDS:
+        if kind.fault == "refuses to connect":
+            found.append(Trial(kind, "connect"))
+            continue
+        steps = INSERTING.names
+        if kind.drops_cable:
+            steps = ("grasp", *HOLDING)
+        found += [Trial(kind, s) for s in dict.fromkeys(steps) if s not in ("warm_up", "start")]
+        if not kind.at_connect:
+            found = [t for t in found if not (t.kind is kind and t.step == "connect")]
+    return found
+
+
+class FaultRig:
+    """Emulators, real drivers and the cell around them."""
+
+    def __init__(self, settings: Settings, emulated: EmulatedCell, runs: Path) -> None:
+        self.settings, self.emulated = settings, emulated
+        self.devices = real_devices(settings)
+        self.victim = Victim(emulated, lambda: int(self.devices.arm._child.process.pid))
+        self.stopped_s: list[float] = []
+        self.began_s: dict[str, float] = {}
+        self.trial: Trial | None = None
+        self.number = 0
+        self.patience_s = settings.gripper.reply_s
+        stop = self.devices.arm.stop
+
+        def timed_stop(reason: str) -> None:
+            self.stopped_s.append(time.monotonic())
+            stop(reason)
+
+        self.devices.arm.stop = timed_stop  # type: ignore[method-assign]
+        self.filmed_s = 0.0
+        start = self.devices.camera.start
+
+        def timed_start(frame_count: int) -> None:
+            self.filmed_s = time.monotonic()
+            start(frame_count)
+
+        self.devices.camera.start = timed_start  # type: ignore[method-assign]
+        self.cell: Cell = cell_with(settings, self.devices, runs, self._on_step)
+
+    def be_patient(self, silent_s: float, device: str = "") -> None:
+        """Change how long the drivers of gripper and camera wait, but not that of `device`."""
+        gripper, camera = self.devices.gripper, self.devices.camera
+        reply_s = SHIPPED_S if device == "gripper" else silent_s
+        gripper._options = replace(gripper._options, reply_s=reply_s)
+        if gripper._bus is not None:
+            gripper._bus.serial.timeout = reply_s
+        lost_s = CaptureOptions().lost_after_s
+        if device != "camera":
+            lost_s = max(lost_s, silent_s)
+        camera._options = replace(camera._options, lost_after_s=lost_s)
+        if camera._stream is not None:
+            camera._stream._options = camera._options
+
+    def cycle(self) -> Result:
+        self.number += 1
+        self.began_s = {}
+        if not self.cell.machine.can(Event.RESET):
+            self.cell.acknowledge()
+        return self.cell.run_cycle(self.number)
+
+    def _on_step(self, number: int, step: str) -> None:
+        self.began_s[step] = time.monotonic()
+        trial = self.trial
+        if trial is None or trial.given_s is not None or step != trial.step:
+            return
+        if step in MOVING:
+            threading.Thread(target=self._give_in_motion, args=(trial,), daemon=True).start()
+        else:
+            self._give(trial)
+
+    def _give_in_motion(self, trial: Trial) -> None:
+        until_s = time.monotonic() + 3.0
+        while self.speed_m_per_s() < 0.05 and time.monotonic() < until_s:
+            time.sleep(0.005)
+        self._give(trial)
+
+    def _give(self, trial: Trial) -> None:
+        trial.held_before = self.emulated.gripper.look().held
+        trial.given_s = time.monotonic()
+        trial.kind.cause(self.victim)
+
+    def speed_m_per_s(self) -> float:
+        speed = self.emulated.controller.ask("state")["speed"]
+        return float(np.linalg.norm(speed[:3]))
+
+
+def run_trial(bench: FaultRig, trial: Trial) -> None:
+    """One cycle with the fault, the next if that one did not need the device, and one after."""
+    trial.begin()
+    if trial.step == "connect":
+        bench.cell.close()
+    bench.trial = trial
+    bench.stopped_s.clear()
+    bench.be_patient(bench.patience_s, trial.kind.device)
+    result = bench.cycle()
+    if result.outcome is not Outcome.FAILED:
+        result = bench.cycle()
+    ended_s = time.monotonic()
+    bench.trial = None
+    if trial.given_s is None:
+        why = f"{result.outcome.value} {result.reason} {result.fault}"
+        trial.wrong.append(f"the fault was never given: {why}")
+    else:
+        judge(bench, trial, result)
+    bench.emulated.controller.ask("refuse", on=False)
+    trial.kind.repair(bench.victim)
+    time.sleep(max(0.0, STILL_S - (time.monotonic() - ended_s)))
+    bench.be_patient(bench.patience_s)
+    after = bench.cycle()
+    if after.outcome is not Outcome.INSERTED:
+        trial.wrong.append(f"the next cycle: {after.outcome.value} {after.reason} {after.fault}")
+        bench.cell.close()
+
+
+def judge(bench: FaultRig, trial: Trial, result: Result) -> None:
+    assert trial.given_s is not None
+    fault = result.fault
+    if fault is None:
+        trial.wrong.append(f"not noticed: {result.outcome.value}")
+        return
+    trial.noticed = fault.step
+    if fault.device != trial.kind.device:
+        trial.wrong.append(f"{fault.device} was named: {fault.cause}")
+    if not fault.remedy:
+        trial.wrong.append(f"no remedy for: {fault.cause}")
+    record = read_record(Path(result.folder))
+    if not record.closed or record.result != result or record.step != fault.step:
+        trial.wrong.append("the record does not say so")
+    # a device that fails while nobody needs it is noticed when it is needed
+    needed_s = max(trial.given_s, bench.began_s.get(fault.step, 0.0))
+    if trial.kind.fault == "freezes" and trial.kind.device == "camera":
+        needed_s = max(needed_s, bench.filmed_s)  # nobody compares pictures that are not recorded
+    after = [t for t in bench.stopped_s if t >= trial.given_s]
+    if not after:
+        trial.wrong.append("the arm was not stopped")
+    elif fault.step != "connect":  # before, nothing can be stopped
+        trial.reaction_s = max(0.0, after[0] - needed_s)
+    time.sleep(STILL_S)
+    state = bench.emulated.controller.ask("state")
+    trial.moved_on_s = max(0.0, state["last_moved_s"] - needed_s)
+    if trial.moved_on_s > STILL_S:
+        trial.wrong.append(f"the arm moved {trial.moved_on_s:.3f} s later")
+    held = bench.emulated.gripper.look().held
+    if trial.held_before and fault.step in HOLDING and not held and not trial.kind.drops_cable:
+        trial.wrong.append("the cable was let go")
+
+
+# --- all of it ------------------------------------------------------------------------------------
+
+
+def rows(trials: list[Trial]) -> list[Row]:
+    """What came of the trials that were made."""
+    return [
+        Row(
+            t.kind.device,
+            t.kind.fault,
+            t.step,
+            t.noticed,
+            float("nan") if t.reaction_s is None else 1e3 * t.reaction_s,
+            1e3 * t.moved_on_s,
+            t.attempts,
+            "; ".join(t.wrong),
+        )
+        for t in trials
+        if t.attempts
+    ]
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--only", nargs="*", default=[], help="words that a trial's name contains")
+    parser.add_argument("--kills", type=int, default=30)
+    parser.add_argument("--host", default="127.0.0.77", help="address of the emulated arm")
+    parser.add_argument(
+        "--patience-s",
+        type=float,
+        default=SHIPPED_S,
+        help="with gripper and camera outside their own trials; more on a busy computer",
+    )
+    parser.add_argument("--attempts", type=int, default=1, help="of a trial that fails")
+    parser.add_argument("--bar-ms", type=float, default=1e3 * BAR_S, help="p99 from fault to stop")
+    parser.add_argument("--keep", type=Path, help="file of results; what passed is not repeated")
+    parser.add_argument("-o", "--output", type=Path, help=f"e.g. {TABLE.relative_to(ROOT)}")
+    arguments = parser.parse_args()
+    chosen = [
+        t
+        for t in all_trials()
+        if not arguments.only or any(word in t.name for word in arguments.only)
+    ]
+    kills: list[Kill] = []
+    if arguments.keep is not None and arguments.keep.exists():
+        known = json.loads(arguments.keep.read_text(encoding="utf-8"))
+        for trial in chosen:
+            vars(trial).update(known.get(trial.name, {}))
+    left = [t for t in chosen if t.attempts == 0 or t.wrong]
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        config = short_cycles(
+            folder, arguments.host, arguments.patience_s, own_patience=False, **SHORT
+        )
+        with EmulatedCell(settings := load_settings(config), seed=1) as emulated:
+            bench = FaultRig(settings, emulated, folder / "runs")
+            bench.cycle()
+            for number, trial in enumerate(left, 1):
+                run_trial(bench, trial)
+                while trial.wrong and trial.attempts < arguments.attempts:
+                    print(f"         again: {'; '.join(trial.wrong)}", flush=True)
+                    run_trial(bench, trial)
+                if arguments.keep is not None:
+                    done = {t.name: t.kept() for t in chosen if t.attempts}
+                    arguments.keep.write_text(json.dumps(done), encoding="utf-8")
+                stop = "" if trial.reaction_s is None else f"{1e3 * trial.reaction_s:5.0f} ms"
+                said = "passed" if not trial.wrong else "; ".join(trial.wrong)
+                print(f"{number:3d}/{len(left)} {trial.name:48s} {stop:9s} {said}", flush=True)
+            bench.cell.close()
+            rng = random.Random(1)
+            for number in range(arguments.kills):
+                victim = ("cell", "child", "both")[number % 3]
+                kills.append(kill_somebody(emulated, config, folder / "runs", victim, rng))
+                print(kills[-1], flush=True)
+    made = rows(chosen)
+    said = [*summary(made, kills), load_average()]
+    print("\n".join(said))
+    if arguments.output is not None:
+        text = page(made, said, kills_table(kills))
+        arguments.output.write_text(text, encoding="utf-8")
+        arguments.output.with_suffix(".csv").write_text(csv_text(made), encoding="utf-8")
+    slow = percentile([r.stop_ms for r in made], 99.0) > arguments.bar_ms
+    moved = any(k.moved_on_s > STILL_S for k in kills)
+    return int(any(t.wrong for t in chosen) or slow or moved)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,1 @@
+"""What pages show: pictures, drawings, and the reference of checks."""

@@ -1,0 +1,116 @@
+"""How often the 95 % intervals of `cell fit` hold the truth where the model lacks an effect.
+
+    python -m tools.studies.interval_study [--studies 40] [--first 0] [--size 0.5] [--unknown]
+                                           [--all-trials]
+
+Each study has two effects: one is in the model, the other, `--size` times as strong as is typical
+(0 = there is none), is left out.  `--unknown` takes that out of the library too, and with it what
+no motion tells from it.  EI(s) is asked for at the model's knots.  `--all-trials`: the intervals
+of effects as in a diagnosis, from all trials, instead of those of `cell fit`.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.stats import binomtest
+
+from cell.cable.effects import ActiveEffect, Effect, library
+from cell.cable.model import CableModel
+from cell.identify.identified import Identified
+from cell.lab.data.selection import EffectSelection
+from cell.lab.search.fit_cache import FitCache
+from cell.lab.search.setup import fit_cache_of
+from cell.lab.strength.estimate import estimate
+from cell.lab.strength.fitted_study import fit_study
+from tools.studies.confusion_study import ONE_CLASS
+from tools.worlds.made_studies import CABLE, hidden, make_study, random_model
+
+#: Parameters of effects that are no amplitudes count apart.
+KINDS = ("EI", "exponent", "viscosity", "amplitude", "shape")
+
+
+def drawn(seed: int, size: float, unknown: bool) -> tuple[str, FitCache, CableModel]:
+    """A study's two effects in words, the study with the first in the model, and the truth."""
+    known = library()
+    names = sorted(known)
+    rng = np.random.default_rng([seed, 7])
+    present = known[names[seed % len(names)]]
+    others = [n for n in names if n != present.name and not {n, present.name} <= ONE_CLASS]
+    lacking = known[rng.choice(others)]
+    there = [hidden(present, float(rng.uniform(0.5, 1.5)))]
+    if size > 0.0:
+        there.append(hidden(lacking, size))
+    study = make_study(seed, there)
+    again = np.random.default_rng(seed)
+    again.uniform(size=2)  # `make_study` has drawn the noise's level and colour from it
+    truth = random_model(again, CABLE, there)
+    out = {lacking.name} if unknown else set()
+    out |= ONE_CLASS if out & ONE_CLASS else set()
+    offered: dict[str, type[Effect]] = {n: e for n, e in known.items() if n not in out}
+    fits = fit_cache_of(study, EffectSelection((present,), offered))
+    return " without ".join(a.effect.name for a in there), fits, truth
+
+
+def held(model: Identified, truth: CableModel) -> Iterator[tuple[str, str, bool]]:
+    """Name and kind of each parameter, and whether its interval holds the truth."""
+    low, high = model.interval()
+    space = model.space
+    arcs = np.linspace(0.0, truth.cable.free_length_m, space.knots)
+    true = [*truth.rigidity_at(arcs), truth.exponent, truth.viscosity_n_m2_s]
+    kinds = ["EI"] * space.knots + ["exponent", "viscosity"]
+    present: ActiveEffect = truth.effects[0]
+    for p, value in zip(present.effect.parameters, present.values, strict=True):
+        true.append(value)
+        kinds.append("amplitude" if p.amplitude else "shape")
+    for i, (name, kind) in enumerate(zip(space.names, kinds, strict=True)):
+        if space.low[i] < space.high[i]:
+            yield name, kind, bool(low[i] <= true[i] <= high[i])
+
+
+def held_by_all(fits: FitCache, truth: CableModel) -> Iterator[tuple[str, str, bool]]:
+    """The same of the effect's parameters from all trials, as in a diagnosis."""
+    present: ActiveEffect = truth.effects[0]
+    found = estimate(fits.prepared, fits.baseline().fit, fits.library.values())
+    true = dict(zip((p.name for p in present.effect.parameters), present.values, strict=True))
+    amplitudes = {p.name for p in present.effect.parameters if p.amplitude}
+    for name, interval in found.intervals(present.effect).items():
+        kind = "amplitude" if name in amplitudes else "shape"
+        yield name, kind, interval.low <= true[name] <= interval.high
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--studies", type=int, default=40)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--size", type=float, default=0.5)
+    parser.add_argument("--unknown", action="store_true")
+    parser.add_argument("--all-trials", action="store_true")
+    given = parser.parse_args()
+    good: Counter[str] = Counter()
+    count: Counter[str] = Counter()
+    for seed in range(given.first, given.first + given.studies):
+        words, fits, truth = drawn(seed, given.size, given.unknown)
+        if given.all_trials:
+            asked = held_by_all(fits, truth)
+        else:
+            model, *_ = fit_study(fits)
+            words += f", seen beside it: {', '.join(model.lacks) or 'nothing'}"
+            asked = held(model, truth)
+        missed = []
+        for name, kind, inside in asked:
+            good[kind] += inside
+            count[kind] += 1
+            missed += [] if inside else [name]
+        print(f"{seed} {words}; missed: {', '.join(missed) or 'none'}", flush=True)
+    for kind in (k for k in KINDS if count[k]):
+        sure = binomtest(good[kind], count[kind]).proportion_ci()
+        print(f"{kind}: {good[kind]} of {count[kind]} = {good[kind] / count[kind]:.1%} "
+              f"({sure.low:.0%} … {sure.high:.0%})")  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,346 @@
+"""From the lab to the line in worlds whose physics the model lacks: learned, promoted, better?
+
+For each effect and size: cables of a world with that effect are run, `learn` and the gates work on
+what was recorded, what passes is promoted, and other cables of the same world come, once with the
+model before and once with the one promoted.  The same cables in a world without the effect show
+how well a complete model forecasts.  `none` is such a world: nothing may be promoted there.  A law
+that the library does not have (`outside_laws`; `outside` = the first ten, `later` = the others) is
+looked for as `cell learn --laws` does, and so in every world with `--laws`.
+`python -m tools.studies.loop_study [--effects air_drag air_drag+tip_mass none …] [--sizes 0.5 1 2]
+[--cables 6] [--seed 300] [--worlds 1] [--laws] [--json F]`
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from cell.build import cell_task
+from cell.cable.effects import ActiveEffect, library
+from cell.lab.data.cycles import RecordedCycle
+from cell.lab.line.candidate import section
+from cell.lab.line.gates import best_judged
+from cell.lab.line.learn import LearningResult, learn
+from cell.lab.next.discover import laws_in
+from cell.lab.next.next_motion import MOST_ASKED, motion_that_tells, worth_it
+from cell.run.station import Task
+from cell.settings import Settings, load_settings
+from cell.settings.surroundings import Surroundings
+from cell.simulated.hidden import hidden_cable
+from cell.study.data import Study
+from tools.studies.coverage_study import Errors
+from tools.studies.line_study import CONFIG, INSERTABLE_M
+from tools.worlds.fast_cell import FastCycle, fast_cycle, fast_measured, typical, with_world
+from tools.worlds.outside_laws import LATER, LAWS
+
+#: Of a sharp camera, assumed: nodes at the bound that `bench_vision` holds across the cable, the
+#: end a seventh of a pixel off.  The default of `Errors` is a poor camera's.
+SEEN = Errors(node_m=1.2e-5, across_m=4e-6, end_m=3e-5)
+#: An effect that moves the tip by less than this at the mouth is not counted, m.
+SHIFT_M = 3e-4
+
+
+@dataclass(frozen=True)
+class World:
+    """What became of one world.
+
+    effect                  hidden in the world; two are joined by `+`
+    named, tied, promoted   the effects that `learn` named, ties of the last, and whether the gates
+                            let it pass; `failed` are the gates that did not
+    asked                   motions of its own that `learn` asked for
+    before, after, complete  of the cables that came later: with the model before, with the one
+                            promoted, and in a world without the effect
+    left_out                by the limit of work
+    """
+
+    effect: str
+    size: float
+    seed: int
+    named: tuple[str, ...]
+    tied: tuple[str, ...]
+    asked: int
+    promoted: bool
+    failed: tuple[str, ...]
+    before: Cables
+    after: Cables | None
+    complete: Cables
+    learn_cpu_s: float
+    left_out: tuple[str, ...] = ()
+
+    @property
+    def shift_m(self) -> float:
+        """By how much the model before errs at the mouth beyond a complete one."""
+        return float(np.sqrt(max(self.before.error_m**2 - self.complete.error_m**2, 0.0)))
+
+    def line(self) -> str:
+        """One row of the table."""
+        after = self.after.line() if self.after else "-"
+        fate = "promoted" if self.promoted else f"not: {', '.join(self.failed) or 'nothing found'}"
+        ties = f" (tied: {', '.join(self.tied)})" if self.tied else ""
+        ties += f" asked {self.asked}" if self.asked else ""
+        return (
+            f"{self.effect:20s} × {self.size:<4g} shift {self.shift_m * 1e3:5.2f} mm  "
+            f"{self.before.line()} → {after} (complete {self.complete.line()})  "
+            f"{' + '.join(self.named)}{ties} {fate}  {self.learn_cpu_s:.0f} s"
+            f"{' left out: ' + '; '.join(self.left_out) if self.left_out else ''}"
+        )
+
+
+@dataclass(frozen=True)
+class Cables:
+    """Cables of one world with one model.
+
+    error_m   root mean square over cables of the forecast's largest error in the mouth
+    """
+
+    insertable: int
+    inserted: int
+    missed: int
+    error_m: float
+    wait_cpu_s: float
+
+    @staticmethod
+    def of(cycles: Sequence[FastCycle], cpu_s: float) -> Cables:
+        could = [c for c in cycles if c.best_margin_m > INSERTABLE_M]
+        known = [c.true_tip_error_m for c in cycles if np.isfinite(c.true_tip_error_m)]
+        return Cables(
+            len(could),
+            sum(c.outcome == "inserted" for c in could),
+            sum(c.outcome == "missed" for c in cycles),
+            float(np.sqrt(np.mean(np.square(known)))) if known else float("inf"),
+            cpu_s / len(cycles),
+        )
+
+    def line(self) -> str:
+        """Inserted of those that a perfect model could insert, and the error."""
+        return f"{self.inserted}/{self.insertable} {self.error_m * 1e3:.3f} mm"
+
+
+def world(
+    settings: Settings,
+    task: Task,
+    effect: str,
+    size: float,
+    cables: int,
+    seed: int,
+    laws: bool = False,
+) -> World:
+    """One world from the first cable to the last."""
+    parts = [] if effect == "none" else effect.split("+")
+    known = LAWS | library()
+    there = tuple(known[name].active(**typical(known[name], size)) for name in parts)
+    first, later = range(1, cables + 1), range(cables + 1, 2 * cables + 1)
+    begun_s = time.process_time()
+    cycles = cycles_of(settings, task, seed, first, there)
+    as_found = Cables.of(cycles, time.process_time() - begun_s)
+    recorded = [recorded_cycle(task, k, c) for k, c in zip(first, cycles, strict=True)]
+    begun_s = cpu_s()
+    lesson, asked = _learned(settings, task, recorded, seed, there, laws)
+    lesson, judgement = best_judged(lesson, settings)
+    spent_s = cpu_s() - begun_s
+    after, before, complete = None, as_found, as_found
+    promoted = lesson.best is not None and judgement.fit_for_line
+    if parts or promoted:
+        complete = _complete(settings, task, seed, cables)
+        before = run(settings, task, seed, later, there) if parts else complete
+    if promoted:
+        new = settings.model_copy(update={"model": section(lesson, settings.model)})
+        after = run(new, cell_task(new), seed, later, there)
+    return World(
+        effect,
+        size,
+        seed,
+        tuple(e.name for e in lesson.best.effects) if lesson.best else (),
+        lesson.tied,
+        asked,
+        promoted,
+        tuple(f"{g.name} ({g.found})" for g in judgement.gates if not g.passed),
+        before,
+        after,
+        complete,
+        spent_s,
+        lesson.left_out,
+    )
+
+
+def _learned(
+    settings: Settings,
+    task: Task,
+    recorded: list[RecordedCycle],
+    seed: int,
+    there: Sequence[ActiveEffect],
+    laws: bool,
+) -> tuple[LearningResult, int]:
+    """The lesson of these cables and those measured because of ties; how many these are."""
+    surroundings, tried = Surroundings.read(CONFIG), library()
+    if laws or any(a.effect.name in LAWS for a in there):
+        tried |= laws_in(
+            Path(tempfile.mkdtemp(prefix="laws-")), [c.study for c in recorded]
+        ).effects
+    lesson = learn(recorded, task.cable, task.identification, tried, _said())
+    for done in range(MOST_ASKED):
+        try:
+            suggestion = motion_that_tells(lesson, surroundings)
+        except ValueError:
+            return lesson, done
+        best = None if suggestion is None else worth_it(suggestion)
+        if best is None:
+            return lesson, done
+        number, motion = 1000 + done, best.motion.motion()
+        hidden = replace(hidden_cable(settings, seed, number), effects=tuple(there))
+        trial = fast_measured(settings, seed, number, motion, task=task, hidden=hidden, errors=SEEN)
+        study = Study(f"m{number}", task.cable, task.arc_length_m, (trial,))
+        measured = RecordedCycle(study.name, Path(study.name), study, None, None, None)
+        recorded = [*recorded, measured]
+        lesson = learn(recorded, task.cable, task.identification, tried, _said())
+    return lesson, MOST_ASKED
+
+
+def _said() -> Callable[[str], None]:
+    """Says what is being done, and how much CPU time has gone by, beside the table."""
+    begun_s = cpu_s()
+
+    def said(text: str, done: int = 0, total: int = 0) -> None:
+        print(f"  {cpu_s() - begun_s:6.1f} s  {text}", file=sys.stderr, flush=True)
+
+    return said
+
+
+def cpu_s() -> float:
+    """CPU time of this process and of the copies of it that have ended."""
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(u.ru_utime + u.ru_stime for u in used)
+
+
+_COMPLETE: dict[tuple[int, int], Cables] = {}
+
+
+def _complete(settings: Settings, task: Task, seed: int, cables: int) -> Cables:
+    """The cables that come later, in a world without an effect: the same for every effect."""
+    if (seed, cables) not in _COMPLETE:
+        later = range(cables + 1, 2 * cables + 1)
+        _COMPLETE[seed, cables] = run(settings, task, seed, later, ())
+    return _COMPLETE[seed, cables]
+
+
+def recorded_cycle(task: Task, number: int, c: FastCycle) -> RecordedCycle:
+    """A cycle as `read_cycles` finds it in its folder."""
+    trials = [c.held, *([c.executed] if c.executed else [])]
+    study = Study(f"c{number}", task.cable, task.arc_length_m, tuple(trials))
+    return RecordedCycle(f"c{number}", Path(f"c{number}"), study, c.held, c.executed, None)
+
+
+def cycles_of(
+    settings: Settings,
+    task: Task,
+    seed: int,
+    numbers: Iterable[int],
+    there: Sequence[ActiveEffect],
+) -> list[FastCycle]:
+    """These cables of a world with these effects, one after another."""
+    complete = with_world(settings, {})
+    return [
+        fast_cycle(
+            complete,
+            seed,
+            k,
+            task=task,
+            errors=SEEN,
+            hidden=replace(hidden_cable(complete, seed, k), effects=tuple(there)),
+        )
+        for k in numbers
+    ]
+
+
+def run(
+    settings: Settings,
+    task: Task,
+    seed: int,
+    numbers: Iterable[int],
+    there: Sequence[ActiveEffect],
+) -> Cables:
+    """What became of these cables."""
+    begun_s = time.process_time()
+    cycles = cycles_of(settings, task, seed, numbers, there)
+    return Cables.of(cycles, time.process_time() - begun_s)
+
+
+def summary(worlds: Sequence[World]) -> list[str]:
+    """The bars: right class, error after, inserted after, nothing worse, nothing in vain."""
+    hidden = [w for w in worlds if w.effect != "none" and w.effect not in LAWS]
+    seen = [w for w in hidden if w.shift_m > SHIFT_M]
+    named = [w for w in seen if w.promoted and set(w.effect.split("+")) <= {*w.named, *w.tied}]
+    right = [w for w in named if set(w.named) == set(w.effect.split("+"))]
+    after = [w for w in hidden if w.after is not None]
+    good = [
+        w
+        for w in after
+        if w.after
+        and (
+            w.after.error_m <= 1.3 * w.complete.error_m or w.after.error_m <= 0.2 * w.before.error_m
+        )
+    ]
+    worse = [w for w in after if w.after and w.after.error_m > w.before.error_m + 1e-5]
+    could = sum(w.after.insertable for w in after if w.after)
+    done = sum(w.after.inserted for w in after if w.after)
+    empty = [w for w in worlds if w.effect == "none"]
+    outside = [w for w in worlds if w.effect in LAWS]
+    pairs = [w for w in hidden if "+" in w.effect]
+    return [
+        f"shift above 0.3 mm: {len(seen)} of {len(hidden)} worlds; right class promoted in "
+        f"{len(right)} of them, named or tied in {len(named)}",
+        f"promoted: {len(after)}; error after ≤ 1.3 × a complete world's or ≥ 5 × lower in "
+        f"{len(good)}; worse than before in {len(worse)}; inserted {done} of {could}",
+        _three_times_lower("pairs", pairs),
+        _three_times_lower("outside the library", outside),
+        f"complete worlds: {len(empty)}; promoted in {sum(w.promoted for w in empty)}",
+    ]
+
+
+def _three_times_lower(title: str, worlds: Sequence[World]) -> str:
+    """In how many the error fell to a third; a complete world's bounds what it can fall to."""
+    can = [w for w in worlds if w.complete.error_m <= w.before.error_m / 3.0]
+    lower = [w for w in worlds if w.after and w.after.error_m <= w.before.error_m / 3.0]
+    return (
+        f"{title}: {len(worlds)}; error ≥ 3 × lower in {len(lower)}, of the {len(can)} in which a "
+        f"complete world's is so low in {len([w for w in lower if w in can])}"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--effects", nargs="*", default=["none", *library()])
+    parser.add_argument("--sizes", nargs="*", type=float, default=[0.5, 1.0, 2.0])
+    parser.add_argument("--cables", type=int, default=6)
+    parser.add_argument("--seed", type=int, default=300)
+    parser.add_argument("--worlds", type=int, default=1, help="of each effect and size")
+    parser.add_argument("--laws", action="store_true", help="tried in every world")
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    settings = load_settings(CONFIG)
+    task, worlds = cell_task(settings), []
+    several = {"outside": tuple(n for n in LAWS if n not in LATER), "later": LATER}
+    for effect in [f for e in options.effects for f in several.get(e, (e,))]:
+        for size in options.sizes if effect != "none" else [0.0]:
+            for i in range(options.worlds):
+                seed = options.seed + i
+                worlds.append(
+                    world(settings, task, effect, size, options.cables, seed, options.laws)
+                )
+                print(worlds[-1].line(), flush=True)
+                if options.json:
+                    options.json.write_text(json.dumps([asdict(w) for w in worlds], indent=1))
+    print("\n".join(summary(worlds)))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,302 @@
+"""A cell without pictures: nodes with noise instead, everything else as `cell run` does it.
+
+A cable takes a third of a second instead of several, so that thousands can be tried.  The world is
+finer than the model, and its noise is what `coverage_study` found vision to have.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.build import cell_task
+from cell.cable.dynamics import simulate
+from cell.cable.effects import Effect
+from cell.cable.geometry import Motion
+from cell.cable.model import CableModel
+from cell.cable.solver import Solver
+from cell.identify.identified import Identified
+from cell.identify.individual import CableRejectedError, hold_trial, identify
+from cell.plan.choose import Choice, choose
+from cell.plan.passage import Passage, measured_passage
+from cell.plan.paths import executed_motion, identification_path, insertion_path
+from cell.run.early_estimate import simulate_offsets
+from cell.run.findings import Candidates, FilmedMotion
+from cell.run.station import Task, Timing
+from cell.settings import Settings
+from cell.simulated.hidden import hidden_cable
+from cell.study.data import Markers, Trial
+from drivers.interfaces import Trajectory
+from tools.studies.coverage_study import Errors
+
+FloatArray = NDArray[np.float64]
+
+WORLD = Solver(segments=60, step_s=5e-4)
+RATE_HZ = 500.0
+
+
+@dataclass(frozen=True, eq=False)
+class FastCycle:
+    """One cable: what was measured, decided and done; None = the cycle did not come so far.
+
+    best_margin_m   of all offsets, in truth: whether a perfect model could insert this cable;
+                    nan = only the chosen one was simulated
+    true_margin_m   of the offset that was chosen, or would have been
+    """
+
+    held: Trial
+    executed: Trial | None
+    identified: Identified | None
+    candidates: Candidates | None
+    choice: Choice | None
+    passage: Passage | None
+    reason: str | None
+    best_margin_m: float
+    true_margin_m: float
+    true_tip_error_m: float
+
+    @property
+    def outcome(self) -> str:
+        """As a result says it."""
+        if self.passage is None:
+            return "rejected"
+        return "inserted" if self.passage.passed else "missed"
+
+
+def typical(effect: type[Effect], size: float) -> dict[str, float]:
+    """An effect's parameters at `size` times its typical strength."""
+    return {
+        p.name: p.default + size * (p.starts[0] - p.default) if p.amplitude else p.starts[0]
+        for p in effect.parameters
+    }
+
+
+def with_world(settings: Settings, effects: dict[str, dict[str, float]]) -> Settings:
+    """The settings with other hidden physics."""
+    return settings.model_copy(
+        update={"world": settings.world.model_copy(update={"effects": effects})}
+    )
+
+
+def fast_cycle(
+    settings: Settings,
+    seed: int,
+    number: int,
+    *,
+    task: Task | None = None,
+    errors: Errors = Errors(),  # noqa: B008
+    hidden: CableModel | None = None,
+    only_chosen: bool = False,
+) -> FastCycle:
+    """One cycle with the `number`-th hidden cable of a seed.
+
+    only_chosen  of the offsets, for a third less time
+    """
+    task = cell_task(settings) if task is None else task
+    hidden = hidden_cable(settings, seed, number) if hidden is None else hidden
+    rng = np.random.default_rng([seed, number, 1])
+    lag_s, frame_hz = settings.arm.lag_s, settings.camera.frame_rate_hz
+    timing = Timing(RATE_HZ, lag_s, frame_hz)
+    down = _true_hold(task, lag_s)
+    end_s = float(down.t_s[-1])
+    t_s = np.arange(0.001, end_s, 1.0 / frame_hz)
+    bias = _Bias.drawn(rng, errors, len(task.arc_length_m))
+    hand = _logged(down, errors, rng)
+    held = _seen(task, hidden, down, t_s, hand, bias, errors, rng)
+    start_s = end_s + task.decide_s
+    filmed = FilmedMotion(
+        0.0, (), Trajectory(hand.t_s, hand.x_m, hand.y_m, hand.angle_rad), (), 0.0
+    )
+    identified, expected, choice, reason = None, None, None, None
+    try:
+        identified = identify(held, task.arc_length_m, task.cable, options=task.identification)
+        expected = simulate_offsets(task, timing, filmed, held, identified, start_s)
+        choice = choose(expected.forecast, identified, task.destination, task.choice)
+        reason = choice.reason
+    except CableRejectedError as error:
+        reason = str(error)
+    truth = _truths(task, hidden, down, start_s, lag_s)
+    at_s = np.arange(0.0, truth.end_s - start_s, 0.005)
+    index = None if choice is None else choice.table.index(choice.best)
+    best_m = np.nan
+    if not only_chosen:
+        tips = truth.tips(at_s)
+        best_m = float(task.destination.margin_m(tips).max())
+    cycle = FastCycle(
+        held, None, identified, expected, choice, None, reason, best_m, np.nan, np.nan
+    )
+    if choice is None or index is None:
+        return cycle
+    tip = truth.tips(at_s, [index])[0] if only_chosen else tips[index]
+    predicted = np.column_stack(
+        [np.interp(at_s, choice.t_s, choice.tip_m[:, axis]) for axis in (0, 1)]
+    )
+    clean = measured_passage(task.destination, at_s, tip, at_s, predicted)
+    margin_m = float(task.destination.margin_m(tip[None])[0])
+    cycle = replace(cycle, true_margin_m=margin_m, true_tip_error_m=clean.error_m)
+    if reason is not None:
+        return cycle
+    executed = _executed(task, hidden, truth.motions[index], start_s, held, bias, errors, rng)
+    passage = measured_passage(
+        task.destination,
+        executed.markers.t_s,
+        executed.markers.xy_m[:, 0],
+        start_s + choice.t_s,
+        choice.tip_m,
+    )
+    return replace(cycle, executed=executed, passage=passage)
+
+
+def best_margin_m(settings: Settings, seed: int, number: int) -> float:
+    """Of all offsets, in truth: whether a perfect model could insert this hidden cable."""
+    task, lag_s = cell_task(settings), settings.arm.lag_s
+    down = _true_hold(task, lag_s)
+    start_s = float(down.t_s[-1]) + task.decide_s
+    truth = _truths(task, hidden_cable(settings, seed, number), down, start_s, lag_s)
+    tips = truth.tips(np.arange(0.0, truth.end_s - start_s, 0.005))
+    return float(task.destination.margin_m(tips).max())
+
+
+def fast_measured(
+    settings: Settings,
+    seed: int,
+    number: int,
+    motion: Motion,
+    *,
+    task: Task,
+    hidden: CableModel,
+    errors: Errors = Errors(),  # noqa: B008
+) -> Trial:
+    """A hidden cable only measured with a motion; the noise is of the `number`-th of a seed."""
+    rng = np.random.default_rng([seed, number, 2])
+    t_s = np.arange(0.001, float(motion.t_s[-1]), 1.0 / settings.camera.frame_rate_hz)
+    bias = _Bias.drawn(rng, errors, len(task.arc_length_m))
+    hand = _logged(motion, errors, rng)
+    trial = _seen(task, hidden, motion, t_s, hand, bias, errors, rng)
+    return replace(trial, name="stroke")
+
+
+@dataclass(frozen=True, eq=False)
+class _Truths:
+    """The hand's true motion of every offset, holds before included, and the tips' true paths."""
+
+    task: Task
+    hidden: CableModel
+    motions: list[Motion]
+    start_s: float
+
+    @property
+    def end_s(self) -> float:
+        return max(float(m.t_s[-1]) for m in self.motions)
+
+    def tips(self, at_s: FloatArray, which: Sequence[int] | None = None) -> FloatArray:
+        """(offsets, times, 2) from the beginning of the execution on; None = of all offsets."""
+        tip = np.array([self.task.cable.free_length_m])
+        motions = self.motions if which is None else [self.motions[i] for i in which]
+        return simulate(self.hidden, motions, self.start_s + at_s, tip, solver=WORLD)[:, :, 0]
+
+
+def _truths(task: Task, hidden: CableModel, down: Motion, start_s: float, lag_s: float) -> _Truths:
+    motions = []
+    for offset_m in task.offsets_m:
+        path = insertion_path(task.lowered, offset_m, task.advance_m, task.insertion, RATE_HZ)
+        late = executed_motion(path, lag_s, settle_s=task.settle_s)
+        rows = np.column_stack([late.t_s + start_s, late.x_m, late.y_m, late.angle_rad])
+        before = np.column_stack([down.t_s, down.x_m, down.y_m, down.angle_rad])
+        whole = np.vstack([before, rows[rows[:, 0] > down.t_s[-1] + 1e-6]])
+        motions.append(Motion(*(np.ascontiguousarray(c) for c in whole.T)))
+    return _Truths(task, hidden, motions, start_s)
+
+
+def _true_hold(task: Task, lag_s: float) -> Motion:
+    path = identification_path(
+        task.home,
+        task.lower_m,
+        task.lowering,
+        RATE_HZ,
+        duration_s=task.lower_s,
+        hold_s=task.hold_s,
+    )
+    late = executed_motion(path, lag_s)
+    t = np.arange(0.0, task.still_s + float(late.t_s[-1]), 1.0 / RATE_HZ)
+    poses = (late.x_m, late.y_m, late.angle_rad)
+    return Motion(t, *(np.interp(t - task.still_s, late.t_s, v) for v in poses))
+
+
+@dataclass(frozen=True, eq=False)
+class _Bias:
+    """Errors that are the same in every picture of a cable."""
+
+    stretch: FloatArray
+    across_m: FloatArray
+
+    @staticmethod
+    def drawn(rng: np.random.Generator, errors: Errors, nodes: int) -> _Bias:
+        along = np.linspace(1.0, 0.0, nodes)
+        return _Bias(errors.end_m * rng.normal() * along, errors.across_m * rng.normal(size=nodes))
+
+
+def _pictured(
+    nodes: FloatArray, bias: _Bias, errors: Errors, rng: np.random.Generator
+) -> FloatArray:
+    along = np.gradient(nodes, axis=1)
+    along /= np.linalg.norm(along, axis=-1, keepdims=True)
+    across = np.stack([-along[..., 1], along[..., 0]], axis=-1)
+    noise = rng.normal(size=nodes.shape)
+    for i in range(1, len(noise)):
+        noise[i] = errors.colour * noise[i - 1] + np.sqrt(1.0 - errors.colour**2) * noise[i]
+    shifted = nodes - bias.stretch[:, None] * along + bias.across_m[:, None] * across
+    return np.asarray(shifted + errors.node_m * noise)
+
+
+def _logged(motion: Motion, errors: Errors, rng: np.random.Generator) -> Motion:
+    xy = [v + errors.log_m * rng.normal(size=len(v)) for v in (motion.x_m, motion.y_m)]
+    return Motion(motion.t_s, *xy, motion.angle_rad)
+
+
+def _seen(
+    task: Task,
+    hidden: CableModel,
+    motion: Motion,
+    t_s: FloatArray,
+    hand: Motion,
+    bias: _Bias,
+    errors: Errors,
+    rng: np.random.Generator,
+) -> Trial:
+    nodes = simulate(hidden, motion, t_s, task.arc_length_m, solver=WORLD)[0]
+    seen = np.stack([np.interp(t_s, motion.t_s, v) for v in (motion.x_m, motion.y_m)], axis=-1)
+    return hold_trial(
+        hand,
+        t_s,
+        _pictured(nodes, bias, errors, rng),
+        seen + errors.grip_m * rng.normal(size=seen.shape),
+        errors.angle_rad * rng.normal(size=len(t_s)),
+    )
+
+
+def _executed(
+    task: Task,
+    hidden: CableModel,
+    motion: Motion,
+    start_s: float,
+    held: Trial,
+    bias: _Bias,
+    errors: Errors,
+    rng: np.random.Generator,
+) -> Trial:
+    """As `station.executed_trial` makes it."""
+    period_s = float(np.median(np.diff(held.markers.t_s)))
+    t_s = np.arange(start_s + 0.001, float(motion.t_s[-1]), period_s)
+    nodes = simulate(hidden, motion, t_s, task.arc_length_m, solver=WORLD)[0]
+    log = _logged(motion, errors, rng)
+    later = log.t_s > held.grip.t_s[-1]
+    shift = [getattr(held.grip, n)[0] - getattr(motion, n)[0] for n in ("x_m", "y_m", "angle_rad")]
+    grip = [np.concatenate([held.grip.t_s, log.t_s[later]])]
+    for name, by in zip(("x_m", "y_m", "angle_rad"), shift, strict=True):
+        grip.append(np.concatenate([getattr(held.grip, name), getattr(log, name)[later] + by]))
+    pictured = _pictured(nodes, bias, errors, rng)
+    return Trial("execute", "validate", "equilibrium", Motion(*grip), Markers(t_s, pictured))
