@@ -18,7 +18,8 @@ from cell.lab.verdict.evidence import Evidence
 from cell.lab.verdict.prior_check import asked_by_prior_only
 from cell.lab.verdict.questions import Reading
 
-_PASSES = {"<=": operator.le, ">=": operator.ge, "<": operator.lt, ">": operator.gt}
+#: Comparisons of a statistic with its limit.
+PASSES = {"<=": operator.le, ">=": operator.ge, "<": operator.lt, ">": operator.gt}
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,7 @@ class Check:
         if reading is None:
             return Answer(self, None, None)
         limit = getattr(evidence.rules, self.limit)
-        return Answer(self, reading, bool(_PASSES[self.passes](reading.value, limit)))
+        return Answer(self, reading, bool(PASSES[self.passes](reading.value, limit)))
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,321 @@
+"""What every check of a verdict is worth: the verdicts of many studies with each left out.
+
+    python -m tools.studies.ablation_study FILE.csv [--complete 200] [--one 100] [--outside 50]
+                                            [--pairs 27] [--unknown 34] [--seed 2]
+    python -m tools.studies.ablation_study FILE.csv --table
+
+Of each study, all checks are asked of the model that the search ended at, whatever failed before,
+and their statistics are kept.  So the verdict without a check, or with another limit, is worked out
+of the file.  `complete`, `one` and `outside` are those of `breadth_study.py`, `pairs` and `unknown`
+those of `confusion_study.py`.  Beside the lab stand plain strategies that a user might try instead:
+the smallest BIC of the models fitted, the smallest held-out error, and the largest score of an
+effect alone (Holm, 1 %).
+
+The table says for each check how many false alarms of complete studies, wrong claims and right
+answers there are without it, and McNemar's p-value of the answers that change.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import os
+import sys
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from scipy import stats
+
+from cell.cable.effects import Effect, library
+from cell.cable.solver import DivergedError
+from cell.cable.statics import UnsettledError
+from cell.files.input_error import InputError
+from cell.identify.parameters import ParameterSpace
+from cell.lab.data.noise_floor import NoiseUnknownError
+from cell.lab.data.opened_study import open_study
+from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.selection import EffectSelection
+from cell.lab.fit.fitting import fit_trials
+from cell.lab.search.fit_cache import FitCache, FittedModel
+from cell.lab.search.setup import fit_cache_of
+from cell.lab.statistics.score import holm
+from cell.lab.verdict.checks import CHECKS, PASSES, Answer, Check, verdict_of
+from cell.lab.verdict.diagnose import Examination, diagnose, with_ties
+from cell.lab.verdict.evidence import Evidence
+from cell.lab.verdict.rules import DEFAULT_RULES
+from cell.study.folder import write_study
+from tools.studies.breadth_study import _hidden, _power
+from tools.studies.confusion_study import ONE_CLASS, _class_of, _drawn, evidence, power_of
+from tools.worlds.breadth_world import Conditions, World, hypercube
+from tools.worlds.made_studies import hidden, make_study
+
+BREADTH = ("complete", "one", "outside")
+KINDS = (*BREADTH, "pairs", "unknown")
+COUNTS = (200, 100, 50, 27, 34)
+SEEN = 0.8
+PLAIN = ("bic", "heldout", "score")
+
+
+@dataclass(frozen=True)
+class Row:
+    """A study, the model that the search ended at, and the statistic of each check.
+
+    hidden   effects joined by "+"
+    named    effects of the model joined by "+", ties by "|"
+    verdict  of the lab; `crash`, `refused`, `not made`
+    """
+
+    kind: str
+    number: int
+    hidden: str
+    power: float
+    verdict: str
+    named: str
+    bic: str = ""
+    heldout: str = ""
+    score: str = ""
+    statistics: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is to be diagnosed; `kind` and `number` make it again."""
+
+    kind: str
+    number: int
+    conditions: Conditions | None
+    seed: int
+
+
+def cases(counts: Sequence[int], seed: int) -> list[Case]:
+    """All studies, in order."""
+    found = []
+    for place, (kind, count) in enumerate(zip(KINDS, counts, strict=True)):
+        drawn = hypercube(count, 100 * seed + place) if kind in BREADTH else [None] * count
+        found += [Case(kind, i, c, seed) for i, c in enumerate(drawn)]
+    return found
+
+
+def judged(case: Case) -> Row:
+    """Make a study, diagnose it, and ask all checks."""
+    known = library()
+    blank = Row(case.kind, case.number, "", 0.0, "refused", "")
+    with TemporaryDirectory() as folder:
+        try:
+            there, power, fits = _made(case, Path(folder), known)
+        except (DivergedError, UnsettledError):
+            return replace(blank, verdict="not made")
+        except (InputError, NoiseUnknownError):
+            return blank
+        examination = diagnose(fits)
+    return _row(case, there, power, fits, examination)
+
+
+def _made(case: Case, folder: Path, known: dict[str, type[Effect]]) -> tuple[str, float, FitCache]:
+    """Names of what is hidden, the power of who knows it, the fits."""
+    if case.conditions is not None:
+        world, there, offered, power = World.of(case.conditions, case.seed), "", dict(known), 1.0
+        if case.kind == "complete":
+            clean = world.clean()
+        else:
+            effect, offered = _hidden(case.kind, case.number, known)
+            there = effect.name
+            clean = world.showing(effect)[1]
+            power = _power(world, clean, case.seed, len(known))
+        write_study(world.study(clean, case.seed), folder)
+        fits = fit_cache_of(open_study(folder), EffectSelection((), offered))
+        return there, power, fits
+    number = 1000 * case.seed + case.number
+    hide = {"pairs": "pair"}.get(case.kind, case.kind)
+    effects, sizes = _drawn(number, hide, known)
+    active = [hidden(e, size) for e, size in zip(effects, sizes, strict=True)]
+    study = make_study(number, active)
+    prepared = PreparedStudy.of(study)
+    taken = _class_of(e.name for e in effects) if case.kind == "unknown" else ()
+    offered = {n: e for n, e in known.items() if n not in taken}
+    clean = make_study(number, active, noise_m=1e-9, colour=0.0)
+    quiet = PreparedStudy.of(replace(clean, noise_std_m=prepared.noise.std_m))
+    lacking = [[e] for e in effects] if case.kind == "pairs" else [[]]
+    spaces = [ParameterSpace.of(study.cable, effects=rest) for rest in lacking]
+    independent = prepared.noise_model.effective_fraction
+    power = min(power_of(independent * evidence(quiet, s), quiet, len(known)) for s in spaces)
+    fits = FitCache(prepared, ParameterSpace.of(study.cable), offered)
+    return "+".join(e.name for e in effects), power, fits
+
+
+def _row(case: Case, there: str, power: float, fits: FitCache, examination: Examination) -> Row:
+    base, rules = fits.baseline(), DEFAULT_RULES
+    current, tied = examination.accepted, {}
+    if current is not base:
+        current, tied = with_ties(fits, base, current, rules)
+    asked = Evidence(fits, base, current, rules, tied)
+    statistics = {}
+    for check in CHECKS:
+        reading = check.ask(asked).reading
+        statistics[check.name] = np.nan if reading is None else float(reading.value)
+    named = "+".join("|".join((e.name, *tied.get(e.name, ()))) for e in asked.added)
+    return Row(case.kind, case.number, there, round(power, 3), examination.diagnosis.verdict, named,
+               *_plain(fits, base), statistics)  # fmt: skip
+
+
+def _plain(fits: FitCache, base: FittedModel) -> tuple[str, str, str]:
+    """What plain strategies name."""
+    known = fits.known()
+    values = fits.prepared.count(fit_trials(fits.prepared))
+
+    def bic(model: FittedModel) -> float:
+        return model.fit.objective + len(model.fit.q) * float(np.log(values))
+
+    def error(model: FittedModel) -> float:
+        return model.heldout.rms_m if model.heldout else model.fit.rms_m
+
+    def added(model: FittedModel) -> str:
+        return "+".join(sorted(model.names - base.names))
+
+    screened = fits.screened(base)
+    adjusted = holm([s.score.p_value for s in screened])
+    best = screened[0].effect.name if screened and adjusted[0] < DEFAULT_RULES.significance else ""
+    return added(min(known, key=bic)), added(min(known, key=error)), best
+
+
+def run(file: Path, counts: Sequence[int], seed: int, workers: int) -> None:
+    """Judge what the file lacks."""
+    done = {(r.kind, r.number) for r in read(file)} if file.exists() else set()
+    todo = [c for c in cases(counts, seed) if (c.kind, c.number) not in done]
+    names = [*(n for n in Row.__dataclass_fields__ if n != "statistics"), *(c.name for c in CHECKS)]
+    with file.open("a", newline="") as out, ProcessPoolExecutor(workers) as pool:
+        writer = csv.DictWriter(out, names)
+        if out.tell() == 0:
+            writer.writeheader()
+        waiting = {pool.submit(judged, c): c for c in todo}
+        for count, future in enumerate(as_completed(waiting), 1):
+            case = waiting[future]
+            try:
+                row = future.result()
+            except Exception as error:  # a crash is an outcome, and counts
+                row = Row(case.kind, case.number, f"{type(error).__name__}: {error}"[:200], 0.0,
+                          "crash", "")  # fmt: skip
+            data = asdict(row)
+            statistics = {k: f"{v:.6g}" for k, v in data.pop("statistics").items()}
+            writer.writerow(data | statistics)
+            out.flush()
+            print(f"{count:4d} of {len(todo)}  {row.kind} {row.number} {row.hidden}: "
+                  f"{row.verdict} {row.named}", flush=True)  # fmt: skip
+
+
+def read(file: Path) -> list[Row]:
+    """Rows of a file."""
+    names = [c.name for c in CHECKS]
+    with file.open(newline="") as lines:
+        return [
+            Row(
+                d["kind"],
+                int(d["number"]),
+                d["hidden"],
+                float(d["power"]),
+                d["verdict"],
+                d["named"],
+                d["bic"],
+                d["heldout"],
+                d["score"],
+                {n: float(d[n]) for n in names if d.get(n)},
+            )
+            for d in csv.DictReader(lines)
+        ]
+
+
+def verdict(row: Row, without: str = "", limits: dict[str, float] | None = None) -> str:
+    """Of a row, by its statistics, without a check or with other limits."""
+    if row.verdict in ("refused", "crash", "not made"):
+        return row.verdict
+    return _verdict_of(row, [c for c in CHECKS if c.name != without], limits or {})
+
+
+def _verdict_of(row: Row, checks: Sequence[Check], limits: dict[str, float]) -> str:
+    found = []
+    for check in checks:
+        value = row.statistics.get(check.name, np.nan)
+        limit = limits.get(check.name, getattr(DEFAULT_RULES, check.limit))
+        passed = None if np.isnan(value) else bool(PASSES[check.passes](value, limit))
+        found.append(Answer(check, None, passed))
+    return verdict_of(found, is_base=not row.named)
+
+
+def alike(name: str) -> set[str]:
+    """An effect and what no motion tells from it."""
+    return set(ONE_CLASS) if name in ONE_CLASS else {name}
+
+
+def answer(row: Row, said: str, named: str) -> str:
+    """`right`, `wrong` (something is claimed that is not so) or `no answer`."""
+    there = [alike(h) for h in row.hidden.split("+") if h]
+    classes = [{*n.split("|")} for n in named.split("+") if n]
+    if row.kind == "complete":
+        return {"complete": "right", "cannot_tell": "no answer"}.get(said, "wrong")
+    if row.kind in ("outside", "unknown"):
+        return {"unexplained": "right", "missing": "wrong", "complete": "wrong"}.get(
+            said, "no answer"
+        )
+    if said in ("missing", "complete"):
+        others = any(not any(h & n for h in there) for n in classes)
+        all_named = all(any(h & n for n in classes) for h in there)
+        return "wrong" if others or not classes else "right" if all_named else "no answer"
+    return "no answer"
+
+
+def table(rows: list[Row]) -> str:
+    """In Markdown: answers by kind, with every check, without each, and of plain strategies."""
+    seen = [r for r in rows if r.kind == "complete" or r.power >= SEEN]
+    seen = [r for r in seen if r.verdict not in ("crash", "not made")]
+    lines = ["| without | " + " | ".join(KINDS) + " | changed | p |", "|---" * 8 + "|"]
+
+    def line(name: str, says: Callable[[Row], str]) -> str:
+        of = {k: [says(r) for r in seen if r.kind == k] for k in KINDS}
+        cells = [f"{a.count('right')} / {a.count('wrong')} of {len(a)}" for a in of.values()]
+        both = [(says(r), usual(r)) for r in seen]
+        better = sum(a == "right" and b != "right" for a, b in both)
+        worse = sum(a != "right" and b == "right" for a, b in both)
+        p = stats.binomtest(better, better + worse).pvalue if better + worse else 1.0
+        return f"| {name} | " + " | ".join(cells) + f" | +{better} −{worse} | {p:.2g} |"
+
+    def usual(row: Row) -> str:
+        return answer(row, verdict(row), row.named)
+
+    lines.append(line("– (all checks)", usual))
+    for check in CHECKS:
+        lines.append(line(check.name, lambda r, n=check.name: answer(r, verdict(r, n), r.named)))
+    for plain in PLAIN:
+        lines.append(line(f"plain: {plain}", lambda r, n=plain: _of_plain(r, getattr(r, n))))
+    return "\n".join(lines)
+
+
+def _of_plain(row: Row, named: str) -> str:
+    if row.verdict == "refused":
+        return "no answer"
+    return answer(row, "missing" if named else "complete", named)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("file", type=Path)
+    for kind, count in zip(KINDS, COUNTS, strict=True):
+        parser.add_argument(f"--{kind}", type=int, default=count)
+    parser.add_argument("--seed", type=int, default=2)
+    parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
+    parser.add_argument("--table", action="store_true")
+    given = parser.parse_args()
+    if not given.table:
+        run(given.file, [getattr(given, k) for k in KINDS], given.seed, given.workers)
+    print("right / wrong of all, by kind; what changes in right answers; McNemar's p\n")
+    print(table(read(given.file)))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
