@@ -40,7 +40,8 @@ from cell.lab.data.opened_study import open_study
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.selection import EffectSelection
 from cell.lab.fit.fitting import fit_trials
-from cell.lab.search.fit_cache import FitCache, FittedModel
+from cell.lab.search.fit_cache import FitCache
+from cell.lab.search.fitted_model import FittedModel
 from cell.lab.search.setup import fit_cache_of
 from cell.lab.statistics.score import holm
 from cell.lab.verdict.checks import CHECKS, PASSES, Answer, Check, verdict_of

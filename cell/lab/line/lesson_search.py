@@ -16,7 +16,8 @@ from cell.lab.data.prepared import PreparedStudy, Work
 from cell.lab.fit.fitting import Fit
 from cell.lab.fit.sensitivity import shapes_of
 from cell.lab.fit.shared import PASSES, SharedFit, fit_shared, simulated_s
-from cell.lab.search.fit_cache import FitCache, FittedModel
+from cell.lab.search.fit_cache import FitCache
+from cell.lab.search.fitted_model import FittedModel
 from cell.lab.search.screen import ScreenedEffect, screen
 from cell.lab.statistics.score import holm
 

@@ -27,7 +27,8 @@ from cell.identify.noise import Whitener
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.progress import Progress, no_progress
-from cell.lab.search.fit_cache import FitCache, FittedModel
+from cell.lab.search.fit_cache import FitCache
+from cell.lab.search.fitted_model import FittedModel
 from cell.lab.strength.compare import everywhere
 from cell.lab.verdict.diagnose import Examination
 from cell.plan.measuring import least_duration_s, quintic

@@ -7,7 +7,8 @@ import logging
 from cell.identify.identified import Identified
 from cell.identify.noise import Noise
 from cell.lab.data.prepared import ERRS, PreparedStudy
-from cell.lab.search.fit_cache import FitCache, FittedModel
+from cell.lab.search.fit_cache import FitCache
+from cell.lab.search.fitted_model import FittedModel
 from cell.lab.strength.kept_model import identified
 
 _LOG = logging.getLogger(__name__)

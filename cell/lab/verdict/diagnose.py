@@ -13,7 +13,8 @@ from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import UnsimulatedError
 from cell.lab.data.prepared import PreparedStudy, StoppedError
 from cell.lab.data.results import Diagnosis, Doubt, MissingEffect, RankedEffect, Status, Verdict
-from cell.lab.search.fit_cache import FitCache, FittedModel, Gain
+from cell.lab.search.fit_cache import FitCache
+from cell.lab.search.fitted_model import FittedModel, Gain
 from cell.lab.search.screen import ScreenedEffect
 from cell.lab.statistics.score import holm
 from cell.lab.strength.estimate import Estimate, estimate

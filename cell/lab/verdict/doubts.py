@@ -9,7 +9,8 @@ import numpy as np
 from cell.lab.data.prepared import ERRS
 from cell.lab.data.results import Doubt
 from cell.lab.fit.fitting import Fit, fit_trials
-from cell.lab.search.fit_cache import FitCache, FittedModel
+from cell.lab.search.fit_cache import FitCache
+from cell.lab.search.fitted_model import FittedModel
 from cell.lab.verdict.evidence import Evidence
 from cell.lab.verdict.questions import Reading
 

@@ -19,7 +19,8 @@ from cell.cable.solver import Solver
 from cell.identify.noise import Noise
 from cell.lab.data.prepared import PreparedStudy, all_fitted
 from cell.lab.data.results import Errors, Nearest, RemainingError
-from cell.lab.search.fit_cache import POLISHED, FitCache, FittedModel
+from cell.lab.search.fit_cache import POLISHED, FitCache
+from cell.lab.search.fitted_model import FittedModel
 from cell.lab.statistics.score import holm
 from cell.lab.verdict.doubts import at_bound, is_hopeless
 from cell.lab.verdict.residual_summary import (

@@ -11,7 +11,8 @@ from cell.cable.effects.base import Effect
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import space_with
-from cell.lab.search.fit_cache import FitCache, FittedModel
+from cell.lab.search.fit_cache import FitCache
+from cell.lab.search.fitted_model import FittedModel
 from cell.lab.verdict.evidence import Evidence, above_noise
 from cell.lab.verdict.rivals import close_rivals
 from cell.lab.verdict.rules import Rules

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import Peak
 from cell.lab.fit.fitting import errors_m, fit_trials
-from cell.lab.search.fit_cache import FittedModel
+from cell.lab.search.fitted_model import FittedModel
 from cell.lab.statistics.series import rms, spectrum
 from cell.lab.strength.trial_residual import TIME_BINS
 from cell.study.data import Study

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from scipy.special import chdtrc as chi2_sf
 
 from cell.cable.effects.base import Effect
-from cell.lab.search.fit_cache import FitCache, FittedModel
+from cell.lab.search.fit_cache import FitCache
+from cell.lab.search.fitted_model import FittedModel
 from cell.lab.verdict.evidence import above_noise
 from cell.lab.verdict.residual_summary import ResidualSummary, log_variance_ratio, residual_summary
 from cell.lab.verdict.rules import Rules

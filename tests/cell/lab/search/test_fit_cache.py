@@ -15,8 +15,10 @@ from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.selection import select_effects
 from cell.lab.fit.fitting import space_with
 from cell.lab.next.terms import admissible, effect_source
-from cell.lab.search import fit_cache
-from cell.lab.search.fit_cache import FitCache, FittedModel
+from cell.lab.search import extension, fit_cache
+from cell.lab.search.extension import Extension, polished
+from cell.lab.search.fit_cache import FitCache
+from cell.lab.search.fitted_model import FittedModel
 from cell.lab.search.setup import fit_cache_of
 from cell.lab.verdict import diagnose as diagnosing
 from cell.lab.verdict.doubts import fit_doubts
@@ -41,27 +43,27 @@ def test_of_places_of_a_force_the_one_is_kept_that_holds_beyond_the_motions_fitt
     base = fits.baseline()
     fits.screened(base)
     objectives = iter([*EVIDENCE, *[400.0] * 100])
-    weighed = []
+    judged = []
 
     def fit_model(*args, **options):
         return SimpleNamespace(objective=next(objectives), solution=SimpleNamespace(settled=True))
 
-    def weigh(fits, effects, fit):
-        weighed.append(fit.objective)
+    def weigh(prepared, effects, fit):
+        judged.append(fit.objective)
         return FittedModel(effects, fit, None, EVIDENCE[fit.objective])
 
-    monkeypatch.setattr(fit_cache, "fit_model", fit_model)
-    monkeypatch.setattr(FitCache, "_sought", lambda *args: list(range(len(EVIDENCE))))
-    monkeypatch.setattr(FitCache, "_promising", lambda *args: list(range(len(EVIDENCE))))
-    monkeypatch.setattr(FitCache, "_weigh", weigh)
+    monkeypatch.setattr(extension, "fit_model", fit_model)
+    monkeypatch.setattr(Extension, "_places", lambda *args: list(range(len(EVIDENCE))))
+    monkeypatch.setattr(Extension, "_least_misfit", lambda *args: list(range(len(EVIDENCE))))
+    monkeypatch.setattr(extension, "weighed", weigh)
     (candidate,) = fits.fit_extended(base, [effect])
     assert candidate.fit.objective == kept
-    assert weighed == (list(EVIDENCE) if name == "point" else [kept])
+    assert judged == (list(EVIDENCE) if name == "point" else [kept])
 
 
-@pytest.mark.parametrize(("passes", "polished"), [(5, 1), (fit_cache.POLISH.most_passes, 3)])
+@pytest.mark.parametrize(("passes", "count"), [(5, 1), (fit_cache.POLISH.most_passes, 3)])
 def test_what_was_taken_as_far_as_it_goes_is_not_taken_there_again(
-    make_study, monkeypatch, passes, polished
+    make_study, monkeypatch, passes, count
 ):
     """Fitted again at every look, a candidate moved on while others were compared with it.
 
@@ -84,13 +86,13 @@ def test_what_was_taken_as_far_as_it_goes_is_not_taken_there_again(
             solution=SimpleNamespace(settled=False, passes=passes),
         )
 
-    monkeypatch.setattr(fit_cache, "fit_model", fit_model)
+    monkeypatch.setattr(extension, "fit_model", fit_model)
     monkeypatch.setattr(
-        FitCache, "_weigh", lambda fits, effects, fit: FittedModel(effects, fit, None, 0.0)
+        extension, "weighed", lambda _, effects, fit: FittedModel(effects, fit, None, 0.0)
     )
     for _ in range(3):
         fits.fit_extended(base, [effect])
-    assert made.count(fit_cache.POLISH) == polished
+    assert made.count(fit_cache.POLISH) == count
 
 
 def test_a_cable_that_only_an_effect_kept_from_collapsing_is_begun_anew_without_it(
@@ -113,7 +115,7 @@ def test_a_cable_that_only_an_effect_kept_from_collapsing_is_begun_anew_without_
 
     monkeypatch.setattr(fit_cache, "fit_model", fit_model)
     monkeypatch.setattr(fit_cache, "cold_start", lambda *args: "cold")
-    monkeypatch.setattr(FitCache, "_weigh", lambda fits, effects, fit: fit)
+    monkeypatch.setattr(fit_cache, "weighed", lambda prepared, effects, fit: fit)
     assert fits.fit_reduced(FittedModel((effect,), fit, None, 0.0), effect) == "found"
     assert np.array_equal(initial_states[0], q[:-1])
     assert initial_states[1] == "cold"
@@ -139,7 +141,7 @@ def test_of_two_minima_without_an_effect_the_likelier_is_kept(make_study, monkey
     fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), {})
     poor = FittedModel((first,), None, None, -2000.0)
     none = FittedModel((), None, None, -3000.0)
-    fits._known = {frozenset(): none, frozenset({"tip_mass"}): poor}
+    fits._memory.models = {frozenset(): none, frozenset({"tip_mass"}): poor}
     better = FittedModel((first,), None, None, -1000.0)
     fitted = []
 
@@ -147,7 +149,7 @@ def test_of_two_minima_without_an_effect_the_likelier_is_kept(make_study, monkey
         fitted.append(rest)
 
     monkeypatch.setattr(FitCache, "_taken_out", taken_out)
-    monkeypatch.setattr(FitCache, "_weigh", lambda *args: better)
+    monkeypatch.setattr(fit_cache, "weighed", lambda *args: better)
     both = FittedModel((first, second), None, None, 0.0)
     assert [fits.fit_reduced(both, second) for _ in range(2)] == [better, better]
     assert fitted == [(first,)]
@@ -208,7 +210,8 @@ def test_a_fit_that_ended_at_the_edge_of_what_can_be_simulated_stays_there(make_
         raise UnsimulatedError("the model cannot be simulated at the start of the fit")
 
     monkeypatch.setattr(fit_cache, "fit_model", impossible)
-    assert fits._polished(base) is base
+    monkeypatch.setattr(extension, "fit_model", impossible)
+    assert polished(fits.prepared, base) is base
     assert not fits.rebase(base.fit.q, 0.0)
 
 

@@ -19,6 +19,7 @@ from cell.lab.fit.fitting import fit_model
 from cell.lab.next.advice import MEND, Paths, advice
 from cell.lab.report.tables import diagnosis_parts
 from cell.lab.search.fit_cache import FitCache
+from cell.lab.search.fitted_model import weighed
 from cell.lab.strength.compare import compare_model
 from cell.lab.verdict import partial
 from cell.lab.verdict.additions import with_agreement
@@ -114,9 +115,9 @@ def test_an_effect_explains_only_what_the_model_without_it_does_not(make_study, 
     stuck = fit_model(
         whole.prepared, base.fit.space, initial_states, options=Options(most_passes=1)
     )
-    stuck = whole._weigh(base.effects, stuck)
+    stuck = weighed(whole.prepared, base.effects, stuck)
     assert stuck.fit.rms_m > 1.2 * base.fit.rms_m
-    monkeypatch.setitem(whole._known, base.names, stuck)
+    monkeypatch.setitem(whole._memory.models, base.names, stuck)
     singles = partial._singles(whole, 2, DEFAULT_RULES)
     assert whole.baseline().fit.rms_m == pytest.approx(base.fit.rms_m, rel=0.01)
     assert partial.largest_step(whole, whole.baseline(), singles, 2, DEFAULT_RULES) is None

@@ -1,0 +1,183 @@
+"""The baseline fitted to a study, with the noise and the mesh's error that show beside it."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable.effects.base import Effect
+from cell.identify.gauss_newton import UNSIMULATED
+from cell.identify.parameters import ParameterSpace
+from cell.lab.data.noise_floor import floor_of_all_frames
+from cell.lab.data.prepared import ERRS, PreparedStudy
+from cell.lab.data.progress import Progress, no_progress
+from cell.lab.fit.fitting import Fit, errors_m, fit_model, fit_trials, space_with
+from cell.lab.fit.mesh import as_its_mesh_shows
+from cell.lab.fit.remainder import remainder
+from cell.lab.fit.sensitivity import is_shape
+from cell.lab.fit.slopes import with_slopes
+from cell.lab.fit.starts import MOST_GUESSES, cold_start
+from cell.lab.search.extension import TEMPER
+from cell.lab.search.fitted_model import POLISH, REFIT
+from cell.lab.search.screen import screen
+
+FloatArray = NDArray[np.float64]
+
+#: Above this χ² per value the baseline cannot fit, and a tempered fit is a better place to start.
+MISFIT = 1.5
+
+
+@dataclass(frozen=True, eq=False)
+class BaselineFit:
+    """The baseline as fitted.
+
+    prepared   the study with the noise and without the mesh's error that show beside the baseline
+    tempered   the fit with residuals divided, where the baseline cannot fit
+    second     where it ended from another start, if one was tried
+    """
+
+    prepared: PreparedStudy
+    fit: Fit
+    tempered: Fit | None = None
+    second: Fit | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Baseline:
+    """What the baseline is, and how it is fitted.
+
+    others      effects of the library that it lacks
+    start       where its fit begins; None = it is looked for
+    from_prior  an earlier individual's model is known, so that no other shapes are tried
+    added       its fit from where a search comes that adds effects of which nothing is known; None
+                if there are none
+    mesh_known  the mesh's error has been taken out already, by a model that was found
+    """
+
+    space: ParameterSpace
+    others: Sequence[type[Effect]]
+    start: FloatArray | None = None
+    from_prior: bool = False
+    added: Callable[[PreparedStudy], Fit | None] | None = None
+    mesh_known: bool = False
+    progress: Progress = no_progress
+
+    def fitted_to(self, prepared: PreparedStudy) -> BaselineFit:
+        """The baseline of a study.
+
+        raises  UnsimulatedError
+        """
+        space = self.space
+        names = ", ".join(e.name for e in space.effects) or "no effects"
+        self.progress(f"looking where to begin with {names}", 0, 3)
+        start = self._beginning(prepared)
+        self.progress(f"fitting the model with {names}", 1, 3)
+        fit = fit_model(prepared, space, start, options=POLISH)
+        judged = prepared.judged_by(errors_m(prepared, fit))
+        if judged is not prepared:
+            fit = fit_model(judged, space, start, options=POLISH)
+        found = self._beside_noise_and_mesh(BaselineFit(judged, fit))
+        self.progress(f"weighing the model with {names}", 2, 3)
+        count = found.prepared.count(fit_trials(found.prepared))
+        errs = found.fit.rms_m > ERRS * found.prepared.expected.std_m
+        if found.fit.chi2 > MISFIT * count or (self.added is not None and errs):
+            best = self._from_other_starts(found, start, count)
+            if self.added is not None and best.fit is not found.fit:
+                best = self._beside_noise_and_mesh(best)  # another model, beside which noise shows
+            found = best
+        prepared, fit = with_slopes(found.prepared, found.fit)
+        return replace(found, prepared=prepared, fit=fit)
+
+    def _beginning(self, prepared: PreparedStudy) -> FloatArray:
+        """Where the first fit begins."""
+        if self.start is not None:
+            return self.start
+        start = cold_start(prepared, self.space)
+        if self.from_prior:
+            return start
+        return self._of_likeliest_shape(prepared, self._scanned(prepared, start))
+
+    def _beside_noise_and_mesh(self, found: BaselineFit) -> BaselineFit:
+        """The fit with the noise that all frames tell beside it, within what the rest allows.
+
+        And without its mesh's error, if it explains the study: one that does not has another.
+        As it was where it cannot be simulated once more.
+        """
+        if self.mesh_known:
+            return found
+        fit, prepared = found.fit, self._with_noise(found.prepared, found.fit)
+        if fit.rms_m <= ERRS * prepared.expected.std_m:
+            prepared = as_its_mesh_shows(prepared, fit)
+        try:
+            again = fit_model(prepared, self.space, fit.q, fit.initial_states, options=POLISH)
+        except UNSIMULATED:
+            return found
+        return replace(found, prepared=prepared, fit=again)
+
+    def _with_noise(self, prepared: PreparedStudy, fit: Fit) -> PreparedStudy:
+        noise_model = prepared.noise_model
+        if noise_model.rest is None or not prepared.noise_is_measured:
+            return prepared
+        left = remainder(prepared, fit, self.others)
+        return prepared.with_floor(floor_of_all_frames(noise_model, left))
+
+    def _from_other_starts(self, found: BaselineFit, start: FloatArray, count: int) -> BaselineFit:
+        """The best fit of a baseline that cannot fit from its first start; the next is kept, too.
+
+        A model that lacks something puts it into EI(s); the prior keeps a tempered fit plausible.
+        """
+        fits, prepared = [found.fit], found.prepared
+        scale = TEMPER * float(np.sqrt(found.fit.chi2 / count))
+        added = None if self.added is None else self.added(prepared)
+        if added is not None:
+            fits = sorted([found.fit, added], key=lambda f: f.objective)
+        tempered = fit_model(prepared, self.space, start, residual_scale=scale, options=REFIT)
+        if not fits[0].solution.converged:
+            with contextlib.suppress(*UNSIMULATED):  # where it ended nothing is simulated
+                fits.append(fit_model(prepared, self.space, tempered.q, options=POLISH))
+        best, *others = sorted(fits, key=lambda f: f.objective)
+        return BaselineFit(prepared, best, tempered, others[0] if others else None)
+
+    def _scanned(self, prepared: PreparedStudy, start: FloatArray) -> FloatArray:
+        """A start with effects that a fit finds from near only as the screen without them says."""
+        space = self.space
+        narrow = [e for e in space.effects if any(p.scan for p in e.parameters)]
+        if not narrow:
+            return start
+        rest = space_with(space, [e for e in space.effects if e not in narrow])
+        q = start[[space.names.index(name) for name in rest.names]]
+        natural = space.natural(start)
+        with contextlib.suppress(*UNSIMULATED):
+            fit = fit_model(prepared, rest, q, options=REFIT)
+            for found in screen(prepared, fit, narrow):
+                for p, value in zip(found.effect.parameters, found.starts[0], strict=True):
+                    if (name := f"{found.effect.name}.{p.name}") in space.names:
+                        natural[space.names.index(name)] = value
+        return np.asarray(np.clip(space.coordinates(natural), space.low, space.high))
+
+    def _of_likeliest_shape(self, prepared: PreparedStudy, start: FloatArray) -> FloatArray:
+        """Where first refits end from a start, and from it with effects of other shapes."""
+        space, starts = self.space, [start]
+        for effect in space.effects:
+            index = {
+                p: space.names.index(name)
+                for p in effect.parameters
+                if (name := f"{effect.name}.{p.name}") in space.names
+            }
+            shapes = itertools.product(*(p.starts if is_shape(p) else p.starts[:1] for p in index))
+            for values in list(shapes)[1:MOST_GUESSES]:
+                natural = space.natural(start)
+                natural[list(index.values())] = values
+                starts.append(np.clip(space.coordinates(natural), space.low, space.high))
+        if len(starts) == 1:
+            return start
+        fits = []
+        for q in starts:
+            with contextlib.suppress(*UNSIMULATED):
+                fits.append(fit_model(prepared, space, q, options=REFIT))
+        return min(fits, key=lambda f: f.objective).q if fits else start

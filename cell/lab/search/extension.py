@@ -1,0 +1,177 @@
+"""A fitted model with one effect more: from several starts, the likeliest of where fits end."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable.effects.base import Effect
+from cell.identify.gauss_newton import UNSIMULATED, Options
+from cell.identify.parameters import ParameterSpace
+from cell.lab.data.prepared import PreparedStudy
+from cell.lab.fit.fitting import Fit, extended, fit_model, fit_trials, residuals, space_with
+from cell.lab.fit.sensitivity import shapes_of
+from cell.lab.fit.starts import each_once, is_new, scaled, typical
+from cell.lab.search.fitted_model import POLISH, FittedModel, weighed
+from cell.lab.search.screen import MOST_SHAPES, ScreenedEffect
+
+FloatArray = NDArray[np.float64]
+
+#: By which residuals of a fit that is far from noise are divided, beside the root of its χ².
+TEMPER = 3.0
+#: Fits of an effect from different starts; friction has several minima.
+SMOOTH_TRIES, ROUGH_TRIES = 1, 2
+PLACES = 2
+#: A refit that explains less than this share of what the screen promises is in a wrong minimum, if
+#: there are other shapes to start from.
+KEPT = 0.5
+#: Passes of a fit that looks for a place.
+SEARCH = Options(tolerance=0.3, most_passes=10, least_gain=1e-3, updates=3)
+
+
+@dataclass(frozen=True, eq=False)
+class Extension:
+    """A model of a study, and where fits with one effect more begin.
+
+    origins    (p,) coordinates of what the model has already: its own, and others it may come from
+    far        whether the model may be far from the cable: then slopes say little of sizes
+    """
+
+    prepared: PreparedStudy
+    base: FittedModel
+    origins: tuple[FloatArray, ...]
+    far: bool = False
+
+    def by(
+        self, effect: type[Effect], screens: Sequence[ScreenedEffect], options: Options
+    ) -> FittedModel | None:
+        """The model with an effect added; None if it cannot be simulated from any start.
+
+        screens  of the effect; the first is of the model itself
+        """
+        base = self.base
+        effects = (*base.effects, effect)
+        space = space_with(base.fit.space, effects)
+        placed = shapes_of(effect) > MOST_SHAPES
+        fits: list[Fit] = []
+        for origin in self.origins[-1:] if placed else self.origins:
+            starts = self._starts(space, effect, screens, origin)
+            promising = self._promising(space, effect, screens, starts)
+            fits += self._fits_from(space, each_once(promising), options)
+            fall = base.fit.objective - min((f.objective for f in fits), default=np.inf)
+            unkept = not placed and fall < KEPT * screens[0].score.statistic
+            if origin is base.fit.q and unkept:
+                rest = [q for q in starts[: len(screens[0].starts)] if is_new(q, promising)]
+                fits += self._fits_from(space, rest, options)
+        if not fits:
+            return None
+        # Of a force at a place, what follows the fitted motions best may do anything beyond them.
+        tried = fits if placed else [min(fits, key=lambda f: f.objective)]
+        found = (weighed(self.prepared, effects, fit) for fit in tried)
+        return max(found, key=lambda c: c.evidence)
+
+    def _starts(
+        self,
+        space: ParameterSpace,
+        effect: type[Effect],
+        screens: Sequence[ScreenedEffect],
+        origin: FloatArray,
+    ) -> list[FloatArray]:
+        """Coordinates with the sizes that the screens have found, then with typical ones."""
+        guesses = _guesses(screens)
+        values = scaled(effect, guesses) if self.far else guesses
+        starts = []
+        for value in [*values, *typical(effect)]:
+            q = extended(self.base.fit, space, effect, value)
+            for i, name in enumerate(self.base.fit.space.names):
+                q[space.names.index(name)] = origin[i]
+            starts.append(q)
+        return starts
+
+    def _promising(
+        self,
+        space: ParameterSpace,
+        effect: type[Effect],
+        screens: Sequence[ScreenedEffect],
+        starts: list[FloatArray],
+    ) -> list[FloatArray]:
+        """Starts that are worth a fit."""
+        if shapes_of(effect) > MOST_SHAPES:
+            return self._places(space, starts[: len(_guesses(screens))])
+        tries = SMOOTH_TRIES if effect.smooth else ROUGH_TRIES
+        promising = list(self._least_misfit(space, np.array(starts), tries))
+        if shapes_of(effect) > 1:
+            likeliest = np.cumsum([0, *(len(s.starts) for s in screens)])[:-1]
+            promising += [q for q in map(starts.__getitem__, likeliest) if is_new(q, promising)]
+        return promising
+
+    def _fits_from(
+        self, space: ParameterSpace, starts: Sequence[FloatArray], options: Options
+    ) -> list[Fit]:
+        """Fits from starts at which the cable can be simulated."""
+        found, initial_states = [], self.base.fit.initial_states
+        for q in starts:
+            with contextlib.suppress(*UNSIMULATED):
+                alone = self.prepared.on_one_core()
+                found.append(
+                    fit_model(alone, space, q, initial_states, options=options, from_far=True)
+                )
+        return found
+
+    def _places(self, space: ParameterSpace, starts: Sequence[FloatArray]) -> list[FloatArray]:
+        """Where tempered fits from all starts lead to, the best of them.
+
+        The place of a force is found from far away only while the residuals are not yet asked to
+        be noise.
+        """
+        alone = self.prepared.on_one_core()
+        count = alone.count(fit_trials(alone))
+        scale = TEMPER * max(1.0, float(np.sqrt(self.base.fit.chi2 / count)))
+        fits = []
+        for q in starts:
+            with contextlib.suppress(*UNSIMULATED):
+                fits.append(
+                    fit_model(alone, space, q, residual_scale=scale, options=SEARCH, from_far=True)
+                )
+        return [f.q for f in sorted(fits, key=lambda f: f.objective)[:PLACES]]
+
+    def _least_misfit(self, space: ParameterSpace, starts: FloatArray, count: int) -> FloatArray:
+        """The starts (lanes, p) with the least misfit, worth a fit each."""
+        alone = self.prepared.on_one_core()
+        square = np.sum(residuals(alone, space, fit_trials(alone), starts) ** 2, axis=1)
+        order = np.argsort(np.where(np.isfinite(square), square, np.inf), kind="stable")
+        return np.asarray(starts[order[:count]])
+
+
+def _guesses(screens: Sequence[ScreenedEffect]) -> list[FloatArray]:
+    """Parameter values of all screens."""
+    return [start for screened in screens for start in screened.starts]
+
+
+def polished(prepared: PreparedStudy, model: FittedModel) -> FittedModel:
+    """The model taken to convergence, or as near as it comes.
+
+    One that ended where the cable can hardly be simulated stays there.
+    """
+    with contextlib.suppress(*UNSIMULATED):
+        fit = fit_model(
+            prepared.on_one_core(),
+            model.fit.space,
+            model.fit.q,
+            model.fit.initial_states,
+            options=POLISH,
+        )
+        return weighed(prepared, model.effects, fit)
+    return model
+
+
+def by_effect(found: Sequence[ScreenedEffect]) -> Mapping[str, list[ScreenedEffect]]:
+    """Screens by the effect's name, in order."""
+    screens: dict[str, list[ScreenedEffect]] = {}
+    for screened in found:
+        screens.setdefault(screened.effect.name, []).append(screened)
+    return screens

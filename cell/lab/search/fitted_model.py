@@ -1,0 +1,88 @@
+"""A set of effects fitted to a study, weighed against its likelihood, and compared with another."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from cell.cable.effects.base import Effect
+from cell.identify.gauss_newton import Options
+from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.results import Errors
+from cell.lab.fit.fitting import Fit, Heldout, fit_trials, heldout
+from cell.lab.fit.sensitivity import chances_of
+from cell.lab.statistics.score import boundary_p_value, delta_bic
+
+#: Passes of a first refit; the best few are then taken to convergence.
+REFIT = Options(tolerance=0.3, most_passes=12, least_gain=1e-3, updates=3)
+POLISH = Options(tolerance=0.1, most_passes=40, least_gain=1e-3, updates=3)
+
+
+@dataclass(frozen=True, eq=False)
+class FittedModel:
+    """A set of effects, fitted and weighed.
+
+    evidence  ln of the fit trials' likelihood less BIC's penalty, plus that of the held-out trials
+    """
+
+    effects: tuple[type[Effect], ...]
+    fit: Fit
+    heldout: Heldout | None
+    evidence: float
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Names of the effects."""
+        return frozenset(e.name for e in self.effects)
+
+    @property
+    def errors(self) -> Errors:
+        """Fitted and held-out error."""
+        return Errors(self.fit.rms_m, self.heldout.rms_m if self.heldout else float("nan"))
+
+    @property
+    def chi2(self) -> float:
+        """−2 ln likelihood of all trials, without penalty."""
+        return self.fit.objective - 2.0 * (self.heldout.log_likelihood if self.heldout else 0.0)
+
+
+@dataclass(frozen=True)
+class Gain:
+    """Gain by one more effect: fall of χ² on the fit trials, its p-value and BIC; held out."""
+
+    delta_chi2: float
+    p_value: float
+    delta_bic: float
+    heldout: float
+
+
+def weighed(prepared: PreparedStudy, effects: tuple[type[Effect], ...], fit: Fit) -> FittedModel:
+    """A fit with its error on the held-out trials and its evidence."""
+    held = heldout(prepared.on_one_core(), fit)
+    count = prepared.count(fit_trials(prepared))
+    extra = sum(p.fitted for e in effects for p in e.parameters)
+    penalty = -delta_bic(0.0, extra, count, prepared.noise_model.effective_fraction)
+    evidence = -0.5 * (fit.objective + penalty) + (held.log_likelihood if held else 0.0)
+    return FittedModel(effects, fit, held, evidence)
+
+
+def gained(prepared: PreparedStudy, small: FittedModel, large: FittedModel) -> Gain:
+    """What `large` has over `small`, which lacks one of its effects."""
+    effect = next(e for e in large.effects if e.name not in small.names)
+    amplitudes = [p for p in effect.parameters if p.amplitude]
+    bounded = int(len(amplitudes) == 1 and amplitudes[0].low >= amplitudes[0].default)
+    fall = small.fit.objective - large.fit.objective
+    count = prepared.count(fit_trials(prepared))
+    held = 0.0
+    if small.heldout and large.heldout:
+        held = large.heldout.log_likelihood - small.heldout.log_likelihood
+    return Gain(
+        delta_chi2=fall,
+        p_value=boundary_p_value(fall, len(amplitudes), bounded, chances_of(effect)),
+        delta_bic=delta_bic(
+            fall,
+            sum(p.fitted for p in effect.parameters),
+            count,
+            prepared.noise_model.effective_fraction,
+        ),
+        heldout=held,
+    )
