@@ -45,8 +45,9 @@ from cell.lab.search.fitted_model import FittedModel
 from cell.lab.search.setup import fit_cache_of
 from cell.lab.statistics.score import holm
 from cell.lab.verdict.checks import CHECKS, PASSES, Answer, Check, verdict_of
-from cell.lab.verdict.diagnose import Examination, diagnose, with_ties
+from cell.lab.verdict.diagnose import Examination, diagnose
 from cell.lab.verdict.evidence import Evidence
+from cell.lab.verdict.forward_search import with_ties
 from cell.lab.verdict.rules import DEFAULT_RULES
 from cell.study.folder import write_study
 from tools.studies.breadth_study import _hidden, _power

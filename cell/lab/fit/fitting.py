@@ -1,4 +1,4 @@
-"""Fits a model to the `fit` trials and weighs it on those held out."""
+"""Fits a model to the `fit` trials of a study."""
 
 from __future__ import annotations
 
@@ -7,14 +7,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 
 from cell.cable.effects.base import Effect
 from cell.cable.model import CableModel
 from cell.identify import gauss_newton
-from cell.identify.differences import difference_points
 from cell.identify.gauss_newton import UNSIMULATED, Solution
-from cell.identify.gaussian import covariance_root, marginal_chi2
 from cell.identify.parameters import ParameterSpace, Prior
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.initial_state import estimate_initial_states
@@ -55,42 +52,6 @@ class Fit:
         """(p, p) of q, were the residuals white noise."""
         p = len(self.q)
         return np.asarray(self.solution.covariance[:p, :p])
-
-
-@dataclass(frozen=True, eq=False)
-class Heldout:
-    """A fitted model on trials that it was not fitted to.
-
-    rms_m            per coordinate, over all of them; by_trial_m likewise each
-    chi2             of the residuals, allowing for what the fit leaves uncertain: about `count`
-                     if the model is right
-    log_likelihood   of the trials given the fit (natural logarithm, without a common constant)
-    predicted_m      per trial (times, markers, 2)
-    """
-
-    rms_m: float
-    by_trial_m: dict[str, float]
-    chi2: float
-    count: int
-    log_likelihood: float
-    predicted_m: dict[str, FloatArray]
-
-
-@dataclass(frozen=True, eq=False)
-class HeldoutRows:
-    """Whitened residuals of held-out trials, and what a fit leaves uncertain of them.
-
-    predicted_m    per trial (times, markers, 2)
-    residual       (rows,) of all trials; ends (trials,) where each trial's end
-    by_parameters  (rows, p) change per unit of the fit's coordinates
-    spread         (rows, k) change by a standard deviation of all that is uncertain
-    """
-
-    predicted_m: dict[str, FloatArray]
-    residual: FloatArray
-    ends: NDArray[np.int_]
-    by_parameters: FloatArray
-    spread: FloatArray
 
 
 def fit_trials(prepared: PreparedStudy) -> tuple[Trial, ...]:
@@ -273,38 +234,6 @@ def _each_once(
     return np.concatenate(parts, axis=1)
 
 
-def heldout(prepared: PreparedStudy, fit: Fit) -> Heldout | None:
-    """The fit on the `validate` trials; None if there are none.
-
-    Their likelihood integrates over what the fit leaves uncertain (linearised), so that a model
-    is not punished for numbers that its fit trials could not know.  A model with which a held-out
-    trial cannot be simulated has likelihood 0 and infinite errors.
-    """
-    trials = prepared.study.role("validate")
-    if not trials:
-        return None
-    rows = heldout_rows(prepared, fit)
-    errors = {t.name: t.markers.xy_m - rows.predicted_m[t.name] for t in trials}
-    if not (np.all(np.isfinite(rows.residual)) and np.all(np.isfinite(rows.by_parameters))):
-        return Heldout(
-            rms_m=np.inf,
-            by_trial_m=dict.fromkeys(errors, np.inf),
-            chi2=np.inf,
-            count=prepared.count(trials),
-            log_likelihood=-np.inf,
-            predicted_m=rows.predicted_m,
-        )
-    chi2, log_det = marginal_chi2(rows.residual, rows.spread)
-    return Heldout(
-        rms_m=overall(list(errors.values())),
-        by_trial_m={name: overall([e]) for name, e in errors.items()},
-        chi2=chi2,
-        count=prepared.count(trials),
-        log_likelihood=-0.5 * (chi2 + log_det),
-        predicted_m=rows.predicted_m,
-    )
-
-
 def errors_m(prepared: PreparedStudy, fit: Fit) -> list[FloatArray]:
     """Per trial fitted to (times, channels): measured − predicted, m, nan where not seen."""
     found, begin = [], 0
@@ -314,105 +243,6 @@ def errors_m(prepared: PreparedStudy, fit: Fit) -> list[FloatArray]:
         begin += whitener.rows
         found.append(whitener.error_m(white).reshape(len(trial.markers.t_s), -1))
     return found
-
-
-def heldout_rows(prepared: PreparedStudy, fit: Fit) -> HeldoutRows:
-    """Of the `validate` trials; not finite where the cable cannot be simulated."""
-    trials = prepared.study.role("validate")
-    space, p = fit.space, len(fit.q)
-    steps = space.difference_steps(fit.q)
-    lanes = [space.model(q) for q in difference_points(fit.q, steps)]
-    initial_states, more = _begun_and_moved(prepared, fit.model, trials, len(lanes))
-    lanes += [fit.model] * more
-    here = prepared.predict_all(
-        trials, lanes[:1], {n: rows[:1] for n, rows in initial_states.items()}
-    )
-    predicted = {t.name: points[0] for t, points in zip(trials, here, strict=True)}
-    rows = [prepared.white(t, points)[0] for t, points in zip(trials, here, strict=True)]
-    near = prepared.white_near(trials, lanes, initial_states)
-    sensitivity = np.asarray((near[1 : p + 1] - near[0]).T / steps)
-    spread = sensitivity @ covariance_root(fit.covariance)
-    if more:
-        moved = _spread_of_beginnings(prepared, trials, near[p + 1 :] - near[0])
-        spread = np.hstack([spread, moved])
-    ends = np.cumsum([len(r) for r in rows])
-    return HeldoutRows(predicted, np.concatenate(rows), ends, sensitivity, spread)
-
-
-def heldout_log_lr(prepared: PreparedStudy, fit: Fit, effect: type[Effect]) -> float:
-    """ln of how much likelier the held-out trials must be with an effect of the fit than without.
-
-    By the effect itself: it is switched off and all else left as fitted, but for what the fit
-    leaves uncertain.  What other parameters have become in its company does not count.
-    """
-    trials = prepared.study.role("validate")
-    space, p = fit.space, len(fit.q)
-    steps = space.difference_steps(fit.q)
-    own = [i for i, name in enumerate(space.names) if name.startswith(f"{effect.name}.")]
-    rest = [i for i in range(p) if i not in own]
-    off = extended(fit, space, effect, np.array([q.default for q in effect.parameters]))
-    lanes = [space.model(q) for q in (*difference_points(fit.q, steps), off)]
-    initial_states, more = _begun_and_moved(prepared, fit.model, trials, len(lanes))
-    if not any(t.bent for t in trials):
-        initial_states, more = (
-            {name: rows[: len(lanes)] for name, rows in initial_states.items()},
-            0,
-        )
-    white = prepared.white_near(trials, [*lanes, *[fit.model] * more], initial_states)
-    moved, white = white[len(lanes) :], white[: len(lanes)]
-    if not (np.all(np.isfinite(white[:-1])) and np.all(np.isfinite(moved))):
-        return 0.0
-    if not np.all(np.isfinite(white[-1])):
-        return np.inf
-    all_of, among = fit.covariance, np.ix_(rest, own)
-    given = np.linalg.pinv(all_of[np.ix_(own, own)], hermitian=True)
-    uncertain = all_of[np.ix_(rest, rest)] - all_of[among] @ given @ all_of[among].T
-    slopes = ((white[1:-1] - white[0]).T / steps)[:, rest]
-    spread = slopes @ covariance_root(uncertain)
-    if more:
-        spread = np.hstack([spread, _spread_of_beginnings(prepared, trials, moved - white[0])])
-    chi2, _ = marginal_chi2(white[-1] - white[0], spread)
-    return 0.5 * chi2
-
-
-def _begun_and_moved(
-    prepared: PreparedStudy, model: CableModel, trials: Sequence[Trial], lanes: int
-) -> tuple[dict[str, FloatArray], int]:
-    """Likeliest beginnings of trials for so many lanes, then with each of their unknowns moved.
-
-    returns  by trial (lanes + moved, unknowns), and the number of lanes moved; the same lane moves
-             one unknown of every trial
-    """
-    beginnings = [(t, b) for t in trials if (b := prepared.beginning(t)).count]
-    more = max((b.count for _, b in beginnings), default=0)
-    initial_states = {}
-    for trial, beginning in beginnings:
-        rows = np.tile(best_initial_state(prepared, model, trial), (lanes + more, 1))
-        for i, step in enumerate(beginning.step):
-            rows[lanes + i, i] += step
-        initial_states[trial.name] = rows
-    return initial_states, more
-
-
-def _spread_of_beginning(prepared: PreparedStudy, trial: Trial, moved: FloatArray) -> FloatArray:
-    """(rows, unknowns) change of white values by a standard deviation of each unknown.
-
-    moved  (lanes, rows) their change by a step of each
-    """
-    beginning = prepared.beginning(trial)
-    return np.asarray(moved[: beginning.count].T / beginning.step * beginning.std)
-
-
-def _spread_of_beginnings(
-    prepared: PreparedStudy, trials: Sequence[Trial], moved: FloatArray
-) -> FloatArray:
-    """(rows of all trials, all unknowns) the same, each trial's own."""
-    splits = np.cumsum([prepared.whiteners[t.name].rows for t in trials])[:-1]
-    blocks = [
-        _spread_of_beginning(prepared, trial, part)
-        for trial, part in zip(trials, np.split(moved, splits, axis=1), strict=True)
-    ]
-    return np.asarray(block_diag(*blocks))
 
 
 def extended(

@@ -15,7 +15,8 @@ from cell.lab.data.cycles import RecordedCycle
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import space_with
 from cell.lab.fit.shared import BIAS_M, SharedFit, Spread, fit_shared, prepared_cycle
-from cell.lab.line.lesson_search import SECOND, Budget, EffectFit, Progress, Search, is_tied, on_all
+from cell.lab.line.effect_fit import Budget, EffectFit, is_tied
+from cell.lab.line.lesson_search import SECOND, Progress, Search, on_all
 from cell.lab.statistics.score import SIGNIFICANCE
 
 FloatArray = NDArray[np.float64]

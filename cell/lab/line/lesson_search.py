@@ -3,19 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc as chi2_sf
 
 from cell.cable.effects.base import Effect
-from cell.identify.gauss_newton import UNSIMULATED, Options
+from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.parameters import ParameterSpace
-from cell.lab.data.prepared import PreparedStudy, Work
+from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import Fit
 from cell.lab.fit.sensitivity import shapes_of
 from cell.lab.fit.shared import PASSES, SharedFit, fit_shared, simulated_s
+from cell.lab.line.effect_fit import (
+    ALL_PASSES,
+    NEAR,
+    SIMULATED,
+    TIE,
+    Budget,
+    EffectFit,
+    is_tied,
+    natural,
+)
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.search.screen import ScreenedEffect, screen
@@ -32,98 +42,14 @@ START_ON, FIRST_PASSES = 1, replace(PASSES, tolerance=1.0, most_passes=6)
 SEVERAL, PLACES = 12, 3
 #: Share of what the slope says that a refit begins with.
 A_LITTLE = 0.05
-#: Fits whose χ² is within this factor of the best are taken to convergence.
-NEAR, ALL_PASSES = 2.0, replace(PASSES, most_passes=30)
 #: A fit of which χ² is above the best by this factor after so many passes is given up; an effect of
 #: which each cable's own fit leaves so much is not fitted to all at once.
 FAR_ABOVE, ENOUGH_PASSES = 4.0, 4
-#: Effects are one class if their χ², over its inflation, differs by less; as in a diagnosis.
-TIE = 9.0
-#: Share of what an effect does that `shared.SOLVER` may err by: of two that are the same physics, a
-#: late arm and a late camera, the one that was there explained less by 0.4 % of it.
-SIMULATED = 0.005
 #: Two cables' own solutions are one if they differ by fewer standard deviations in every parameter.
 ALIKE = 3.0
-#: Motion that may be simulated for a lesson, s, counted as `prepared.Work` does: three to four
-#: minutes of one core.  The shares of it after which no further own solutions are looked for, no
-#: effect is refitted, none is taken to convergence, and no second effect is looked for.
-MOST_SIMULATED_S = 80_000.0
 OWN, REFITS, ENDS, SECOND = 0.4, 0.5, 0.6, 0.6
-#: Passes of the last fit, to all cables, that the limit does not touch.
-LEAST_PASSES = 6
 
 Progress = Callable[[str], None]
-
-
-@dataclass(eq=False)
-class Budget:
-    """What may be simulated, and what was left out because of it.
-
-    most_s  seconds of cables' motion
-    """
-
-    most_s: float = MOST_SIMULATED_S
-    work: Work = field(default_factory=Work)
-    left_out: list[str] = field(default_factory=list)
-
-    def allows(self, share: float, what: str) -> bool:
-        """Whether less than a share of it is spent; if not, it is noted what is left out."""
-        if self.work.simulated_s < share * self.most_s:
-            return True
-        self._leave_out(what)
-        return False
-
-    def passes(self, each_s: float, options: Options, what: str) -> Options:
-        """Options of a fit with as many passes as what is left allows.
-
-        each_s  seconds simulated in a pass
-        """
-        affordable = max(LEAST_PASSES, int((self.most_s - self.work.simulated_s) / each_s))
-        if affordable >= options.most_passes:
-            return options
-        self._leave_out(f"{what} after {affordable} passes")
-        return replace(options, most_passes=affordable)
-
-    def _leave_out(self, what: str) -> None:
-        said = f"{what}, for the limit of {self.most_s:.0f} s of simulated motion"
-        if said not in self.left_out:
-            self.left_out.append(said)
-
-
-@dataclass(frozen=True, eq=False)
-class EffectFit:
-    """Effects fitted to several cables, their parameters shared.
-
-    effects  in the order in which they were added to the model
-    fall     of χ² by the last of them, over the residuals' inflation
-    p_value  of it, adjusted for the size of the library
-    """
-
-    effects: tuple[type[Effect], ...]
-    fit: SharedFit
-    fall: float
-    p_value: float
-
-    @property
-    def effect(self) -> type[Effect]:
-        """The effect that was added last."""
-        return self.effects[-1]
-
-    @property
-    def name(self) -> str:
-        """Names of the effects."""
-        return " + ".join(e.name for e in self.effects)
-
-    @property
-    def firsts(self) -> tuple[int, ...]:
-        """Where the first fitted parameter of each effect stands among the shared ones."""
-        owners = [n.partition(".")[0] for n in self.names]
-        return tuple(owners.index(e.name) for e in self.effects)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Shared parameters, as `effect.parameter`."""
-        return tuple(self.fit.space.names[i] for i in self.fit.common)
 
 
 def library_first(ranked: Sequence[EffectFit]) -> list[EffectFit]:
@@ -133,16 +59,6 @@ def library_first(ranked: Sequence[EffectFit]) -> list[EffectFit]:
     named = [t for t in ranked[:1] if t.effect.file is not None]
     same = [t for t in ranked[1:] if named and t.effect.file is None and is_tied(t, ranked[0])]
     return sorted(ranked, key=lambda t: t is not same[0]) if same else list(ranked)
-
-
-def is_tied(other: EffectFit, best: EffectFit) -> bool:
-    """Whether an effect explains as much, or would: its fit was left short of its end.
-
-    As much is less than what noise or the simulation's own error can make of it.
-    """
-    left = other.fit.solution.promised if other.fit.chi2 < NEAR * best.fit.chi2 else 0.0
-    as_much = max(TIE, SIMULATED**2 * best.fall)
-    return best.fall - other.fall - left / best.fit.inflation < as_much
 
 
 @dataclass(frozen=True, eq=False)
@@ -424,13 +340,6 @@ def on_all(
     fit = fit_shared(prepared, base, q, best.effects, natural(best.fit), options=options)
     fall = (simpler.chi2 - fit.chi2) / fit.inflation
     return replace(best, fit=fit, fall=float(fall))
-
-
-def natural(fit: SharedFit) -> FloatArray:
-    """Natural values of all parameters of the shared effects, those not fitted included."""
-    q = fit.space.mean.copy()
-    q[fit.common] = fit.theta
-    return np.asarray(fit.space.natural(q)[fit.own :])
 
 
 def as_fit(alone: SharedFit) -> Fit:

@@ -12,7 +12,8 @@ import numpy as np
 
 from cell.cable.effects import Effect, library, load_effect, unscreened
 from cell.files.atomic import write_whole
-from cell.lab.next.terms import Term, admissible, effect_source
+from cell.lab.next.term_source import effect_source
+from cell.lab.next.terms import Term, admissible
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.strength.estimate import estimate

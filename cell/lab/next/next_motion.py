@@ -8,8 +8,8 @@ import numpy as np
 
 from cell.lab.data.cycles import RecordedCycle
 from cell.lab.data.progress import Progress, no_progress
+from cell.lab.line.effect_fit import EffectFit
 from cell.lab.line.learn import LearningResult
-from cell.lab.line.lesson_search import EffectFit
 from cell.lab.next.suggest import MOST_CANDIDATES, Option, Rival, Suggestion, telling_motions
 from cell.settings.surroundings import Surroundings
 

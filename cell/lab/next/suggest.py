@@ -6,7 +6,6 @@ Biometrika 62 (1975) 57.
 
 from __future__ import annotations
 
-import itertools
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -27,24 +26,16 @@ from cell.identify.noise import Whitener
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.progress import Progress, no_progress
+from cell.lab.next.strokes import FORMAT, HOLD_S, STILL_S, TURN_RAD, Stroke, strokes
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.strength.compare import everywhere
 from cell.lab.verdict.diagnose import Examination
-from cell.plan.measuring import least_duration_s, quintic
 from cell.settings.surroundings import Surroundings, Swept
 from cell.study.data import Markers, Trial
 
 FloatArray = NDArray[np.float64]
 
-FORMAT = "cell-motion/1"
-STILL_S, HOLD_S, RATE_HZ = 0.2, 1.0, 500.0
-ATTITUDES_RAD = tuple(np.radians([-90.0, -60.0, -30.0, -15.0, 0.0, 15.0, 30.0, 60.0, 90.0]))
-STROKES_M = (
-    (0.0, -0.05), (0.0, -0.08), (0.0, 0.05), (0.0, 0.08),
-    (-0.05, 0.0), (-0.08, 0.0), (0.05, 0.0), (-0.05, -0.05),
-)  # fmt: skip
-SLOWNESS = (1.0, 1.6)
 #: χ² by which one candidate must beat the other to be believed; as `Rules.tie`.
 DECIDED = 9.0
 #: A motion that decides no oftener than this is not suggested: cable and time are better spent.
@@ -57,36 +48,6 @@ MOST_CANDIDATES = 4
 SURELY = 3.0
 #: Error of a prediction beyond its standard deviation: what the candidates lack, m.
 MODEL_ERROR_M = 0.001
-#: Between home and the clamp angle of a stroke, the resting cable is looked at this often, rad.
-TURN_RAD = np.radians(15.0)
-
-
-@dataclass(frozen=True)
-class Stroke:
-    """From rest at (x, y), clamp at `angle_rad`, straight by (dx, dy) in `duration_s`, held."""
-
-    angle_rad: float
-    dx_m: float
-    dy_m: float
-    duration_s: float
-    x_m: float = 0.0
-    y_m: float = 0.0
-
-    def describe(self) -> str:
-        """For a person."""
-        return (
-            f"clamp at {np.degrees(self.angle_rad):.0f}°, from ({self.x_m * 1e3:.0f}, "
-            f"{self.y_m * 1e3:.0f}) by ({self.dx_m * 1e3:.0f}, {self.dy_m * 1e3:.0f}) mm in "
-            f"{self.duration_s:.2f} s"
-        )
-
-    def motion(self) -> Motion:
-        """The hand's pose against time: still, a fifth-order polynomial, held."""
-        t_s = np.arange(0.0, STILL_S + self.duration_s + HOLD_S, 1.0 / RATE_HZ)
-        u = np.clip((t_s - STILL_S) / self.duration_s, 0.0, 1.0)
-        s = quintic(u)
-        x, y = self.x_m + self.dx_m * s, self.y_m + self.dy_m * s
-        return Motion(t_s, x, y, np.full_like(t_s, self.angle_rad))
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,49 +235,6 @@ def rivals(fits: FitCache, examination: Examination) -> list[FittedModel]:
     return best[: MOST_CANDIDATES if diagnosis.verdict == "cannot_tell" else 2]
 
 
-def strokes(surroundings: Surroundings) -> list[Stroke]:
-    """Strokes from home, as fast as the limits allow and slower, the clamp within its limits."""
-    found = []
-    for angle, (dx, dy), slow in itertools.product(ATTITUDES_RAD, STROKES_M, SLOWNESS):
-        if not surroundings.allows(float(angle)):
-            continue
-        least_s = least_duration_s(
-            float(np.hypot(dx, dy)),
-            (
-                surroundings.velocity_m_per_s,
-                surroundings.acceleration_m_per_s2,
-                surroundings.jerk_m_per_s3,
-            ),
-        )
-        duration_s = round(slow * least_s + 0.005, 3)
-        found.append(Stroke(float(angle), dx, dy, duration_s, *surroundings.home[:2]))
-    return found
-
-
-def write_motion(suggestion: Suggestion, path: Path) -> None:
-    """Write the best motion as YAML for `cell run --motion`: places from the cell's home."""
-    best = suggestion.options[0].motion
-    home_x, home_y, _ = suggestion.surroundings.home
-    x_m, y_m = best.x_m - home_x, best.y_m - home_y
-    first, *others = suggestion.candidates
-    content = {
-        "format": FORMAT,
-        "purpose": f"tell {first} from {', '.join(others)}",
-        "start": {"x_m": round(x_m, 6), "y_m": round(y_m, 6), "angle_rad": best.angle_rad},
-        "still_s": STILL_S,
-        "moves": [
-            {
-                "x_m": round(x_m + best.dx_m, 6),
-                "y_m": round(y_m + best.dy_m, 6),
-                "angle_rad": best.angle_rad,
-                "duration_s": best.duration_s,
-            }
-        ],
-        "hold_s": HOLD_S,
-    }
-    write_whole(path, yaml_text(content))
-
-
 def _weighed(
     prepared: PreparedStudy,
     candidates: Sequence[Rival],
@@ -437,3 +355,27 @@ def _separation(
 
 def _label(candidate: FittedModel) -> str:
     return " + ".join(e.name for e in candidate.effects) or "baseline"
+
+
+def write_motion(suggestion: Suggestion, path: Path) -> None:
+    """Write the best motion as YAML for `cell run --motion`: places from the cell's home."""
+    best = suggestion.options[0].motion
+    home_x, home_y, _ = suggestion.surroundings.home
+    x_m, y_m = best.x_m - home_x, best.y_m - home_y
+    first, *others = suggestion.candidates
+    content = {
+        "format": FORMAT,
+        "purpose": f"tell {first} from {', '.join(others)}",
+        "start": {"x_m": round(x_m, 6), "y_m": round(y_m, 6), "angle_rad": best.angle_rad},
+        "still_s": STILL_S,
+        "moves": [
+            {
+                "x_m": round(x_m + best.dx_m, 6),
+                "y_m": round(y_m + best.dy_m, 6),
+                "angle_rad": best.angle_rad,
+                "duration_s": best.duration_s,
+            }
+        ],
+        "hold_s": HOLD_S,
+    }
+    write_whole(path, yaml_text(content))

@@ -10,7 +10,7 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
-from cell.lab.report.figures import NOISE, SEEN, Series, laid_out, listed
+from cell.lab.report.figure_layout import NOISE, SEEN, Series, laid_out, listed
 from cell.lab.strength.trial_residual import across_tip, displacement, distance, largest
 
 FloatArray = NDArray[np.float64]

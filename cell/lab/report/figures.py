@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import html
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import plotly.graph_objects as go
@@ -13,19 +12,26 @@ from plotly.subplots import make_subplots
 from scipy.special import ndtri as normal_quantile
 
 from cell.lab.data.results import Diagnosis
+from cell.lab.report.figure_layout import (
+    ADDED,
+    BETWEEN,
+    FEW_MARKERS,
+    NOISE,
+    QUIET,
+    Series,
+    in_mm,
+    laid_out,
+    listed,
+    logarithmic,
+    noise_line,
+    thirds,
+)
 from cell.lab.report.wording import by_evidence, chance, noise_label, places
 from cell.lab.strength.compare import Comparison
 from cell.lab.strength.trial_residual import PHASES, distance, largest, phase_of
 
 FloatArray = NDArray[np.float64]
 
-SEEN, MODEL, ADDED, NOISE, QUIET = "#222222", "#d1495b", "#00798c", "#5c677d", "#c9ced6"
-#: Of the models between the first and the last.
-BETWEEN = ("#edae49", "#7768ae", "#8f5d2b", "#3d8b37", "#c06c9b")
-#: With fewer markers, each is a tick of an axis.
-FEW_MARKERS = 5
-#: Pixels that a panel, and a name below an axis, need at least to be read.
-PANEL_PX, NAME_PX = 310, 90
 #: Family-wise level at which evidence is beyond chance, as a diagnosis asks for.
 CHANCE = 0.01
 
@@ -35,31 +41,6 @@ _STATUS = {
     "cannot_tell": (QUIET, "cannot tell"),
     "absent": (NOISE, "not it"),
 }
-
-
-@dataclass(frozen=True)
-class Series:
-    """A model beside the measurements, under the name and in the colour it has in all figures.
-
-    of     the name after "error"
-    above  number of models drawn over it: it is drawn so much larger that equal ones are seen too
-    """
-
-    name: str
-    of: str
-    colour: str
-    comparison: Comparison
-    above: int = 0
-
-    @property
-    def width(self) -> float:
-        """Of its lines, in pixels."""
-        return 1.5 + 2.0 * self.above
-
-    @property
-    def size(self) -> float:
-        """Of its markers, in pixels."""
-        return 8.0 + 5.0 * self.above
 
 
 def waterfall(diagnosis: Diagnosis) -> go.Figure:
@@ -115,9 +96,9 @@ def _falling(
         ("on all motions, fitted to all", to_all_m, BETWEEN[1], "dash"),
     ]
     lines = [line for line in lines if np.isfinite(line[1]).any()]
-    sides = _sides([_mm(np.array(values)) for _, values, _, _ in lines])
+    sides = _sides([in_mm(np.array(values)) for _, values, _, _ in lines])
     for (label, values, colour, dash), places_of in zip(lines, sides, strict=True):
-        shown = _mm(np.array(values))
+        shown = in_mm(np.array(values))
         figure.add_scatter(
             x=names,
             y=shown,
@@ -129,7 +110,7 @@ def _falling(
             textposition=places_of,
             cliponaxis=False,
         )
-    _noise_line(figure, noise_m * 1e3, noise)
+    noise_line(figure, noise_m * 1e3, noise)
     every = [np.array(values) * 1e3 for _, values, _, _ in lines]
     logarithmic(figure, [*every, np.array([noise_m * 1e3])])
     figure.update_xaxes(range=[-0.5, len(names) - 0.5], type="category")
@@ -168,36 +149,17 @@ def by_trial(series: Sequence[Series]) -> go.Figure:
     for s in series:
         figure.add_scatter(
             x=names,
-            y=_mm(np.array([w.rms_m for w in s.comparison.where])),
+            y=in_mm(np.array([w.rms_m for w in s.comparison.where])),
             mode="markers",
             name=s.name,
             marker={"color": s.colour, "size": s.size},
         )
-    _noise_line(figure, first.noise_m * 1e3, noise_label(first.noise_is_stated))
+    noise_line(figure, first.noise_m * 1e3, noise_label(first.noise_is_stated))
     errors = [np.array([w.rms_m * 1e3 for w in s.comparison.where]) for s in series]
     logarithmic(figure, [*errors, np.array([first.noise_m * 1e3])])
     figure.update_xaxes(type="category")
     figure.update_layout(yaxis_title="error, mm rms")
     return laid_out(figure, 380)
-
-
-def logarithmic(figure: go.Figure, values: Sequence[FloatArray], **where: int) -> None:
-    """Makes the y axis logarithmic, with room around positive values and plain numbers on it."""
-    some = np.concatenate([v[np.isfinite(v) & (v > 0.0)] for v in values])
-    low, high = np.log10(some.min()), np.log10(some.max())
-    room = max(0.15, 0.15 * (high - low))  # for the numbers of the lowest and highest
-    low, high = low - room, high + room
-    ticks = thirds() if high - low < 2.0 else [10.0**n for n in range(-6, 4)]
-    if high - low < 0.8:
-        ticks = [m * 10.0**n for n in range(-6, 4) for m in (1, 1.2, 1.5, 2, 3, 4, 5, 6, 8)]
-    figure.update_yaxes(
-        type="log", range=[float(low), float(high)], tickvals=ticks, tickformat="~g", **where
-    )
-
-
-def thirds() -> list[float]:
-    """1, 2 and 5 of every power of ten."""
-    return [m * 10.0**n for n in range(-6, 4) for m in (1, 2, 5)]
 
 
 def ranking(diagnosis: Diagnosis) -> go.Figure:
@@ -305,7 +267,7 @@ def profiles(series: Sequence[Series]) -> go.Figure:
         shared = {"name": s.name, "legendgroup": s.name}
         figure.add_scatter(
             x=listed(wheres[0].by_arc_length.centre * 1e3, 2),
-            y=_mm(_mean_square([w.by_arc_length.rms_m for w in wheres])),
+            y=in_mm(_mean_square([w.by_arc_length.rms_m for w in wheres])),
             mode="lines+markers",
             line=style,
             marker={"size": s.size - 2.0},
@@ -315,7 +277,7 @@ def profiles(series: Sequence[Series]) -> go.Figure:
         )
         figure.add_scatter(
             x=phases,
-            y=_mm(_mean_square([np.array([w.by_phase[p] for p in phases]) for w in wheres])),
+            y=in_mm(_mean_square([np.array([w.by_phase[p] for p in phases]) for w in wheres])),
             mode="markers",
             marker={"color": s.colour, "size": s.size},
             showlegend=False,
@@ -358,36 +320,6 @@ def profiles(series: Sequence[Series]) -> go.Figure:
     return laid_out(figure, 380)
 
 
-def _noise_line(figure: go.Figure, noise_mm: float, name: str) -> None:
-    """The noise across a figure; named in the legend, where no number can run into the name."""
-    figure.add_hline(
-        y=noise_mm,
-        line_dash="dash",
-        line_color=NOISE,
-        name=f"{name} {noise_mm:.3g} mm",
-        showlegend=True,
-    )
-
-
-def least_px(figure: go.Figure) -> int:
-    """Width below which its labels would run into each other: narrower pages scroll it."""
-    columns = {round(float(axis.domain[0]), 3) for axis in figure.select_xaxes() if axis.domain}
-    names = [len(set(t.x)) for t in figure.data if figure.layout.xaxis.type == "category"]
-    return max(PANEL_PX * len(columns), NAME_PX * (1 + max(names, default=0)))
-
-
-def laid_out(figure: go.Figure, height: int) -> go.Figure:
-    """The figure in the look and size that all share."""
-    return figure.update_layout(
-        template="plotly_white",
-        height=height,
-        margin={"l": 65, "t": 45, "b": 60, "r": 20},
-        font={"size": 13, "color": "#222", "family": "system-ui, sans-serif"},
-        legend={"orientation": "h", "y": -0.2, "yanchor": "top"},
-        hovermode="closest",
-    )
-
-
 def _mean_square(rows: Sequence[FloatArray]) -> FloatArray:
     """Root of the mean square over trials; nan where no trial has a value."""
     table = np.array(rows) ** 2
@@ -402,12 +334,3 @@ def _spectrum(comparison: Comparison) -> tuple[FloatArray, FloatArray]:
     grid = spectra[0].frequency_hz
     mean = np.mean([np.interp(grid, s.frequency_hz, s.residual) for s in spectra], axis=0)
     return grid, np.asarray(1e3 * np.sqrt(mean))
-
-
-def _mm(values_m: FloatArray) -> list[float | None]:
-    return listed(values_m * 1e3, 4)
-
-
-def listed(values: FloatArray, digits: int) -> list[float | None]:
-    """Plain numbers, rounded; None where there is none."""
-    return [round(float(v), digits) if np.isfinite(v) else None for v in values]

@@ -18,19 +18,8 @@ from cell.lab.data.results import Diagnosis
 from cell.lab.next.advice import STATUSES, Step, meaning
 from cell.lab.report.cable_overlay import overlay
 from cell.lab.report.curves import profile_curves
-from cell.lab.report.figures import (
-    ADDED,
-    BETWEEN,
-    MODEL,
-    Series,
-    by_trial,
-    history,
-    least_px,
-    profiles,
-    ranking,
-    residual_maps,
-    waterfall,
-)
+from cell.lab.report.figure_layout import ADDED, BETWEEN, MODEL, Series, least_px
+from cell.lab.report.figures import by_trial, history, profiles, ranking, residual_maps, waterfall
 from cell.lab.report.tables import comparison_sentence, sentence, warning_lines
 from cell.lab.report.wording import (
     AGREEMENT_NOTE,

@@ -17,7 +17,8 @@ from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.progress import Progress, no_progress
 from cell.lab.data.side_by_side import side_by_side
-from cell.lab.fit.fitting import Fit, fit_model, fit_trials, heldout_log_lr, pinned, space_with
+from cell.lab.fit.fitting import Fit, fit_model, fit_trials, pinned, space_with
+from cell.lab.fit.heldout import heldout_log_lr
 from cell.lab.fit.mesh import as_its_mesh_shows
 from cell.lab.fit.sensitivity import shapes_of
 from cell.lab.fit.starts import cold_start

@@ -8,7 +8,8 @@ from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import Options
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import Errors
-from cell.lab.fit.fitting import Fit, Heldout, fit_trials, heldout
+from cell.lab.fit.fitting import Fit, fit_trials
+from cell.lab.fit.heldout import Heldout, heldout
 from cell.lab.fit.sensitivity import chances_of
 from cell.lab.statistics.score import boundary_p_value, delta_bic
 

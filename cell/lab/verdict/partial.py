@@ -14,23 +14,18 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.cable.effects.base import Effect
 from cell.cable.solver import Solver
 from cell.identify.noise import Noise
 from cell.lab.data.prepared import PreparedStudy, all_fitted
-from cell.lab.data.results import Errors, Nearest, RemainingError
 from cell.lab.search.fit_cache import POLISHED, FitCache
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.statistics.score import holm
-from cell.lab.verdict.doubts import at_bound, is_hopeless
+from cell.lab.verdict.doubts import is_hopeless
 from cell.lab.verdict.residual_summary import (
-    log_variance_ratio,
-    peak,
     removed_share,
     residual_summary,
-    vuong_z,
 )
-from cell.lab.verdict.rivals import added_effect, chance, chance_of, close_rivals
+from cell.lab.verdict.rivals import added_effect, chance, chance_of, is_at_bound, near_singles
 from cell.lab.verdict.rules import Rules
 
 FloatArray = NDArray[np.float64]
@@ -42,8 +37,6 @@ COARSE = Solver(segments=20, step_s=1.5e-3)
 #: weighed by, so often at most.
 WEIGHED_ANEW = 0.5
 MOST_WEIGHINGS = 3
-#: Errors of what was not fitted to the fit trials alone.
-NOT_FITTED = Errors(float("nan"), float("nan"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +90,7 @@ def explain_partly(
         steps = _in_order(whole, base, _exchanged(whole, steps[-1], rules))
     steps = _borne_out(whole, steps, library, rules)
     if len(steps) == 2:
-        for rival in _near(whole, steps[1], singles, rules):
+        for rival in near_singles(whole, steps[1], singles, rules):
             whole.fit_extended(rival, whole.shortlist(rival, rules.max_refits))
     if is_hopeless(whole, steps[-1].fit):  # no model of the cable explains what it does
         steps = [base]
@@ -162,21 +155,6 @@ def _finished(
     return [finished.get(c.names, c) for c in singles]
 
 
-def _near(
-    fits: FitCache, final: FittedModel, singles: Sequence[FittedModel], rules: Rules
-) -> list[FittedModel]:
-    """The nearest other single effects, where `final`, itself one, leaves more than noise.
-
-    Something is missing beside each of them then, as beside `final`.
-    """
-    prepared = fits.prepared
-    left = {c.names: residual_summary(prepared, c).mean_square_m2 for c in singles}
-    if left[final.names] < (rules.gross_misfit * prepared.noise_model.noise.std_m) ** 2:
-        return []
-    by_left = sorted(singles, key=lambda c: left[c.names])[: rules.nearest]
-    return [c for c in by_left if c.names != final.names]
-
-
 def _weighed_by(fits: FitCache, error: Noise) -> FitCache:
     """The fits of all trials together, with a model's own error for noise."""
     weighed = PreparedStudy.of(
@@ -206,7 +184,7 @@ def _exchanged(fits: FitCache, final: FittedModel, rules: Rules) -> FittedModel:
             tried.add(rest.names)
             rivals = fits.fit_extended(rest, fits.shortlist(rest, rules.max_refits))
             left = [residual_summary(prepared, c).mean_square_m2 for c in rivals]
-            sound = [i for i, c in enumerate(rivals) if not _at_bound(rest, c)]
+            sound = [i for i, c in enumerate(rivals) if not is_at_bound(rest, c)]
             best = min(sound, key=lambda i: left[i], default=None)
             if best is not None and left[best] < residual_summary(prepared, final).mean_square_m2:
                 final, exchanged = rivals[best], True
@@ -223,18 +201,6 @@ def _in_order(fits: FitCache, base: FittedModel, final: FittedModel) -> list[Fit
         least = min(smaller, key=lambda c: residual_summary(fits.prepared, c).mean_square_m2)
         steps.insert(0, least)
     return [base, *steps]
-
-
-def _at_bound(small: FittedModel, large: FittedModel) -> bool:
-    """Whether the effect that `large` has more is as strong as its bound lets it be."""
-    own = f"{added_effect(small, large).name}."
-    return any(name.startswith(own) for name, *_ in at_bound(large.fit))
-
-
-def _any_at_bound(candidate: FittedModel) -> bool:
-    """Whether any effect of a candidate is as strong as its bound lets it be."""
-    own = tuple(f"{name}." for name in candidate.names)
-    return any(name.startswith(own) for name, *_ in at_bound(candidate.fit))
 
 
 def _own_error(fits: FitCache, tried: Sequence[FittedModel]) -> Noise:
@@ -256,7 +222,7 @@ def largest_step(
 
     What is at its bound is none: the limit has given that answer, not the measurement.
     """
-    options = [c for c in options if not _at_bound(current, c)]
+    options = [c for c in options if not is_at_bound(current, c)]
     if not options:
         return None
     prepared = fits.prepared
@@ -269,104 +235,3 @@ def largest_step(
     by_fit = fits.gain(current, options[best]).p_value * library
     sound = max(adjusted[best], by_fit) < rules.significance and share > rules.least_share
     return options[best] if sound else None
-
-
-def tied_so_far(
-    fits: FitCache, final: FittedModel, effect: type[Effect], rules: Rules
-) -> tuple[str, ...]:
-    """Effects that leave as little in place of `effect`, of the sets of effects fitted already.
-
-    Of a single effect that leaves more than noise also those that do with one more beside them:
-    more than one is missing then, and what is nearest alone need not be one of these.
-    """
-    rest = final.names - {effect.name}
-    rivals = [
-        c
-        for c in fits.known()
-        if rest < c.names and len(c.names) == len(final.names) and c.names != final.names
-    ]
-    small = next((c for c in fits.known() if c.names == rest), fits.baseline())
-    close = _as_good(fits, small, final, rivals, rules)
-    tied = [next(iter(c.names - rest)) for c in close]
-    near = [] if rest else _near(fits, final, [final, *rivals], rules)
-    most = residual_summary(fits.prepared, final)
-    for alone in near:
-        name = next(iter(alone.names))
-        in_company = [
-            c
-            for c in fits.known()
-            if alone.names < c.names and effect.name not in c.names and not _any_at_bound(c)
-        ]
-        left = [residual_summary(fits.prepared, c) for c in in_company]
-        if name not in tied and any(log_variance_ratio(most, x) <= 0.0 for x in left):
-            tied.append(name)
-    return tuple(tied)
-
-
-def _as_good(
-    fits: FitCache,
-    small: FittedModel,
-    final: FittedModel,
-    rivals: Sequence[FittedModel],
-    rules: Rules,
-) -> list[FittedModel]:
-    """Rivals that leave as little as `final`, by what models that are all wrong can tell.
-
-    What is at its bound is none, nor is what removes nothing significant, or not most of what
-    `final` does, of the error of `small`, which lacks the last effect.
-    """
-    prepared = fits.prepared
-    noise_m = prepared.noise_model.noise.std_m
-    before, most = residual_summary(prepared, small), residual_summary(prepared, final)
-    least = rules.least_share * removed_share(noise_m, before, most)
-    close = {c.names for c in close_rivals(fits, final, rivals, rules)}
-    found = []
-    for rival in rivals:
-        left = residual_summary(prepared, rival)
-        p_value = chance(small, rival, before, left) * len(fits.library)
-        if _at_bound(small, rival) or p_value > rules.significance:
-            continue
-        if removed_share(noise_m, before, left) < least:
-            continue
-        if rival.names in close or vuong_z(prepared, final, rival) < rules.vuong_z:
-            found.append(rival)
-    return sorted(found, key=lambda c: c.chi2)
-
-
-def nearest(partial: Partial, tried: Sequence[FittedModel], rules: Rules) -> tuple[Nearest, ...]:
-    """The single effects that leave least of all trials together, how much, and where.
-
-    tried  the same fitted to the fit trials alone: their errors are what a forecast would have
-    """
-    prepared = partial.fits.prepared
-    base = partial.steps[0]
-    before = residual_summary(prepared, base)
-    best = sorted(
-        ((residual_summary(prepared, c), c) for c in partial.singles),
-        key=lambda pair: pair[0].mean_square_m2,
-    )
-    strict = {c.names: c for c in tried}
-    return tuple(
-        Nearest(
-            effect=added_effect(base, candidate).name,
-            explained_share=removed_share(prepared.noise_model.noise.std_m, before, after),
-            left_rms_m=after.rms_m,
-            errors=strict[candidate.names].errors if candidate.names in strict else NOT_FITTED,
-            peak=peak(prepared, candidate),
-        )
-        for after, candidate in best[: rules.nearest]
-    )
-
-
-def what_is_left(fits: FitCache, base: FittedModel, final: FittedModel) -> RemainingError:
-    """How much a candidate leaves, of what the baseline missed, and where."""
-    prepared = fits.prepared
-    noise_m = prepared.noise_model.noise.std_m
-    before, after = residual_summary(prepared, base), residual_summary(prepared, final)
-    return RemainingError(
-        rms_m=after.rms_m,
-        before_rms_m=before.rms_m,
-        over_noise=after.rms_m / noise_m,
-        explained_share=removed_share(noise_m, before, after),
-        peak=peak(prepared, final),
-    )

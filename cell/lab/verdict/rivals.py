@@ -9,8 +9,13 @@ from scipy.special import chdtrc as chi2_sf
 from cell.cable.effects.base import Effect
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
+from cell.lab.verdict.doubts import at_bound
 from cell.lab.verdict.evidence import above_noise
-from cell.lab.verdict.residual_summary import ResidualSummary, log_variance_ratio, residual_summary
+from cell.lab.verdict.residual_summary import (
+    ResidualSummary,
+    log_variance_ratio,
+    residual_summary,
+)
 from cell.lab.verdict.rules import Rules
 
 
@@ -53,3 +58,30 @@ def chance(
 def added_effect(small: FittedModel, large: FittedModel) -> type[Effect]:
     """The effect of `large` that `small` lacks."""
     return next(e for e in large.effects if e.name not in small.names)
+
+
+def near_singles(
+    fits: FitCache, final: FittedModel, singles: Sequence[FittedModel], rules: Rules
+) -> list[FittedModel]:
+    """The nearest other single effects, where `final`, itself one, leaves more than noise.
+
+    Something is missing beside each of them then, as beside `final`.
+    """
+    prepared = fits.prepared
+    left = {c.names: residual_summary(prepared, c).mean_square_m2 for c in singles}
+    if left[final.names] < (rules.gross_misfit * prepared.noise_model.noise.std_m) ** 2:
+        return []
+    by_left = sorted(singles, key=lambda c: left[c.names])[: rules.nearest]
+    return [c for c in by_left if c.names != final.names]
+
+
+def is_at_bound(small: FittedModel, large: FittedModel) -> bool:
+    """Whether the effect that `large` has more is as strong as its bound lets it be."""
+    own = f"{added_effect(small, large).name}."
+    return any(name.startswith(own) for name, *_ in at_bound(large.fit))
+
+
+def any_at_bound(candidate: FittedModel) -> bool:
+    """Whether any effect of a candidate is as strong as its bound lets it be."""
+    own = tuple(f"{name}." for name in candidate.names)
+    return any(name.startswith(own) for name, *_ in at_bound(candidate.fit))

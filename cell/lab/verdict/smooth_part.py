@@ -14,10 +14,12 @@ from scipy.special import fdtrc as f_sf
 from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.gaussian import marginal_chi2
 from cell.identify.noise import Whitener
-from cell.lab.data.noise_floor import MAX_COLOUR, NoiseModel
+from cell.lab.data.noise_floor import NoiseModel
 from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.rest import MAX_COLOUR
 from cell.lab.fit.all_trials_fit import AllTrialsFit, of_all_trials
-from cell.lab.fit.fitting import Fit, HeldoutRows, best_initial_state, fit_trials, heldout_rows
+from cell.lab.fit.fitting import Fit, best_initial_state, fit_trials
+from cell.lab.fit.heldout import HeldoutRows, heldout_rows
 from cell.lab.fit.mesh import LEFT
 from cell.lab.fit.sensitivity import prior_root
 from cell.lab.fit.systematic_error import MOTIONS, systematic_error

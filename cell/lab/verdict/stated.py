@@ -8,7 +8,8 @@ from scipy.special import chdtrc as chi2_sf
 from cell.identify.gauss_newton import UNSIMULATED
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.all_trials_fit import of_all_trials
-from cell.lab.fit.fitting import Fit, errors_m, heldout_rows
+from cell.lab.fit.fitting import Fit, errors_m
+from cell.lab.fit.heldout import heldout_rows
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.verdict.residual_summary import residuals_m
 

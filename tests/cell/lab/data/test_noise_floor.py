@@ -9,11 +9,11 @@ from cell.identify.noise import Noise
 from cell.lab.data.noise_floor import (
     NoiseModel,
     NoiseUnknownError,
-    Remainder,
     floor_of_all_frames,
     floor_of_residuals,
     noise_floor,
 )
+from cell.lab.data.rest import Remainder
 from cell.study.data import Markers
 
 

@@ -9,7 +9,8 @@ from cell.cable.effects import library
 from cell.cable.geometry import Motion
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.fit.fitting import fit_model, heldout
+from cell.lab.fit.fitting import fit_model
+from cell.lab.fit.heldout import heldout
 from cell.lab.fit.starts import cold_start
 
 

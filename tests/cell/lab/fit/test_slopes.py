@@ -9,7 +9,8 @@ from cell.cable.solver import Solver
 from cell.identify.gauss_newton import jacobian_at
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.fit.fitting import fit_model, fit_trials, heldout, problem_of
+from cell.lab.fit.fitting import fit_model, fit_trials, problem_of
+from cell.lab.fit.heldout import heldout
 from cell.lab.fit.slopes import HARMLESS, with_slopes
 
 

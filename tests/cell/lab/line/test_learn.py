@@ -32,9 +32,11 @@ from cell.lab.data.cycles import RecordedCycle, read_cycles
 from cell.lab.data.selection import select_effects
 from cell.lab.fit.shared import SharedFit, Spread, along_end, fit_shared, prepared_cycle
 from cell.lab.line.candidate import lines_of, section, write_candidate
-from cell.lab.line.gates import ForecastPair, Gate, Judgement, best_judged, forecasts, gates, judge
+from cell.lab.line.effect_fit import TIE, Budget, EffectFit
+from cell.lab.line.forecasts import ForecastPair, forecasts
+from cell.lab.line.gates import Gate, Judgement, best_judged, gates, judge
 from cell.lab.line.learn import LearningResult, learn, negligible
-from cell.lab.line.lesson_search import ALL_PASSES, TIE, Budget, EffectFit, Search, library_first
+from cell.lab.line.lesson_search import ALL_PASSES, Search, library_first
 from cell.lab.next.discover import Laws, laws_in
 from cell.lab.next.motion_file import load_motion
 from cell.lab.next.next_motion import _of_the_next_cable, asked, motion_that_tells, worth_it
@@ -388,7 +390,7 @@ def test_an_effect_that_does_not_help_unseen_cables_is_left_out(
         identified.append(len(options.kind.effects))
         return identify(*args, options=options)
 
-    monkeypatch.setattr("cell.lab.line.gates.identify", counted)
+    monkeypatch.setattr("cell.lab.line.forecasts.identify", counted)
     kept, judgement = best_judged(replace(lesson, simpler=lesson), SETTINGS)
     assert kept is lesson
     assert judgement.fit_for_line

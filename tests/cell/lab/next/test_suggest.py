@@ -15,13 +15,12 @@ from cell.files.input_error import InputError
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.next.motion_file import load_motion
+from cell.lab.next.strokes import Stroke, strokes
 from cell.lab.next.suggest import (
     DECIDED,
     Option,
-    Stroke,
     Suggestion,
     _separation,
-    strokes,
     suggest_motion,
     write_motion,
 )

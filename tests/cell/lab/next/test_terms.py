@@ -11,7 +11,8 @@ from cell.cable.effects.base import Bend, CableData, Effect, Place
 from cell.cable.effects.check import check
 from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
-from cell.lab.next.terms import admissible, effect_source
+from cell.lab.next.term_source import effect_source
+from cell.lab.next.terms import admissible
 
 BOX = (-0.1, 0.0, -0.09, 0.0)
 TERMS = {t.name: t for t in admissible(BOX)}

@@ -17,7 +17,8 @@ from cell.lab.data.results import (
 )
 from cell.lab.report.cable_overlay import BELOW, HEIGHT, overlay
 from cell.lab.report.curves import profile_curves
-from cell.lab.report.figures import by_trial, history, least_px, profiles, ranking, waterfall
+from cell.lab.report.figure_layout import least_px
+from cell.lab.report.figures import by_trial, history, profiles, ranking, waterfall
 from cell.lab.report.report import _series, comparison_page
 from cell.lab.strength.compare import compare_model
 from cell.lab.strength.profiles import ParameterProfile

@@ -14,7 +14,8 @@ from cell.lab.data import side_by_side
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.selection import select_effects
 from cell.lab.fit.fitting import space_with
-from cell.lab.next.terms import admissible, effect_source
+from cell.lab.next.term_source import effect_source
+from cell.lab.next.terms import admissible
 from cell.lab.search import extension, fit_cache
 from cell.lab.search.extension import Extension, polished
 from cell.lab.search.fit_cache import FitCache
@@ -225,8 +226,8 @@ def test_an_effect_explains_no_less_than_nothing(make_study):
     (stuck,) = fits.fit_extended(base, [library()["tip_mass"]])
     stuck = replace(stuck, fit=replace(stuck.fit, solution=replace(
         stuck.fit.solution, objective=base.fit.objective + 1e6)))  # fmt: skip
-    assert diagnosing._sound([stuck], base) == []
-    rows = diagnosing._ranking(fits, base, base, [stuck], set(), DEFAULT_RULES)
+    assert diagnosing.sound([stuck], base) == []
+    rows = diagnosing.ranked(fits, base, base, [stuck], set(), DEFAULT_RULES)
     assert min(r.score for r in rows) >= 0.0
 
 

@@ -16,7 +16,8 @@ from cell.lab.fit.all_trials_fit import AllTrialsFit
 from cell.lab.fit.fitting import extended, fit_model, space_with
 from cell.lab.report.wording import limit_rows
 from cell.lab.search.fit_cache import FitCache
-from cell.lab.strength.limits import _Search, limits
+from cell.lab.strength.limit_search import LimitSearch
+from cell.lab.strength.limits import limits
 from cell.lab.verdict.additions import with_limits
 from cell.lab.verdict.diagnose import diagnose
 from cell.study.data import Markers
@@ -173,5 +174,5 @@ def test_of_a_strong_effect_no_shape_is_dropped_for_what_slopes_promise(seen, en
     )
     nuisance = SimpleNamespace(remove=lambda rows: rows, residual=np.array([*seen, 0.0]))
     wrong = SimpleNamespace(variance=lambda left: 0.0, by_trial=lambda rows: [rows])
-    (side,) = _Search(slopes, 0, nuisance, wrong, 1.0).open_sides()
+    (side,) = LimitSearch(slopes, 0, nuisance, wrong, 1.0).open_sides()
     assert side.size == pytest.approx(end, rel=1e-3)

@@ -14,9 +14,10 @@ from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import to_json
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.screen import screen
-from cell.lab.verdict import diagnose as diagnosis_module
+from cell.lab.verdict import forward_search
 from cell.lab.verdict.additions import with_agreement
-from cell.lab.verdict.diagnose import diagnose, with_ties
+from cell.lab.verdict.diagnose import diagnose
+from cell.lab.verdict.forward_search import with_ties
 from cell.lab.verdict.rules import DEFAULT_RULES
 from cell.study.folder import read_study
 
@@ -214,9 +215,9 @@ def test_what_any_of_many_effects_does_beside_one_is_none_of_them(monkeypatch):
         fit_reduced=lambda found, effect: {second: alone}.get(effect),
     )
     ties = {first: (), second: ("a", "b", "c", "d", "e", "f", "g")}
-    monkeypatch.setattr(diagnosis_module, "_tied", lambda _, found, effect, rules: ties[effect])
+    monkeypatch.setattr(forward_search, "_tied", lambda _, found, effect, rules: ties[effect])
     enough = [True]
-    monkeypatch.setattr(diagnosis_module, "explains", lambda *args: enough[0])
+    monkeypatch.setattr(forward_search, "explains", lambda *args: enough[0])
     given = (fits, None, pair, DEFAULT_RULES)
     assert with_ties(*given) == (alone, {first.name: ()})
     enough[0] = False

@@ -10,9 +10,10 @@ from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import space_with
 from cell.lab.search.fit_cache import FitCache
-from cell.lab.verdict import partial
+from cell.lab.verdict import nearest, partial, rivals
 from cell.lab.verdict.diagnose import diagnose
-from cell.lab.verdict.partial import largest_step, tied_so_far
+from cell.lab.verdict.nearest import tied_so_far
+from cell.lab.verdict.partial import largest_step
 from cell.lab.verdict.residual_summary import ResidualSummary, log_variance_ratio
 from cell.lab.verdict.rules import DEFAULT_RULES
 
@@ -80,13 +81,14 @@ def test_what_leaves_as_little_with_one_effect_more_is_tied_where_more_is_missin
         baseline=lambda: None,
         prepared=SimpleNamespace(noise_model=noise),
     )
-    monkeypatch.setattr(partial, "_as_good", lambda *args: [])
-    monkeypatch.setattr(partial, "_any_at_bound", lambda *args: False)
-    monkeypatch.setattr(
-        partial,
-        "residual_summary",
-        lambda _, c: ResidualSummary((1e-3 * left_mm[tuple(sorted(c.names))]) ** 2, 80.0),
-    )
+    monkeypatch.setattr(nearest, "_as_good", lambda *args: [])
+    monkeypatch.setattr(nearest, "any_at_bound", lambda *args: False)
+    for module in (nearest, rivals):
+        monkeypatch.setattr(
+            module,
+            "residual_summary",
+            lambda _, c: ResidualSummary((1e-3 * left_mm[tuple(sorted(c.names))]) ** 2, 80.0),
+        )
     found = models[("added_mass",)]
     named = tied_so_far(fits, found, KNOWN["added_mass"], DEFAULT_RULES)
     assert named == ("tip_mass",)  # draught does not; air drag is not among the nearest
@@ -127,12 +129,12 @@ def test_ties_are_what_models_that_are_all_wrong_cannot_tell(monkeypatch):
         library=KNOWN,
         prepared=SimpleNamespace(noise_model=SimpleNamespace(noise=SimpleNamespace(std_m=3e-5))),
     )
-    monkeypatch.setattr(partial, "_near", lambda *args: [])
-    monkeypatch.setattr(partial, "_at_bound", lambda small, large: large.at_bound)
-    monkeypatch.setattr(partial, "residual_summary", lambda _, c: c.left)
-    monkeypatch.setattr(partial, "vuong_z", lambda _, better, worse: worse.ahead)
+    monkeypatch.setattr(nearest, "near_singles", lambda *args: [])
+    monkeypatch.setattr(nearest, "is_at_bound", lambda small, large: large.at_bound)
+    monkeypatch.setattr(nearest, "residual_summary", lambda _, c: c.left)
+    monkeypatch.setattr(nearest, "vuong_z", lambda _, better, worse: worse.ahead)
     monkeypatch.setattr(
-        partial,
+        nearest,
         "close_rivals",
         lambda *args: [
             c
@@ -187,7 +189,7 @@ def test_what_was_not_fitted_to_the_fit_trials_alone_has_no_error_of_them(partly
         tuple(c for c in partly.partial if len(c.names) == 1),
         partly.partial,
     )
-    (near,) = partial.nearest(whole, (), DEFAULT_RULES)
+    (near,) = nearest.nearest(whole, (), DEFAULT_RULES)
     assert near.left_rms_m > 0.0
-    assert near.errors == partial.NOT_FITTED
+    assert near.errors == nearest.NOT_FITTED
     assert found.errors.heldout_rms_m > 0.0

@@ -11,7 +11,8 @@ from cell.identify.noise import Noise, Whitener
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.noise_floor import NoiseModel
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.fit.fitting import fit_model, heldout
+from cell.lab.fit.fitting import fit_model
+from cell.lab.fit.heldout import heldout
 from cell.lab.fit.starts import cold_start
 from cell.lab.verdict.smooth_part import (
     SmoothPart,

@@ -1,0 +1,180 @@
+"""Forecasts of recorded motions by a line's present model and by a candidate."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable.dynamics import simulate
+from cell.cable.geometry import Cable
+from cell.cable.solver import DivergedError
+from cell.cable.statics import UnsettledError
+from cell.identify.individual import CableRejectedError, IdentifyOptions, identify
+from cell.identify.model_class import ModelClass
+from cell.lab.data.cycles import RecordedCycle
+from cell.lab.fit.shared import BIAS_M, along_end
+from cell.lab.line.effect_fit import EffectFit
+from cell.lab.line.learn import LearningResult
+from cell.plan.destination import Destination
+from cell.plan.passage import measured_passage
+from cell.study.data import Markers, Trial
+
+FloatArray = NDArray[np.float64]
+
+#: Share of a hold from which the rest is forecast, where there is no execution.
+FIRST_SHARE = 0.6
+
+
+@dataclass(frozen=True)
+class ForecastPair:
+    """One recorded motion, forecast by both models from what was seen of that cable before.
+
+    of       an execution, forecast from that cycle's own hold; of a cable that was rejected the
+             rest of the hold, forecast from its first frames
+
+    present_m, candidate_m   largest error of the tip in the destination, beyond how far along the
+                             cable its end is seen in all pictures; the candidate's effects are
+                             those that the other cables show
+    present_s, candidate_s   of the computer, for the identification
+    present_rms_m, candidate_rms_m   of the tip in all frames, of which noise makes less
+    """
+
+    cycle: str
+    present_m: float
+    candidate_m: float
+    present_s: float
+    candidate_s: float
+    present_rms_m: float
+    candidate_rms_m: float
+    of: Literal["execution", "rest of the hold"] = "execution"
+
+
+def forecasts(
+    lesson: LearningResult,
+    cable: Cable,
+    options: IdentifyOptions,
+    destination: Destination,
+    known: Sequence[ForecastPair] = (),
+) -> list[ForecastPair]:
+    """Every recorded execution of the lesson, and holds without one, out of sample.
+
+    known  as in `judge`
+    """
+    assert lesson.best is not None
+    at_present = {
+        pair.cycle: _Forecast(pair.present_m, pair.present_rms_m, pair.present_s) for pair in known
+    }
+    found = []
+    for i, cycle in enumerate(lesson.cycles):
+        if cycle.held is None:
+            continue
+        kind = with_effect(options.kind, lesson.best, lesson.best.fit.without(i), lesson)
+        before = at_present.get(cycle.name) or _forecast(cycle, cable, options, destination)
+        after = _forecast(cycle, cable, replace(options, kind=kind), destination)
+        of: Literal["execution", "rest of the hold"] = (
+            "rest of the hold" if cycle.executed is None else "execution"
+        )
+        found.append(
+            ForecastPair(
+                cycle.name,
+                before.largest_m,
+                after.largest_m,
+                before.spent_s,
+                after.spent_s,
+                before.rms_m,
+                after.rms_m,
+                of,
+            )
+        )
+    return found
+
+
+def with_effect(
+    kind: ModelClass, tried: EffectFit, theta: FloatArray, lesson: LearningResult
+) -> ModelClass:
+    """The model class with an effect at theta: as uncertain as it is, and as cables differ."""
+    covariance = tried.fit.covariance.copy()
+    covariance[np.diag_indices_from(covariance)] += lesson.between
+    q = tried.fit.space.mean.copy()
+    q[tried.fit.common] = theta
+    natural = tried.fit.space.natural(q)
+    k, m = len(kind.names), len(theta)
+    joint = np.zeros((k + m, k + m))
+    joint[:k, :k] = np.array(kind.covariance).reshape(k, k)
+    joint[k:, k:] = covariance
+    return replace(
+        kind,
+        effects=(*kind.effects, *tried.effects),
+        names=(*kind.names, *tried.names),
+        mean=(*kind.mean, *(float(natural[i]) for i in tried.fit.common)),
+        covariance=tuple(tuple(map(float, row)) for row in joint),
+    )
+
+
+class _Forecast(NamedTuple):
+    """Errors of the tip, `inf` if there is no forecast, and the CPU time.
+
+    largest_m  in the destination, or in the rest of the hold; rms_m in all frames
+    """
+
+    largest_m: float
+    rms_m: float
+    spent_s: float
+
+
+def _forecast(
+    cycle: RecordedCycle, cable: Cable, options: IdentifyOptions, destination: Destination
+) -> _Forecast:
+    """What a model forecasts of a cycle, against what was seen."""
+    assert cycle.held is not None
+    begun_s = time.process_time()
+    first, later = cycle.held, cycle.executed
+    if later is None:
+        first, later = _parted(cycle.held)
+    markers = later.markers
+    try:
+        found = identify(first, cycle.study.arc_length_m, cable, options=options)
+        spent_s = time.process_time() - begun_s
+        held, tip = (
+            simulate(
+                found.model,
+                trial.grip,
+                trial.markers.t_s,
+                np.array([cable.free_length_m]),
+                solver=options.fit.solver,
+            )[0, :, 0]
+            for trial in (first, later)
+        )
+    except (CableRejectedError, DivergedError, UnsettledError):
+        return _Forecast(np.inf, np.inf, time.process_time() - begun_s)
+    seen = markers.xy_m[:, 0] - _seen_beyond_m(first, held) * along_end(later)
+    away_m = np.linalg.norm(seen - tip, axis=1)
+    rms_m = float(np.sqrt(np.nanmean(away_m**2)))
+    if cycle.executed is None:
+        return _Forecast(float(np.nanmax(away_m)), rms_m, spent_s)
+    passage = measured_passage(destination, markers.t_s, seen, markers.t_s, tip)
+    return _Forecast(passage.error_m, rms_m, spent_s)
+
+
+def _seen_beyond_m(held: Trial, tip: FloatArray) -> float:
+    """How far along the cable its end is seen from where it is, constant in all its pictures, m.
+
+    As a hold tells; no more than pictures may do so: the rest is an error of the model.
+    """
+    beyond = np.sum((held.markers.xy_m[:, 0] - tip) * along_end(held), axis=1)
+    return float(np.clip(np.nanmean(beyond), -2.0 * BIAS_M, 2.0 * BIAS_M))
+
+
+def _parted(held: Trial) -> tuple[Trial, Trial]:
+    """The first frames of a hold, and the others."""
+    t_s, xy_m = held.markers.t_s, held.markers.xy_m
+    at = int(FIRST_SHARE * len(t_s))
+    return (
+        replace(held, markers=Markers(t_s[:at], xy_m[:at])),
+        replace(held, markers=Markers(t_s[at:], xy_m[at:])),
+    )
