@@ -7,21 +7,18 @@ mesh and the step of a simulation, or ten micrometres of noise in the hand's log
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.identify.hand import HandErrors, likely_motions
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import Fit
+from cell.lab.fit.hand_error import MOTIONS, by_other_hands
 from cell.lab.fit.mesh import LEFT, finer
 from cell.study.data import Trial
 
 FloatArray = NDArray[np.float64]
-
-#: Motions of the hand drawn for every trial.
-MOTIONS = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +75,7 @@ def systematic_error(prepared: PreparedStudy, fit: Fit, trials: Sequence[Trial])
         mesh = np.nan_to_num(_rows(prepared, trials, taken) - here, nan=0.0)
     ends = np.cumsum([prepared.whiteners[t.name].rows for t in trials])
     hands = [
-        _by_other_hands(prepared, fit, trial, rows)
+        by_other_hands(prepared, fit, trial, rows)
         for trial, rows in zip(trials, np.split(here, ends[:-1]), strict=True)
     ]
     change = np.concatenate(hands, axis=1)
@@ -93,17 +90,3 @@ def _rows(
     """(rows,) whitened residuals of what one model predicts of trials."""
     pairs = zip(trials, predicted_m, strict=True)
     return np.concatenate([prepared.white(t, points)[0] for t, points in pairs])
-
-
-def _by_other_hands(
-    prepared: PreparedStudy, fit: Fit, trial: Trial, here: FloatArray
-) -> FloatArray:
-    """(motions, rows) change from `here`, a trial's whitened residual, by other hands' motions."""
-    if all(s.noise_std == 0.0 for s in trial.grip.splines):
-        return np.zeros((MOTIONS, len(here)))
-    motions = likely_motions(trial.grip, HandErrors(MOTIONS))
-    others = [replace(trial, name=f"{trial.name}/{i}", grip=m) for i, m in enumerate(motions)]
-    initial_states = fit.initial_states.get(trial.name)
-    known = {} if initial_states is None else {t.name: initial_states[None] for t in others}
-    predicted = prepared.predict_all(others, [fit.model], known)
-    return np.asarray(prepared.white(trial, np.concatenate(predicted)) - here)

@@ -18,6 +18,7 @@ from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.progress import Progress, no_progress
 from cell.lab.data.side_by_side import side_by_side
 from cell.lab.fit.fitting import Fit, fit_model, fit_trials, pinned, space_with
+from cell.lab.fit.hand_error import HandError, hand_error
 from cell.lab.fit.heldout import heldout_log_lr
 from cell.lab.fit.mesh import as_its_mesh_shows
 from cell.lab.fit.sensitivity import shapes_of
@@ -54,6 +55,7 @@ class _Memory:
     baseline: BaselineFit | None = None
     second: Fit | None = None
     prior: FittedModel | None = None
+    hand: HandError | None = None
     models: dict[frozenset[str], FittedModel] = field(default_factory=dict)
     screens: dict[frozenset[str], list[ScreenedEffect]] = field(default_factory=dict)
     heldout_log_lr: dict[tuple[frozenset[str], str], float] = field(default_factory=dict)
@@ -182,7 +184,7 @@ class FitCache:
             fit = fit_model(self.prepared, base.fit.space, start, options=POLISH)
             if fit.objective < base.fit.objective - least:
                 known = {base.names: weighed(self.prepared, base.effects, fit)}
-                self._memory = _Memory(memory.baseline, memory.second, memory.prior, known)
+                self._memory = _Memory(memory.baseline, memory.second, memory.prior, models=known)
                 return True
         return False
 
@@ -210,7 +212,13 @@ class FitCache:
 
     def gain(self, small: FittedModel, large: FittedModel) -> Gain:
         """What `large` has over `small`, which lacks one of its effects."""
-        return gained(self.prepared, small, large)
+        return gained(self.prepared, small, large, self.hand())
+
+    def hand(self) -> HandError:
+        """What the log of the hand may be wrong by, near the baseline."""
+        if self._memory.hand is None:
+            self._memory.hand = hand_error(self.prepared, self.baseline().fit)
+        return self._memory.hand
 
     def screened(self, base: FittedModel) -> list[ScreenedEffect]:
         """Score tests of the whole library against a model, likeliest first."""

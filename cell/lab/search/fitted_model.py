@@ -4,14 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import Options
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import Errors
 from cell.lab.fit.fitting import Fit, fit_trials
+from cell.lab.fit.hand_error import HandError
 from cell.lab.fit.heldout import Heldout, heldout
 from cell.lab.fit.sensitivity import chances_of
 from cell.lab.statistics.score import boundary_p_value, delta_bic
+
+FloatArray = NDArray[np.float64]
 
 #: Passes of a first refit; the best few are then taken to convergence.
 REFIT = Options(tolerance=0.3, most_passes=12, least_gain=1e-3, updates=3)
@@ -66,24 +72,54 @@ def weighed(prepared: PreparedStudy, effects: tuple[type[Effect], ...], fit: Fit
     return FittedModel(effects, fit, held, evidence)
 
 
-def gained(prepared: PreparedStudy, small: FittedModel, large: FittedModel) -> Gain:
-    """What `large` has over `small`, which lacks one of its effects."""
+def gained(
+    prepared: PreparedStudy, small: FittedModel, large: FittedModel, hand: HandError
+) -> Gain:
+    """What `large` has over `small`, which lacks one of its effects.
+
+    hand  what the log of the hand may be wrong by: what could be that is worth as much less
+    """
     effect = next(e for e in large.effects if e.name not in small.names)
     amplitudes = [p for p in effect.parameters if p.amplitude]
     bounded = int(len(amplitudes) == 1 and amplitudes[0].low >= amplitudes[0].default)
     fall = small.fit.objective - large.fit.objective
+    worth = fall / hand.inflation(_change_fitted(prepared, small, large))
     count = prepared.count(fit_trials(prepared))
     held = 0.0
     if small.heldout and large.heldout:
         held = large.heldout.log_likelihood - small.heldout.log_likelihood
+        held /= hand.inflation(_change_heldout(prepared, small.heldout, large.heldout))
     return Gain(
         delta_chi2=fall,
-        p_value=boundary_p_value(fall, len(amplitudes), bounded, chances_of(effect)),
+        p_value=boundary_p_value(worth, len(amplitudes), bounded, chances_of(effect)),
         delta_bic=delta_bic(
-            fall,
+            worth,
             sum(p.fitted for p in effect.parameters),
             count,
             prepared.noise_model.effective_fraction,
         ),
         heldout=held,
     )
+
+
+def _change_fitted(
+    prepared: PreparedStudy, small: FittedModel, large: FittedModel
+) -> dict[str, FloatArray]:
+    """Per fitted trial (rows,) by how much the residuals of two models differ."""
+    change = small.fit.solution.residual - large.fit.solution.residual
+    trials = fit_trials(prepared)
+    ends = np.cumsum([prepared.whiteners[t.name].rows for t in trials])
+    parts = np.split(change, ends[:-1])
+    return {t.name: part for t, part in zip(trials, parts, strict=True)}
+
+
+def _change_heldout(
+    prepared: PreparedStudy, small: Heldout, large: Heldout
+) -> dict[str, FloatArray]:
+    """The same of the trials held out."""
+    change = {}
+    for trial in prepared.study.role("validate"):
+        both = np.stack([small.predicted_m[trial.name], large.predicted_m[trial.name]])
+        white = prepared.white(trial, both)
+        change[trial.name] = white[0] - white[1]
+    return change

@@ -41,10 +41,13 @@ def _judged_by_rest(evidence: Evidence) -> bool:
 
 
 def fitted_ratio(evidence: Evidence) -> Reading | None:
-    """Error on the trials fitted to, over the noise."""
+    """Error on the trials fitted to, over that of noise and the hand's log together."""
     if not _judged_by_rest(evidence):
         return None
-    return Reading(evidence.final.fit.rms_m / evidence.prepared.expected.std_m)
+    prepared, fit = evidence.prepared, evidence.final.fit
+    trials = fit_trials(prepared)
+    by_hand = evidence.fits.hand().square_left(trials, fit) / prepared.count(trials)
+    return Reading(fit.rms_m / (prepared.expected.std_m * float(np.sqrt(1.0 + by_hand))))
 
 
 def heldout_smooth(evidence: Evidence) -> Reading | None:
@@ -90,9 +93,13 @@ def residual_level(evidence: Evidence) -> Reading | None:
     if final.heldout is not None and base.heldout is not None:
         chi2, count, rms_m = final.heldout.chi2, final.heldout.count, final.heldout.rms_m
         before_m = base.heldout.rms_m
+        by_hand = evidence.fits.hand().square(prepared.study.role("validate"))
     else:
         count = prepared.count(fit_trials(prepared)) - len(final.fit.q)
         chi2, rms_m, before_m = final.fit.chi2, final.fit.rms_m, base.fit.rms_m
+        by_hand = evidence.fits.hand().square_left(fit_trials(prepared), final.fit)
+    expected = 1.0 + by_hand / count
+    chi2, rms_m = chi2 / expected, rms_m / float(np.sqrt(expected))
     ratio = max(rms_m / noise_m, float(np.sqrt(chi2 / count)))
     left = (rms_m**2 - noise_m**2) / max(before_m**2 - noise_m**2, 1e-30)
     if ratio < rules.misfit or (ratio < rules.gross_misfit and left < rules.misfit_share):

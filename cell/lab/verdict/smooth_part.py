@@ -19,10 +19,11 @@ from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.rest import MAX_COLOUR
 from cell.lab.fit.all_trials_fit import AllTrialsFit, of_all_trials
 from cell.lab.fit.fitting import Fit, best_initial_state, fit_trials
+from cell.lab.fit.hand_error import MOTIONS
 from cell.lab.fit.heldout import HeldoutRows, heldout_rows
 from cell.lab.fit.mesh import LEFT
 from cell.lab.fit.sensitivity import prior_root
-from cell.lab.fit.systematic_error import MOTIONS, systematic_error
+from cell.lab.fit.systematic_error import systematic_error
 
 FloatArray = NDArray[np.float64]
 

@@ -1,0 +1,83 @@
+"""What the log of the hand may be wrong by, as changes of what the markers leave of a model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.identify.hand import HandErrors, likely_motions
+from cell.lab.data.prepared import PreparedStudy
+from cell.lab.fit.fitting import Fit
+from cell.study.data import Trial
+
+FloatArray = NDArray[np.float64]
+
+#: Motions of the hand drawn for every trial.
+MOTIONS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class HandError:
+    """Whitened changes of residuals by motions of the hand that are as likely as its log.
+
+    rows  per trial (motions, rows)
+    """
+
+    rows: Mapping[str, FloatArray]
+
+    def inflation(self, changes: Mapping[str, FloatArray]) -> float:
+        """Variance of residuals along a direction, over that by noise alone; 1 or more.
+
+        A χ² of noise and hand together is so many times that of noise: what one effect more
+        explains along this direction is worth as much less.
+        changes  per trial (rows,): the direction
+        """
+        size = sum(float(change @ change) for change in changes.values())
+        if not (np.isfinite(size) and size > 0.0):
+            return 1.0
+        by_hand = sum(
+            float(np.sum((self.rows[name] @ change) ** 2)) for name, change in changes.items()
+        )
+        return 1.0 + by_hand / (MOTIONS * size)
+
+    def square(self, trials: Sequence[Trial]) -> float:
+        """Expected χ² that the hand adds in trials."""
+        return sum(float(np.sum(self.rows[t.name] ** 2)) for t in trials) / MOTIONS
+
+    def square_left(self, trials: Sequence[Trial], fit: Fit) -> float:
+        """The same of trials that a model was fitted to: less what its parameters imitate."""
+        slopes = fit.solution.jacobian[:, fit.solution.free]
+        basis = np.linalg.qr(slopes)[0]
+        ends = np.cumsum([self.rows[t.name].shape[1] for t in trials])
+        parts = np.split(basis, ends[:-1])
+        imitated = sum(
+            float(np.sum((self.rows[t.name] @ part) ** 2))
+            for t, part in zip(trials, parts, strict=True)
+        )
+        return self.square(trials) - imitated / MOTIONS
+
+
+def hand_error(prepared: PreparedStudy, fit: Fit) -> HandError:
+    """Of every trial, near a fitted model.  What cannot be simulated counts as none."""
+    found = {}
+    for trial in prepared.study.trials:
+        known = fit.initial_states.get(trial.name)
+        states = None if known is None else {trial.name: known[None]}
+        here = prepared.all_white([trial], [fit.model], states)[0]
+        found[trial.name] = np.nan_to_num(by_other_hands(prepared, fit, trial, here), nan=0.0)
+    return HandError(found)
+
+
+def by_other_hands(prepared: PreparedStudy, fit: Fit, trial: Trial, here: FloatArray) -> FloatArray:
+    """(motions, rows) change from `here`, a trial's whitened residual, by other hands' motions."""
+    if all(s.noise_std == 0.0 for s in trial.grip.splines):
+        return np.zeros((MOTIONS, len(here)))
+    motions = likely_motions(trial.grip, HandErrors(MOTIONS))
+    others = [replace(trial, name=f"{trial.name}/{i}", grip=m) for i, m in enumerate(motions)]
+    initial_states = fit.initial_states.get(trial.name)
+    known = {} if initial_states is None else {t.name: initial_states[None] for t in others}
+    predicted = prepared.predict_all(others, [fit.model], known)
+    return np.asarray(prepared.white(trial, np.concatenate(predicted)) - here)
