@@ -214,15 +214,47 @@ def fit_shared(
         natural = space.natural(start)
         natural[own:] = values
         start = space.coordinates(natural)
+    rows = _rows_of(cables)
+    problem = _joint_problem(cables, space, own, common, start, rows)
+    begin_at = np.concatenate([q[:, :own].ravel(), start[common]])
+    solution = gauss_newton.minimise(problem, begin_at, options)
+    whiteners = [c.whiteners[t.name] for c in cables for t in c.study.trials]
+    return SharedFit(
+        tuple(cables),
+        space,
+        own,
+        common,
+        solution.q[: len(q) * own].reshape(len(q), own),
+        solution.q[len(q) * own :],
+        solution,
+        tuple(rows),
+        variance_inflation(solution.residual, whiteners, len(solution.q)),
+    )
+
+
+def _rows_of(cables: Sequence[PreparedStudy]) -> list[slice]:
+    """Which residuals are those of each cable."""
+    sizes = [sum(c.whiteners[t.name].rows for t in c.study.trials) for c in cables]
+    ends = np.cumsum(sizes)
+    return [slice(int(end - size), int(end)) for end, size in zip(ends, sizes, strict=True)]
+
+
+def _joint_problem(
+    cables: Sequence[PreparedStudy],
+    space: ParameterSpace,
+    own: int,
+    common: NDArray[np.int64],
+    start: FloatArray,
+    rows: Sequence[slice],
+) -> gauss_newton.Problem:
+    """What a fit to all cables minimises: over each cable's own coordinates, then the common ones.
+
+    start  coordinates of what is not fitted
+    """
     n, m = len(cables), len(common)
-    rows, begin = [], 0
-    for cable in cables:
-        size = sum(cable.whiteners[t.name].rows for t in cable.study.trials)
-        rows.append(slice(begin, begin + size))
-        begin += size
 
     def residuals(lanes: FloatArray) -> FloatArray:
-        out = np.empty((len(lanes), begin))
+        out = np.empty((len(lanes), rows[-1].stop))
         for i, (cable, row) in enumerate(zip(cables, rows, strict=True)):
             mine = np.hstack([lanes[:, i * own : (i + 1) * own], lanes[:, n * own :]])
             moved = np.any(mine != mine[0], axis=1)
@@ -244,27 +276,13 @@ def fit_shared(
     def joined(each: FloatArray) -> FloatArray:
         return np.concatenate([np.tile(each[:own], n), each[common]])
 
-    problem = gauss_newton.Problem(
+    return gauss_newton.Problem(
         residuals,
         joined(space.mean),
         precision,
         joined(space.step),
         joined(space.low),
         joined(space.high),
-    )
-    begin_at = np.concatenate([q[:, :own].ravel(), start[common]])
-    solution = gauss_newton.minimise(problem, begin_at, options)
-    whiteners = [c.whiteners[t.name] for c in cables for t in c.study.trials]
-    return SharedFit(
-        tuple(cables),
-        space,
-        own,
-        common,
-        solution.q[: n * own].reshape(n, own),
-        solution.q[n * own :],
-        solution,
-        tuple(rows),
-        variance_inflation(solution.residual, whiteners, len(solution.q)),
     )
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from cell.cable.effects.base import Effect
 from cell.cable.geometry import Cable
+from cell.identify.identified import Identified
 from cell.identify.individual import CableRejectedError, IdentifyOptions, identify
 from cell.lab.data.cycles import RecordedCycle
 from cell.lab.data.prepared import PreparedStudy
@@ -102,31 +103,7 @@ def learn(
     raises  ValueError: no cable can be identified; NoiseUnknownError
     """
     budget = Budget() if budget is None else budget
-    usable, starts = [], []
-    for cycle in cycles:
-        progress(f"identifying {cycle.name}")
-        trial = cycle.held or cycle.study.trials[0]
-        try:
-            found = identify(trial, cycle.study.arc_length_m, cable, options=options)
-        except CableRejectedError as error:
-            budget.left_out.append(f"{cycle.name}: it cannot be identified, {error}")
-            continue
-        usable.append((cycle, found))
-        starts.append(found.model_error_m)
-    if not usable:
-        raise ValueError("none of these cables could be identified: nothing can be learned")
-
-    # What was measured to tell effects apart comes first, then executions, which are judged by; of
-    # these, those that the model misses most tell most.
-    def rank(i: int) -> tuple[bool, bool, float]:
-        cycle = usable[i][0]
-        return cycle.held is not None, cycle.executed is None, -starts[i]
-
-    ranked = [usable[i] for i in sorted(range(len(usable)), key=rank)]
-    chosen, more = ranked[:FITTED_TO], ranked[FITTED_TO:]
-    if more:
-        named = ", ".join(sorted(cycle.name for cycle, _ in more))
-        budget.left_out.append(f"{named}: {FITTED_TO} cables are learned from at most")
+    chosen = _chosen(_identified(cycles, cable, options, progress, budget), budget)
     prepared = [prepared_cycle(cycle.whole, budget.work) for cycle, _ in chosen]
     plausible = np.array([found.mean for _, found in chosen])
     base = options.kind.space(cable, chosen[0][0].study.gravity_m_per_s2)
@@ -142,6 +119,49 @@ def learn(
         search = Search(tuple(few), base, plausible[:TRIED_ON], len(others), budget, progress)
         lesson = _searched(lesson, search, prepared, plausible, alone[:TRIED_ON], others, known)
     return replace(lesson, left_out=tuple(budget.left_out))
+
+
+def _identified(
+    cycles: Sequence[RecordedCycle],
+    cable: Cable,
+    options: IdentifyOptions,
+    progress: Progress,
+    budget: Budget,
+) -> list[tuple[RecordedCycle, Identified]]:
+    """Cycles with what each says of its own cable; what says nothing is left out, and told."""
+    usable = []
+    for cycle in cycles:
+        progress(f"identifying {cycle.name}")
+        trial = cycle.held or cycle.study.trials[0]
+        try:
+            found = identify(trial, cycle.study.arc_length_m, cable, options=options)
+        except CableRejectedError as error:
+            budget.left_out.append(f"{cycle.name}: it cannot be identified, {error}")
+            continue
+        usable.append((cycle, found))
+    if not usable:
+        raise ValueError("none of these cables could be identified: nothing can be learned")
+    return usable
+
+
+def _chosen(
+    usable: Sequence[tuple[RecordedCycle, Identified]], budget: Budget
+) -> list[tuple[RecordedCycle, Identified]]:
+    """Those that are learned from.
+
+    What was measured to tell effects apart comes first, then executions, which are judged by; of
+    these, those that the model misses most tell most.
+    """
+
+    def rank(pair: tuple[RecordedCycle, Identified]) -> tuple[bool, bool, float]:
+        cycle, found = pair
+        return cycle.held is not None, cycle.executed is None, -found.model_error_m
+
+    ranked = sorted(usable, key=rank)
+    if more := ranked[FITTED_TO:]:
+        named = ", ".join(sorted(cycle.name for cycle, _ in more))
+        budget.left_out.append(f"{named}: {FITTED_TO} cables are learned from at most")
+    return ranked[:FITTED_TO]
 
 
 def _searched(

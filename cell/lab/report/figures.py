@@ -262,40 +262,7 @@ def profiles(series: Sequence[Series]) -> go.Figure:
     comparison = series[0].comparison
     phases = [p for p in PHASES if any(np.isfinite(w.by_phase[p]) for w in comparison.where)]
     for s in series:
-        wheres = s.comparison.where
-        style = {"color": s.colour, "width": s.width}
-        shared = {"name": s.name, "legendgroup": s.name}
-        figure.add_scatter(
-            x=listed(wheres[0].by_arc_length.centre * 1e3, 2),
-            y=in_mm(_mean_square([w.by_arc_length.rms_m for w in wheres])),
-            mode="lines+markers",
-            line=style,
-            marker={"size": s.size - 2.0},
-            **shared,
-            row=1,
-            col=1,
-        )
-        figure.add_scatter(
-            x=phases,
-            y=in_mm(_mean_square([np.array([w.by_phase[p] for p in phases]) for w in wheres])),
-            mode="markers",
-            marker={"color": s.colour, "size": s.size},
-            showlegend=False,
-            **shared,
-            row=1,
-            col=2,
-        )
-        grid, density = _spectrum(s.comparison)
-        figure.add_scatter(
-            x=listed(grid, 2),
-            y=listed(density, 6),
-            line=style,
-            mode="lines",
-            showlegend=False,
-            **shared,
-            row=1,
-            col=3,
-        )
+        _profile_traces(figure, s, phases)
     spectrum = comparison.where[0].spectrum
     figure.add_scatter(
         x=listed(spectrum.frequency_hz, 2),
@@ -318,6 +285,44 @@ def profiles(series: Sequence[Series]) -> go.Figure:
     figure.update_xaxes(type="log", title="Hz", tickvals=[0.1, 1, 10, 100, 1000], row=1, col=3)
     figure.update_yaxes(type="log", tickvals=thirds(), tickformat="~g", row=1, col=3)
     return laid_out(figure, 380)
+
+
+def _profile_traces(figure: go.Figure, s: Series, phases: Sequence[str]) -> None:
+    """Errors of one model by place, phase and frequency."""
+    wheres = s.comparison.where
+    style = {"color": s.colour, "width": s.width}
+    shared = {"name": s.name, "legendgroup": s.name}
+    figure.add_scatter(
+        x=listed(wheres[0].by_arc_length.centre * 1e3, 2),
+        y=in_mm(_mean_square([w.by_arc_length.rms_m for w in wheres])),
+        mode="lines+markers",
+        line=style,
+        marker={"size": s.size - 2.0},
+        **shared,
+        row=1,
+        col=1,
+    )
+    figure.add_scatter(
+        x=phases,
+        y=in_mm(_mean_square([np.array([w.by_phase[p] for p in phases]) for w in wheres])),
+        mode="markers",
+        marker={"color": s.colour, "size": s.size},
+        showlegend=False,
+        **shared,
+        row=1,
+        col=2,
+    )
+    grid, density = _spectrum(s.comparison)
+    figure.add_scatter(
+        x=listed(grid, 2),
+        y=listed(density, 6),
+        line=style,
+        mode="lines",
+        showlegend=False,
+        **shared,
+        row=1,
+        col=3,
+    )
 
 
 def _mean_square(rows: Sequence[FloatArray]) -> FloatArray:
