@@ -148,13 +148,19 @@ def fit(t_s: FloatArray, value: FloatArray, *, checked: bool = False) -> Spline:
 
 
 def _never_moves(y: FloatArray, noise: float) -> bool:
-    """Whether the signal moves by no more than its noise does, a few wrong values apart."""
+    """Whether the signal moves by no more than its noise does, a few wrong values apart.
+
+    A motion may begin in the last few values, which are less than a block.
+    """
     count = len(y) // _BLOCK
     if count < _LEAST_BLOCKS:
         return False
-    middles = np.median(y[: count * _BLOCK].reshape(count, _BLOCK), axis=1)
+    blocks = [*y[: count * _BLOCK].reshape(count, _BLOCK), y[-_BLOCK:]]
+    middles = np.median(blocks, axis=1)
     std = noise * math.sqrt(0.5 * math.pi / _BLOCK)  # of a median
-    return bool(np.max(np.abs(middles - np.median(middles))) < _APART * std)
+    away = np.abs(y - np.median(middles)) > _GLITCH * noise
+    alike = bool(np.max(np.abs(middles - np.median(middles))) < _APART * std)
+    return alike and _longest_run(away) <= _TOGETHER
 
 
 def _wrong_alone(t: FloatArray, y: FloatArray, noise: float) -> tuple[int, ...]:
