@@ -257,7 +257,9 @@ def answer(row: Row, said: str, named: str) -> str:
     there = [alike(h) for h in row.hidden.split("+") if h]
     classes = [{*n.split("|")} for n in named.split("+") if n]
     if row.kind == "complete":
-        return {"complete": "right", "cannot_tell": "no answer"}.get(said, "wrong")
+        return {"complete": "right", "missing": "wrong", "unexplained": "wrong"}.get(
+            said, "no answer"
+        )
     if row.kind in ("outside", "unknown"):
         return {"unexplained": "right", "missing": "wrong", "complete": "wrong"}.get(
             said, "no answer"

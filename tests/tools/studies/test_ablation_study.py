@@ -29,6 +29,7 @@ def test_a_verdict_is_the_worst_of_the_statistics_that_fail():
         ("complete", "", "complete", "", "right"),
         ("complete", "", "unexplained", "", "wrong"),
         ("complete", "", "cannot_tell", "draught", "no answer"),
+        ("complete", "", "refused", "", "no answer"),
         ("one", "tip_mass", "missing", "air_drag|tip_mass", "right"),
         ("one", "tip_mass", "missing", "air_drag", "wrong"),
         ("one", "tip_mass", "complete", "", "wrong"),
