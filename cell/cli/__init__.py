@@ -50,7 +50,7 @@ def options(
             "--version",
             callback=_version,
             is_eager=True,
-            help="Print the version of program, Python and computer.",
+            help="Print the versions of program and Python, and the computer.",
         ),
     ] = False,
     verbose: Annotated[

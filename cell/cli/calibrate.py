@@ -22,18 +22,18 @@ _LOG = logging.getLogger(__name__)
 
 app = typer.Typer(
     name="calibrate",
-    help="Calibrate a cell: all of it, or a part; and say how good it is.",
+    help="Calibrate a cell, or a part of it, and state the errors of the result.",
     invoke_without_command=True,
     pretty_exceptions_enable=False,
     add_completion=False,
 )
 
-AsJson = Annotated[bool, typer.Option("--json", help="One JSON object instead of words.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
 Source = Annotated[
     Path | None,
-    typer.Option("--from", help="A folder that an earlier calibration recorded; nothing moves."),
+    typer.Option("--from", help="A folder of recordings, used instead of the devices."),
 ]
-Seed = Annotated[int, typer.Option(min=0, help="Of a simulated or emulated cell.")]
+Seed = Annotated[int, typer.Option(min=0, help="Random seed of a simulated or emulated cell.")]
 
 
 @app.callback()
@@ -47,9 +47,9 @@ def everything(
 ) -> None:
     """Calibrate camera, cell, time and grip, one after the other.
 
-    The board is shown, then the hand moves within `limits`, with empty jaws, at
-    last with a cable.  Ends with 0 if all
-    is good enough for `cell run`, 1 if not, 2 if the settings are wrong or something contradicts.
+    A person shows the board.  Then the hand moves within `limits`, first with empty jaws, last
+    with a cable.  Exit codes: 0 if the result is good enough for `cell run`; 1 if not; 2 if the
+    settings are wrong or the measurements contradict each other.
     """
     if context.invoked_subcommand is not None:
         return
@@ -79,7 +79,7 @@ def cell(
     seed: Seed = 1,
     as_json: AsJson = False,
 ) -> None:
-    """Find where pixels lie in the cell's plane: the hand shows its plate; needs the lens."""
+    """Find the map from pixels to the cell's plane, by the plate on the hand; needs the lens."""
     _part("cell", config, source, seed, as_json)
 
 
@@ -90,7 +90,7 @@ def time_(
     seed: Seed = 1,
     as_json: AsJson = False,
 ) -> None:
-    """Find latency of the camera and lag of the arm, from one motion; needs the cell."""
+    """Find the camera's latency and the arm's lag from one motion; needs the cell."""
     _part("time", config, source, seed, as_json)
 
 
@@ -107,9 +107,9 @@ def grip(
 
 @app.command()
 def check(config: Config, seed: Seed = 1, as_json: AsJson = False) -> None:
-    """Compare today with what is stored, in less than a minute, and name the command that mends it.
+    """Check the stored calibration in less than a minute, and name the command that corrects it.
 
-    Ends with 0 if the calibration still holds, 1 if not.
+    Exit codes: 0 if the calibration is still valid; 1 if not.
     """
     with _workshop(config, seed, as_json) as work:
         found = work.check()
@@ -120,14 +120,20 @@ def check(config: Config, seed: Seed = 1, as_json: AsJson = False) -> None:
 
 @app.command()
 def board(
-    out: Annotated[Path, typer.Option("--out", "-o", help="The PDF.")] = Path("board.pdf"),
+    out: Annotated[Path, typer.Option("--out", "-o", help="The PDF file to write.")] = Path(
+        "board.pdf"
+    ),
     columns: Annotated[int, typer.Option(min=3, max=40, help="Squares across.")] = 12,
     rows: Annotated[int, typer.Option(min=3, max=40, help="Squares down.")] = 9,
     square_mm: Annotated[float, typer.Option(min=1.0, max=200.0, help="Side of a square.")] = 20.0,
-    dictionary: Annotated[str, typer.Option(help="Of OpenCV's markers.")] = "4X4_100",
-    legacy: Annotated[bool, typer.Option("--legacy", help="Pattern before OpenCV 4.6.")] = False,
+    dictionary: Annotated[
+        str, typer.Option(help="Dictionary of the markers in OpenCV.")
+    ] = "4X4_100",
+    legacy: Annotated[
+        bool, typer.Option("--legacy", help="Use the pattern of OpenCV before 4.6.")
+    ] = False,
 ) -> None:
-    """Write the board as a PDF to scale, with rulers to check the printout."""
+    """Write the board as a PDF at full scale, with rulers to check the printout."""
     from cell.calibration.board_file import write_board
 
     with refusing(out, force=out.suffix.lower() == ".pdf"):

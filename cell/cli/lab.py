@@ -42,8 +42,8 @@ EffectOption = Annotated[
     list[str] | None,
     typer.Option(
         "--effect",
-        help="A file.py with an effect of your own: joins those that are tried. A name that is "
-        "tried anyway: taken as part of the model.",
+        help="A file.py with an effect of your own: it is tried beside the library. A name that "
+        "is tried anyway: it is part of the model.",
     ),
 ]
 Known = Annotated[
@@ -51,11 +51,14 @@ Known = Annotated[
     typer.Option("--known", help="Name or file.py of an effect that is part of the model."),
 ]
 PriorFile = Annotated[
-    Path | None, typer.Option("--prior", help="Model of an earlier individual, by `cell fit -o`.")
+    Path | None,
+    typer.Option("--prior", help="Model of an earlier cable, written by `cell fit -o`."),
 ]
 LineModel = Annotated[
     Path | None,
-    typer.Option("--config", "-c", help="Settings of a cell: its `model` is where one starts."),
+    typer.Option(
+        "--config", "-c", help="Settings of a cell: its `model` is the model to start from."
+    ),
 ]
 Results = Annotated[
     list[Path] | None,
@@ -63,24 +66,27 @@ Results = Annotated[
         "--json",
         "-o",
         "--out",
-        help="-o FILE writes the result as JSON, --json prints it instead of tables; or both.",
+        help="-o FILE writes the result as JSON; --json prints it instead of tables.",
         show_default=False,
         metavar="FILE",
     ),
 ]
 ReportFile = Annotated[
-    Path | None, typer.Option("--report", help="Write a self-contained HTML report here.")
+    Path | None,
+    typer.Option("--report", help="Write an HTML report to this file; it needs no network."),
 ]
 
 Force = Annotated[
-    bool, typer.Option("--force", help="Overwrite also what this program did not write.")
+    bool, typer.Option("--force", help="Overwrite files that this program did not write.")
 ]
 
 
 @app.command(cls=JsonCommand)
 def fit(
     study: StudyFolder,
-    out: Annotated[Path | None, typer.Option("-o", "--out", help="Write the model here.")] = None,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="Write the model to this file.")
+    ] = None,
     effect: InModel = None,
     prior: PriorFile = None,
     config: LineModel = None,
@@ -88,8 +94,8 @@ def fit(
         Path | None,
         typer.Option(
             "--profile",
-            help="Profile-likelihood intervals, drawn on this HTML page: each parameter is held "
-            "beside its best value and all others are refitted.",
+            help="Write profile-likelihood intervals to this HTML page: each parameter is held at "
+            "values near its best one, and all others are refitted.",
         ),
     ] = None,
     as_json: Json = None,
@@ -126,7 +132,7 @@ def fit(
                     found.append(one)
                     said = [f"{sentence}." for sentence in profile_sentences(found)]
         if interrupted:
-            what = "what would have followed the fit was not computed, or not all of it"
+            what = "the computations after the fit are missing or incomplete"
             warnings = (interrupted_doubt(what), *warnings)
     written = model.to_dict() | {
         "warnings": [vars(w) for w in warnings],
@@ -156,20 +162,22 @@ def compare(
     study: StudyFolder,
     model: Annotated[
         list[Path],
-        typer.Option("--model", help="Model by `cell fit -o`; give it again for each more."),
+        typer.Option("--model", help="Model written by `cell fit -o`; repeat the option for more."),
     ],
     effect: Annotated[
         list[str] | None,
-        typer.Option("--effect", help="The file.py of an effect of the model, if it has moved."),
+        typer.Option(
+            "--effect", help="The file.py of an effect in the model, if the file was moved."
+        ),
     ] = None,
     results: Results = None,
     report: ReportFile = None,
     force: Force = False,
 ) -> None:
-    """Compare models with every trial of a study: overlay, error, noise, where they fail.
+    """Compare models with every trial of a study: overlay, error, noise, place of the errors.
 
-    Of several, given in the order in which they were made, the errors stand side by side: how they
-    fall as effects are added, and maps before and after.
+    Give several models in the order in which they were made.  Their errors are shown side by side:
+    how the error falls as effects are added, and maps before and after.
     """
     from cell.lab.data.opened_study import open_study
     from cell.lab.report.tables import (
@@ -221,7 +229,7 @@ def diagnose(
     report: ReportFile = None,
     force: Force = False,
 ) -> None:
-    """Tell which physical effect the model lacks, none, an unknown one, or that one cannot tell."""
+    """Find the physical effect that the model lacks, if it lacks one."""
     from cell.lab.data.results import to_json
     from cell.lab.data.selection import select_for_diagnosis
     from cell.lab.next.advice import Paths, advice
@@ -270,12 +278,15 @@ def diagnose(
 @app.command(cls=JsonCommand)
 def effects(
     effect: Annotated[
-        list[str] | None, typer.Option("--effect", help="A file.py to check and list as well.")
+        list[str] | None,
+        typer.Option(
+            "--effect", help="A file.py with an effect of your own, to check and list too."
+        ),
     ] = None,
     results: Results = None,
     force: Force = False,
 ) -> None:
-    """List the effects that a model may be given: laws, parameters, units and limits."""
+    """List the effects that a model can have: laws, parameters, units and limits."""
     from cell.lab.data.selection import select_effects
     from cell.lab.report.tables import describe_effects, effects_table
 
@@ -293,13 +304,13 @@ def effects(
 @app.command(cls=JsonCommand)
 def discover(
     study: StudyFolder,
-    out: Annotated[Path, typer.Option("-o", "--out", help="Write the effect's file here.")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="Write the effect to this file.")],
     effect: InModel = None,
     prior: PriorFile = None,
     as_json: Json = None,
     force: Force = False,
 ) -> None:
-    """Infer the missing force from the residual and write it as an effect that one can read."""
+    """Infer the missing law from the residual and write it as a readable effect file."""
     from cell.lab.data.selection import select_effects
     from cell.lab.next.advice import Paths, after_discovery
     from cell.lab.next.discover import NothingFoundError, effect_name
@@ -341,7 +352,8 @@ def discover(
 def suggest(
     study: StudyFolder,
     out: Annotated[
-        Path | None, typer.Option("-o", "--out", help="Write the motion here, for --motion.")
+        Path | None,
+        typer.Option("-o", "--out", help="Write the motion to this file, for `cell run --motion`."),
     ] = None,
     config: Annotated[
         Path | None,
@@ -353,7 +365,7 @@ def suggest(
     as_json: Json = None,
     force: Force = False,
 ) -> None:
-    """Suggest the safe motion that best tells the remaining candidates apart, and its power."""
+    """Suggest the safe motion that best distinguishes the remaining candidates, and its power."""
     from cell.lab.data.selection import select_for_diagnosis
     from cell.lab.next.suggest import suggest_motion, write_motion
     from cell.lab.report.tables import suggestion_table, verdict_line, warning_lines
@@ -372,7 +384,7 @@ def suggest(
         with answering() as interrupted:
             suggestion = suggest_motion(fits, diagnosed, surroundings)
         if interrupted:
-            tell_notes(["not all motions were looked at: the best of those that were"])
+            tell_notes(["interrupted: the result is the best of the motions evaluated so far"])
     data = suggestion.to_json()
 
     def printed() -> None:

@@ -36,21 +36,21 @@ def learn(
     ] = Path("candidate.yaml"),
     effect: Annotated[
         list[str] | None,
-        typer.Option("--effect", help="A file.py with an effect of your own, tried as well."),
+        typer.Option("--effect", help="A file.py with an effect of your own; it is tried too."),
     ] = None,
     laws: Annotated[
         Path | None,
         typer.Option(
-            "--laws", help="Try laws that the library lacks, too; keep those found in this folder."
+            "--laws", help="Also try laws outside the library; write those found to this folder."
         ),
     ] = None,
 ) -> None:
-    """Learn from recorded cycles of many cables which effect the line's model lacks.
+    """Find the effect that the line's model lacks, from recorded cycles of many cables.
 
-    Effects are shared by all cables, EI(s), N and viscosity are each cable's own.  Every recorded
+    Effects are shared by all cables; EI(s), N and viscosity are fitted per cable.  Every recorded
     execution is forecast out of sample, from that cycle's own hold, with the effect as the other
-    cables show it.  Ends with 0 if a candidate passed every gate or nothing is missing, 1 if one
-    was found that did not pass, 2 if what was given is wrong.
+    cables show it.  Exit codes: 0 if a candidate passed every gate or nothing is missing; 1 if a
+    candidate did not pass; 2 if the input is wrong.
     """
     from cell.lab.data.cycles import read_cycles
     from cell.lab.data.selection import select_effects
@@ -89,7 +89,7 @@ def learn(
         print(line, file=sys.stderr)
 
     def printed() -> None:
-        _print(lesson, judgement, [*(f"its law is in {path}" for path in kept), *todo])
+        _print(lesson, judgement, [*(f"the law is written to {path}" for path in kept), *todo])
 
     def candidate(path: Path) -> None:
         write_candidate(path, lesson, judgement, settings.model, lines)
@@ -173,20 +173,20 @@ def _asking(
     if not lesson.tied:
         return [], []
     if asked(lesson.cycles) >= MOST_ASKED:
-        told = f"{MOST_ASKED} motions did not tell them apart: they explain these cables alike"
+        told = f"{MOST_ASKED} motions could not distinguish the tied effects on these cables"
         return [told], []
     try:
         suggestion = motion_that_tells(lesson, Surroundings.read(config), progress)
     except ValueError as error:
-        return [f"no motion tells them apart: {error}"], []
+        return [f"no motion distinguishes the tied effects: {error}"], []
     best = None if suggestion is None else worth_it(suggestion)
     if suggestion is None or best is None:
-        return ["no safe motion is likely to tell them apart: they explain these cables alike"], []
+        return ["no safe motion is likely to distinguish the tied effects on these cables"], []
     motion = _motion(out)
     words = ["cell", "run", "--config", config, "--motion", motion, "--out", _measured(out)]
     lines = [
-        f"a motion tells them apart, with probability {best.power:.2f}: {best.motion.describe()}; "
-        "measure a cable with it, and learn again:",
+        f"this motion distinguishes the tied effects with probability {best.power:.2f}: "
+        f"{best.motion.describe()}; measure a cable with it, and learn again:",
         f"  {_typed(words)}",
         f"  {again}",
     ]
@@ -197,25 +197,26 @@ def _asking(
 def promote(
     config: Config,
     candidate: Annotated[
-        Path | None, typer.Argument(help="Candidate by `cell learn -o`.", show_default=False)
+        Path | None,
+        typer.Argument(help="Candidate written by `cell learn -o`.", show_default=False),
     ] = None,
     undo: Annotated[
-        bool, typer.Option("--undo", help="Go back to the model before the last promotion.")
+        bool, typer.Option("--undo", help="Restore the model before the last promotion.")
     ] = False,
     from_another_line: Annotated[
         bool,
         typer.Option(
-            "--from-another-line", help="Take also what was learned on another line than this."
+            "--from-another-line", help="Accept a candidate that was learned on another line."
         ),
     ] = False,
 ) -> None:
-    """Write a candidate's model into the settings, or take the last one out again.
+    """Write a candidate's model into the settings, or remove the last one again.
 
     A candidate that was learned with another data sheet, camera, arm, calibration or simulated
-    world is refused, unless it is said that this is meant.
+    world is refused, unless --from-another-line is given.
 
-    Comments and order are kept; the settings as they were go to a folder beside.  Killed at any
-    moment it leaves the old settings or the new ones.
+    Comments and order of the settings are kept.  The former settings are saved in a folder beside
+    the file.  If the command is killed, the file has either the old settings or the new ones.
     """
     from cell.settings.promotion import promote as promote_model
     from cell.settings.promotion import read_candidate

@@ -17,20 +17,22 @@ from cell.cli.shared import NOT_ALL_DONE, group, refuse, tell_notes
 app = group()
 
 
-Runs = Annotated[Path, typer.Option("--out", help="Folder of the cycles, as of `cell run`.")]
-AsJson = Annotated[bool, typer.Option("--json", help="As JSON instead of tables.")]
+Runs = Annotated[
+    Path, typer.Option("--out", help="Folder of the cycles: that of `cell run --out`.")
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
 
 
 @app.command("list")
 def list_cycles(
-    runs: Annotated[Path, typer.Argument(help="Folder of the cycles, as `cell run --out`.")] = Path(
-        "runs"
-    ),
+    runs: Annotated[
+        Path, typer.Argument(help="Folder of the cycles: that of `cell run --out`.")
+    ] = Path("runs"),
     as_json: AsJson = False,
 ) -> None:
     """List past cycles, the newest last: outcome, offset, forecast error, pictures.
 
-    Ends with 0, or 2 if the folder is wrong.
+    Exit codes: 0, or 2 if the folder is wrong.
     """
     from rich.console import Console
 
@@ -48,13 +50,13 @@ def list_cycles(
     elif past:
         print_parts(Console(), history_table(past), f"look at one: cell show {runs}/FOLDER")
     else:
-        print(f"{runs}: holds no cycle; `cell run --out {runs}` would leave some there")
+        print(f"{runs}: has no cycles; `cell run --out {runs}` records some")
 
 
 @app.command()
 def show(
     folder: Annotated[
-        Path | None, typer.Argument(help="A cycle's folder; none = the newest.")
+        Path | None, typer.Argument(help="A cycle's folder; default: the newest.")
     ] = None,
     runs: Runs = Path("runs"),
     as_json: AsJson = False,
@@ -64,7 +66,7 @@ def show(
 ) -> None:
     """Show a past cycle: how it ended and why, the cable's parameters, times, pictures.
 
-    Ends with 0, or 2 if the folder is wrong.
+    Exit codes: 0, or 2 if the folder is wrong.
     """
     from rich.console import Console
 
@@ -97,10 +99,12 @@ def identify(
     folder: Annotated[Path, typer.Argument(help="A cycle's folder, or any study.")],
     config: Annotated[
         Path | None,
-        typer.Option("--config", "-c", help="Settings whose `model` is used; default: recorded."),
+        typer.Option(
+            "--config", "-c", help="Settings whose `model` is used; default: those of the record."
+        ),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option("-o", "--out", help="Write the model here, for --prior.")
+        Path | None, typer.Option("-o", "--out", help="Write the model to this file, for --prior.")
     ] = None,
     as_json: Json = None,
     force: Force = False,
@@ -114,7 +118,7 @@ def identify(
 ) -> None:
     """Identify a cable again, from its folder alone, with the model of its settings.
 
-    Ends with 0, 1 if the cable cannot be identified, 2 if the folder is wrong.
+    Exit codes: 0; 1 if the cable cannot be identified; 2 if the folder is wrong.
     """
     from rich.console import Console
 
@@ -134,7 +138,7 @@ def identify(
     model = identified.to_dict()
     stated = ""
     if study.noise_std_m is not None:
-        stated = f" (of the measurement as the study states it: {study.noise_std_m * 1e3:.3f} mm)"
+        stated = f" (stated error of the measurement: {study.noise_std_m * 1e3:.3f} mm)"
 
     def printed() -> None:
         if not print_result(model, out, as_json):

@@ -18,7 +18,7 @@ Json = Annotated[
     Path | None,
     typer.Option(
         "--json",
-        help="Print the result as JSON instead of tables. (--json FILE, the older form, writes.)",
+        help="Print the result as JSON instead of tables. (Older form: --json FILE writes it.)",
         show_default=False,
         metavar="",
     ),

@@ -36,8 +36,8 @@ if TYPE_CHECKING:
 app = group()
 
 _NEVER_SLOW = (
-    "only with --dry-run; a cable that is moved slowly hardly swings, and what does not swing "
-    "cannot be identified"
+    "only with --dry-run; a cable that is moved slowly hardly swings, and a cable that does not "
+    "swing cannot be identified"
 )
 
 
@@ -48,37 +48,44 @@ DryRun = Annotated[
         help="Make all motions of a cycle with empty jaws, and check arm, camera and gripper.",
     ),
 ]
+RunSeed = Annotated[
+    int,
+    typer.Option(
+        min=0, help="Random seed of simulated cables and noise; the same seed repeats a run."
+    ),
+]
+Records = Annotated[Path, typer.Option(help="Folder of the records: one folder in it per cycle.")]
+MotionFile = Annotated[
+    Path | None,
+    typer.Option(help="Only measure, with this motion file (see `cell suggest`); insert nothing."),
+]
 
 
 @app.command()
 def run(
     config: Config,
     cycles: Annotated[int, typer.Option(min=1, help="Number of cables.")] = 1,
-    seed: Annotated[
-        int, typer.Option(min=0, help="Of the simulated cables and noise; repeats a run.")
-    ] = 1,
+    seed: RunSeed = 1,
     as_json: Annotated[
-        bool, typer.Option("--json", help="One JSON object per cycle instead of tables.")
+        bool, typer.Option("--json", help="Print one JSON object per cycle instead of tables.")
     ] = False,
-    out: Annotated[Path, typer.Option(help="Every cycle gets a folder in here.")] = Path("runs"),
-    motion: Annotated[
-        Path | None,
-        typer.Option(help="Only measure, with this motion by `cell suggest`; insert nothing."),
-    ] = None,
+    out: Records = Path("runs"),
+    motion: MotionFile = None,
     dry_run: DryRun = False,
     speed: Annotated[
         float,
-        typer.Option(min=0.01, max=1.0, help="Share of the full speed; only with --dry-run."),
+        typer.Option(min=0.01, max=1.0, help="Share of full speed; only with --dry-run."),
     ] = 1.0,
 ) -> None:
-    """Insert cables, one after another; or measure them, for the model lab; or rehearse it.
+    """Insert cables one after another, or measure them for the model lab, or make a dry run.
 
-    Ends with 0 if all were inserted (or measured, or rehearsed and everything is right), 1 if a
-    cable was rejected or missed, a cycle failed or something is not right, 2 if the settings or the
-    motion are wrong; then nothing has moved.
+    Exit codes: 0 if all cables were inserted or measured, or if the dry run found no error; 1 if a
+    cable was rejected or missed, a cycle failed or the dry run found an error; 2 if the settings or
+    the motion are wrong, and nothing has moved.
 
-    At a terminal, h holds: the motion under way is finished, then the hand keeps still with what it
-    holds until u.  No stop is ever cleared by that.  Ctrl-C stops the arm and closes the record.
+    At a terminal, press h to hold: the current motion is finished, then the hand stays still with
+    what it holds.  Press u to continue.  A hold never clears a stop.  Ctrl-C stops the arm and
+    closes the record.
     """
     from cell.build import build_cell, emulators_asked_for
     from cell.files.input_error import InputError
@@ -203,7 +210,7 @@ def _changes(out: Path, results: list[Result], config: Path, settings: Settings)
         lines.append(f"to learn what the model lacks: cell learn {out} --config {config}")
     elif found:
         lines.append(
-            "each cable is identified anew, so forecasts follow; to see whether the model lacks "
+            "each cable is identified anew, so forecasts follow; to test whether the model lacks "
             f"anything now: cell learn {out} --config {config}"
         )
     worse = worsenings(history)
@@ -247,22 +254,23 @@ def _taken_back(config: Path, withdraw: bool) -> str:
 @app.command()
 def emulate(
     config: Config,
-    seed: Annotated[int, typer.Option(min=0, help="Of the hidden cables and noise.")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed of hidden cables and noise.")] = 1,
     fault: Annotated[
         list[str] | None,
         typer.Option(
             "--fault",
             help="A fault of a device, NAME@2s = 2 s after the next cable is gripped, NAME = at "
-            "once; docs/commissioning.md lists them.  May be given several times.",
+            "once; docs/commissioning.md lists them.  The option may be repeated.",
         ),
     ] = None,
 ) -> None:
-    """Emulate arm, camera and gripper where the settings say they are, until Ctrl-C.
+    """Emulate arm, camera and gripper at the addresses in the settings, until Ctrl-C.
 
-    The settings need a section `emulated`.  `cell run` with the same settings then works with
-    these; so may any other client of the devices' protocols.  Faults may be typed while it runs, as
-    with --fault; `repair` ends them all.  It also ends with its parent.  Ends with 0, 1 if an
-    emulator ended by itself, 2 if the settings or a fault are wrong or the addresses are taken.
+    The settings need a section `emulated`.  `cell run` with the same settings then uses these
+    devices; any other client of their protocols can use them too.  You can type faults while it
+    runs, as with --fault; `repair` ends all of them.  The command also ends if its parent process
+    ends.  Exit codes: 0; 1 if an emulator ended by itself; 2 if the settings or a fault are wrong
+    or the addresses are in use.
     """
     from cell.build import emulating
     from cell.files.input_error import InputError

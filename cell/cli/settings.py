@@ -21,26 +21,30 @@ app = group()
 @app.command()
 def init(
     out: Annotated[
-        Path, typer.Option("-o", "--out", help="Write the settings here; not over a file.")
+        Path,
+        typer.Option("-o", "--out", help="Write the settings to this file; it must not exist."),
     ] = Path("cell.yaml"),
     real: Annotated[
-        bool, typer.Option("--real", help="A real cell: UR arm, industrial camera, gripper.")
+        bool, typer.Option("--real", help="For a real cell: UR arm, industrial camera, gripper.")
     ] = False,
     emulated: Annotated[
         bool,
-        typer.Option("--emulated", help="The real drivers against devices that are emulated."),
+        typer.Option("--emulated", help="For the real drivers with emulated devices."),
     ] = False,
     yes: Annotated[
-        bool, typer.Option("--yes", "-y", help="Ask nothing: defaults, to be edited in the file.")
+        bool,
+        typer.Option(
+            "--yes", "-y", help="Ask nothing; write the defaults, to be edited in the file."
+        ),
     ] = False,
 ) -> None:
     """Write a settings file in which every entry is explained, from a few questions.
 
-    Without a terminal nothing is asked, and the defaults are written: those of a simulated and of
-    an emulated cell (--emulated) run as they are, those of a real one (--real) are examples to be
-    measured and replaced.
+    Without a terminal nothing is asked, and the defaults are written.  Those of a simulated and of
+    an emulated cell (--emulated) run without changes.  Those of a real one (--real) are examples:
+    measure and replace them.
 
-    Ends with 0, or 2 if the file is there already or an answer is wrong.
+    Exit codes: 0, or 2 if the file exists already or an answer is wrong.
     """
     from pydantic import ValidationError
 
@@ -51,7 +55,7 @@ def init(
     from cell.settings.starting import answered, questions
 
     if out.exists():
-        refuse(ValueError(f"{out}: is there already; give another file with -o, or move it away"))
+        refuse(ValueError(f"{out}: exists already; give another file with -o, or move it away"))
     if real and emulated:
         refuse(ValueError("--real and --emulated: give one of them"))
     kind: CellKind = "real" if real else "emulated" if emulated else "simulated"
@@ -71,7 +75,7 @@ def init(
         why = error.strerror or error
         refuse(ValueError(f"{out}: cannot be written: {why}; give another place with -o"))
     except InputError as error:
-        print(f"{out}: written, but to be mended first", file=sys.stderr)
+        print(f"{out}: written, but it must be corrected first", file=sys.stderr)
         refuse(error)
     print(f"{out}: written; next: cell check --config {out}")
 
@@ -80,18 +84,18 @@ def init(
 def doctor(
     config: Annotated[
         Path | None,
-        typer.Option("--config", "-c", help="Settings of the cell; none = as shipped."),
+        typer.Option("--config", "-c", help="Settings of the cell; default: the default settings."),
     ] = None,
     seconds: Annotated[
-        float, typer.Option(min=1.0, max=3600.0, help="How long stalls are measured.")
+        float, typer.Option(min=1.0, max=3600.0, help="Time for which stalls are measured.")
     ] = 5.0,
-    as_json: Annotated[bool, typer.Option("--json", help="As JSON instead of a table.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
 ) -> None:
-    """Tell whether this computer carries the cell: cores, scheduler, clock, stalls, pictures/s.
+    """Check whether this computer can run the cell: cores, scheduler, clock, stalls, pictures/s.
 
-    Nothing is connected and nothing moves. Run it while the computer does what it always does.
+    Nothing is connected and nothing moves. Run it under the usual load of the computer.
 
-    Ends with 0 if every condition is met, 1 if not, 2 if the settings are wrong.
+    Exit codes: 0 if every condition is met; 1 if not; 2 if the settings are wrong.
     """
     from dataclasses import asdict
 
@@ -130,7 +134,7 @@ def doctor(
 def check(config: Config) -> None:
     """Validate settings without moving anything.
 
-    Ends with 0 if they are right, 2 if not; every mistake is named with line and column.
+    Exit codes: 0 if they are right; 2 if not. Every mistake is reported with line and column.
     """
     from cell.files.input_error import InputError
     from cell.settings import load_settings

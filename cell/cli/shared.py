@@ -57,7 +57,7 @@ class Interruption:
         if self:
             return False
         self._number = number
-        print("interrupted: what is known so far follows; Ctrl-C again ends it", file=sys.stderr)
+        print("interrupted: the results so far follow; Ctrl-C again ends it", file=sys.stderr)
         return True
 
 
@@ -145,7 +145,7 @@ def _heard_by(
     except KeyboardInterrupt as error:
         if not given:
             raise
-        print("nothing is known yet, and nothing was written", file=sys.stderr)
+        print("there are no results yet, and nothing was written", file=sys.stderr)
         raise typer.Exit(given.code) from error
     finally:
         for s, before in former.items():
@@ -174,7 +174,7 @@ def interrupted_once() -> Iterator[Callable[[], None]]:
             given.append(KeyboardInterrupt(*([why] if why else [])))
             raise given[0]
         with suppress(OSError):  # nobody reads it any more
-            print("stopping already", file=sys.stderr)
+            print("already stopping", file=sys.stderr)
 
     def not_lost() -> None:
         """Interrupt again: where Python cannot raise, as in a callback, it drops what is raised."""

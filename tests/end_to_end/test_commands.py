@@ -134,7 +134,7 @@ def test_the_schema_is_printed_as_json() -> None:
 def test_help_names_the_exit_codes_and_is_quick() -> None:
     code, out, _ = cell("run", "--help")
     assert code == 0
-    assert "Ends with 0 if all were inserted" in out
+    assert "Exit codes: 0 if all cables were inserted" in out
     heavy = "import sys; import cell.cli; print(sorted({'numba','cv2','scipy'} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", heavy], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]", "help must not wait for heavy imports"

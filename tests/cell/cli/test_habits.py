@@ -42,7 +42,7 @@ def test_init_asks_nothing_without_a_terminal_and_the_file_checks(real, tmp_path
     assert cell("check", "--config", path).exit_code == 0
     before = path.read_text()
     again = cell("init", "-o", path)
-    assert again.exit_code == 2 and "is there already" in again.stderr
+    assert again.exit_code == 2 and "exists already" in again.stderr
     assert path.read_text() == before
 
 
@@ -151,7 +151,7 @@ def test_past_cycles_of_no_folder_end_with_2(tmp_path: Path) -> None:
 
 def test_a_folder_without_cycles_is_said_to_have_none(tmp_path: Path) -> None:
     done = cell("list", tmp_path)
-    assert (done.exit_code, done.stdout.startswith(f"{tmp_path}: holds no cycle")) == (0, True)
+    assert (done.exit_code, done.stdout.startswith(f"{tmp_path}: has no cycles")) == (0, True)
 
 
 @pytest.mark.parametrize(

@@ -39,7 +39,7 @@ def test_a_command_that_knows_nothing_ends(capsys: pytest.CaptureFixture[str]) -
     with pytest.raises(typer.Exit) as ended, answering():
         give(signal.SIGTERM)
     assert ended.value.exit_code == 128 + signal.SIGTERM
-    assert "nothing is known yet, and nothing was written" in capsys.readouterr().err
+    assert "there are no results yet, and nothing was written" in capsys.readouterr().err
 
 
 def test_what_is_asked_to_stop_is_not_interrupted() -> None:

@@ -37,7 +37,7 @@ def test_every_ending_interrupts_once_and_says_why(
         assert str(interruption.value) == why
         os.kill(os.getpid(), signal.SIGHUP)  # the shell sends one more
         os.kill(os.getpid(), signal.SIGTERM)
-    assert capsys.readouterr().err == "stopping already\n" * 2
+    assert capsys.readouterr().err == "already stopping\n" * 2
     assert signal.getsignal(number) == former
 
 

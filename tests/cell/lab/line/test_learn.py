@@ -528,7 +528,7 @@ def test_interrupted_it_says_what_it_knows(
 def test_what_is_printed_can_be_typed(said: tuple[Path, list[str]]) -> None:
     folder, lines = said
     runs = [f"runs/c{n}" for n in (1, 2, 3)]
-    (why,) = [n for n, line in enumerate(lines) if "a motion tells them apart" in line]
+    (why,) = [n for n, line in enumerate(lines) if "this motion distinguishes" in line]
     assert re.search(r"with probability (1\.00|0\.9\d): clamp at ", lines[why])
     run, again = (shlex.split(line) for line in lines[why + 1 : why + 3])
     assert run[:4] == ["cell", "run", "--config", str(CONFIG)]
@@ -558,7 +558,7 @@ def test_after_two_motions_nothing_more_is_asked_for(
     folders = [str(tmp_path / c.name) for c in tied.cycles]
     words = ["learn", *folders, "--config", str(CONFIG), "-o", str(tmp_path / "c.yaml")]
     found = CliRunner().invoke(app, words)
-    assert "2 motions did not tell them apart" in found.output, found.output
+    assert "2 motions could not distinguish the tied effects" in found.output, found.output
     assert not (tmp_path / "c_motion.yaml").exists()
 
 

@@ -155,7 +155,7 @@ def test_a_fit_that_is_not_known_yet_writes_nothing(folder, tmp_path, monkeypatc
     out = tmp_path / "model.json"
     result = interrupted(monkeypatch, "fitting", signal.SIGTERM, "fit", folder, "-o", out)
     assert result.exit_code == 128 + signal.SIGTERM
-    assert "nothing is known yet, and nothing was written" in result.stderr
+    assert "there are no results yet, and nothing was written" in result.stderr
     assert not out.exists()
 
 
