@@ -22,8 +22,8 @@ HEADLINES = {
     "complete": r"^The model is complete: ",
     "unexplained": r"no effect that was tried|no effect was looked for",
     "missing": r" with .+ in it ",
-    "cannot_tell": r"[Tt]hese motions cannot tell|too few to tell|not confirmed|does not bear"
-    r"|do not bear|behind it|^Interrupted",
+    "cannot_tell": r"[Tt]hese motions cannot (?:tell|show)|too few to decide|not confirmed"
+    r"|(?:does|do) not confirm|cannot identify its cause|^Interrupted",
 }
 NUMBER = r"(\d+(?:\.\d+)?(?:e[-+]?\d+)?)"
 
@@ -83,7 +83,7 @@ def numbers_of_the_sentence(found: Found, text: str) -> list[str]:
         (rf"what it misses \({NUMBER} mm\)", error_mm(found["baseline"])),
         (rf"camera noise(?: is)? \(?{NUMBER} mm", 1e3 * found["noise_m"]),
         (rf"stated error of (?:the measurement is )?{NUMBER} mm", 1e3 * found["noise_m"]),
-        (rf"states it \({NUMBER} mm\)", 1e3 * found["noise_m"]),
+        (rf"stated error of the measurement \({NUMBER} mm\)", 1e3 * found["noise_m"]),
     ]
     if found["missing"]:
         after = error_mm(found["missing"][-1])
@@ -207,11 +207,11 @@ def warnings_and_table(found: Found, text: str) -> list[str]:
         if said and not any(f is not None and shows(said[1], 1e3 * f) for f in fits):
             wrong.append(f"“{said[0]}” of {code}, and no error in the table is that")
         if code == "hopeless" and found["partial"]:
-            wrong.append("parameters mean nothing, and effects explain most")
+            wrong.append("parameters are meaningless, and effects explain most")
         if code == "hopeless" and found["limits"]:
-            wrong.append("parameters mean nothing, and effects are excluded beside them")
+            wrong.append("parameters are meaningless, and effects are excluded beside them")
         if code == "hopeless" and found["agreement"]:
-            wrong.append("parameters mean nothing, and trials are asked for them")
+            wrong.append("parameters are meaningless, and trials are asked for them")
         if code == "not_searched" and (found["ranking"] or found["nearest"]):
             wrong.append("no effect was looked for, and effects are listed")
         if code == "not_searched" and "effect that was tried" in text:

@@ -12,29 +12,29 @@ from cell.lab.data.results import Diagnosis, Status, Verdict
 
 #: What the verdicts of a diagnosis mean.
 VERDICTS: dict[Verdict, str] = {
-    "complete": "what the model misses is noise; nothing is missing that these motions could show",
+    "complete": "the residual is noise; these motions show no missing effect",
     "missing": "the effects named are missing in the model, confirmed on motions not fitted to",
-    "unexplained": "the model lacks something, and no effect that was tried explains it to the "
-    "noise",
-    "cannot_tell": "the model lacks something, and these motions cannot tell which effect it is",
+    "unexplained": "the model lacks an effect, and no effect that was tried explains the error "
+    "down to the noise",
+    "cannot_tell": "the model lacks an effect, and these motions cannot decide which one",
 }
 #: What the status of a single effect means.
 STATUSES: dict[Status, str] = {
     "present": "missing in the model",
-    "inspect": "explains something too, worth a look",
-    "absent": "not it: beside what was found it would have been seen at its typical size",
-    "cannot_tell": "could be there beside what was found and not be seen",
+    "inspect": "explains a part too; examine it",
+    "absent": "excluded at its typical size, beside what was found",
+    "cannot_tell": "possible beside what was found; these trials could not show it",
 }
 
 
 def meaning(diagnosis: Diagnosis) -> str:
     """What the verdict of a diagnosis means."""
     if "not_searched" in diagnosis.codes:
-        return "the model is none of this cable, and no effect was looked for"
+        return "this is not a model of this cable, and no effect was looked for"
     if "noise_unknown" in diagnosis.codes and not diagnosis.missing:
-        return "too little is known of the noise to tell whether the model lacks anything"
+        return "the noise is not known well enough to decide whether the model lacks an effect"
     if "interrupted" in diagnosis.codes and not diagnosis.missing:
-        return "the search was stopped before it could tell whether the model lacks anything"
+        return "the search was stopped before it could decide whether the model lacks an effect"
     return VERDICTS[diagnosis.verdict]
 
 
@@ -48,7 +48,7 @@ class Step:
 
 #: Where no parameter of the model means anything, nothing is to be fitted or looked for.
 MEND = Step(
-    "Mend the study first: signs and axes of its frame, gravity, the order of the markers, the "
+    "Correct the study first: signs and axes of its frame, gravity, the order of the markers, the "
     "datasheet, one clock for both files. The cable must be held at one end only."
 )
 
@@ -99,9 +99,9 @@ def see_the_fall(
     """Commands that fit a model without and with effects, and compare the two."""
     both = "--model before.json --model after.json --report comparison.html"
     return (
-        Step("The model before", paths.command("fit", known, "-o before.json")),
-        Step("and after", paths.command("fit", [*known, *effects], "-o after.json")),
-        Step("The error's fall, side by side", paths.command("compare", (), both)),
+        Step("Fit the model before", paths.command("fit", known, "-o before.json")),
+        Step("Fit the model after", paths.command("fit", [*known, *effects], "-o after.json")),
+        Step("Compare the errors of both", paths.command("compare", (), both)),
     )
 
 
@@ -125,11 +125,11 @@ def advice(
     ruled_out = {r.effect for r in diagnosis.ranking if r.status == "absent"}
     accepted = tuple(e for e in accepted if e not in ruled_out)
     motion = Step(
-        "The motion that tells them apart", paths.command("suggest", known, "-o motion.yaml")
+        "Find the motion that distinguishes them", paths.command("suggest", known, "-o motion.yaml")
     )
     match diagnosis.verdict:
         case "complete":
-            return (Step("Nothing is to be added."),)
+            return (Step("Nothing needs to be added."),)
         case "missing":
             tied = any(f.tied_with for f in diagnosis.missing)
             return (*see_the_fall(paths, found, known), *([motion] if tied else []))
@@ -139,7 +139,7 @@ def advice(
             beside = f" beside {' and '.join(there)}" if there else ""
             look = paths.command("discover", there, f"-o {_new_law(there)}.py")
             fall = see_the_fall(paths, accepted, known) if accepted else ()
-            return (*fall, Step(f"To look for an unknown law{beside}", look))
+            return (*fall, Step(f"Search for an unknown law{beside}", look))
         case _:
             return (Step("Measure more. " + motion.why, motion.command),)
 
@@ -153,7 +153,7 @@ def after_discovery(
         return steps
     there = [*known, effect]
     more = paths.command("discover", there, f"-o {_new_law(there)}.py")
-    return (*steps, Step("To look for what is missing beside it", more))
+    return (*steps, Step("Search for what is missing beside it", more))
 
 
 def _new_law(taken: Iterable[str]) -> str:

@@ -37,9 +37,9 @@ CHANCE = 0.01
 
 _STATUS = {
     "present": (ADDED, "missing in the model"),
-    "inspect": ("#edae49", "worth a look"),
+    "inspect": ("#edae49", "examine"),
     "cannot_tell": (QUIET, "cannot tell"),
-    "absent": (NOISE, "not it"),
+    "absent": (NOISE, "excluded"),
 }
 
 

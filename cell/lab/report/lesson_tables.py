@@ -30,10 +30,11 @@ def lesson_lines(lesson: LearningResult, *, so_far: bool = False) -> list[str]:
         f"the noise is {noise_m * 1e3:.3f} mm"
     )
     if lesson.best is None and so_far:
-        return [first, "which effect that is was not found out yet; nothing was written"]
+        return [first, "the missing effect is not identified yet; nothing was written"]
     if lesson.best is None:
         if lesson.left_out:
-            return [first, "no effect that was tried explains more than chance; not all was tried"]
+            tried = "no effect that was tried explains more than chance; some were not tried"
+            return [first, tried]
         nothing = "no effect of the library explains more than chance"
         if before_m > ERRS * noise_m:
             return [first, f"{nothing}, and the model misses more than noise: {LAWS}"]
@@ -49,7 +50,7 @@ def lesson_lines(lesson: LearningResult, *, so_far: bool = False) -> list[str]:
         f"{best.fit.rms_m * 1e3:.3f} mm"
     )
     if lesson.tied:
-        lines.append(f"these cycles cannot tell it from: {', '.join(lesson.tied)}")
+        lines.append(f"these cycles cannot distinguish it from: {', '.join(lesson.tied)}")
     for i, s in zip(best.firsts, lesson.spread, strict=True):
         if s.dof > 0:
             lines.append(
@@ -57,7 +58,7 @@ def lesson_lines(lesson: LearningResult, *, so_far: bool = False) -> list[str]:
                 f"Cochran's Q {s.q:.1f} of {s.dof}, {_chance(s.p_value)})"
             )
     if so_far:
-        lines.append("interrupted before it was judged by the gates; nothing was written")
+        lines.append("interrupted before the gates; nothing was written")
     return lines
 
 

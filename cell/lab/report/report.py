@@ -185,12 +185,12 @@ def profile_page(study: str, found: Sequence[ParameterProfile]) -> str:
     ]
     said = "".join(f"<p>{html.escape(s)}.</p>" for s in profile_sentences(found))
     parts = [
-        '<p class="note">Each parameter is held at values beside its best one and everything else '
-        "refitted; the rise of −2 ln likelihood reaches 3.84, dashed, at the ends of its 95 % "
-        "interval. Where the dotted parabola departs, the fit's own intervals do too. Diamonds: "
-        "another parameter has come to its bound, and the curve is not the measurement's "
-        "alone. What the model leaves beyond noise makes every frame count for less, and the prior "
-        "for more: so the likeliest value may differ from the fitted one.</p>",
+        '<p class="note">Each parameter is held at values near its best one, and all others are '
+        "refitted. The rise of −2 ln likelihood reaches 3.84, dashed, at the ends of its 95 % "
+        "interval. Where the dotted parabola differs, the fit's own intervals are wrong too. "
+        "Diamonds: another parameter is at its bound, so the curve does not come from the "
+        "measurement alone. A residual beyond noise reduces the weight of every frame, and "
+        "increases that of the prior. So the likeliest value may differ from the fitted one.</p>",
         said,
         _plot(profile_curves(found)),
         _table(
@@ -299,8 +299,8 @@ def _trials(series: Sequence[Series]) -> list[str]:
         )
     choice = f'<p><label>Trial: <select id="chooser">{"".join(options)}</select></label></p>'
     note = (
-        '<p class="note">Move the slider or press ▶. The thick lines lead from each point seen '
-        "towards where the model has it, drawn larger by the factor given; grey band: twice the "
+        '<p class="note">Move the slider or press ▶. The thick lines lead from each measured point '
+        "towards that of the model, enlarged by the factor given. Grey band: twice the "
         "noise. In the maps white is noise, colours are logarithmic, and the hand moves "
         "between the dotted lines.</p>"
     )
@@ -355,8 +355,8 @@ def _evidence(examination: Examination) -> list[str]:
         "<h2>Which effect</h2>",
         '<p class="note">Evidence for each effect, alone beside the model, on the trials that were '
         "fitted: √χ² explained, in standard deviations; whiskers: two of them. Left of the dotted "
-        "line it is chance. Several effects may imitate the true one: the one that explains most "
-        "here need not be it.</p>",
+        "line it is chance. Several effects may imitate the true one, so the one that explains "
+        "most here is not always the true one.</p>",
         _plot(ranking(examination.diagnosis)),
         _everything(examination),
     ]
@@ -387,14 +387,14 @@ def _limits(diagnosis: Diagnosis) -> list[str]:
 
 
 def _agreement(diagnosis: Diagnosis) -> list[str]:
-    """Whether the trials agree, and what each of them says, if there are several."""
+    """Whether the trials agree, and the estimates per trial, if there are several."""
     found = diagnosis.agreement
     if not found:
         return []
     said = html.escape(agreement_sentence(found))
     table = _table(agreement_heads(found), agreement_rows(found), range(1, len(found) + 1))
     note = f'<p class="note">{AGREEMENT_NOTE}.</p>'
-    return ["<h2>What each trial says</h2>", f"<p>{said}</p>", table, note]
+    return ["<h2>Estimates per trial</h2>", f"<p>{said}</p>", table, note]
 
 
 def _cable(model: Identified) -> str:

@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     from cell.lab.next.suggest import Suggestion
 
 #: Said where no check failed: the search was stopped.
-NOT_WHY = "These motions cannot tell why."
+NOT_WHY = "These motions cannot show why."
 #: Column of what was fitted to held-out trials too.
 FITTED_TO_ALL = "fitted to all"
 #: Up to so many times the noise a remaining error is called noise.
@@ -64,7 +64,7 @@ _COLOURS = {"present": "green", "inspect": "yellow", "absent": "dim", "cannot_te
 def sentence(
     diagnosis: Diagnosis, baseline: Comparison | None = None, final: Comparison | None = None
 ) -> str:
-    """What was found, as one would say it to a production engineer.
+    """The finding in one sentence, for a production engineer.
 
     baseline  the model without the effects found beside the trials: to say where it fails
     final     with them: to say whether what is left is noise in every respect
@@ -202,8 +202,8 @@ def checks_table(diagnosis: Diagnosis) -> Table:
 
 
 def agreement_table(found: Sequence[Agreement]) -> Table:
-    """What each trial alone says of what the model has."""
-    table = Table(title="What each trial alone says", box=SIMPLE_HEAD)
+    """Estimates of the parameters per trial."""
+    table = Table(title="Estimates per trial", box=SIMPLE_HEAD)
     for column in agreement_heads(found):
         table.add_column(column)
     for row in agreement_rows(found):
@@ -393,9 +393,9 @@ def discovery_sentence(discovery: Discovery) -> str:
     times = discovery.after_m / discovery.noise_m
     left = "What is left is noise."
     if not discovery.complete:
-        left = f"What is left is {times:.1f} times the noise: something else is missing too."
+        left = f"What is left is {times:.1f} times the noise: another effect is missing too."
     elif times > NOISE_ALONE:
-        left = f"What is left is {times:.1f} times the noise: little beside it, but not noise."
+        left = f"What is left is {times:.1f} times the noise: small, but more than noise."
     doubt = "" if discovery.confirmed else " No trial is held out: the law is not confirmed."
     return (
         f"With {discovery.effect} the {where} falls from {mm(discovery.before_m)} to "
@@ -413,7 +413,7 @@ def steps_text(steps: Sequence[Step]) -> str:
 def suggestion_table(suggestion: Suggestion) -> Table:
     """The motions and what they would tell."""
     table = Table(title="Suggested motion, and the next best", box=SIMPLE_HEAD)
-    for column in ("motion", "separation χ²", "hardest to tell", "power"):
+    for column in ("motion", "separation χ²", "hardest to distinguish", "power"):
         table.add_column(
             column, justify="right" if column in ("separation χ²", "power") else "left"
         )
@@ -425,7 +425,7 @@ def suggestion_table(suggestion: Suggestion) -> Table:
             f"{option.power:.2f}",
         )
     first, *others = suggestion.candidates
-    table.caption = f"tells {first} from {', '.join(others)}; {_kept(suggestion)}"
+    table.caption = f"distinguishes {first} from {', '.join(others)}; {_kept(suggestion)}"
     return table
 
 
@@ -439,7 +439,7 @@ def _kept(suggestion: Suggestion) -> str:
         )
     return (
         "hand within its limits, cable and jaw in the picture, cable clear of the workpiece, all "
-        f"with what is uncertain of the cable; {refused} motions refused"
+        f"including the uncertainty of the cable; {refused} motions refused"
     )
 
 

@@ -26,23 +26,24 @@ NEAREST_HEADS = ("effect", "all trials", "fitted", "held out", "most of it")
 #: Table of detection limits.
 LIMIT_HEADS = ("effect", "parameter", "possible (95 %)", "moves the tip by, mm")
 LIMIT_NOTE = (
-    "Each effect alone beside the model found, of the shape that this study shows worst; what the "
-    "model leaves counts as noise. Beyond that range it is excluded; within it could be there"
+    "Each effect alone beside the model found, with the shape that this study detects least; the "
+    "residual of the model counts as noise. An effect outside the range is excluded; inside it is "
+    "possible"
 )
 
 #: Table of the checks.
 _SIGNS = {"<=": "≤", ">=": "≥", "<": "<", ">": ">"}
 CHECK_HEADS = ("question", "answer", "limit", "result")
 CHECK_NOTE = (
-    "The verdict is the worst of what failed; “–”: the question does not apply. docs/lab.md has "
-    "each check's statistic and the reason for its limit"
+    "The verdict is the worst result of the checks that failed; “–”: the question does not apply. "
+    "docs/lab.md has each check's statistic and the reason for its limit"
 )
 
-#: Table of what each trial says.
+#: Table of the estimates per trial.
 AGREEMENT_NOTE = (
-    "Each trial's own value, 95 %, were the shape of EI along the cable and the exponent known as "
-    "all trials together say; “mean_rigidity”: EI, geometric mean along the cable; "
-    "“spread”: standard deviation between trials beyond these intervals"
+    "Estimate per trial, 95 %, with the shape of EI along the cable and the exponent held at the "
+    "values of all trials; “mean_rigidity”: geometric mean of EI along the cable; “spread”: "
+    "standard deviation between trials beyond these intervals"
 )
 
 
@@ -73,7 +74,9 @@ def unexplained(diagnosis: Diagnosis, misses: str, noise_name: str = "camera noi
     noise = f"{noise_name} is {short(diagnosis.noise_m * 1e3)} mm"
     left = diagnosis.left
     if "not_searched" in diagnosis.codes:
-        return f"{misses}, {noise}: that is no model of this cable, and no effect was looked for."
+        return (
+            f"{misses}, {noise}: this is not a model of this cable, and no effect was looked for."
+        )
     if not diagnosis.partial:
         said = f"{misses}, {noise}, and no effect that was tried explains it."
         if left is not None:
@@ -89,7 +92,7 @@ def unexplained(diagnosis: Diagnosis, misses: str, noise_name: str = "camera noi
             f"{it} and {short(left.rms_m * 1e3)} mm with {it}, {left.over_noise:.1f} times the "
             f"noise, most {peak_in_words(left.peak)}"
         )
-    return f"{said}. What that is, no effect that was tried tells."
+    return f"{said}. The rest is explained by no effect that was tried."
 
 
 def interrupted(diagnosis: Diagnosis, misses: str) -> str:
@@ -127,11 +130,11 @@ def _class(found: MissingEffect) -> str:
 
 
 def noise_like(noise_mm: float, final: Comparison | None) -> str:
-    """What an error is that is no larger than the noise, in one consistent statement."""
+    """One statement of an error that is no larger than the noise."""
     if final is None:
         return f"camera noise ({short(noise_mm)} mm)"
     patterns, trials = final.patterns(), len(final.where)
-    seen = f"in {patterns} of {trials} trials it has a pattern, too small to be told what from"
+    seen = f"in {patterns} of {trials} trials it has a pattern, too small to identify its cause"
     if not final.noise_is_stated:
         return (
             f"camera noise ({short(noise_mm)} mm)"
@@ -140,7 +143,7 @@ def noise_like(noise_mm: float, final: Comparison | None) -> str:
         )
     rest_mm = final.noise_at_rest_m * 1e3
     camera = f"; camera noise at rest is {short(rest_mm)} mm" if np.isfinite(rest_mm) else ""
-    said = f"within the measurement's error as the study states it ({short(noise_mm)} mm){camera}"
+    said = f"within the stated error of the measurement ({short(noise_mm)} mm){camera}"
     return said if not patterns else f"{said}; {seen}"
 
 
@@ -189,10 +192,10 @@ def nearest_rows(diagnosis: Diagnosis) -> list[list[str]]:
 
 def nearest_note(diagnosis: Diagnosis) -> str:
     """What its columns say."""
-    to = "them all" if diagnosis.verdict == "unexplained" else "those to be fitted"
+    to = "all" if diagnosis.verdict == "unexplained" else "the fit trials"
     return (
-        f"Error, mm rms per coordinate, with each alone beside the model. “all trials”: of them "
-        f"all, fitted to {to}; –: was not so fitted"
+        f"Error, mm rms per coordinate, with each effect alone beside the model. “all trials”: "
+        f"error on all trials, fitted to {to}; –: not fitted so"
     )
 
 
@@ -236,7 +239,7 @@ def _said_by_trials(agreement: Agreement) -> str:
     values = [t.value for t in agreement.by_trial if t.value is not None]
     unit = "" if agreement.unit == "1" else f" {agreement.unit}"
     return (
-        f"alone they say {digits(min(values), 3)} … {digits(max(values), 3)}{unit} "
+        f"estimates per trial {digits(min(values), 3)} … {digits(max(values), 3)}{unit} "
         f"(p {chance(agreement.p_value, '= ')})"
     )
 

@@ -131,16 +131,16 @@ def _natural(
 
 
 def profile_sentences(found: Sequence[ParameterProfile]) -> list[str]:
-    """What of the profiles needs words: open intervals, others' bounds, a better minimum."""
+    """Remarks on the profiles: open intervals, parameters at bounds, a better minimum."""
     said = []
     for p in found:
         if p.better:
-            said.append(f"{p.name}: on the way a better fit was met than the one begun with")
+            said.append(f"{p.name}: the profile found a better fit than the one it started from")
         if not (np.isfinite(p.low) and np.isfinite(p.high)):
             sides = [w for w, v in (("low", p.low), ("high", p.high)) if not np.isfinite(v)]
             said.append(f"{p.name} is not bounded by this study: no {' or '.join(sides)} value is "
                         "excluded")  # fmt: skip
         others = sorted({n for names in p.at_bound for n in names})
         if others:
-            said.append(f"{p.name}: its interval leans on the bound of {', '.join(others)}")
+            said.append(f"{p.name}: its interval depends on the bound of {', '.join(others)}")
     return said

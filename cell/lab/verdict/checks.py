@@ -1,8 +1,8 @@
-"""The checks of a verdict, as one table: what is asked, the limit, and what failing it means.
+"""The checks of a verdict, as one table: the question, the limit, and the effect of a failure.
 
-A model that fails a check of the first part leaves more than noise: the study is `unexplained`.  A
-check of the second part that fails says why nothing is claimed: `cannot_tell`.  The verdict is the
-worst of what failed; text, page, JSON and the reference in docs print these rows.
+If a check of the first part fails, the model leaves more than noise: `unexplained`.  If a check of
+the second part fails, nothing is claimed, and the check says why: `cannot_tell`.  The verdict is
+the worst of these.  Text, page, JSON and the reference in docs print these rows.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ LEAVES_NOISE: tuple[Check, ...] = (
         "misfit_significance",
         "unexplained",
         "It misses more than the measurement's stated error.",
-        "the p-value of χ² of independent values; up to 4 % above it are a model's own error",
+        "the p-value of χ² of independent values; up to 4 % above it is a model's own error",
     ),
     Check(
         "fitted_error",
@@ -108,7 +108,7 @@ LEAVES_NOISE: tuple[Check, ...] = (
         "gross_misfit",
         "unexplained",
         "It misses more than noise on the trials that it was fitted to.",
-        "the ratio of both; converged simulators of one cable differ by less than 10 %",
+        "the ratio of error and noise; converged simulators of one cable differ by less than 10 %",
     ),
     Check(
         "heldout_smooth",
@@ -118,8 +118,8 @@ LEAVES_NOISE: tuple[Check, ...] = (
         ">=",
         "misfit_significance",
         "unexplained",
-        "On held-out trials it leaves a slow error that noise does not make.",
-        "χ² of slow functions of time and place, where misfits are and little noise",
+        "The slow error on held-out trials is not noise.",
+        "χ² of slow functions of time and place, which contain misfits and little noise",
     ),
     Check(
         "all_trials_smooth",
@@ -129,19 +129,19 @@ LEAVES_NOISE: tuple[Check, ...] = (
         ">=",
         "misfit_significance",
         "unexplained",
-        "Fitted to all trials it leaves a slow error that noise does not make.",
-        "the same with more values, and the level of noise known from all frames",
+        "The slow error of a fit to all trials is not noise.",
+        "the same test with more values, and the noise level known from all frames",
     ),
     Check(
         "parameter_constancy",
-        "Do all trials ask for the same parameters?",
+        "Do all trials agree on the parameters?",
         "p",
         questions.parameter_constancy,
         ">=",
         "misfit_significance",
         "unexplained",
-        "Single trials ask for different parameters, which one cable does not have.",
-        "a score test of parameters per trial: a wrong model bends differently in each motion",
+        "Single trials need different parameters, but one cable has one set.",
+        "a score test of parameters per trial: a wrong model needs other values for each motion",
     ),
     Check(
         "wider_law",
@@ -151,7 +151,7 @@ LEAVES_NOISE: tuple[Check, ...] = (
         ">=",
         "law_significance",
         "unexplained",
-        "A wider law than the effect's own explains more: something else is there.",
+        "A wider law than the effect's own explains more: the cause is another.",
         "a score test of the wider law's parameters (Lagrange multiplier)",
         doubts.wider_law_doubts,
     ),
@@ -164,7 +164,7 @@ LEAVES_NOISE: tuple[Check, ...] = (
         "misfit_significance",
         "unexplained",
         "It misses more than noise.",
-        "an F or χ² test, as the noise's level is known from so many still frames",
+        "an F test with the frames at rest that determine the noise, or a χ² test",
     ),
     Check(
         "earlier_model",
@@ -174,8 +174,8 @@ LEAVES_NOISE: tuple[Check, ...] = (
         ">",
         "least_share",
         "unexplained",
-        "It leaves most of what the earlier cable's model misses.",
-        "the share that goes: what is left may be the earlier model's own error",
+        "It leaves most of the error of the earlier cable's model.",
+        "the explained share; the remainder may be the earlier model's own error",
     ),
 )
 
@@ -214,7 +214,7 @@ MAY_BE_CLAIMED: tuple[Check, ...] = (
         "least_visible",
         "cannot_tell",
         "The held-out trials cannot show it: it is not confirmed.",
-        "ln of the likelihood ratio with and without the effect",
+        "ln of the ratio of the likelihoods with and without the effect",
         doubts.insensitive_doubts,
     ),
     Check(
@@ -226,41 +226,41 @@ MAY_BE_CLAIMED: tuple[Check, ...] = (
         "max_tied",
         "cannot_tell",
         "These motions cannot tell them apart.",
-        "their number: one of three is an answer that can be tested, one of more is none",
+        "their number: up to three candidates can be tested, more cannot",
     ),
     Check(
         "weakly_identified",
-        "Would half of an effect be noticed if it were left?",
+        "Would half of the effect be detected?",
         "p",
         questions.half_seen,
         "<",
         "half_seen",
         "cannot_tell",
-        "So little of it is seen that an effect the library lacks could be behind it.",
-        "power: what half of the effect leaves must fail the checks above at 5 %",
+        "So weak a signal cannot identify its cause.",
+        "power: the residual with half of the effect must fail the checks above at 5 %",
         doubts.weak_doubts,
     ),
     Check(
         "prior_driven",
-        "How many effects does only the prior ask for?",
+        "How many effects are needed only because of the prior?",
         "effects",
         _asked_by_prior_only,
         "<=",
         "max_prior_driven",
         "cannot_tell",
-        "Without the prior the study does not bear this out.",
-        "a diagnosis without the prior, as of another cable",
+        "Without the prior the study does not confirm this.",
+        "a diagnosis without the prior, as for another cable",
         doubts.prior_doubts,
     ),
     Check(
         "possibly_omitted",
-        "Do all trials together ask for another effect?",
+        "Do all trials together show another effect?",
         "p",
         questions.possibly_omitted,
         ">=",
         "misfit_significance",
         "cannot_tell",
-        "All trials together ask for more than the model has; those held out do not bear it out.",
+        "All trials together show another effect, but the held-out trials do not confirm it.",
         "a score test of each effect of the library (Lagrange multiplier), Holm-corrected",
         doubts.omitted_doubts,
     ),
@@ -272,8 +272,8 @@ MAY_BE_CLAIMED: tuple[Check, ...] = (
         "<",
         "noise_known_within",
         "cannot_tell",
-        "The frames at rest are too few to tell whether that is noise.",
-        "the largest noise that the rest allows: another error as large must be more than that",
+        "The frames at rest are too few to decide whether that is noise.",
+        "the largest noise that the rest allows: noise plus an error as large must exceed it",
         doubts.noise_doubts,
     ),
 )

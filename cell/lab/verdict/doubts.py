@@ -1,4 +1,4 @@
-"""What makes a fit or a diagnosis doubtful, each with a code for programs and a sentence."""
+"""Warnings about a fit or a diagnosis: a code for programs and a sentence for people."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ TOLD = 3
 NEAR_BOUND = 0.01
 #: Warnings that come of no check, by code: what was found, and what verdict it brings, if any.
 MEANINGS = {
-    "hopeless": ("misses more than half of what the markers move", ""),
-    "not_searched": ("misses more than twice what the markers move", "unexplained"),
-    "beyond_noise": ("a fit leaves more than 3 times the noise", ""),
+    "hopeless": ("the error is more than half of the markers' motion", ""),
+    "not_searched": ("the error is more than twice the markers' motion", "unexplained"),
+    "beyond_noise": ("the error of a fit is more than 3 times the noise", ""),
     "implausible": ("EI differs more than 20-fold along the cable", ""),
     "starts_disagree": ("a second start ends at another minimum", ""),
     "at_bound": ("a parameter is at its bound", ""),
@@ -45,7 +45,7 @@ MEANINGS = {
     "unsimulated": ("the search ended where nothing can be simulated", "cannot_tell"),
     "cut_short": ("the search for more effects reached its limit of work", ""),
     "interrupted": ("a person stopped the command", "cannot_tell"),
-    "lacks": ("of a fit: effects of the library explain what it leaves", ""),
+    "lacks": ("effects of the library explain the residual of a fit", ""),
 }
 
 
@@ -61,8 +61,8 @@ def fit_doubts(fits: FitCache, candidate: FittedModel) -> tuple[Doubt, ...]:
             Doubt(
                 "hopeless",
                 f"the fit{to_all} misses {fit.rms_m * 1e3:.3g} mm of markers that move by "
-                f"{moved_m * 1e3:.3g} mm (rms): its parameters mean nothing; check the study's "
-                "frame, times and datasheet",
+                f"{moved_m * 1e3:.3g} mm (rms): its parameters are meaningless; check the "
+                "study's frame, times and datasheet",
             )
         )
     elif np.isfinite(worst_m) and worst_m > BEYOND_NOISE * noise_model.noise.std_m:
@@ -70,15 +70,15 @@ def fit_doubts(fits: FitCache, candidate: FittedModel) -> tuple[Doubt, ...]:
             Doubt(
                 "beyond_noise",
                 f"the model misses {worst_m * 1e3:.3g} mm, {worst_m / noise_model.noise.std_m:.0f} "
-                "times the noise: it lacks something; `cell diagnose STUDY` says what",
+                "times the noise: it lacks an effect; `cell diagnose STUDY` finds out which",
             )
         )
     found += _wrong_minimum(fits, candidate)
     found += [
         Doubt(
             "at_bound",
-            f"{name} is at its bound, {value:.4g} {unit}: an answer that the limit gave, not the "
-            "measurement",
+            f"{name} is at its bound, {value:.4g} {unit}: the value comes from the bound, not from "
+            "the measurement",
         )
         for name, value, unit in at_bound(fit)
     ]
@@ -109,9 +109,10 @@ def _wrong_minimum(fits: FitCache, candidate: FittedModel) -> list[Doubt]:
         found.append(
             Doubt(
                 "implausible",
-                f"EI differs {differs:.0f}-fold along the cable while {fit.rms_m * 1e3:.3g} mm are "
-                "missed: no cable is like that, its parameters mean nothing; the search is in a "
-                "wrong minimum, or the study not as it says (frame, datasheet, how trials begin)",
+                f"EI differs {differs:.0f}-fold along the cable and the model misses "
+                f"{fit.rms_m * 1e3:.3g} mm: this is not plausible for a cable, and the parameters "
+                "are meaningless; the search is in a wrong minimum, or the study is wrong (frame, "
+                "datasheet, how trials begin)",
             )
         )
     found += _starts_disagree(fits)
@@ -134,7 +135,7 @@ def _starts_disagree(fits: FitCache) -> list[Doubt]:
             "starts_disagree",
             f"from two starts the fit ends in different places: one misses {base.rms_m * 1e3:.3g} "
             f"mm, the other {other.rms_m * 1e3:.3g} mm, with {' and '.join(found)}; there may be a "
-            "better one",
+            "better minimum",
         )
     ]
 
@@ -165,9 +166,9 @@ def lacking_doubt(lacks: Sequence[str]) -> tuple[Doubt, ...]:
     return (
         Doubt(
             "lacks",
-            f"what the model leaves is not noise, {' and '.join(lacks)} beside it would explain "
-            "most of it: the intervals hold what the parameters would be then; `cell diagnose "
-            "STUDY` tells more",
+            f"the residual is not noise, and {' and '.join(lacks)} in the model would explain most "
+            "of it: the intervals include the parameters of that model; `cell diagnose STUDY` "
+            "shows more",
         ),
     )
 
@@ -186,9 +187,9 @@ def no_model_doubt() -> Doubt:
     """Of a diagnosis that looked for no effect."""
     return Doubt(
         "not_searched",
-        "no effect was looked for: what misses more than the markers move is no model of this "
-        "cable; mend the study first (the signs of y_m and angle_rad, gravity, the order of the "
-        "markers, the datasheet, one clock for both files)",
+        "no effect was looked for: a model whose error is larger than the motion of the markers is "
+        "not a model of this cable; correct the study first (the signs of y_m and angle_rad, "
+        "gravity, the order of the markers, the datasheet, one clock for both files)",
     )
 
 
@@ -196,9 +197,9 @@ def unsimulated_doubt() -> Doubt:
     """Of a diagnosis that could not go on: it says what it knew until then."""
     return Doubt(
         "unsimulated",
-        "the search ended at a model that cannot be simulated; what was fitted until then is "
-        "told, nothing is confirmed: a baseline this far off hints at the study's frame, its "
-        "datasheet or its clock",
+        "the search ended at a model that cannot be simulated; the fits until then are shown, and "
+        "nothing is confirmed; check the study's frame, datasheet and clock, because the error of "
+        "the baseline is so large",
     )
 
 
@@ -218,8 +219,8 @@ def doubts(
         found += (
             Doubt(
                 "cut_short",
-                f"the search for further effects ended after {simulated_s:.0f} s of motion had "
-                "been simulated",
+                f"the search for further effects reached its limit, {simulated_s:.0f} s of "
+                "simulated motion",
             ),
         )
     return tuple(w for w in found if w.code != "beyond_noise")
@@ -235,8 +236,8 @@ def insensitive_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...
     return tuple(
         Doubt(
             "heldout_insensitive",
-            f"the held-out trials cannot show {effect}: it explains the trials fitted to and is "
-            "not confirmed; hold out a trial in which it would be seen",
+            f"the held-out trials cannot show {effect}: it explains the trials fitted to, but it "
+            "is not confirmed; hold out a trial that can show it",
         )
         for effect in reading.effects
     )
@@ -248,13 +249,13 @@ def noise_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
     low_m, high_m = noise_model.range_m or (noise_model.noise.std_m, noise_model.noise.std_m)
     remedy = f"record at least {noise_model.frames_needed} frames at rest before each motion"
     if noise_model.hidden:
-        remedy = "write the markers with more digits, as they are rounded to more than they vary"
+        remedy = "write the markers with more digits, because the rounding is larger than the noise"
     return (
         Doubt(
             "noise_unknown",
-            f"the frames at rest tell the noise only to {low_m * 1e3:.2g} … {high_m * 1e3:.2g} mm: "
-            f"an error as large as the noise would pass for it; {remedy}, or give noise_std_m in "
-            "study.yaml",
+            f"the frames at rest give the noise only as {low_m * 1e3:.2g} … {high_m * 1e3:.2g} mm: "
+            f"an error as large as the noise could not be distinguished from it; {remedy}, or "
+            "give noise_std_m in study.yaml",
         ),
     )
 
@@ -268,9 +269,9 @@ def weak_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
     return tuple(
         Doubt(
             "weakly_identified",
-            f"the trials show so little of {effect.name} that half of it could be left unnoticed: "
-            "an effect that the library lacks may be behind it; add a motion that shows more of "
-            "it, such as `cell suggest STUDY` finds, or repeat these with less noise",
+            f"the signal of {effect.name} is weak: half of the effect could remain undetected, "
+            "so the cause may be an effect outside the library; add a motion that shows more of "
+            "it, as `cell suggest STUDY` finds, or repeat these with less noise",
         )
         for effect in seen
     )
@@ -283,9 +284,9 @@ def omitted_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
     return (
         Doubt(
             "possibly_omitted",
-            f"all trials together ask for {' or '.join(effects[:TOLD])}{more} far more plainly "
-            "than chance would, and those held out do not bear it out: that nothing else is "
-            "missing is not claimed; add a motion that tells, such as `cell suggest STUDY` finds",
+            f"all trials together show {' or '.join(effects[:TOLD])}{more} far beyond chance, but "
+            "the held-out trials do not confirm it: it remains open whether more is missing; add "
+            "a motion that decides, as `cell suggest STUDY` finds",
         ),
     )
 
@@ -296,9 +297,9 @@ def wider_law_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
     return tuple(
         Doubt(
             "wider_law",
-            f"{effect.name} explains most, but its law does not hold: `--effect "
-            f"{'' if effect.wider is None else effect.wider.name}`, which is freer, explains more; "
-            "something that the library lacks and that looks like it is there",
+            f"{effect.name} explains most, but its law does not hold: the more general `--effect "
+            f"{'' if effect.wider is None else effect.wider.name}` explains more; the cause is "
+            "similar to it, but not in the library",
         )
         for effect in broken
     )
@@ -309,8 +310,8 @@ def prior_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
     return tuple(
         Doubt(
             "prior_driven",
-            f"the prior alone asks for {effect}: without it, as another cable than the prior's, "
-            f"the study does not bear {effect} out; give the prior of this cable, or none",
+            f"{effect} is needed only because of the prior: without the prior, as for another "
+            f"cable, the study does not confirm {effect}; give the prior of this cable, or none",
         )
         for effect in reading.effects
     )

@@ -104,7 +104,7 @@ def test_a_model_whose_trials_ask_for_an_effect_is_not_called_complete(seed, nam
     found = diagnose(fits).diagnosis
     assert found.verdict == "cannot_tell"
     assert [w.code for w in found.warnings] == ["possibly_omitted"]
-    assert f"ask for {name}" in found.warnings[0].message
+    assert f"show {name}" in found.warnings[0].message
     (omitted,) = [c.failed for c in CHECKS if c.name == "possibly_omitted"]
     assert sentence(found).endswith(f". {omitted}")
 

@@ -308,7 +308,7 @@ def test_learning_ends_at_its_limit_of_work_and_says_what_it_left_out(
     assert f"{dragged[1].name}: {rejected}" in lesson.left_out
     assert f"a fit with {untried}, {limit}" in lesson.left_out
     nothing = replace(lesson, best=None)
-    assert lesson_lines(nothing)[-1].endswith("not all was tried")
+    assert lesson_lines(nothing)[-1].endswith("some were not tried")
     tried = replace(nothing, left_out=())
     assert "misses more than noise: `cell learn --laws`" in lesson_lines(tried)[-1]
     assert budget.work.simulated_s > budget.most_s, "what is simulated was counted"

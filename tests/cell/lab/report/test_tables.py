@@ -38,13 +38,13 @@ def test_what_effects_do_to_the_error_is_said_in_millimetres():
 
 
 def test_where_the_noise_is_not_known_no_effect_is_said_to_lack_and_rest_is_asked_for():
-    """Of what may be noise: "lacks something", and a motion to tell apart effects of which none was
+    """Of what may be noise: "lacks an effect", and a motion to tell apart effects of which none was
     named.
     """
     unknown = replace(diagnosis("cannot_tell"), warnings=(Doubt("noise_unknown", "…"),))
     unknown = replace(unknown, checks=(failed("noise_unknown"),))
-    assert sentence(unknown).endswith("too few to tell whether that is noise.")
-    assert "lacks something" not in verdict_line(unknown)
+    assert sentence(unknown).endswith("too few to decide whether that is noise.")
+    assert "the model lacks an effect, and" not in verdict_line(unknown)
     said = steps_text(advice(unknown))
     assert "frames at rest" in said
     assert "cell suggest" not in said
@@ -60,7 +60,7 @@ def failed(name):
 def test_one_effect_that_a_prior_alone_asks_for_is_not_told_from_others():
     found = diagnosis("cannot_tell", "tip_mass")
     asked = replace(found, checks=(failed("prior_driven"),))
-    assert sentence(asked).endswith("Without the prior the study does not bear this out.")
+    assert sentence(asked).endswith("Without the prior the study does not confirm this.")
     tied = replace(found, checks=(failed("ties"),))
     assert sentence(tied).endswith("These motions cannot tell them apart.")
 
@@ -111,7 +111,7 @@ def test_one_statement_about_noise_where_the_study_states_it_and_the_camera_is_b
     assert shown.noise_at_rest_m == pytest.approx(2e-6, rel=0.1)
     small = Errors(shown.fit_rms_m, shown.heldout_rms_m)
     said = sentence(Diagnosis(shown.noise_m, small, "complete"), shown, shown)
-    assert "within the measurement's error as the study states it (0.02 mm)" in said
+    assert "within the stated error of the measurement (0.02 mm)" in said
     assert "camera noise at rest is 0.002 mm" in said
     assert f"in {shown.patterns()} of 4 trials it has a pattern" in said
     assert "camera noise (0.02" not in said
@@ -137,8 +137,8 @@ def test_the_ends_of_a_narrow_range_are_told_apart(low, high, shown):
     ("after_m", "complete", "left"),
     [
         (5.2e-5, True, "What is left is noise."),
-        (9e-5, True, "What is left is 1.8 times the noise: little beside it, but not noise."),
-        (9e-4, False, "What is left is 18.0 times the noise: something else is missing too."),
+        (9e-5, True, "What is left is 1.8 times the noise: small, but more than noise."),
+        (9e-4, False, "What is left is 18.0 times the noise: another effect is missing too."),
     ],
 )
 def test_what_a_law_leaves_is_called_noise_only_if_it_is(

@@ -54,7 +54,9 @@ def test_a_trial_whose_pictures_are_later_than_those_of_others_is_told(study):
     assert latency.by_trial[2].value == pytest.approx(0.007, abs=4e-4)
     assert latency.spread == pytest.approx(0.0015, rel=0.2)
     said = agreement_sentence(found)
-    assert said.startswith("The 4 trials disagree on camera latency delay (s): alone they say 0.00")
+    assert said.startswith(
+        "The 4 trials disagree on camera latency delay (s): estimates per trial 0.00"
+    )
     assert said.endswith("They agree on mean rigidity and viscosity.")
     heads, rows = agreement_heads(found), agreement_rows(found)
     assert heads[3] == "camera_latency.delay_s, s"

@@ -143,7 +143,7 @@ def test_a_fit_is_told_without_what_would_have_followed(folder, tmp_path, monkey
     result = interrupted(monkeypatch, "profile of ", signal.SIGINT, *given)
     assert result.exit_code == 128 + signal.SIGINT
     assert "viscosity" in result.stdout
-    assert "was not computed, or not all of it" in result.stdout
+    assert "computations after the fit are missing or incomplete" in result.stdout
     found = json.loads(out.read_text())
     assert found["warnings"][0]["code"] == "interrupted"
     assert found["agreement"]

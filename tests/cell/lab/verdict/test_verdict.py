@@ -188,6 +188,6 @@ def test_an_effect_so_small_that_another_could_be_behind_it_is_not_claimed(make_
     told = diagnose(explore(study, ("grip_compliance", "air_drag"))).diagnosis
     assert told.verdict == "cannot_tell"
     assert [w.code for w in told.warnings] == ["weakly_identified"]
-    assert "half of it could be left unnoticed" in told.warnings[0].message
+    assert "half of the effect could remain undetected" in told.warnings[0].message
     (weak,) = [c.failed for c in CHECKS if c.name == "weakly_identified"]
     assert sentence(told).endswith(weak)
