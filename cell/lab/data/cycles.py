@@ -1,4 +1,4 @@
-"""Recorded cycles of many cables, for what all of them have in common."""
+"""Recorded cycles of many cables, read for learning what all of them have in common."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class RecordedCycle:
 
 
 def read_cycles(runs: Sequence[Path], cable: Cable) -> tuple[list[RecordedCycle], list[str]]:
-    """The cycles in folders, or in the folders in them, oldest first; and what was left out, why.
+    """Cycles of folders or their subfolders, oldest first; and the cycles left out, with reasons.
 
     raises  InputError: a folder that holds no cycle, one of another data sheet, or none of use
     """

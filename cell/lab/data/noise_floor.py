@@ -1,4 +1,4 @@
-"""Noise of the camera, level and colour: what the rest allows, and of that what all frames say."""
+"""Noise of the camera, level and colour: a set from the rest, and the best in it by all frames."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class NoiseUnknownError(ValueError):
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """The noise of the markers: what no model can explain, and how well that itself is known.
+    """The noise of the markers, and the uncertainty of its level.
 
     dof   degrees of freedom behind the level; `inf` if the study states it
     coloured  whether still frames have shown its colour
@@ -183,7 +183,7 @@ def _longest_run(seen: NDArray[np.bool_]) -> tuple[int, int]:
 
 
 def floor_of_all_frames(noise_model: NoiseModel, remainder: Remainder) -> NoiseModel:
-    """The noise, of all that the rest allows, that explains rest and remainder best.
+    """The noise of highest likelihood over rest and remainder, within what the rest allows.
 
     Few still frames leave level and colour uncertain, and a noise taken for known that is not makes
     misfits of it.  In motion there are more values, but a misfit may be in them: so they choose

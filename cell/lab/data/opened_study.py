@@ -1,4 +1,4 @@
-"""A study fit for the lab, by its folder: read and checked, with what of it is left out."""
+"""A study read from its folder and checked for the lab, with notes of what is left out."""
 
 from __future__ import annotations
 

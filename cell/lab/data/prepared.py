@@ -25,12 +25,12 @@ ERRS = 1.1
 
 
 class StoppedError(KeyboardInterrupt):
-    """A computation was stopped before its next simulation: a person wants what there is."""
+    """A computation was stopped before its next simulation, to return the results so far."""
 
 
 @dataclass
 class Work:
-    """Seconds of cables' motion simulated so far with `SOLVER`, or what they cost with others.
+    """Work, counted as seconds of cable motion simulated with `SOLVER`, or its equivalent.
 
     Whoever waits may stop it from another thread or a signal's handler.
     """

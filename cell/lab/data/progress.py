@@ -1,4 +1,4 @@
-"""Who is told how far a computation is."""
+"""The receiver of progress messages of a computation."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Protocol
 
 
 class Progress(Protocol):
-    """Is told what is being done: `done` of `total` pieces lie behind; 0 of 0 = not counted.
+    """Receives what is being done: `done` of `total` pieces are finished; 0 of 0 = not counted.
 
     Any thread may tell it.
     """

@@ -1,4 +1,4 @@
-"""What frames at rest and in motion allow the noise to be: its level, its correlation, both."""
+"""The confidence set of the noise's level and correlation, from frames at rest and in motion."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ ROUNDED = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Rest:
-    """What still frames tell of level and colour.
+    """Level and colour of the noise as estimated from still frames.
 
     degree        of the polynomials that are taken out of every series
     resolution_m  step to which values are rounded; 0 = not seen to be
@@ -127,7 +127,7 @@ class Rest:
 
 @dataclass(frozen=True, eq=False)
 class Remainder:
-    """What of a residual neither fitted parameters nor any effect could explain, in motion.
+    """The part of a residual in motion that neither fitted parameters nor any effect can explain.
 
     errors_m  per trial (times, channels), nan where not seen or at rest
     dof   values less what was taken out of them
@@ -205,7 +205,7 @@ def dof_of(log_level: FloatArray, cost: FloatArray, dof: float) -> float:
 
 
 def alike(one: Noise, other: Noise) -> bool:
-    """Whether two noises differ by nothing that is said."""
+    """Whether two noises differ only by a negligible amount."""
     level = abs(np.log(one.std_m / other.std_m))
     colour = abs(np.log((1.0 - one.ar1) / (1.0 - other.ar1)))
     return bool(max(level, colour) < UNCHANGED)

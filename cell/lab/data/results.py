@@ -89,7 +89,7 @@ class RemainingError:
 
 @dataclass(frozen=True)
 class Nearest:
-    """An effect that does not leave noise alone, yet less than others; and what it leaves.
+    """An effect that leaves more than noise but less than others, and its residual.
 
     explained_share, left_rms_m  of all trials, fitted to them all
     errors                       fitted to the fit trials alone; nan if it never was
@@ -122,7 +122,7 @@ class Limit:
 
 @dataclass(frozen=True)
 class TrialValue:
-    """What one trial alone says of a parameter, with its 95 % interval; None = nothing."""
+    """The estimate of a parameter from one trial, with its 95 % interval; None = no estimate."""
 
     trial: str
     value: float | None
@@ -132,7 +132,7 @@ class TrialValue:
 
 @dataclass(frozen=True)
 class Agreement:
-    """What each trial alone says of a parameter, and whether that is one value.
+    """Estimates of a parameter per trial, and whether they agree.
 
     value    of all trials together
     spread   standard deviation between trials beyond what each of them is uncertain by, in `unit`
@@ -158,7 +158,7 @@ class Doubt:
 
 @dataclass(frozen=True)
 class CheckResult:
-    """What a check of the verdict asked, and the answer.
+    """The question of a check of the verdict, and the answer.
 
     unit       of statistic and limit
     statistic  None where the question does not apply to the study
@@ -264,7 +264,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
 
 
 def agreement_json(agreement: Sequence[Agreement]) -> list[dict[str, Any]]:
-    """What each trial alone says, as plain data."""
+    """Estimates per trial, as plain data."""
     return [vars(a) | {"by_trial": [vars(t) for t in a.by_trial]} for a in agreement]
 
 

@@ -1,4 +1,4 @@
-"""What is unknown of how a trial begins, and is fitted with it: a person's hand is no log.
+"""The unknown initial state of a trial, fitted with the cable: a hand's release is not logged.
 
 A cable held straight is let go a few milliseconds beside the time noted.  One that is held bent, or
 that moves already when the record begins, differs from its equilibrium by a few modes of vibration

@@ -1,1 +1,1 @@
-"""Models fitted to a study or to many cables, what they foretell, and by how much it may err."""
+"""Models fitted to a study or to many cables, their predictions, and the errors of these."""

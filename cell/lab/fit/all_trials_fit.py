@@ -1,4 +1,4 @@
-"""A fitted model and what several questions ask of it, each worked out once."""
+"""A fitted model with derived quantities that several checks use, each computed once."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ CONVERGED = Options(tolerance=0.03, most_passes=40, least_gain=1e-3, updates=3)
 
 @dataclass(frozen=True, eq=False)
 class Linear:
-    """A fit, linear: residual and what its free coordinates change it by, the prior's rows last.
+    """The linearised fit: residual and derivatives in the free coordinates, the prior's rows last.
 
     basis, triangle  QR of the latter
     left             (rows,) of the residual, less the mesh's error, that nothing fitted explains

@@ -1,4 +1,4 @@
-"""What the log of the hand may be wrong by, as changes of what the markers leave of a model."""
+"""Errors of the hand's log, as changes of the residuals of a model."""
 
 from __future__ import annotations
 

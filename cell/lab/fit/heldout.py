@@ -1,4 +1,4 @@
-"""A fitted model on the trials held out: error, likelihood, and what the fit leaves uncertain."""
+"""A fitted model on the held-out trials: error, likelihood, and uncertainty from the fit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where cables that begin bent are at first: estimated from their first frames, for any model.
+"""Initial states of cables that begin bent, estimated from their first frames, for any model.
 
 What is unknown is the difference from the model's own equilibrium, so every model needs its own.
 """

@@ -1,4 +1,4 @@
-"""The study as a model's mesh would have shown it, so that the mesh's error is no misfit."""
+"""The study corrected for the error of a model's mesh, so that it does not count as a misfit."""
 
 from __future__ import annotations
 

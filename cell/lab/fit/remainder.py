@@ -1,4 +1,4 @@
-"""What of a residual neither the fitted parameters nor any effect of the library could explain."""
+"""The part of a residual that neither fitted parameters nor effects of the library can explain."""
 
 from __future__ import annotations
 

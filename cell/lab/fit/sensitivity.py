@@ -1,4 +1,4 @@
-"""What effects would do to a fitted study: slopes in their amplitudes, for guesses of a shape."""
+"""Sensitivities of a fitted study to effects: derivatives in amplitudes, for guesses of a shape."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ TRIES = 6
 
 @dataclass(frozen=True, eq=False)
 class Sensitivity:
-    """What an effect's amplitudes do to the fit trials, from none of it.
+    """Derivatives of the fit trials in an effect's amplitudes, at zero.
 
     values  per guess of its shape parameters, all parameters
     rows    (shapes, amplitudes, values) whitened change per unit of each amplitude, the prior's
@@ -152,7 +152,7 @@ def shapes_of(effect: type[Effect]) -> int:
 
 
 def is_shape(parameter: Parameter) -> bool:
-    """Whether a parameter is unknown, yet says nothing of how strong the effect is."""
+    """Whether a parameter is unknown, but is not a strength of the effect."""
     return parameter.fitted and not parameter.amplitude
 
 

@@ -1,4 +1,4 @@
-"""How coarsely a simulation will do of which only differences are taken: measured, not supposed.
+"""The coarsest time step for simulations of which only differences are taken, as measured.
 
 Where a model puts the markers must be right to a part of the noise.  What a parameter or an effect
 changes of that need only be right to a part of the change.

@@ -1,4 +1,4 @@
-"""Where fits begin: the uniform cable that fits best, and sizes of effects worth a try."""
+"""Starting points of fits: the uniform cable that fits best, and typical sizes of effects."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def cold_start(prepared: PreparedStudy, space: ParameterSpace) -> FloatArray:
 
 
 def scaled(effect: type[Effect], guesses: Sequence[FloatArray]) -> list[FloatArray]:
-    """The guesses, then with amplitudes larger and smaller: far from zero a slope misleads."""
+    """The guesses, then with larger and smaller amplitudes: far from zero a linear one is wrong."""
     default = np.array([p.default for p in effect.parameters])
     low = np.array([p.low for p in effect.parameters])
     high = np.array([p.high for p in effect.parameters])

@@ -1,4 +1,4 @@
-"""What a simulation and the hand's log are wrong by, beside the noise of the markers.
+"""Errors of a simulation and of the hand's log, in addition to the noise of the markers.
 
 With many frames an effect shows that moves a marker by a thousandth of the noise: far less than the
 mesh and the step of a simulation, or ten micrometres of noise in the hand's log, do.
@@ -23,7 +23,7 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class SystematicError:
-    """Whitened changes of what a fitted model leaves of trials.
+    """Whitened changes of a fitted model's residuals by these errors.
 
     mesh   (rows,) to what a simulation of twice the segments and half the step leaves, beyond what
            has been taken out of the study

@@ -1,1 +1,1 @@
-"""What recorded cables of a line have in common: what its model lacks, and a candidate for it."""
+"""Learning from recorded cables of a line: the effect that its model lacks, and a candidate."""

@@ -31,7 +31,7 @@ MOST_SIMULATED_S = 80_000.0
 
 @dataclass(eq=False)
 class Budget:
-    """What may be simulated, and what was left out because of it.
+    """The limit of simulated work, and what was left out because of it.
 
     most_s  seconds of cables' motion
     """

@@ -1,4 +1,4 @@
-"""What a candidate model must pass before the line uses it: forecasts of cables it never saw."""
+"""Conditions that a candidate model must meet before a line uses it: forecasts of unseen cables."""
 
 from __future__ import annotations
 

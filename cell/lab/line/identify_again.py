@@ -1,4 +1,4 @@
-"""A recorded cable identified again, from its study alone, as the cell did it or would now."""
+"""A recorded cable identified again from its study alone, with the former or the present model."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What recorded cables say is missing in the line's model: which effect, how much, how sure."""
+"""Learning the effect that a line's model lacks from recorded cables: which, how much, how sure."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def learn(
     known: Callable[[LearningResult], None] = lambda _: None,
     budget: Budget | None = None,
 ) -> LearningResult:
-    """Which effects the model of `options` lacks, as all cycles together see it.
+    """The effects that the model of `options` lacks, from all cycles together.
 
     One at first; a second if the first leaves more than the noise.
     known   is told of what is certain before the end: what the present model misses, the first

@@ -1,4 +1,4 @@
-"""Looks for the effect that several cables' model lacks: in each cable alone, then in all."""
+"""The search for the effect that a model of several cables lacks: in each cable, then in all."""
 
 from __future__ import annotations
 

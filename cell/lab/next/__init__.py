@@ -1,1 +1,1 @@
-"""What to do next: advice, the motion that tells most, laws to be discovered."""
+"""Next steps after a finding: advice, the most informative motion, discovery of laws."""

@@ -1,4 +1,4 @@
-"""Which motion tells what recorded cycles cannot: asked for by `cell learn`, of the next cable."""
+"""The motion for the next cable that distinguishes tied effects of `cell learn`."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def asked(cycles: Sequence[RecordedCycle]) -> int:
 def motion_that_tells(
     lesson: LearningResult, surroundings: Surroundings, progress: Progress = no_progress
 ) -> Suggestion | None:
-    """Motions that tell the lesson's effect from those tied with it; None = nothing is tied.
+    """Motions that distinguish the lesson's effect from those tied with it; None = no ties.
 
     raises  ValueError: no motion keeps the limits
     """

@@ -1,4 +1,4 @@
-"""Suggests the safe motion that best tells the remaining candidates apart (T-optimal design).
+"""The safe motion that best distinguishes the remaining candidates (T-optimal design).
 
 Source: Atkinson & Fedorov, The design of experiments for discriminating between two rival models,
 Biometrika 62 (1975) 57.
@@ -70,7 +70,7 @@ class Rival:
 
 @dataclass(frozen=True)
 class Option:
-    """A motion that keeps all limits, and what it tells.
+    """A motion within all limits, and how well it distinguishes the candidates.
 
     separation  χ² that it puts between the likeliest candidate and the one hardest to tell from it
     hardest     that one
@@ -86,7 +86,7 @@ class Option:
 
 @dataclass(frozen=True)
 class Suggestion:
-    """Motions, the most telling first, and between what they tell.
+    """Motions, the most informative first, and the candidates that they distinguish.
 
     refused  how many motions were left out, and for which limit
     """
@@ -117,7 +117,7 @@ class Suggestion:
 def suggest_motion(
     fits: FitCache, examination: Examination, surroundings: Surroundings
 ) -> Suggestion:
-    """The safe motion at which the candidates left differ most, whatever each leaves open.
+    """The safe motion at which the remaining candidates differ most, given their free parameters.
 
     Each candidate may move within what the trials so far leave uncertain of it; what then still
     separates their markers, in standard deviations squared, is the separation.
@@ -166,7 +166,7 @@ def telling_motions(
     surroundings: Surroundings,
     progress: Progress = no_progress,
 ) -> Suggestion:
-    """The safe motions at which these models differ most, whatever each leaves open.
+    """The safe motions at which these models differ most, given their free parameters.
 
     Interrupted, it has the best of those that were looked at.
 
@@ -203,7 +203,7 @@ def telling_motions(
 
 
 def rivals(fits: FitCache, examination: Examination) -> list[FittedModel]:
-    """The likeliest set of effects, and those that the trials cannot tell from it.
+    """The likeliest set of effects, and those that the trials cannot distinguish from it.
 
     If it has no equal, the next likeliest that is not the same with more: one, or several where
     nothing could be confirmed on held-out trials.

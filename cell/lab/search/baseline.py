@@ -1,4 +1,4 @@
-"""The baseline fitted to a study, with the noise and the mesh's error that show beside it."""
+"""The baseline fitted to a study, and the estimates of noise and mesh error that depend on it."""
 
 from __future__ import annotations
 

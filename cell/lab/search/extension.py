@@ -1,4 +1,4 @@
-"""A fitted model with one effect more: from several starts, the likeliest of where fits end."""
+"""A fitted model with one effect more: the likeliest result of fits from several starts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Screens a library of effects: one simulation each tells what it would explain."""
+"""The screen of a library of effects: one simulation each gives what it would explain."""
 
 from __future__ import annotations
 

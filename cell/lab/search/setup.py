@@ -1,4 +1,4 @@
-"""What a command begins with: the fits of its study, beside earlier models if there are any."""
+"""The set-up of a command: the fits of its study, with earlier models if there are any."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Samples that a fitted model shows to be wrong: far beside it, and beside those around them.
+"""Samples that are far from a fitted model and from their neighbours, and so are wrong.
 
 What the motion hides from a look at the measurements alone, in few frames a second or in little
 noise, shows in what a model leaves of them.

@@ -1,1 +1,1 @@
-"""How much: parameters and effects with intervals, limits, profiles, agreement of trials."""
+"""Strength of effects and parameters: intervals, limits, profiles, agreement of trials."""

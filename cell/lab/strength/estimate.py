@@ -1,4 +1,4 @@
-"""How strong the effects found are: parameters from all trials, with honest intervals."""
+"""Strength of the effects found: parameters from all trials, with intervals for all errors."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class Estimate:
 
 
 def estimate(prepared: PreparedStudy, fit: Fit, effects: Iterable[type[Effect]] = ()) -> Estimate:
-    """The parameters of a fitted model, from all trials; the fit's own if some defy simulation.
+    """The parameters of a fitted model, from all trials; the fit's own if one cannot be simulated.
 
     effects  that it may lack
     """

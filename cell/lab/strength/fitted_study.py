@@ -1,4 +1,4 @@
-"""The best model of a study, with its own error for noise where it errs by more than the camera."""
+"""The best model of a study; its own error counts as noise where it exceeds the camera's."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An effect held at a strength while everything else fitted answers it: what is still seen of it.
+"""The residual of an effect held at a strength while all other parameters are refitted.
 
 Slopes say how much of an effect the other parameters can imitate.  Where they imitate most of it,
 what is left is small beside the curvature of both, and only a fit with the effect held there tells.

@@ -1,4 +1,4 @@
-"""A fit in the form in which a cable's model is kept: with intervals that what it leaves widens."""
+"""A fit in the form in which a cable's model is kept, with intervals widened by its residual."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from cell.lab.strength.omitted_effect_bias import omitted_effect_bias
 def identified(
     prepared: PreparedStudy, fit: Fit, effects: Iterable[type[Effect]] = ()
 ) -> Identified:
-    """A fit in the form in which models are kept; intervals widened by what it leaves.
+    """A fit in the form in which models are kept, with intervals widened by its residual.
 
     effects  that it may lack: where what is left is not noise, its parameters are as uncertain as
              they move with those in that explain it

@@ -1,4 +1,4 @@
-"""How strong an effect could be that was not found: 95 % limits of its size in one study."""
+"""Limits, 95 %, of the strength of effects that were not found, in one study."""
 
 from __future__ import annotations
 

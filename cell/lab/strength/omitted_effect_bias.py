@@ -1,4 +1,4 @@
-"""What effects that a fitted model lacks may have done to its parameters.
+"""The bias of a fitted model's parameters by effects that it lacks.
 
 Most of an effect that is missing does not remain to be seen: the other parameters have moved to
 imitate it, by far more than what remains of noise would let them.  What remains tells which effects

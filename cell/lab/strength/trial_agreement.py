@@ -1,4 +1,4 @@
-"""Whether the trials of a study agree: what each alone says of the cable and of its effects."""
+"""Agreement of the trials of a study: estimates per trial of cable and effects."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class _Alone:
 def agreement(
     prepared: PreparedStudy, fit: Fit, progress: Progress = no_progress
 ) -> tuple[Agreement, ...]:
-    """What each trial alone says of the cable's stiffness and damping, and of the fit's effects.
+    """Estimates per trial of the cable's stiffness and damping, and of the fit's effects.
 
     The trials are of one cable: its exponent, and its EI(s) but for the level, are those of all
     trials together.  Level, viscosity and effects are each trial's own.  What a trial leaves beyond

@@ -1,4 +1,4 @@
-"""A diagnosis with what can be said besides: limits of other effects, whether the trials agree."""
+"""Additions to a diagnosis: limits of other effects, and agreement of the trials."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def _limits(fits: FitCache, examination: Examination) -> tuple[Limit, ...]:
 
 
 def with_agreement(fits: FitCache, examination: Examination) -> Examination:
-    """The examination with what each trial alone says of what the final model has.
+    """The examination with estimates per trial of the final model's parameters.
 
     None, and a warning, where there is no time for it; none where no model's parameters mean
     anything.

@@ -50,7 +50,7 @@ MEANINGS = {
 
 
 def fit_doubts(fits: FitCache, candidate: FittedModel) -> tuple[Doubt, ...]:
-    """Of a fitted model: hopeless, far beyond the noise, no minimum, at a bound, or diverging."""
+    """Warnings of a fit: hopeless, far beyond the noise, no minimum, at a bound, or diverging."""
     fit, noise_model = candidate.fit, fits.prepared.noise_model
     to_all = "" if fits.prepared.study.role("validate") else " to all trials"
     found = []
@@ -160,7 +160,7 @@ def _widened(fit: Fit) -> float:
 
 
 def lacking_doubt(lacks: Sequence[str]) -> tuple[Doubt, ...]:
-    """Of a fitted model beside which effects are seen; none if there are none."""
+    """Warning of a fit beside which effects are seen; empty if there are none."""
     if not lacks:
         return ()
     return (
@@ -174,17 +174,17 @@ def lacking_doubt(lacks: Sequence[str]) -> tuple[Doubt, ...]:
 
 
 def is_hopeless(fits: FitCache, fit: Fit) -> bool:
-    """Whether a fit misses more than half of what the markers move: no model of this cable."""
+    """Whether the error of a fit is more than half of the markers' motion."""
     return fit.rms_m > HOPELESS_SHARE * _moved_m(fits)
 
 
 def is_no_model(fits: FitCache, fit: Fit) -> bool:
-    """Whether a fit misses so much more than the markers move that no effect can be what lacks."""
+    """Whether the error is so much larger than the markers' motion that no effect explains it."""
     return fit.rms_m > NO_MODEL * _moved_m(fits)
 
 
 def no_model_doubt() -> Doubt:
-    """Of a diagnosis that looked for no effect."""
+    """Warning of a diagnosis that looked for no effect."""
     return Doubt(
         "not_searched",
         "no effect was looked for: a model whose error is larger than the motion of the markers is "
@@ -194,7 +194,7 @@ def no_model_doubt() -> Doubt:
 
 
 def unsimulated_doubt() -> Doubt:
-    """Of a diagnosis that could not go on: it says what it knew until then."""
+    """Warning of a diagnosis that ended early: it has the results until then."""
     return Doubt(
         "unsimulated",
         "the search ended at a model that cannot be simulated; the fits until then are shown, and "
@@ -206,7 +206,7 @@ def unsimulated_doubt() -> Doubt:
 def doubts(
     fits: FitCache, whole: FitCache, final: FittedModel, cut_short: bool
 ) -> tuple[Doubt, ...]:
-    """Of a diagnosis: of its final model, and whether the search for more was cut short.
+    """Warnings of a diagnosis: about its final model, and whether the search was cut short.
 
     whole  what the final model was fitted with
     """
@@ -227,12 +227,12 @@ def doubts(
 
 
 def interrupted_doubt(what: str) -> Doubt:
-    """Of a result that was asked for before it was complete."""
+    """Warning of a result that was interrupted."""
     return Doubt("interrupted", f"interrupted: {what}")
 
 
 def insensitive_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
-    """Of effects that rest on the fit trials alone."""
+    """Warnings of effects that only the fit trials support."""
     return tuple(
         Doubt(
             "heldout_insensitive",
@@ -244,7 +244,7 @@ def insensitive_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...
 
 
 def noise_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
-    """Of a model that leaves noise, where the rest was too short to tell what noise is."""
+    """Warning of a model that leaves noise, if the rest is too short to determine the noise."""
     noise_model = evidence.noise_model
     low_m, high_m = noise_model.range_m or (noise_model.noise.std_m, noise_model.noise.std_m)
     remedy = f"record at least {noise_model.frames_needed} frames at rest before each motion"
@@ -261,7 +261,7 @@ def noise_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
 
 
 def weak_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
-    """Of effects too small in these trials to be told from what no library has."""
+    """Warnings of effects with a signal too weak to identify their cause."""
     least = evidence.rules.least_visible
     seen = [e for e in evidence.added if e.name in reading.effects]
     if evidence.final.heldout is not None:
@@ -278,7 +278,7 @@ def weak_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
 
 
 def omitted_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
-    """Of effects that all trials together ask for and the held-out ones do not bear out."""
+    """Warning of effects that all trials together show but the held-out trials do not confirm."""
     effects = reading.effects
     more = f" and {len(effects) - TOLD} more" if len(effects) > TOLD else ""
     return (
@@ -292,7 +292,7 @@ def omitted_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
 
 
 def wider_law_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
-    """Of effects that explain most, but not by their own law."""
+    """Warnings of effects that explain most, but whose law does not hold."""
     broken = [e for e in evidence.final.effects if e.name in reading.effects]
     return tuple(
         Doubt(
@@ -306,7 +306,7 @@ def wider_law_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
 
 
 def prior_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
-    """Of effects that without the prior are not needed, or explain nothing."""
+    """Warnings of effects that are not needed, or explain nothing, without the prior."""
     return tuple(
         Doubt(
             "prior_driven",

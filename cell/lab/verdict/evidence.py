@@ -1,4 +1,4 @@
-"""What the checks ask of a model that may explain a study: each quantity worked out once."""
+"""The quantities that the checks need of a model, each computed once."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What explains most of an error, not all; and the nearest effects, with what they leave.
+"""Partial explanations: effects that explain most of an error but not all, and their residuals.
 
 Where no set of effects leaves noise, the model's own error is what an answer could be wrong by.  So
 it is taken for the noise here, with its colour, and the model is fitted to all trials together:

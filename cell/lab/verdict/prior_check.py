@@ -1,4 +1,4 @@
-"""Whether effects named beside an earlier individual's model are there without it too."""
+"""Check whether effects found with the prior of an earlier cable are needed without it too."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ ANOTHER = 1e-3
 
 
 def asked_by_prior_only(evidence: Evidence, explains: Explains) -> tuple[str, ...]:
-    """Effects that another cable than the prior's would do without, or that do not explain it.
+    """Effects that are not needed, or explain nothing, if the cable is not that of the prior.
 
     The study is asked without the prior: the fewest of them that explain it to its noise are
     needed, each unless another, not `tied` with it, explains as much or more in its place.
@@ -62,7 +62,7 @@ def not_borne_out(
     rules: Rules,
     explains: Explains,
 ) -> tuple[str, ...]:
-    """Those of some effects that a study, asked without a prior, does not need or explain."""
+    """Those of some effects that a study without a prior does not need or explain."""
     tried = [alone.baseline()]
     while tried:
         fewest = [c for c in tried if explains(Evidence(alone, alone.baseline(), c, rules))]

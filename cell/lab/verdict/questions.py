@@ -1,4 +1,4 @@
-"""What the checks ask, as functions of the evidence: each answers with one number."""
+"""The statistics of the checks, as functions of the evidence: each returns one number."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def all_trials_smooth(evidence: Evidence) -> Reading | None:
 
 
 def parameter_constancy(evidence: Evidence) -> Reading | None:
-    """p-value of what the trials would change in the parameters, if each had its own."""
+    """p-value of the changes of the parameters if each trial had parameters of its own."""
     if not _has_smooth_part(evidence):
         return None
     return _of_part(evidence, parameter_constancy_of(evidence.prepared, evidence.final.fit))

@@ -1,4 +1,4 @@
-"""What an explanation leaves: how much, how much of it is independent, and where it is."""
+"""Summary of a residual: its size, its number of independent values, and its place."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""When the lab believes an effect, and when it calls a model complete."""
+"""Limits of the lab for accepting an effect and for calling a model complete."""
 
 from __future__ import annotations
 

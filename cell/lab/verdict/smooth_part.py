@@ -1,4 +1,4 @@
-"""Whether the slow part of what a model leaves is noise: misfits are there, and little noise."""
+"""Test whether the slow part of a residual is noise: it has misfits, and little noise."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether what a model leaves asks for more: in each trial, of a wider law, of another effect."""
+"""Specification tests of a residual: parameters per trial, wider laws, other effects."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ LEAST_ASKED = 1e-6
 def parameter_constancy_of(
     prepared: PreparedStudy, fit: Fit, parameters: Fit | None = None
 ) -> SmoothPart | None:
-    """Of what each trial would change in the model's parameters, were they its own.
+    """Test of the changes of the model's parameters if each trial had parameters of its own.
 
     A right model is the same in every trial.  A wrong one must bend for each motion, and does so
     in these few directions: far from noise where all that is smooth still looks like it.
@@ -55,7 +55,7 @@ def parameter_constancy_of(
 def wider_law_of(prepared: PreparedStudy, fit: Fit, effect: type[Effect]) -> SmoothPart | None:
     """Of what an effect's wider law would explain beside it; None without one.
 
-    Of an effect that is there its own law is all there is.  One in the place of another, which no
+    If an effect is present, its own law explains everything.  One in the place of another, which no
     library has, leaves a little of it, the same in every trial, and in these few directions.
     """
     left = None if effect.wider is None else all_trials_residual(prepared, fit)

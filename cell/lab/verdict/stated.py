@@ -1,4 +1,4 @@
-"""Whether what a model leaves is within the error that a study states."""
+"""Test whether a residual is within the error that a study states."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cell.lab.verdict.residual_summary import residuals_m
 
 
 def chance_of_stated(prepared: PreparedStudy, final: FittedModel, negligible: float) -> float:
-    """p-value of an error so far above what the study states its markers err by.
+    """p-value of the residual under the error of the markers that the study states.
 
     Fitted, held out (allowing for what the fit leaves uncertain there), and fitted to all trials
     together: a right model can do that.  A mean square of them is worth as many values as their
