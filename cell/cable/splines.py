@@ -133,6 +133,9 @@ def fit(t_s: FloatArray, value: FloatArray, *, checked: bool = False) -> Spline:
         chance = _CHANCE if round_ < rounds - 1 else 0.0
         smooth, root = _least_error(signals, t, noise, local, multiples, chance)
         while turns_slowly and np.any(more := _glitches(signals[:, 0] - smooth, noise) & ~wrong):
+            more = _beside_curve(t, y, more, wrong, noise)
+            if not more.any():
+                break
             wrong |= more
             turns_slowly = _longest_run(wrong) <= _TOGETHER
             wrong &= turns_slowly
@@ -237,6 +240,40 @@ def _glitches(residual: FloatArray, noise: float) -> NDArray[np.bool_]:
     around = np.pad(residual, _BESIDE, mode="reflect")
     middle = np.median(np.lib.stride_tricks.sliding_window_view(around, 2 * _BESIDE + 1), axis=1)
     return np.asarray(np.abs(residual - middle) > _GLITCH * noise)
+
+
+def _beside_curve(
+    t: FloatArray,
+    y: FloatArray,
+    suspected: NDArray[np.bool_],
+    wrong: NDArray[np.bool_],
+    noise: float,
+) -> NDArray[np.bool_]:
+    """Those suspected values that lie farther from their neighbours' curve than these do.
+
+    Where rows are few for a motion, every value lies beside the cubic through those around it.
+    """
+    good = np.flatnonzero(~(suspected | wrong))
+    found = np.zeros_like(suspected)
+    for i in np.flatnonzero(suspected):
+        place = int(np.searchsorted(good, i))
+        near = good[max(0, place - _BESIDE) : place + _BESIDE]
+        others = [abs(_from_cubic(t, y, int(j), good)) for j in near]
+        rough = float(np.median(others)) if others else 0.0
+        found[i] = abs(_from_cubic(t, y, int(i), good)) > _GLITCH * max(noise, rough)
+    return found
+
+
+def _from_cubic(t: FloatArray, y: FloatArray, i: int, good: NDArray[np.intp]) -> float:
+    """By how much a value lies beside the cubic through two good values on either side of it."""
+    others = good[good != i]
+    place = int(np.clip(np.searchsorted(others, i), 2, max(2, len(others) - 2)))
+    beside = others[place - 2 : place + 2]
+    total = 0.0
+    for a in beside:
+        rest = [b for b in beside if b != a]
+        total += y[a] * float(np.prod([(t[i] - t[b]) / (t[a] - t[b]) for b in rest]))
+    return float(y[i] - total)
 
 
 def _longest_run(wrong: NDArray[np.bool_]) -> int:

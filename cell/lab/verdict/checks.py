@@ -149,7 +149,7 @@ LEAVES_NOISE: tuple[Check, ...] = (
         "p",
         questions.wider_law,
         ">=",
-        "law_significance",
+        "misfit_significance",
         "unexplained",
         "A wider law than the effect's own explains more: the cause is another.",
         "a score test of the wider law's parameters (Lagrange multiplier)",

@@ -80,7 +80,7 @@ def wider_law(evidence: Evidence) -> Reading | None:
         if left is not None:
             negligible = left.excess_of_all <= rules.law_share * before.excess_of_all
             chances[effect.name] = 1.0 if negligible else left.p_value
-    broken = tuple(name for name, p in chances.items() if p < rules.law_significance)
+    broken = tuple(name for name, p in chances.items() if p < rules.misfit_significance)
     return Reading(min(chances.values()), broken) if chances else None
 
 

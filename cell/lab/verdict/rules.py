@@ -37,8 +37,8 @@ class Rules:
     smooth_shares, gross_smooth_misfit   a claimed effect may leave such a share of the baseline's
                      excess, below so much of the noise's mean square, in a smooth part that is not
                      noise at that significance; a complete model nothing at `misfit_significance`
-    law_significance, law_share   a claimed effect's wider law must not explain so significantly
-                     more than its own, if that is more than such a share of the baseline's excess
+    law_share        a claimed effect's wider law must not explain more than its own by more than
+                     such a share of the baseline's excess, at `misfit_significance`
     half_seen        significance at which the trials must be able to show half of an
                      effect's smooth part, or else it is not told from effects of no library
     least_share       of the error beyond noise that an effect removes if it explains most, not all
@@ -76,7 +76,6 @@ class Rules:
     misfit_significance: float = 1e-3
     gross_smooth_misfit: float = 0.2
     smooth_shares: tuple[tuple[float, float], ...] = ((0.01, 1e-3), (0.1, 0.01))
-    law_significance: float = 1e-4
     law_share: float = 1e-3
     half_seen: float = 0.05
     least_share: float = 0.5
