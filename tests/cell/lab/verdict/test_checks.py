@@ -86,7 +86,10 @@ def fake(**given):
         study=study,
         count=lambda _: 1000,
     )
-    fits = SimpleNamespace(prepared=prepared, space=SimpleNamespace(effects=()), prior_q=None)
+    exact = SimpleNamespace(square=lambda _: 0.0, square_left=lambda *_: 0.0)
+    fits = SimpleNamespace(
+        prepared=prepared, space=SimpleNamespace(effects=()), prior_q=None, hand=lambda: exact
+    )
 
     def candidate(rms_m: float, chi2: float, effects=()):
         heldout = SimpleNamespace(rms_m=rms_m, chi2=chi2, count=1000)
