@@ -122,17 +122,6 @@ LEAVES_NOISE: tuple[Check, ...] = (
         "χ² of slow functions of time and place, which contain misfits and little noise",
     ),
     Check(
-        "all_trials_smooth",
-        "Is the slow error of a fit to all trials noise?",
-        "p",
-        questions.all_trials_smooth,
-        ">=",
-        "misfit_significance",
-        "unexplained",
-        "The slow error of a fit to all trials is not noise.",
-        "the same test with more values, and the noise level known from all frames",
-    ),
-    Check(
         "parameter_constancy",
         "Do all trials agree on the parameters?",
         "p",

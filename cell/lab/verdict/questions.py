@@ -13,7 +13,7 @@ from cell.lab.fit.fitting import Fit, fit_trials
 from cell.lab.statistics.score import holm
 from cell.lab.verdict.evidence import Evidence
 from cell.lab.verdict.residual_summary import removed_share, residual_summary
-from cell.lab.verdict.smooth_part import SmoothPart, of_a_finer_model, of_all_trials_together
+from cell.lab.verdict.smooth_part import SmoothPart, of_a_finer_model
 from cell.lab.verdict.specification import of_effects, parameter_constancy_of, wider_law_of
 from cell.lab.verdict.stated import chance_of_stated
 
@@ -53,13 +53,6 @@ def fitted_ratio(evidence: Evidence) -> Reading | None:
 def heldout_smooth(evidence: Evidence) -> Reading | None:
     """p-value of the slow part of the error on the held-out trials."""
     return _of_part(evidence, of_a_finer_model(evidence.prepared, evidence.final.fit))
-
-
-def all_trials_smooth(evidence: Evidence) -> Reading | None:
-    """p-value of the slow part of the error of the fit to all trials."""
-    if not _has_smooth_part(evidence):
-        return None
-    return _of_part(evidence, of_all_trials_together(evidence.prepared, evidence.final.fit))
 
 
 def parameter_constancy(evidence: Evidence) -> Reading | None:

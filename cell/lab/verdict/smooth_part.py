@@ -119,19 +119,6 @@ def of_a_finer_model(prepared: PreparedStudy, fit: Fit) -> SmoothPart | None:
     return replace(seen, chi2=_chi2(residual, spread) * seen.count / expected)
 
 
-@lru_cache(maxsize=4)
-def of_all_trials_together(prepared: PreparedStudy, fit: Fit) -> SmoothPart | None:
-    """Of what stays in every trial when the model is fitted to all of them; None as above.
-
-    Twice the values, and the level of the noise is known from all frames: what is not smooth in
-    the residual tells it and its colour as the still frames do.  Mesh and hand are allowed for.
-
-    returns  None too where a trial cannot be simulated
-    """
-    left = all_trials_residual(prepared, fit) if noise_was_seen(prepared) else None
-    return None if left is None else left.part(_of_trial)
-
-
 @dataclass(frozen=True, eq=False)
 class AllTrialsResidual:
     """A model fitted to all trials: what it leaves, and what that is known to be wrong by.

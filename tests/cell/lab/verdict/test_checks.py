@@ -142,7 +142,7 @@ def test_ties_count_the_effect_itself():
 
 
 def test_every_row_of_what_may_be_claimed_is_asked_of_a_model_at_the_noise(monkeypatch):
-    for name in ("of_a_finer_model", "of_all_trials_together", "parameter_constancy_of"):
+    for name in ("of_a_finer_model", "parameter_constancy_of"):
         monkeypatch.setattr(questions, name, lambda *_: None)
     monkeypatch.setattr(questions, "of_effects", lambda *_: {})
     evidence = fake()
