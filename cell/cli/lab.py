@@ -104,7 +104,8 @@ def fit(
     """Fit the cable's parameters, and those of effects, to the study's `fit` trials."""
     from cell.lab.data.results import agreement_json
     from cell.lab.data.selection import select_effects
-    from cell.lab.report.tables import agreement_table, errors_line, model_table, warning_lines
+    from cell.lab.report.model_tables import errors_line, model_table
+    from cell.lab.report.tables import agreement_table, warning_lines
     from cell.lab.report.wording import agreement_sentence
     from cell.lab.strength.fitted_study import fit_study
     from cell.lab.strength.trial_agreement import agreement
@@ -148,7 +149,8 @@ def fit(
             show(*warning_lines(warnings), errors, model_table(model), *apart, *said)
 
     def page(path: Path) -> None:
-        from cell.lab.report.report import profile_page, write_page
+        from cell.lab.report.html_page import write_page
+        from cell.lab.report.report import profile_page
 
         write_page(profile_page(fits.prepared.study.name, found), path)
 
@@ -180,7 +182,7 @@ def compare(
     how the error falls as effects are added, and maps before and after.
     """
     from cell.lab.data.opened_study import open_study
-    from cell.lab.report.tables import (
+    from cell.lab.report.model_tables import (
         comparison_sentence,
         comparison_table,
         comparisons_table,
@@ -211,7 +213,8 @@ def compare(
             )
 
     def page(path: Path) -> None:
-        from cell.lab.report.report import comparison_page, write_page
+        from cell.lab.report.html_page import write_page
+        from cell.lab.report.report import comparison_page
 
         write_page(comparison_page(comparisons), path)
 
@@ -264,7 +267,8 @@ def diagnose(
             show(*diagnosis_parts(diagnosis, comparisons, todo))
 
     def page(path: Path) -> None:
-        from cell.lab.report.report import diagnosis_page, write_page
+        from cell.lab.report.html_page import write_page
+        from cell.lab.report.report import diagnosis_page
 
         fitted = examination.steps[-1].fit
         model = identified(fits.prepared, fitted, fits.library.values())
@@ -288,7 +292,7 @@ def effects(
 ) -> None:
     """List the effects that a model can have: laws, parameters, units and limits."""
     from cell.lab.data.selection import select_effects
-    from cell.lab.report.tables import describe_effects, effects_table
+    from cell.lab.report.model_tables import describe_effects, effects_table
 
     with refusing(*results or [], force=force):
         library = select_effects([], effect or []).candidates
@@ -315,7 +319,8 @@ def discover(
     from cell.lab.next.advice import Paths, after_discovery
     from cell.lab.next.discover import NothingFoundError, effect_name
     from cell.lab.next.discover import discover as discover_effect
-    from cell.lab.report.tables import discovery_sentence, discovery_table, steps_text
+    from cell.lab.report.model_tables import discovery_sentence, discovery_table
+    from cell.lab.report.tables import steps_text
 
     with refusing(out, as_json, force=force), working("discover") as progress:
         effect_name(out)
@@ -368,7 +373,8 @@ def suggest(
     """Suggest the safe motion that best distinguishes the remaining candidates, and its power."""
     from cell.lab.data.selection import select_for_diagnosis
     from cell.lab.next.suggest import suggest_motion, write_motion
-    from cell.lab.report.tables import suggestion_table, verdict_line, warning_lines
+    from cell.lab.report.model_tables import suggestion_table
+    from cell.lab.report.tables import verdict_line, warning_lines
     from cell.lab.verdict.diagnose import diagnose as diagnose_study
     from cell.settings.surroundings import Surroundings
 

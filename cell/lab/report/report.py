@@ -1,26 +1,24 @@
-"""The lab's report: one self-contained HTML page with plotly, readable without a network."""
+"""The lab's reports, each one HTML page that is readable without a network."""
 
 from __future__ import annotations
 
 import html
 import inspect
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
-import plotly.graph_objects as go
-from plotly.offline import get_plotlyjs
 
-from cell.files.atomic import write_whole
 from cell.identify.identified import Identified
 from cell.lab.data.results import Diagnosis
 from cell.lab.next.advice import STATUSES, Step, meaning
 from cell.lab.report.cable_overlay import overlay
 from cell.lab.report.curves import profile_curves
-from cell.lab.report.figure_layout import ADDED, BETWEEN, MODEL, Series, least_px
+from cell.lab.report.figure_layout import ADDED, BETWEEN, MODEL, Series
 from cell.lab.report.figures import by_trial, history, profiles, ranking, residual_maps, waterfall
-from cell.lab.report.tables import comparison_sentence, sentence, warning_lines
+from cell.lab.report.html_page import html_code, html_page, html_plot, html_table
+from cell.lab.report.model_tables import comparison_sentence
+from cell.lab.report.tables import sentence, warning_lines
 from cell.lab.report.wording import (
     AGREEMENT_NOTE,
     CHECK_HEADS,
@@ -55,53 +53,6 @@ LEAST_CORRELATION = 0.2
 MOST_ABOVE = 3
 
 _FAILS = "Where the model fails"
-_STYLE = """
-body{font:16px/1.45 system-ui,sans-serif;max-width:1100px;margin:2em auto;padding:0 1em;color:#222}
-h1{font-size:1.5em;margin-bottom:.2em}h2{font-size:1.2em;margin-top:2.2em}
-.facts,.note{color:#555}.says{font-size:1.3em;padding:.8em 1em;background:#eef4f5;
-border-left:6px solid #00798c}.says.bad{background:#fbeff0;border-color:#d1495b}
-.warning{border-left:6px solid #edae49;padding-left:1em}
-pre,code{background:#f4f4f4;padding:.1em .3em}pre{padding:.7em;overflow-x:auto}
-.law{font-size:1.1em;font-family:ui-monospace,monospace;background:#f4f4f4;padding:.6em .8em}
-table{border-collapse:collapse;margin:.8em 0}td,th{padding:.25em .9em;text-align:left;
-border-bottom:1px solid #ddd}
-.number{text-align:right;font-variant-numeric:tabular-nums;white-space:nowrap}
-.wide,.plot{width:100%;overflow-x:auto}.plot>div{min-width:var(--least)}
-@media(max-width:600px){td,th{white-space:nowrap}}
-summary{cursor:pointer;margin:.6em 0}select{font:inherit;padding:.2em .4em}
-@media print{select,summary{display:none}}
-"""
-
-#: Draws a figure when it is first seen: plotly cannot lay out what is hidden.
-_SCRIPT = """
-const config = {responsive: true, displaylogo: false,
-  modeBarButtons: [['toImage', 'zoom2d', 'pan2d', 'resetScale2d']]};
-function draw() {
-  for (const place of document.querySelectorAll('.plot')) {
-    if (place.offsetParent === null || place.dataset.drawn) continue;
-    place.dataset.drawn = 'yes';
-    const figure = JSON.parse(place.querySelector('script').textContent);
-    const target = place.appendChild(document.createElement('div'));
-    Plotly.newPlot(target, figure.data, figure.layout, config)
-      .then(() => figure.frames && Plotly.addFrames(target, figure.frames));
-  }
-}
-function choose(name) {
-  for (const part of document.querySelectorAll('.trial')) part.hidden = part.dataset.trial !== name;
-  draw();
-}
-const chooser = document.getElementById('chooser');
-for (const part of document.querySelectorAll('details')) part.addEventListener('toggle', draw);
-if (chooser) {
-  chooser.addEventListener('change', () => choose(chooser.value));
-  choose(chooser.value);
-} else draw();
-"""
-
-
-def write_page(page: str, path: Path) -> None:
-    """Write a page, whole or not at all."""
-    write_whole(path, page)
 
 
 def diagnosis_page(
@@ -129,10 +80,10 @@ def diagnosis_page(
         _facts(first),
         f'<p class="note">Verdict <code>{diagnosis.verdict}</code>: '
         f"{html.escape(meaning(diagnosis))}.</p>",
-        *(f'<p class="warning">{_code(w)}</p>' for w in warning_lines(diagnosis.warnings)),
+        *(f'<p class="warning">{html_code(w)}</p>' for w in warning_lines(diagnosis.warnings)),
         _next(steps),
         "<h2>Error as effects are added</h2>",
-        _plot(waterfall(diagnosis)),
+        html_plot(waterfall(diagnosis)),
         *_nearest(diagnosis),
     ]
     if diagnosis.missing:
@@ -149,7 +100,7 @@ def diagnosis_page(
         "<h2>The cable</h2>",
         _cable(model),
     ]
-    return _page(f"Diagnosis of {first.study.name}", parts)
+    return html_page(f"Diagnosis of {first.study.name}", parts)
 
 
 def comparison_page(comparisons: Sequence[Comparison]) -> str:
@@ -161,13 +112,13 @@ def comparison_page(comparisons: Sequence[Comparison]) -> str:
     if last is not first:
         parts += [
             "<h2>Error as effects are added</h2>",
-            _plot(history(comparisons)),
+            html_plot(history(comparisons)),
             _models(comparisons),
             "<h2>Error on every trial</h2>",
-            _plot(by_trial(series)),
+            html_plot(by_trial(series)),
         ]
     parts += [f"<h2>{_FAILS}</h2>", *_where(series), "<h2>Trial by trial</h2>", *_trials(ends)]
-    return _page(f"Comparison with {first.study.name}", parts)
+    return html_page(f"Comparison with {first.study.name}", parts)
 
 
 def profile_page(study: str, found: Sequence[ParameterProfile]) -> str:
@@ -192,14 +143,14 @@ def profile_page(study: str, found: Sequence[ParameterProfile]) -> str:
         "measurement alone. A residual beyond noise reduces the weight of every frame, and "
         "increases that of the prior. So the likeliest value may differ from the fitted one.</p>",
         said,
-        _plot(profile_curves(found)),
-        _table(
+        html_plot(profile_curves(found)),
+        html_table(
             ["parameter", "fitted", "95 % by curvature", "likeliest", "95 % by profile", "unit"],
             rows,
             (1, 2, 3, 4),
         ),
     ]
-    return _page(f"Profiles of {study}", parts)
+    return html_page(f"Profiles of {study}", parts)
 
 
 def _range(low: float, high: float) -> str:
@@ -235,7 +186,7 @@ def _models(comparisons: Sequence[Comparison]) -> str:
         ]
         for c in comparisons
     ]
-    return _table(heads, rows, (2, 3, 4, 5))
+    return html_table(heads, rows, (2, 3, 4, 5))
 
 
 def _names(examination: Examination) -> str:
@@ -266,8 +217,8 @@ def _where(series: Sequence[Series]) -> list[str]:
         rows.append([trial.name, role, *errors, left, _goes_with(wheres[0])])
     numbers = range(2, 2 + len(series))
     return [
-        _plot(profiles(series)),
-        _table(heads, rows, numbers),
+        html_plot(profiles(series)),
+        html_table(heads, rows, numbers),
         '<p class="note">“It goes with”: signals with which the tip’s error of the first model '
         "is most correlated (* = beyond chance).</p>",
     ]
@@ -295,7 +246,7 @@ def _trials(series: Sequence[Series]) -> list[str]:
         options.append(f'<option value="{name}"{picked}>{name} ({note})</option>')
         parts.append(
             f'<div class="trial" data-trial="{name}"{hidden}>'
-            f"{_plot(overlay(series, i))}{_plot(residual_maps(series, i))}</div>"
+            f"{html_plot(overlay(series, i))}{html_plot(residual_maps(series, i))}</div>"
         )
     choice = f'<p><label>Trial: <select id="chooser">{"".join(options)}</select></label></p>'
     note = (
@@ -319,7 +270,7 @@ def _parameters(examination: Examination) -> str:
         for f in examination.diagnosis.missing
         for name, p in f.parameters.items()
     ]
-    return _table(["effect", "parameter", "value", "95 % interval", "unit"], rows, (2, 3))
+    return html_table(["effect", "parameter", "value", "95 % interval", "unit"], rows, (2, 3))
 
 
 def _laws(examination: Examination) -> str:
@@ -330,8 +281,8 @@ def _laws(examination: Examination) -> str:
         if effect.name not in accepted:
             continue
         first, *others = inspect.cleandoc(effect.__doc__ or "").split("\n\n")
-        laws.append(f"<h3>{effect.name}</h3><p class='law'>{_code(first)}</p>")
-        laws += [f"<p>{_code(text)}</p>" for text in others]
+        laws.append(f"<h3>{effect.name}</h3><p class='law'>{html_code(first)}</p>")
+        laws += [f"<p>{html_code(text)}</p>" for text in others]
     return "".join(laws)
 
 
@@ -340,7 +291,7 @@ def _everything(examination: Examination) -> str:
         [r.effect, places(r.score, 1), chance(r.p_value), r.status.replace("_", " ")]
         for r in by_evidence(examination.diagnosis)
     ]
-    table = _table(["effect", "χ² explained", "p", "status"], rows, (1, 2))
+    table = html_table(["effect", "χ² explained", "p", "status"], rows, (1, 2))
     shown = dict.fromkeys(r.status for r in examination.diagnosis.ranking)
     meant = "; ".join(f"{s.replace('_', ' ')}: {STATUSES[s]}" for s in shown)
     table += f'<p class="note">{html.escape(meant)}.</p>'
@@ -357,7 +308,7 @@ def _evidence(examination: Examination) -> list[str]:
         "fitted: √χ² explained, in standard deviations; whiskers: two of them. Left of the dotted "
         "line it is chance. Several effects may imitate the true one, so the one that explains "
         "most here is not always the true one.</p>",
-        _plot(ranking(examination.diagnosis)),
+        html_plot(ranking(examination.diagnosis)),
         _everything(examination),
     ]
 
@@ -366,15 +317,15 @@ def _nearest(diagnosis: Diagnosis) -> list[str]:
     """Of an unexplained study: the effects that leave least."""
     if not diagnosis.nearest:
         return []
-    return ["<h3>Nearest effects</h3>", _table(NEAREST_HEADS, nearest_rows(diagnosis), (1, 2, 3)),
-            f'<p class="note">{nearest_note(diagnosis)}.</p>']  # fmt: skip
+    table = html_table(NEAREST_HEADS, nearest_rows(diagnosis), (1, 2, 3))
+    return ["<h3>Nearest effects</h3>", table, f'<p class="note">{nearest_note(diagnosis)}.</p>']
 
 
 def _checks(diagnosis: Diagnosis) -> list[str]:
     """What the verdict rests on, if anything was asked."""
     if not diagnosis.checks:
         return []
-    table = _table(CHECK_HEADS, check_rows(diagnosis), (1, 2))
+    table = html_table(CHECK_HEADS, check_rows(diagnosis), (1, 2))
     return ["<h2>What the verdict rests on</h2>", f'<p class="note">{CHECK_NOTE}.</p>', table]
 
 
@@ -382,7 +333,7 @@ def _limits(diagnosis: Diagnosis) -> list[str]:
     """What the study excludes, if limits were sought."""
     if not diagnosis.limits:
         return []
-    table = _table(LIMIT_HEADS, limit_rows(diagnosis), (2, 3))
+    table = html_table(LIMIT_HEADS, limit_rows(diagnosis), (2, 3))
     return ["<h2>What the study excludes</h2>", f'<p class="note">{LIMIT_NOTE}.</p>', table]
 
 
@@ -392,7 +343,7 @@ def _agreement(diagnosis: Diagnosis) -> list[str]:
     if not found:
         return []
     said = html.escape(agreement_sentence(found))
-    table = _table(agreement_heads(found), agreement_rows(found), range(1, len(found) + 1))
+    table = html_table(agreement_heads(found), agreement_rows(found), range(1, len(found) + 1))
     note = f'<p class="note">{AGREEMENT_NOTE}.</p>'
     return ["<h2>Estimates per trial</h2>", f"<p>{said}</p>", table, note]
 
@@ -405,28 +356,8 @@ def _cable(model: Identified) -> str:
             model.space.names, model.values, low, high, model.space.units, strict=True
         )
     ]
-    table = _table(["parameter", "value", "95 % interval", "unit"], rows, (1, 2))
+    table = html_table(["parameter", "value", "95 % interval", "unit"], rows, (1, 2))
     return f"<details><summary>all fitted parameters</summary>{table}</details>"
-
-
-def _table(heads: Sequence[str], rows: Iterable[Sequence[str]], numbers: Iterable[int]) -> str:
-    right = set(numbers)
-
-    def line(tag: str, cells: Sequence[str]) -> str:
-        look = [" class='number'" if i in right else "" for i in range(len(cells))]
-        return "".join(
-            f"<{tag}{kind}>{html.escape(cell)}</{tag}>"
-            for cell, kind in zip(cells, look, strict=True)
-        )
-
-    body = "".join(f"<tr>{line('td', row)}</tr>" for row in rows)
-    return f"<div class='wide'><table><tr>{line('th', heads)}</tr>{body}</table></div>"
-
-
-def _code(text: str) -> str:
-    """A docstring's text, what stands between backticks as code."""
-    plain, *rest = html.escape(text).split("`")
-    return plain + "".join(f"<code>{t}</code>" if i % 2 == 0 else t for i, t in enumerate(rest))
 
 
 def _next(steps: Sequence[Step]) -> str:
@@ -437,21 +368,3 @@ def _next(steps: Sequence[Step]) -> str:
         for s in steps
     ]
     return f'<div class="next">{"".join(lines)}</div>' if lines else ""
-
-
-def _plot(figure: go.Figure) -> str:
-    """A place for a figure, and the figure as data."""
-    data = str(figure.to_json()).replace("</", "<\\/")
-    size = f"min-height:{figure.layout.height}px;--least:{least_px(figure)}px"
-    return f'<div class="plot" style="{size}"><script type="application/json">{data}</script></div>'
-
-
-def _page(title: str, parts: Sequence[str]) -> str:
-    return (
-        f'<!doctype html><html lang="en"><head><meta name="generator" '
-        f'content="cable-cell"><meta charset="utf-8">'
-        f'<meta name="viewport" content="width=device-width"><title>{html.escape(title)}</title>'
-        f"<style>{_STYLE}</style><script>{get_plotlyjs()}</script></head><body>"
-        f"<h1>{html.escape(title)}</h1><noscript><p>The figures need JavaScript.</p></noscript>"
-        f"{''.join(parts)}<script>{_SCRIPT}</script></body></html>\n"
-    )

@@ -8,7 +8,7 @@ from rich.table import Table
 from rich.text import Text
 
 from cell.cable.effects import library
-from cell.lab.report.tables import effects_table
+from cell.lab.report.model_tables import effects_table
 from cell.terminal.fitting import show
 
 NAME = "20261122T015536.045-1_first"

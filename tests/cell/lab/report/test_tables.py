@@ -12,7 +12,8 @@ from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import Diagnosis, Doubt, Errors, MissingEffect
 from cell.lab.next.advice import Paths, advice
 from cell.lab.next.discover import Discovery
-from cell.lab.report.tables import discovery_sentence, sentence, steps_text, verdict_line
+from cell.lab.report.model_tables import discovery_sentence
+from cell.lab.report.tables import sentence, steps_text, verdict_line
 from cell.lab.report.wording import apart, left_in_words, noise_in_words
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.strength.compare import compare_model
