@@ -239,8 +239,8 @@ def diagnose(
     from cell.lab.report.tables import diagnosis_parts
     from cell.lab.strength.compare import compare_model
     from cell.lab.strength.kept_model import identified
-    from cell.lab.verdict.additions import with_agreement, with_limits
     from cell.lab.verdict.diagnose import diagnose as diagnose_study
+    from cell.lab.verdict.limits_and_agreement import with_agreement, with_limits
 
     with refusing(*results or [], report, force=force), working("diagnose") as progress:
         selection = select_for_diagnosis(effect or [], known or [])

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from cell.lab.verdict.checks import CHECKS
 from cell.lab.verdict.doubts import MEANINGS
-from cell.lab.verdict.rules import DEFAULT_RULES
+from cell.lab.verdict.thresholds import DEFAULT_RULES
 
 PAGE = Path(__file__).parents[2] / "docs" / "lab.md"
 BEGIN, END = "<!-- checks: begin -->", "<!-- checks: end -->"

@@ -48,7 +48,7 @@ from cell.lab.verdict.checks import CHECKS, PASSES, Answer, Check, verdict_of
 from cell.lab.verdict.diagnose import Examination, diagnose
 from cell.lab.verdict.evidence import Evidence
 from cell.lab.verdict.forward_search import with_ties
-from cell.lab.verdict.rules import DEFAULT_RULES
+from cell.lab.verdict.thresholds import DEFAULT_RULES
 from cell.study.folder import write_study
 from tools.studies.breadth_study import _hidden, _power
 from tools.studies.confusion_study import ONE_CLASS, _class_of, _drawn, evidence, power_of

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.identify.noise import Noise, still_frames
-from cell.lab.data.rest import (
+from cell.lab.data.noise_likelihood import (
     ALLOWED,
     COLOURS,
     MAX_COLOUR,

@@ -8,8 +8,8 @@ import numpy as np
 
 from cell.cable.effects.base import Effect
 from cell.identify.noise import still_frames
+from cell.lab.data.noise_likelihood import Remainder
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.data.rest import Remainder
 from cell.lab.fit.fitting import Fit, fit_trials
 from cell.lab.fit.sensitivity import nuisance_of, one_sided, sensitivities
 from cell.lab.statistics.score import score_test

@@ -18,7 +18,7 @@ from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.strength.estimate import estimate
 from cell.lab.verdict.diagnose import Examination, diagnose
-from cell.lab.verdict.rules import Rules
+from cell.lab.verdict.thresholds import Rules
 from cell.study.data import Study, Trial
 
 

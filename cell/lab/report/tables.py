@@ -41,7 +41,7 @@ from cell.lab.report.wording import (
     why_not_told,
 )
 from cell.lab.strength.compare import Comparison
-from cell.lab.verdict.rules import DEFAULT_RULES
+from cell.lab.verdict.thresholds import DEFAULT_RULES
 
 #: Said where no check failed: the search was stopped.
 NOT_WHY = "These motions cannot show why."

@@ -30,7 +30,7 @@ from cell.lab.verdict.forward_search import (
 from cell.lab.verdict.nearest import nearest, tied_so_far, what_is_left
 from cell.lab.verdict.partial import Partial, explain_partly
 from cell.lab.verdict.ranking import all_found, ranked, sound
-from cell.lab.verdict.rules import DEFAULT_RULES, Rules
+from cell.lab.verdict.thresholds import DEFAULT_RULES, Rules
 
 _LOG = logging.getLogger(__name__)
 

@@ -11,8 +11,8 @@ from cell.lab.data.noise_floor import NoiseModel
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
-from cell.lab.verdict.rules import Rules
 from cell.lab.verdict.smooth_part import SmoothPart, smooth_part
+from cell.lab.verdict.thresholds import Rules
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from cell.lab.verdict.checks import explains
 from cell.lab.verdict.evidence import Evidence
 from cell.lab.verdict.residual_summary import removed_share, residual_summary
 from cell.lab.verdict.rivals import added_effect, close_rivals
-from cell.lab.verdict.rules import Rules
+from cell.lab.verdict.thresholds import Rules
 
 _LOG = logging.getLogger(__name__)
 

@@ -24,7 +24,7 @@ from cell.lab.verdict.rivals import (
     is_at_bound,
     near_singles,
 )
-from cell.lab.verdict.rules import Rules
+from cell.lab.verdict.thresholds import Rules
 
 #: Errors of what was not fitted to the fit trials alone.
 NOT_FITTED = Errors(float("nan"), float("nan"))

@@ -26,7 +26,7 @@ from cell.lab.verdict.residual_summary import (
     residual_summary,
 )
 from cell.lab.verdict.rivals import added_effect, chance, chance_of, is_at_bound, near_singles
-from cell.lab.verdict.rules import Rules
+from cell.lab.verdict.thresholds import Rules
 
 FloatArray = NDArray[np.float64]
 

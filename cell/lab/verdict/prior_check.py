@@ -15,7 +15,7 @@ from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.verdict.evidence import Evidence, above_noise
 from cell.lab.verdict.rivals import close_rivals
-from cell.lab.verdict.rules import Rules
+from cell.lab.verdict.thresholds import Rules
 
 Explains = Callable[[Evidence], bool]
 

@@ -17,7 +17,7 @@ from cell.lab.strength.estimate import Estimate, estimate
 from cell.lab.verdict.evidence import above_noise
 from cell.lab.verdict.residual_summary import removed_share, residual_summary
 from cell.lab.verdict.rivals import added_effect, chance_of
-from cell.lab.verdict.rules import Rules
+from cell.lab.verdict.thresholds import Rules
 
 
 def sound(singles: Sequence[FittedModel], base: FittedModel) -> list[FittedModel]:

@@ -16,7 +16,7 @@ from cell.lab.verdict.residual_summary import (
     log_variance_ratio,
     residual_summary,
 )
-from cell.lab.verdict.rules import Rules
+from cell.lab.verdict.thresholds import Rules
 
 
 def close_rivals(

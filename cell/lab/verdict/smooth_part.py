@@ -15,8 +15,8 @@ from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.gaussian import marginal_chi2
 from cell.identify.noise import Whitener
 from cell.lab.data.noise_floor import NoiseModel
+from cell.lab.data.noise_likelihood import MAX_COLOUR
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.data.rest import MAX_COLOUR
 from cell.lab.fit.all_trials_fit import AllTrialsFit, of_all_trials
 from cell.lab.fit.fitting import Fit, best_initial_state, fit_trials
 from cell.lab.fit.hand_error import MOTIONS

@@ -13,7 +13,7 @@ from cell.lab.data.noise_floor import (
     floor_of_residuals,
     noise_floor,
 )
-from cell.lab.data.rest import Remainder
+from cell.lab.data.noise_likelihood import Remainder
 from cell.study.data import Markers
 
 

@@ -19,7 +19,7 @@ from cell.lab.search.fit_cache import FitCache
 from cell.lab.strength.compare import compare_model
 from cell.lab.verdict.checks import CHECKS, Answer
 from cell.lab.verdict.questions import Reading
-from cell.lab.verdict.rules import DEFAULT_RULES
+from cell.lab.verdict.thresholds import DEFAULT_RULES
 
 
 def diagnosis(verdict, *names, tied=(), noise_m=1e-4, after_m=1e-4):

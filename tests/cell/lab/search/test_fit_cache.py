@@ -23,7 +23,7 @@ from cell.lab.search.fitted_model import FittedModel
 from cell.lab.search.setup import fit_cache_of
 from cell.lab.verdict import diagnose as diagnosing
 from cell.lab.verdict.doubts import fit_doubts
-from cell.lab.verdict.rules import DEFAULT_RULES
+from cell.lab.verdict.thresholds import DEFAULT_RULES
 
 DOCS = Path(__file__).parents[4] / "docs"
 

@@ -18,8 +18,8 @@ from cell.lab.report.wording import limit_rows
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.strength.limit_search import LimitSearch
 from cell.lab.strength.limits import limits
-from cell.lab.verdict.additions import with_limits
 from cell.lab.verdict.diagnose import diagnose
+from cell.lab.verdict.limits_and_agreement import with_limits
 from cell.study.data import Markers
 from tools.worlds import made_studies
 

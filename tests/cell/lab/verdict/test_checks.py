@@ -19,8 +19,8 @@ from cell.lab.verdict.checks import (
 )
 from cell.lab.verdict.evidence import Evidence
 from cell.lab.verdict.questions import Reading
-from cell.lab.verdict.rules import DEFAULT_RULES, Rules
 from cell.lab.verdict.smooth_part import SmoothPart
+from cell.lab.verdict.thresholds import DEFAULT_RULES, Rules
 
 NAMES = [c.name for c in CHECKS]
 

@@ -22,9 +22,9 @@ from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import weighed
 from cell.lab.strength.compare import compare_model
 from cell.lab.verdict import partial
-from cell.lab.verdict.additions import with_agreement
 from cell.lab.verdict.diagnose import diagnose
-from cell.lab.verdict.rules import DEFAULT_RULES
+from cell.lab.verdict.limits_and_agreement import with_agreement
+from cell.lab.verdict.thresholds import DEFAULT_RULES
 from cell.study.data import Markers
 from cell.terminal.fitting import show
 from tools.studies.contradictions import contradictions

@@ -15,10 +15,10 @@ from cell.lab.data.results import to_json
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.screen import screen
 from cell.lab.verdict import forward_search
-from cell.lab.verdict.additions import with_agreement
 from cell.lab.verdict.diagnose import diagnose
 from cell.lab.verdict.forward_search import with_ties
-from cell.lab.verdict.rules import DEFAULT_RULES
+from cell.lab.verdict.limits_and_agreement import with_agreement
+from cell.lab.verdict.thresholds import DEFAULT_RULES
 from cell.study.folder import read_study
 
 SCHEMA = {

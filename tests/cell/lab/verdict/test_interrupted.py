@@ -18,8 +18,8 @@ from cell.lab.next.suggest import Option, Rival, telling_motions
 from cell.lab.next.terms import admissible
 from cell.lab.report.tables import sentence, verdict_line
 from cell.lab.search.fit_cache import FitCache
-from cell.lab.verdict.additions import with_limits
 from cell.lab.verdict.diagnose import diagnose
+from cell.lab.verdict.limits_and_agreement import with_limits
 from cell.settings.surroundings import Surroundings
 from cell.study.folder import write_study
 

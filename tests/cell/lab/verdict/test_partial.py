@@ -15,7 +15,7 @@ from cell.lab.verdict.diagnose import diagnose
 from cell.lab.verdict.nearest import tied_so_far
 from cell.lab.verdict.partial import largest_step
 from cell.lab.verdict.residual_summary import ResidualSummary, log_variance_ratio
-from cell.lab.verdict.rules import DEFAULT_RULES
+from cell.lab.verdict.thresholds import DEFAULT_RULES
 
 KNOWN = library()
 
