@@ -4,7 +4,7 @@ BIN := $(VENV)/bin
 PYTHON ?= $(firstword $(foreach p,python3.12 python3.11 python3.13 python3,$(shell $(p) -c "import sys; print('$(p)' if (3,11) <= sys.version_info[:2] < (3,14) else '')" 2>/dev/null)))
 CYCLES ?= 3
 
-.PHONY: run test lint types imports compiled compiled-cell compiled-arm compiled-effects compiled-tests tests hardware bench figures learn coverage practice false-alarms confusion rigs breadth fault-trials calibration-study malformed endurance endings words clean help jaw-plate picture docs
+.PHONY: run test lint types imports compiled compiled-cell compiled-arm compiled-effects compiled-tests tests hardware bench figures learn coverage practice false-alarms confusion rigs breadth checks fault-trials calibration-study malformed endurance endings words clean help jaw-plate picture docs
 
 help:            ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
@@ -94,6 +94,9 @@ rigs: $(VENV)/.dev   ## what is named in 60 studies that imitate real rigs, one 
 
 breadth: $(VENV)/.dev   ## verdicts over the breadth of what users bring: 350 studies (long; BREADTH=file.csv goes on with a file)
 	$(BIN)/python -m tools.studies.breadth_study $(or $(BREADTH),breadth.csv)
+
+checks: $(VENV)/.dev   ## what each check of the verdict is worth: 411 studies, 40 min; CHECKS=file.csv
+	$(BIN)/python -m tools.studies.ablation_study $(or $(CHECKS),checks.csv)
 
 endings: $(VENV)/.dev   ## how 204 cables end in worlds with each effect at twice its size: none may fail (long)
 	$(BIN)/python -m tools.studies.endings_study --learn grip_angle camera_roll

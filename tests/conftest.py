@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable
 from pathlib import Path
 
@@ -78,7 +79,18 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption("--config", type=Path, help="settings of the cell for --hardware")
 
 
+def _hear_signals() -> None:
+    """Signals ignored by whoever started the tests (`nohup`, `&`) are heard by what they start."""
+    for number, usual in (
+        (signal.SIGINT, signal.default_int_handler),
+        (signal.SIGHUP, signal.SIG_DFL),
+    ):
+        if signal.getsignal(number) == signal.SIG_IGN:
+            signal.signal(number, usual)
+
+
 def pytest_configure(config: pytest.Config) -> None:
+    _hear_signals()
     if config.getoption("--hardware") != (config.getoption("--config") is not None):
         raise pytest.UsageError("--hardware and --config FILE go together")
 

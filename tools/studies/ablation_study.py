@@ -44,7 +44,7 @@ from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.search.setup import fit_cache_of
 from cell.lab.statistics.score import holm
-from cell.lab.verdict.checks import CHECKS, PASSES, Answer, Check, verdict_of
+from cell.lab.verdict.checks import CHECKS, COMPARE, Answer, Check, verdict_of
 from cell.lab.verdict.diagnose import Examination, diagnose
 from cell.lab.verdict.evidence import Evidence
 from cell.lab.verdict.forward_search import with_ties
@@ -242,7 +242,7 @@ def _verdict_of(row: Row, checks: Sequence[Check], limits: dict[str, float]) -> 
     for check in checks:
         value = row.statistics.get(check.name, np.nan)
         limit = limits.get(check.name, getattr(DEFAULT_RULES, check.limit))
-        passed = None if np.isnan(value) else bool(PASSES[check.passes](value, limit))
+        passed = None if np.isnan(value) else bool(COMPARE[check.passes](value, limit))
         found.append(Answer(check, None, passed))
     return verdict_of(found, is_base=not row.named)
 

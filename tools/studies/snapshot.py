@@ -59,7 +59,11 @@ def commands(folders: list[Path]) -> dict[str, list[str]]:
     found = {f"diagnose_{s.name}": ["diagnose", str(s)] for s in studies}
     found |= {f"fit_{s.name}": ["fit", str(s)] for s in studies[::FITTED_EVERY]}
     runs = [f for f in folders if f.name.startswith("runs")]
-    return found | {f"learn_{f.name}": ["learn", *map(str, sorted(f.iterdir()))] for f in runs}
+    for folder in runs:
+        cycles = sorted(p.parent for p in folder.glob("*/settings.yaml"))
+        settings = str(cycles[0] / "settings.yaml")
+        found[f"learn_{folder.name}"] = ["learn", *map(str, cycles), "-c", settings]
+    return found
 
 
 def take(out: Path, folders: list[Path], tree: Path) -> None:
@@ -69,12 +73,12 @@ def take(out: Path, folders: list[Path], tree: Path) -> None:
 
     def run(item: tuple[str, list[str]]) -> None:
         name, command = item
-        json = out / f"{name}.json"
+        result = out / f"{name}.{'yaml' if command[0] == 'learn' else 'json'}"
         done = subprocess.run(
-            [sys.executable, "-m", "cell", *command, "-o", json],
+            [sys.executable, "-m", "cell", *command, "-o", result],
             cwd=tree, env=environment, capture_output=True, text=True, check=False,
         )  # fmt: skip
-        said = f"{done.returncode}\n{done.stdout}\n{done.stderr}".replace(str(out), "OUT")
+        said = f"{done.returncode}\n{done.stdout}".replace(str(out), "OUT")  # not how long it took
         (out / f"{name}.txt").write_text(said, encoding="utf-8")
         print(name, done.returncode, flush=True)
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from cell.identify.noise import Noise, still_frames
 from cell.lab.data.noise_likelihood import (
     ALLOWED,
-    COLOURS,
-    MAX_COLOUR,
+    AR1_GRID,
+    MAX_AR1,
     Block,
     Remainder,
     Rest,
@@ -63,19 +63,17 @@ class NoiseModel:
         return bool(np.isinf(self.dof))
 
     @property
-    def level_known(self) -> bool:
-        """Whether an error as large as the noise would be more than the rest allows."""
-        return self.range_m is None or self.range_m[1] ** 2 < KNOWN_WITHIN * self.noise.std_m**2
+    def allowed_over_level(self) -> float | None:
+        """Largest mean square that the rest allows, over the likeliest; None if it is stated."""
+        return None if self.range_m is None else (self.range_m[1] / self.noise.std_m) ** 2
 
     @property
     def frames_needed(self) -> int:
         """Still frames of a trial after which the level would be known, as many trials as here."""
-        if self.rest is None or self.range_m is None:
+        allowed = self.allowed_over_level
+        if self.rest is None or allowed is None:
             return 0
-        known, wanted = (
-            np.log(r) + 1.0 / r - 1.0
-            for r in ((self.range_m[1] / self.noise.std_m) ** 2, KNOWN_WITHIN)
-        )
+        known, wanted = (np.log(r) + 1.0 / r - 1.0 for r in (allowed, KNOWN_WITHIN))
         return int(10 * np.ceil(0.1 * self.rest.frames * max(known / wanted, 1.0)))
 
     @property
@@ -119,7 +117,7 @@ def floor_of_residuals(noise_model: NoiseModel, errors: Sequence[FloatArray]) ->
     pairs = [np.isfinite(e[1:]) & np.isfinite(e[:-1]) for e in errors]
     products = sum(float(np.sum((e[1:] * e[:-1])[p])) for e, p in zip(filled, pairs, strict=True))
     count, neighbours = (sum(int(x.sum()) for x in y) for y in (map(np.isfinite, errors), pairs))
-    colour = float(np.clip(products / max(neighbours, 1) * count / power, 0.0, MAX_COLOUR))
+    colour = float(np.clip(products / max(neighbours, 1) * count / power, 0.0, MAX_AR1))
     if noise_model.coloured:
         colour = min(colour, noise_model.noise.ar1)
     channels = np.sum([e.T @ e for e in filled], axis=0)
@@ -207,7 +205,7 @@ def floor_of_all_frames(noise_model: NoiseModel, remainder: Remainder) -> NoiseM
     if not least[best] <= wanted[best] <= largest[best]:
         dof = noise_model.dof
     slow = None
-    if len(noises) > len(COLOURS):
+    if len(noises) > len(AR1_GRID):
         fractions = np.array([Noise(1.0, *n[:1], white=n[1]).effective_fraction for n in noises])
         slow = dof_of(np.log(level / fractions), cost, dof)
     told = replace(noise_model, range_m=rest.range_m, hidden=rest.hidden)

@@ -17,7 +17,7 @@ from cell.study.data import Study
 FloatArray = NDArray[np.float64]
 
 #: Strongest correlation of neighbouring frames that is believed.
-MAX_COLOUR = 0.98
+MAX_AR1 = 0.98
 #: A change of level or of 1 − ρ below this share changes nothing that is said.
 UNCHANGED = 0.005
 #: The rest allows a noise whose likelihood ratio (−2 ln, to the likeliest) is below this: a 99.9 %
@@ -27,8 +27,8 @@ ALLOWED = 16.3
 TOLD = 3.84
 #: Colours that are compared, evenly in the logarithm of 1 − ρ, on which slow noise depends; and
 #: white shares beside them, of values that are rounded.
-COLOURS = 1.0 - (1.0 - MAX_COLOUR) ** np.linspace(0.0, 1.0, 121)
-WHITES = (0.0, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
+AR1_GRID = 1.0 - (1.0 - MAX_AR1) ** np.linspace(0.0, 1.0, 121)
+WHITE_SHARES = (0.0, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 #: Rounding to less than this share of the noise adds nothing white that is seen.
 SEEN_ROUNDING = 0.25
 #: Still frames show the level of values that are rounded to less than so many standard deviations.
@@ -75,8 +75,8 @@ class Rest:
     def noises(self) -> list[tuple[float, float]]:
         """Colours and white shares that are compared."""
         std_m = float(np.sqrt(self.sums(0.0)[0] / self.sums(0.0)[1]))
-        whites = WHITES if self.resolution_m > SEEN_ROUNDING * std_m else WHITES[:1]
-        return [(float(colour), white) for white in whites for colour in COLOURS]
+        whites = WHITE_SHARES if self.resolution_m > SEEN_ROUNDING * std_m else WHITE_SHARES[:1]
+        return [(float(colour), white) for white in whites for colour in AR1_GRID]
 
     def allowed(self, noises: Sequence[tuple[float, float]]) -> Allowed:
         """The levels that the rest allows with each of some colours and white shares."""
@@ -113,8 +113,8 @@ class Rest:
         return dof * float(np.log(max(square, 1e-300))) + log_det
 
     def _colour(self) -> float:
-        found = where_least(self._restricted, 0.0, MAX_COLOUR, within=1e-5)
-        return min((0.0, found, MAX_COLOUR), key=self._restricted)
+        found = where_least(self._restricted, 0.0, MAX_AR1, within=1e-5)
+        return min((0.0, found, MAX_AR1), key=self._restricted)
 
     def _bic(self, colour: float) -> float:
         square, _, _ = self.sums(colour)

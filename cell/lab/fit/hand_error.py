@@ -62,13 +62,13 @@ class HandError:
 
 def hand_error(prepared: PreparedStudy, fit: Fit) -> HandError:
     """Of every trial, near a fitted model.  What cannot be simulated counts as none."""
-    found = {}
-    for trial in prepared.study.trials:
-        known = fit.initial_states.get(trial.name)
-        states = None if known is None else {trial.name: known[None]}
-        here = prepared.all_white([trial], [fit.model], states)[0]
-        found[trial.name] = np.nan_to_num(by_other_hands(prepared, fit, trial, here), nan=0.0)
-    return HandError(found)
+    trials = prepared.study.trials
+    states = {name: values[None] for name, values in fit.initial_states.items()}
+    here = prepared.all_white(trials, [fit.model], states)[0]
+    ends = np.cumsum([prepared.whiteners[t.name].rows for t in trials])
+    parts = zip(trials, np.split(here, ends[:-1]), strict=True)
+    changes = {t.name: by_other_hands(prepared, fit, t, part) for t, part in parts}
+    return HandError({name: np.nan_to_num(rows, nan=0.0) for name, rows in changes.items()})
 
 
 def by_other_hands(prepared: PreparedStudy, fit: Fit, trial: Trial, here: FloatArray) -> FloatArray:

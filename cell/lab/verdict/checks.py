@@ -19,7 +19,7 @@ from cell.lab.verdict.prior_check import asked_by_prior_only
 from cell.lab.verdict.questions import Reading
 
 #: Comparisons of a statistic with its limit.
-PASSES = {"<=": operator.le, ">=": operator.ge, "<": operator.lt, ">": operator.gt}
+COMPARE = {"<=": operator.le, ">=": operator.ge, "<": operator.lt, ">": operator.gt}
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Check:
         if reading is None:
             return Answer(self, None, None)
         limit = getattr(evidence.rules, self.limit)
-        return Answer(self, reading, bool(PASSES[self.passes](reading.value, limit)))
+        return Answer(self, reading, bool(COMPARE[self.passes](reading.value, limit)))
 
 
 @dataclass(frozen=True)

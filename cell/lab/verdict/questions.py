@@ -189,10 +189,8 @@ def possibly_omitted(evidence: Evidence) -> Reading | None:
 
 def noise_range(evidence: Evidence) -> Reading | None:
     """Largest mean square that the rest allows the noise, over its best estimate."""
-    noise = evidence.noise_model
-    if not evidence.is_base or noise.range_m is None:
-        return None
-    return Reading(noise.range_m[1] ** 2 / noise.noise.std_m**2)
+    allowed = evidence.noise_model.allowed_over_level
+    return Reading(allowed) if evidence.is_base and allowed is not None else None
 
 
 def _has_smooth_part(evidence: Evidence) -> bool:

@@ -15,7 +15,7 @@ from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.gaussian import marginal_chi2
 from cell.identify.noise import Whitener
 from cell.lab.data.noise_floor import NoiseModel
-from cell.lab.data.noise_likelihood import MAX_COLOUR
+from cell.lab.data.noise_likelihood import MAX_AR1
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.all_trials_fit import AllTrialsFit, of_all_trials
 from cell.lab.fit.fitting import Fit, best_initial_state, fit_trials
@@ -230,7 +230,7 @@ def _slow_level(noise_model: NoiseModel, parts: Sequence[_Fast]) -> tuple[float,
     off = (products - neighbours * level) / (level * pairs)
     alike = noise_model.effective_fraction
     colour = (1.0 - alike) / (1.0 + alike)
-    slow = level * ((1.0 - colour) / (1.0 - min(colour + off, MAX_COLOUR))) ** 2
+    slow = level * ((1.0 - colour) / (1.0 - min(colour + off, MAX_AR1))) ** 2
     dof = values / (1.0 + 2.0 / noise_model.effective_fraction)
     together = dof + noise_model.slow_dof
     return (dof * slow + noise_model.slow_dof) / together, together

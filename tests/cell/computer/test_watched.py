@@ -31,7 +31,10 @@ def watched(doing: str, patience_s: float = 1.0) -> "subprocess.Popen[str]":
 
 def ended(doing: str, patience_s: float = 1.0) -> tuple[int, str]:
     process = watched(doing, patience_s)
-    _, said = process.communicate(timeout=60)
+    try:
+        _, said = process.communicate(timeout=60)
+    finally:
+        process.kill()
     return process.returncode, said
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from cell.identify.noise import Noise
 from cell.lab.data.noise_floor import (
+    KNOWN_WITHIN,
     NoiseModel,
     NoiseUnknownError,
     floor_of_all_frames,
@@ -147,17 +148,17 @@ def test_a_known_level_and_a_long_rest_are_left_alone(make_study):
     noise_model = noise_floor(make_study(ar1=0.3))
     found = floor_of_all_frames(noise_model, moving(0, 1e-4, 0.3))
     assert found.noise.std_m == pytest.approx(noise_model.noise.std_m, rel=0.03)
-    assert found.level_known
+    assert found.allowed_over_level < KNOWN_WITHIN
 
 
 def test_whether_the_rest_was_long_enough_is_told(make_study):
     """Twelve frames of a marker leave room for an error as large as the noise, forty do not."""
     study = make_study(seed=1, ar1=0.0)
     short = floor_of_all_frames(noise_floor(cut(study, 10, 1)), moving(1, 1e-4, 0.0))
-    assert not short.level_known
+    assert short.allowed_over_level >= KNOWN_WITHIN
     assert short.frames_needed >= 20
     long = floor_of_all_frames(noise_floor(cut(study, 38, 2)), moving(1, 1e-4, 0.0))
-    assert long.level_known
+    assert long.allowed_over_level < KNOWN_WITHIN
     assert long.range_m[0] < 1e-4 < long.range_m[1]
 
 

@@ -77,7 +77,7 @@ def test_a_limit_is_met_as_its_sign_says(value, passes, passed):
 def fake(**given):
     """Evidence of a study with held-out trials, at the noise, whose parts can be set."""
     noise = SimpleNamespace(std_m=1e-4)
-    noise_model = SimpleNamespace(stated=False, noise=noise, range_m=None, dof=np.inf)
+    noise_model = SimpleNamespace(stated=False, noise=noise, allowed_over_level=None, dof=np.inf)
     study = SimpleNamespace(role=lambda _: [1, 2])
     prepared = SimpleNamespace(
         noise_is_measured=True,

@@ -1,0 +1,156 @@
+"""Values of a logged signal that are wrong: told from noise, and made up from those beside them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable.compiling import compiled
+
+FloatArray = NDArray[np.float64]
+
+#: A value of the log that lies apart by more standard deviations of its noise than this is wrong;
+#: it is compared with so many neighbours on either side.
+GLITCH, _BESIDE = 4.5, 3
+#: More of them in a row are none: the curve turns sharply there, and is smoothed too much.
+TOGETHER = 3
+#: A single value is wrong, however little noise there is, if with it made up from those beside it
+#: no more is left than this share of the fourth differences' squares around it (of a corner in the
+#: curve 4.7 % would be), and if it lies apart by more than this, m or rad, and so many standard
+#: deviations of the noise: a smoothing follows these.
+_ROUGH, _LEAST_APART, _ALONE = 0.03, 1e-5, 12.0
+#: Fourth differences looked at for single wrong values: the largest of the log.
+_MOST_WRONG = 50
+
+
+def wrong_alone(t: FloatArray, y: FloatArray, noise: float) -> tuple[int, ...]:
+    """Numbers of single wrong values among good ones, be these ever so exact; the largest first.
+
+    A smoothing that follows the noise closely follows a wrong value too.
+    """
+    found: tuple[int, ...] = ()
+    mended, rough = y, fourth_differences(t, y)
+    size, looked = np.abs(rough), np.zeros(len(rough), dtype=bool)
+    for _ in range(_MOST_WRONG):
+        i = int(np.argmax(np.where(looked, 0.0, size)))
+        number = _alone(t, rough, i, noise)
+        if number < 0 or number in found:
+            looked[i] = True
+            continue
+        found = (*found, number)
+        mended = made_up(t, y, found)
+        rough = fourth_differences(t, mended)
+        size = np.abs(rough)
+    return found
+
+
+@compiled
+def _alone(t: FloatArray, rough: FloatArray, i: int, noise: float) -> int:
+    """The value among those of fourth difference i that is wrong, if one alone is; else −1."""
+    least, best = np.inf, -1
+    for number in range(i, i + 5):
+        first, end = max(0, number - 6), min(t.size, number + 7)
+        unit = np.zeros(end - first)
+        unit[number - first] = 1.0
+        shape, seen = fourth_differences(t[first:end], unit), rough[first : end - 4]
+        square, along, total = 0.0, 0.0, 0.0
+        for k in range(shape.size):
+            square += shape[k] * shape[k]
+            along += shape[k] * seen[k]
+            total += seen[k] * seen[k]
+        size, apart = math.sqrt(square), along / square
+        left = 0.0
+        for k in range(shape.size):
+            left += (seen[k] - apart * shape[k]) ** 2
+        most = _ROUGH * total
+        sure = abs(apart) > max(_LEAST_APART, _ALONE * noise, GLITCH * noise / size)
+        at_end = size < 0.2  # first or last: no corner can be told from it, nor its neighbour
+        if at_end and sure and left < max(most, 4.0 * seen.size * noise**2):
+            return number
+        if sure and left < min(most, least):
+            least, best = left, number
+    return best
+
+
+def made_up(t: FloatArray, y: FloatArray, wrong: Sequence[int]) -> FloatArray:
+    """Values with the wrong ones made up: cubics between two on either side, held at the ends."""
+    if not wrong:
+        return y
+    good = np.setdiff1d(np.arange(len(t)), wrong)
+    y = y.copy()
+    for i in wrong:
+        place = int(np.searchsorted(good, i))
+        inside = 2 <= place <= len(good) - 2
+        last = y[good[min(place, len(good) - 1)]]
+        y[i] = y[i] - _from_cubic(t, y, i, good) if inside else last
+    return y
+
+
+def glitches(residual: FloatArray, noise: float) -> NDArray[np.bool_]:
+    """Values that lie apart from their neighbours by more than noise does; one or two in a row.
+
+    Where a curve is smoothed too much its neighbours lie beside it as well.
+    """
+    around = np.pad(residual, _BESIDE, mode="reflect")
+    middle = np.median(np.lib.stride_tricks.sliding_window_view(around, 2 * _BESIDE + 1), axis=1)
+    return np.asarray(np.abs(residual - middle) > GLITCH * noise)
+
+
+def beside_curve(
+    t: FloatArray,
+    y: FloatArray,
+    suspected: NDArray[np.bool_],
+    wrong: NDArray[np.bool_],
+    noise: float,
+) -> NDArray[np.bool_]:
+    """Those suspected values that lie farther from their neighbours' curve than these do.
+
+    Where rows are few for a motion, every value lies beside the cubic through those around it.
+    """
+    good = np.flatnonzero(~(suspected | wrong))
+    found = np.zeros_like(suspected)
+    for i in np.flatnonzero(suspected):
+        place = int(np.searchsorted(good, i))
+        near = good[max(0, place - _BESIDE) : place + _BESIDE]
+        others = [abs(_from_cubic(t, y, int(j), good)) for j in near]
+        rough = float(np.median(others)) if others else 0.0
+        found[i] = abs(_from_cubic(t, y, int(i), good)) > GLITCH * max(noise, rough)
+    return found
+
+
+def _from_cubic(t: FloatArray, y: FloatArray, i: int, good: NDArray[np.intp]) -> float:
+    """By how much a value lies beside the cubic through two good values on either side of it."""
+    others = good[good != i]
+    place = int(np.clip(np.searchsorted(others, i), 2, max(2, len(others) - 2)))
+    beside = others[place - 2 : place + 2]
+    total = 0.0
+    for a in beside:
+        rest = [b for b in beside if b != a]
+        total += y[a] * float(np.prod([(t[i] - t[b]) / (t[a] - t[b]) for b in rest]))
+    return float(y[i] - total)
+
+
+def longest_run(wrong: NDArray[np.bool_]) -> int:
+    """Most of them in a row."""
+    edges = np.flatnonzero(np.diff(np.pad(wrong.astype(np.int8), 1)))
+    return int(np.max(edges[1::2] - edges[::2], initial=0))
+
+
+@compiled
+def fourth_differences(t: FloatArray, y: FloatArray) -> FloatArray:
+    """(T − 4,) fourth divided differences, scaled to the variance of a single value."""
+    out = np.empty(t.size - 4)
+    for k in range(out.size):
+        difference, square = 0.0, 0.0
+        for i in range(k, k + 5):
+            gaps = 1.0
+            for j in range(k, k + 5):
+                if j != i:
+                    gaps *= t[i] - t[j]
+            difference += y[i] / gaps
+            square += 1.0 / (gaps * gaps)
+        out[k] = difference / math.sqrt(square)
+    return out
