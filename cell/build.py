@@ -15,12 +15,18 @@ from cell.computer.second_process import SecondProcess
 from cell.plan.choose import ChoiceOptions
 from cell.plan.destination import Destination
 from cell.plan.paths import MotionLimits
+from cell.records.recording.devices import recorded_devices
+from cell.records.recording.recorder import Recorder
+from cell.records.result import Outcome
 from cell.run.clocks import KnownDelays
 from cell.run.cycle import Cell
+from cell.run.recorded import Keeping, Recording
 from cell.run.station import Task
 from cell.settings import InputError, Settings
 from cell.settings import devices as given
 from cell.settings.calibrated import Calibrated, as_gripped, typed
+from cell.settings.model import Recording as RecordingWanted
+from cell.settings.referred import files_of
 from cell.settings.translate import (
     arm_limits_of,
     cable_of,
@@ -63,9 +69,11 @@ def build_cell(
     cycles: int,
     on_step: Callable[[int, str], None] = lambda number, step: None,
     known: Calibrated | None = None,
+    recorded: bool = False,
 ) -> Cell:
     """A cell with its devices, none of them connected yet.
 
+    recorded  record as the settings say; False = not at all
     seed    of the simulated cables and of their devices' noise
     cycles  so many simulated cables are laid out
     known   what is known of camera and clocks; None = as typed
@@ -75,7 +83,12 @@ def build_cell(
     else:
         take_precedence()
         devices = real_devices(settings, known)
-    return cell_with(settings, devices, runs, on_step, known)
+    recording = None
+    if recorded and settings.recording is not None:
+        recorder = Recorder(devices.arm, devices.clock, settings.recording.memory_mb * 10**6)
+        devices = recorded_devices(devices, recorder)
+        recording = recording_of(settings, settings.recording, recorder)
+    return cell_with(settings, devices, runs, on_step, known, recording=recording)
 
 
 def guarded_devices(settings: Settings, devices: Devices) -> Devices:
@@ -94,8 +107,13 @@ def cell_with(
     runs: Path,
     on_step: Callable[[int, str], None],
     known: Calibrated | None = None,
+    *,
+    recording: Recording | None = None,
 ) -> Cell:
-    """A cell around given devices, which it surrounds with their limits."""
+    """A cell around given devices, which it surrounds with their limits.
+
+    recording  how its cycles are recorded; None = they are not
+    """
     use_one_arena()
     guarded = guarded_devices(settings, devices)
     watched = isinstance(devices.clock, RealClock)
@@ -108,7 +126,14 @@ def cell_with(
         on_step,
         computer=SecondProcess() if hurried else None,
         watched=watched,
+        recording=recording,
     )
+
+
+def recording_of(settings: Settings, wanted: RecordingWanted, recorder: Recorder) -> Recording:
+    """What is recorded of cycles with these settings, and which recordings are kept."""
+    keeping = Keeping(frozenset(map(Outcome, wanted.keep)), wanted.keep_every)
+    return Recording(recorder, settings.model_dump(mode="json"), files_of(settings), keeping)
 
 
 @contextmanager

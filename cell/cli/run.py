@@ -116,7 +116,15 @@ def run(
                 progress.step(number, step)
 
             cables = 0 if dry_run else cycles
-            cell = build_cell(settings, out, seed=seed, cycles=cables, on_step=on_step, known=known)
+            cell = build_cell(
+                settings,
+                out,
+                seed=seed,
+                cycles=cables,
+                on_step=on_step,
+                known=known,
+                recorded=True,
+            )
             try:
                 if dry_run:
                     plan = cell.rehearsal(plan, speed)

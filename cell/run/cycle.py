@@ -22,6 +22,7 @@ from cell.run.machine import CellState, Event, EventRefusedError, Machine
 from cell.run.movements import slowed
 from cell.run.plans import AGAIN_WHEN_LOST, INSERTING, Plan, Repeat, Step, rehearsing
 from cell.run.progress import Progress
+from cell.run.recorded import CycleRecording, Recording
 from cell.run.station import Station, Task
 from drivers.interfaces import (
     CameraError,
@@ -51,6 +52,7 @@ class Cell:
     runs      folder in which every cycle gets its own
     computer  computes while frames are looked at; None = a thread
     watched   look at the devices all the time; only those that run in real time can be
+    recording how cycles are recorded, frame by frame; None = they are not
     on_step   told of every step as it begins: number of the cycle, name of the step
     """
 
@@ -64,6 +66,7 @@ class Cell:
         *,
         computer: Executor | None = None,
         watched: bool = False,
+        recording: Recording | None = None,
     ) -> None:
         self.commands = Commands()
         self.machine = Machine(devices.clock.now_s)
@@ -73,7 +76,12 @@ class Cell:
         self._runs = runs
         self._on_step = on_step
         self._watched = watched
+        self._recording = recording
         self._done_once: set[str] = set()
+
+    def now_s(self) -> float:
+        """Time on the cell's clock."""
+        return self._station.devices.clock.now_s()
 
     def command(self, event: Event, reason: str = "") -> None:
         """Stop, abort, hold, unhold, suspend or unsuspend, from any thread, at any time.
@@ -101,6 +109,8 @@ class Cell:
         """Stop the arm and disconnect all devices."""
         steps.close(self._station.devices)
         self._station.computer.shutdown(wait=False, cancel_futures=True)
+        if self._recording is not None:
+            self._recording.recorder.close()
         self._done_once.clear()
 
     def rehearsal(self, plan: Plan, speed: float) -> Plan:
@@ -119,8 +129,12 @@ class Cell:
             raise EventRefusedError(f"no cycle can begin while {self.machine.state.value}")
         before = self.machine.seconds()
         station = replace(self._station, task=slowed(self._station.task, plan.speed))
-        record = Record(self._runs, number, datetime.now())
-        progress = Progress(number, record, station, plan.given, plan.resetting[0].name)
+        started = datetime.now()
+        record = Record(self._runs, number, started)
+        recording = CycleRecording(self._recording)
+        meant = {"aim": plan.aim.value, "steps": plan.names, "speed": plan.speed}
+        recording.begin(record.folder, number, started, meant)
+        progress = Progress(number, record, recording, station, plan.given, plan.resetting[0].name)
         try:
             try:
                 record.settings(self._settings)
@@ -152,6 +166,7 @@ class Cell:
             record.close(result)
         except RecordError as error:
             result = self._unrecorded(progress, result, error)
+        recording.end(result)
         _LOG.info("cycle %d: %s in %s", number, result.outcome.value, record.folder)
         del progress  # and its pictures
         release_free_memory()
@@ -172,6 +187,7 @@ class Cell:
             if self.machine.can(sent):
                 self.machine.send(sent)
         progress.fault = replace(fault, cable=cable)
+        progress.recording.fault(progress.fault)
         with suppress(RecordError):  # there is another try at the end
             progress.record.use_reserve()
             progress.record.state(
@@ -221,6 +237,9 @@ class Cell:
         """One step, what is made of it, and the record of it."""
         progress.step = step.name
         progress.record.state(step=step.name, state=self.machine.state.value)
+        progress.recording.state(self.machine.state.value, step.name)
+        if not step.hand_waits:
+            progress.recording.found(progress.findings, progress.station)
         self._on_step(progress.number, step.name)
         now_s = time.perf_counter if step.computes else self._station.devices.clock.now_s
         begun_s = now_s()
@@ -248,7 +267,9 @@ class Cell:
             progress.write()
 
     def _send(self, progress: Progress, event: Event) -> None:
-        progress.record.state(state=self.machine.send(event).value)
+        state = self.machine.send(event).value
+        progress.record.state(state=state)
+        progress.recording.state(state, None)
 
     def _pause(self, progress: Progress) -> bool:
         """Hold or suspend if that was asked for, until it is taken back; whether it was."""

@@ -124,6 +124,7 @@ class Findings:
     trials      what was filmed, as it is recorded
     identified  the cable
     lead_s      from now to when a motion that is chosen now would begin
+    simulated_s  when each simulation of the offsets began, on the cell's clock
     waiting_since_s   since when the hand waits for the computer, by the computer's own clock
     wait_s      how long it has waited when the choice was made
     offset_m    of the choice that is executed
@@ -141,6 +142,7 @@ class Findings:
     trials: tuple[Trial, ...] = ()
     identified: Identified | None = None
     lead_s: float | None = None
+    simulated_s: tuple[float, ...] = ()
     waiting_since_s: float | None = None
     candidates: Candidates | None = None
     choice: Choice | None = None

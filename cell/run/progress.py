@@ -11,6 +11,7 @@ from cell.plan.passage import height_at_mouth_m
 from cell.records.folder import Record
 from cell.records.result import Fault, Outcome, Result
 from cell.run.findings import Findings, required
+from cell.run.recorded import CycleRecording
 from cell.run.station import Station
 from cell.run.trials import study_of
 from cell.run.watch import Watch
@@ -28,6 +29,7 @@ class Progress:
 
     number: int
     record: Record
+    recording: CycleRecording
     station: Station
     findings: Findings
     step: str
@@ -49,6 +51,7 @@ class Progress:
         self.record.pictures(new)
         if now.identified is not None and now.identified is not before.identified:
             self.record.model(now.identified.to_dict())
+        self.recording.found(now, self.station)
 
     def result(self, state_seconds: Mapping[str, float]) -> Result:
         """The cycle's result: that of its findings, or a failure."""

@@ -298,6 +298,7 @@ def simulate(station: Station, findings: Findings) -> Findings:
     """
     held, identified = required(findings.held), required(findings.identified)
     now_s = station.devices.clock.now_s()
+    findings = replace(findings, simulated_s=(*findings.simulated_s, now_s))
     early = held.early
     if early is not None and not is_past(station, early.candidates.start_s):
         expected = early.candidates.forecast

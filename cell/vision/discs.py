@@ -13,6 +13,7 @@ from cell.vision.compiling import compiled, hypot, inline
 FloatArray = NDArray[np.float64]
 
 _MOST = 512  # discs in one picture; those beyond are not looked at
+_SURROUNDINGS = 2.5  # of a disc, in its radii
 _LIGHTER = 15  # than their surroundings, grey levels
 
 
@@ -116,7 +117,7 @@ def scale_at(view, u, v):  # type: ignore[no-untyped-def]
 
 @compiled
 def find_body(image, view, marks, memory, near, reach):  # type: ignore[no-untyped-def]
-    """`BodyPose` of a body by its marks.
+    """`BodyPose` of a body by its marks: the same wherever it is looked for first.
 
     near     place and angle at which it was; looked for around it first unless nan.  Angle nan =
              it may have turned
@@ -124,15 +125,40 @@ def find_body(image, view, marks, memory, near, reach):  # type: ignore[no-untyp
     source   Kabsch 1976 (rigid fit)
     """
     height, width = image.shape
+    usual = marks.radius_m * scale_at(view, 0.5 * width, 0.5 * height)
+    shrink = max(1, int(usual // 3.0))
+    half = int(np.ceil(_SURROUNDINGS * usual / shrink))
+    blocks = (shrink, half)
     if np.isfinite(near[0]) and np.isfinite(near[1]):
         left, top, right, bottom = _around(view, marks, near, reach)
-        left, right = min(max(left, 0), width), min(max(right, 0), width)
-        top, bottom = min(max(top, 0), height), min(max(bottom, 0), height)
+        beyond = (half + 1) * shrink  # so that the marks' surroundings are those in the picture
+        left, right = min(max(left - beyond, 0), width), min(max(right + beyond, 0), width)
+        top, bottom = min(max(top - beyond, 0), height), min(max(bottom + beyond, 0), height)
+        left, top = left - left % shrink, top - top % shrink  # on blocks of the picture
+        right = min(-(-right // shrink) * shrink, width)
+        bottom = min(-(-bottom // shrink) * shrink, height)
         if right - left > 8 and bottom - top > 8:
-            pose = _find(image, (left, top, right, bottom), view, marks, memory)
-            if pose.marks:
+            pose = _find(image, (left, top, right, bottom), blocks, view, marks, memory)
+            # else one may have left the box
+            if pose.marks == len(marks.centres_m) and _moved(near, pose, marks) < reach:
                 return pose
-    return _find(image, (0, 0, width, height), view, marks, memory)
+    return _find(image, (0, 0, width, height), blocks, view, marks, memory)
+
+
+@compiled
+def _moved(near, pose, marks):  # type: ignore[no-untyped-def]
+    """How far a mark has moved at most, m; of a body that may have turned, the body."""
+    x, y, angle = near
+    furthest = hypot(pose.x_m - x, pose.y_m - y)
+    if not np.isnan(angle):
+        dc = np.cos(pose.angle_rad) - np.cos(angle)
+        ds = np.sin(pose.angle_rad) - np.sin(angle)
+        for m in range(len(marks.centres_m)):
+            along, up = marks.centres_m[m]
+            dx = pose.x_m - x + dc * along - ds * up
+            dy = pose.y_m - y + ds * along + dc * up
+            furthest = max(furthest, hypot(dx, dy))
+    return furthest
 
 
 @compiled
@@ -175,21 +201,23 @@ def _around(view, marks, near, reach):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _find(image, box, view, marks, memory):  # type: ignore[no-untyped-def]
-    """`BodyPose` by what a box (left, top, right, bottom) of a picture shows."""
+def _find(image, box, blocks, view, marks, memory):  # type: ignore[no-untyped-def]
+    """`BodyPose` by what a box (left, top, right, bottom) of a picture shows.
+
+    blocks  pixels that become one to find where discs may be, and so many that surround one
+    """
     left, top, right, bottom = box
-    radius = marks.radius_m * scale_at(view, 0.5 * (left + right), 0.5 * (top + bottom))
+    shrink, half = blocks
     part = image[top:bottom, left:right]
-    shrink = max(1, int(radius // 3.0))
     coarse = memory.coarse[: part.shape[0] // shrink, : part.shape[1] // shrink]
     light = memory.light[: coarse.shape[0], : coarse.shape[1]]
     if coarse.size == 0:
         return BodyPose(np.nan, np.nan, np.nan, 0, np.nan)
     _block_means(part, shrink, memory.sums, coarse)
-    _lighter(coarse, int(np.ceil(2.5 * radius / shrink)), memory.sums, light)
-    count = _discs(part, light, shrink, radius, memory)
+    _lighter(coarse, half, memory.sums, light)
+    count = _discs(image, light, shrink, (left // shrink, top // shrink), view, marks, memory)
     for n in range(count):
-        u, v = memory.centres[n, 0] + left, memory.centres[n, 1] + top
+        u, v = memory.centres[n, 0], memory.centres[n, 1]
         memory.centres[n, 0], memory.centres[n, 1] = to_plane(view, u, v)
     return _rigid_match(memory.centres[:count], marks, memory)
 
@@ -243,11 +271,13 @@ def _lighter(coarse, half, sums, light):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _discs(part, light, shrink, radius, memory):  # type: ignore[no-untyped-def]
-    """Number of discs of about a radius, px; their centres, in pixels of the part, into memory."""
+def _discs(image, light, shrink, corner, view, marks, memory):  # type: ignore[no-untyped-def]
+    """Number of discs of about the marks' radius; their centres, in pixels, into memory.
+
+    corner  column and row of the picture's block with which `light` begins
+    """
     rows, columns = light.shape
-    stack = memory.stack
-    r, area, count = radius / shrink, np.pi * (radius / shrink) ** 2, 0
+    stack, count = memory.stack, 0
     for row in range(rows):
         for column in range(columns):
             if not light[row, column]:
@@ -260,8 +290,8 @@ def _discs(part, light, shrink, radius, memory):  # type: ignore[no-untyped-def]
                 waiting -= 1
                 j, i = stack[waiting] // columns, stack[waiting] % columns
                 size += 1
-                down += j
-                along += i
+                down += j + corner[1]
+                along += i + corner[0]
                 left, right, top, bottom = min(left, i), max(right, i), min(top, j), max(bottom, j)
                 for dj, di in ((0, 1), (0, -1), (1, 0), (-1, 0)):
                     y, x = j + dj, i + di
@@ -270,10 +300,12 @@ def _discs(part, light, shrink, radius, memory):  # type: ignore[no-untyped-def]
                         stack[waiting] = y * columns + x
                         waiting += 1
             wide = max(right - left, bottom - top) + 1
+            u = (along / size + 0.5) * shrink - 0.5
+            v = (down / size + 0.5) * shrink - 0.5
+            radius = marks.radius_m * scale_at(view, u, v)
+            r, area = radius / shrink, np.pi * (radius / shrink) ** 2
             if 0.4 * area < size < 2.2 * area and wide < 3.2 * r and count < _MOST:
-                u = (along / size + 0.5) * shrink - 0.5
-                v = (down / size + 0.5) * shrink - 0.5
-                u, v = _centroid(part, u, v, radius)
+                u, v = _centroid(image, u, v, radius)
                 if not np.isnan(u):
                     memory.centres[count, 0], memory.centres[count, 1] = u, v
                     count += 1
@@ -281,9 +313,9 @@ def _discs(part, light, shrink, radius, memory):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _centroid(part, column, row, radius):  # type: ignore[no-untyped-def]
+def _centroid(image, column, row, radius):  # type: ignore[no-untyped-def]
     """Column and row, nan where there is no disc: grey levels between inside and around count."""
-    height, width = part.shape
+    height, width = image.shape
     half = int(np.ceil(1.6 * radius))
     core, inner, outer = (0.5 * radius) ** 2, (1.25 * radius) ** 2, (1.55 * radius) ** 2
     counted = (1.45 * radius) ** 2
@@ -296,7 +328,7 @@ def _centroid(part, column, row, radius):  # type: ignore[no-untyped-def]
             down = (v - (row - top)) ** 2
             for u in range(-half, half + 1):
                 distance = (u - (column - left)) ** 2 + down
-                level = part[top + v, left + u]
+                level = image[top + v, left + u]
                 if distance < core:
                     inside += level
                     insiders += 1
@@ -314,7 +346,7 @@ def _centroid(part, column, row, radius):  # type: ignore[no-untyped-def]
             for u in range(-half, half + 1):
                 if (u - (column - left)) ** 2 + down > counted:
                     continue
-                share = (part[top + v, left + u] - around) * share_per_level
+                share = (image[top + v, left + u] - around) * share_per_level
                 share = min(max(share, 0.0), 1.0)
                 total += share
                 along += share * u

@@ -110,15 +110,17 @@ def test_a_copy_in_the_middle_of_a_job_does_not_outlive_its_parent():
         "import os, sys, time\n"
         "from cell.computer.forks import forks\n"
         "def slow(job):\n"
-        "    print(os.getpid(), flush=True)\n"
+        "    os.write(1, b'%d\\n' % os.getpid())\n"  # at once, or lines of two would be mixed
         "    sum(range(10**12))\n"  # in C, with Python's lock
         "with forks([slow], most=2) as beside:\n"
         "    beside.map(slow, [0, 1])\n"
     )
     process = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
-    ids = {int(process.stdout.readline()) for _ in range(2)}
-    process.kill()
-    process.communicate()
+    try:
+        ids = {int(process.stdout.readline()) for _ in range(2)}
+    finally:
+        process.kill()
+        process.communicate()
     (copy,) = ids - {process.pid}
     for _ in range(100):
         stat = Path(f"/proc/{copy}/stat")

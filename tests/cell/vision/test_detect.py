@@ -164,3 +164,24 @@ def test_bad_input_is_named(view):
         detect(np.zeros((0, 4), np.uint8), 0.0, view, OPTIONS)
     with pytest.raises(ValueError, match=r"free_length_m = 0.0"):
         VisionOptions(free_length_m=0.0)
+
+
+def test_a_sighting_is_the_same_wherever_the_jaw_was_looked_for_first(
+    view, make_random_cable, photograph_of
+):
+    """Which frame was the one before depends on the computer's load; a result must not."""
+    rng = np.random.default_rng(5)
+    for seed in range(8):
+        image = photograph_of(make_random_cable(rng), RenderOptions(), seed, 0.6)
+        alone = detect(image, 0.0, view, OPTIONS)
+        for shift_m in (0.0, 0.0007, 0.003, 0.0059, 0.02):
+            turn_rad = rng.normal(0.0, 0.02)
+            near = replace(
+                alone,
+                grip_m=alone.grip_m + shift_m * rng.normal(size=2),
+                clamp_angle_rad=alone.clamp_angle_rad + turn_rad,
+            )
+            again = detect(image, 0.0, view, OPTIONS, near)
+            np.testing.assert_array_equal(again.nodes_m, alone.nodes_m)
+            np.testing.assert_array_equal(again.grip_m, alone.grip_m)
+            assert again.clamp_angle_rad == alone.clamp_angle_rad

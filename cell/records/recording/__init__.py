@@ -1,0 +1,1 @@
+"""One MCAP file per cycle: frames, poses, states and decisions, written while they happen."""

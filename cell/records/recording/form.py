@@ -1,0 +1,73 @@
+"""What a recording holds: its topics, their schemas, and how times and angles are written.
+
+Frames, poses, log and overlay have the standard schemas of Foxglove, which viewers draw.  Beside
+them stand JSON messages with the same numbers unrounded, from which a replay computes.
+
+  /camera/image    RawImage          a frame, mono8; its exact time is in /camera/frame
+  /camera/frame    JSON              index, t_s
+  /camera/seen     ImageAnnotations  the cable as it was seen
+  /arm/measured    PoseInFrame       at the arm's own rate, in the cell's plane
+  /arm/commanded   PoseInFrame       every path that the arm was told to follow
+  /arm/path        JSON              the same path: start_s, t_s, x_m, y_m, angle_rad
+  /arm/answer      JSON              measured poses as the cell was told them when it asked
+  /arm/state       JSON              mode of the arm, when it changes
+  /gripper         JSON              what it was told, and what it said
+  /cell/...        JSON              cycle, state, settings, decision, model, fault, result
+  /recording/gap   JSON              frames that are missing here, and why
+  /log             Log               what the program said
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+FORMAT: Final = "cable-recording/1"
+#: Name of a metadata record at the beginning, and of the one that says that all was written.
+BEGUN, CLOSED = "cable-recording", "cable-recording-closed"
+
+#: Entry of the first: file in memory that holds what a killed recorder has not written.
+RING = "ring"
+
+#: File of a recording in its cycle's folder, and its name until it is complete.
+FILE, PART = "recording.mcap", "recording.mcap.part"
+#: What was recovered from memory, until it is in the recovered file.
+REST = "recording.mcap.rest"
+
+IMAGE, FRAME, SEEN = "/camera/image", "/camera/frame", "/camera/seen"
+MEASURED, COMMANDED = "/arm/measured", "/arm/commanded"
+PATH, ANSWER, ARM = "/arm/path", "/arm/answer", "/arm/state"
+GRIPPER = "/gripper"
+CYCLE, STATE, SETTINGS, TASK = "/cell/cycle", "/cell/state", "/cell/settings", "/cell/task"
+FILMING, DECISION, MODEL = "/cell/filming", "/cell/decision", "/cell/model"
+FAULT, RESULT = "/cell/fault", "/cell/result"
+GAP, LOG = "/recording/gap", "/log"
+
+#: Topics whose messages are JSON objects.
+JSON_TOPICS: Final = (
+    FRAME, PATH, ANSWER, ARM, GRIPPER, CYCLE, STATE, SETTINGS, TASK, FILMING, DECISION, MODEL,
+    FAULT, RESULT, GAP,
+)  # fmt: skip
+
+_NUMBER, _NUMBERS = {"type": "number"}, {"type": "array", "items": {"type": "number"}}
+_POSES = {"t_s": _NUMBERS, "x_m": _NUMBERS, "y_m": _NUMBERS, "angle_rad": _NUMBERS}
+_PROPERTIES: Final[dict[str, dict[str, Any]]] = {
+    FRAME: {"index": {"type": "integer"}, "t_s": _NUMBER},
+    PATH: {"start_s": {"type": ["number", "null"]}, **_POSES},
+    ANSWER: {"start_s": _NUMBER, "end_s": _NUMBER, **_POSES},
+    ARM: {"t_s": _NUMBER, "mode": {"type": "string"}},
+    GRIPPER: {"told": {"type": "string"}, "opening_m": _NUMBER, "holding": {"type": "boolean"}},
+    STATE: {"state": {"type": "string"}, "step": {"type": ["string", "null"]}},
+    GAP: {"first": {"type": "integer"}, "frames": {"type": "integer"}, "cause": {"type": "string"}},
+}
+
+
+def json_schema(topic: str) -> dict[str, Any]:
+    """JSON schema of a topic's messages."""
+    title = topic.strip("/").replace("/", "_")
+    return {"type": "object", "title": title, "properties": _PROPERTIES.get(topic, {})}
+
+
+def quaternion(angle_rad: float) -> tuple[float, float, float, float]:
+    """x, y, z, w of a clamp angle: a turn about the plane's normal, against the clock."""
+    return 0.0, 0.0, math.sin(angle_rad / 2.0), math.cos(angle_rad / 2.0)

@@ -1,0 +1,166 @@
+"""One recording as it is written: what cannot be written is counted, never raised."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from cell.records.recording import form
+from cell.records.recording.reading import TornRecordingError
+from cell.records.recording.writer import FullDiskError, RecordingWriter
+
+#: What was put into the ring is in the file so soon, s, if the computer has time for it …
+FLUSH_S = 0.02
+#: … and on the disk itself.
+SYNC_S = 0.25
+
+
+class Recording:
+    """One recording, from its first message to its last.
+
+    part  file until it is complete; None = `recording.mcap.part` beside `path`
+    """
+
+    def __init__(
+        self, path: Path, epoch_ns: int, begun: Mapping[str, str], part: Path | None = None
+    ) -> None:
+        self.path = path
+        self.lost = self._all_lost = 0
+        self.cause = ""
+        self.refused = False
+        self._first_lost: int | None = None
+        self._last_s = 0.0
+        self._flushed_s = self._synced_s = time.monotonic()
+        self._part = self.path.with_name(form.PART) if part is None else part
+        self._writer: RecordingWriter | None = None
+        try:
+            self._writer = RecordingWriter(self._part, epoch_ns, begun)
+        except OSError as error:
+            self._refuse(error)
+
+    def write(self, header: tuple[Any, ...], payload: bytes) -> None:
+        """Write one message; what cannot be written is counted as lost."""
+        if self._writer is None:
+            self._lose(header)
+            return
+        kind, *rest = header
+        try:
+            match kind:
+                case "frame":
+                    index, t_s, height, width = rest
+                    self._last_s = t_s
+                    self._writer.frame(index, t_s, height, width, payload[: height * width])
+                    if self.lost:
+                        self._mark_gap()
+                case "poses":
+                    self._writer.poses(*rest)
+                case "seen":
+                    self._writer.seen(*rest)
+                case "log":
+                    self._writer.log(*rest)
+                case "event":
+                    self._writer.event(*rest)
+        except FullDiskError as error:
+            self.cause = self.cause or str(error)
+            self._lose(header)
+        except (OSError, RuntimeError) as error:
+            self._refuse(error)
+            self._lose(header)
+
+    def keep_up(self, now: bool = False) -> None:
+        """Bring what was written to the file, and to the disk, from time to time."""
+        passed_s = time.monotonic()
+        if self._writer is None or not (now or passed_s - self._flushed_s >= FLUSH_S):
+            return
+        self._flushed_s = passed_s
+        try:
+            self._writer.flush()
+        except (OSError, RuntimeError) as error:
+            self._refuse(error)
+            return
+        if passed_s - self._synced_s >= SYNC_S:
+            self._synced_s = passed_s
+            self._writer.sync()
+
+    def end(self, keep: bool, complete: bool) -> dict[str, Any]:
+        """Close the file, read it back and say what became of it."""
+        report = {"path": str(self.path), "kept": keep, "complete": complete}
+        if self._writer is None:
+            report |= {"error": self.cause, "lost_frames": self.lost}
+            if not keep:
+                self._part.unlink(missing_ok=True)
+            return report
+        try:
+            if self.lost:
+                with suppress(FullDiskError):
+                    self._mark_gap()
+            counts = dict(self._writer.counts)
+            closed = {"complete": json.dumps(complete), "counts": json.dumps(counts)}
+            self._writer.close(closed)
+            if keep:
+                with self._part.open("rb"):  # open until it has its name: nobody recovers it
+                    _verify_apart(self._part, counts)
+                    self._part.rename(self.path)
+                _sync_folder(self.path.parent)
+                report["bytes"] = self.path.stat().st_size
+            else:
+                self._part.unlink()
+            report |= {"frames": counts.get(form.IMAGE, 0), "poses": counts.get(form.MEASURED, 0)}
+        except (OSError, RuntimeError, TornRecordingError) as error:
+            self.cause = self.cause or str(error)
+            report["error"] = str(error)
+        return report | {"lost_frames": self._all_lost, "cause": self.cause}
+
+    def _lose(self, header: tuple[Any, ...]) -> None:
+        if header[0] == "frame":
+            if self._first_lost is None:
+                self._first_lost = header[1]
+            self.lost += 1
+            self._all_lost += 1
+
+    def _mark_gap(self) -> None:
+        assert self._writer is not None
+        gap = {"first": self._first_lost, "frames": self.lost, "cause": self.cause}
+        self._writer.event(form.GAP, self._last_s, gap)
+        self.lost, self._first_lost = 0, None
+
+    def _refuse(self, error: Exception) -> None:
+        """Nothing more can be written; the file stays as it is."""
+        self.cause = self.cause or f"the recording cannot be written: {error}"
+        if self._writer is not None:
+            with suppress(OSError):
+                self._writer.abandon()
+        self._writer = None
+
+
+def _verify_apart(path: Path, counts: dict[str, int]) -> None:
+    """Verify in a process of its own: the next cycle is recorded meanwhile.
+
+    raises  TornRecordingError
+    """
+    command = [
+        sys.executable,
+        "-m",
+        "cell.records.recording.reading",
+        str(path),
+        json.dumps(counts),
+    ]
+    done = subprocess.run(command, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    if done.returncode:
+        raise TornRecordingError(done.stderr.strip().splitlines()[-1])
+
+
+def _sync_folder(folder: Path) -> None:
+    """Bring a new name in a folder to the disk."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

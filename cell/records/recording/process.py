@@ -1,0 +1,111 @@
+"""The recorder's own process: takes what the cell's process has put into the ring, and writes it.
+
+    python -m cell.records.recording.process RING WAKE STATUS [FILE]
+
+The arguments are file descriptors: of the shared memory, of a pipe that wakes it and ends with the
+cell's process, and of a pipe for its reports, one JSON object per line; then the shared memory's
+file, if it has one, which is removed at the end.  It outlives the cell's
+process until all that was put into the ring is in the file.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from cell.records.recording.one_recording import Recording
+from cell.records.recording.ring import RingReader
+
+#: The computer is left to vision and identification where they want it.
+NICE = 15
+#: Least time between two looks while others have the computer, s.
+_LOOK_S = 0.001
+
+
+class Recorder:
+    """Reads the ring until the cell's process has ended."""
+
+    def __init__(self, ring: RingReader, wake: int, status: int) -> None:
+        self._ring = ring
+        self._wake = wake
+        self._status = status
+        self._recording: Recording | None = None
+        self._parent_ended = False
+        self._ending: list[threading.Thread] = []
+
+    def run(self) -> None:
+        """Write recordings; returns when the cell's process has ended and all is written."""
+        while True:
+            while self._ring.pause_until_s > time.monotonic() and not self._parent_ended:
+                self._sleep(_LOOK_S)
+            taken = self._ring.take()
+            if taken is not None:
+                self._act(*taken)
+                if self._recording is not None:
+                    self._recording.keep_up()
+                continue
+            if self._recording is not None:
+                self._recording.keep_up(now=True)
+            if self._parent_ended:
+                if self._recording is not None:
+                    self._end(True, False)
+                for thread in self._ending:
+                    thread.join()
+                return
+            self._sleep(None)
+
+    def _act(self, header: tuple[Any, ...], payload: bytes) -> None:
+        match header:
+            case ("begin", path, epoch_ns, begun):
+                if self._recording is not None:
+                    self._end(True, False)
+                self._recording = Recording(Path(path), epoch_ns, begun)
+            case ("end", keep):
+                self._end(keep, True)
+            case _ if self._recording is not None:
+                self._recording.write(header, payload)
+
+    def _end(self, keep: bool, complete: bool) -> None:
+        """Bring a recording to its end, beside the next one, which does not wait for that."""
+        recording, self._recording = self._recording, None
+        if recording is None:
+            return
+
+        def finish() -> None:
+            report = recording.end(keep, complete)
+            with suppress(OSError):  # nobody listens any more
+                os.write(self._status, (json.dumps(report) + "\n").encode())
+
+        self._ending = [thread for thread in self._ending if thread.is_alive()]
+        self._ending.append(threading.Thread(target=finish))
+        self._ending[-1].start()
+
+    def _sleep(self, seconds: float | None) -> None:
+        """Wait until there is more, or for so long."""
+        if seconds is not None:
+            time.sleep(seconds)
+        elif not os.read(self._wake, 65536):
+            self._parent_ended = True
+
+
+def main(ring: int, wake: int, status: int, file: str | None = None) -> None:
+    """Record until the other end of `wake` is closed."""
+    for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM):  # it ends with the cell's process
+        signal.signal(number, signal.SIG_IGN)
+    with suppress(OSError):
+        os.nice(NICE)
+    Recorder(RingReader(ring), wake, status).run()
+    if file is not None:
+        Path(file).unlink(missing_ok=True)
+
+
+if __name__ == "__main__":
+    ring, wake, status = (int(argument) for argument in sys.argv[1:4])
+    main(ring, wake, status, sys.argv[4] if len(sys.argv) > 4 else None)

@@ -1,0 +1,179 @@
+"""Reads recordings: frames, poses, JSON messages; says what is wrong with a file."""
+
+from __future__ import annotations
+
+import json
+import struct
+import sys
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
+from mcap.stream_reader import CRCValidationError
+from zstandard import ZstdError
+
+from cell.files.input_error import InputError
+from cell.records.recording import form
+from drivers.interfaces import Frame, Trajectory
+
+#: What readers raise for a file that is torn or is something else.
+UNREADABLE = (
+    McapError, CRCValidationError, ZstdError, ValueError, EOFError, MemoryError, LookupError,
+    struct.error,
+)  # fmt: skip
+
+
+class TornRecordingError(Exception):
+    """A recording lacks its end, or is damaged.  Scenario: power was cut during a cycle."""
+
+
+def verify(path: Path, counts: Mapping[str, int] | None = None) -> dict[str, int]:
+    """Read a recording from its beginning to its end; number of messages by topic.
+
+    counts  what must be in it; None = what it says itself
+    raises  TornRecordingError: it lacks something, or a checksum is wrong; OSError
+    """
+    try:
+        with path.open("rb") as file:
+            reader = make_reader(file, validate_crcs=True)
+            summary = reader.get_summary()
+            if summary is None or summary.statistics is None:
+                raise TornRecordingError(f"{path} has no index")
+            said = {
+                summary.channels[number].topic: n
+                for number, n in summary.statistics.channel_message_counts.items()
+            }
+            found: Counter[str] = Counter()
+            for _, channel, _ in reader.iter_messages(log_time_order=False):
+                found[channel.topic] += 1
+    except UNREADABLE as error:
+        raise TornRecordingError(f"{path} cannot be read: {error!r}") from error
+    for expected in (said, counts or said):
+        missing = {t: (n, found[t]) for t, n in expected.items() if found[t] != n}
+        if missing:
+            topic, (wanted, there) = next(iter(missing.items()))
+            raise TornRecordingError(f"{path} has {there} of {wanted} messages of {topic}")
+    return dict(found)
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A recording that was opened by `read_recording`.
+
+    begun   what was written at its beginning: software version, host, cycle …
+    closed  what was written at its end
+    """
+
+    path: Path
+    begun: Mapping[str, str]
+    closed: Mapping[str, str]
+    _counts: Mapping[str, int] = field(repr=False)
+
+    @property
+    def complete(self) -> bool:
+        """Whether the cycle came to its end while it was recorded."""
+        return json.loads(self.closed.get("complete", "false")) is True
+
+    def count(self, topic: str) -> int:
+        """Number of messages of a topic."""
+        return self._counts.get(topic, 0)
+
+    def json(self, topic: str) -> Iterator[dict[str, Any]]:
+        """Messages of a JSON topic, in the order in which they were written."""
+        for _, data in self._messages(topic):
+            yield json.loads(data)
+
+    def last(self, topic: str) -> dict[str, Any] | None:
+        """Last message of a JSON topic; None = there is none."""
+        message = None
+        for message in self.json(topic):  # noqa: B007
+            pass
+        return message
+
+    def frames(self) -> Iterator[Frame]:
+        """Frames in the order in which they were read, with their exact times."""
+        exact = {}
+        for log_time, data in self._messages(form.FRAME):
+            said = json.loads(data)
+            exact[log_time] = (said["index"], said["t_s"])
+        for log_time, data in self._messages(form.IMAGE):
+            if log_time in exact:
+                index, t_s = exact[log_time]
+                yield Frame(index, t_s, _image(data))
+
+    def trajectories(self, topic: str) -> Iterator[tuple[dict[str, Any], Trajectory]]:
+        """Messages of `/arm/path` or `/arm/answer` with their poses."""
+        for said in self.json(topic):
+            columns = (np.array(said[k], float) for k in ("t_s", "x_m", "y_m", "angle_rad"))
+            yield said, Trajectory(*columns)
+
+    def _messages(self, topic: str) -> Iterator[tuple[int, bytes]]:
+        with self.path.open("rb") as file:
+            reader = make_reader(file)
+            for _, _, message in reader.iter_messages(topics=[topic], log_time_order=False):
+                yield message.log_time, message.data
+
+
+def read_recording(path: Path) -> Recording:
+    """Open a recording, or the one in a cycle's folder.
+
+    raises  InputError: there is none, it is torn, or it is not one of this program
+    """
+    if path.is_dir():
+        path = recording_in(path)
+    try:
+        with path.open("rb") as file:
+            reader = make_reader(file)
+            summary = reader.get_summary()
+            metadata = {m.name: m.metadata for m in reader.iter_metadata()}
+    except FileNotFoundError as error:
+        raise InputError.at(path, "is missing; give a recording or a cycle's folder") from error
+    except OSError as error:
+        raise InputError.at(path, f"cannot be read: {error.strerror}") from error
+    except UNREADABLE as error:
+        message = f"is torn or is no MCAP file; `cell recover {path}` makes what is there readable"
+        raise InputError.at(path, message) from error
+    begun = metadata.get(form.BEGUN)
+    if begun is None or summary is None or summary.statistics is None:
+        raise InputError.at(path, "is an MCAP file, but no recording of `cell run`")
+    if begun.get("format") != form.FORMAT:
+        found = begun.get("format")
+        raise InputError.at(path, f"format is {found!r}, not {form.FORMAT!r}; use that version")
+    counts = {
+        summary.channels[number].topic: n
+        for number, n in summary.statistics.channel_message_counts.items()
+    }
+    return Recording(path, begun, metadata.get(form.CLOSED, {}), counts)
+
+
+def recording_in(folder: Path) -> Path:
+    """The recording in a cycle's folder.  Raises InputError: there is none, or it is torn."""
+    if (folder / form.FILE).exists():
+        return folder / form.FILE
+    if (folder / form.PART).exists():
+        message = f"was not finished; `cell recover {folder}` makes what is there readable"
+        raise InputError.at(folder / form.PART, message)
+    raise InputError.at(
+        folder / form.FILE,
+        "is missing: this cycle was not recorded, or its recording was removed to make room",
+    )
+
+
+def _image(data: bytes) -> np.ndarray:
+    message = RawImage.FromString(data)
+    if message.encoding != "mono8" or message.step != message.width:
+        raise ValueError(f"a frame is {message.encoding} with step {message.step}, not mono8")
+    return np.frombuffer(message.data, np.uint8).reshape(message.height, message.width)
+
+
+if __name__ == "__main__":  # as the recorder's process verifies a file
+    try:
+        verify(Path(sys.argv[1]), json.loads(sys.argv[2]))
+    except (TornRecordingError, OSError) as error:
+        sys.exit(str(error))

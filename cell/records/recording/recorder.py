@@ -1,0 +1,302 @@
+"""The cell's end of a recording: hands everything over at once, and never waits.
+
+Nothing here raises because of a recording: a cell goes on without one, and says so.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.records.recording import form
+from cell.records.recording.ring import RESERVE_BYTES, RingWriter, shared_memory
+from drivers.interfaces import Arm, Clock, DeviceError, Frame, Trajectory
+
+FloatArray = NDArray[np.float64]
+
+_LOG = logging.getLogger(__name__)
+
+#: Measured poses are taken from the arm so often, s.
+POSES_EVERY_S = 0.02
+#: After the last frame the computer is left to whoever decides, for at most so long, s.
+PAUSE_S = 0.25
+#: Frames that wait at the end of a run are written for so long, s, before it ends without them.
+LAST_WAIT_S = 60.0
+
+
+class Recorder:
+    """Records cycles, one file each, through a process of its own that begins with the first.
+
+    arm           poses are taken from it while a cycle is recorded
+    clock         of the cell
+    memory_bytes  of frames that wait to be written; more are left out, and the gap is marked
+    """
+
+    def __init__(self, arm: Arm, clock: Clock, memory_bytes: int) -> None:
+        self._arm = arm
+        self._clock = clock
+        self._memory_bytes = memory_bytes + RESERVE_BYTES
+        self._process: subprocess.Popen[bytes] | None = None
+        self._ring: RingWriter | None = None
+        self._file: Path | None = None
+        self._wake = self._status = -1
+        self._lock = threading.Lock()
+        self._under_way = False
+        self._waiting = 0
+        self._lost_frames: list[int] = []
+        self._stream: _PoseStream | None = None
+        self._handler = _Handler(self)
+        self.notes: list[str] = []
+
+    # --- a recording ------------------------------------------------------------------------------
+
+    def prepare(self) -> None:
+        """Start the process if it does not run: it takes half a second."""
+        if self._process is not None and self._process.poll() is None:
+            return
+        if self._process is not None:
+            self._say("the recorder's process has ended; a new one is started")
+            self._forget()
+        memory, self._file = shared_memory(self._memory_bytes)
+        wake, self._wake = os.pipe()
+        self._status, status = os.pipe()
+        os.set_blocking(self._wake, False)
+        os.set_blocking(self._status, False)
+        passed = (memory, wake, status)
+        command = [sys.executable, "-m", "cell.records.recording.process", *map(str, passed)]
+        if self._file is not None:
+            command.append(str(self._file))
+        try:
+            self._process = subprocess.Popen(
+                command, pass_fds=passed, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL
+            )
+            self._ring = RingWriter(memory)
+        finally:
+            for descriptor in passed:
+                os.close(descriptor)
+
+    def begin(self, path: Path, begun: Mapping[str, str]) -> None:
+        """Begin a recording at `path`."""
+        try:
+            self.prepare()
+        except OSError as error:
+            self._say(f"nothing is recorded: the recorder cannot be started: {error}")
+            return
+        self._read_reports()
+        now_s = self._clock.now_s()
+        epoch_ns = time.time_ns() - round(now_s * 1e9)
+        self._lost_frames = []
+        self._under_way = True
+        said = {"epoch_ns": str(epoch_ns), form.RING: str(self._file or ""), **begun}
+        self._put(("begin", str(path.absolute()), epoch_ns, said))
+        self._waiting += 1
+        for logger in _LOGGERS:
+            logging.getLogger(logger).addHandler(self._handler)
+        self._stream = _PoseStream(self, self._arm, now_s)
+        self._stream.start()
+
+    def end(self, keep: bool = True) -> None:
+        """Nothing more comes; the file is closed, verified and kept, or removed, meanwhile."""
+        if not self._under_way:
+            return
+        if self._stream is not None:
+            self._stream.end()
+            self._stream = None
+        for logger in _LOGGERS:
+            logging.getLogger(logger).removeHandler(self._handler)
+        self._put(("end", keep))
+        self._under_way = False
+
+    def wait(self, timeout_s: float = LAST_WAIT_S) -> bool:
+        """Wait until all recordings that have ended are files; whether they are."""
+        end_s = time.monotonic() + timeout_s
+        self.resume()
+        while self._waiting and self._process is not None and time.monotonic() < end_s:
+            if self._process.poll() is not None:
+                self._read_reports()
+                break
+            self._read_reports()
+            time.sleep(0.002)
+        return not self._waiting
+
+    def close(self) -> None:
+        """Wait for what is not written yet, and end the process."""
+        self.end()
+        if self._process is None:
+            return
+        if not self.wait():
+            self._say("a recording was not finished in time; `cell recover` makes it readable")
+        process = self._process
+        self._forget()
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(5.0)
+
+    # --- what is recorded -------------------------------------------------------------------------
+
+    def frame(self, frame: Frame) -> None:
+        """A frame as it was read."""
+        height, width = frame.image.shape
+        image = np.ascontiguousarray(frame.image)
+        if not self._put(("frame", frame.index, frame.t_s, height, width), image, RESERVE_BYTES):
+            self._lost_frames.append(frame.index)
+        elif self._lost_frames:
+            self._mark_gap(frame.t_s)
+
+    def poses(self, topic: str, poses: Trajectory) -> None:
+        """Poses on the cell's clock, measured or commanded."""
+        if len(poses.t_s):
+            columns = (poses.t_s, poses.x_m, poses.y_m, poses.angle_rad)
+            self._put(("poses", topic, np.stack(columns, axis=-1)))
+
+    def seen(self, t_s: Sequence[float], points_px: FloatArray) -> None:
+        """The cable as it was seen in frames: (n, points, 2) column and row, nan = not seen."""
+        self._put(("seen", tuple(t_s), points_px))
+
+    def event(self, topic: str, data: Mapping[str, Any]) -> None:
+        """A message of a JSON topic, of now."""
+        self._put(("event", topic, self._clock.now_s(), data))
+
+    def now_s(self) -> float:
+        """Time on the cell's clock."""
+        return self._clock.now_s()
+
+    @property
+    def waiting_bytes(self) -> int:
+        """Bytes that are not written yet."""
+        return 0 if self._ring is None else self._ring.waiting_bytes
+
+    @property
+    def process_id(self) -> int | None:
+        """Of the process that writes; None = it was not started."""
+        return None if self._process is None else self._process.pid
+
+    def pause(self) -> None:
+        """The last frame was read: somebody computes what to do, and needs the computer."""
+        if self._ring is not None:
+            self._ring.pause(time.monotonic() + PAUSE_S)
+
+    def resume(self) -> None:
+        """The decision was made."""
+        if self._ring is not None:
+            self._ring.pause(0.0)
+
+    def log(self, record: logging.LogRecord) -> None:
+        """A line of the program's log."""
+        now_s = self._clock.now_s()
+        self._put(("log", now_s, record.levelname, record.name, record.getMessage()))
+
+    def _mark_gap(self, t_s: float) -> None:
+        lost = self._lost_frames
+        gap = {"first": lost[0], "frames": len(lost), "cause": "the recorder was too slow"}
+        if self._put(("event", form.GAP, t_s, gap)):
+            self._lost_frames = []
+            self._say(f"{len(lost)} frames were not recorded: the computer was too slow")
+
+    def _put(
+        self, header: tuple[Any, ...], payload: NDArray[Any] | None = None, spare: int = 0
+    ) -> bool:
+        if not self._under_way or self._ring is None:
+            return True
+        with self._lock:
+            done = self._ring.put(header, payload, spare)
+            with suppress(BlockingIOError):  # it has been woken often enough
+                try:
+                    os.write(self._wake, b"\0")
+                except BrokenPipeError:
+                    self._under_way = False
+                    self._waiting = 0
+                    self._say("the recorder's process has ended: this cycle is recorded in part")
+        return done
+
+    # --- its reports ------------------------------------------------------------------------------
+
+    def _read_reports(self) -> None:
+        with suppress(BlockingIOError, OSError):
+            while data := os.read(self._status, 65536):
+                for line in data.decode().splitlines():
+                    self._waiting -= 1
+                    self._report(json.loads(line))
+
+    def _report(self, report: Mapping[str, Any]) -> None:
+        path = report["path"]
+        if "error" in report:
+            self._say(
+                f"{path} is torn: {report['error']}; `cell recover {path}` reads what is there"
+            )
+        elif report.get("lost_frames"):
+            self._say(f"{path}: {report['lost_frames']} frames are missing: {report['cause']}")
+        elif report["kept"]:
+            size = report["bytes"] / 1e6
+            _LOG.info("%s: %d frames, %.0f MB, verified", path, report["frames"], size)
+
+    def _say(self, note: str) -> None:
+        _LOG.warning("recording: %s", note)
+        self.notes.append(note)
+
+    def _forget(self) -> None:
+        for descriptor in (self._wake, self._status):
+            with suppress(OSError):
+                os.close(descriptor)
+        self._process, self._ring, self._waiting = None, None, 0
+
+
+#: Loggers of the program, whose lines are recorded.
+_LOGGERS = ("cell", "drivers", "calib")
+
+
+class _Handler(logging.Handler):
+    """Hands lines of the log to the recorder, but not what it says itself."""
+
+    def __init__(self, recorder: Recorder) -> None:
+        super().__init__(logging.INFO)
+        self._recorder = recorder
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """See `logging.Handler`."""
+        if record.name != __name__:
+            self._recorder.log(record)
+
+
+class _PoseStream(threading.Thread):
+    """Takes measured poses from the arm as they come, until `end`."""
+
+    def __init__(self, recorder: Recorder, arm: Arm, begin_s: float) -> None:
+        super().__init__(name="poses", daemon=True)
+        self._recorder = recorder
+        self._arm = arm
+        self._after_s = begin_s
+        self._over = threading.Event()
+
+    def run(self) -> None:
+        """See `threading.Thread`."""
+        while not self._over.wait(POSES_EVERY_S):
+            self._take()
+        self._take()
+
+    def end(self) -> None:
+        """Take what is there, and no more."""
+        self._over.set()
+        self.join()
+
+    def _take(self) -> None:
+        try:
+            poses = self._arm.log(self._after_s, self._recorder.now_s())
+        except DeviceError:
+            return
+        new = poses.t_s > self._after_s
+        if np.any(new):
+            self._after_s = float(poses.t_s[-1])
+            columns = (poses.t_s, poses.x_m, poses.y_m, poses.angle_rad)
+            self._recorder.poses(form.MEASURED, Trajectory(*(c[new] for c in columns)))

@@ -1,0 +1,367 @@
+"""Makes a readable recording of a torn one, and says what is missing."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import foxglove
+from foxglove import Channel, Context
+from foxglove.mcap import MCAPCompression, MCAPWriteOptions
+from mcap import records
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.stream_reader import breakup_chunk
+from zstandard import ZstdDecompressor, ZstdError
+
+from cell.files.input_error import InputError
+from cell.records.recording import form
+from cell.records.recording.one_recording import Recording
+from cell.records.recording.reading import UNREADABLE, TornRecordingError, verify
+from cell.records.recording.ring import RingReader
+from cell.records.recording.writer import CHUNK_BYTES, LEVEL, Sink
+
+_MAGIC = b"\x89MCAP0\r\n"
+_HEAD_BYTES = 9  # opcode, length
+#: Of a chunk: its head; where the name of the compression begins; the most that one may hold.
+_CHUNK_HEAD_BYTES, _NAME_AT, _MOST_OF_CHUNK = 53, 37, 256 * 2**20
+
+
+_READERS: dict[int, Callable[[ReadDataStream], records.McapRecord]] = {
+    Opcode.SCHEMA: records.Schema.read,
+    Opcode.CHANNEL: records.Channel.read,
+    Opcode.CHUNK: records.Chunk.read,
+    Opcode.METADATA: records.Metadata.read,
+    Opcode.FOOTER: records.Footer.read,
+}
+
+
+@dataclass(frozen=True)
+class Recovered:
+    """What `recover` found.
+
+    messages      number by topic, in the file that was written
+    frames_s, poses_s   time of the last frame and of the last measured pose, s after the first
+                        message; None = there is none
+    read_bytes    of the torn file, up to where its records are whole; of what is behind that the
+                  whole messages were taken too
+    damaged_bytes   of records before that which could not be read
+    """
+
+    source: Path
+    file: Path
+    messages: dict[str, int]
+    frames_s: float | None
+    poses_s: float | None
+    read_bytes: int
+    damaged_bytes: int
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        return asdict(self) | {"source": str(self.source), "file": str(self.file)}
+
+
+def torn_recordings(place: Path) -> list[Path]:
+    """Torn recordings in a folder and below it; a file is taken for one.
+
+    Recordings that are being written now are left out.
+    raises  InputError: there is no such place
+    """
+    if place.is_file():
+        return [place]
+    if not place.is_dir():
+        raise InputError.at(place, "is missing; give a recording or a folder")
+    return sorted(p for p in place.rglob(form.PART) if not being_written(p))
+
+
+def recover_in_place(source: Path, target: Path | None = None) -> Recovered:
+    """Recover to a file beside the torn one, which is removed if nothing in it is damaged.
+
+    target  None = `recording.mcap`, or of another file its name with `.recovered.mcap`
+    raises  as `recover`
+    """
+    if target is None:
+        own = source.name == form.PART
+        target = source.with_name(form.FILE if own else f"{source.stem}.recovered.mcap")
+    recovered = recover(source, target)
+    if source.name == form.PART and not recovered.damaged_bytes:
+        source.unlink()
+    return recovered
+
+
+def being_written(part: Path) -> bool:
+    """Whether a process has this file open, or has ended it just now; False where the system does
+    not tell.
+    """
+    try:
+        known = part.stat()
+    except FileNotFoundError:
+        return True
+    for link in Path("/proc").glob("[0-9]*/fd/*"):
+        with suppress(OSError):
+            found = link.stat()
+            if (found.st_dev, found.st_ino) == (known.st_dev, known.st_ino):
+                return True
+    return False
+
+
+def recover(source: Path, target: Path) -> Recovered:
+    """Write what can be read of `source` to `target`, and verify that.
+
+    The source stays as it is.  Chunks whose checksum is wrong are left out.
+    raises  InputError: there is nothing to recover; OSError: it cannot be written; FileExistsError
+    """
+    try:
+        size = source.stat().st_size
+        with source.open("rb") as file:
+            begins = file.read(len(_MAGIC))
+    except OSError as error:
+        raise InputError.at(source, f"cannot be read: {error.strerror}") from error
+    if begins != _MAGIC:
+        message = (
+            f"is no MCAP file: it begins with {begins!r}, {size} bytes in all; it is left alone"
+        )
+        raise InputError.at(source, message)
+    part = target.with_name(f"{target.name}.{os.getpid()}.part")
+    try:
+        copy = _Copy(part)
+        try:
+            reached = copy.take_all(source)
+            if not copy.complete:
+                copy.take_begun_chunk(source, reached)
+                if (rest := _rest_in_memory(source)) is not None:
+                    copy.take_all(rest)
+            copy.close()
+        finally:
+            copy.sink.close()
+        if not sum(copy.counts.values()):
+            raise InputError.at(source, "holds no whole message: nothing can be recovered")
+        try:
+            verify(part, copy.counts)
+        except TornRecordingError as error:
+            raise OSError(f"what was recovered cannot be read back: {error}") from error
+        os.link(part, target)  # never over another file
+        source.with_name(form.REST).unlink(missing_ok=True)
+    finally:
+        part.unlink(missing_ok=True)
+    return Recovered(
+        source,
+        target,
+        dict(copy.counts),
+        copy.after_first_s(form.IMAGE),
+        copy.after_first_s(form.MEASURED),
+        reached,
+        copy.bad_bytes,
+    )
+
+
+def _rest_in_memory(source: Path) -> Path | None:
+    """What the recorder of a torn recording was given and has not written, as a file beside it.
+
+    A recording that was begun in that memory and not on the disk becomes a file of its own.
+    """
+    rest = source.with_name(form.REST)
+    begun = _begun(source)
+    ring = Path(begun.get(form.RING) or "/nowhere")
+    if not ring.exists() or being_written(ring):
+        return rest if rest.exists() else None
+    descriptor = os.open(ring, os.O_RDWR)
+    try:
+        reader = RingReader(descriptor)
+        recording: Recording | None = Recording(rest, int(begun["epoch_ns"]), begun, part=rest)
+        ended: list[Recording] = []
+        while (taken := reader.take()) is not None:
+            header, payload = taken
+            match header:
+                case ("begin", path, epoch_ns, said):
+                    ended += [recording] if recording else []
+                    recording = Recording(Path(path), epoch_ns, said)
+                case ("end", *_):
+                    ended += [recording] if recording else []
+                    recording = None
+                case _ if recording is not None:
+                    recording.write(header, payload)
+        for one in ended + ([recording] if recording else []):
+            one.end(True, False)
+    finally:
+        os.close(descriptor)
+    ring.unlink()
+    return rest
+
+
+def _begun(source: Path) -> dict[str, str]:
+    """What a recording says at its beginning."""
+    for record, _ in _records(source):
+        if isinstance(record, records.Metadata) and record.name == form.BEGUN:
+            return dict(record.metadata)
+    return {}
+
+
+class _Copy:
+    """The messages of one file, written to another as they are."""
+
+    def __init__(self, path: Path) -> None:
+        self.counts: Counter[str] = Counter()
+        self.bad_bytes = 0
+        self.complete = False
+        self.sink = Sink(path)
+        self._last_ns: dict[str, int] = {}
+        self._first_ns: int | None = None
+        self._closed: dict[str, str] = {}
+        self._metadata: set[str] = set()
+        self._context = Context()
+        self._schemas: dict[int, records.Schema] = {}
+        self._channels: dict[str, Channel] = {}
+        self._topics: dict[int, str] = {}
+        self._writer = foxglove.open_mcap(
+            self.sink,  # type: ignore[arg-type]
+            context=self._context,
+            writer_options=MCAPWriteOptions(
+                compression=MCAPCompression.Zstd,
+                compression_level=LEVEL,
+                compression_threads=0,
+                chunk_size=CHUNK_BYTES,
+            ),
+        )
+
+    def take_all(self, source: Path) -> int:
+        """Take every record that is whole; how far the file could be read, bytes."""
+        reached = len(_MAGIC)
+        self._topics.clear()  # every file has its own numbers
+        for record, end in _records(source):
+            reached = end
+            match record:
+                case records.Chunk():
+                    self._take_chunk(record)
+                case records.Metadata(name=name, metadata=data):
+                    if name == form.CLOSED:
+                        self._closed = dict(data)
+                    elif name not in self._metadata:
+                        self._metadata.add(name)
+                        self._writer.write_metadata(name, dict(data))
+                case records.Schema() | records.Channel() | records.Message():
+                    self._take(record)
+                case records.Footer():
+                    self.complete = True
+        return reached
+
+    def take_begun_chunk(self, source: Path, at: int) -> None:
+        """Take the whole messages of a chunk that was not ended."""
+        with source.open("rb") as file:
+            file.seek(at)
+            rest = file.read(_MOST_OF_CHUNK)
+        if len(rest) < _CHUNK_HEAD_BYTES or rest[0] != Opcode.CHUNK:
+            return
+        name = int.from_bytes(rest[_NAME_AT : _NAME_AT + 4], "little")
+        packed = rest[_NAME_AT + 4 + name + 8 :]
+        if rest[_NAME_AT + 4 : _NAME_AT + 4 + name] != b"zstd":
+            return
+        inside = b""
+        with suppress(ZstdError), ZstdDecompressor().stream_reader(packed) as stream:
+            while block := stream.read(65536):
+                inside += block
+        for record in _whole_records(inside):
+            self._take(record)
+
+    def close(self) -> None:
+        """End the file with its index."""
+        said = self._closed or {"complete": "false"}
+        counts = json.dumps(dict(self.counts))
+        self._writer.write_metadata(form.CLOSED, said | {"recovered": "true", "counts": counts})
+        self._writer.close()
+        if self.sink.refused is not None:
+            raise self.sink.refused
+        self.sink.sync()
+
+    def after_first_s(self, topic: str) -> float | None:
+        """Time of a topic's last message, s after the first of all."""
+        last_ns = self._last_ns.get(topic)
+        return (
+            None if last_ns is None or self._first_ns is None else (last_ns - self._first_ns) / 1e9
+        )
+
+    def _take_chunk(self, chunk: records.Chunk) -> None:
+        try:
+            inside = breakup_chunk(chunk, validate_crc=True)
+        except UNREADABLE:
+            self.bad_bytes += len(chunk.data)
+            return
+        for record in inside:
+            self._take(record)
+
+    def _take(self, record: records.McapRecord) -> None:
+        match record:
+            case records.Schema(id=number):
+                self._schemas[number] = record
+            case records.Channel(id=number):
+                self._topics[number] = record.topic
+                if record.topic in self._channels:
+                    return
+                schema = self._schemas.get(record.schema_id)
+                self._channels[record.topic] = Channel(
+                    record.topic,
+                    schema=None
+                    if schema is None
+                    else foxglove.Schema(
+                        name=schema.name, encoding=schema.encoding, data=schema.data
+                    ),
+                    message_encoding=record.message_encoding,
+                    metadata=dict(record.metadata),
+                    context=self._context,
+                )
+            case records.Message(channel_id=number, log_time=log_ns) if number in self._topics:
+                topic = self._topics[number]
+                self._channels[topic].log(record.data, log_time=log_ns)
+                self.counts[topic] += 1
+                self._last_ns[topic] = max(log_ns, self._last_ns.get(topic, 0))
+                first = log_ns if self._first_ns is None else self._first_ns
+                self._first_ns = min(first, log_ns)
+            case records.Message(data=data):  # its channel stood in a chunk that is damaged
+                self.bad_bytes += len(data)
+
+
+def _records(source: Path) -> Iterator[tuple[records.McapRecord, int]]:
+    """Whole records of a file with where they end, as far as they go; none is larger than it."""
+    size = source.stat().st_size
+    with source.open("rb") as file:
+        file.seek(len(_MAGIC))
+        at = len(_MAGIC)
+        while at + _HEAD_BYTES <= size:
+            head = file.read(_HEAD_BYTES)
+            opcode, length = head[0], int.from_bytes(head[1:], "little")
+            if not 1 <= opcode <= Opcode.DATA_END or length > size - at - _HEAD_BYTES:
+                return
+            body = file.read(length)
+            at += _HEAD_BYTES + length
+            read = _READERS.get(Opcode(opcode))
+            if read is not None:
+                try:
+                    yield read(ReadDataStream(BytesIO(body))), at
+                except UNREADABLE:
+                    return
+
+
+def _whole_records(inside: bytes) -> Iterator[records.McapRecord]:
+    """Records at the beginning of a chunk's content, up to one that is not all there."""
+    at = 0
+    while at + _HEAD_BYTES <= len(inside):
+        opcode, length = inside[at], int.from_bytes(inside[at + 1 : at + _HEAD_BYTES], "little")
+        body = inside[at + _HEAD_BYTES : at + _HEAD_BYTES + length]
+        if len(body) < length:
+            return
+        stream = ReadDataStream(BytesIO(body))
+        try:
+            if opcode == Opcode.MESSAGE:
+                yield records.Message.read(stream, length)
+            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                yield _READERS[Opcode(opcode)](stream)
+        except UNREADABLE:
+            return
+        at += _HEAD_BYTES + length

@@ -1,0 +1,144 @@
+"""A ring of bytes that one process writes and another reads, without ever waiting for each other.
+
+Memory: three numbers of 8 bytes (written, read, pause until), then the ring.  `written` and `read`
+count bytes since the ring was empty at its beginning.  A record is
+
+  4 bytes   its length with this head, a multiple of 8; 0xFFFFFFFF = go to the beginning
+  4 bytes   length of the header
+  header    pickled
+  payload   bytes as they are
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import pickle
+import struct
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+_HEAD_BYTES = 64
+_IN_MEMORY = Path("/dev/shm")
+_RECORD = struct.Struct("<II")
+_TO_BEGINNING = 0xFFFFFFFF
+
+#: Kept free for records that are not frames: they must never be lost.
+RESERVE_BYTES = 8 * 2**20
+
+
+def shared_memory(size_bytes: int) -> tuple[int, Path | None]:
+    """File descriptor of memory that a child can share, and its file in memory if it has one.
+
+    The file outlives its processes: after they were killed at once, `cell recover` finds in it what
+    was not written.  Where the system has no such place, the memory ends with the last process.
+    raises  OSError: there is no room
+    """
+    path = None
+    if _IN_MEMORY.is_dir() and os.access(_IN_MEMORY, os.W_OK):
+        path = _IN_MEMORY / f"cable-cell-{os.getpid()}-{os.urandom(4).hex()}"
+        descriptor = os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o600)
+    else:
+        with tempfile.TemporaryFile() as file:
+            descriptor = os.dup(file.fileno())
+    os.ftruncate(descriptor, _HEAD_BYTES + size_bytes)
+    return descriptor, path
+
+
+class _Memory:
+    """The shared numbers, and the ring behind them."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._map = mmap.mmap(descriptor, os.fstat(descriptor).st_size)
+        head = np.frombuffer(self._map, np.uint64, 2)
+        self.count = head.view(np.int64)
+        self.pause_until_s = np.frombuffer(self._map, np.float64, 1, 16)
+        self.ring = np.frombuffer(self._map, np.uint8, offset=_HEAD_BYTES)
+
+
+class RingWriter:
+    """The end that writes; from one thread at a time."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._memory = _Memory(descriptor)
+
+    @property
+    def waiting_bytes(self) -> int:
+        """Bytes that the reader has not read yet."""
+        written, read = self._memory.count
+        return int(written - read)
+
+    def pause(self, until_s: float) -> None:
+        """Ask the reader to leave the computer to others until a moment on `time.monotonic`."""
+        self._memory.pause_until_s[0] = until_s
+
+    def put(self, header: Any, payload: NDArray[Any] | None = None, spare: int = 0) -> bool:
+        """Add a record; False if there is no room for it.
+
+        payload  any array, whose bytes are copied
+        spare    bytes that must stay free after it
+        """
+        head = pickle.dumps(header, protocol=pickle.HIGHEST_PROTOCOL)
+        size = 0 if payload is None else payload.nbytes
+        length = -(-(_RECORD.size + len(head) + size) // 8) * 8
+        written, read = (int(n) for n in self._memory.count)
+        if written == read and written:  # empty: begin anew, so that little memory is touched
+            self._memory.count[0] = 0
+            self._memory.count[1] = 0
+            written = read = 0
+        ring = self._memory.ring
+        at = written % len(ring)
+        skipped = len(ring) - at if at + length > len(ring) else 0
+        if written - read + skipped + length + spare > len(ring):
+            return False
+        if skipped:
+            _put(ring, at, np.frombuffer(struct.pack("<I", _TO_BEGINNING), np.uint8))
+            at = 0
+        _put(ring, at, np.frombuffer(_RECORD.pack(length, len(head)) + head, np.uint8))
+        if payload is not None:
+            _put(ring, at + _RECORD.size + len(head), payload.reshape(-1).view(np.uint8))
+        self._memory.count[0] = written + skipped + length
+        return True
+
+
+class RingReader:
+    """The end that reads."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._memory = _Memory(descriptor)
+
+    @property
+    def pause_until_s(self) -> float:
+        """Moment on `time.monotonic` until which the reader is asked to pause."""
+        return float(self._memory.pause_until_s[0])
+
+    def take(self) -> tuple[Any, bytes] | None:
+        """Header and payload of the next record; None if there is none."""
+        memory, ring = self._memory, self._memory.ring
+        written, read = (int(n) for n in memory.count)
+        if written <= read:
+            return None
+        at = read % len(ring)
+        length, head_length = (
+            _RECORD.unpack(ring[at : at + _RECORD.size].tobytes())
+            if at + 8 <= len(ring)
+            else (0, 0)
+        )
+        if length in (0, _TO_BEGINNING):
+            read += len(ring) - at
+            at = 0
+            length, head_length = _RECORD.unpack(ring[at : at + _RECORD.size].tobytes())
+        begin = at + _RECORD.size
+        header = pickle.loads(ring[begin : begin + head_length].tobytes())
+        # the padding to a multiple of 8 is cut off by whoever knows the payload's size
+        payload = ring[begin + head_length : at + length].tobytes()
+        memory.count[1] = read + length
+        return header, payload
+
+
+def _put(ring: NDArray[np.uint8], at: int, data: NDArray[np.uint8]) -> None:
+    ring[at : at + len(data)] = data

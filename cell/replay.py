@@ -1,0 +1,224 @@
+"""Runs the cell again on a recorded cycle, and compares what it decides with what was decided."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from pydantic import ValidationError
+
+from cell.build import cell_with
+from cell.files.input_error import InputError
+from cell.records.recording import form
+from cell.records.recording.reading import Recording
+from cell.records.result import Outcome, Result
+from cell.run.recorded import Recording as HowRecorded
+from cell.settings import Settings, load_settings
+from cell.settings.calibrated import Calibrated, calibrated
+from cell.simulated.replayed import replayed_devices, restored_files
+
+#: Of a result these tell what was found; the rest is time and place.
+_OF_RESULT = (
+    *("outcome", "reason", "offset_m", "predicted_miss_m", "measured_miss_m", "margin_m"),
+    *("predicted_margin_m", "predicted_std_m", "probability", "prediction_error_m"),
+    *("residual_rms_m", "noise_m", "model", "parameters"),
+)
+#: Of a decision these depend on the computer's speed, or are said elsewhere.
+_NOT_OF_DECISION = frozenset({"wait_s", "simulated_s"})
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A number or a word that came out otherwise."""
+
+    name: str
+    then: Any
+    now: Any
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        return vars(self)
+
+
+@dataclass(frozen=True)
+class Replayed:
+    """A cycle that was replayed.
+
+    result       of the replay
+    decided      whether there was a decision then
+    differences  from then, in decision, final model and result; empty = bit for bit the same
+    software     packages whose version differs: name → (then, now)
+    """
+
+    recording: Path
+    result: Result
+    decided: bool
+    differences: tuple[Difference, ...]
+    software: Mapping[str, tuple[str, str]]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        return {
+            "recording": str(self.recording),
+            "identical": not self.differences,
+            "decided": self.decided,
+            "differences": [d.to_json() for d in self.differences],
+            "software": {name: list(pair) for name, pair in self.software.items()},
+            "result": self.result.to_json(),
+        }
+
+
+def replay(
+    recording: Recording,
+    config: Path | None,
+    runs: Path,
+    on_step: Callable[[int, str], None] = lambda number, step: None,
+) -> Replayed:
+    """Carry out a recorded cycle again, on its frames and measured poses.
+
+    config  other settings; None = those of the recording, with its calibration and effects
+    runs    folder in which the replayed cycle gets its own
+    raises  InputError: settings are wrong, or the recording lacks what is needed
+    """
+    about = recording.last(form.CYCLE)
+    if about is None or about["aim"] != Outcome.INSERTED.value:
+        what = "of nothing" if about is None else f"of a cycle to have a cable {about['aim']}"
+        raise InputError.at(recording.path, f"is {what}; only insertions can be replayed")
+    with TemporaryDirectory() as folder:
+        settings, known = _settings(recording, config, Path(folder), about)
+        replayed = replayed_devices(recording, settings)
+        heard = _Heard()
+
+        def step(number: int, name: str) -> None:
+            replayed.on_step(number, name)
+            on_step(number, name)
+
+        recording_to = HowRecorded(heard, {})
+        cell = cell_with(settings, replayed.devices, runs, step, known, recording=recording_to)
+        try:
+            result = cell.run_cycle(about["cycle"])
+        finally:
+            cell.close()
+    then, now = _found(recording), heard.found()
+    return Replayed(
+        recording.path,
+        result,
+        then.decision is not None,
+        tuple(_differences(then, now)),
+        _software(recording, heard.begun),
+    )
+
+
+def _settings(
+    recording: Recording, config: Path | None, folder: Path, about: Mapping[str, Any]
+) -> tuple[Settings, Calibrated]:
+    if config is not None:
+        settings = load_settings(config)
+        return _at_once(settings), calibrated(settings, config)
+    try:
+        settings = Settings.model_validate(restored_files(recording, folder))
+    except ValidationError as error:
+        message = f"its settings are of another version: {error}; give some with --config"
+        raise InputError.at(recording.path, message) from error
+    started = datetime.fromisoformat(about["started"]).astimezone()
+    return _at_once(settings), calibrated(settings, recording.path, started)
+
+
+def _at_once(settings: Settings) -> Settings:
+    """The same, in simulated time that nobody waits for."""
+    world = settings.world.model_copy(update={"real_time_factor": None})
+    return settings.model_copy(update={"world": world})
+
+
+@dataclass(frozen=True)
+class _Found:
+    decision: Mapping[str, Any] | None
+    models: Sequence[Mapping[str, Any]]
+    result: Mapping[str, Any] | None
+
+
+class _Heard:
+    """Takes what a replayed cycle hands over, in place of a recorder."""
+
+    def __init__(self) -> None:
+        self.begun: Mapping[str, str] = {}
+        self._events: dict[str, list[dict[str, Any]]] = {}
+
+    def begin(self, path: Path, begun: Mapping[str, str]) -> None:
+        self.begun = dict(begun)
+
+    def event(self, topic: str, data: Mapping[str, Any]) -> None:
+        """Kept as it would be read from a file."""
+        text = json.dumps(data, default=lambda value: value.tolist())
+        self._events.setdefault(topic, []).append(json.loads(text))
+
+    def seen(self, t_s: Sequence[float], points_px: Any) -> None:
+        """Follows from the rest."""
+
+    def end(self, keep: bool = True) -> None:
+        """Nothing is written."""
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+    def found(self) -> _Found:
+        decisions, results = self._events.get(form.DECISION), self._events.get(form.RESULT)
+        return _Found(
+            decisions[-1] if decisions else None,
+            self._events.get(form.MODEL, []),
+            results[-1] if results else None,
+        )
+
+
+def _found(recording: Recording) -> _Found:
+    return _Found(
+        recording.last(form.DECISION), list(recording.json(form.MODEL)), recording.last(form.RESULT)
+    )
+
+
+def _differences(then: _Found, now: _Found) -> list[Difference]:
+    found = []
+    pairs: list[tuple[str, Any, Any]] = [
+        ("decision", _part(then.decision), _part(now.decision)),
+        *(
+            (f"model {i + 1}", a, b)
+            for i, (a, b) in enumerate(zip(then.models, now.models, strict=False))
+        ),
+    ]
+    if then.result is not None and now.result is not None:
+        a, b = ({k: r.get(k) for k in _OF_RESULT} for r in (then.result, now.result))
+        pairs.append(("result", a, b))
+    for name, a, b in pairs:
+        found += _compared(name, a, b)
+    return found
+
+
+def _part(decision: Mapping[str, Any] | None) -> Mapping[str, Any] | None:
+    if decision is None:
+        return None
+    return {k: v for k, v in decision.items() if k not in _NOT_OF_DECISION}
+
+
+def _compared(name: str, then: Any, now: Any) -> list[Difference]:
+    """Every leaf that differs; numbers must be the same to the last bit."""
+    if isinstance(then, Mapping) and isinstance(now, Mapping):
+        keys = dict.fromkeys([*then, *now])
+        return [d for k in keys for d in _compared(f"{name}.{k}", then.get(k), now.get(k))]
+    if isinstance(then, list) and isinstance(now, list) and len(then) == len(now):
+        pairs = enumerate(zip(then, now, strict=True))
+        return [d for i, (a, b) in pairs for d in _compared(f"{name}[{i}]", a, b)]
+    return [] if then == now else [Difference(name, then, now)]
+
+
+def _software(recording: Recording, now: Mapping[str, str]) -> dict[str, tuple[str, str]]:
+    apart = ("cycle", "started", "host", "process", "format", "epoch_ns", form.RING)
+    return {
+        name: (said, now[name])
+        for name, said in recording.begun.items()
+        if name not in apart and name in now and now[name] != said
+    }

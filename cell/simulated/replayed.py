@@ -1,0 +1,91 @@
+"""A recording → devices that do it again, and the clock that they share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cell.files.input_error import InputError
+from cell.records.recording import form
+from cell.records.recording.reading import Recording
+from cell.settings.model import Settings
+from cell.settings.translate import pose_of
+from drivers.interfaces import Devices
+from drivers.replay import Answer, ReplayArm, ReplayCamera, ReplayGripper
+from drivers.sim.clock import SimClock
+
+#: Before its first film a replayed cycle has this time for what comes before, s.
+_BEFORE_S = 60.0
+
+
+@dataclass(frozen=True)
+class ReplayedDevices:
+    """Devices, and what brings their clock to where the recorded one was as a step begins."""
+
+    devices: Devices
+    on_step: Callable[[int, str], None]
+
+
+def replayed_devices(recording: Recording, settings: Settings) -> ReplayedDevices:
+    """The devices of a recorded cycle.  Raises InputError: it lacks what a replay needs."""
+    task, filming = recording.last(form.TASK), recording.last(form.FILMING)
+    if task is None or filming is None:
+        raise InputError.at(recording.path, "ends before a cable was filmed: nothing to replay")
+    decision = recording.last(form.DECISION) or {}
+    simulated_s: list[float] = list(decision.get("simulated_s", ()))
+    clock = SimClock(filming["begin_s"] - _BEFORE_S)
+    answers = [
+        Answer(said["start_s"], said["end_s"], poses)
+        for said, poses in recording.trajectories(form.ANSWER)
+    ]
+    filmed = [p for said, p in recording.trajectories(form.PATH) if said["start_s"] is not None]
+    held = any(said["holding"] for said in recording.json(form.GRIPPER))
+    devices = Devices(
+        ReplayArm(
+            clock,
+            pose_of(settings.motion.home),
+            task["arm_rate_hz"],
+            task["arm_lag_s"],
+            answers,
+            filmed,
+        ),
+        ReplayCamera(clock, task["frame_rate_hz"], recording.frames()),
+        ReplayGripper(clock, held),
+        clock,
+    )
+
+    def on_step(number: int, step: str) -> None:
+        if step in ("lower", "measure"):
+            clock.forward_to_s(filming["begin_s"])
+        elif step == "simulate" and simulated_s:
+            clock.forward_to_s(simulated_s.pop(0))
+        elif step == "choose" and simulated_s:  # the recorded choice came too late
+            clock.forward_to_s(simulated_s[0])
+
+    return ReplayedDevices(devices, on_step)
+
+
+def restored_files(recording: Recording, folder: Path) -> dict[str, Any]:
+    """Settings as recorded, with the files that they refer to written into `folder`.
+
+    raises  InputError: the recording holds no settings
+    """
+    said = recording.last(form.SETTINGS)
+    if said is None:
+        raise InputError.at(recording.path, "holds no settings; give some with --config")
+    settings: dict[str, Any] = said["settings"]
+    places = {}
+    for number, (path, text) in enumerate(said["files"].items()):
+        place = folder / f"{number}" / Path(path).name
+        if Path(path).suffix == ".yaml":
+            place = folder / "calibration" / Path(path).name
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.write_text(text, encoding="utf-8")
+        places[path] = str(place)
+    if settings.get("calibration") is not None:
+        settings["calibration"]["folder"] = str(folder / "calibration")
+    for effect in settings["model"]["effects"]:
+        effect["effect"] = places.get(effect["effect"], effect["effect"])
+    return settings

@@ -1,0 +1,46 @@
+"""What a person sees of a replayed cycle."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rich.box import SIMPLE_HEAD
+from rich.console import RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from cell.replay import Replayed
+
+
+def replayed_parts(replayed: Replayed, most: int) -> list[RenderableType]:
+    """Whether everything is the same, and what is not: `most` differences, the largest of all."""
+    parts: list[RenderableType] = []
+    result, found = replayed.result, replayed.differences
+    if result.fault is not None:
+        parts.append(f"the replay ended in step {result.fault.step}: {result.fault.cause}")
+    if not replayed.decided:
+        parts.append("nothing was decided in this cycle: only what came before is compared")
+    for name, (then, now) in replayed.software.items():
+        parts.append(f"{name} was {then}, now {now}")
+    if not found:
+        return [*parts, f"identical: {result.outcome.value}, every number to the last bit"]
+    table = Table(title="differences", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    for heading in ("what", "then", "now"):
+        table.add_column(heading, no_wrap=True)
+    for difference in found[:most]:
+        then, now = _short(difference.then), _short(difference.now)
+        table.add_row(Text(difference.name), Text(then), Text(now))
+    parts.append(table)
+    if len(found) > most:
+        parts.append(f"and {len(found) - most} more; --json has all")
+    return parts
+
+
+def _short(value: Any) -> str:
+    """A value in a table: numbers with all their digits, the rest cut."""
+    if value is None:
+        return "none"
+    if isinstance(value, int | float | bool):
+        return repr(value)
+    text = str(value)
+    return text if len(text) <= 30 else f"{text[:27]}..."

@@ -1,0 +1,226 @@
+"""Devices that do again what a recording holds: arm, camera and gripper, on a simulated clock.
+
+They know nothing of files: frames, answers and paths are given to them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.interfaces import (
+    ArmMode,
+    ArmState,
+    CameraError,
+    DeviceError,
+    Frame,
+    GripError,
+    GripperState,
+    Pose,
+    Trajectory,
+)
+from drivers.servo import SETTLING_LAGS
+from drivers.sim.clock import SimClock
+
+#: A path is the recorded one if no pose differs by more, m and rad.
+SAME = 1e-9
+
+
+class OtherMotionError(DeviceError):
+    """The recording holds another motion.  Scenario: another model chooses another offset."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Measured poses as the arm told them when it was asked for those of a time."""
+
+    start_s: float
+    end_s: float
+    poses: Trajectory
+
+
+class ReplayArm:
+    """An arm that says what the recorded one said, and takes only its filmed motions.
+
+    answers  in the order in which they were given
+    filmed   paths that were told with a moment of their start
+    """
+
+    name = "arm"
+
+    def __init__(
+        self,
+        clock: SimClock,
+        home: Pose,
+        rate_hz: float,
+        lag_s: float,
+        answers: Sequence[Answer],
+        filmed: Sequence[Trajectory],
+    ) -> None:
+        self._clock = clock
+        self._rate_hz = rate_hz
+        self._lag_s = lag_s
+        self._answers = answers
+        self._filmed = filmed
+        self._mode = ArmMode.READY
+        t_s = clock.now_s() - np.array([2.0, 1.0])
+        self._path = Trajectory(
+            t_s, np.full(2, home.x_m), np.full(2, home.y_m), np.full(2, home.angle_rad)
+        )
+
+    @property
+    def lag_s(self) -> float:
+        """Delay between a commanded and the executed pose, s."""
+        return self._lag_s
+
+    @property
+    def rate_hz(self) -> float:
+        """Rate at which poses were streamed, Hz."""
+        return self._rate_hz
+
+    def connect(self) -> None:
+        """Nothing is connected."""
+
+    def close(self) -> None:
+        """Nothing is connected."""
+
+    def state(self) -> ArmState:
+        """On the path that it was told, and at rest once the recorded arm has settled."""
+        now_s = self._clock.now_s()
+        moving = now_s < self._path.t_s[-1] + SETTLING_LAGS * self._lag_s
+        return ArmState(now_s, self._path.at(now_s), 0.0, moving, self._mode)
+
+    def check(self, path: Trajectory) -> None:
+        """Whatever the cell's own limits allow."""
+
+    def follow(self, path: Trajectory, start_s: float | None = None) -> None:
+        """Raises OtherMotionError: the recording holds another motion than this filmed one."""
+        if start_s is not None and not any(_same(path, filmed) for filmed in self._filmed):
+            raise OtherMotionError(
+                self.name,
+                "the recording holds no film of this motion",
+                "what was decided is compared all the same",
+            )
+        begin_s = self._clock.now_s() if start_s is None else start_s
+        self._path = Trajectory(
+            path.t_s - path.t_s[0] + begin_s, path.x_m, path.y_m, path.angle_rad
+        )
+
+    def log(self, start_s: float, end_s: float) -> Trajectory:
+        """The recorded answer to this question, or to the most similar one; else its own path."""
+        alike = [a for a in self._answers if a.start_s == start_s]
+        if alike:
+            return min(alike, key=lambda a: abs(a.end_s - end_s)).poses
+        grid = np.arange(np.ceil(start_s * self._rate_hz), np.floor(end_s * self._rate_hz) + 1)
+        t_s = grid / self._rate_hz
+        path = self._path
+        columns = (np.interp(t_s, path.t_s, c) for c in (path.x_m, path.y_m, path.angle_rad))
+        return Trajectory(t_s, *columns)
+
+    def stop(self, reason: str) -> None:
+        """Stay where it is until `reset`."""
+        self._mode = ArmMode.STOPPED
+
+    def reset(self) -> None:
+        """Clear our own stop."""
+        self._mode = ArmMode.READY
+
+
+class ReplayCamera:
+    """A camera that gives the recorded frames, each film in its turn."""
+
+    name = "camera"
+
+    def __init__(self, clock: SimClock, frame_rate_hz: float, frames: Iterable[Frame]) -> None:
+        self._clock = clock
+        self._frame_rate_hz = frame_rate_hz
+        self._frames = iter(frames)
+        self._next: Frame | None = None
+        self._left = 0
+
+    @property
+    def frame_rate_hz(self) -> float:
+        """Frame rate of the recording, Hz."""
+        return self._frame_rate_hz
+
+    def connect(self) -> None:
+        """Nothing is connected."""
+
+    def close(self) -> None:
+        """Nothing is connected."""
+
+    def check(self) -> None:
+        """Recordings do not get lost."""
+
+    def start(self, frame_count: int) -> None:
+        """Go on to the next film."""
+        self.stop()
+        self._left = frame_count
+
+    def read(self) -> Frame | None:
+        """Raises CameraError: the recording has no more frames of this film."""
+        if self._left == 0:
+            return None
+        frame = self._next if self._next is not None else next(self._frames, None)
+        self._next = None
+        if frame is None:
+            raise CameraError(
+                self.name, f"the recording ends {self._left} frames before its film", "see its gaps"
+            )
+        self._left -= 1
+        self._clock.forward_to_s(frame.t_s)
+        return frame
+
+    def stop(self) -> None:
+        """Leave out what is left of this film."""
+        while self._left:
+            frame = next(self._frames, None)
+            if frame is None or frame.index == 0:
+                self._next = frame
+                break
+            self._left -= 1
+        self._left = 0
+
+
+class ReplayGripper:
+    """A gripper that held, or did not hold, what the recorded one did."""
+
+    name = "gripper"
+
+    def __init__(self, clock: SimClock, holds: bool) -> None:
+        self._clock = clock
+        self._holds = holds
+        self._closed = False
+
+    def connect(self) -> None:
+        """Nothing is connected."""
+
+    def close(self) -> None:
+        """Nothing is connected."""
+
+    def grip(self, force_n: float) -> GripperState:
+        """Raises GripError: the recorded gripper held nothing."""
+        self._closed = True
+        if not self._holds:
+            raise GripError(self.name, "nothing is held in the recording", "see its log")
+        return self.state()
+
+    def release(self) -> GripperState:
+        """Open the jaws."""
+        self._closed = False
+        return self.state()
+
+    def state(self) -> GripperState:
+        """Present state."""
+        return GripperState(self._clock.now_s(), 0.0, self._closed and self._holds, False)
+
+
+def _same(path: Trajectory, other: Trajectory) -> bool:
+    columns = (path.t_s - path.t_s[0], path.x_m, path.y_m, path.angle_rad)
+    others = (other.t_s - other.t_s[0], other.x_m, other.y_m, other.angle_rad)
+    return all(
+        len(a) == len(b) and bool(np.all(np.abs(a - b) <= SAME))
+        for a, b in zip(columns, others, strict=True)
+    )

@@ -1,0 +1,127 @@
+"""A recording is read back as it was written, by this program and by others."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from pybag.mcap.record_reader import McapRecordReaderFactory
+from zstandard import ZstdDecompressor
+
+from cell.files.input_error import InputError
+from cell.records.recording import form
+from cell.records.recording.reading import TornRecordingError, read_recording, verify
+from cell.records.recording.writer import RecordingWriter
+
+from .conftest import EPOCH_NS, T_S, picture
+
+
+def test_frames_come_back_to_the_last_bit(make_recording):
+    frames = list(read_recording(make_recording()).frames())
+    assert [f.index for f in frames] == list(range(12))
+    assert [f.t_s for f in frames] == T_S.tolist()  # not as nanoseconds
+    for frame in frames:
+        np.testing.assert_array_equal(frame.image, picture(frame.index))
+
+
+def test_events_and_counts(make_recording):
+    recording = read_recording(make_recording())
+    assert recording.complete
+    assert recording.begun["cycle"] == "7"
+    assert [s["step"] for s in recording.json(form.STATE)] == ["step 0", "step 4", "step 8"]
+    assert recording.last(form.STATE) == {"state": "execute", "step": "step 8"}
+    assert recording.last(form.FAULT) is None
+    assert recording.count(form.MEASURED) == 36
+
+
+def test_numbers_of_events_are_exact_and_never_nan(tmp_path):
+    writer = RecordingWriter(tmp_path / form.FILE, EPOCH_NS, {})
+    poses = {"t_s": T_S, "x_m": np.sqrt(T_S), "y_m": -T_S / 7.0, "angle_rad": T_S * 1e-300}
+    writer.event(form.ANSWER, 0.0, {"start_s": 0.1, "end_s": float("inf"), **poses})
+    writer.close({})
+    ((said, read),) = read_recording(tmp_path).trajectories(form.ANSWER)
+    assert said["start_s"] == 0.1
+    assert said["end_s"] is None
+    for name, values in poses.items():
+        np.testing.assert_array_equal(getattr(read, name), values)
+
+
+def test_the_official_reader_opens_it(make_recording):
+    with make_recording().open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        summary = reader.get_summary()
+        messages = list(reader.iter_messages())
+    schemas = {c.topic: summary.schemas[c.schema_id].name for c in summary.channels.values()}
+    assert schemas[form.IMAGE] == "foxglove.RawImage"
+    assert schemas[form.MEASURED] == "foxglove.PoseInFrame"
+    assert len(messages) == summary.statistics.message_count == 12 + 12 + 36 + 3
+    first = next(m for _, c, m in messages if c.topic == form.IMAGE)
+    assert first.log_time == EPOCH_NS + round(T_S[0] * 1e9)
+
+
+def test_a_second_independent_reader_opens_it(make_recording):
+    with McapRecordReaderFactory.from_file(make_recording()) as reader:
+        assert reader.get_statistics().message_count == 63
+        topics = {channel.topic for channel in reader.get_channels().values()}
+        chunks = [reader.get_chunk(index) for index in reader.get_chunk_indexes()]
+    assert topics == {form.IMAGE, form.FRAME, form.MEASURED, form.STATE}
+    data = b"".join(
+        ZstdDecompressor().decompress(c.records, max_output_size=c.uncompressed_size)
+        for c in chunks
+    )
+    assert all(picture(index).tobytes() in data for index in range(12))
+
+
+def test_a_file_that_lacks_messages_is_torn(make_recording):
+    path = make_recording()
+    counts = verify(path)
+    verify(path, counts)
+    with pytest.raises(TornRecordingError, match="12 of 13 messages of /camera/image"):
+        verify(path, counts | {form.IMAGE: 13})
+
+
+def test_a_changed_byte_is_noticed(make_recording):
+    path = make_recording()
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 0x10
+    path.write_bytes(data)
+    with pytest.raises(TornRecordingError):
+        verify(path)
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [(b"", "cell recover"), (b"no recording at all", "cell recover"), (None, "is missing")],
+)
+def test_what_is_no_recording_is_refused(tmp_path, content, said):
+    path = tmp_path / "some.mcap"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(InputError, match=said):
+        read_recording(path)
+
+
+def test_a_folder_without_or_with_a_torn_recording(tmp_path, make_recording):
+    with pytest.raises(InputError, match="not recorded"):
+        read_recording(tmp_path)
+    make_recording(form.PART, closed=False)
+    with pytest.raises(InputError, match=f"cell recover {tmp_path}"):
+        read_recording(tmp_path)
+
+
+def test_a_recording_of_another_program_is_refused(tmp_path):
+    import foxglove
+
+    context = foxglove.Context()
+    with foxglove.open_mcap(tmp_path / "other.mcap", context=context):
+        foxglove.Channel("/a", schema={"type": "object"}, context=context).log({"b": 1})
+    with pytest.raises(InputError, match="no recording of `cell run`"):
+        read_recording(tmp_path / "other.mcap")
+
+
+def test_all_json_topics_have_a_schema():
+    for topic in form.JSON_TOPICS:
+        assert json.dumps(form.json_schema(topic))
+        assert form.json_schema(topic)["type"] == "object"

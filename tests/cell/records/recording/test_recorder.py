@@ -1,0 +1,191 @@
+"""A recorder in its own process: nothing is lost silently, and nothing waits for it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+
+import numpy as np
+import pytest
+
+from cell.records.recording import form, writer
+from cell.records.recording.one_recording import Recording
+from cell.records.recording.reading import read_recording
+from cell.records.recording.recorder import Recorder
+from cell.records.recording.recover import recover_in_place
+from drivers.clock import RealClock
+from drivers.interfaces import Frame, Trajectory
+
+from .conftest import picture
+
+
+class StillArm:
+    """Measured poses of an arm at rest, 500 in a second."""
+
+    name = "arm"
+
+    def log(self, start_s, end_s):
+        t_s = np.arange(np.ceil(start_s * 500), np.floor(end_s * 500) + 1) / 500
+        return Trajectory(t_s, np.zeros(len(t_s)), np.ones(len(t_s)), np.zeros(len(t_s)))
+
+
+@pytest.fixture
+def recorder():
+    made = Recorder(StillArm(), RealClock(), 2**20)
+    yield made
+    made.close()
+
+
+def frames(count, shape=(48, 64)):
+    for index in range(count):
+        image = np.resize(picture(index), shape)
+        yield Frame(index, time.monotonic(), image)
+
+
+def written(recorder):
+    """Wait until all is written that was handed over."""
+    deadline = time.monotonic() + 20.0
+    while recorder.waiting_bytes:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def test_what_is_handed_over_is_in_the_file(recorder, tmp_path):
+    recorder.begin(tmp_path / form.FILE, {"cycle": "3"})
+    given = list(frames(20))
+    for frame in given:
+        recorder.frame(frame)
+    recorder.event(form.STATE, {"state": "execute", "step": "lower"})
+    recorder.seen([f.t_s for f in given], np.full((20, 11, 2), 5.0))
+    path = Trajectory(np.arange(3.0), *np.ones((3, 3)))
+    recorder.poses(form.COMMANDED, path)
+    time.sleep(0.1)  # poses of so much time
+    recorder.end()
+    assert recorder.wait()
+    recording = read_recording(tmp_path)
+    assert recording.complete
+    assert [f.t_s for f in recording.frames()] == [f.t_s for f in given]
+    assert recording.count(form.SEEN) == 20
+    assert recording.count(form.COMMANDED) == 3
+    assert recording.count(form.MEASURED) >= 40
+    assert not (tmp_path / form.PART).exists()
+    assert recorder.notes == []
+
+
+def test_two_cycles_have_a_file_each(recorder, tmp_path):
+    for cycle in ("1", "2"):
+        (tmp_path / cycle).mkdir()
+        recorder.begin(tmp_path / cycle / form.FILE, {"cycle": cycle})
+        for frame in frames(int(cycle)):
+            recorder.frame(frame)
+        recorder.end()
+    assert recorder.wait()
+    for cycle in ("1", "2"):
+        recording = read_recording(tmp_path / cycle)
+        assert recording.begun["cycle"] == cycle
+        assert len(list(recording.frames())) == int(cycle)
+
+
+def test_one_that_is_not_kept_leaves_nothing(recorder, tmp_path):
+    recorder.begin(tmp_path / form.FILE, {})
+    for frame in frames(3):
+        recorder.frame(frame)
+    recorder.end(keep=False)
+    assert recorder.wait()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_frames_that_find_no_room_are_a_gap_and_are_told(recorder, tmp_path):
+    """A process that stands still, as on a computer that is too slow."""
+    recorder.begin(tmp_path / form.FILE, {})
+    recorder.pause()  # 0.25 s: nothing is read
+    large = list(frames(40, (512, 512)))
+    for frame in large:
+        recorder.frame(frame)
+    recorder.resume()
+    written(recorder)
+    recorder.frame(Frame(40, time.monotonic(), large[0].image))
+    recorder.end()
+    assert recorder.wait()
+    recording = read_recording(tmp_path)
+    (gap,) = recording.json(form.GAP)
+    assert gap["frames"] + recording.count(form.IMAGE) == 41
+    assert gap["frames"] > 20
+    assert [f.index for f in recording.frames()][-1] == 40
+    assert "too slow" in recorder.notes[0]
+
+
+def test_a_killed_recorder_is_told_of_and_costs_nothing_else(recorder, tmp_path):
+    recorder.begin(tmp_path / form.FILE, {})
+    for frame in frames(5):
+        recorder.frame(frame)
+    written(recorder)
+    time.sleep(0.1)
+    os.kill(recorder.process_id, signal.SIGKILL)
+    time.sleep(0.1)
+    for frame in frames(5):
+        recorder.frame(frame)
+    recorder.end()
+    assert recorder.wait(1.0)
+    assert "has ended" in recorder.notes[0]
+    recovered = recover_in_place(tmp_path / form.PART)
+    assert recovered.messages[form.IMAGE] == 5
+    (tmp_path / "next").mkdir()
+    recorder.begin(tmp_path / "next" / form.FILE, {})  # with a new process
+    recorder.end()
+    assert recorder.wait()
+    assert read_recording(tmp_path / "next").complete
+
+
+def test_a_folder_that_is_gone_is_told_of(recorder, tmp_path):
+    recorder.begin(tmp_path / "gone" / form.FILE, {})
+    for frame in frames(3):
+        recorder.frame(frame)
+    recorder.end()
+    assert recorder.wait()
+    assert "No such file" in recorder.notes[0]
+
+
+def test_a_full_disk_costs_frames_and_says_so(tmp_path, monkeypatch):
+    recording = Recording(tmp_path / form.FILE, 0, {})
+    recording.write(("frame", 0, 1.0, 48, 64), picture(0).tobytes())
+    real, free = os.statvfs, 48 * 2**20
+
+    class Full:
+        f_bavail, f_frsize = free, 1
+
+    monkeypatch.setattr(writer.os, "statvfs", lambda path: Full)
+    for index in (1, 2):
+        recording.write(("frame", index, 1.0 + index, 48, 64), picture(index).tobytes())
+    recording.write(("event", form.STATE, 4.0, {"state": "execute", "step": "lower"}), b"")
+    monkeypatch.setattr(writer.os, "statvfs", real)
+    recording.write(("frame", 3, 4.0, 48, 64), picture(3).tobytes())
+    report = recording.end(True, True)
+    assert report["lost_frames"] == 2
+    assert "64 MiB are free" in report["cause"]
+    read = read_recording(tmp_path)
+    assert [f.index for f in read.frames()] == [0, 3]
+    assert list(read.json(form.GAP)) == [{"first": 1, "frames": 2, "cause": report["cause"]}]
+    assert read.last(form.STATE)["step"] == "lower"
+
+
+def test_a_disk_that_refuses_leaves_a_torn_file(tmp_path, monkeypatch):
+    """As when another program takes the last byte between the look and the writing."""
+    recording = Recording(tmp_path / form.FILE, 0, {})
+    for index in range(3):
+        recording.write(("frame", index, 1.0 + index, 48, 64), picture(index).tobytes())
+    recording.keep_up(now=True)
+
+    def refuse(descriptor, data):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as context:
+        context.setattr(writer.os, "write", refuse)
+        for index in range(3, 6):
+            recording.write(("frame", index, 1.0 + index, 48, 64), picture(index).tobytes())
+            recording.keep_up(now=True)
+    report = recording.end(True, True)
+    assert "No space left" in report["error"]
+    assert report["lost_frames"] >= 2
+    assert recover_in_place(tmp_path / form.PART).messages[form.IMAGE] == 3

@@ -1,0 +1,109 @@
+"""A torn recording is made readable, up to where it is torn."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cell.files.input_error import InputError
+from cell.records.recording import form
+from cell.records.recording.reading import read_recording, verify
+from cell.records.recording.recover import recover, recover_in_place, torn_recordings
+from cell.records.recording.writer import RecordingWriter
+
+from .conftest import EPOCH_NS, T_S, fill, picture
+
+
+def test_a_recording_that_was_not_closed(make_recording, tmp_path):
+    torn = make_recording(form.PART, closed=False)
+    recovered = recover_in_place(torn)
+    assert recovered.file == tmp_path / form.FILE
+    assert recovered.messages[form.IMAGE] == 12
+    assert recovered.damaged_bytes == 0
+    assert recovered.frames_s == pytest.approx(T_S[-1] - T_S[0], abs=1e-8)
+    assert not torn.exists()  # nothing of it is lost
+    recording = read_recording(tmp_path)
+    assert not recording.complete
+    assert recording.begun["cycle"] == "7"
+    assert [f.t_s for f in recording.frames()] == T_S.tolist()
+
+
+class Content(bytes):
+    """Bytes that are named, not printed, where a test fails."""
+
+    def __repr__(self) -> str:
+        return f"<{len(self)} bytes>"
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory) -> Content:
+    path = tmp_path_factory.mktemp("whole") / form.FILE
+    writer = RecordingWriter(path, EPOCH_NS, {})
+    fill(writer)
+    writer.close({"complete": "true"})
+    return Content(path.read_bytes())
+
+
+@settings(max_examples=60)
+@given(share=st.floats(0.0, 1.0), behind=st.binary(max_size=64))
+def test_torn_anywhere(whole, tmp_path_factory, share, behind):
+    """All that was whole before the tear comes back, whatever stands behind it."""
+    folder = tmp_path_factory.mktemp("torn")
+    at = int(share * len(whole))
+    torn = folder / form.PART
+    torn.write_bytes(whole[:at] + behind)
+    try:
+        recovered = recover(torn, folder / form.FILE)
+    except InputError as error:
+        assert at < 6000, error  # before the first chunk ends: a part of a block says nothing
+        return
+    assert torn.stat().st_size >= at  # it stays as it was
+    assert verify(recovered.file) == recovered.messages
+    frames = list(read_recording(recovered.file).frames())
+    assert frames[-1].image.tobytes() == picture(len(frames) - 1).tobytes()
+    assert len(frames) >= int(12 * at / len(whole)) - 2
+
+
+def test_a_damaged_chunk_costs_itself_only(whole, tmp_path):
+    at = whole.index(picture(5).tobytes()[:256])  # noise is not compressed
+    torn = tmp_path / "damaged.mcap"
+    torn.write_bytes(whole[: at + 20] + bytes([whole[at + 20] ^ 0xFF]) + whole[at + 21 :])
+    recovered = recover_in_place(torn)
+    assert recovered.file == tmp_path / "damaged.recovered.mcap"
+    assert recovered.damaged_bytes > 0
+    assert 11 <= recovered.messages[form.IMAGE] < 13
+    assert torn.exists()
+
+
+@pytest.mark.parametrize("content", [b"", b"\x89MCAP0\r\n", b"something else"])
+def test_where_nothing_is_to_be_had_nothing_is_written(tmp_path, content):
+    torn = tmp_path / "torn.mcap"
+    torn.write_bytes(content)
+    with pytest.raises(InputError):
+        recover_in_place(torn)
+    assert [p.name for p in tmp_path.iterdir()] == ["torn.mcap"]
+
+
+def test_never_over_another_file(make_recording, tmp_path):
+    torn = make_recording(form.PART, closed=False)
+    (tmp_path / form.FILE).write_bytes(b"mine")
+    with pytest.raises(FileExistsError):
+        recover_in_place(torn)
+    assert (tmp_path / form.FILE).read_bytes() == b"mine"
+    assert torn.exists()
+
+
+def test_folders_are_searched_but_not_what_is_being_written(tmp_path: Path):
+    one, two = tmp_path / "a" / form.PART, tmp_path / "b" / form.PART
+    for path in (one, two):
+        path.parent.mkdir()
+    one.write_bytes(b"torn")
+    with two.open("wb"):
+        assert torn_recordings(tmp_path) == [one]
+    assert torn_recordings(tmp_path) == [one, two]
+    assert torn_recordings(one) == [one]
+    with pytest.raises(InputError, match="is missing"):
+        torn_recordings(tmp_path / "c")

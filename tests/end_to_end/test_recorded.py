@@ -1,0 +1,186 @@
+"""Cycles are recorded, and a recording is enough to decide the same again."""
+
+from __future__ import annotations
+
+import json
+import logging
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from cell.build import build_cell
+from cell.files.input_error import InputError
+from cell.records.recording import form
+from cell.records.recording.reading import read_recording
+from cell.records.result import Outcome
+from cell.replay import replay
+from cell.settings import Settings, load_settings
+from cell.settings.model import Recording
+from cell.terminal.fitting import show
+from cell.terminal.replayed import replayed_parts
+from tools.faults.kill_study import kill_once
+
+from .conftest import changed
+
+CELL = [sys.executable, "-m", "cell"]
+
+
+def run(*arguments: str | Path, **options) -> subprocess.CompletedProcess[str]:
+    command = [*CELL, *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, **options)
+
+
+def recorded_cycles(settings: Settings, runs: Path, count: int = 1, **changes):
+    """Results of simulated cycles that were recorded."""
+    wanted = Recording(**changes)
+    settings = settings.model_copy(update={"recording": wanted})
+    cell = build_cell(settings, runs, seed=1, cycles=count, recorded=True)
+    try:
+        return [cell.run_cycle(number) for number in range(1, count + 1)]
+    finally:
+        cell.close()
+
+
+@pytest.fixture(scope="module")
+def recorded(quick, tmp_path_factory) -> Path:
+    """Folder of a cycle that was recorded."""
+    logging.getLogger("cell").setLevel("INFO")  # as the commands do
+    try:
+        (result,) = recorded_cycles(quick, tmp_path_factory.mktemp("recorded"))
+    finally:
+        logging.getLogger("cell").setLevel("NOTSET")
+    assert result.outcome is Outcome.INSERTED
+    return Path(result.folder)
+
+
+def test_everything_is_in_it(recorded):
+    recording = read_recording(recorded)
+    result = json.loads((recorded / "result.json").read_text())
+    model = json.loads((recorded / "model.json").read_text())
+    assert recording.complete
+    assert recording.last(form.RESULT) == result
+    assert recording.last(form.MODEL) == model
+    assert recording.last(form.DECISION)["offset_m"] == result["offset_m"]
+    assert recording.count(form.IMAGE) == recording.count(form.SEEN) > 100
+    steps = [s["step"] for s in recording.json(form.STATE) if s["step"]]
+    assert steps == list(result["seconds"])
+    seconds = recording.last(form.FILMING)["end_s"] - recording.last(form.FILMING)["begin_s"]
+    assert recording.count(form.MEASURED) > 500 * seconds
+    assert any("step lower took" in text for text in log_of(recording))
+
+
+def log_of(recording):
+    from foxglove_schemas_protobuf.Log_pb2 import Log
+    from mcap.reader import make_reader
+
+    with recording.path.open("rb") as file:
+        messages = make_reader(file).iter_messages(topics=[form.LOG])
+        return [Log.FromString(m.data).message for _, _, m in messages]
+
+
+def test_the_same_software_decides_the_same(recorded, tmp_path):
+    replayed = replay(read_recording(recorded), None, tmp_path)
+    assert replayed.decided
+    assert replayed.differences == ()
+    assert replayed.software == {}
+    (folder,) = tmp_path.iterdir()
+    then = json.loads((recorded / "result.json").read_text())
+    now = json.loads((folder / "result.json").read_text())
+    same = set(then) - {"folder", "seconds", "state_seconds", "wait_s"}
+    assert {k: now[k] for k in same} == {k: then[k] for k in same}
+
+
+def test_other_settings_are_compared(recorded, quick_config, tmp_path, capsys):
+    other = changed(
+        quick_config, tmp_path / "other.yaml", [("[-0.111, -0.101]", "[-0.112, -0.109]")]
+    )
+    replayed = replay(read_recording(recorded), other, tmp_path)
+    assert replayed.differences[0].name == "decision.offset_m"
+    assert "no film of this motion" in replayed.result.fault.cause  # the execution was another
+    show(Console(width=200), *replayed_parts(replayed, most=3))
+    printed = capsys.readouterr().out
+    assert "decision.offset_m" in printed
+    assert f"and {len(replayed.differences) - 3} more" in printed
+
+
+def test_what_a_torn_recording_holds_is_replayed(recorded, tmp_path):
+    """By the commands, as a user does it."""
+    data = (recorded / form.FILE).read_bytes()
+    torn = tmp_path / form.PART
+    torn.write_bytes(data[: int(0.8 * len(data))])  # in the middle of the execution
+    with pytest.raises(InputError, match="cell recover"):
+        read_recording(tmp_path)
+    done = run("recover", tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "verified" in done.stdout
+    done = run("replay", tmp_path, "--json")
+    assert done.returncode == 0, done.stderr
+    replayed = json.loads(done.stdout)
+    assert replayed["decided"]  # from the same frames, the same
+    assert replayed["result"]["outcome"] == "failed"  # frames of the execution are missing
+
+
+@pytest.mark.parametrize(
+    ("changes", "kept"),
+    [
+        ({"keep": ["inserted"]}, [True, True]),
+        ({"keep": ["missed"], "keep_every": 2}, [False, True]),
+    ],
+)
+def test_only_what_is_wanted_is_kept(quick, tmp_path, changes, kept):
+    results = recorded_cycles(quick, tmp_path, 2, **changes)
+    assert [r.outcome for r in results] == [Outcome.INSERTED] * 2
+    assert [(Path(r.folder) / form.FILE).exists() for r in results] == kept
+    assert not list(tmp_path.rglob(form.PART))
+
+
+def test_nothing_is_recorded_if_that_is_wanted(quick, tmp_path):
+    settings = quick.model_copy(update={"recording": None})
+    cell = build_cell(settings, tmp_path, seed=1, cycles=1, recorded=True)
+    result = cell.run_cycle(1)
+    cell.close()
+    with pytest.raises(InputError, match="was not recorded"):
+        read_recording(Path(result.folder))
+
+
+@pytest.mark.parametrize("both", [False, True])
+def test_a_killed_cell_leaves_all_but_the_last_instant(quick_config, tmp_path, both):
+    """The bar is 50 ms, measured by the study; a busy computer may stall a process for longer."""
+    kill = kill_once(quick_config, tmp_path, 0, after_s=2.0, both=both)
+    assert kill.frames > 0
+    assert kill.poses_lost_s < 0.5
+    assert not kill.frames_lost_s > 0.5
+    assert kill.finished_cycles == kill.results
+
+
+def test_calibration_and_own_effects_are_in_it(quick, tmp_path):
+    """A recording is enough, whatever becomes of the files that the settings named."""
+    from cell.settings.referred import files_of
+    from cell.simulated.replayed import restored_files
+
+    own = tmp_path / "own.py"
+    own.write_text("an effect")
+    effect = {"effect": str(own)}
+    model = quick.model.model_validate({"effects": [effect]})
+    assert files_of(quick.model_copy(update={"model": model})) == {str(own): "an effect"}
+    said = {
+        "settings": {"calibration": {"folder": "gone"}, "model": {"effects": [dict(effect)]}},
+        "files": {str(own): "an effect", "gone/time.yaml": "a: 1"},
+    }
+
+    class Recording:
+        path = tmp_path
+
+        def last(self, topic):
+            return said
+
+    restored = restored_files(Recording(), tmp_path / "restored")
+    assert Path(restored["model"]["effects"][0]["effect"]).read_text() == "an effect"
+    assert (Path(restored["calibration"]["folder"]) / "time.yaml").read_text() == "a: 1"
+
+
+def test_the_shipped_settings_record(quick_config):
+    assert load_settings(quick_config).recording == Recording()

@@ -1,0 +1,202 @@
+"""Kills recording cells at random moments, and measures what `cell recover` gives back.
+
+A child runs simulated cycles at the speed of reality, and says in memory that both share what time
+its clock shows.  After SIGKILL of the child, or of the child and its recorder at once, the last
+frame and the last pose of its recording are compared with that time.
+
+    python -m tools.faults.kill_study --kills 100 kills.csv
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import math
+import mmap
+import os
+import random
+import signal
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+
+from mcap.reader import make_reader
+
+from cell.records.recording import form
+from cell.records.recording.reading import Recording, read_recording
+from cell.records.recording.recover import being_written, recover_in_place, torn_recordings
+
+ROOT = Path(__file__).parents[2]
+#: So much may be lost, s.
+MOST_LOST_S = 0.05
+
+_CHILD = """
+import mmap, struct, sys, threading, time
+from pathlib import Path
+from cell.build import build_cell
+from cell.settings import load_settings
+
+config, runs, shared = map(Path, sys.argv[1:4])
+settings = load_settings(config)
+world = settings.world.model_copy(update={"real_time_factor": 1.0})
+settings = settings.model_copy(update={"world": world})
+cell = build_cell(settings, runs, seed=int(sys.argv[4]), cycles=100, recorded=True)
+with shared.open("r+b") as file:
+    memory = mmap.mmap(file.fileno(), 16)
+
+def tell():
+    while True:
+        memory[:8] = struct.pack("<d", cell.now_s())
+        time.sleep(0.001)
+
+threading.Thread(target=tell, daemon=True).start()
+for number in range(1, 101):
+    cell.run_cycle(number)
+"""
+
+
+@dataclass(frozen=True)
+class Kill:
+    """What was left of one cell.
+
+    after_s   since its first cable was grasped, by the computer's clock
+    both      whether the recorder was killed at the same time
+    step      in which the cell was
+    poses_lost_s, frames_lost_s   from the last pose, or the last frame if frames were taken, to
+                                  the moment of the kill; on the cell's clock
+    finished_cycles, results   cycles that say they are closed; those with a result
+    """
+
+    number: int
+    after_s: float
+    both: bool
+    step: str
+    frames: int
+    poses_lost_s: float
+    frames_lost_s: float
+    finished_cycles: int
+    results: int
+
+
+def kill_once(config: Path, runs: Path, number: int, after_s: float, both: bool) -> Kill:
+    """Run a cell, kill it so long after it grasps, and recover the recording.
+
+    raises  RuntimeError: the cell ended by itself, or nothing could be recovered
+    """
+    with tempfile.NamedTemporaryFile() as shared:
+        shared.write(bytes(16))
+        shared.flush()
+        command = [sys.executable, "-c", _CHILD, config, runs, shared.name, number + 1]
+        environment = os.environ | {"PYTHONPATH": str(ROOT)}
+        child = subprocess.Popen(list(map(str, command)), env=environment, cwd=ROOT)
+        try:
+            _wait(child, lambda: any('"grasp"' in f.read_text() for f in runs.glob("*/state.json")))
+            time.sleep(after_s)
+            memory = mmap.mmap(shared.fileno(), 16)
+            ids = [child.pid, *(_children(child.pid) if both else ())]
+            (now_s,) = struct.unpack("<d", memory[:8])
+            for process in ids:
+                os.kill(process, signal.SIGKILL)
+        finally:
+            child.kill()
+            child.wait()
+    deadline = time.monotonic() + 30.0
+    while any(being_written(p) for p in runs.rglob(form.PART)):
+        if time.monotonic() > deadline:
+            raise RuntimeError("the recorder does not end")
+        time.sleep(0.01)
+    for torn in torn_recordings(runs):
+        recover_in_place(torn)
+    folders = sorted(runs.iterdir())
+    recording = read_recording(folders[-1])
+    frames = [said["t_s"] for said in recording.json(form.FRAME)]
+    states = list(recording.json(form.STATE))
+    filming = states and states[-1]["step"] in ("lower", "hold_and_capture", "execute")
+    closed = [f for f in folders if '"closed": true' in (f / "state.json").read_text()]
+    results = [f for f in folders if (f / "result.json").exists()]
+    return Kill(
+        number,
+        after_s,
+        both,
+        str(states[-1]["step"]) if states else "",
+        recording.count(form.IMAGE),
+        now_s - _last_pose_s(recording),
+        now_s - max(frames) if filming and frames else float("nan"),
+        len(closed),
+        len(results),
+    )
+
+
+def _last_pose_s(recording: Recording) -> float:
+    """Time of the last measured pose on the cell's clock, s."""
+    with recording.path.open("rb") as file:
+        poses = make_reader(file).iter_messages(topics=[form.MEASURED], log_time_order=False)
+        last_ns = max((message.log_time for _, _, message in poses), default=None)
+    if last_ns is None:
+        return 0.0  # the clock's beginning: none was there yet
+    return (last_ns - int(recording.begun["epoch_ns"])) / 1e9
+
+
+def _children(process: int) -> list[int]:
+    """Processes that a process has started, and those that they have."""
+    found = []
+    for file in Path(f"/proc/{process}/task").glob("*/children"):
+        for child in map(int, file.read_text().split()):
+            found += [child, *_children(child)]
+    return found
+
+
+def _wait(child: subprocess.Popen[bytes], there: Callable[[], bool], seconds: float = 60.0) -> None:
+    end_s = time.monotonic() + seconds
+    while not there():
+        if child.poll() is not None or time.monotonic() > end_s:
+            raise RuntimeError("the cell did not begin to record")
+        time.sleep(0.005)
+
+
+def table(kills: list[Kill]) -> str:
+    """What was lost at most, in words."""
+    poses_ms = sorted(1e3 * k.poses_lost_s for k in kills)
+    frames_ms = sorted(1e3 * k.frames_lost_s for k in kills if math.isfinite(k.frames_lost_s))
+    lines = [f"{len(kills)} kills, {sum(k.both for k in kills)} of them with the recorder"]
+    for what, lost_ms in (("poses", poses_ms), ("frames, while filming", frames_ms)):
+        within = sum(lost <= MOST_LOST_S * 1e3 for lost in lost_ms)
+        lines.append(
+            f"{what}: {within} of {len(lost_ms)} up to {MOST_LOST_S * 1e3:.0f} ms before; "
+            f"median {lost_ms[len(lost_ms) // 2]:.0f} ms, largest {lost_ms[-1]:.0f} ms"
+        )
+    wrong = sum(k.finished_cycles != k.results for k in kills)
+    lines.append(f"listed as finished without a result, or the other way round: {wrong}")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser.add_argument("file", type=Path, help="CSV file to write")
+    parser.add_argument("--kills", type=int, default=100)
+    parser.add_argument("--config", type=Path, default=ROOT / "config" / "fake.yaml")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--longest-s", type=float, default=7.0, help="of a cycle's beginning")
+    given = parser.parse_args()
+    rng = random.Random(given.seed)
+    kills: list[Kill] = []
+    with given.file.open("w", newline="") as file:
+        writer = csv.DictWriter(file, [f.name for f in fields(Kill)])
+        writer.writeheader()
+        for number in range(given.kills):
+            with tempfile.TemporaryDirectory() as folder:
+                after_s, both = rng.uniform(0.0, given.longest_s), number % 2 == 1
+                kills.append(kill_once(given.config, Path(folder), number, after_s, both))
+            writer.writerow(asdict(kills[-1]))
+            file.flush()
+            print(kills[-1], flush=True)
+    print(table(kills))
+
+
+if __name__ == "__main__":
+    main()
