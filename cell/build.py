@@ -17,6 +17,7 @@ from cell.plan.destination import Destination
 from cell.plan.paths import MotionLimits
 from cell.records.recording.devices import recorded_devices
 from cell.records.recording.recorder import Recorder
+from cell.records.recording.retention import Retention, Room
 from cell.records.result import Outcome
 from cell.run.clocks import KnownDelays
 from cell.run.cycle import Cell
@@ -87,7 +88,7 @@ def build_cell(
     if recorded and settings.recording is not None:
         recorder = Recorder(devices.arm, devices.clock, settings.recording.memory_mb * 10**6)
         devices = recorded_devices(devices, recorder)
-        recording = recording_of(settings, settings.recording, recorder)
+        recording = recording_of(settings, settings.recording, recorder, runs)
     return cell_with(settings, devices, runs, on_step, known, recording=recording)
 
 
@@ -130,10 +131,19 @@ def cell_with(
     )
 
 
-def recording_of(settings: Settings, wanted: RecordingWanted, recorder: Recorder) -> Recording:
+def recording_of(
+    settings: Settings, wanted: RecordingWanted, recorder: Recorder, runs: Path
+) -> Recording:
     """What is recorded of cycles with these settings, and which recordings are kept."""
+    days, size_gb = wanted.max_age_days, wanted.max_size_gb
+    room = Room(
+        None if days is None else days * 86_400.0,
+        None if size_gb is None else size_gb * 1e9,
+        wanted.min_free_gb * 1e9,
+    )
     keeping = Keeping(frozenset(map(Outcome, wanted.keep)), wanted.keep_every)
-    return Recording(recorder, settings.model_dump(mode="json"), files_of(settings), keeping)
+    plain, files = settings.model_dump(mode="json"), files_of(settings)
+    return Recording(recorder, plain, files, keeping, Retention(runs, room))
 
 
 @contextmanager

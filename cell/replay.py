@@ -147,6 +147,7 @@ class _Heard:
 
     def __init__(self) -> None:
         self.begun: Mapping[str, str] = {}
+        self.notes: list[str] = []
         self._events: dict[str, list[dict[str, Any]]] = {}
 
     def begin(self, path: Path, begun: Mapping[str, str]) -> None:
@@ -162,6 +163,9 @@ class _Heard:
 
     def end(self, keep: bool = True) -> None:
         """Nothing is written."""
+
+    def note(self, text: str) -> None:
+        """Nothing is recorded."""
 
     def close(self) -> None:
         """Nothing is open."""

@@ -100,7 +100,8 @@ def test_only_a_few_modules_call_devices() -> None:
     ]
     found = {path for path, _ in calls if path.parts[1] != "simulated"}
     callers = {Path("cell", "run", f"{name}.py") for name in CALLERS}
-    assert found == callers | {Path("cell", "calibration", "session.py")}, calls
+    recorders = {Path("cell", "records", "recording", f"{n}.py") for n in ("devices", "recorder")}
+    assert found == callers | recorders | {Path("cell", "calibration", "session.py")}, calls
 
 
 def test_what_is_rounded_to_nothing_has_no_sign() -> None:

@@ -8,6 +8,7 @@ import os
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -115,16 +116,8 @@ def run(
                 not_lost()
                 progress.step(number, step)
 
-            cables = 0 if dry_run else cycles
-            cell = build_cell(
-                settings,
-                out,
-                seed=seed,
-                cycles=cables,
-                on_step=on_step,
-                known=known,
-                recorded=True,
-            )
+            made = partial(build_cell, seed=seed, on_step=on_step, known=known, recorded=True)
+            cell = made(settings, out, cycles=0 if dry_run else cycles)
             try:
                 if dry_run:
                     plan = cell.rehearsal(plan, speed)
@@ -142,7 +135,8 @@ def run(
         raise typer.Exit(NOT_ALL_DONE if results else BAD_INPUT) from error
     if not as_json:
         _show(results, plan.names, dry_run, known.notes)
-    for line in (*troubles(results), *_changes(out, results, config, settings)):
+    changes = _changes(out, results, config, settings)
+    for line in (*troubles(results), *cell.notes(), *changes):
         print(line, file=sys.stderr)
     reached = [r for r in results if r.outcome is plan.aim]
     raise typer.Exit(ALL_DONE if len(reached) == cycles else NOT_ALL_DONE)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import time
 import traceback
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
@@ -82,6 +82,10 @@ class Cell:
     def now_s(self) -> float:
         """Time on the cell's clock."""
         return self._station.devices.clock.now_s()
+
+    def notes(self) -> Sequence[str]:
+        """What a person should know of the recordings."""
+        return () if self._recording is None else tuple(self._recording.recorder.notes)
 
     def command(self, event: Event, reason: str = "") -> None:
         """Stop, abort, hold, unhold, suspend or unsuspend, from any thread, at any time.

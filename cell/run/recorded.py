@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.records.recording import form
+from cell.records.recording.retention import Retention
 from cell.records.result import Fault, Outcome, Result
 from cell.run.findings import FilmedMotion, Findings
 from cell.run.station import Station
@@ -26,7 +27,12 @@ _COMPUTING = ("cable-cell", "numpy", "scipy", "numba", "opencv-python-headless")
 
 
 class TakesEvents(Protocol):
-    """What a cycle is handed over to: a `Recorder`, or whoever wants to hear of it."""
+    """What a cycle is handed over to: a `Recorder`, or whoever wants to hear of it.
+
+    notes  what a person should know
+    """
+
+    notes: list[str]
 
     def begin(self, path: Path, begun: Mapping[str, str]) -> None:
         """A recording begins."""
@@ -39,6 +45,9 @@ class TakesEvents(Protocol):
 
     def end(self, keep: bool = True) -> None:
         """The recording ends."""
+
+    def note(self, text: str) -> None:
+        """Something that a person should know."""
 
     def close(self) -> None:
         """Nothing more is recorded."""
@@ -65,13 +74,15 @@ class Keeping:
 class Recording:
     """How cycles are recorded.
 
-    files  texts that the settings refer to, by path: the calibration, effects of one's own
+    files      texts that the settings refer to, by path: the calibration, effects of one's own
+    retention  what makes room for a recording; None = nothing has to
     """
 
     recorder: TakesEvents
     settings: Mapping[str, Any]
     files: Mapping[str, str] = field(default_factory=dict)
     keeping: Keeping = Keeping()
+    retention: Retention | None = None
 
 
 def begun(cycle: int, started: datetime) -> dict[str, str]:
@@ -92,13 +103,20 @@ class CycleRecording:
     def __init__(self, recording: Recording | None) -> None:
         self._recording = recording
         self._told = Findings()
+        self._path = Path()
 
     def begin(self, folder: Path, cycle: int, started: datetime, plan: Mapping[str, Any]) -> None:
         """The cycle begins; `plan` says what is meant to be done."""
         if self._recording is None:
             return
+        kept = self._recording.retention
+        if kept is not None and (no_room := kept.make_room()):
+            self._recording.recorder.note(f"cycle {cycle} is not recorded: {no_room}")
+            self._recording = None
+            return
+        self._path = folder / form.FILE
         to = self._recording.recorder
-        to.begin(folder / form.FILE, begun(cycle, started))
+        to.begin(self._path, begun(cycle, started))
         about = {"cycle": cycle, "started": started.isoformat(), "folder": str(folder)}
         to.event(form.CYCLE, {**about, **plan})
         settings, files = dict(self._recording.settings), dict(self._recording.files)
@@ -136,6 +154,8 @@ class CycleRecording:
             return
         self._event(form.RESULT, result.to_json())
         self._recording.recorder.end(self._recording.keeping.keeps(result))
+        if self._recording.retention is not None:
+            self._recording.retention.add(self._path)
 
     def _event(self, topic: str, data: Mapping[str, Any]) -> None:
         if self._recording is not None:

@@ -161,7 +161,7 @@ ENDINGS: tuple[Ending, ...] = get_args(Ending)
 class Recording(Section):
     """What is recorded of every cycle, frame by frame, and how long it is kept.
 
-    Recordings that are marked as kept, or that a model refers to, are never removed."""
+    A file named `keep` in a cycle's folder keeps its recording, whatever the limits."""
 
     keep: tuple[Ending, ...] = ENDINGS
     """Recordings of cycles that ended so are kept; the others are removed at once."""
@@ -176,9 +176,6 @@ class Recording(Section):
     min_free_gb: NotNegative = 1.0
     """Free room on the disk before a cycle; with less the oldest recordings are removed, and if
     that is not enough nothing is recorded.  1 GB = 10⁹ bytes."""
-    store: Annotated[str, Field(min_length=1)] | None = None
-    """Where recordings are moved to between cycles: a folder, or a URL that fsspec knows, as
-    s3://bucket/line3.  Null = they stay in the cycles' folders."""
 
 
 class KnownParameter(Section):

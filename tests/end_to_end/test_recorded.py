@@ -147,9 +147,9 @@ def test_nothing_is_recorded_if_that_is_wanted(quick, tmp_path):
 
 
 @pytest.mark.parametrize("both", [False, True])
-def test_a_killed_cell_leaves_all_but_the_last_instant(quick_config, tmp_path, both):
+def test_a_killed_cell_leaves_all_but_the_last_instant(recorded_config, tmp_path, both):
     """The bar is 50 ms, measured by the study; a busy computer may stall a process for longer."""
-    kill = kill_once(quick_config, tmp_path, 0, after_s=2.0, both=both)
+    kill = kill_once(recorded_config, tmp_path, 0, after_s=2.0, both=both)
     assert kill.frames > 0
     assert kill.poses_lost_s < 0.5
     assert not kill.frames_lost_s > 0.5
@@ -182,5 +182,5 @@ def test_calibration_and_own_effects_are_in_it(quick, tmp_path):
     assert (Path(restored["calibration"]["folder"]) / "time.yaml").read_text() == "a: 1"
 
 
-def test_the_shipped_settings_record(quick_config):
-    assert load_settings(quick_config).recording == Recording()
+def test_the_shipped_settings_record(recorded_config):
+    assert load_settings(recorded_config).recording == Recording()

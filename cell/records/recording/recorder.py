@@ -21,7 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.records.recording import form
-from cell.records.recording.ring import RESERVE_BYTES, RingWriter, shared_memory
+from cell.records.recording.ring import (
+    RESERVE_BYTES,
+    RingWriter,
+    remove_forgotten,
+    shared_memory,
+)
 from drivers.interfaces import Arm, Clock, DeviceError, Frame, Trajectory
 
 FloatArray = NDArray[np.float64]
@@ -67,8 +72,9 @@ class Recorder:
         if self._process is not None and self._process.poll() is None:
             return
         if self._process is not None:
-            self._say("the recorder's process has ended; a new one is started")
-            self._forget()
+            self.note("the recorder's process has ended; a new one is started")
+            self.forget()
+        remove_forgotten()
         memory, self._file = shared_memory(self._memory_bytes)
         wake, self._wake = os.pipe()
         self._status, status = os.pipe()
@@ -92,7 +98,7 @@ class Recorder:
         try:
             self.prepare()
         except OSError as error:
-            self._say(f"nothing is recorded: the recorder cannot be started: {error}")
+            self.note(f"nothing is recorded: the recorder cannot be started: {error}")
             return
         self._read_reports()
         now_s = self._clock.now_s()
@@ -137,11 +143,8 @@ class Recorder:
         if self._process is None:
             return
         if not self.wait():
-            self._say("a recording was not finished in time; `cell recover` makes it readable")
-        process = self._process
-        self._forget()
-        with suppress(subprocess.TimeoutExpired):
-            process.wait(5.0)
+            self.note("a recording was not finished in time; `cell recover` makes it readable")
+        self.forget()
 
     # --- what is recorded -------------------------------------------------------------------------
 
@@ -202,7 +205,7 @@ class Recorder:
         gap = {"first": lost[0], "frames": len(lost), "cause": "the recorder was too slow"}
         if self._put(("event", form.GAP, t_s, gap)):
             self._lost_frames = []
-            self._say(f"{len(lost)} frames were not recorded: the computer was too slow")
+            self.note(f"{len(lost)} frames were not recorded: the computer was too slow")
 
     def _put(
         self, header: tuple[Any, ...], payload: NDArray[Any] | None = None, spare: int = 0
@@ -217,7 +220,7 @@ class Recorder:
                 except BrokenPipeError:
                     self._under_way = False
                     self._waiting = 0
-                    self._say("the recorder's process has ended: this cycle is recorded in part")
+                    self.note("the recorder's process has ended: this cycle is recorded in part")
         return done
 
     # --- its reports ------------------------------------------------------------------------------
@@ -232,24 +235,33 @@ class Recorder:
     def _report(self, report: Mapping[str, Any]) -> None:
         path = report["path"]
         if "error" in report:
-            self._say(
+            self.note(
                 f"{path} is torn: {report['error']}; `cell recover {path}` reads what is there"
             )
         elif report.get("lost_frames"):
-            self._say(f"{path}: {report['lost_frames']} frames are missing: {report['cause']}")
+            self.note(f"{path}: {report['lost_frames']} frames are missing: {report['cause']}")
         elif report["kept"]:
             size = report["bytes"] / 1e6
             _LOG.info("%s: %d frames, %.0f MB, verified", path, report["frames"], size)
 
-    def _say(self, note: str) -> None:
+    def note(self, note: str) -> None:
+        """Tell in the log, and keep for the end of the run, what a person should know."""
         _LOG.warning("recording: %s", note)
         self.notes.append(note)
 
-    def _forget(self) -> None:
+    def forget(self) -> None:
+        """Let the process write what it was given, and end."""
         for descriptor in (self._wake, self._status):
             with suppress(OSError):
                 os.close(descriptor)
-        self._process, self._ring, self._waiting = None, None, 0
+        process, self._process, self._ring, self._waiting = self._process, None, None, 0
+        if process is None:
+            return
+        try:
+            process.wait(LAST_WAIT_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
 
 
 #: Loggers of the program, whose lines are recorded.

@@ -25,7 +25,7 @@ from cell.files.input_error import InputError
 from cell.records.recording import form
 from cell.records.recording.one_recording import Recording
 from cell.records.recording.reading import UNREADABLE, TornRecordingError, verify
-from cell.records.recording.ring import RingReader
+from cell.records.recording.ring import RingReader, open_somewhere
 from cell.records.recording.writer import CHUNK_BYTES, LEVEL, Sink
 
 _MAGIC = b"\x89MCAP0\r\n"
@@ -101,15 +101,9 @@ def being_written(part: Path) -> bool:
     not tell.
     """
     try:
-        known = part.stat()
+        return open_somewhere(part)
     except FileNotFoundError:
         return True
-    for link in Path("/proc").glob("[0-9]*/fd/*"):
-        with suppress(OSError):
-            found = link.stat()
-            if (found.st_dev, found.st_ino) == (known.st_dev, known.st_ino):
-                return True
-    return False
 
 
 def recover(source: Path, target: Path) -> Recovered:

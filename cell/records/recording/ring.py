@@ -16,6 +16,8 @@ import os
 import pickle
 import struct
 import tempfile
+import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +26,7 @@ from numpy.typing import NDArray
 
 _HEAD_BYTES = 64
 _IN_MEMORY = Path("/dev/shm")
+_NAME, _FORGOTTEN_S = "cable-cell-", 86_400.0
 _RECORD = struct.Struct("<II")
 _TO_BEGINNING = 0xFFFFFFFF
 
@@ -40,13 +43,37 @@ def shared_memory(size_bytes: int) -> tuple[int, Path | None]:
     """
     path = None
     if _IN_MEMORY.is_dir() and os.access(_IN_MEMORY, os.W_OK):
-        path = _IN_MEMORY / f"cable-cell-{os.getpid()}-{os.urandom(4).hex()}"
+        path = _IN_MEMORY / f"{_NAME}{os.getpid()}-{os.urandom(4).hex()}"
         descriptor = os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o600)
     else:
         with tempfile.TemporaryFile() as file:
             descriptor = os.dup(file.fileno())
     os.ftruncate(descriptor, _HEAD_BYTES + size_bytes)
     return descriptor, path
+
+
+def remove_forgotten() -> None:
+    """Remove what killed cells left in memory if nobody has recovered it for a day."""
+    if not _IN_MEMORY.is_dir():
+        return
+    for file in _IN_MEMORY.glob(f"{_NAME}*"):
+        with suppress(OSError):
+            if time.time() - file.stat().st_mtime > _FORGOTTEN_S and not open_somewhere(file):
+                file.unlink()
+
+
+def open_somewhere(file: Path) -> bool:
+    """Whether a process has a file open or mapped; False where the system does not tell.
+
+    raises  FileNotFoundError
+    """
+    known = file.stat()
+    for link in Path("/proc").glob("[0-9]*/fd/*"):
+        with suppress(OSError):
+            found = link.stat()
+            if (found.st_dev, found.st_ino) == (known.st_dev, known.st_ino):
+                return True
+    return False
 
 
 class _Memory:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -129,13 +130,38 @@ def test_a_killed_recorder_is_told_of_and_costs_nothing_else(recorder, tmp_path)
     recorder.end()
     assert recorder.wait(1.0)
     assert "has ended" in recorder.notes[0]
-    recovered = recover_in_place(tmp_path / form.PART)
-    assert recovered.messages[form.IMAGE] == 5
     (tmp_path / "next").mkdir()
     recorder.begin(tmp_path / "next" / form.FILE, {})  # with a new process
     recorder.end()
-    assert recorder.wait()
+    recorder.close()
     assert read_recording(tmp_path / "next").complete
+    recovered = recover_in_place(tmp_path / form.PART)
+    assert recovered.messages[form.IMAGE] == 5
+    assert not in_memory()
+
+
+def in_memory():
+    """What this process's recorders have left in memory."""
+    return list(Path("/dev/shm").glob(f"cable-cell-{os.getpid()}-*"))
+
+
+def test_what_was_only_in_memory_is_recovered(recorder, tmp_path):
+    """Cell and recorder are killed at once, while the recorder leaves the computer to others."""
+    recorder.begin(tmp_path / form.FILE, {"cycle": "1"})
+    for frame in frames(3):
+        recorder.frame(frame)
+    written(recorder)
+    recorder.pause()
+    for frame in frames(4):
+        recorder.frame(frame)
+    recorder.event(form.STATE, {"state": "execute", "step": "lower"})
+    os.kill(recorder.process_id, signal.SIGKILL)
+    recorder.forget()
+    recovered = recover_in_place(tmp_path / form.PART)
+    assert recovered.messages[form.IMAGE] == 7
+    assert read_recording(tmp_path).last(form.STATE)["step"] == "lower"
+    assert sorted(p.name for p in tmp_path.iterdir()) == [form.FILE]
+    assert not in_memory()
 
 
 def test_a_folder_that_is_gone_is_told_of(recorder, tmp_path):
