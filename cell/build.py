@@ -26,7 +26,6 @@ from cell.run.station import Task
 from cell.settings import InputError, Settings
 from cell.settings import devices as given
 from cell.settings.calibrated import Calibrated, as_gripped, typed
-from cell.settings.model import Recording as RecordingWanted
 from cell.settings.referred import files_of
 from cell.settings.translate import (
     arm_limits_of,
@@ -85,10 +84,8 @@ def build_cell(
         take_precedence()
         devices = real_devices(settings, known)
     recording = None
-    if recorded and settings.recording is not None:
-        recorder = Recorder(devices.arm, devices.clock, settings.recording.memory_mb * 10**6)
-        devices = recorded_devices(devices, recorder)
-        recording = recording_of(settings, settings.recording, recorder, runs)
+    if recorded:
+        devices, recording = with_recorder(settings, devices, runs)
     return cell_with(settings, devices, runs, on_step, known, recording=recording)
 
 
@@ -131,19 +128,28 @@ def cell_with(
     )
 
 
-def recording_of(
-    settings: Settings, wanted: RecordingWanted, recorder: Recorder, runs: Path
-) -> Recording:
-    """What is recorded of cycles with these settings, and which recordings are kept."""
+def with_recorder(
+    settings: Settings, devices: Devices, runs: Path
+) -> tuple[Devices, Recording | None]:
+    """Devices that are recorded, and how cycles are, as the settings say; None = not at all."""
+    wanted = settings.recording
+    if wanted is None:
+        return devices, None
+    recorder = Recorder(devices.arm, devices.clock, wanted.memory_mb * 10**6)
     days, size_gb = wanted.max_age_days, wanted.max_size_gb
     room = Room(
         None if days is None else days * 86_400.0,
         None if size_gb is None else size_gb * 1e9,
         wanted.min_free_gb * 1e9,
     )
-    keeping = Keeping(frozenset(map(Outcome, wanted.keep)), wanted.keep_every)
-    plain, files = settings.model_dump(mode="json"), files_of(settings)
-    return Recording(recorder, plain, files, keeping, Retention(runs, room))
+    recording = Recording(
+        recorder,
+        settings.model_dump(mode="json"),
+        files_of(settings),
+        Keeping(frozenset(map(Outcome, wanted.keep)), wanted.keep_every),
+        Retention(runs, room),
+    )
+    return recorded_devices(devices, recorder), recording
 
 
 @contextmanager

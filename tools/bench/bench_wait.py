@@ -1,6 +1,6 @@
 """How long the robot waits for the computer, over many cycles at the speed of reality.
 
-    python -m tools.bench.bench_wait [--cycles 30] [--seed 1] [--burn 1] [--effects air_drag …]
+    python -m tools.bench.bench_wait [--cycles 30] [--seed 1] [--burn 1] [--recorded] [--effects …]
 
 Beside every wait stands the longest stall of this computer in that cycle, as another process
 measured it, and the CPU time of the cell: a share of two cores while the hold is filmed, and what
@@ -31,7 +31,7 @@ from typing import Any
 
 import numpy as np
 
-from cell.build import cell_with, twin_devices
+from cell.build import cell_with, twin_devices, with_recorder
 from cell.computer.stalls import StallProbe
 from cell.records.result import Result
 from cell.run.cycle import Cell
@@ -143,7 +143,9 @@ def measured(settings: Settings, seed: int, cycles: int, to_parent: Connection) 
                 began[step] = time.perf_counter(), cpu_s()
 
         ended = suppress(EOFError, BrokenPipeError, ConnectionResetError)  # the other process was
-        with ended, closing(cell_with(settings, devices, Path(runs), on_step)) as cell:
+        devices, how = with_recorder(settings, devices, Path(runs))
+        made = cell_with(settings, devices, Path(runs), on_step, recording=how)
+        with ended, closing(made) as cell:
             for number in range(1, cycles + 1):
                 player.recordings, player.late_s = to_parent.recv(), []
                 began.clear()
@@ -292,10 +294,21 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--burn", type=int, default=0, metavar="CORES")
     parser.add_argument("--effects", nargs="*", default=[], metavar="NAME")
+    parser.add_argument(
+        "--recorded", action="store_true", help="the same again with every frame recorded"
+    )
     options = parser.parse_args()
     asked = options.cycles, options.seed, options.burn
-    base = waits(*asked)
+    settings = load_settings(CONFIG)
+    base = waits(*asked, settings.model_copy(update={"recording": None}))
     print(summary(base))
+    if options.recorded:
+        print("recorded", flush=True)
+        found = waits(*asked, settings)
+        print(summary(found))
+        for name in ("wait_s", "after_cpu_s"):
+            then, now = (np.nanmedian([getattr(w, name) for w in ws]) for ws in (base, found))
+            print(f"  recorded: median {name} {now / then:.2f} × without", flush=True)
     for name in options.effects:
         from tools.bench.effect_cost import learned
 
