@@ -23,8 +23,8 @@ from typing import Any
 from cell.records.recording.one_recording import Recording
 from cell.records.recording.ring import RingReader
 
-#: The computer is left to vision and identification where they want it.
-NICE = 15
+#: The computer is left to vision and identification whenever they want it.
+NICE = 19
 #: Least time between two looks while others have the computer, s.
 _LOOK_S = 0.001
 
@@ -101,6 +101,7 @@ def main(ring: int, wake: int, status: int, file: str | None = None) -> None:
         signal.signal(number, signal.SIG_IGN)
     with suppress(OSError):
         os.nice(NICE)
+        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
     Recorder(RingReader(ring), wake, status).run()
     if file is not None:
         Path(file).unlink(missing_ok=True)
