@@ -135,7 +135,11 @@ def with_recorder(
     wanted = settings.recording
     if wanted is None:
         return devices, None
-    recorder = Recorder(devices.arm, devices.clock, wanted.memory_mb * 10**6)
+    at_once = isinstance(settings.arm, given.SimulatedArm) and (
+        settings.world.real_time_factor is None
+    )
+    patience_s = 60.0 if at_once else 0.0
+    recorder = Recorder(devices.arm, devices.clock, wanted.memory_mb * 10**6, patience_s)
     days, size_gb = wanted.max_age_days, wanted.max_size_gb
     room = Room(
         None if days is None else days * 86_400.0,

@@ -46,10 +46,12 @@ class Recorder:
 
     arm           poses are taken from it while a cycle is recorded
     clock         of the cell
+    patience_s    a frame may wait so long for room: in simulated time nobody waits for it
     memory_bytes  of frames that wait to be written; more are left out, and the gap is marked
     """
 
-    def __init__(self, arm: Arm, clock: Clock, memory_bytes: int) -> None:
+    def __init__(self, arm: Arm, clock: Clock, memory_bytes: int, patience_s: float = 0.0) -> None:
+        self._patience_s = patience_s
         self._arm = arm
         self._clock = clock
         self._memory_bytes = memory_bytes + RESERVE_BYTES
@@ -152,7 +154,11 @@ class Recorder:
         """A frame as it was read."""
         height, width = frame.image.shape
         image = np.ascontiguousarray(frame.image)
-        if not self._put(("frame", frame.index, frame.t_s, height, width), image, RESERVE_BYTES):
+        header = ("frame", frame.index, frame.t_s, height, width)
+        end_s = time.monotonic() + self._patience_s
+        while not (done := self._put(header, image, RESERVE_BYTES)) and time.monotonic() < end_s:
+            time.sleep(0.005)
+        if not done:
             self._lost_frames.append(frame.index)
         elif self._lost_frames:
             self._mark_gap(frame.t_s)
