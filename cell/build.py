@@ -21,7 +21,7 @@ from cell.records.recording.retention import Retention, Room
 from cell.records.result import Outcome
 from cell.run.clocks import KnownDelays
 from cell.run.cycle import Cell
-from cell.run.recorded import Keeping, Recording
+from cell.run.recorded import Keeping, RecordingSetup
 from cell.run.station import Task
 from cell.settings import InputError, Settings
 from cell.settings import devices as given
@@ -59,6 +59,8 @@ from drivers.ur import UrArm, UrOptions
 FloatArray = NDArray[np.float64]
 
 _UR_TUNING = ("lookahead_s", "gain")
+#: In simulated time a frame waits so long, s, for the recorder: nothing else is late by that.
+_PATIENCE_S = 60.0
 
 
 def build_cell(
@@ -106,7 +108,7 @@ def cell_with(
     on_step: Callable[[int, str], None],
     known: Calibrated | None = None,
     *,
-    recording: Recording | None = None,
+    recording: RecordingSetup | None = None,
 ) -> Cell:
     """A cell around given devices, which it surrounds with their limits.
 
@@ -115,30 +117,32 @@ def cell_with(
     use_one_arena()
     guarded = guarded_devices(settings, devices)
     watched = isinstance(devices.clock, RealClock)
-    hurried = watched or settings.world.real_time_factor is not None
     return Cell(
         guarded,
         cell_task(settings, known),
         settings.model_dump(mode="json"),
         runs,
         on_step,
-        computer=SecondProcess() if hurried else None,
+        computer=SecondProcess() if _in_real_time(settings) else None,
         watched=watched,
         recording=recording,
     )
 
 
+def _in_real_time(settings: Settings) -> bool:
+    """Whether time passes in the cell as it does outside: what is late there is late."""
+    simulated = isinstance(settings.arm, given.SimulatedArm)
+    return not simulated or settings.world.real_time_factor is not None
+
+
 def with_recorder(
     settings: Settings, devices: Devices, runs: Path
-) -> tuple[Devices, Recording | None]:
+) -> tuple[Devices, RecordingSetup | None]:
     """Devices that are recorded, and how cycles are, as the settings say; None = not at all."""
     wanted = settings.recording
     if wanted is None:
         return devices, None
-    at_once = isinstance(settings.arm, given.SimulatedArm) and (
-        settings.world.real_time_factor is None
-    )
-    patience_s = 60.0 if at_once else 0.0
+    patience_s = 0.0 if _in_real_time(settings) else _PATIENCE_S
     recorder = Recorder(devices.arm, devices.clock, wanted.memory_mb * 10**6, patience_s)
     days, size_gb = wanted.max_age_days, wanted.max_size_gb
     room = Room(
@@ -146,7 +150,7 @@ def with_recorder(
         None if size_gb is None else size_gb * 1e9,
         wanted.min_free_gb * 1e9,
     )
-    recording = Recording(
+    recording = RecordingSetup(
         recorder,
         settings.model_dump(mode="json"),
         files_of(settings),

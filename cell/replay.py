@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -14,10 +13,11 @@ from pydantic import ValidationError
 
 from cell.build import cell_with
 from cell.files.input_error import InputError
+from cell.files.plain import plain
 from cell.records.recording import form
 from cell.records.recording.reading import Recording
 from cell.records.result import Outcome, Result
-from cell.run.recorded import Recording as HowRecorded
+from cell.run.recorded import RecordingSetup
 from cell.settings import Settings, load_settings
 from cell.settings.calibrated import Calibrated, calibrated
 from cell.simulated.replayed import replayed_devices, restored_files
@@ -50,6 +50,7 @@ class Replayed:
     """A cycle that was replayed.
 
     result       of the replay
+    complete     whether the recording holds the cycle to its end
     decided      whether there was a decision then
     differences  from then, in decision, final model and result; empty = bit for bit the same
     software     packages whose version differs: name → (then, now)
@@ -57,6 +58,7 @@ class Replayed:
 
     recording: Path
     result: Result
+    complete: bool
     decided: bool
     differences: tuple[Difference, ...]
     software: Mapping[str, tuple[str, str]]
@@ -66,6 +68,7 @@ class Replayed:
         return {
             "recording": str(self.recording),
             "identical": not self.differences,
+            "complete": self.complete,
             "decided": self.decided,
             "differences": [d.to_json() for d in self.differences],
             "software": {name: list(pair) for name, pair in self.software.items()},
@@ -98,7 +101,7 @@ def replay(
             replayed.on_step(number, name)
             on_step(number, name)
 
-        recording_to = HowRecorded(heard, {})
+        recording_to = RecordingSetup(heard, {})
         cell = cell_with(settings, replayed.devices, runs, step, known, recording=recording_to)
         try:
             result = cell.run_cycle(about["cycle"])
@@ -108,6 +111,7 @@ def replay(
     return Replayed(
         recording.path,
         result,
+        recording.complete,
         then.decision is not None,
         tuple(_differences(then, now)),
         _software(recording, heard.begun),
@@ -155,8 +159,7 @@ class _Heard:
 
     def event(self, topic: str, data: Mapping[str, Any]) -> None:
         """Kept as it would be read from a file."""
-        text = json.dumps(data, default=lambda value: value.tolist())
-        self._events.setdefault(topic, []).append(json.loads(text))
+        self._events.setdefault(topic, []).append(plain(data))
 
     def seen(self, t_s: Sequence[float], points_px: Any) -> None:
         """Follows from the rest."""
@@ -220,7 +223,7 @@ def _compared(name: str, then: Any, now: Any) -> list[Difference]:
 
 
 def _software(recording: Recording, now: Mapping[str, str]) -> dict[str, tuple[str, str]]:
-    apart = ("cycle", "started", "host", "process", "format", "epoch_ns", form.RING)
+    apart = ("cycle", "started", "host", "process", "format", form.EPOCH, form.RING)
     return {
         name: (said, now[name])
         for name, said in recording.begun.items()

@@ -12,9 +12,9 @@ from typing import NoReturn
 
 import numpy as np
 
+from drivers.around import ArmAround, CameraAround, GripperAround
 from drivers.interfaces import (
     Arm,
-    ArmState,
     Camera,
     CameraError,
     Clock,
@@ -67,35 +67,12 @@ class ArmLimits:
     tolerance_rad: float = 1e-3
 
 
-class GuardedArm:
+class GuardedArm(ArmAround):
     """An arm that refuses a path outside its limits before anything of it is sent."""
 
     def __init__(self, arm: Arm, limits: ArmLimits) -> None:
-        self.name = arm.name
-        self._arm = arm
+        super().__init__(arm)
         self._limits = limits
-
-    @property
-    def lag_s(self) -> float:
-        """Delay between a commanded and the executed pose, s."""
-        return self._arm.lag_s
-
-    @property
-    def rate_hz(self) -> float:
-        """Rate at which poses are streamed, Hz."""
-        return self._arm.rate_hz
-
-    def connect(self) -> None:
-        """Raises ConnectError."""
-        self._arm.connect()
-
-    def close(self) -> None:
-        """Stop and disconnect."""
-        self._arm.close()
-
-    def state(self) -> ArmState:
-        """Raises DeviceLostError."""
-        return self._arm.state()
 
     def check(self, path: Trajectory) -> None:
         """Raises LimitError naming point, value and limit; else as the arm."""
@@ -112,18 +89,10 @@ class GuardedArm:
         _LOG.info("%s: %.2f s to %s", self.name, path.t_s[-1] - path.t_s[0], _described(end))
         self._arm.follow(path, start_s)
 
-    def log(self, start_s: float, end_s: float) -> Trajectory:
-        """Measured poses."""
-        return self._arm.log(start_s, end_s)
-
     def stop(self, reason: str) -> None:
         """Stop now; latched."""
         _LOG.warning("%s: stop: %s", self.name, reason)
         self._arm.stop(reason)
-
-    def reset(self) -> None:
-        """Raises StoppedError while the controller itself is stopped."""
-        self._arm.reset()
 
     def _check_start(self, path: Trajectory, here: Pose, not_begun: str) -> None:
         start = path.at(float(path.t_s[0]))
@@ -236,21 +205,12 @@ class GripperLimits:
     max_force_n: float
 
 
-class GuardedGripper:
+class GuardedGripper(GripperAround):
     """A gripper that refuses a force outside its limits."""
 
     def __init__(self, gripper: Gripper, limits: GripperLimits) -> None:
-        self.name = gripper.name
-        self._gripper = gripper
+        super().__init__(gripper)
         self._limits = limits
-
-    def connect(self) -> None:
-        """Raises ConnectError."""
-        self._gripper.connect()
-
-    def close(self) -> None:
-        """Disconnect, leaving the jaws as they are."""
-        self._gripper.close()
 
     def grip(self, force_n: float) -> GripperState:
         """Raises LimitError naming force and limits; else as the gripper."""
@@ -262,14 +222,6 @@ class GuardedGripper:
                 _NOTHING_MOVED,
             )
         return self._gripper.grip(force_n)
-
-    def release(self) -> GripperState:
-        """Open the jaws."""
-        return self._gripper.release()
-
-    def state(self) -> GripperState:
-        """Raises DeviceLostError."""
-        return self._gripper.state()
 
 
 @dataclass(frozen=True)
@@ -286,34 +238,16 @@ class CameraLimits:
     max_latency_s: float = 0.5
 
 
-class GuardedCamera:
+class GuardedCamera(CameraAround):
     """A camera whose missing, late, repeated or disordered frames are an error, never silence."""
 
     def __init__(self, camera: Camera, clock: Clock, limits: CameraLimits | None = None) -> None:
-        self.name = camera.name
-        self._camera = camera
+        super().__init__(camera)
         self._clock = clock
         self._limits = limits if limits is not None else CameraLimits()
         self._wanted = 0
         self._count = 0
         self._last: Frame | None = None
-
-    @property
-    def frame_rate_hz(self) -> float:
-        """Frame rate that was read back from the camera, Hz."""
-        return self._camera.frame_rate_hz
-
-    def connect(self) -> None:
-        """Raises ConnectError."""
-        self._camera.connect()
-
-    def close(self) -> None:
-        """Release the camera."""
-        self._camera.close()
-
-    def check(self) -> None:
-        """Raises DeviceLostError."""
-        self._camera.check()
 
     def start(self, frame_count: int) -> None:
         """Raises LimitError: fewer than one frame; else as the camera."""

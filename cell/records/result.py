@@ -8,6 +8,8 @@ from dataclasses import asdict, dataclass, field, fields
 from enum import StrEnum
 from typing import Any
 
+from cell.files.plain import plain
+
 
 class Outcome(StrEnum):
     """Inserted and missed were executed; a rejected cable was put aside; failed = a fault.
@@ -114,7 +116,7 @@ class Result:
 
     def to_json(self) -> dict[str, Any]:
         """Plain data for json.dumps; what is not finite becomes None."""
-        return {name: _plain(value) for name, value in asdict(self).items()}
+        return {name: plain(value) for name, value in asdict(self).items()}
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Result:
@@ -124,13 +126,3 @@ class Result:
         known["fault"] = None if data.get("fault") is None else Fault(**data["fault"])
         known["checks"] = tuple(Check(**check) for check in data.get("checks", ()))
         return cls(**known)
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value.value if isinstance(value, StrEnum) else value

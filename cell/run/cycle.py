@@ -22,7 +22,7 @@ from cell.run.machine import CellState, Event, EventRefusedError, Machine
 from cell.run.movements import slowed
 from cell.run.plans import AGAIN_WHEN_LOST, INSERTING, Plan, Repeat, Step, rehearsing
 from cell.run.progress import Progress
-from cell.run.recorded import CycleRecording, Recording
+from cell.run.recorded import CycleRecording, RecordingSetup
 from cell.run.station import Station, Task
 from drivers.interfaces import (
     CameraError,
@@ -66,7 +66,7 @@ class Cell:
         *,
         computer: Executor | None = None,
         watched: bool = False,
-        recording: Recording | None = None,
+        recording: RecordingSetup | None = None,
     ) -> None:
         self.commands = Commands()
         self.machine = Machine(devices.clock.now_s)

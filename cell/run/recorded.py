@@ -71,7 +71,7 @@ class Keeping:
 
 
 @dataclass(frozen=True)
-class Recording:
+class RecordingSetup:
     """How cycles are recorded.
 
     files      texts that the settings refer to, by path: the calibration, effects of one's own
@@ -100,7 +100,7 @@ def begun(cycle: int, started: datetime) -> dict[str, str]:
 class CycleRecording:
     """Hands over what a cycle finds, each thing once; does nothing without a recorder."""
 
-    def __init__(self, recording: Recording | None) -> None:
+    def __init__(self, recording: RecordingSetup | None) -> None:
         self._recording = recording
         self._told = Findings()
         self._path = Path()

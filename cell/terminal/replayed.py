@@ -16,6 +16,8 @@ def replayed_parts(replayed: Replayed, most: int) -> list[RenderableType]:
     """Whether everything is the same, and what is not: `most` differences, the largest of all."""
     parts: list[RenderableType] = []
     result, found = replayed.result, replayed.differences
+    if not replayed.complete:
+        parts.append("the recording ends before its cycle does")
     if result.fault is not None:
         parts.append(f"the replay ended in step {result.fault.step}: {result.fault.cause}")
     if not replayed.decided:
@@ -23,7 +25,8 @@ def replayed_parts(replayed: Replayed, most: int) -> list[RenderableType]:
     for name, (then, now) in replayed.software.items():
         parts.append(f"{name} was {then}, now {now}")
     if not found:
-        return [*parts, f"identical: {result.outcome.value}, every number to the last bit"]
+        what = "what it holds" if not replayed.complete else result.outcome.value
+        return [*parts, f"identical: {what}, every number to the last bit"]
     table = Table(title="differences", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for heading in ("what", "then", "now"):
         table.add_column(heading, no_wrap=True)

@@ -120,6 +120,8 @@ def test_what_a_torn_recording_holds_is_replayed(recorded, tmp_path):
     assert done.returncode == 0, done.stderr
     replayed = json.loads(done.stdout)
     assert replayed["decided"]  # from the same frames, the same
+    assert replayed["identical"]
+    assert not replayed["complete"]
     assert replayed["result"]["outcome"] == "failed"  # frames of the execution are missing
 
 

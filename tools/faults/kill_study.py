@@ -139,7 +139,7 @@ def _last_pose_s(recording: Recording) -> float:
         last_ns = max((message.log_time for _, _, message in poses), default=None)
     if last_ns is None:
         return 0.0  # the clock's beginning: none was there yet
-    return (last_ns - int(recording.begun["epoch_ns"])) / 1e9
+    return (last_ns - int(recording.begun[form.EPOCH])) / 1e9
 
 
 def _children(process: int) -> list[int]:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from cell.records.recording import form
 from cell.records.recording.recorder import Recorder
+from drivers.around import ArmAround, CameraAround, GripperAround
 from drivers.interfaces import (
     Arm,
     ArmMode,
@@ -29,32 +30,13 @@ def recorded_devices(devices: Devices, recorder: Recorder) -> Devices:
     )
 
 
-class RecordedArm:
+class RecordedArm(ArmAround):
     """An arm whose paths, answers and changes of mode are recorded."""
 
     def __init__(self, arm: Arm, recorder: Recorder) -> None:
-        self.name = arm.name
-        self._arm = arm
+        super().__init__(arm)
         self._recorder = recorder
         self._mode: ArmMode | None = None
-
-    @property
-    def lag_s(self) -> float:
-        """Delay between a commanded and the executed pose, s."""
-        return self._arm.lag_s
-
-    @property
-    def rate_hz(self) -> float:
-        """Rate at which poses are streamed, Hz."""
-        return self._arm.rate_hz
-
-    def connect(self) -> None:
-        """Raises ConnectError."""
-        self._arm.connect()
-
-    def close(self) -> None:
-        """Stop and disconnect."""
-        self._arm.close()
 
     def state(self) -> ArmState:
         """Raises DeviceLostError."""
@@ -63,10 +45,6 @@ class RecordedArm:
             self._mode = state.mode
             self._recorder.event(form.ARM, {"t_s": state.t_s, "mode": state.mode.value})
         return state
-
-    def check(self, path: Trajectory) -> None:
-        """Raises LimitError; DeviceLostError."""
-        self._arm.check(path)
 
     def follow(self, path: Trajectory, start_s: float | None = None) -> None:
         """Raises LimitError, StoppedError, DeviceLostError."""
@@ -88,36 +66,14 @@ class RecordedArm:
         self._arm.stop(reason)
         self._recorder.event(form.ARM, {"t_s": self._recorder.now_s(), "mode": f"stop: {reason}"})
 
-    def reset(self) -> None:
-        """Raises StoppedError while the controller itself is stopped."""
-        self._arm.reset()
 
-
-class RecordedCamera:
+class RecordedCamera(CameraAround):
     """A camera whose frames are recorded as they are read."""
 
     def __init__(self, camera: Camera, recorder: Recorder) -> None:
-        self.name = camera.name
-        self._camera = camera
+        super().__init__(camera)
         self._recorder = recorder
         self._wanted = 0
-
-    @property
-    def frame_rate_hz(self) -> float:
-        """Frame rate that was read back from the camera, Hz."""
-        return self._camera.frame_rate_hz
-
-    def connect(self) -> None:
-        """Raises ConnectError."""
-        self._camera.connect()
-
-    def close(self) -> None:
-        """Release the camera."""
-        self._camera.close()
-
-    def check(self) -> None:
-        """Raises DeviceLostError; CameraError."""
-        self._camera.check()
 
     def start(self, frame_count: int) -> None:
         """Begin to record frames."""
@@ -133,26 +89,13 @@ class RecordedCamera:
                 self._recorder.pause()
         return frame
 
-    def stop(self) -> None:
-        """End a recording early."""
-        self._camera.stop()
 
-
-class RecordedGripper:
+class RecordedGripper(GripperAround):
     """A gripper whose commands and answers are recorded."""
 
     def __init__(self, gripper: Gripper, recorder: Recorder) -> None:
-        self.name = gripper.name
-        self._gripper = gripper
+        super().__init__(gripper)
         self._recorder = recorder
-
-    def connect(self) -> None:
-        """Raises ConnectError."""
-        self._gripper.connect()
-
-    def close(self) -> None:
-        """Disconnect, leaving the jaws as they are."""
-        self._gripper.close()
 
     def grip(self, force_n: float) -> GripperState:
         """Raises GripError, LimitError."""
@@ -161,10 +104,6 @@ class RecordedGripper:
     def release(self) -> GripperState:
         """Open the jaws."""
         return self._recorded("release", self._gripper.release())
-
-    def state(self) -> GripperState:
-        """Raises DeviceLostError."""
-        return self._gripper.state()
 
     def _recorded(self, told: str, state: GripperState) -> GripperState:
         self._recorder.event(

@@ -28,6 +28,8 @@ BEGUN, CLOSED = "cable-recording", "cable-recording-closed"
 
 #: Entry of the first: file in memory that holds what a killed recorder has not written.
 RING = "ring"
+#: Entry of the first: what is added to times on the cell's clock, nanoseconds since 1970.
+EPOCH = "epoch_ns"
 
 #: File of a recording in its cycle's folder, and its name until it is complete.
 FILE, PART = "recording.mcap", "recording.mcap.part"

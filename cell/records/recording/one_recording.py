@@ -22,26 +22,23 @@ FLUSH_S = 0.02
 SYNC_S = 0.25
 
 
-class Recording:
+class RecordingUnderWay:
     """One recording, from its first message to its last.
 
     part  file until it is complete; None = `recording.mcap.part` beside `path`
     """
 
-    def __init__(
-        self, path: Path, epoch_ns: int, begun: Mapping[str, str], part: Path | None = None
-    ) -> None:
-        self.path = path
-        self.lost = self._all_lost = 0
-        self.cause = ""
-        self.refused = False
+    def __init__(self, path: Path, begun: Mapping[str, str], part: Path | None = None) -> None:
+        self._path = path
+        self._lost = self._all_lost = 0
+        self._cause = ""
         self._first_lost: int | None = None
         self._last_s = 0.0
         self._flushed_s = self._synced_s = time.monotonic()
-        self._part = self.path.with_name(form.PART) if part is None else part
+        self._part = self._path.with_name(form.PART) if part is None else part
         self._writer: RecordingWriter | None = None
         try:
-            self._writer = RecordingWriter(self._part, epoch_ns, begun)
+            self._writer = RecordingWriter(self._part, begun)
         except OSError as error:
             self._refuse(error)
 
@@ -57,7 +54,7 @@ class Recording:
                     index, t_s, height, width = rest
                     self._last_s = t_s
                     self._writer.frame(index, t_s, height, width, payload[: height * width])
-                    if self.lost:
+                    if self._lost:
                         self._mark_gap()
                 case "poses":
                     self._writer.poses(*rest)
@@ -68,7 +65,7 @@ class Recording:
                 case "event":
                     self._writer.event(*rest)
         except FullDiskError as error:
-            self.cause = self.cause or str(error)
+            self._cause = self._cause or str(error)
             self._lose(header)
         except (OSError, RuntimeError) as error:
             self._refuse(error)
@@ -91,14 +88,14 @@ class Recording:
 
     def end(self, keep: bool, complete: bool) -> dict[str, Any]:
         """Close the file, read it back and say what became of it."""
-        report = {"path": str(self.path), "kept": keep, "complete": complete}
+        report = {"path": str(self._path), "kept": keep, "complete": complete}
         if self._writer is None:
-            report |= {"error": self.cause, "lost_frames": self.lost}
+            report |= {"error": self._cause, "lost_frames": self._all_lost}
             if not keep:
                 self._part.unlink(missing_ok=True)
             return report
         try:
-            if self.lost:
+            if self._lost:
                 with suppress(FullDiskError):
                     self._mark_gap()
             counts = dict(self._writer.counts)
@@ -107,33 +104,33 @@ class Recording:
             if keep:
                 with self._part.open("rb"):  # open until it has its name: nobody recovers it
                     _verify_apart(self._part, counts)
-                    self._part.rename(self.path)
-                _sync_folder(self.path.parent)
-                report["bytes"] = self.path.stat().st_size
+                    self._part.rename(self._path)
+                _sync_folder(self._path.parent)
+                report["bytes"] = self._path.stat().st_size
             else:
                 self._part.unlink()
             report |= {"frames": counts.get(form.IMAGE, 0), "poses": counts.get(form.MEASURED, 0)}
         except (OSError, RuntimeError, TornRecordingError) as error:
-            self.cause = self.cause or str(error)
+            self._cause = self._cause or str(error)
             report["error"] = str(error)
-        return report | {"lost_frames": self._all_lost, "cause": self.cause}
+        return report | {"lost_frames": self._all_lost, "cause": self._cause}
 
     def _lose(self, header: tuple[Any, ...]) -> None:
         if header[0] == "frame":
             if self._first_lost is None:
                 self._first_lost = header[1]
-            self.lost += 1
+            self._lost += 1
             self._all_lost += 1
 
     def _mark_gap(self) -> None:
         assert self._writer is not None
-        gap = {"first": self._first_lost, "frames": self.lost, "cause": self.cause}
+        gap = {"first": self._first_lost, "frames": self._lost, "cause": self._cause}
         self._writer.event(form.GAP, self._last_s, gap)
-        self.lost, self._first_lost = 0, None
+        self._lost, self._first_lost = 0, None
 
     def _refuse(self, error: Exception) -> None:
         """Nothing more can be written; the file stays as it is."""
-        self.cause = self.cause or f"the recording cannot be written: {error}"
+        self._cause = self._cause or f"the recording cannot be written: {error}"
         if self._writer is not None:
             with suppress(OSError):
                 self._writer.abandon()

@@ -20,7 +20,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from cell.records.recording.one_recording import Recording
+from cell.records.recording.one_recording import RecordingUnderWay
 from cell.records.recording.ring import RingReader
 
 #: The computer is left to vision and identification whenever they want it.
@@ -29,14 +29,14 @@ NICE = 19
 _LOOK_S = 0.001
 
 
-class Recorder:
+class RingConsumer:
     """Reads the ring until the cell's process has ended."""
 
     def __init__(self, ring: RingReader, wake: int, status: int) -> None:
         self._ring = ring
         self._wake = wake
         self._status = status
-        self._recording: Recording | None = None
+        self._recording: RecordingUnderWay | None = None
         self._parent_ended = False
         self._ending: list[threading.Thread] = []
 
@@ -63,10 +63,10 @@ class Recorder:
 
     def _act(self, header: tuple[Any, ...], payload: bytes) -> None:
         match header:
-            case ("begin", path, epoch_ns, begun):
+            case ("begin", path, begun):
                 if self._recording is not None:
                     self._end(True, False)
-                self._recording = Recording(Path(path), epoch_ns, begun)
+                self._recording = RecordingUnderWay(Path(path), begun)
             case ("end", keep):
                 self._end(keep, True)
             case _ if self._recording is not None:
@@ -102,7 +102,7 @@ def main(ring: int, wake: int, status: int, file: str | None = None) -> None:
     with suppress(OSError):
         os.nice(NICE)
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
-    Recorder(RingReader(ring), wake, status).run()
+    RingConsumer(RingReader(ring), wake, status).run()
     if file is not None:
         Path(file).unlink(missing_ok=True)
 

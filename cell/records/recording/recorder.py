@@ -63,6 +63,7 @@ class Recorder:
         self._under_way = False
         self._waiting = 0
         self._lost_frames: list[int] = []
+        self._full = False
         self._stream: _PoseStream | None = None
         self._handler = _Handler(self)
         self.notes: list[str] = []
@@ -105,10 +106,10 @@ class Recorder:
         self._read_reports()
         now_s = self._clock.now_s()
         epoch_ns = time.time_ns() - round(now_s * 1e9)
-        self._lost_frames = []
+        self._lost_frames, self._full = [], False
         self._under_way = True
-        said = {"epoch_ns": str(epoch_ns), form.RING: str(self._file or ""), **begun}
-        self._put(("begin", str(path.absolute()), epoch_ns, said))
+        said = {form.EPOCH: str(epoch_ns), form.RING: str(self._file or ""), **begun}
+        self._put(("begin", str(path.absolute()), said))
         self._waiting += 1
         for logger in _LOGGERS:
             logging.getLogger(logger).addHandler(self._handler)
@@ -132,10 +133,10 @@ class Recorder:
         end_s = time.monotonic() + timeout_s
         self.resume()
         while self._waiting and self._process is not None and time.monotonic() < end_s:
-            if self._process.poll() is not None:
-                self._read_reports()
-                break
+            ended = self._process.poll() is not None
             self._read_reports()
+            if ended and self._waiting:
+                self._has_ended()
             time.sleep(0.002)
         return not self._waiting
 
@@ -220,14 +221,20 @@ class Recorder:
             return True
         with self._lock:
             done = self._ring.put(header, payload, spare)
+            if not done and header[0] != "frame" and not self._full:
+                self._full = True
+                self.note("the recorder was too slow: messages of this cycle are missing")
             with suppress(BlockingIOError):  # it has been woken often enough
                 try:
                     os.write(self._wake, b"\0")
                 except BrokenPipeError:
-                    self._under_way = False
-                    self._waiting = 0
-                    self.note("the recorder's process has ended: this cycle is recorded in part")
+                    self._has_ended()
         return done
+
+    def _has_ended(self) -> None:
+        self._under_way = False
+        self._waiting = 0
+        self.note("the recorder's process has ended: this cycle is recorded in part")
 
     # --- its reports ------------------------------------------------------------------------------
 

@@ -14,7 +14,6 @@ from typing import Any
 
 import foxglove
 from foxglove import Channel, Context
-from foxglove.mcap import MCAPCompression, MCAPWriteOptions
 from mcap import records
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
@@ -23,10 +22,10 @@ from zstandard import ZstdDecompressor, ZstdError
 
 from cell.files.input_error import InputError
 from cell.records.recording import form
-from cell.records.recording.one_recording import Recording
+from cell.records.recording.one_recording import RecordingUnderWay
 from cell.records.recording.reading import UNREADABLE, TornRecordingError, verify
 from cell.records.recording.ring import RingReader, open_somewhere
-from cell.records.recording.writer import CHUNK_BYTES, LEVEL, Sink
+from cell.records.recording.writer import Sink, open_mcap
 
 _MAGIC = b"\x89MCAP0\r\n"
 _HEAD_BYTES = 9  # opcode, length
@@ -169,14 +168,14 @@ def _rest_in_memory(source: Path) -> Path | None:
     descriptor = os.open(ring, os.O_RDWR)
     try:
         reader = RingReader(descriptor)
-        recording: Recording | None = Recording(rest, int(begun["epoch_ns"]), begun, part=rest)
-        ended: list[Recording] = []
+        recording: RecordingUnderWay | None = RecordingUnderWay(rest, begun, part=rest)
+        ended: list[RecordingUnderWay] = []
         while (taken := reader.take()) is not None:
             header, payload = taken
             match header:
-                case ("begin", path, epoch_ns, said):
+                case ("begin", path, said):
                     ended += [recording] if recording else []
-                    recording = Recording(Path(path), epoch_ns, said)
+                    recording = RecordingUnderWay(Path(path), said)
                 case ("end", *_):
                     ended += [recording] if recording else []
                     recording = None
@@ -214,16 +213,7 @@ class _Copy:
         self._schemas: dict[int, records.Schema] = {}
         self._channels: dict[str, Channel] = {}
         self._topics: dict[int, str] = {}
-        self._writer = foxglove.open_mcap(
-            self.sink,  # type: ignore[arg-type]
-            context=self._context,
-            writer_options=MCAPWriteOptions(
-                compression=MCAPCompression.Zstd,
-                compression_level=LEVEL,
-                compression_threads=0,
-                chunk_size=CHUNK_BYTES,
-            ),
-        )
+        self._writer = open_mcap(self.sink, self._context)
 
     def take_all(self, source: Path) -> int:
         """Take every record that is whole; how far the file could be read, bytes."""

@@ -1,7 +1,8 @@
 """A ring of bytes that one process writes and another reads, without ever waiting for each other.
 
-Memory: three numbers of 8 bytes (written, read, pause until), then the ring.  `written` and `read`
-count bytes since the ring was empty at its beginning.  A record is
+Memory: three numbers of 8 bytes (written, read, pause until), then the ring, whose length is a
+multiple of 8.  `written` and `read` count bytes since the ring was empty at its beginning.  A
+record is
 
   4 bytes   its length with this head, a multiple of 8; 0xFFFFFFFF = go to the beginning
   4 bytes   length of the header
@@ -48,7 +49,7 @@ def shared_memory(size_bytes: int) -> tuple[int, Path | None]:
     else:
         with tempfile.TemporaryFile() as file:
             descriptor = os.dup(file.fileno())
-    os.ftruncate(descriptor, _HEAD_BYTES + size_bytes)
+    os.ftruncate(descriptor, _HEAD_BYTES + -(-size_bytes // _RECORD.size) * _RECORD.size)
     return descriptor, path
 
 
@@ -150,12 +151,8 @@ class RingReader:
         if written <= read:
             return None
         at = read % len(ring)
-        length, head_length = (
-            _RECORD.unpack(ring[at : at + _RECORD.size].tobytes())
-            if at + 8 <= len(ring)
-            else (0, 0)
-        )
-        if length in (0, _TO_BEGINNING):
+        length, head_length = _RECORD.unpack(ring[at : at + _RECORD.size].tobytes())
+        if length == _TO_BEGINNING:
             read += len(ring) - at
             at = 0
             length, head_length = _RECORD.unpack(ring[at : at + _RECORD.size].tobytes())

@@ -7,7 +7,6 @@ process costs what came since.
 from __future__ import annotations
 
 import json
-import math
 import os
 import threading
 from collections import Counter
@@ -24,9 +23,10 @@ from foxglove.channels import (
     PoseInFrameChannel,
     RawImageChannel,
 )
-from foxglove.mcap import MCAPCompression, MCAPWriteOptions
+from foxglove.mcap import MCAPCompression, MCAPWriteOptions, MCAPWriter
 from numpy.typing import NDArray
 
+from cell.files.plain import plain
 from cell.records.recording import form
 
 FloatArray = NDArray[np.float64]
@@ -88,30 +88,36 @@ class Sink:
         self._file = -1
 
 
+def open_mcap(sink: Sink, context: Context) -> MCAPWriter:
+    """Begin an MCAP file for the channels of a context."""
+    return foxglove.open_mcap(
+        sink,  # type: ignore[arg-type]
+        context=context,
+        writer_options=MCAPWriteOptions(
+            compression=MCAPCompression.Zstd,
+            compression_level=LEVEL,
+            compression_threads=0,
+            chunk_size=CHUNK_BYTES,
+        ),
+    )
+
+
 class RecordingWriter:
     """One recording's file.
 
-    epoch_ns  what is added to times on the cell's clock: nanoseconds since 1970
-    raises    OSError, from every method that writes
+    begun   what is said at the beginning; `epoch_ns` of it is added to times on the cell's clock:
+            nanoseconds since 1970
+    raises  OSError, from every method that writes
     """
 
-    def __init__(self, path: Path, epoch_ns: int, begun: Mapping[str, str]) -> None:
+    def __init__(self, path: Path, begun: Mapping[str, str]) -> None:
         self.path = path
         self.counts: Counter[str] = Counter()
-        self._epoch_ns = epoch_ns
+        self._epoch_ns = int(begun[form.EPOCH])
         self._context = Context()
         self._sink = Sink(path)
-        self._syncing = threading.Thread(target=lambda: None)
-        self._writer = foxglove.open_mcap(
-            self._sink,  # type: ignore[arg-type]
-            context=self._context,
-            writer_options=MCAPWriteOptions(
-                compression=MCAPCompression.Zstd,
-                compression_level=LEVEL,
-                compression_threads=0,
-                chunk_size=CHUNK_BYTES,
-            ),
-        )
+        self._syncing: threading.Thread | None = None
+        self._writer = open_mcap(self._sink, self._context)
         self._json = {
             topic: Channel(
                 topic,
@@ -188,10 +194,7 @@ class RecordingWriter:
     def event(self, topic: str, t_s: float, data: Mapping[str, Any]) -> None:
         """A JSON message; numbers are written so that they are read back unchanged."""
         self._check_room(LEAST_FREE_BYTES * _SHARE_OF_MESSAGES)
-        try:
-            text = json.dumps(data, ensure_ascii=False, default=_plain, allow_nan=False)
-        except ValueError:  # JSON has no infinity, and no nan
-            text = json.dumps(_finite(data), ensure_ascii=False)
+        text = json.dumps(plain(data), ensure_ascii=False, allow_nan=False)
         self._json[topic].log(text.encode(), log_time=self._ns(t_s))
         self._told(topic)
 
@@ -202,7 +205,7 @@ class RecordingWriter:
 
     def sync(self) -> None:
         """Have the system bring the file to the disk, beside what is written next."""
-        if not self._syncing.is_alive():
+        if self._syncing is None or not self._syncing.is_alive():
             self._syncing = threading.Thread(target=self._sink.sync, daemon=True)
             self._syncing.start()
 
@@ -212,14 +215,20 @@ class RecordingWriter:
             self._writer.write_metadata(form.CLOSED, dict(closed))
             self._writer.close()
             self._check()
-            self._syncing.join() if self._syncing.ident else None
+            self._join()
             self._sink.sync()
         finally:
-            self._sink.close()
+            self.abandon()
 
     def abandon(self) -> None:
         """Close the file as it is, without an index: `cell recover` makes it readable."""
+        self._join()
         self._sink.close()
+
+    def _join(self) -> None:
+        """The file must stay open until the system has brought it to the disk."""
+        if self._syncing is not None:
+            self._syncing.join()
 
     def _told(self, topic: str) -> None:
         self.counts[topic] += 1
@@ -242,23 +251,3 @@ class RecordingWriter:
     def _stamp(self, t_s: float) -> messages.Timestamp:
         seconds, nanoseconds = divmod(self._ns(t_s), 10**9)
         return messages.Timestamp(sec=seconds, nsec=nanoseconds)
-
-
-def _plain(value: Any) -> Any:
-    """Arrays as lists, for json."""
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    if isinstance(value, np.generic):
-        return value.item()
-    raise TypeError(f"{type(value).__name__} cannot be recorded as JSON")
-
-
-def _finite(value: Any) -> Any:
-    """The same as plain data, with None for what is not finite."""
-    if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    if isinstance(value, np.ndarray | np.generic):
-        return _finite(value.tolist())
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -10,8 +10,10 @@ import pytest
 import yaml
 
 from cell.files.input_error import InputError
+from cell.records.result import Outcome
 from cell.settings import Settings, load_settings
 from cell.settings.devices import SimulatedCamera
+from cell.settings.model import ENDINGS
 from cell.settings.translate import vision_of
 from cell.simulated.twins import camera_twin
 from cell.vision.detect import VisionOptions
@@ -238,3 +240,8 @@ def test_only_what_has_an_emulator_is_emulated(tmp_path: Path) -> None:
     text = complaint(tmp_path, FAKE + "\nemulated: {}\n")
     for section in ("arm", "camera", "gripper"):
         assert f"{section}.kind: 'sim' has no emulator" in text
+
+
+def test_every_outcome_may_be_kept() -> None:
+    """The settings name the outcomes of a cycle; they know nothing of records."""
+    assert set(ENDINGS) == {outcome.value for outcome in Outcome}

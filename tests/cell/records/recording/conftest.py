@@ -36,7 +36,7 @@ def fill(writer: RecordingWriter) -> None:
 def make_recording(tmp_path: Path) -> Callable[..., Path]:
     def make(name: str = form.FILE, closed: bool = True) -> Path:
         path = tmp_path / name
-        writer = RecordingWriter(path, EPOCH_NS, {"cycle": "7"})
+        writer = RecordingWriter(path, {form.EPOCH: str(EPOCH_NS), "cycle": "7"})
         fill(writer)
         if closed:
             writer.close({"complete": "true"})

@@ -37,7 +37,7 @@ def test_events_and_counts(make_recording):
 
 
 def test_numbers_of_events_are_exact_and_never_nan(tmp_path):
-    writer = RecordingWriter(tmp_path / form.FILE, EPOCH_NS, {})
+    writer = RecordingWriter(tmp_path / form.FILE, {form.EPOCH: str(EPOCH_NS)})
     poses = {"t_s": T_S, "x_m": np.sqrt(T_S), "y_m": -T_S / 7.0, "angle_rad": T_S * 1e-300}
     writer.event(form.ANSWER, 0.0, {"start_s": 0.1, "end_s": float("inf"), **poses})
     writer.close({})

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from cell.records.recording import form, writer
-from cell.records.recording.one_recording import Recording
+from cell.records.recording.one_recording import RecordingUnderWay
 from cell.records.recording.reading import read_recording
 from cell.records.recording.recorder import Recorder
 from cell.records.recording.recover import recover_in_place
@@ -117,14 +117,18 @@ def test_frames_that_find_no_room_are_a_gap_and_are_told(recorder, tmp_path):
     assert "too slow" in recorder.notes[0]
 
 
+def kill(recorder):
+    """Kill its process, and wait until it is dead: on a busy computer it comes late to that."""
+    os.kill(recorder.process_id, signal.SIGKILL)
+    os.waitid(os.P_PID, recorder.process_id, os.WEXITED | os.WNOWAIT)
+
+
 def test_a_killed_recorder_is_told_of_and_costs_nothing_else(recorder, tmp_path):
     recorder.begin(tmp_path / form.FILE, {})
     for frame in frames(5):
         recorder.frame(frame)
     written(recorder)
-    time.sleep(0.1)
-    os.kill(recorder.process_id, signal.SIGKILL)
-    time.sleep(0.1)
+    kill(recorder)
     for frame in frames(5):
         recorder.frame(frame)
     recorder.end()
@@ -136,7 +140,7 @@ def test_a_killed_recorder_is_told_of_and_costs_nothing_else(recorder, tmp_path)
     recorder.close()
     assert read_recording(tmp_path / "next").complete
     recovered = recover_in_place(tmp_path / form.PART)
-    assert recovered.messages[form.IMAGE] == 5
+    assert recovered.messages[form.IMAGE] == 6  # one was in memory when it was found dead
     assert not in_memory()
 
 
@@ -155,12 +159,27 @@ def test_what_was_only_in_memory_is_recovered(recorder, tmp_path):
     for frame in frames(4):
         recorder.frame(frame)
     recorder.event(form.STATE, {"state": "execute", "step": "lower"})
-    os.kill(recorder.process_id, signal.SIGKILL)
+    kill(recorder)
     recorder.forget()
     recovered = recover_in_place(tmp_path / form.PART)
     assert recovered.messages[form.IMAGE] == 7
     assert read_recording(tmp_path).last(form.STATE)["step"] == "lower"
     assert sorted(p.name for p in tmp_path.iterdir()) == [form.FILE]
+    assert not in_memory()
+
+
+def test_a_recorder_that_dies_at_the_end_is_told_of(recorder, tmp_path):
+    """Nothing is handed over any more when it dies; nobody waits for it in vain."""
+    recorder.begin(tmp_path / form.FILE, {})
+    recorder.frame(frames(1)[0])
+    written(recorder)
+    recorder.pause()
+    recorder.end()
+    kill(recorder)
+    assert recorder.wait(1.0)
+    assert "has ended" in recorder.notes[0]
+    recorder.close()
+    recover_in_place(tmp_path / form.PART)
     assert not in_memory()
 
 
@@ -174,7 +193,7 @@ def test_a_folder_that_is_gone_is_told_of(recorder, tmp_path):
 
 
 def test_a_full_disk_costs_frames_and_says_so(tmp_path, monkeypatch):
-    recording = Recording(tmp_path / form.FILE, 0, {})
+    recording = RecordingUnderWay(tmp_path / form.FILE, {form.EPOCH: "0"})
     recording.write(("frame", 0, 1.0, 48, 64), picture(0).tobytes())
     real, free = os.statvfs, 48 * 2**20
 
@@ -198,7 +217,7 @@ def test_a_full_disk_costs_frames_and_says_so(tmp_path, monkeypatch):
 
 def test_a_disk_that_refuses_leaves_a_torn_file(tmp_path, monkeypatch):
     """As when another program takes the last byte between the look and the writing."""
-    recording = Recording(tmp_path / form.FILE, 0, {})
+    recording = RecordingUnderWay(tmp_path / form.FILE, {form.EPOCH: "0"})
     for index in range(3):
         recording.write(("frame", index, 1.0 + index, 48, 64), picture(index).tobytes())
     recording.keep_up(now=True)

@@ -41,7 +41,7 @@ class Content(bytes):
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory) -> Content:
     path = tmp_path_factory.mktemp("whole") / form.FILE
-    writer = RecordingWriter(path, EPOCH_NS, {})
+    writer = RecordingWriter(path, {form.EPOCH: str(EPOCH_NS)})
     fill(writer)
     writer.close({"complete": "true"})
     return Content(path.read_bytes())
