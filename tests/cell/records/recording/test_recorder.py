@@ -171,7 +171,7 @@ def test_what_was_only_in_memory_is_recovered(recorder, tmp_path):
 def test_a_recorder_that_dies_at_the_end_is_told_of(recorder, tmp_path):
     """Nothing is handed over any more when it dies; nobody waits for it in vain."""
     recorder.begin(tmp_path / form.FILE, {})
-    recorder.frame(frames(1)[0])
+    recorder.frame(next(frames(1)))
     written(recorder)
     recorder.pause()
     recorder.end()
