@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -15,18 +16,21 @@ from cell.computer.second_process import SecondProcess
 from cell.plan.choose import ChoiceOptions
 from cell.plan.destination import Destination
 from cell.plan.paths import MotionLimits
+from cell.records.ledger import outbox
+from cell.records.ledger.outbox import LedgerWriter, writes_to
 from cell.records.recording.devices import recorded_devices
 from cell.records.recording.recorder import Recorder
 from cell.records.recording.retention import Retention, Room
 from cell.records.result import Outcome
 from cell.run.clocks import KnownDelays
 from cell.run.cycle import Cell
+from cell.run.listed import LedgerSetup
 from cell.run.recorded import Keeping, RecordingSetup
 from cell.run.station import Task
 from cell.settings import InputError, Settings
 from cell.settings import devices as given
 from cell.settings.calibrated import Calibrated, as_gripped, typed
-from cell.settings.referred import files_of
+from cell.settings.referred import calibration_hash, files_of, line_of
 from cell.settings.translate import (
     arm_limits_of,
     cable_of,
@@ -75,7 +79,7 @@ def build_cell(
 ) -> Cell:
     """A cell with its devices, none of them connected yet.
 
-    recorded  record as the settings say; False = not at all
+    recorded  record cycles and list them in a ledger, as the settings say; False = not at all
     seed    of the simulated cables and of their devices' noise
     cycles  so many simulated cables are laid out
     known   what is known of camera and clocks; None = as typed
@@ -85,10 +89,11 @@ def build_cell(
     else:
         take_precedence()
         devices = real_devices(settings, known)
-    recording = None
+    recording = ledger = None
     if recorded:
         devices, recording = with_recorder(settings, devices, runs)
-    return cell_with(settings, devices, runs, on_step, known, recording=recording)
+        ledger = listed(settings, runs)
+    return cell_with(settings, devices, runs, on_step, known, recording=recording, ledger=ledger)
 
 
 def guarded_devices(settings: Settings, devices: Devices) -> Devices:
@@ -109,10 +114,12 @@ def cell_with(
     known: Calibrated | None = None,
     *,
     recording: RecordingSetup | None = None,
+    ledger: LedgerSetup | None = None,
 ) -> Cell:
     """A cell around given devices, which it surrounds with their limits.
 
     recording  how its cycles are recorded; None = they are not
+    ledger     which ledger lists them; None = none does
     """
     use_one_arena()
     guarded = guarded_devices(settings, devices)
@@ -126,7 +133,18 @@ def cell_with(
         computer=SecondProcess() if _in_real_time(settings) else None,
         watched=watched,
         recording=recording,
+        ledger=ledger,
     )
+
+
+def listed(settings: Settings, runs: Path) -> LedgerSetup | None:
+    """The ledger that the settings name, and what it is told of this cell; None = there is none."""
+    wanted = settings.ledger
+    if wanted is None:
+        return None
+    writer = LedgerWriter(writes_to(wanted.url or runs), runs / outbox.FOLDER)
+    writer.start()
+    return LedgerSetup(writer, line_of(settings), calibration_hash(settings), version("cable-cell"))
 
 
 def _in_real_time(settings: Settings) -> bool:

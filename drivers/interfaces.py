@@ -121,7 +121,11 @@ class DeviceError(Exception):
     """A device did not do what it was asked: which one, why, and what a person can do about it.
 
     Scenario: any of the below; catch this one to stop the cell whatever the device.
+
+    code  the kind of error in a word, for statistics
     """
+
+    code = "device"
 
     def __init__(self, device: str, cause: str, remedy: str = "") -> None:
         super().__init__(f"{device}: {cause}" + (f"; {remedy}" if remedy else ""))
@@ -133,17 +137,25 @@ class DeviceError(Exception):
 class ConnectError(DeviceError):
     """The device cannot be reached.  Scenario: cable unplugged, wrong address, power off."""
 
+    code = "connect"
+
 
 class DeviceLostError(DeviceError):
     """A connected device fell silent.  Scenario: network drop in the middle of a motion."""
+
+    code = "lost"
 
 
 class DeviceTimeoutError(DeviceError):
     """The device answers but did not finish in time.  Scenario: a jaw blocked half way."""
 
+    code = "timeout"
+
 
 class LimitError(DeviceError):
     """A command is outside the limits; nothing was sent.  Scenario: offset beyond the cell."""
+
+    code = "limit"
 
 
 def too_late(device: str, late_s: float) -> LimitError:
@@ -158,13 +170,19 @@ def too_late(device: str, late_s: float) -> LimitError:
 class StoppedError(DeviceError):
     """The device is stopped and must be reset by a person.  Scenario: protective stop."""
 
+    code = "stopped"
+
 
 class GripError(DeviceError):
     """Nothing, or no longer anything, between the jaws.  Scenario: the cable was missed."""
 
+    code = "grip"
+
 
 class CameraError(DeviceError):
     """Frames are missing, late or unusable.  Scenario: a frozen or overloaded camera."""
+
+    code = "frames"
 
 
 # --- devices ----------------------------------------------------------------------------------

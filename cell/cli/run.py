@@ -8,12 +8,15 @@ import os
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cell.cli.options import taking
+from cell.cli.part_ids import SCANNED, part_ids
 from cell.cli.shared import (
     ALL_DONE,
     BAD_INPUT,
@@ -56,28 +59,43 @@ RunSeed = Annotated[
     ),
 ]
 Records = Annotated[Path, typer.Option(help="Folder of the records: one folder in it per cycle.")]
+PartId = Annotated[
+    str | None,
+    typer.Option(
+        "--part-id",
+        help="Id of the cable; of further ones its number counts on: A-09, A-10.  With - an id is "
+        "read from standard input before each, as a scanner types it.",
+    ),
+]
 MotionFile = Annotated[
     Path | None,
     typer.Option(help="Only measure, with this motion file (see `cell suggest`); insert nothing."),
 ]
 
 
-@app.command()
-def run(
-    config: Config,
-    cycles: Annotated[int, typer.Option(min=1, help="Number of cables.")] = 1,
-    seed: RunSeed = 1,
+@dataclass(frozen=True)
+class RunOptions:
+    """What `cell run` is told."""
+
+    config: Config
+    cycles: Annotated[int, typer.Option(min=1, help="Number of cables.")] = 1
+    seed: RunSeed = 1
     as_json: Annotated[
         bool, typer.Option("--json", help="Print one JSON object per cycle instead of tables.")
-    ] = False,
-    out: Records = Path("runs"),
-    motion: MotionFile = None,
-    dry_run: DryRun = False,
+    ] = False
+    out: Records = Path("runs")
+    motion: MotionFile = None
+    part_id: PartId = None
+    dry_run: DryRun = False
     speed: Annotated[
         float,
         typer.Option(min=0.01, max=1.0, help="Share of full speed; only with --dry-run."),
-    ] = 1.0,
-) -> None:
+    ] = 1.0
+
+
+@app.command()
+@taking(RunOptions)
+def run(options: RunOptions) -> None:
     """Insert cables one after another, or measure them for the model lab, or make a dry run.
 
     Exit codes: 0 if all cables were inserted or measured, or if the dry run found no error; 1 if a
@@ -98,16 +116,24 @@ def run(
     from cell.terminal.console import RunProgress, troubles
     from cell.terminal.logs import to_file
 
-    if speed != 1.0 and not dry_run:
-        refuse(ValueError(f"--speed {speed:g}: {_NEVER_SLOW}"))
+    if options.speed != 1.0 and not options.dry_run:
+        refuse(ValueError(f"--speed {options.speed:g}: {_NEVER_SLOW}"))
+    try:
+        part_ids(options.part_id)
+    except ValueError as error:
+        refuse(ValueError(f"--part-id {error}"))
     results: list[Result] = []
     try:
-        settings = load_settings(config)
-        known = calibrated(settings, config)
-        plan = INSERTING if motion is None else measuring(load_motion(motion, settings))
-        to_file(out.with_name(f"{out.name}.log"))
+        settings = load_settings(options.config)
+        known = calibrated(settings, options.config)
+        plan = (
+            INSERTING
+            if options.motion is None
+            else measuring(load_motion(options.motion, settings))
+        )
+        to_file(options.out.with_name(f"{options.out.name}.log"))
         with (
-            emulators_asked_for(settings, config, seed),
+            emulators_asked_for(settings, options.config, options.seed),
             interrupted_once() as not_lost,
             ExitStack() as shown,
         ):
@@ -116,15 +142,17 @@ def run(
                 not_lost()
                 progress.step(number, step)
 
-            made = partial(build_cell, seed=seed, on_step=on_step, known=known, recorded=True)
-            cell = made(settings, out, cycles=0 if dry_run else cycles)
+            made = partial(
+                build_cell, seed=options.seed, on_step=on_step, known=known, recorded=True
+            )
+            cell = made(settings, options.out, cycles=0 if options.dry_run else options.cycles)
             try:
-                if dry_run:
-                    plan = cell.rehearsal(plan, speed)
-                progress = shown.enter_context(RunProgress(cycles, plan.names))
-                for result in _results(cell, plan, cycles, progress, (config, settings)):
+                if options.dry_run:
+                    plan = cell.rehearsal(plan, options.speed)
+                progress = shown.enter_context(RunProgress(options.cycles, plan.names))
+                for result in _results(cell, plan, progress, options, settings):
                     results.append(result)
-                    if as_json:
+                    if options.as_json:
                         emit(json.dumps(result.to_json(), ensure_ascii=False))
             finally:
                 cell.close()
@@ -133,21 +161,22 @@ def run(
     except RecordError as error:  # it cannot even be begun: nothing of this cycle has moved
         print(f"{error}; choose another folder with --out, or make room there", file=sys.stderr)
         raise typer.Exit(NOT_ALL_DONE if results else BAD_INPUT) from error
-    if not as_json:
-        _show(results, plan.names, dry_run, known.notes)
-    changes = _changes(out, results, config, settings)
+    if not options.as_json:
+        _show(results, plan.names, options.dry_run, known.notes)
+    changes = _changes(options.out, results, options.config, settings)
     for line in (*troubles(results), *cell.notes(), *changes):
         print(line, file=sys.stderr)
     reached = [r for r in results if r.outcome is plan.aim]
-    raise typer.Exit(ALL_DONE if len(reached) == cycles else NOT_ALL_DONE)
+    raise typer.Exit(ALL_DONE if len(reached) == options.cycles else NOT_ALL_DONE)
 
 
 def _results(
-    cell: Cell, plan: Plan, cycles: int, progress: RunProgress, begun: tuple[Path, Settings]
+    cell: Cell, plan: Plan, progress: RunProgress, options: RunOptions, begun: Settings
 ) -> Iterator[Result]:
     """Results of one cycle after another, up to the first that fails; keys hold and go on.
 
-    begun  the settings' file, and what it said when the run began: told once if it has changed
+    While ids are typed, no key holds the cell.
+    begun  what the settings' file said when the run began: told once if it has changed
     """
     from cell.records.result import Outcome
     from cell.terminal.console import KEYS, MAY_HOLD
@@ -159,13 +188,18 @@ def _results(
             cell.command(event, f"key {key}")
             progress.hint(hint)
 
-    said = ""
-    with Keyboard(on_key) as keyboard:
-        if keyboard.listens:
+    said, parts = "", part_ids(options.part_id)
+    with ExitStack() as listening:
+        if options.part_id != SCANNED and listening.enter_context(Keyboard(on_key)).listens:
             progress.hint(MAY_HOLD)
-        for number in range(1, cycles + 1):
-            result = cell.run_cycle(number, plan)
-            if not said and (said := _another_model(*begun)):
+        for number in range(1, options.cycles + 1):
+            try:
+                part = next(parts)
+            except StopIteration:
+                progress.say("no more ids are typed: the run ends")
+                return
+            result = cell.run_cycle(number, plan, part)
+            if not said and (said := _another_model(options.config, begun)):
                 progress.say(said)
             yield result
             if result.outcome is Outcome.FAILED:
@@ -195,16 +229,23 @@ def _show(
 
 
 def _changes(out: Path, results: list[Result], config: Path, settings: Settings) -> list[str]:
-    """What has changed in the cycles under `out`, and what to do; also for a cable that was
-    rejected because the model misses it, and for a promoted model that does worse.
+    """What has changed in the line's cycles, and what to do; also for a cable that was rejected
+    because the model misses it, and for a promoted model that does worse.
     """
     from cell.records.changed_model import worsenings
     from cell.records.chart import signals
-    from cell.records.history import line_history
+    from cell.records.ledger.error import LedgerError
+    from cell.records.ledger.ledger import Ledger
+    from cell.settings.referred import line_of
 
-    if not results or results[-1].model is None:
+    if not results or results[-1].model is None or settings.ledger is None:
         return []
-    history = line_history(out)
+    try:
+        ledger = Ledger(settings.ledger.url or out)
+        history = ledger.results(line_of(settings))
+        ledger.close()
+    except LedgerError as error:
+        return [f"whether anything has changed cannot be said: {error}"]
     of_model = [r for r in history if r.model == results[-1].model]
     found = signals(of_model)
     lines = [str(s) for s in found]

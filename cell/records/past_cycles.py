@@ -53,8 +53,7 @@ def history(runs: Path) -> tuple[PastCycle, ...]:
     if not runs.is_dir():
         message = "is no folder of cycles; give the one that `cell run --out` wrote to"
         raise InputError([Problem(runs, 1, None, "", message)])
-    named = [(m, f) for f in runs.iterdir() if (m := _NAME.fullmatch(f.name)) and f.is_dir()]
-    past = [_past(folder, match) for match, folder in named]
+    past = [_past(f, *named) for f in runs.iterdir() if (named := cycle_of(f)) is not None]
     return tuple(sorted(past, key=lambda p: (p.started, p.cycle)))
 
 
@@ -66,8 +65,17 @@ def newest(runs: Path) -> Path:
     return past[-1].folder
 
 
-def _past(folder: Path, name: re.Match[str]) -> PastCycle:
-    started, cycle = datetime.strptime(name[1], "%Y%m%dT%H%M%S.%f"), int(name[2])
+def cycle_of(folder: Path) -> tuple[datetime, int] | None:
+    """When the cycle of a folder began, local time, and its number, as its name says; None = it is
+    no cycle's.
+    """
+    name = _NAME.fullmatch(folder.name)
+    if name is None or not folder.is_dir():
+        return None
+    return datetime.strptime(name[1], "%Y%m%dT%H%M%S.%f"), int(name[2])
+
+
+def _past(folder: Path, started: datetime, cycle: int) -> PastCycle:
     try:
         state, result = _read(folder / "state.json"), _read(folder / "result.json")
         assert state is None or state["format"] == FORMAT

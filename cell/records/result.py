@@ -32,6 +32,7 @@ class Fault:
     """A fault: in which step, of which device if any, why, and what a person can do.
 
     cable  where it is now, as the gripper says after the arm has stopped
+    code   the reason in a word or two, the same for all causes of a kind: `arm.limit`, `stop`
     """
 
     step: str
@@ -39,6 +40,7 @@ class Fault:
     device: str | None = None
     remedy: str = ""
     cable: str = ""
+    code: str = ""
 
 
 @dataclass(frozen=True)
@@ -88,6 +90,7 @@ class Result:
     model_misses        whether it was rejected because the model misses its tip while it swings
     speed               of a dry run, as a share of the full one
     checks              what a dry run found out
+    part                id of the cable; None = it has none
     """
 
     cycle: int
@@ -113,6 +116,7 @@ class Result:
     fault: Fault | None = None
     speed: float | None = None
     checks: tuple[Check, ...] = ()
+    part: str | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Plain data for json.dumps; what is not finite becomes None."""

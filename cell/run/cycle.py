@@ -18,6 +18,7 @@ from cell.records.folder import Record, RecordError
 from cell.records.result import Fault, Outcome, Result
 from cell.run import steps
 from cell.run.commands import INTERRUPTING, RESUMING, Commands, InterruptedByCommandError
+from cell.run.listed import CycleListing, LedgerSetup
 from cell.run.machine import CellState, Event, EventRefusedError, Machine
 from cell.run.movements import slowed
 from cell.run.plans import AGAIN_WHEN_LOST, INSERTING, Plan, Repeat, Step, rehearsing
@@ -53,6 +54,7 @@ class Cell:
     computer  computes while frames are looked at; None = a thread
     watched   look at the devices all the time; only those that run in real time can be
     recording how cycles are recorded, frame by frame; None = they are not
+    ledger    which ledger lists the cycles; None = none does
     on_step   told of every step as it begins: number of the cycle, name of the step
     """
 
@@ -67,6 +69,7 @@ class Cell:
         computer: Executor | None = None,
         watched: bool = False,
         recording: RecordingSetup | None = None,
+        ledger: LedgerSetup | None = None,
     ) -> None:
         self.commands = Commands()
         self.machine = Machine(devices.clock.now_s)
@@ -77,6 +80,7 @@ class Cell:
         self._on_step = on_step
         self._watched = watched
         self._recording = recording
+        self._ledger = ledger
         self._done_once: set[str] = set()
 
     def now_s(self) -> float:
@@ -84,8 +88,9 @@ class Cell:
         return self._station.devices.clock.now_s()
 
     def notes(self) -> Sequence[str]:
-        """What a person should know of the recordings."""
-        return () if self._recording is None else tuple(self._recording.recorder.notes)
+        """What a person should know of the recordings and of the ledger."""
+        recorded = [] if self._recording is None else self._recording.recorder.notes
+        return (*recorded, *([] if self._ledger is None else self._ledger.ledger.notes))
 
     def command(self, event: Event, reason: str = "") -> None:
         """Stop, abort, hold, unhold, suspend or unsuspend, from any thread, at any time.
@@ -115,6 +120,8 @@ class Cell:
         self._station.computer.shutdown(wait=False, cancel_futures=True)
         if self._recording is not None:
             self._recording.recorder.close()
+        if self._ledger is not None:
+            self._ledger.ledger.close()
         self._done_once.clear()
 
     def rehearsal(self, plan: Plan, speed: float) -> Plan:
@@ -124,9 +131,10 @@ class Cell:
         """
         return rehearsing(plan, self._station.task, self._station.devices.arm.rate_hz, speed)
 
-    def run_cycle(self, number: int, plan: Plan = INSERTING) -> Result:
+    def run_cycle(self, number: int, plan: Plan = INSERTING, part: str | None = None) -> Result:
         """One cable from grasp to release; whatever happens, a result, a record and a still arm.
 
+        part    id of the cable; None = it has none
         raises  EventRefusedError: the cell was stopped by a fault that nobody acknowledged
         """
         if not self.machine.can(Event.RESET):
@@ -138,6 +146,8 @@ class Cell:
         recording = CycleRecording(self._recording)
         meant = {"aim": plan.aim.value, "steps": plan.names, "speed": plan.speed}
         recording.begin(record.folder, number, started, meant)
+        listing = CycleListing(self._ledger)
+        listing.begin(record.folder, number, started, plan.aim.value, part)
         progress = Progress(number, record, recording, station, plan.given, plan.resetting[0].name)
         try:
             try:
@@ -165,12 +175,14 @@ class Cell:
             for state in CellState
             if after[state] > before[state]
         }
-        result = progress.result(spent_s)
+        result = replace(progress.result(spent_s), part=part)
         try:
             record.close(result)
         except RecordError as error:
             result = self._unrecorded(progress, result, error)
         recording.end(result)
+        identified = progress.findings.identified
+        listing.end(result, None if identified is None else identified.to_dict())
         _LOG.info("cycle %d: %s in %s", number, result.outcome.value, record.folder)
         del progress  # and its pictures
         release_free_memory()
@@ -292,11 +304,15 @@ class Cell:
 def _fault(step: str, error: BaseException) -> tuple[Fault, Event]:
     match error:
         case InterruptedByCommandError():
-            return Fault(step, error.reason or error.event.value), error.event
+            event = error.event.value
+            return Fault(step, error.reason or event, code=event), error.event
         case KeyboardInterrupt():
-            return Fault(step, str(error) or "interrupted by a person"), Event.STOP
+            cause = str(error) or "interrupted by a person"
+            return Fault(step, cause, code=Event.STOP.value), Event.STOP
         case DeviceError():
-            return Fault(step, error.cause, error.device, error.remedy), Event.ABORT
+            code = f"{error.device.replace(' ', '_')}.{error.code}"
+            return Fault(step, error.cause, error.device, error.remedy, code=code), Event.ABORT
         case RecordError():
-            return Fault(step, str(error), remedy="make room there, or mend the disk"), Event.ABORT
-    return Fault(step, f"{type(error).__name__}: {error}"), Event.ABORT
+            remedy = "make room there, or mend the disk"
+            return Fault(step, str(error), remedy=remedy, code="record"), Event.ABORT
+    return Fault(step, f"{type(error).__name__}: {error}", code="program"), Event.ABORT

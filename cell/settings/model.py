@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Discriminator, Field, Tag
 
@@ -17,6 +17,7 @@ from cell.settings.devices import (
     SimulatedGripper,
     UrArm,
 )
+from cell.settings.records import Ledger, Recording
 from cell.settings.section import (
     Angle,
     Distance,
@@ -152,30 +153,6 @@ class Choice(Section):
 
     min_probability: Fraction = 0.9
     """Least probability that the tip passes the destination; below it the cable is rejected."""
-
-
-Ending = Literal["inserted", "missed", "rejected", "failed", "measured", "rehearsed", "unfit"]
-ENDINGS: tuple[Ending, ...] = get_args(Ending)
-
-
-class Recording(Section):
-    """What is recorded of every cycle, frame by frame, and how long it is kept.
-
-    A file named `keep` in a cycle's folder keeps its recording, whatever the limits."""
-
-    keep: tuple[Ending, ...] = ENDINGS
-    """Recordings of cycles that ended so are kept; the others are removed at once."""
-    keep_every: Annotated[int, Field(ge=0, le=1_000_000)] = 0
-    """And those of cycles whose number is a multiple of it; 0 = no others."""
-    memory_mb: Annotated[int, Field(ge=16, le=16_384)] = 512
-    """Memory for frames that wait to be written; more frames are left out and the gap is marked."""
-    max_age_days: Positive | None = None
-    """Older recordings are removed.  Null = never."""
-    max_size_gb: Positive | None = 20.0
-    """Beyond it the oldest recordings of the folder are removed.  Null = no limit."""
-    min_free_gb: NotNegative = 1.0
-    """Free room on the disk before a cycle; with less the oldest recordings are removed, and if
-    that is not enough nothing is recorded.  1 GB = 10⁹ bytes."""
 
 
 class KnownParameter(Section):
@@ -332,6 +309,8 @@ class Settings(Section):
     choice: Choice = Choice()
     recording: Recording | None = Recording()
     """Null = only tables, JSON and a few pictures are left of a cycle, no frames."""
+    ledger: Ledger | None = Ledger()
+    """Null = cycles are not listed, and nothing is said of what has changed in them."""
     world: World = World()
     emulated: Emulated | None = None
     """Null = the devices are real."""

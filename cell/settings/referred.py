@@ -1,7 +1,9 @@
-"""Files that settings refer to: those of a calibration, and effects of one's own."""
+"""What settings refer to: files of a calibration, effects of one's own, the line."""
 
 from __future__ import annotations
 
+import hashlib
+import platform
 from contextlib import suppress
 from pathlib import Path
 
@@ -18,3 +20,20 @@ def files_of(settings: Settings) -> dict[str, str]:
         with suppress(OSError, UnicodeDecodeError):
             texts[str(path)] = path.read_text(encoding="utf-8")
     return texts
+
+
+def calibration_hash(settings: Settings) -> str | None:
+    """Hash of the calibration's files; None = as typed."""
+    folder = None if settings.calibration is None else settings.calibration.folder
+    texts = {p: t for p, t in files_of(settings).items() if Path(p).parent == folder}
+    if not texts:
+        return None
+    return hashlib.sha256("\0".join(texts.values()).encode()).hexdigest()[:16]
+
+
+def line_of(settings: Settings | None) -> str:
+    """The line that a cell belongs to, as which its cycles are listed; the computer's name if the
+    settings, or their absence, say nothing.
+    """
+    named = None if settings is None or settings.ledger is None else settings.ledger.line
+    return named or platform.node() or "line"

@@ -18,7 +18,7 @@ from cell.records.recording.reading import read_recording
 from cell.records.result import Outcome
 from cell.replay import replay
 from cell.settings import Settings, load_settings
-from cell.settings.model import Recording
+from cell.settings.records import Recording
 from cell.terminal.fitting import show
 from cell.terminal.replayed import replayed_parts
 from tools.faults.kill_study import kill_once

@@ -13,7 +13,7 @@ from cell.files.input_error import InputError
 from cell.records.result import Outcome
 from cell.settings import Settings, load_settings
 from cell.settings.devices import SimulatedCamera
-from cell.settings.model import ENDINGS
+from cell.settings.records import ENDINGS
 from cell.settings.translate import vision_of
 from cell.simulated.twins import camera_twin
 from cell.vision.detect import VisionOptions

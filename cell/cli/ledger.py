@@ -1,0 +1,255 @@
+"""The command about the ledger of cycles: history."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime, time, timedelta
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from cell.cli.delivery import Delivery, deliver
+from cell.cli.lab import refusing
+from cell.cli.options import taking
+from cell.cli.shared import group
+from cell.cli.streams import emit
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+    from cell.records.ledger.ledger import Ledger, Wanted
+    from cell.settings.model import Settings
+
+app = group()
+
+#: So many cycles are shown unless another number is asked for.
+_SHOWN = 20
+
+Since = Annotated[
+    str | None,
+    typer.Option(help="Begun at this time or later: 2026-11-01, 2026-11-01T06:00, 12h or 7d ago."),
+]
+LedgerPlace = Annotated[
+    str | None,
+    typer.Option(
+        "--ledger",
+        help="The ledger: a folder of records, a file or a database's URL.  Default: that of "
+        "--config, else that of the folder `runs`.",
+        show_default=False,
+    ),
+]
+
+
+@dataclass(frozen=True)
+class HistoryOptions:
+    """What `cell history` is asked for."""
+
+    config: Annotated[
+        Path | None, typer.Option("--config", "-c", help="Settings of the cell, YAML.")
+    ] = None
+    ledger: LedgerPlace = None
+    since: Since = None
+    until: Annotated[str | None, typer.Option(help="Begun before this time.")] = None
+    outcome: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Ended so: inserted, missed, rejected, failed, … or unfinished.  May be repeated."
+        ),
+    ] = None
+    line: Annotated[str | None, typer.Option(help="Of this line.")] = None
+    part_id: Annotated[str | None, typer.Option("--part-id", help="Of this part.")] = None
+    model: Annotated[str | None, typer.Option(help="With the model of this hash.")] = None
+    fault: Annotated[
+        str | None, typer.Option(help="Ended by this fault, such as `stop`, `arm` or `arm.limit`.")
+    ] = None
+    most: Annotated[
+        int | None,
+        typer.Option("-n", "--most", min=1, help=f"The newest N cycles; tables show {_SHOWN}."),
+    ] = None
+    faults: Annotated[bool, typer.Option("--faults", help="Count faults by their code.")] = False
+    oee: Annotated[
+        bool, typer.Option("--oee", help="Availability, performance and quality of every shift.")
+    ] = False
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False
+    csv: Annotated[
+        Path | None, typer.Option(help="Write the cycles with their cables' parameters as CSV.")
+    ] = None
+    parquet: Annotated[Path | None, typer.Option(help="The same as Parquet.")] = None
+    take_in: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--import", help="Take in cycles of this folder that are not listed.  May be repeated."
+        ),
+    ] = None
+
+    def wanted(self, now: datetime) -> Wanted:
+        """Which cycles are asked for.  Raises ValueError: an option is wrong."""
+        from cell.records.ledger.ledger import UNFINISHED, Wanted
+
+        outcomes = [UNFINISHED if o == "unfinished" else _known(o) for o in self.outcome or ()]
+        return Wanted(
+            since=_moment(self.since, now, "--since"),
+            until=_moment(self.until, now, "--until"),
+            outcomes=tuple(outcomes),
+            line=self.line,
+            part=self.part_id,
+            model=self.model,
+            fault=self.fault,
+        )
+
+
+@app.command()
+@taking(HistoryOptions)
+def history(options: HistoryOptions) -> None:
+    """List past cycles of a line or a plant, count their faults, compute OEE, export.
+
+    Every cycle of `cell run` is in the ledger: outcome, forecast and measured miss, the cable's
+    parameters with 95 % intervals, times, fault with its code, model and calibration.
+
+    Exit codes: 0; 2 if the ledger cannot be read or an option is wrong.
+    """
+    with refusing(options.csv, options.parquet), _ledger_errors():
+        settings = None if options.config is None else _settings(options.config)
+        now = datetime.now(UTC)
+        wanted = options.wanted(now)
+        with open_ledger(settings, options.ledger, create=bool(options.take_in)) as ledger:
+            taken = [_taken_in(ledger, folder, settings) for folder in options.take_in or ()]
+            data, parts = _answer(ledger, wanted, options, settings, now)
+            exported = _exports(ledger, wanted, options)
+
+    def printed() -> None:
+        from rich.console import Console
+
+        from cell.terminal.fitting import show
+
+        if options.as_json:
+            emit(json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False))
+        else:
+            show(Console(), *taken, *parts)
+
+    deliver(printed, *exported)
+
+
+def _settings(config: Path) -> Settings:
+    from cell.settings import load_settings
+
+    return load_settings(config)
+
+
+def _answer(
+    ledger: Ledger,
+    wanted: Wanted,
+    options: HistoryOptions,
+    settings: Settings | None,
+    now: datetime,
+) -> tuple[Any, Sequence[RenderableType]]:
+    """What is asked for, as plain data and as tables."""
+    from cell.terminal.ledger import cycles_parts, faults_parts, shifts_parts
+
+    if options.faults:
+        counted = ledger.faults(wanted)
+        data = [{"code": code, "cycles": n, "newest_cause": cause} for code, n, cause in counted]
+        return data, faults_parts(counted)
+    if options.oee:
+        from cell.records.ledger.effectiveness import shifts
+        from cell.settings.records import Ledger as Section
+
+        given = (None if settings is None else settings.ledger) or Section()
+        begins = [time.fromisoformat(t) for t in given.shifts]
+        found = shifts(ledger, wanted, begins, now, given.ideal_cycle_s)
+        return [s.to_json() for s in found], shifts_parts(found)
+    most = options.most if options.as_json else options.most or _SHOWN
+    listed = ledger.listed(wanted, most, estimates=options.as_json)
+    return [c.to_json() for c in listed], cycles_parts(listed, ledger.count(wanted))
+
+
+@contextmanager
+def open_ledger(
+    settings: Settings | None, place: str | None, *, create: bool = False
+) -> Iterator[Ledger]:
+    """The ledger of an option, of the settings, or of the folder `runs`.
+
+    raises  LedgerError: it cannot be used
+    """
+    from cell.records.ledger.ledger import Ledger
+
+    if place is None and settings is not None and settings.ledger is not None:
+        place = settings.ledger.url
+    ledger = Ledger(place or Path("runs"), create=create)
+    try:
+        yield ledger
+    finally:
+        ledger.close()
+
+
+@contextmanager
+def _ledger_errors() -> Iterator[None]:
+    """Bad input, to a command that only asks."""
+    from cell.records.ledger.error import LedgerError
+
+    try:
+        yield
+    except LedgerError as error:
+        raise ValueError(str(error)) from error
+
+
+def _moment(said: str | None, now: datetime, option: str) -> datetime | None:
+    if said is None:
+        return None
+    if ago := re.fullmatch(r"(\d+)([hd])", said):
+        number = int(ago[1])
+        return now - (timedelta(hours=number) if ago[2] == "h" else timedelta(days=number))
+    try:
+        return datetime.fromisoformat(said).astimezone()
+    except ValueError as error:
+        message = f"{option} {said}: no time; give 2026-11-01, 2026-11-01T06:00, 12h or 7d"
+        raise ValueError(message) from error
+
+
+def _known(outcome: str) -> str:
+    from cell.records.result import Outcome
+
+    if outcome not in set(Outcome):
+        known = ", ".join(Outcome)
+        raise ValueError(f"--outcome {outcome}: no outcome; give one of {known} or unfinished")
+    return outcome
+
+
+def _taken_in(ledger: Ledger, folder: Path, settings: Settings | None) -> str:
+    """Take in the cycles of a folder; what is said of it."""
+    from cell.records.ledger.entry import entry_of_folder
+    from cell.settings.referred import line_of
+
+    if not folder.is_dir():
+        raise ValueError(f"--import {folder}: is no folder of cycles")
+    line = line_of(settings)
+    known = {f"{c.line}/{c.folder.name}" for c in ledger.listed(_everything(line))}
+    entries = [e for f in sorted(folder.iterdir()) if (e := entry_of_folder(f, line)) is not None]
+    new = [e for e in entries if e.uid not in known]
+    ledger.write(new, of_now=False)
+    return f"{folder}: {len(new)} of {len(entries)} cycles are new to the ledger"
+
+
+def _everything(line: str) -> Wanted:
+    from cell.records.ledger.ledger import Wanted
+
+    return Wanted(line=line)
+
+
+def _exports(ledger: Ledger, wanted: Wanted, options: HistoryOptions) -> list[Delivery]:
+    """Files that are asked for."""
+    from cell.records.ledger.export import need_parquet, write_csv, write_parquet
+
+    if options.csv is None and options.parquet is None:
+        return []
+    if options.parquet is not None:
+        need_parquet()
+    listed = ledger.listed(wanted, options.most, estimates=True)
+    csv, parquet = partial(write_csv, listed), partial(write_parquet, listed)
+    return [(options.csv, csv), (options.parquet, parquet)]

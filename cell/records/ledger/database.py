@@ -1,0 +1,145 @@
+"""Opens a ledger's database: SQLite in a file, or a PostgreSQL server; brings it up to date."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import Connection, Engine, create_engine, event, inspect, text
+from sqlalchemy.engine import URL, make_url
+from sqlalchemy.exc import ArgumentError, SQLAlchemyError
+from sqlalchemy.exc import NoSuchModuleError as NoDialectError
+
+from cell.records.ledger.error import LedgerError
+from cell.records.ledger.tables import HEAD
+
+#: Name of the ledger in a folder of records.
+FILE = "ledger.sqlite"
+#: How long another process may keep the database for itself, s.
+BUSY_S = 5.0
+#: How long a server may take to answer a connection, s.
+CONNECT_S = 3
+#: Two cells that begin at once bring a server's tables up to date one after the other.
+_LOCK = 0x63656C6C
+
+
+def url_of(place: str | Path) -> URL:
+    """URL of a ledger: of a file, of one in a folder of records, or as given.
+
+    raises  LedgerError: no such kind of database
+    """
+    if isinstance(place, Path) or "://" not in place:
+        path = Path(place)
+        return URL.create("sqlite", database=str(path if path.suffix == ".sqlite" else path / FILE))
+    try:
+        url = make_url(place)
+    except ArgumentError as error:
+        raise LedgerError(f"{place} is no database's URL: {error}") from error
+    if url.drivername == "postgresql":
+        url = url.set(drivername="postgresql+psycopg")
+    return url
+
+
+def open_engine(url: URL, *, create: bool) -> Engine:
+    """An engine whose database has today's tables.
+
+    create  make the database's tables, or bring them up to date
+    raises  LedgerError: it cannot be reached, or is of a newer version, or, without `create`, of an
+            older one
+    """
+    path = None if url.database is None else Path(url.database)
+    in_file = url.drivername.startswith("sqlite")
+    if in_file and not create and path is not None and not path.is_file():
+        raise LedgerError(
+            f"{path} is missing: no cycle is listed there; `cell run` lists each, "
+            "`cell history --import FOLDER` takes in those that were before"
+        )
+    try:
+        engine = create_engine(url, **_arguments(in_file))
+    except (NoDialectError, ModuleNotFoundError) as error:
+        raise LedgerError(
+            f"{url.render_as_string()} needs a package that is not installed: {error}; "
+            "pip install 'cable-cell[postgresql]'"
+        ) from error
+    if in_file:
+        if path is not None and create:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        _keep_transactions(engine)
+    with told(engine):
+        _bring_up_to_date(engine, create)
+    return engine
+
+
+@contextmanager
+def told(engine: Engine) -> Iterator[None]:
+    """What the database refuses, in one line that names it."""
+    try:
+        yield
+    except SQLAlchemyError as error:
+        cause = str(getattr(error, "orig", None) or error).strip().splitlines()[0]
+        raise LedgerError(f"{engine.url.render_as_string()}: {cause}") from error
+
+
+@contextmanager
+def writing(engine: Engine) -> Iterator[Connection]:
+    """A transaction that writes: of several at once the others wait.  Raises LedgerError."""
+    with (
+        told(engine),
+        engine.connect().execution_options(writing=True) as connection,
+        connection.begin(),
+    ):
+        yield connection
+
+
+def _arguments(in_file: bool) -> dict[str, Any]:
+    if in_file:
+        return {"connect_args": {"timeout": BUSY_S}}
+    return {"connect_args": {"connect_timeout": CONNECT_S}, "pool_pre_ping": True}
+
+
+def _keep_transactions(engine: Engine) -> None:
+    """Have SQLite do what is asked, and no more: Python's module begins transactions by itself."""
+
+    @event.listens_for(engine, "connect")
+    def connect(connection: Any, _record: object) -> None:
+        connection.isolation_level = None
+        for pragma in ("journal_mode = WAL", "synchronous = FULL", "foreign_keys = ON"):
+            connection.execute(f"PRAGMA {pragma}")
+
+    @event.listens_for(engine, "begin")
+    def begin(connection: Connection) -> None:
+        writes = connection.get_execution_options().get("writing", False)
+        connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
+
+
+def _bring_up_to_date(engine: Engine, create: bool) -> None:
+    with engine.connect() as connection:
+        found = _version(connection)
+    if found == HEAD:
+        return
+    where = engine.url.render_as_string()
+    if found is not None and found > HEAD:
+        raise LedgerError(
+            f"{where} is of a newer version ({found}) than this program knows ({HEAD}): use the "
+            "newer program, or another ledger"
+        )
+    if not create:
+        what = "has no tables of a ledger" if found is None else f"is of an older version ({found})"
+        raise LedgerError(f"{where} {what}; the next `cell run` that uses it brings it up to date")
+    from cell.records.ledger.migrations.upgrade import upgrade  # takes its time; hardly ever needed
+
+    with writing(engine) as connection:
+        if engine.dialect.name == "postgresql":
+            connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": _LOCK})
+        if _version(connection) != HEAD:  # nobody else has done it meanwhile
+            upgrade(connection)
+
+
+def _version(connection: Connection) -> str | None:
+    """Newest migration that was done; None = there is no ledger yet."""
+    if not inspect(connection).has_table("alembic_version"):
+        return None
+    found = connection.scalar(text("SELECT version_num FROM alembic_version"))
+    return None if found is None else str(found)

@@ -1,0 +1,118 @@
+"""Overall equipment effectiveness (OEE) per shift: availability × performance × quality."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime, time, timedelta
+from typing import Any
+
+from cell.records.ledger.ledger import Ledger, Wanted
+from cell.records.result import Outcome
+
+#: Share of insertions that are as quick as the ideal cycle, where none is given.
+QUICK = 0.1
+
+
+@dataclass(frozen=True)
+class Shift:
+    """What a line did in one shift.  Shares are None where they have no meaning: 0 / 0.
+
+    planned_s      length of the shift, up to now
+    running_s      time at work on cables
+    ideal_s        time that one cable needs at best
+    availability   running_s / planned_s; None also where simulated time was quicker than the clock
+    performance    ideal_s × cables / running_s
+    quality        inserted / cables
+    source         ISO 22400-2:2014, key performance indicators for manufacturing operations
+    """
+
+    begin: datetime
+    end: datetime
+    planned_s: float
+    running_s: float
+    ideal_s: float | None
+    cables: int
+    inserted: int
+
+    @property
+    def availability(self) -> float | None:
+        """Share of the planned time at work."""
+        share = _share(self.running_s, self.planned_s)
+        return None if share is None or share > 1.0 else share
+
+    @property
+    def performance(self) -> float | None:
+        """How quick the cables were, of what is possible."""
+        return None if self.ideal_s is None else _share(self.ideal_s * self.cables, self.running_s)
+
+    @property
+    def quality(self) -> float | None:
+        """Share of the cables that were inserted."""
+        return _share(self.inserted, self.cables)
+
+    @property
+    def oee(self) -> float | None:
+        """The product of the three."""
+        a, p, q = self.availability, self.performance, self.quality
+        return None if a is None or p is None or q is None else a * p * q
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        shares = ("availability", "performance", "quality", "oee")
+        return {
+            **vars(self),
+            "begin": self.begin.isoformat(),
+            "end": self.end.isoformat(),
+            **{name: getattr(self, name) for name in shares},
+        }
+
+
+def shifts(
+    ledger: Ledger,
+    wanted: Wanted,
+    begins: Sequence[time],
+    now: datetime,
+    ideal_s: float | None = None,
+) -> list[Shift]:
+    """Shifts with cables, oldest first.
+
+    begins   when shifts begin, of every day, in local time
+    now      with a time zone
+    ideal_s  of one cable; None = what the quickest tenth of the insertions needed
+    raises   LedgerError
+    """
+    span = ledger.span(wanted)
+    if span is None:
+        return []
+    if ideal_s is None:
+        ideal_s = ledger.quick_cycle_s(wanted, QUICK)
+    found = []
+    for begin, end in _bounds(span[0], min(span[1], now), begins):
+        since = begin if wanted.since is None else max(begin, wanted.since)
+        until = end if wanted.until is None else min(end, wanted.until)
+        outcomes, running_s = ledger.work(replace(wanted, since=since, until=until))
+        if not outcomes:
+            continue
+        planned_s = (min(until, now) - since).total_seconds()
+        cables, inserted = sum(outcomes.values()), outcomes.get(Outcome.INSERTED.value, 0)
+        found.append(Shift(since, until, planned_s, running_s, ideal_s, cables, inserted))
+    return found
+
+
+def _bounds(
+    first: datetime, last: datetime, begins: Sequence[time]
+) -> list[tuple[datetime, datetime]]:
+    """Beginning and end of every shift from that of `first` to that of `last`."""
+    day = first.astimezone().date() - timedelta(days=1)
+    marks = []
+    while day <= last.astimezone().date() + timedelta(days=1):
+        marks += [datetime.combine(day, begin).astimezone() for begin in sorted(begins)]
+        day += timedelta(days=1)
+    pairs = itertools.pairwise(marks)
+    return [(begin, end) for begin, end in pairs if end > first and begin <= last]
+
+
+def _share(part: float, whole: float) -> float | None:
+    return part / whole if whole > 0.0 else None

@@ -1,0 +1,118 @@
+"""What the ledger is told of a cycle."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from cell.files.plain import plain
+from cell.records.past_cycles import cycle_of
+from cell.records.result import Outcome, Result
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A parameter of a cable, with its 95 % interval; None = not known.  SI units."""
+
+    name: str
+    value: float
+    low: float | None = None
+    high: float | None = None
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A cycle that has begun, or has ended.
+
+    line         that the cell belongs to
+    part         id of the cable; None = it has none
+    aim          outcome that was meant
+    result       None = it has not ended yet
+    calibration  hash of the calibration's files; None = as typed
+    software     version of this program
+    """
+
+    line: str
+    cycle: int
+    folder: Path
+    started: datetime
+    aim: str
+    part: str | None = None
+    ended: datetime | None = None
+    result: Result | None = None
+    estimates: tuple[Estimate, ...] = ()
+    calibration: str | None = None
+    software: str | None = None
+
+    @property
+    def uid(self) -> str:
+        """What this cycle is known by, wherever its folder is now."""
+        return f"{self.line}/{self.folder.name}"
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        data = {f.name: getattr(self, f.name) for f in fields(self)}
+        data |= {
+            "folder": str(self.folder),
+            "started": self.started.isoformat(),
+            "ended": None if self.ended is None else self.ended.isoformat(),
+            "result": None if self.result is None else self.result.to_json(),
+            "estimates": [asdict(e) for e in self.estimates],
+        }
+        return plain(data)  # type: ignore[no-any-return]
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Entry:
+        """Back from `to_json`.  Raises KeyError, TypeError, ValueError: not an entry."""
+        known = dict(data)
+        known |= {
+            "folder": Path(data["folder"]),
+            "started": datetime.fromisoformat(data["started"]),
+            "ended": None if data["ended"] is None else datetime.fromisoformat(data["ended"]),
+            "result": None if data["result"] is None else Result.from_json(data["result"]),
+            "estimates": tuple(Estimate(**e) for e in data["estimates"]),
+        }
+        return cls(**known)
+
+
+def estimates_of(model: Mapping[str, Any] | None) -> tuple[Estimate, ...]:
+    """Parameters of a `model.json`; none of None."""
+    listed: Sequence[Mapping[str, Any]] = () if model is None else model["parameters"]
+    return tuple(Estimate(p["name"], p["value"], p.get("low"), p.get("high")) for p in listed)
+
+
+def entry_of_folder(folder: Path, line: str) -> Entry | None:
+    """The entry of a cycle that left a folder; None = it is no cycle's, or cannot be read."""
+    named = cycle_of(folder)
+    if named is None:
+        return None
+    started, cycle = named
+    try:
+        result, model = (_read(folder / name) for name in ("result.json", "model.json"))
+        ended = (folder / "result.json").stat().st_mtime if result is not None else None
+        known = None if result is None else Result.from_json(result)
+        estimates = estimates_of(model)
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    aim = Outcome.INSERTED
+    if known is not None and known.outcome in (Outcome.MEASURED, Outcome.REHEARSED, Outcome.UNFIT):
+        aim = known.outcome
+    return Entry(
+        line,
+        cycle,
+        folder.absolute(),
+        started.astimezone(UTC),
+        aim.value,
+        None if known is None else known.part,
+        None if ended is None else datetime.fromtimestamp(ended, UTC),
+        known,
+        estimates,
+    )
+
+
+def _read(path: Path) -> dict[str, Any] | None:
+    return json.loads(path.read_text(encoding="utf-8")) if path.exists() else None

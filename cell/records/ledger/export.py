@@ -1,0 +1,49 @@
+"""Cycles as a table for other programs: CSV, Parquet."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+from cell.files.atomic import write_whole
+from cell.records.ledger.ledger import ListedCycle
+
+
+def rows_of(cycles: Sequence[ListedCycle]) -> tuple[list[str], list[dict[str, Any]]]:
+    """Names of the columns, those of parameters last, and one row per cycle; None = not known."""
+    rows = [cycle.to_json() for cycle in cycles]
+    return list(dict.fromkeys(name for row in rows for name in row)), rows
+
+
+def write_csv(cycles: Sequence[ListedCycle], path: Path) -> None:
+    """Comma-separated values, UTF-8, one line of names.  Raises OSError."""
+    names, rows = rows_of(cycles)
+    text = StringIO(newline="")
+    writer = csv.DictWriter(text, names, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_whole(path, text.getvalue())
+
+
+def write_parquet(cycles: Sequence[ListedCycle], path: Path) -> None:
+    """Apache Parquet.  Raises OSError."""
+    import pyarrow
+    import pyarrow.parquet
+
+    names, rows = rows_of(cycles)
+    columns = {name: [row.get(name) for row in rows] for name in names}
+    sink = pyarrow.BufferOutputStream()
+    pyarrow.parquet.write_table(pyarrow.table(columns), sink)
+    write_whole(path, sink.getvalue().to_pybytes())
+
+
+def need_parquet() -> None:
+    """Raises ValueError: the package that writes Parquet is not installed."""
+    try:
+        import pyarrow  # noqa: F401
+    except ModuleNotFoundError as error:
+        message = f"--parquet needs a package: {error}; pip install 'cable-cell[parquet]'"
+        raise ValueError(message) from error

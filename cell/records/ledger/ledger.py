@@ -1,0 +1,416 @@
+"""The ledger of cycles: written once per cycle, asked for what a line has done."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import (
+    ColumnElement,
+    Connection,
+    Engine,
+    Select,
+    and_,
+    delete,
+    func,
+    insert,
+    or_,
+    select,
+    update,
+)
+
+from cell.records.ledger.database import FILE, open_engine, told, url_of, writing
+from cell.records.ledger.entry import Entry, Estimate
+from cell.records.ledger.tables import NUMBERS, cycles, faults, parameters, parts, times
+from cell.records.result import Fault, Outcome, Result
+
+#: Newest cycles that charts and the promotion check look at.
+MOST = 500
+#: Cycles that tell of forecasts and fits.
+TELLING = (Outcome.INSERTED, Outcome.MISSED, Outcome.REJECTED)
+#: States in which the cell works on a cable; in the others it waits for a person or the line.
+RUNNING = frozenset({"resetting", "starting", "execute", "completing", "complete"})
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """Which cycles are asked for; None or empty = all.
+
+    since, until   of their beginning; with a time zone
+    outcomes       "running or killed" are those that have none
+    fault          a reason code, or the beginning of some: `arm` is all of the arm
+    """
+
+    since: datetime | None = None
+    until: datetime | None = None
+    outcomes: tuple[str, ...] = ()
+    line: str | None = None
+    part: str | None = None
+    model: str | None = None
+    fault: str | None = None
+
+
+#: Said of a cycle that has no outcome.
+UNFINISHED = "running or killed"
+
+
+@dataclass(frozen=True)
+class ListedCycle:
+    """A cycle as the ledger knows it; see `Entry` and `Result`."""
+
+    line: str
+    cycle: int
+    part: str | None
+    folder: Path
+    started: datetime
+    ended: datetime | None
+    outcome: str
+    reason: str | None
+    model: str | None
+    calibration: str | None
+    software: str | None
+    running_s: float | None
+    numbers: Mapping[str, float | None]
+    fault: Fault | None
+    estimates: tuple[Estimate, ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data: one level, as a row of a table."""
+        fault = self.fault or Fault("", "")
+        data: dict[str, Any] = {
+            "started": self.started.isoformat(),
+            "ended": None if self.ended is None else self.ended.isoformat(),
+            **{k: getattr(self, k) for k in ("line", "cycle", "part", "outcome", "reason")},
+            **{f"fault_{k}": getattr(fault, k) or None for k in ("code", "step", "device")},
+            "fault_cause": fault.cause or None,
+            **self.numbers,
+            "running_s": self.running_s,
+            **{k: getattr(self, k) for k in ("model", "calibration", "software")},
+            "folder": str(self.folder),
+        }
+        for e in self.estimates:
+            data |= {e.name: e.value, f"{e.name}_low": e.low, f"{e.name}_high": e.high}
+        return data
+
+
+class Ledger:
+    """A ledger's database; safe to be used from several threads and processes.
+
+    place  a URL, a file, or a folder of records
+    raises  LedgerError, from every method
+    """
+
+    def __init__(self, place: str | Path, *, create: bool = False) -> None:
+        self.url = url_of(place)
+        self._engine: Engine = open_engine(self.url, create=create)
+
+    def close(self) -> None:
+        """Close its connections."""
+        self._engine.dispose()
+
+    # --- writing ----------------------------------------------------------------------------------
+
+    def write(self, entries: Iterable[Entry], *, of_now: bool = True) -> None:
+        """Write entries, all or none.  One that is there already becomes what it says now; a cycle
+        that has ended stays so.
+
+        of_now  the cycles come after those that are listed, even if the clock was set back; False =
+                they were when they say
+        """
+        with writing(self._engine) as connection:
+            for entry in entries:
+                _write(connection, entry, of_now)
+
+    # --- asking -----------------------------------------------------------------------------------
+
+    def results(self, line: str, most: int = MOST) -> list[Result]:
+        """Results of a line's newest cycles that tell of forecasts and fits, oldest first."""
+        asked = (
+            select(cycles)
+            .where(cycles.c.line == line, cycles.c.outcome.in_([o.value for o in TELLING]))
+            .order_by(cycles.c.ordered.desc(), cycles.c.id.desc())
+            .limit(most)
+        )
+        with told(self._engine), self._engine.connect() as connection:
+            rows = connection.execute(asked).all()[::-1]
+            estimates = _estimates(connection, [row.id for row in rows])
+        return [
+            Result(
+                row.cycle,
+                Outcome(row.outcome),
+                row.folder,
+                **{name: getattr(row, name) for name in NUMBERS},
+                model=row.model,
+                parameters={e.name: e.value for e in estimates.get(row.id, ())},
+                reason=row.reason,
+                model_misses=row.model_misses,
+                part=None,
+            )
+            for row in rows
+        ]
+
+    def listed(
+        self, wanted: Wanted, most: int | None = None, *, estimates: bool = False
+    ) -> list[ListedCycle]:
+        """Cycles that are asked for, oldest first; of too many the newest.
+
+        estimates  with the cables' parameters
+        """
+        asked = (
+            select(cycles, parts.c.code.label("part"), *_FAULT_COLUMNS)
+            .outerjoin(parts, parts.c.id == cycles.c.part_id)
+            .outerjoin(faults, faults.c.cycle_id == cycles.c.id)
+            .where(*_conditions(wanted))
+            .order_by(cycles.c.ordered.desc(), cycles.c.id.desc())
+        )
+        if most is not None:
+            asked = asked.limit(most)
+        with told(self._engine), self._engine.connect() as connection:
+            rows = connection.execute(asked).all()[::-1]
+            known = _estimates(connection, [row.id for row in rows]) if estimates else {}
+        return [self._cycle(row, known.get(row.id, ())) for row in rows]
+
+    def count(self, wanted: Wanted) -> dict[str, int]:
+        """Number of cycles that are asked for, by outcome."""
+        asked = (
+            select(cycles.c.outcome, func.count())
+            .outerjoin(parts, parts.c.id == cycles.c.part_id)
+            .outerjoin(faults, faults.c.cycle_id == cycles.c.id)
+            .where(*_conditions(wanted))
+            .group_by(cycles.c.outcome)
+        )
+        with told(self._engine), self._engine.connect() as connection:
+            return {outcome or UNFINISHED: n for outcome, n in connection.execute(asked)}
+
+    def faults(self, wanted: Wanted) -> list[tuple[str, int, str]]:
+        """Reason code, number of cycles and newest cause of what has ended them; most first."""
+        number = func.count().label("number")
+        newest = func.max(faults.c.cycle_id).label("newest")
+        counted = (
+            select(faults.c.code, number, newest)
+            .join(cycles, cycles.c.id == faults.c.cycle_id)
+            .outerjoin(parts, parts.c.id == cycles.c.part_id)
+            .where(*_conditions(wanted))
+            .group_by(faults.c.code)
+            .subquery()
+        )
+        asked = (
+            select(counted.c.code, counted.c.number, faults.c.cause)
+            .join(faults, faults.c.cycle_id == counted.c.newest)
+            .order_by(counted.c.number.desc(), counted.c.code)
+        )
+        with told(self._engine), self._engine.connect() as connection:
+            return [(code, n, cause) for code, n, cause in connection.execute(asked)]
+
+    def span(self, wanted: Wanted) -> tuple[datetime, datetime] | None:
+        """When the first and the last cycle that are asked for began; None = there are none."""
+        asked = _of_cycles(select(func.min(cycles.c.started), func.max(cycles.c.started)), wanted)
+        with told(self._engine), self._engine.connect() as connection:
+            first, last = connection.execute(asked).one()
+        return None if first is None else (_aware(first), _aware(last))
+
+    def work(self, wanted: Wanted) -> tuple[dict[str, int], float]:
+        """Of cycles that were to insert a cable: number by outcome, and time at work in all, s."""
+        asked = _of_cycles(
+            select(
+                cycles.c.outcome, func.count(), func.coalesce(func.sum(cycles.c.running_s), 0.0)
+            ),
+            wanted,
+        ).where(cycles.c.aim == Outcome.INSERTED.value, cycles.c.outcome.is_not(None))
+        with told(self._engine), self._engine.connect() as connection:
+            rows = connection.execute(asked.group_by(cycles.c.outcome)).all()
+        return {o: n for o, n, _ in rows}, float(sum(s for *_, s in rows))
+
+    def quick_cycle_s(self, wanted: Wanted, share: float) -> float | None:
+        """Time at work that this share of the insertions needed at most, s; None = no insertion."""
+        at_work = _of_cycles(select(cycles.c.running_s), wanted).where(
+            cycles.c.outcome == Outcome.INSERTED.value, cycles.c.running_s.is_not(None)
+        )
+        with told(self._engine), self._engine.connect() as connection:
+            number = connection.scalar(select(func.count()).select_from(at_work.subquery())) or 0
+            if not number:
+                return None
+            at = int(share * (number - 1))
+            found = connection.scalar(at_work.order_by(cycles.c.running_s).offset(at).limit(1))
+        return None if found is None else float(found)
+
+    def _cycle(self, row: Any, estimates: Sequence[Estimate]) -> ListedCycle:
+        columns = ("step", "cause", "device", "remedy", "cable", "code")
+        fault = None if row.code is None else Fault(*(getattr(row, k) for k in columns))
+        return ListedCycle(
+            line=row.line,
+            cycle=row.cycle,
+            part=row.part,
+            folder=self._folder(row.folder),
+            started=_aware(row.started),
+            ended=None if row.ended is None else _aware(row.ended),
+            outcome=row.outcome or UNFINISHED,
+            reason=row.reason,
+            model=row.model,
+            calibration=row.calibration,
+            software=row.software,
+            running_s=row.running_s,
+            numbers={name: getattr(row, name) for name in NUMBERS},
+            fault=fault,
+            estimates=tuple(estimates),
+        )
+
+    def _folder(self, said: str) -> Path:
+        """Where a cycle's folder is; beside the ledger if it was moved with it."""
+        folder = Path(said)
+        if folder.is_dir() or self.url.database is None or Path(self.url.database).name != FILE:
+            return folder
+        moved = Path(self.url.database).parent / folder.name
+        return moved if moved.is_dir() else folder
+
+
+_FAULT_COLUMNS = [faults.c[k] for k in ("step", "cause", "device", "remedy", "cable", "code")]
+
+
+def _of_cycles(asked: Select[Any], wanted: Wanted) -> Select[Any]:
+    """A question to cycles alone, unless parts or faults are asked for."""
+    asked = asked.select_from(cycles)
+    if wanted.part is not None:
+        asked = asked.outerjoin(parts, parts.c.id == cycles.c.part_id)
+    if wanted.fault is not None:
+        asked = asked.outerjoin(faults, faults.c.cycle_id == cycles.c.id)
+    return asked.where(*_conditions(wanted))
+
+
+def _conditions(wanted: Wanted) -> list[ColumnElement[bool]]:
+    found: list[ColumnElement[bool]] = []
+    if wanted.since is not None:
+        found.append(cycles.c.ordered >= _utc(wanted.since))
+    if wanted.until is not None:
+        found.append(cycles.c.ordered < _utc(wanted.until))
+    if wanted.outcomes:
+        named = [o for o in wanted.outcomes if o != UNFINISHED]
+        of = [cycles.c.outcome.in_(named)] if named else []
+        if UNFINISHED in wanted.outcomes:
+            of.append(cycles.c.outcome.is_(None))
+        found.append(or_(*of))
+    if wanted.fault is not None:
+        below = faults.c.code.startswith(f"{wanted.fault}.", autoescape=True)
+        found.append(or_(faults.c.code == wanted.fault, below))
+    for column, value in (
+        (cycles.c.line, wanted.line),
+        (parts.c.code, wanted.part),
+        (cycles.c.model, wanted.model),
+    ):
+        if value is not None:
+            found.append(column == value)
+    return found
+
+
+def _write(connection: Connection, entry: Entry, of_now: bool) -> None:
+    known = connection.execute(
+        select(cycles.c.id, cycles.c.outcome, cycles.c.ordered).where(cycles.c.uid == entry.uid)
+    ).first()
+    if known is not None and known.outcome is not None and entry.result is None:
+        return
+    values = _row(entry) | {"part_id": _part(connection, entry.part)}
+    if known is None:
+        values["ordered"] = _ordered(connection, entry) if of_now else _utc(entry.started)
+        number = connection.execute(insert(cycles).values(values)).inserted_primary_key
+        assert number is not None
+        at = number[0]
+    else:
+        at = known.id
+        connection.execute(update(cycles).where(cycles.c.id == at).values(values))
+        for of_cycle in (parameters, faults, times):
+            connection.execute(delete(of_cycle).where(of_cycle.c.cycle_id == at))
+    rows: dict[Any, list[dict[str, Any]]] = {
+        parameters: [vars(e) for e in entry.estimates],
+        faults: [],
+        times: [],
+    }
+    if entry.result is not None:
+        fault = entry.result.fault
+        rows[faults] = [] if fault is None else [vars(fault)]
+        rows[times] = [
+            {"kind": kind, "name": name, "seconds": seconds}
+            for kind, spent in (
+                ("state", entry.result.state_seconds),
+                ("step", entry.result.seconds),
+            )
+            for name, seconds in spent.items()
+        ]
+    for of_cycle, new in rows.items():
+        if new:
+            connection.execute(insert(of_cycle), [{"cycle_id": at, **row} for row in new])
+
+
+def _row(entry: Entry) -> dict[str, Any]:
+    row: dict[str, Any] = {
+        "uid": entry.uid,
+        "line": entry.line,
+        "cycle": entry.cycle,
+        "folder": str(entry.folder),
+        "aim": entry.aim,
+        "started": _utc(entry.started),
+        "ended": None if entry.ended is None else _utc(entry.ended),
+        "calibration": entry.calibration,
+        "software": entry.software,
+        "model_misses": False,
+    }
+    result = entry.result
+    if result is not None:
+        row |= {name: getattr(result, name) for name in NUMBERS}
+        row |= {
+            "outcome": result.outcome.value,
+            "reason": result.reason,
+            "model": result.model,
+            "model_misses": result.model_misses,
+            "running_s": sum(s for state, s in result.state_seconds.items() if state in RUNNING),
+        }
+    return row
+
+
+def _part(connection: Connection, code: str | None) -> int | None:
+    """Number of a part, which is made if there is none of this id."""
+    if code is None:
+        return None
+    found = connection.scalar(select(parts.c.id).where(parts.c.code == code))
+    if found is None:
+        number = connection.execute(insert(parts).values(code=code)).inserted_primary_key
+        assert number is not None
+        found = number[0]
+    return int(found)
+
+
+def _ordered(connection: Connection, entry: Entry) -> datetime:
+    """When the cycle began, but not before the line's newest: a clock may have been set back."""
+    started = _utc(entry.started)
+    newest = connection.scalar(
+        select(func.max(cycles.c.ordered)).where(cycles.c.line == entry.line)
+    )
+    return started if newest is None else max(started, newest)
+
+
+def _estimates(connection: Connection, numbers: Sequence[int]) -> dict[int, list[Estimate]]:
+    """Parameters by the number of their cycle."""
+    found: dict[int, list[Estimate]] = {}
+    if not numbers:
+        return found
+    columns = parameters.c
+    low, high = min(numbers), max(numbers)
+    if high - low < 2 * len(numbers):  # a range is quicker than a long list
+        asked = select(parameters).where(and_(columns.cycle_id >= low, columns.cycle_id <= high))
+    else:
+        asked = select(parameters).where(columns.cycle_id.in_(numbers))
+    for at, name, value, lowest, highest in connection.execute(asked):
+        found.setdefault(at, []).append(Estimate(name, value, lowest, highest))
+    return found
+
+
+def _utc(moment: datetime) -> datetime:
+    """As the ledger keeps it: UTC without saying so."""
+    return moment.astimezone(UTC).replace(tzinfo=None)
+
+
+def _aware(moment: datetime) -> datetime:
+    """As people read it: local time, with its zone."""
+    return moment.replace(tzinfo=UTC).astimezone()

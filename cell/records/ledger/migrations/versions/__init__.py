@@ -1,0 +1,1 @@
+"""One module per change, each on top of the one before."""

@@ -1,0 +1,173 @@
+"""What the ledger is to be told: files in a folder, until a thread has written them to it.
+
+A cycle never waits for a database.  While a server is away, entries stay in the folder and are
+written later, in their order; so are those of a program that was killed.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cell.files.atomic import write_new
+from cell.records.ledger.entry import Entry
+from cell.records.ledger.error import LedgerError
+
+if TYPE_CHECKING:
+    from cell.records.ledger.ledger import Ledger
+
+_LOG = logging.getLogger(__name__)
+
+#: Name of the folder in one of records.
+FOLDER = "ledger.outbox"
+#: After a failure the ledger is tried again so soon, s, then later and later.
+_FIRST_S, _LAST_S = 1.0, 30.0
+#: So long the end of a run waits for the ledger, s.
+CLOSE_S = 10.0
+#: Entries that are written in one transaction.
+_TOGETHER = 100
+
+
+class Outbox:
+    """Entries that wait, each a file; the oldest first."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def put(self, entry: Entry) -> None:
+        """Add one.  Raises OSError: it cannot be written."""
+        self._folder.mkdir(parents=True, exist_ok=True)
+        content = json.dumps(entry.to_json(), ensure_ascii=False)
+        number = 1 + max((_number(f) for f in self._files()), default=0)
+        while True:
+            with suppress(FileExistsError):  # of another cell that uses this folder
+                write_new(self._folder / f"{number:08d}-{os.getpid()}.json", content)
+                return
+            number += 1
+
+    def waiting(self) -> list[tuple[Path, Entry]]:
+        """Entries and their files.  One that cannot be read is put aside, as `.bad`."""
+        found = []
+        for file in self._files():
+            try:
+                found.append((file, Entry.from_json(json.loads(file.read_text("utf-8")))))
+            except FileNotFoundError:  # another cell has just written it
+                continue
+            except (ValueError, KeyError, TypeError) as error:
+                _LOG.error("%s is no entry of a ledger: %s: it is put aside", file, error)
+                with suppress(OSError):
+                    file.rename(file.with_suffix(".bad"))
+        return found
+
+    def remove(self, file: Path) -> None:
+        """It was written; the folder goes with the last."""
+        file.unlink(missing_ok=True)
+        with suppress(OSError):
+            self._folder.rmdir()
+
+    def _files(self) -> list[Path]:
+        return sorted(self._folder.glob("*.json"), key=lambda f: (_number(f), f.name))
+
+
+def _number(file: Path) -> int:
+    digits = file.name.split("-")[0]
+    return int(digits) if digits.isdigit() else 0
+
+
+def writes_to(place: str | Path) -> Callable[[list[Entry]], None]:
+    """Writes to this ledger, which is opened, and made if it is missing, as it is first needed."""
+    opened: list[Ledger] = []
+
+    def write(entries: list[Entry]) -> None:
+        from cell.records.ledger.ledger import Ledger  # a third of a second, in the writer's thread
+
+        if not opened:
+            opened.append(Ledger(place, create=True))
+        opened[0].write(entries)
+
+    return write
+
+
+class LedgerWriter:
+    """Hands entries to a ledger, in a thread of its own.
+
+    write   writes entries, all or none; raises LedgerError
+    outbox  folder for what is not written yet
+    notes   what a person should know
+    """
+
+    def __init__(self, write: Callable[[list[Entry]], None], outbox: Path) -> None:
+        self.notes: list[str] = []
+        self._write = write
+        self._outbox = Outbox(outbox)
+        self._place = outbox
+        self._wake = threading.Event()
+        self._over = threading.Event()
+        self._failed = ""
+        self._thread = threading.Thread(target=self._run, name="ledger", daemon=True)
+
+    def start(self) -> None:
+        """Begin, with what an earlier run has left."""
+        self._thread.start()
+        self._wake.set()
+
+    def put(self, entry: Entry) -> None:
+        """Hand over an entry."""
+        try:
+            self._outbox.put(entry)
+        except OSError as error:
+            self._note(
+                f"the ledger lacks {entry.folder.name}: {error.strerror or error}; take it in "
+                f"with `cell history --import {entry.folder.parent}`"
+            )
+        self._wake.set()
+
+    def close(self) -> None:
+        """Try once more, and end."""
+        if not self._thread.is_alive():
+            return
+        self._over.set()
+        self._wake.set()
+        self._thread.join(CLOSE_S)
+        waiting = len(self._outbox.waiting())
+        if waiting:
+            self._note(
+                f"{waiting} entries of the ledger wait in {self._place}: {self._failed or 'slow'}; "
+                "the next run writes them"
+            )
+
+    def _run(self) -> None:
+        pause_s = _FIRST_S
+        while True:
+            self._wake.wait(pause_s if self._failed else None)
+            self._wake.clear()
+            over = self._over.is_set()
+            try:
+                self._write_waiting()
+            except LedgerError as error:
+                if not self._failed:
+                    _LOG.warning("ledger: %s: the cell goes on, and writes to it later", error)
+                pause_s = min(_LAST_S, 2.0 * pause_s) if self._failed else _FIRST_S
+                self._failed = str(error)
+            else:
+                if self._failed:
+                    _LOG.warning("ledger: it is there again, and has got what waited")
+                self._failed = ""
+            if over:
+                return
+
+    def _write_waiting(self) -> None:
+        while waiting := self._outbox.waiting()[:_TOGETHER]:
+            self._write([entry for _, entry in waiting])
+            for file, _ in waiting:
+                self._outbox.remove(file)
+
+    def _note(self, note: str) -> None:
+        _LOG.warning("ledger: %s", note)
+        self.notes.append(note)

@@ -1,0 +1,111 @@
+"""Tables of the ledger.  All times are UTC; all numbers are in SI units.
+
+What is changed here needs a migration, and a new `HEAD`.
+"""
+
+from __future__ import annotations
+
+from sqlalchemy import (
+    Boolean,
+    Column,
+    DateTime,
+    Float,
+    ForeignKey,
+    Index,
+    Integer,
+    MetaData,
+    String,
+    Table,
+    Text,
+)
+
+#: Newest migration.
+HEAD = "0001"
+
+metadata = MetaData()
+
+#: Numbers of a `Result` that have a column of the same name.
+NUMBERS = (
+    "offset_m",
+    "predicted_miss_m",
+    "measured_miss_m",
+    "margin_m",
+    "predicted_margin_m",
+    "predicted_std_m",
+    "probability",
+    "prediction_error_m",
+    "residual_rms_m",
+    "noise_m",
+    "wait_s",
+    "speed",
+)
+
+#: What was held by the jaws: a part may be tried more than once.
+parts = Table(
+    "parts",
+    metadata,
+    Column("id", Integer, primary_key=True),
+    Column("code", String(200), nullable=False, unique=True),
+)
+
+#: One row per cycle.  `outcome` is null until the cycle has ended; `ordered` is `started`, but not
+#: earlier than that of the line's cycle before, even if the clock was set back.
+cycles = Table(
+    "cycles",
+    metadata,
+    Column("id", Integer, primary_key=True),
+    Column("uid", String(300), nullable=False, unique=True),
+    Column("line", String(100), nullable=False),
+    Column("cycle", Integer, nullable=False),
+    Column("part_id", ForeignKey("parts.id"), index=True),
+    Column("folder", Text, nullable=False),
+    Column("aim", String(20), nullable=False),
+    Column("started", DateTime, nullable=False),
+    Column("ordered", DateTime, nullable=False),
+    Column("ended", DateTime),
+    Column("outcome", String(20)),
+    Column("reason", Text),
+    Column("model_misses", Boolean, nullable=False),
+    Column("model", String(64)),
+    Column("calibration", String(64)),
+    Column("software", String(50)),
+    Column("running_s", Float),
+    *(Column(name, Float) for name in NUMBERS),
+    Index("by_line", "line", "ordered", "id"),
+    Index("by_time", "ordered", "id"),
+    Index("by_outcome", "outcome", "ordered"),
+)
+
+#: This cable's parameters, with 95 % intervals.
+parameters = Table(
+    "parameters",
+    metadata,
+    Column("cycle_id", ForeignKey("cycles.id", ondelete="CASCADE"), primary_key=True),
+    Column("name", String(100), primary_key=True),
+    Column("value", Float, nullable=False),
+    Column("low", Float),
+    Column("high", Float),
+)
+
+#: What has ended a cycle; `code` as `Fault.code`.
+faults = Table(
+    "faults",
+    metadata,
+    Column("cycle_id", ForeignKey("cycles.id", ondelete="CASCADE"), primary_key=True),
+    Column("code", String(50), nullable=False, index=True),
+    Column("step", String(50), nullable=False),
+    Column("device", String(100)),
+    Column("cause", Text, nullable=False),
+    Column("remedy", Text, nullable=False),
+    Column("cable", Text, nullable=False),
+)
+
+#: Time spent in each state of the cell (PackML) and in each step.
+times = Table(
+    "times",
+    metadata,
+    Column("cycle_id", ForeignKey("cycles.id", ondelete="CASCADE"), primary_key=True),
+    Column("kind", String(10), primary_key=True),  # state, step
+    Column("name", String(50), primary_key=True),
+    Column("seconds", Float, nullable=False),
+)

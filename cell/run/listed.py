@@ -1,0 +1,81 @@
+"""What of a cycle the ledger is told."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Protocol
+
+from cell.records.ledger.entry import Entry, estimates_of
+from cell.records.result import Result
+
+
+class TakesEntries(Protocol):
+    """Hands entries to a ledger, without making anybody wait.
+
+    notes  what a person should know
+    """
+
+    notes: list[str]
+
+    def put(self, entry: Entry) -> None:
+        """Hand over an entry."""
+
+    def close(self) -> None:
+        """Nothing more comes."""
+
+
+@dataclass(frozen=True)
+class LedgerSetup:
+    """To which ledger a cell's cycles are told, and as what.
+
+    line         that the cell belongs to
+    calibration  hash of its files; None = as typed
+    software     version of this program
+    """
+
+    ledger: TakesEntries
+    line: str
+    calibration: str | None = None
+    software: str | None = None
+
+
+class CycleListing:
+    """Tells the ledger that a cycle has begun, and how it has ended; or nothing without one."""
+
+    def __init__(self, setup: LedgerSetup | None) -> None:
+        self._setup = setup
+        self._entry: Entry | None = None
+
+    def begin(
+        self, folder: Path, cycle: int, started: datetime, aim: str, part: str | None
+    ) -> None:
+        """The cycle begins."""
+        if self._setup is None:
+            return
+        self._entry = Entry(
+            line=self._setup.line,
+            cycle=cycle,
+            folder=folder.absolute(),
+            started=started.astimezone(UTC),
+            aim=aim,
+            part=part,
+            calibration=self._setup.calibration,
+            software=self._setup.software,
+        )
+        self._setup.ledger.put(self._entry)
+
+    def end(self, result: Result, model: Mapping[str, Any] | None) -> None:
+        """The cycle has ended; `model` is what was identified, as `model.json`."""
+        if self._setup is None or self._entry is None:
+            return
+        self._setup.ledger.put(
+            replace(
+                self._entry,
+                ended=datetime.now(UTC),
+                result=result,
+                estimates=estimates_of(model),
+            )
+        )

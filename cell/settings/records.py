@@ -1,0 +1,78 @@
+"""What the settings say of records: what is recorded of a cycle, and where cycles are listed."""
+
+from __future__ import annotations
+
+import itertools
+from datetime import time
+from typing import Annotated, Literal, get_args
+from urllib.parse import urlsplit
+
+from pydantic import AfterValidator, Field
+
+from cell.settings.section import NotNegative, Positive, Section
+
+
+def database_url(url: str) -> str:
+    """The URL itself.  Raises ValueError: no database of a ledger, or it has a password in it."""
+    parts = urlsplit(url)
+    kind = parts.scheme.split("+")[0]
+    if kind not in ("sqlite", "postgresql"):
+        raise ValueError(
+            f"{url!r} is no URL of a ledger; give postgresql://user@host/name or sqlite:///file"
+        )
+    if parts.password is not None:
+        raise ValueError(
+            "has a password, which would be copied to every record; leave it out, and put it into "
+            "~/.pgpass or the environment (PGPASSWORD)"
+        )
+    return url
+
+
+def times_of_day(times: tuple[str, ...]) -> tuple[str, ...]:
+    """The times themselves, HH:MM.  Raises ValueError: one is none, or they are not in order."""
+    if not times:
+        raise ValueError("give at least one time, such as 00:00")
+    parsed = [time.fromisoformat(t) for t in times]
+    if any(a >= b for a, b in itertools.pairwise(parsed)):
+        raise ValueError(f"{', '.join(times)} are not in order; give every time of a day once")
+    return times
+
+
+Ending = Literal["inserted", "missed", "rejected", "failed", "measured", "rehearsed", "unfit"]
+ENDINGS: tuple[Ending, ...] = get_args(Ending)
+
+
+class Recording(Section):
+    """What is recorded of every cycle, frame by frame, and how long it is kept.
+
+    A file named `keep` in a cycle's folder keeps its recording, whatever the limits."""
+
+    keep: tuple[Ending, ...] = ENDINGS
+    """Recordings of cycles that ended so are kept; the others are removed at once."""
+    keep_every: Annotated[int, Field(ge=0, le=1_000_000)] = 0
+    """And those of cycles whose number is a multiple of it; 0 = no others."""
+    memory_mb: Annotated[int, Field(ge=16, le=16_384)] = 512
+    """Memory for frames that wait to be written; more frames are left out and the gap is marked."""
+    max_age_days: Positive | None = None
+    """Older recordings are removed.  Null = never."""
+    max_size_gb: Positive | None = 20.0
+    """Beyond it the oldest recordings of the folder are removed.  Null = no limit."""
+    min_free_gb: NotNegative = 1.0
+    """Free room on the disk before a cycle; with less the oldest recordings are removed, and if
+    that is not enough nothing is recorded.  1 GB = 10⁹ bytes."""
+
+
+class Ledger(Section):
+    """The database that lists all cycles: what became of them, the cables' parameters, faults."""
+
+    url: Annotated[str, AfterValidator(database_url)] | None = None
+    """`postgresql://user@host/name`: one server for the lines of a plant; its password is taken
+    from the environment (PGPASSWORD) or from `~/.pgpass`.  Null = `ledger.sqlite` in the folder of
+    the records."""
+    line: Annotated[str, Field(min_length=1, max_length=100)] | None = None
+    """The line that this cell belongs to.  Null = the computer's name."""
+    shifts: Annotated[tuple[str, ...], AfterValidator(times_of_day)] = ("06:00", "14:00", "22:00")
+    """When shifts begin, local time."""
+    ideal_cycle_s: Positive | None = None
+    """Time that one cable needs at best, of which the line's performance is a share.  Null = what
+    the quickest tenth of the insertions needed."""
