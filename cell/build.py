@@ -17,7 +17,7 @@ from cell.plan.choose import ChoiceOptions
 from cell.plan.destination import Destination
 from cell.plan.paths import MotionLimits
 from cell.records.ledger import outbox
-from cell.records.ledger.outbox import LedgerWriter, writes_to
+from cell.records.ledger.outbox import LaterLedger, LedgerWriter
 from cell.records.recording.devices import recorded_devices
 from cell.records.recording.recorder import Recorder
 from cell.records.recording.retention import Retention, Room
@@ -142,7 +142,7 @@ def listed(settings: Settings, runs: Path) -> LedgerSetup | None:
     wanted = settings.ledger
     if wanted is None:
         return None
-    writer = LedgerWriter(writes_to(wanted.url or runs), runs / outbox.FOLDER)
+    writer = LedgerWriter(LaterLedger(wanted.url or runs), runs / outbox.FOLDER)
     writer.start()
     return LedgerSetup(writer, line_of(settings), calibration_hash(settings), version("cable-cell"))
 

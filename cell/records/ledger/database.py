@@ -21,7 +21,7 @@ FILE = "ledger.sqlite"
 BUSY_S = 5.0
 #: How long a server may take to answer a connection, s.
 CONNECT_S = 3
-#: Two cells that begin at once bring a server's tables up to date one after the other.
+#: A server's lock that whoever writes holds meanwhile, as SQLite has one of its own.
 _LOCK = 0x63656C6C
 
 
@@ -67,8 +67,12 @@ def open_engine(url: URL, *, create: bool) -> Engine:
         if path is not None and create:
             path.parent.mkdir(parents=True, exist_ok=True)
         _keep_transactions(engine)
-    with told(engine):
-        _bring_up_to_date(engine, create)
+    try:
+        with told(engine):
+            _bring_up_to_date(engine, create)
+    except BaseException:
+        engine.dispose()
+        raise
     return engine
 
 
@@ -90,6 +94,8 @@ def writing(engine: Engine) -> Iterator[Connection]:
         engine.connect().execution_options(writing=True) as connection,
         connection.begin(),
     ):
+        if engine.dialect.name == "postgresql":
+            connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": _LOCK})
         yield connection
 
 
@@ -131,8 +137,6 @@ def _bring_up_to_date(engine: Engine, create: bool) -> None:
     from cell.records.ledger.migrations.upgrade import upgrade  # takes its time; hardly ever needed
 
     with writing(engine) as connection:
-        if engine.dialect.name == "postgresql":
-            connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": _LOCK})
         if _version(connection) != HEAD:  # nobody else has done it meanwhile
             upgrade(connection)
 

@@ -10,10 +10,10 @@ import json
 import logging
 import os
 import threading
-from collections.abc import Callable
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from cell.files.atomic import write_new
 from cell.records.ledger.entry import Entry
@@ -42,14 +42,15 @@ class Outbox:
 
     def put(self, entry: Entry) -> None:
         """Add one.  Raises OSError: it cannot be written."""
-        self._folder.mkdir(parents=True, exist_ok=True)
         content = json.dumps(entry.to_json(), ensure_ascii=False)
-        number = 1 + max((_number(f) for f in self._files()), default=0)
         while True:
-            with suppress(FileExistsError):  # of another cell that uses this folder
+            self._folder.mkdir(parents=True, exist_ok=True)
+            number = 1 + max((_number(f) for f in self._files()), default=0)
+            # it may be there, of another cell that uses this folder; or the folder is gone, because
+            # somebody has just written the last that was in it
+            with suppress(FileExistsError, FileNotFoundError):
                 write_new(self._folder / f"{number:08d}-{os.getpid()}.json", content)
                 return
-            number += 1
 
     def waiting(self) -> list[tuple[Path, Entry]]:
         """Entries and their files.  One that cannot be read is put aside, as `.bad`."""
@@ -80,31 +81,48 @@ def _number(file: Path) -> int:
     return int(digits) if digits.isdigit() else 0
 
 
-def writes_to(place: str | Path) -> Callable[[list[Entry]], None]:
-    """Writes to this ledger, which is opened, and made if it is missing, as it is first needed."""
-    opened: list[Ledger] = []
+class WritesEntries(Protocol):
+    """A ledger, as far as it is written to."""
 
-    def write(entries: list[Entry]) -> None:
+    def write(self, entries: Sequence[Entry]) -> None:
+        """Write entries, all or none.  Raises LedgerError."""
+
+    def close(self) -> None:
+        """Close its connections."""
+
+
+class LaterLedger:
+    """A ledger that is opened, and made if it is missing, when it is first written to."""
+
+    def __init__(self, place: str | Path) -> None:
+        self._place = place
+        self._ledger: Ledger | None = None
+
+    def write(self, entries: Sequence[Entry]) -> None:
+        """Write entries, all or none.  Raises LedgerError."""
         from cell.records.ledger.ledger import Ledger  # a third of a second, in the writer's thread
 
-        if not opened:
-            opened.append(Ledger(place, create=True))
-        opened[0].write(entries)
+        if self._ledger is None:
+            self._ledger = Ledger(self._place, create=True)
+        self._ledger.write(entries)
 
-    return write
+    def close(self) -> None:
+        """Close its connections."""
+        if self._ledger is not None:
+            self._ledger.close()
 
 
 class LedgerWriter:
     """Hands entries to a ledger, in a thread of its own.
 
-    write   writes entries, all or none; raises LedgerError
+    ledger  is written to, and closed at the end
     outbox  folder for what is not written yet
     notes   what a person should know
     """
 
-    def __init__(self, write: Callable[[list[Entry]], None], outbox: Path) -> None:
+    def __init__(self, ledger: WritesEntries, outbox: Path) -> None:
         self.notes: list[str] = []
-        self._write = write
+        self._ledger = ledger
         self._outbox = Outbox(outbox)
         self._place = outbox
         self._wake = threading.Event()
@@ -160,11 +178,12 @@ class LedgerWriter:
                     _LOG.warning("ledger: it is there again, and has got what waited")
                 self._failed = ""
             if over:
+                self._ledger.close()
                 return
 
     def _write_waiting(self) -> None:
         while waiting := self._outbox.waiting()[:_TOGETHER]:
-            self._write([entry for _, entry in waiting])
+            self._ledger.write([entry for _, entry in waiting])
             for file, _ in waiting:
                 self._outbox.remove(file)
 

@@ -1,0 +1,118 @@
+"""A ledger is made, brought up to date or refused, and never damaged."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from alembic.autogenerate import compare_metadata
+from alembic.migration import MigrationContext
+from alembic.script import ScriptDirectory
+from sqlalchemy import Engine, create_engine, text
+
+from cell.records.ledger.database import url_of
+from cell.records.ledger.error import LedgerError
+from cell.records.ledger.ledger import Ledger, Wanted
+from cell.records.ledger.migrations.upgrade import config, upgrade
+from cell.records.ledger.tables import HEAD, metadata
+
+from .conftest import ended
+
+
+@contextmanager
+def engine_of(place: str) -> Iterator[Engine]:
+    engine = create_engine(url_of(place))
+    yield engine
+    engine.dispose()
+
+
+def test_the_newest_migration_is_known_without_looking() -> None:
+    assert ScriptDirectory.from_config(config()).get_current_head() == HEAD
+
+
+def test_migrations_make_the_tables_that_the_program_uses(place: str) -> None:
+    Ledger(place, create=True).close()
+    with engine_of(place) as engine, engine.connect() as connection:
+        assert compare_metadata(MigrationContext.configure(connection), metadata) == []
+
+
+def test_a_ledger_of_a_newer_version_is_refused_and_left_alone(place: str) -> None:
+    ledger = Ledger(place, create=True)
+    ledger.write([ended(1)])
+    ledger.close()
+    with engine_of(place) as engine, engine.begin() as connection:
+        connection.execute(text("UPDATE alembic_version SET version_num = '9999'"))
+    for create in (True, False):
+        with pytest.raises(LedgerError, match="newer version"):
+            Ledger(place, create=create)
+    with engine_of(place) as engine, engine.connect() as connection:
+        assert connection.scalar(text("SELECT count(*) FROM cycles")) == 1
+
+
+def test_a_ledger_that_is_missing_is_not_made_by_asking(tmp_path: Path) -> None:
+    with pytest.raises(LedgerError, match=r"ledger\.sqlite is missing: .* --import"):
+        Ledger(tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_empty_database_is_not_changed_by_asking(server) -> None:
+    place = server.new_database()
+    with pytest.raises(LedgerError, match="has no tables of a ledger"):
+        Ledger(place)
+
+
+def test_what_is_no_ledger_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "ledger.sqlite").write_text("these are no tables" * 100)
+    with pytest.raises(LedgerError, match="not a database"):
+        Ledger(tmp_path, create=True)
+
+
+@pytest.mark.parametrize(
+    ("place", "said"),
+    [
+        ("postgresql://cell@127.0.0.1:1/plant", "127.0.0.1"),
+        ("oracle://somewhere/else", "package that is not installed"),
+        ("nothing://", "package that is not installed|no database"),
+    ],
+)
+def test_a_server_that_cannot_be_used_is_named(place: str, said: str) -> None:
+    with pytest.raises(LedgerError, match=said):
+        Ledger(place, create=True)
+
+
+def test_a_reader_keeps_no_writer_waiting(tmp_path: Path) -> None:
+    ledger = Ledger(tmp_path, create=True)
+    ledger.write([ended(1)])
+    reader = sqlite3.connect(tmp_path / "ledger.sqlite")
+    reader.execute("BEGIN")
+    assert reader.execute("SELECT count(*) FROM cycles").fetchone() == (1,)
+    ledger.write([ended(2)])
+    assert reader.execute("SELECT count(*) FROM cycles").fetchone() == (1,)
+    reader.close()
+    assert len(ledger.listed(Wanted())) == 2
+    ledger.close()
+
+
+def test_an_older_ledger_is_brought_up_to_date_by_writing(place: str) -> None:
+    """Asking says what to do; a run does it, and nothing is lost."""
+    with engine_of(place) as engine:
+        if engine.url.database and engine.dialect.name == "sqlite":
+            Path(engine.url.database).parent.mkdir(parents=True)
+        with engine.begin() as connection:
+            upgrade(connection, "0001")
+            connection.execute(
+                text(
+                    "INSERT INTO cycles (uid, line, cycle, folder, aim, started, ordered, "
+                    "model_misses) VALUES ('a/b', 'a', 7, 'b', 'inserted', "
+                    "'2026-11-02 06:30:00', '2026-11-02 06:30:00', false)"
+                )
+            )
+    if HEAD != "0001":
+        with pytest.raises(LedgerError, match="older version"):
+            Ledger(place)
+    ledger = Ledger(place, create=True)
+    assert [c.cycle for c in ledger.listed(Wanted())] == [7]
+    ledger.close()

@@ -1,0 +1,159 @@
+"""What is written to the ledger is what is asked for, in a file and on a server."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+from datetime import timedelta
+from pathlib import Path
+
+import pytest
+
+from cell.records.ledger.ledger import UNFINISHED, Ledger, Wanted
+from cell.records.result import Outcome
+
+from .conftest import BEGUN, begun, ended, stopped
+
+ALL = Wanted()
+
+
+def numbers(ledger: Ledger, wanted: Wanted = ALL, most: int | None = None) -> list[int]:
+    return [c.cycle for c in ledger.listed(wanted, most)]
+
+
+def test_a_cycle_is_unfinished_until_it_has_ended(ledger: Ledger) -> None:
+    ledger.write([begun(1, part="A-1")])
+    (listed,) = ledger.listed(Wanted())
+    assert (listed.outcome, listed.ended, listed.part) == (UNFINISHED, None, "A-1")
+    assert ledger.results("line3") == []
+    ledger.write([ended(1, part="A-1")])
+    (listed,) = ledger.listed(Wanted(), estimates=True)
+    entry = ended(1, part="A-1")
+    assert listed.outcome == "inserted"
+    assert (listed.started, listed.ended) == (entry.started, entry.ended)
+    assert listed.estimates == entry.estimates
+    assert listed.running_s == 25.0
+    assert listed.numbers["measured_miss_m"] == 0.3e-3
+    assert (listed.model, listed.calibration, listed.software) == ("abc", "c0ffee", "0.1.0")
+
+
+def test_the_same_entry_again_changes_nothing(ledger: Ledger) -> None:
+    """An entry is sent again if nobody knows whether it has arrived."""
+    for entry in (begun(1), ended(1), ended(1), begun(1)):
+        ledger.write([entry])
+    (listed,) = ledger.listed(Wanted(), estimates=True)
+    assert listed.outcome == "inserted"
+    assert len(listed.estimates) == 2
+
+
+def test_all_or_none_are_written(ledger: Ledger) -> None:
+    wrong = replace(ended(2), aim=None)  # type: ignore[arg-type]
+    with pytest.raises(Exception, match="aim"):
+        ledger.write([ended(1), wrong])
+    assert numbers(ledger) == []
+
+
+def test_charts_get_what_they_need_oldest_first(ledger: Ledger) -> None:
+    outcomes = [Outcome.INSERTED, Outcome.MISSED, Outcome.MEASURED, Outcome.REJECTED]
+    ledger.write([ended(n, o) for n, o in enumerate(outcomes)])
+    ledger.write([stopped(9), ended(10, line="line4")])
+    results = ledger.results("line3")
+    assert [r.outcome for r in results] == [Outcome.INSERTED, Outcome.MISSED, Outcome.REJECTED]
+    assert [r.cycle for r in ledger.results("line3", most=2)] == [1, 3]
+    entry = ended(0).result
+    assert entry is not None
+    same = ("measured_miss_m", "predicted_miss_m", "predicted_std_m", "residual_rms_m", "noise_m")
+    assert all(getattr(results[0], k) == getattr(entry, k) for k in (*same, "model"))
+    assert results[0].parameters == {"rigidity_0": 2e-5, "viscosity": 1e-7}
+
+
+@pytest.mark.parametrize(
+    ("wanted", "found"),
+    [
+        (Wanted(), [1, 2, 3, 4, 5]),
+        (Wanted(since=BEGUN + timedelta(minutes=4)), [4, 5]),
+        (Wanted(until=BEGUN + timedelta(minutes=2)), [1]),
+        (Wanted(outcomes=("inserted",)), [1, 4]),
+        (Wanted(outcomes=("inserted", UNFINISHED)), [1, 4, 5]),
+        (Wanted(outcomes=(UNFINISHED,)), [5]),
+        (Wanted(line="line4"), [4]),
+        (Wanted(part="A-7"), [1]),
+        (Wanted(model="abc", outcomes=("failed",)), [2, 3]),
+        (Wanted(fault="arm"), [2, 3]),
+        (Wanted(fault="arm.limit"), [2]),
+        (Wanted(fault="a_m"), []),
+        (Wanted(part="nobody's"), []),
+    ],
+)
+def test_only_what_is_wanted_is_listed(ledger: Ledger, wanted: Wanted, found: list[int]) -> None:
+    ledger.write([ended(1, part="A-7"), stopped(2, "arm.limit"), stopped(3, "arm.lost")])
+    ledger.write([ended(4, line="line4"), begun(5)])
+    assert numbers(ledger, wanted) == found
+    assert sum(ledger.count(wanted).values()) == len(found)
+    assert numbers(ledger, wanted, most=1) == found[-1:]
+
+
+def test_faults_are_counted_by_code_with_the_newest_cause(ledger: Ledger) -> None:
+    ledger.write([stopped(1, "arm.limit"), stopped(2), stopped(3, "arm.limit"), ended(4)])
+    assert ledger.faults(Wanted()) == [("arm.limit", 2, "cause 3"), ("stop", 1, "cause 2")]
+    assert ledger.faults(Wanted(fault="stop")) == [("stop", 1, "cause 2")]
+    (listed,) = ledger.listed(Wanted(fault="stop"))
+    entry = stopped(2).result
+    assert entry is not None
+    assert listed.fault == entry.fault
+
+
+def test_a_clock_that_was_set_back_does_not_change_the_order(ledger: Ledger) -> None:
+    """Charts look for changes in the order in which cycles were made."""
+    ledger.write([ended(1), ended(2)])
+    ledger.write([ended(3, started=BEGUN - timedelta(days=1))])
+    assert numbers(ledger) == [1, 2, 3]
+    assert [r.cycle for r in ledger.results("line3")] == [1, 2, 3]
+
+
+def test_cycles_of_before_are_taken_in_where_they_were(ledger: Ledger) -> None:
+    ledger.write([ended(5), ended(6)])
+    ledger.write([ended(2), begun(3)], of_now=False)
+    assert numbers(ledger) == [2, 3, 5, 6]
+
+
+def test_a_part_may_be_tried_again(ledger: Ledger) -> None:
+    ledger.write([stopped(1), ended(2, part="Ä 1"), ended(3, part="Ä 1")])
+    assert numbers(ledger, Wanted(part="Ä 1")) == [2, 3]
+
+
+def test_cells_that_write_at_once_wait_for_each_other(place: str) -> None:
+    """Four cells begin with a new ledger, and all tell it of parts of the same ids."""
+    errors: list[BaseException] = []
+
+    def cell(number: int) -> None:
+        try:
+            ledger = Ledger(place, create=True)
+            for k in range(10):
+                n = 100 * number + k
+                ledger.write([begun(n, line=f"line{number}", part=f"P{k}")])
+                ledger.write([ended(n, line=f"line{number}", part=f"P{k}")])
+            ledger.close()
+        except BaseException as error:
+            errors.append(error)
+
+    threads = [threading.Thread(target=cell, args=(n,)) for n in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert errors == []
+    ledger = Ledger(place)
+    assert ledger.count(Wanted()) == {"inserted": 40}
+    assert len(ledger.listed(Wanted(part="P3"))) == 4
+    ledger.close()
+
+
+def test_folders_are_found_beside_a_ledger_that_was_moved(tmp_path: Path) -> None:
+    (tmp_path / "runs" / "00001").mkdir(parents=True)
+    ledger = Ledger(tmp_path / "runs", create=True)
+    ledger.write([ended(1), ended(2)])
+    first, second = ledger.listed(Wanted())
+    assert first.folder == tmp_path / "runs" / "00001"
+    assert second.folder == Path("/records/00002")
+    ledger.close()

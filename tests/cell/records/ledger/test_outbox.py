@@ -1,0 +1,203 @@
+"""What the ledger is told waits until it can be told, and is told in order."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+import pytest
+
+from cell.records.ledger import outbox
+from cell.records.ledger.entry import Entry
+from cell.records.ledger.error import LedgerError
+from cell.records.ledger.ledger import Ledger, Wanted
+from cell.records.ledger.outbox import LaterLedger, LedgerWriter, Outbox
+
+from .conftest import begun, ended, stopped
+
+
+@pytest.fixture(autouse=True)
+def soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Trying again does not wait for a second."""
+    monkeypatch.setattr(outbox, "_FIRST_S", 0.02)
+    monkeypatch.setattr(outbox, "_LAST_S", 0.05)
+
+
+class Told:
+    """A ledger that hands entries on."""
+
+    def __init__(self, write: Callable[[Sequence[Entry]], None]) -> None:
+        self.write = write
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+@pytest.fixture
+def writer_to(tmp_path: Path) -> Iterator[Callable[..., LedgerWriter]]:
+    begun: list[LedgerWriter] = []
+
+    def made(to) -> LedgerWriter:
+        ledger = to if isinstance(to, LaterLedger) else Told(to)
+        writer = LedgerWriter(ledger, tmp_path / outbox.FOLDER)
+        writer.start()
+        begun.append(writer)
+        return writer
+
+    yield made
+    for writer in begun:
+        writer.close()
+
+
+def until(done: Callable[[], object], seconds: float = 20.0) -> None:
+    end_s = time.monotonic() + seconds
+    while not done():
+        assert time.monotonic() < end_s
+        time.sleep(0.01)
+
+
+def test_an_entry_is_read_back_as_it_was() -> None:
+    for entry in (begun(1, part="Ä 1"), ended(2), stopped(3)):
+        assert Entry.from_json(json.loads(json.dumps(entry.to_json()))) == entry
+
+
+def test_entries_are_written_in_order_and_removed(writer_to, tmp_path: Path) -> None:
+    writer = writer_to(LaterLedger(tmp_path))
+    for n in range(1, 250):
+        writer.put(begun(n))
+    writer.close()
+    assert writer.notes == []
+    assert not (tmp_path / outbox.FOLDER).exists()
+    ledger = Ledger(tmp_path)
+    assert [c.cycle for c in ledger.listed(Wanted())] == list(range(1, 250))
+    ledger.close()
+
+
+def test_what_an_earlier_run_has_left_comes_first(writer_to, tmp_path: Path) -> None:
+    """It was killed before it could tell."""
+    left = Outbox(tmp_path / outbox.FOLDER)
+    left.put(begun(1))
+    left.put(stopped(1))
+    told: list[Entry] = []
+    writer = writer_to(told.extend)
+    writer.put(begun(2))
+    writer.close()
+    assert told == [begun(1), stopped(1), begun(2)]
+
+
+def test_a_cell_goes_on_while_the_ledger_is_away(writer_to, tmp_path: Path, caplog) -> None:
+    told: list[Entry] = []
+    away = threading.Event()
+    away.set()
+
+    def write(entries: list[Entry]) -> None:
+        if away.is_set():
+            raise LedgerError("the server is away")
+        told.extend(entries)
+
+    writer = writer_to(write)
+    for n in range(3):
+        writer.put(begun(n))
+        writer.put(ended(n))
+    until(lambda: "the cell goes on" in caplog.text)
+    away.clear()
+    until(lambda: len(told) == 6)
+    assert told == [e for n in range(3) for e in (begun(n), ended(n))]
+    assert caplog.text.count("the cell goes on") == 1
+
+
+def test_what_cannot_be_told_waits_for_the_next_run(writer_to, tmp_path: Path) -> None:
+    def refused(entries: list[Entry]) -> None:
+        raise LedgerError("the server is away")
+
+    writer = writer_to(refused)
+    writer.put(ended(1))
+    writer.close()
+    (note,) = writer.notes
+    assert "1 entries of the ledger wait" in note
+    assert "the server is away" in note
+    following = writer_to(LaterLedger(tmp_path))
+    following.close()
+    ledger = Ledger(tmp_path)
+    assert ledger.count(Wanted()) == {"inserted": 1}
+    ledger.close()
+
+
+def test_what_is_no_entry_is_put_aside(writer_to, tmp_path: Path) -> None:
+    folder = tmp_path / outbox.FOLDER
+    folder.mkdir()
+    (folder / "00000001-7.json").write_text('{"half')
+    (folder / "00000002-7.json").write_text('{"line": "other"}')
+    told: list[Entry] = []
+    writer = writer_to(told.extend)
+    writer.put(begun(1))
+    writer.close()
+    assert told == [begun(1)]
+    assert sorted(f.name for f in folder.iterdir()) == ["00000001-7.bad", "00000002-7.bad"]
+
+
+def test_a_folder_that_cannot_be_written_is_told_of(writer_to, tmp_path: Path) -> None:
+    (tmp_path / outbox.FOLDER).write_text("a file")
+    writer = writer_to(lambda entries: None)
+    writer.put(ended(1))
+    (note,) = writer.notes
+    assert "the ledger lacks 00001" in note
+    assert "cell history --import /records" in note
+    writer.close()
+
+
+def test_two_cells_use_one_folder(tmp_path: Path) -> None:
+    """Either may write what the other has put there: nothing is missing, nothing twice."""
+    writers = [LedgerWriter(LaterLedger(tmp_path), tmp_path / outbox.FOLDER) for _ in range(2)]
+    for writer in writers:
+        writer.start()
+    for n in range(1, 41):
+        writers[n % 2].put(begun(n))
+        writers[n % 2].put(ended(n))
+    for writer in writers:
+        writer.close()
+    assert [writer.notes for writer in writers] == [[], []]
+    ledger = Ledger(tmp_path)
+    assert ledger.count(Wanted()) == {"inserted": 40}
+    ledger.close()
+
+
+def test_a_locked_file_is_written_later(writer_to, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr("cell.records.ledger.database.BUSY_S", 0.05)
+    Ledger(tmp_path, create=True).close()
+    other = sqlite3.connect(tmp_path / "ledger.sqlite", isolation_level=None)
+    other.execute("BEGIN EXCLUSIVE")
+    writer = writer_to(LaterLedger(tmp_path))
+    writer.put(ended(1))
+    time.sleep(0.3)
+    assert list((tmp_path / outbox.FOLDER).iterdir())
+    other.execute("ROLLBACK")
+    other.close()
+    until(lambda: not (tmp_path / outbox.FOLDER).exists())
+    ledger = Ledger(tmp_path)
+    assert ledger.count(Wanted()) == {"inserted": 1}
+    ledger.close()
+
+
+def test_a_server_goes_away_and_comes_back(writer_to, server) -> None:
+    place = server.new_database()
+    writer = writer_to(LaterLedger(place))
+    ledger = Ledger(place, create=True)
+    writer.put(begun(1))
+    until(lambda: ledger.count(Wanted()))
+    server.stop()
+    try:
+        for n in (1, 2, 3):
+            writer.put(ended(n))
+        time.sleep(0.3)
+        with pytest.raises(LedgerError):
+            ledger.count(Wanted())
+    finally:
+        server.start()
+    until(lambda: ledger.count(Wanted()) == {"inserted": 3})
+    assert [c.cycle for c in ledger.listed(Wanted())] == [1, 2, 3]
+    ledger.close()
