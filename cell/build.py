@@ -16,12 +16,12 @@ from cell.computer.second_process import SecondProcess
 from cell.plan.choose import ChoiceOptions
 from cell.plan.destination import Destination
 from cell.plan.paths import MotionLimits
-from cell.records.ledger import outbox
-from cell.records.ledger.outbox import LaterLedger, LedgerWriter
+from cell.records.ledger.outbox import LaterLedger, LedgerWriter, outbox_of
 from cell.records.recording.devices import recorded_devices
 from cell.records.recording.recorder import Recorder
 from cell.records.recording.retention import Retention, Room
 from cell.records.result import Outcome
+from cell.run.archive import Archive
 from cell.run.clocks import KnownDelays
 from cell.run.cycle import Cell
 from cell.run.listed import LedgerSetup
@@ -89,11 +89,11 @@ def build_cell(
     else:
         take_precedence()
         devices = real_devices(settings, known)
-    recording = ledger = None
+    archive = Archive()
     if recorded:
         devices, recording = with_recorder(settings, devices, runs)
-        ledger = listed(settings, runs)
-    return cell_with(settings, devices, runs, on_step, known, recording=recording, ledger=ledger)
+        archive = Archive(recording, listed(settings, runs))
+    return cell_with(settings, devices, runs, on_step, known, archive=archive)
 
 
 def guarded_devices(settings: Settings, devices: Devices) -> Devices:
@@ -113,13 +113,11 @@ def cell_with(
     on_step: Callable[[int, str], None],
     known: Calibrated | None = None,
     *,
-    recording: RecordingSetup | None = None,
-    ledger: LedgerSetup | None = None,
+    archive: Archive | None = None,
 ) -> Cell:
     """A cell around given devices, which it surrounds with their limits.
 
-    recording  how its cycles are recorded; None = they are not
-    ledger     which ledger lists them; None = none does
+    archive  where its cycles are recorded and listed; None = nowhere
     """
     use_one_arena()
     guarded = guarded_devices(settings, devices)
@@ -132,8 +130,7 @@ def cell_with(
         on_step,
         computer=SecondProcess() if _in_real_time(settings) else None,
         watched=watched,
-        recording=recording,
-        ledger=ledger,
+        archive=archive,
     )
 
 
@@ -142,7 +139,7 @@ def listed(settings: Settings, runs: Path) -> LedgerSetup | None:
     wanted = settings.ledger
     if wanted is None:
         return None
-    writer = LedgerWriter(LaterLedger(wanted.url or runs), runs / outbox.FOLDER)
+    writer = LedgerWriter(LaterLedger(wanted.url or runs), outbox_of(runs))
     writer.start()
     return LedgerSetup(writer, line_of(settings), calibration_hash(settings), version("cable-cell"))
 

@@ -17,6 +17,7 @@ from cell.files.plain import plain
 from cell.records.recording import form
 from cell.records.recording.reading import Recording
 from cell.records.result import Outcome, Result
+from cell.run.archive import Archive
 from cell.run.recorded import RecordingSetup
 from cell.settings import Settings, load_settings
 from cell.settings.calibrated import Calibrated, calibrated
@@ -101,8 +102,8 @@ def replay(
             replayed.on_step(number, name)
             on_step(number, name)
 
-        recording_to = RecordingSetup(heard, {})
-        cell = cell_with(settings, replayed.devices, runs, step, known, recording=recording_to)
+        archive = Archive(RecordingSetup(heard, {}))
+        cell = cell_with(settings, replayed.devices, runs, step, known, archive=archive)
         try:
             result = cell.run_cycle(about["cycle"])
         finally:

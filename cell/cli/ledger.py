@@ -40,7 +40,7 @@ LedgerPlace = Annotated[
     typer.Option(
         "--ledger",
         help="The ledger: a folder of records, a file or a database's URL.  Default: that of "
-        "--config, else that of the folder `runs`.",
+        "--config, else that of the folder `runs`, `runs.sqlite`.",
         show_default=False,
     ),
 ]

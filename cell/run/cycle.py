@@ -17,13 +17,14 @@ from cell.computer.memory import release_free_memory
 from cell.records.folder import Record, RecordError
 from cell.records.result import Fault, Outcome, Result
 from cell.run import steps
+from cell.run.archive import Archive
 from cell.run.commands import INTERRUPTING, RESUMING, Commands, InterruptedByCommandError
-from cell.run.listed import CycleListing, LedgerSetup
+from cell.run.listed import CycleListing
 from cell.run.machine import CellState, Event, EventRefusedError, Machine
 from cell.run.movements import slowed
 from cell.run.plans import AGAIN_WHEN_LOST, INSERTING, Plan, Repeat, Step, rehearsing
 from cell.run.progress import Progress
-from cell.run.recorded import CycleRecording, RecordingSetup
+from cell.run.recorded import CycleRecording
 from cell.run.station import Station, Task
 from drivers.interfaces import (
     CameraError,
@@ -53,8 +54,7 @@ class Cell:
     runs      folder in which every cycle gets its own
     computer  computes while frames are looked at; None = a thread
     watched   look at the devices all the time; only those that run in real time can be
-    recording how cycles are recorded, frame by frame; None = they are not
-    ledger    which ledger lists the cycles; None = none does
+    archive   where cycles are recorded and listed
     on_step   told of every step as it begins: number of the cycle, name of the step
     """
 
@@ -68,8 +68,7 @@ class Cell:
         *,
         computer: Executor | None = None,
         watched: bool = False,
-        recording: RecordingSetup | None = None,
-        ledger: LedgerSetup | None = None,
+        archive: Archive | None = None,
     ) -> None:
         self.commands = Commands()
         self.machine = Machine(devices.clock.now_s)
@@ -79,8 +78,7 @@ class Cell:
         self._runs = runs
         self._on_step = on_step
         self._watched = watched
-        self._recording = recording
-        self._ledger = ledger
+        self._archive = Archive() if archive is None else archive
         self._done_once: set[str] = set()
 
     def now_s(self) -> float:
@@ -89,8 +87,7 @@ class Cell:
 
     def notes(self) -> Sequence[str]:
         """What a person should know of the recordings and of the ledger."""
-        recorded = [] if self._recording is None else self._recording.recorder.notes
-        return (*recorded, *([] if self._ledger is None else self._ledger.ledger.notes))
+        return self._archive.notes()
 
     def command(self, event: Event, reason: str = "") -> None:
         """Stop, abort, hold, unhold, suspend or unsuspend, from any thread, at any time.
@@ -118,10 +115,7 @@ class Cell:
         """Stop the arm and disconnect all devices."""
         steps.close(self._station.devices)
         self._station.computer.shutdown(wait=False, cancel_futures=True)
-        if self._recording is not None:
-            self._recording.recorder.close()
-        if self._ledger is not None:
-            self._ledger.ledger.close()
+        self._archive.close()
         self._done_once.clear()
 
     def rehearsal(self, plan: Plan, speed: float) -> Plan:
@@ -143,10 +137,10 @@ class Cell:
         station = replace(self._station, task=slowed(self._station.task, plan.speed))
         started = datetime.now()
         record = Record(self._runs, number, started)
-        recording = CycleRecording(self._recording)
+        recording = CycleRecording(self._archive.recording)
         meant = {"aim": plan.aim.value, "steps": plan.names, "speed": plan.speed}
         recording.begin(record.folder, number, started, meant)
-        listing = CycleListing(self._ledger)
+        listing = CycleListing(self._archive.ledger)
         listing.begin(record.folder, number, started, plan.aim.value, part)
         progress = Progress(number, record, recording, station, plan.given, plan.resetting[0].name)
         try:

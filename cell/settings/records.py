@@ -67,8 +67,8 @@ class Ledger(Section):
 
     url: Annotated[str, AfterValidator(database_url)] | None = None
     """`postgresql://user@host/name`: one server for the lines of a plant; its password is taken
-    from the environment (PGPASSWORD) or from `~/.pgpass`.  Null = `ledger.sqlite` in the folder of
-    the records."""
+    from the environment (PGPASSWORD) or from `~/.pgpass`.  Null = a file beside the folder of the
+    records, `runs.sqlite`."""
     line: Annotated[str, Field(min_length=1, max_length=100)] | None = None
     """The line that this cell belongs to.  Null = the computer's name."""
     shifts: Annotated[tuple[str, ...], AfterValidator(times_of_day)] = ("06:00", "14:00", "22:00")

@@ -34,6 +34,7 @@ import numpy as np
 from cell.build import cell_with, twin_devices, with_recorder
 from cell.computer.stalls import StallProbe
 from cell.records.result import Result
+from cell.run.archive import Archive
 from cell.run.cycle import Cell
 from cell.run.plans import EXECUTE, HOLD, IDENTIFY
 from cell.settings import Settings, load_settings
@@ -144,7 +145,7 @@ def measured(settings: Settings, seed: int, cycles: int, to_parent: Connection) 
 
         ended = suppress(EOFError, BrokenPipeError, ConnectionResetError)  # the other process was
         devices, how = with_recorder(settings, devices, Path(runs))
-        made = cell_with(settings, devices, Path(runs), on_step, recording=how)
+        made = cell_with(settings, devices, Path(runs), on_step, archive=Archive(how))
         with ended, closing(made) as cell:
             for number in range(1, cycles + 1):
                 player.recordings, player.late_s = to_parent.recv(), []

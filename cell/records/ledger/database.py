@@ -15,8 +15,8 @@ from sqlalchemy.exc import NoSuchModuleError as NoDialectError
 from cell.records.ledger.error import LedgerError
 from cell.records.ledger.tables import HEAD
 
-#: Name of the ledger in a folder of records.
-FILE = "ledger.sqlite"
+#: How the file of a ledger ends.
+_SUFFIX = ".sqlite"
 #: How long another process may keep the database for itself, s.
 BUSY_S = 5.0
 #: How long a server may take to answer a connection, s.
@@ -26,13 +26,15 @@ _LOCK = 0x63656C6C
 
 
 def url_of(place: str | Path) -> URL:
-    """URL of a ledger: of a file, of one in a folder of records, or as given.
+    """URL of a ledger: of a file, of the one beside a folder of records, or as given.
 
     raises  LedgerError: no such kind of database
     """
     if isinstance(place, Path) or "://" not in place:
         path = Path(place)
-        return URL.create("sqlite", database=str(path if path.suffix == ".sqlite" else path / FILE))
+        if path.suffix != _SUFFIX:  # beside the folder, as its log
+            path = path.with_name(f"{path.name}{_SUFFIX}")
+        return URL.create("sqlite", database=str(path))
     try:
         url = make_url(place)
     except ArgumentError as error:

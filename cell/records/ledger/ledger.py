@@ -13,7 +13,6 @@ from sqlalchemy import (
     Connection,
     Engine,
     Select,
-    and_,
     delete,
     func,
     insert,
@@ -22,7 +21,7 @@ from sqlalchemy import (
     update,
 )
 
-from cell.records.ledger.database import FILE, open_engine, told, url_of, writing
+from cell.records.ledger.database import open_engine, told, url_of, writing
 from cell.records.ledger.entry import Entry, Estimate
 from cell.records.ledger.tables import NUMBERS, cycles, faults, parameters, parts, times
 from cell.records.result import Fault, Outcome, Result
@@ -127,30 +126,25 @@ class Ledger:
     # --- asking -----------------------------------------------------------------------------------
 
     def results(self, line: str, most: int = MOST) -> list[Result]:
-        """Results of a line's newest cycles that tell of forecasts and fits, oldest first."""
-        asked = (
-            select(cycles)
+        """What charts need of a line's newest cycles that tell of forecasts and fits, oldest first:
+        outcome, model, misses, parameters.
+        """
+        newest = (
+            select(cycles.c.id, *_CHARTED)
             .where(cycles.c.line == line, cycles.c.outcome.in_([o.value for o in TELLING]))
             .order_by(cycles.c.ordered.desc(), cycles.c.id.desc())
             .limit(most)
         )
         with told(self._engine), self._engine.connect() as connection:
-            rows = connection.execute(asked).all()[::-1]
-            estimates = _estimates(connection, [row.id for row in rows])
-        return [
-            Result(
-                row.cycle,
-                Outcome(row.outcome),
-                row.folder,
-                **{name: getattr(row, name) for name in NUMBERS},
-                model=row.model,
-                parameters={e.name: e.value for e in estimates.get(row.id, ())},
-                reason=row.reason,
-                model_misses=row.model_misses,
-                part=None,
-            )
-            for row in rows
-        ]
+            rows = connection.execute(newest).all()[::-1]
+            estimates = _estimates(connection, newest)
+        results = []
+        for at, *values in rows:
+            known = dict(zip(_CHARTED_NAMES, values, strict=True))
+            known["outcome"] = Outcome(known["outcome"])
+            parameters = {e.name: e.value for e in estimates.get(at, ())}
+            results.append(Result(**known, parameters=parameters))
+        return results
 
     def listed(
         self, wanted: Wanted, most: int | None = None, *, estimates: bool = False
@@ -170,7 +164,7 @@ class Ledger:
             asked = asked.limit(most)
         with told(self._engine), self._engine.connect() as connection:
             rows = connection.execute(asked).all()[::-1]
-            known = _estimates(connection, [row.id for row in rows]) if estimates else {}
+            known = _estimates(connection, asked) if estimates else {}
         return [self._cycle(row, known.get(row.id, ())) for row in rows]
 
     def count(self, wanted: Wanted) -> dict[str, int]:
@@ -261,12 +255,18 @@ class Ledger:
     def _folder(self, said: str) -> Path:
         """Where a cycle's folder is; beside the ledger if it was moved with it."""
         folder = Path(said)
-        if folder.is_dir() or self.url.database is None or Path(self.url.database).name != FILE:
+        if folder.is_dir() or not self.url.drivername.startswith("sqlite"):
             return folder
-        moved = Path(self.url.database).parent / folder.name
+        moved = Path(self.url.database or "").with_suffix("") / folder.name
         return moved if moved.is_dir() else folder
 
 
+#: What charts need.
+_CHARTED_NAMES = (
+    *("cycle", "outcome", "folder", "predicted_miss_m", "measured_miss_m", "predicted_std_m"),
+    *("residual_rms_m", "noise_m", "model", "model_misses"),
+)
+_CHARTED = [cycles.c[name] for name in _CHARTED_NAMES]
 _FAULT_COLUMNS = [faults.c[k] for k in ("step", "cause", "device", "remedy", "cable", "code")]
 
 
@@ -390,19 +390,14 @@ def _ordered(connection: Connection, entry: Entry) -> datetime:
     return started if newest is None else max(started, newest)
 
 
-def _estimates(connection: Connection, numbers: Sequence[int]) -> dict[int, list[Estimate]]:
-    """Parameters by the number of their cycle."""
+def _estimates(connection: Connection, of: Select[Any]) -> dict[int, list[Estimate]]:
+    """Parameters by the number of their cycle, of the cycles that are asked for."""
+    chosen = of.with_only_columns(cycles.c.id, maintain_column_froms=True).subquery()
+    columns = (parameters.c[k] for k in ("cycle_id", "name", "value", "low", "high"))
+    asked = select(*columns).join(chosen, chosen.c.id == parameters.c.cycle_id)
     found: dict[int, list[Estimate]] = {}
-    if not numbers:
-        return found
-    columns = parameters.c
-    low, high = min(numbers), max(numbers)
-    if high - low < 2 * len(numbers):  # a range is quicker than a long list
-        asked = select(parameters).where(and_(columns.cycle_id >= low, columns.cycle_id <= high))
-    else:
-        asked = select(parameters).where(columns.cycle_id.in_(numbers))
-    for at, name, value, lowest, highest in connection.execute(asked):
-        found.setdefault(at, []).append(Estimate(name, value, lowest, highest))
+    for at, *values in connection.execute(asked).all():
+        found.setdefault(at, []).append(Estimate(*values))
     return found
 
 

@@ -24,14 +24,17 @@ if TYPE_CHECKING:
 
 _LOG = logging.getLogger(__name__)
 
-#: Name of the folder in one of records.
-FOLDER = "ledger.outbox"
 #: After a failure the ledger is tried again so soon, s, then later and later.
 _FIRST_S, _LAST_S = 1.0, 30.0
 #: So long the end of a run waits for the ledger, s.
 CLOSE_S = 10.0
 #: Entries that are written in one transaction.
 _TOGETHER = 100
+
+
+def outbox_of(runs: Path) -> Path:
+    """Folder beside one of records in which entries wait."""
+    return runs.with_name(f"{runs.name}.outbox")
 
 
 class Outbox:

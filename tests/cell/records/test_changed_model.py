@@ -11,9 +11,12 @@ import pytest
 from cell.cli.run import _another_model, _changes
 from cell.records.changed_model import worsenings
 from cell.records.folder import Record
+from cell.records.ledger.entry import entry_of_folder
+from cell.records.ledger.ledger import Ledger
 from cell.records.result import Outcome, Result
 from cell.settings import load_settings
 from cell.settings.promotion import promote, read_candidate
+from cell.settings.referred import line_of
 from cell.settings.translate import model_hash
 
 ROOT = Path(__file__).parents[3]
@@ -84,6 +87,10 @@ def test_the_line_goes_back_by_itself_only_if_the_settings_say_so(
         record = Record(runs, result.cycle, begun + timedelta(seconds=i))
         found.append(result)
         record.close(result)
+    line = line_of(settings)
+    ledger = Ledger(runs, create=True)
+    ledger.write([entry_of_folder(f, line) for f in sorted(runs.iterdir())], of_now=False)
+    ledger.close()
     lines = _changes(runs, found[-1:], config, settings)
     assert any(line.startswith("since the model was changed forecasts err") for line in lines)
     if withdraw:

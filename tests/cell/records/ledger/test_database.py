@@ -53,8 +53,8 @@ def test_a_ledger_of_a_newer_version_is_refused_and_left_alone(place: str) -> No
 
 
 def test_a_ledger_that_is_missing_is_not_made_by_asking(tmp_path: Path) -> None:
-    with pytest.raises(LedgerError, match=r"ledger\.sqlite is missing: .* --import"):
-        Ledger(tmp_path)
+    with pytest.raises(LedgerError, match=r"runs\.sqlite is missing: .* --import"):
+        Ledger(tmp_path / "runs")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -65,9 +65,9 @@ def test_an_empty_database_is_not_changed_by_asking(server) -> None:
 
 
 def test_what_is_no_ledger_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "ledger.sqlite").write_text("these are no tables" * 100)
+    (tmp_path / "runs.sqlite").write_text("these are no tables" * 100)
     with pytest.raises(LedgerError, match="not a database"):
-        Ledger(tmp_path, create=True)
+        Ledger(tmp_path / "runs", create=True)
 
 
 @pytest.mark.parametrize(
@@ -84,9 +84,9 @@ def test_a_server_that_cannot_be_used_is_named(place: str, said: str) -> None:
 
 
 def test_a_reader_keeps_no_writer_waiting(tmp_path: Path) -> None:
-    ledger = Ledger(tmp_path, create=True)
+    ledger = Ledger(tmp_path / "runs", create=True)
     ledger.write([ended(1)])
-    reader = sqlite3.connect(tmp_path / "ledger.sqlite")
+    reader = sqlite3.connect(tmp_path / "runs.sqlite")
     reader.execute("BEGIN")
     assert reader.execute("SELECT count(*) FROM cycles").fetchone() == (1,)
     ledger.write([ended(2)])
@@ -98,18 +98,15 @@ def test_a_reader_keeps_no_writer_waiting(tmp_path: Path) -> None:
 
 def test_an_older_ledger_is_brought_up_to_date_by_writing(place: str) -> None:
     """Asking says what to do; a run does it, and nothing is lost."""
-    with engine_of(place) as engine:
-        if engine.url.database and engine.dialect.name == "sqlite":
-            Path(engine.url.database).parent.mkdir(parents=True)
-        with engine.begin() as connection:
-            upgrade(connection, "0001")
-            connection.execute(
-                text(
-                    "INSERT INTO cycles (uid, line, cycle, folder, aim, started, ordered, "
-                    "model_misses) VALUES ('a/b', 'a', 7, 'b', 'inserted', "
-                    "'2026-11-02 06:30:00', '2026-11-02 06:30:00', false)"
-                )
+    with engine_of(place) as engine, engine.begin() as connection:
+        upgrade(connection, "0001")
+        connection.execute(
+            text(
+                "INSERT INTO cycles (uid, line, cycle, folder, aim, started, ordered, "
+                "model_misses) VALUES ('a/b', 'a', 7, 'b', 'inserted', "
+                "'2026-11-02 06:30:00', '2026-11-02 06:30:00', false)"
             )
+        )
     if HEAD != "0001":
         with pytest.raises(LedgerError, match="older version"):
             Ledger(place)

@@ -28,7 +28,7 @@ def at(hour: float) -> datetime:
 
 @pytest.fixture
 def shifted(tmp_path: Path):
-    ledger = Ledger(tmp_path, create=True)
+    ledger = Ledger(tmp_path / "runs", create=True)
     cycles = [(6.5, Outcome.INSERTED)] * 6 + [(13.9, Outcome.MISSED)] * 2
     cycles += [(23.0, Outcome.INSERTED), (30.1, Outcome.REJECTED), (31.0, Outcome.MEASURED)]
     entries = []
@@ -64,7 +64,7 @@ def test_only_the_time_that_is_asked_for_is_planned(shifted: Ledger) -> None:
 
 
 def test_the_ideal_cycle_is_that_of_the_quickest_tenth(tmp_path: Path) -> None:
-    ledger = Ledger(tmp_path, create=True)
+    ledger = Ledger(tmp_path / "runs", create=True)
     for n in range(21):
         result = replace(ended(n).result, state_seconds={"execute": 20.0 + n})
         ledger.write([ended(n, result=result, started=at(7))])
@@ -74,7 +74,7 @@ def test_the_ideal_cycle_is_that_of_the_quickest_tenth(tmp_path: Path) -> None:
 
 
 def test_a_fault_counts_as_no_insertion(tmp_path: Path) -> None:
-    ledger = Ledger(tmp_path, create=True)
+    ledger = Ledger(tmp_path / "runs", create=True)
     ledger.write([ended(1), stopped(2)])
     now = datetime(2026, 11, 3, tzinfo=UTC)
     (shift,) = shifts(ledger, Wanted(), [time(0)], now)

@@ -15,7 +15,7 @@ from cell.records.ledger import outbox
 from cell.records.ledger.entry import Entry
 from cell.records.ledger.error import LedgerError
 from cell.records.ledger.ledger import Ledger, Wanted
-from cell.records.ledger.outbox import LaterLedger, LedgerWriter, Outbox
+from cell.records.ledger.outbox import LaterLedger, LedgerWriter, Outbox, outbox_of
 
 from .conftest import begun, ended, stopped
 
@@ -43,7 +43,7 @@ def writer_to(tmp_path: Path) -> Iterator[Callable[..., LedgerWriter]]:
 
     def made(to) -> LedgerWriter:
         ledger = to if isinstance(to, LaterLedger) else Told(to)
-        writer = LedgerWriter(ledger, tmp_path / outbox.FOLDER)
+        writer = LedgerWriter(ledger, outbox_of(tmp_path / "runs"))
         writer.start()
         begun.append(writer)
         return writer
@@ -66,20 +66,20 @@ def test_an_entry_is_read_back_as_it_was() -> None:
 
 
 def test_entries_are_written_in_order_and_removed(writer_to, tmp_path: Path) -> None:
-    writer = writer_to(LaterLedger(tmp_path))
+    writer = writer_to(LaterLedger(tmp_path / "runs"))
     for n in range(1, 250):
         writer.put(begun(n))
     writer.close()
     assert writer.notes == []
-    assert not (tmp_path / outbox.FOLDER).exists()
-    ledger = Ledger(tmp_path)
+    assert not (outbox_of(tmp_path / "runs")).exists()
+    ledger = Ledger(tmp_path / "runs")
     assert [c.cycle for c in ledger.listed(Wanted())] == list(range(1, 250))
     ledger.close()
 
 
 def test_what_an_earlier_run_has_left_comes_first(writer_to, tmp_path: Path) -> None:
     """It was killed before it could tell."""
-    left = Outbox(tmp_path / outbox.FOLDER)
+    left = Outbox(outbox_of(tmp_path / "runs"))
     left.put(begun(1))
     left.put(stopped(1))
     told: list[Entry] = []
@@ -120,15 +120,15 @@ def test_what_cannot_be_told_waits_for_the_next_run(writer_to, tmp_path: Path) -
     (note,) = writer.notes
     assert "1 entries of the ledger wait" in note
     assert "the server is away" in note
-    following = writer_to(LaterLedger(tmp_path))
+    following = writer_to(LaterLedger(tmp_path / "runs"))
     following.close()
-    ledger = Ledger(tmp_path)
+    ledger = Ledger(tmp_path / "runs")
     assert ledger.count(Wanted()) == {"inserted": 1}
     ledger.close()
 
 
 def test_what_is_no_entry_is_put_aside(writer_to, tmp_path: Path) -> None:
-    folder = tmp_path / outbox.FOLDER
+    folder = outbox_of(tmp_path / "runs")
     folder.mkdir()
     (folder / "00000001-7.json").write_text('{"half')
     (folder / "00000002-7.json").write_text('{"line": "other"}')
@@ -141,7 +141,7 @@ def test_what_is_no_entry_is_put_aside(writer_to, tmp_path: Path) -> None:
 
 
 def test_a_folder_that_cannot_be_written_is_told_of(writer_to, tmp_path: Path) -> None:
-    (tmp_path / outbox.FOLDER).write_text("a file")
+    (outbox_of(tmp_path / "runs")).write_text("a file")
     writer = writer_to(lambda entries: None)
     writer.put(ended(1))
     (note,) = writer.notes
@@ -152,7 +152,9 @@ def test_a_folder_that_cannot_be_written_is_told_of(writer_to, tmp_path: Path) -
 
 def test_two_cells_use_one_folder(tmp_path: Path) -> None:
     """Either may write what the other has put there: nothing is missing, nothing twice."""
-    writers = [LedgerWriter(LaterLedger(tmp_path), tmp_path / outbox.FOLDER) for _ in range(2)]
+    writers = [
+        LedgerWriter(LaterLedger(tmp_path / "runs"), outbox_of(tmp_path / "runs")) for _ in range(2)
+    ]
     for writer in writers:
         writer.start()
     for n in range(1, 41):
@@ -161,24 +163,24 @@ def test_two_cells_use_one_folder(tmp_path: Path) -> None:
     for writer in writers:
         writer.close()
     assert [writer.notes for writer in writers] == [[], []]
-    ledger = Ledger(tmp_path)
+    ledger = Ledger(tmp_path / "runs")
     assert ledger.count(Wanted()) == {"inserted": 40}
     ledger.close()
 
 
 def test_a_locked_file_is_written_later(writer_to, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr("cell.records.ledger.database.BUSY_S", 0.05)
-    Ledger(tmp_path, create=True).close()
-    other = sqlite3.connect(tmp_path / "ledger.sqlite", isolation_level=None)
+    Ledger(tmp_path / "runs", create=True).close()
+    other = sqlite3.connect(tmp_path / "runs.sqlite", isolation_level=None)
     other.execute("BEGIN EXCLUSIVE")
-    writer = writer_to(LaterLedger(tmp_path))
+    writer = writer_to(LaterLedger(tmp_path / "runs"))
     writer.put(ended(1))
     time.sleep(0.3)
-    assert list((tmp_path / outbox.FOLDER).iterdir())
+    assert list((outbox_of(tmp_path / "runs")).iterdir())
     other.execute("ROLLBACK")
     other.close()
-    until(lambda: not (tmp_path / outbox.FOLDER).exists())
-    ledger = Ledger(tmp_path)
+    until(lambda: not (outbox_of(tmp_path / "runs")).exists())
+    ledger = Ledger(tmp_path / "runs")
     assert ledger.count(Wanted()) == {"inserted": 1}
     ledger.close()
 
