@@ -16,12 +16,13 @@ from cell.files.input_error import InputError
 from cell.files.plain import plain
 from cell.records.recording import form
 from cell.records.recording.reading import Recording
+from cell.records.recording.unpack import restored_files
 from cell.records.result import Outcome, Result
 from cell.run.archive import Archive
 from cell.run.recorded import RecordingSetup
 from cell.settings import Settings, load_settings
 from cell.settings.calibrated import Calibrated, calibrated
-from cell.simulated.replayed import replayed_devices, restored_files
+from cell.simulated.replayed import replayed_devices
 
 #: Of a result these tell what was found; the rest is time and place.
 _OF_RESULT = (

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cell.cli.delivery import deliver, json_files
+from cell.cli.given import folder_of, folders_of
 from cell.cli.result_json import STDOUT, Json, JsonCommand, print_result
 from cell.cli.shared import BAD_INPUT, answering, group, stoppable, tell_notes
 from cell.files.overwriting import check_apart, check_new_study, check_output
@@ -30,7 +31,11 @@ if TYPE_CHECKING:
 app = group()
 
 StudyFolder = Annotated[
-    Path, typer.Argument(help="A study: a folder with study.yaml, or a recorded cycle's folder.")
+    Path,
+    typer.Argument(
+        help="A study: a folder with study.yaml, a recorded cycle's folder, or its recording.",
+        callback=folder_of,
+    ),
 ]
 InModel = Annotated[
     list[str] | None,
@@ -404,7 +409,10 @@ def suggest(
 
 @app.command()
 def study(
-    runs: Annotated[list[Path], typer.Argument(help="Folders of recorded cycles.")],
+    runs: Annotated[
+        list[Path],
+        typer.Argument(help="Folders of recorded cycles, or recordings.", callback=folders_of),
+    ],
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder of the new study.")],
     force: Force = False,
 ) -> None:

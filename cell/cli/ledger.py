@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -186,6 +187,35 @@ def open_ledger(
         yield ledger
     finally:
         ledger.close()
+
+
+def listed_cycles(settings: Settings, place: str | None, since: str | None) -> list[Path]:
+    """Folders of the line's cycles in the ledger that have measured a cable, oldest first.
+
+    raises  ValueError: the ledger cannot be read, or there are none
+    """
+    from cell.records.ledger.ledger import TELLING, Wanted
+    from cell.records.result import Outcome
+    from cell.settings.referred import line_of
+
+    outcomes = (*TELLING, Outcome.MEASURED)
+    wanted = Wanted(
+        since=_moment(since, datetime.now(UTC), "--since"),
+        outcomes=tuple(o.value for o in outcomes),
+        line=line_of(settings),
+    )
+    with _ledger_errors(), open_ledger(settings, place) as ledger:
+        folders = [c.folder for c in ledger.listed(wanted)]
+    there = [f for f in folders if f.is_dir()]
+    for gone in (f for f in folders if f not in there):
+        print(f"left out: {gone}: is gone", file=sys.stderr)
+    if not there:
+        lately = "" if since is None else f" since {since}"
+        raise ValueError(
+            f"no cycle of {wanted.line}{lately} is listed whose folder is there; give folders of "
+            "recorded cycles, or see `cell history`"
+        )
+    return there
 
 
 @contextmanager

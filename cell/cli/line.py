@@ -6,7 +6,8 @@ import re
 import shlex
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,36 +15,49 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cell.cli.delivery import Delivery, deliver
+from cell.cli.given import folder_in
 from cell.cli.lab import refusing, show, working
+from cell.cli.ledger import LedgerPlace, Since, listed_cycles
 from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, Config, Interruption, answering, group
 
 if TYPE_CHECKING:
     from cell.lab.data.progress import Progress
     from cell.lab.line.gates import Judgement
     from cell.lab.line.learn import LearningResult
+    from cell.settings.model import Settings
 
 app = group()
 
 
+OwnEffects = Annotated[
+    list[str] | None,
+    typer.Option("--effect", help="A file.py with an effect of your own; it is tried too."),
+]
+LawsFolder = Annotated[
+    Path | None,
+    typer.Option(
+        "--laws", help="Also try laws outside the library; write those found to this folder."
+    ),
+]
+
+
 @app.command()
 def learn(
-    runs: Annotated[
-        list[Path], typer.Argument(help="Folders of recorded cycles, or folders of such folders.")
-    ],
     config: Config,
+    runs: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            help="Folders of recorded cycles, folders of such folders, or recordings.  Default: "
+            "the line's cycles in the ledger; with --since they are added.",
+        ),
+    ] = None,
+    since: Since = None,
+    ledger: LedgerPlace = None,
     out: Annotated[
         Path, typer.Option("-o", "--out", help="Write the candidate model here.")
     ] = Path("candidate.yaml"),
-    effect: Annotated[
-        list[str] | None,
-        typer.Option("--effect", help="A file.py with an effect of your own; it is tried too."),
-    ] = None,
-    laws: Annotated[
-        Path | None,
-        typer.Option(
-            "--laws", help="Also try laws outside the library; write those found to this folder."
-        ),
-    ] = None,
+    effect: OwnEffects = None,
+    laws: LawsFolder = None,
 ) -> None:
     """Find the effect that the line's model lacks, from recorded cycles of many cables.
 
@@ -69,10 +83,12 @@ def learn(
         working("learn") as progress,
         answering() as interrupted,
         _so_far(known, interrupted, lambda: more.keep(())),
+        ExitStack() as opened,
     ):
         settings = load_settings(config)
         cable, options = cable_of(settings), identification_of(settings)
-        cycles, left_out = read_cycles(runs, cable)
+        asked = _Asked(runs or (), ledger, since)
+        cycles, left_out = read_cycles(asked.folders(settings, opened), cable)
         lines = lines_of(cycles, settings)
         library = select_effects([], effect or []).candidates
         if laws is not None:
@@ -82,7 +98,7 @@ def learn(
         lesson = learn_from(cycles, cable, options, library | more.effects, progress, known.append)
         lesson, judgement = best_judged(lesson, settings)
         kept = more.keep(lesson.best.effects if lesson.best else ())
-        again = _again(runs, config, out, effect or [], laws)
+        again = _again(asked.words(), config, out, effect or [], laws)
         todo, motion = _asking(lesson, config, out, again, progress)
     missed = [f"left out: {line}" for line in (*left_out, *lesson.left_out)]
     for line in (*missed, *other_lines(lines, settings)):
@@ -137,11 +153,34 @@ def _so_far(
         raise typer.Exit(interrupted.code) from error
 
 
+@dataclass(frozen=True)
+class _Asked:
+    """Of which cycles is learned: those given, and those of the ledger if it is asked."""
+
+    given: Sequence[Path]
+    ledger: str | None
+    since: str | None
+
+    def folders(self, settings: Settings, opened: ExitStack) -> list[Path]:
+        """Their folders; of recordings until `opened` is closed."""
+        folders = [folder_in(opened.enter_context, given) for given in self.given]
+        if self.since or self.ledger or not folders:
+            folders += listed_cycles(settings, self.ledger, self.since)
+        return folders
+
+    def words(self) -> list[object]:
+        """The same as it can be typed, beside other folders."""
+        if not (self.given or self.since or self.ledger):
+            return ["--since", "2000-01-01"]
+        options = (("--since", self.since), ("--ledger", self.ledger))
+        return [*self.given, *(w for name, value in options if value for w in (name, value))]
+
+
 def _again(
-    runs: Sequence[Path], config: Path, out: Path, effects: Sequence[str], laws: Path | None
+    asked: Sequence[object], config: Path, out: Path, effects: Sequence[str], laws: Path | None
 ) -> str:
     """`cell learn` with the cables measured meanwhile, too."""
-    given = [*runs, *([] if _measured(out) in runs else [_measured(out)])]
+    given = [*asked, *([] if _measured(out) in asked else [_measured(out)])]
     tried = (w for effect in effects for w in ("--effect", effect))
     sought = [] if laws is None else ["--laws", laws]
     return _typed(["cell", "learn", *given, "--config", config, *tried, *sought, "-o", out])

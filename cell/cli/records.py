@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from cell.cli.delivery import deliver, json_files
+from cell.cli.given import folder_of
 from cell.cli.lab import Force, refusing, working
 from cell.cli.result_json import Json, JsonCommand, print_result
 from cell.cli.shared import NOT_ALL_DONE, group, refuse, tell_notes
@@ -96,7 +97,10 @@ def show(
 
 @app.command(cls=JsonCommand)
 def identify(
-    folder: Annotated[Path, typer.Argument(help="A cycle's folder, or any study.")],
+    folder: Annotated[
+        Path,
+        typer.Argument(help="A cycle's folder or its recording, or any study.", callback=folder_of),
+    ],
     config: Annotated[
         Path | None,
         typer.Option(

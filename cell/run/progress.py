@@ -46,7 +46,9 @@ class Progress:
         self.written = now  # what cannot be written is not tried again
         if now.trials and now.trials is not before.trials:
             name = self.record.folder.name
-            self.record.study(study_of(name, self.station.task, now.trials))
+            study = study_of(name, self.station.task, now.trials)
+            self.recording.study(study)
+            self.record.study(study)
         new = {name: p for name, p in now.pictures.items() if name not in before.pictures}
         self.record.pictures(new)
         if now.identified is not None and now.identified is not before.identified:

@@ -19,6 +19,8 @@ from cell.records.recording.retention import Retention
 from cell.records.result import Fault, Outcome, Result
 from cell.run.findings import FilmedMotion, Findings
 from cell.run.station import Station
+from cell.study.data import Study
+from cell.study.plain import study_to_plain
 
 FloatArray = NDArray[np.float64]
 
@@ -143,6 +145,10 @@ class CycleRecording:
         for filmed, known in ((findings.held, before.held), (findings.executed, before.executed)):
             if filmed is not None and filmed is not known:
                 self._seen(filmed, station)
+
+    def study(self, study: Study) -> None:
+        """The trials so far."""
+        self._event(form.STUDY, study_to_plain(study))
 
     def fault(self, fault: Fault) -> None:
         """Something has ended the cycle."""

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 from cell.files.input_error import InputError
 from cell.records.recording import form
@@ -65,27 +63,3 @@ def replayed_devices(recording: Recording, settings: Settings) -> ReplayedDevice
             clock.forward_to_s(simulated_s[0])
 
     return ReplayedDevices(devices, on_step)
-
-
-def restored_files(recording: Recording, folder: Path) -> dict[str, Any]:
-    """Settings as recorded, with the files that they refer to written into `folder`.
-
-    raises  InputError: the recording holds no settings
-    """
-    said = recording.last(form.SETTINGS)
-    if said is None:
-        raise InputError.at(recording.path, "holds no settings; give some with --config")
-    settings: dict[str, Any] = said["settings"]
-    places = {}
-    for number, (path, text) in enumerate(said["files"].items()):
-        place = folder / f"{number}" / Path(path).name
-        if Path(path).suffix == ".yaml":
-            place = folder / "calibration" / Path(path).name
-        place.parent.mkdir(parents=True, exist_ok=True)
-        place.write_text(text, encoding="utf-8")
-        places[path] = str(place)
-    if settings.get("calibration") is not None:
-        settings["calibration"]["folder"] = str(folder / "calibration")
-    for effect in settings["model"]["effects"]:
-        effect["effect"] = places.get(effect["effect"], effect["effect"])
-    return settings

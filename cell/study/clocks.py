@@ -73,7 +73,8 @@ def offset(trial: Trial, cable: Cable, gravity_m_per_s2: float) -> Offset | None
     """That a cable at rest begins to move long before or after its hand; None if it does not."""
     t_s = trial.markers.t_s
     series_m = trial.markers.xy_m.reshape(len(t_s), -1)
-    series_m = series_m[:, np.isfinite(series_m[:_REST]).any(axis=0)]
+    halves = np.isfinite(series_m[: _REST // 2]), np.isfinite(series_m[_REST // 2 : _REST])
+    series_m = series_m[:, halves[0].any(axis=0) & halves[1].any(axis=0)]
     if (
         trial.start != "equilibrium"
         or gravity_m_per_s2 == 0.0
@@ -82,14 +83,19 @@ def offset(trial: Trial, cable: Cable, gravity_m_per_s2: float) -> Offset | None
     ):
         return None
     beside_m = series_m - np.nanmedian(series_m[:_REST], axis=0)
-    noise_m = 1.4826 * float(np.nanmedian(np.abs(beside_m[:_REST])))
-    away_m = max(AWAY * cable.free_length_m, OF_NOISE * noise_m)
+    away_m = max(AWAY * cable.free_length_m, OF_NOISE * _noise_m(beside_m[:_REST]))
+    halves_m = np.split(beside_m[:_REST], 2)
+    moved_m = np.nanmedian(halves_m[1], axis=0) - np.nanmedian(halves_m[0], axis=0)
+    if np.nan_to_num(np.abs(moved_m)).max() > away_m:
+        return None  # the film begins in a swing
     cable_s = _begins(t_s, np.nan_to_num(np.abs(beside_m)).max(axis=1) > away_m)
     hand_s = _hand_begins(trial, away_m, -np.inf)
     if cable_s is None or hand_s is None or cable_s <= t_s[_REST - 1]:
         return None
     within_s = max(WITHIN_S, WITHIN * float(np.sqrt(cable.free_length_m / gravity_m_per_s2)))
     within_s += 2.0 * float(np.median(np.diff(t_s)))
+    if hand_s < t_s[0] and cable_s - t_s[0] < within_s:
+        return None  # the film begins in the swing after a stroke: a turning point is no rest
     rests_s = float(t_s[np.isfinite(series_m).any(axis=1) & (t_s < cable_s)][-1])
     # The record may begin at a rest between two strokes.
     next_s = _hand_begins(trial, away_m, float(t_s[0]))
@@ -97,6 +103,12 @@ def offset(trial: Trial, cable: Cable, gravity_m_per_s2: float) -> Offset | None
     if any(rests_s - within_s <= begins <= cable_s + within_s for begins in strokes):
         return None
     return Offset(hand_s, cable_s)
+
+
+def _noise_m(series_m: FloatArray) -> float:
+    """Noise of frames (T, coordinates) one after another, whatever steady motion is in them."""
+    bends_m = np.abs(np.diff(series_m, 2, axis=0)) / np.sqrt(6.0)
+    return 1.4826 * float(np.nanmedian(bends_m)) if np.isfinite(bends_m).any() else 0.0
 
 
 def _begins(t_s: FloatArray, away: NDArray[np.bool_]) -> float | None:

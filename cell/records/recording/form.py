@@ -12,7 +12,7 @@ them stand JSON messages with the same numbers unrounded, from which a replay co
   /arm/answer      JSON              measured poses as the cell was told them when it asked
   /arm/state       JSON              mode of the arm, when it changes
   /gripper         JSON              what it was told, and what it said
-  /cell/...        JSON              cycle, state, settings, decision, model, fault, result
+  /cell/...        JSON              cycle, state, settings, decision, model, study, fault, result
   /recording/gap   JSON              frames that are missing here, and why
   /log             Log               what the program said
 """
@@ -42,13 +42,13 @@ PATH, ANSWER, ARM = "/arm/path", "/arm/answer", "/arm/state"
 GRIPPER = "/gripper"
 CYCLE, STATE, SETTINGS, TASK = "/cell/cycle", "/cell/state", "/cell/settings", "/cell/task"
 FILMING, DECISION, MODEL = "/cell/filming", "/cell/decision", "/cell/model"
-FAULT, RESULT = "/cell/fault", "/cell/result"
+FAULT, RESULT, STUDY = "/cell/fault", "/cell/result", "/cell/study"
 GAP, LOG = "/recording/gap", "/log"
 
 #: Topics whose messages are JSON objects.
 JSON_TOPICS: Final = (
     FRAME, PATH, ANSWER, ARM, GRIPPER, CYCLE, STATE, SETTINGS, TASK, FILMING, DECISION, MODEL,
-    FAULT, RESULT, GAP,
+    FAULT, RESULT, STUDY, GAP,
 )  # fmt: skip
 
 _NUMBER, _NUMBERS = {"type": "number"}, {"type": "array", "items": {"type": "number"}}

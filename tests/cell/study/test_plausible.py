@@ -14,6 +14,7 @@ from cell.cable.dynamics import simulate
 from cell.cable.geometry import Cable, Motion
 from cell.cable.model import CableModel
 from cell.files.input_error import InputError
+from cell.study.clocks import offset
 from cell.study.data import Markers, Study, Trial
 from cell.study.folder import MAX_FRAMES, read_study, write_study
 
@@ -236,3 +237,22 @@ def test_what_is_no_table_is_refused(swung: Study, tmp_path: Path, text: str, sa
     with pytest.raises(InputError) as caught:
         read_study(tmp_path)
     assert f"grip.csv{says}" in str(caught.value)
+
+
+@pytest.mark.parametrize("rate_hz", [30.0, 60.0, 100.0, 200.0])
+def test_a_film_may_begin_at_any_moment_of_the_swing(swung: Study, rate_hz: float) -> None:
+    """A cable that is filmed after a stroke swings, whatever it looks like in the first frames."""
+    trial = swung.trials[0]
+    t_s = np.arange(0.0, 1.2, 1.0 / rate_hz)
+    xy_m = np.moveaxis(
+        [
+            [np.interp(t_s, trial.markers.t_s, trial.markers.xy_m[:, n, k]) for k in range(2)]
+            for n in range(trial.markers.xy_m.shape[1])
+        ],
+        -1,
+        0,
+    )
+    for from_s in np.arange(0.55, 0.9, 0.01):
+        filmed = t_s >= from_s
+        study = with_trial(swung, t_s=t_s[filmed], xy_m=xy_m[filmed])
+        assert offset(study.trials[0], study.cable, 9.81) is None, from_s

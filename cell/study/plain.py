@@ -1,0 +1,63 @@
+"""A study as plain data, and back to the last bit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from cell.cable.geometry import Cable, Motion
+from cell.study.data import FloatArray, Markers, Study, Trial
+
+
+def study_to_plain(study: Study) -> dict[str, Any]:
+    """Names, numbers and arrays; notes and sources are left out."""
+    return {
+        "name": study.name,
+        "cable": dict(vars(study.cable)),
+        "arc_length_m": study.arc_length_m,
+        "gravity_m_per_s2": list(study.gravity_m_per_s2),
+        "noise_std_m": study.noise_std_m,
+        "trials": [
+            {
+                "name": trial.name,
+                "role": trial.role,
+                "start": trial.start,
+                "release_s": trial.release_s,
+                "grip": {k: getattr(trial.grip, k) for k in ("t_s", "x_m", "y_m", "angle_rad")},
+                "markers": {"t_s": trial.markers.t_s, "xy_m": trial.markers.xy_m},
+            }
+            for trial in study.trials
+        ],
+    }
+
+
+def study_from_plain(data: Mapping[str, Any]) -> Study:
+    """Back from `study_to_plain`, by way of JSON or not; None in arrays is nan.
+
+    raises  KeyError, TypeError, ValueError: no study
+    """
+    x_m_per_s2, y_m_per_s2 = data["gravity_m_per_s2"]
+    return Study(
+        data["name"],
+        Cable(**data["cable"]),
+        _array(data["arc_length_m"]),
+        tuple(
+            Trial(
+                t["name"],
+                t["role"],
+                t["start"],
+                Motion(**{k: _array(v) for k, v in t["grip"].items()}),
+                Markers(_array(t["markers"]["t_s"]), _array(t["markers"]["xy_m"])),
+                t["release_s"],
+            )
+            for t in data["trials"]
+        ),
+        (float(x_m_per_s2), float(y_m_per_s2)),
+        data["noise_std_m"],
+    )
+
+
+def _array(values: Any) -> FloatArray:
+    return np.array(values, float)

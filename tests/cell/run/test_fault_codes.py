@@ -1,0 +1,43 @@
+"""Every fault has a code, the same for all causes of a kind: statistics count it."""
+
+from __future__ import annotations
+
+import pytest
+
+from cell.records.folder import RecordError
+from cell.run.commands import InterruptedByCommandError
+from cell.run.cycle import _fault
+from cell.run.machine import Event
+from drivers.interfaces import (
+    CameraError,
+    ConnectError,
+    DeviceError,
+    DeviceLostError,
+    DeviceTimeoutError,
+    GripError,
+    LimitError,
+    StoppedError,
+)
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (LimitError("arm", "too far"), "arm.limit"),
+        (ConnectError("UR arm", "no answer"), "UR_arm.connect"),
+        (DeviceLostError("camera", "silent"), "camera.lost"),
+        (DeviceTimeoutError("gripper", "blocked"), "gripper.timeout"),
+        (StoppedError("arm", "protective stop"), "arm.stopped"),
+        (GripError("gripper", "no cable"), "gripper.grip"),
+        (CameraError("camera", "frozen"), "camera.frames"),
+        (DeviceError("computer", "too slow"), "computer.device"),
+        (InterruptedByCommandError(Event.ABORT, "a person"), "abort"),
+        (KeyboardInterrupt(), "stop"),
+        (RecordError("disk full"), "record"),
+        (ZeroDivisionError("a mistake"), "program"),
+    ],
+)
+def test_the_code_names_device_and_kind(error: BaseException, code: str) -> None:
+    fault, _ = _fault("lower", error)
+    assert fault.code == code
+    assert fault.step == "lower"

@@ -1,0 +1,194 @@
+"""Every cycle is in the ledger, whatever became of it; what the ledger lists, the commands find."""
+
+from __future__ import annotations
+
+import csv
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pyarrow.parquet
+import pytest
+
+from cell.build import build_cell
+from cell.records.ledger.ledger import UNFINISHED, Ledger, Wanted
+from cell.records.ledger.outbox import outbox_of
+from cell.run.machine import Event
+from cell.settings import Settings
+
+CELL = [sys.executable, "-m", "cell"]
+
+
+def run(*words: object, **options) -> subprocess.CompletedProcess[str]:
+    command = [*CELL, *map(str, words)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=180, **options)
+
+
+def listed(place: Path, wanted: Wanted | None = None):
+    ledger = Ledger(place)
+    found = ledger.listed(wanted or Wanted(), estimates=True)
+    ledger.close()
+    return found
+
+
+@pytest.fixture(scope="module")
+def runs(quick_config: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three cycles whose parts are counted on."""
+    runs = tmp_path_factory.mktemp("listed") / "runs"
+    words = ("--config", quick_config, "--cycles", 3, "--out", runs, "--part-id", "A-09")
+    done = run("run", *words)
+    assert done.returncode == 0, done.stderr
+    return runs
+
+
+def test_a_run_is_listed_with_all_that_its_records_say(runs: Path) -> None:
+    found = listed(runs)
+    assert [c.part for c in found] == ["A-09", "A-10", "A-11"]
+    assert sorted(c.folder.name for c in found) == sorted(f.name for f in runs.iterdir())
+    assert not outbox_of(runs).exists()
+    for cycle in found:
+        result = json.loads((cycle.folder / "result.json").read_text())
+        model = json.loads((cycle.folder / "model.json").read_text())
+        assert cycle.outcome == result["outcome"]
+        assert cycle.part == result["part"]
+        assert dict(cycle.numbers) == {k: result[k] for k in cycle.numbers}
+        estimates = {(e.name, e.value, e.low, e.high) for e in cycle.estimates}
+        assert estimates == {
+            (p["name"], p["value"], p["low"], p["high"]) for p in model["parameters"]
+        }
+        assert cycle.ended is not None
+        assert cycle.ended > cycle.started
+
+
+def test_history_lists_counts_and_exports(runs: Path, tmp_path: Path) -> None:
+    table, parquet = tmp_path / "x.csv", tmp_path / "x.parquet"
+    words = ("--ledger", runs, "--since", "1h")
+    done = run("history", *words, "--csv", table, "--parquet", parquet)
+    assert done.returncode == 0, done.stderr
+    assert "A-10" in done.stdout
+    assert "3 cycles: 3 inserted" in done.stdout
+    with table.open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    first = listed(runs)[0]
+    assert [row["part"] for row in rows] == ["A-09", "A-10", "A-11"]
+    assert float(rows[0]["measured_miss_m"]) == first.numbers["measured_miss_m"]
+    columns = pyarrow.parquet.read_table(parquet).to_pydict()
+    assert columns["viscosity"][0] == next(
+        e.value for e in first.estimates if e.name == "viscosity"
+    )
+    shown = json.loads(run("history", *words, "--json", "--part-id", "A-10").stdout)
+    assert [row["part"] for row in shown] == ["A-10"]
+    assert "100.0" in run("history", *words, "--oee").stdout
+    assert "no cycle was ended by a fault" in run("history", *words, "--faults").stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--ledger", "nowhere"], "nowhere.sqlite is missing"),
+        (["--since", "yesterday"], "--since yesterday: no time"),
+        (["--outcome", "lost"], "--outcome lost: no outcome"),
+        (["--import", "nowhere"], "--import nowhere: is no folder"),
+    ],
+)
+def test_what_is_wrong_is_named(runs: Path, tmp_path: Path, words: list[str], said: str) -> None:
+    given = words if "--ledger" in words else ["--ledger", str(runs), *words]
+    done = run("history", *given, cwd=tmp_path)
+    assert done.returncode == 2
+    assert said in done.stderr
+
+
+def test_folders_of_before_are_taken_in(runs: Path, tmp_path: Path) -> None:
+    elsewhere = tmp_path / "other"
+    for what in ("3 of 3", "0 of 3"):  # the second time nothing is new
+        done = run("history", "--ledger", elsewhere, "--import", runs)
+        assert done.returncode == 0, done.stderr
+        assert f"{what} cycles are new" in done.stdout
+    then, now = listed(runs), listed(elsewhere)
+    assert [c.estimates for c in now] == [c.estimates for c in then]
+    assert [dict(c.numbers) for c in now] == [dict(c.numbers) for c in then]
+    assert [c.part for c in now] == [c.part for c in then]
+
+
+def test_a_killed_run_is_never_listed_as_finished(quick_config: Path, tmp_path: Path) -> None:
+    text = quick_config.read_text(encoding="utf-8")
+    paced = tmp_path / "paced.yaml"
+    paced.write_text(text.replace("world: ", "world:\n  real_time_factor: 1.0\n#"), "utf-8")
+    runs = tmp_path / "runs"
+    command = [*CELL, "run", "--config", str(paced), "--cycles", "5", "--out", str(runs)]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+        end_s = time.monotonic() + 60.0
+        while not any(runs.glob("*/state.json")) or not runs.with_suffix(".sqlite").exists():
+            assert time.monotonic() < end_s
+            time.sleep(0.05)
+        time.sleep(1.0)
+        process.kill()
+    (cycle,) = listed(runs)
+    assert cycle.outcome == UNFINISHED
+    assert not (cycle.folder / "result.json").exists()
+    done = run("run", "--config", quick_config, "--out", runs)  # the next one goes on
+    assert done.returncode == 0, done.stderr
+    assert [c.outcome for c in listed(runs)] == [UNFINISHED, "inserted"]
+
+
+def test_a_fault_is_listed_with_its_code(quick: Settings, tmp_path: Path) -> None:
+    def on_step(number: int, step: str) -> None:
+        if step == "lower":
+            cell.command(Event.STOP, "by a test")
+
+    cell = build_cell(quick, tmp_path / "runs", seed=1, cycles=1, on_step=on_step, recorded=True)
+    result = cell.run_cycle(1, part="P")
+    cell.close()
+    (cycle,) = listed(tmp_path / "runs")
+    assert (cycle.outcome, cycle.part, cycle.fault) == ("failed", "P", result.fault)
+    assert result.fault is not None
+    assert (result.fault.code, result.fault.step) == ("stop", "lower")
+    done = run("history", "--ledger", tmp_path / "runs", "--faults")
+    assert "by a test" in done.stdout
+
+
+def test_a_run_goes_on_without_its_server(quick_config: Path, tmp_path: Path) -> None:
+    """Nobody answers at its address: the cables are inserted, and the entries wait."""
+    away = tmp_path / "away.yaml"
+    text = quick_config.read_text(encoding="utf-8")
+    away.write_text(f"{text}\nledger: {{url: 'postgresql://cell@127.0.0.1:9/plant'}}\n", "utf-8")
+    runs = tmp_path / "runs"
+    done = run("run", "--config", away, "--out", runs)
+    assert done.returncode == 0, done.stderr
+    assert "2 entries of the ledger wait" in done.stderr
+    assert "whether anything has changed cannot be said" in done.stderr
+    assert len(list(outbox_of(runs).iterdir())) == 2
+    done = run("run", "--config", quick_config, "--out", runs)  # another ledger, the same outbox
+    assert done.returncode == 0, done.stderr
+    assert [c.outcome for c in listed(runs)] == ["inserted", "inserted"]
+
+
+def test_ids_are_scanned(quick_config: Path, tmp_path: Path) -> None:
+    words = ("--config", quick_config, "--out", tmp_path / "runs", "--cycles", 3, "--part-id", "-")
+    done = run("run", *words, input="X1\n \nY2\n")
+    assert done.returncode == 1  # two of three
+    assert "'' is no id" in done.stderr
+    assert [c.part for c in listed(tmp_path / "runs")] == ["X1", "Y2"]
+
+
+def test_an_id_that_is_none_is_refused(quick_config: Path, tmp_path: Path) -> None:
+    done = run("run", "--config", quick_config, "--out", tmp_path / "runs", "--part-id", "")
+    assert done.returncode == 2
+    assert "--part-id '' is no id" in done.stderr
+    assert not (tmp_path / "runs").exists()
+
+
+def test_learning_finds_the_lines_cycles_in_the_ledger(
+    quick_config: Path, runs: Path, tmp_path: Path
+) -> None:
+    words = ("learn", "--config", quick_config, "-o", tmp_path / "candidate.yaml")
+    by_ledger = run(*words, "--ledger", runs, "--since", "1h")
+    by_folder = run(*words, runs)
+    assert by_ledger.returncode == by_folder.returncode
+    assert by_ledger.stdout == by_folder.stdout
+    assert by_ledger.stdout.startswith("3 cables: ")
+    done = run(*words, "--ledger", runs, "--since", "2100-01-01")
+    assert done.returncode == 2
+    assert "since 2100-01-01 is listed whose folder is there" in done.stderr
