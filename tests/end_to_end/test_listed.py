@@ -115,7 +115,7 @@ def test_folders_of_before_are_taken_in(runs: Path, tmp_path: Path) -> None:
 def test_a_killed_run_is_never_listed_as_finished(quick_config: Path, tmp_path: Path) -> None:
     text = quick_config.read_text(encoding="utf-8")
     paced = tmp_path / "paced.yaml"
-    paced.write_text(text.replace("world: ", "world:\n  real_time_factor: 1.0\n#"), "utf-8")
+    paced.write_text(text.replace("\nworld: ", "\nworld:\n  real_time_factor: 1.0\n#"), "utf-8")
     runs = tmp_path / "runs"
     command = [*CELL, "run", "--config", str(paced), "--cycles", "5", "--out", str(runs)]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:

@@ -81,6 +81,21 @@ def log_of(recording):
         return [Log.FromString(m.data).message for _, _, m in messages]
 
 
+def test_the_lab_takes_a_recording_in_place_of_its_folder(recorded, tmp_path):
+    """From the file alone, wherever it lies, the same numbers."""
+    moved = tmp_path / "elsewhere.mcap"
+    moved.write_bytes((recorded / form.FILE).read_bytes())
+    by_file, by_folder = (run("identify", place, "--json") for place in (moved, recorded))
+    assert by_file.returncode == 0, by_file.stderr
+    assert json.loads(by_file.stdout) == json.loads(by_folder.stdout)
+    done = run("study", moved, "-o", tmp_path / "study")
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "study" / "study.yaml").exists()
+    done = run("identify", tmp_path / "none.mcap")
+    assert done.returncode == 2
+    assert "none.mcap:1: is missing" in done.stderr
+
+
 def test_the_same_software_decides_the_same(recorded, tmp_path):
     replayed = replay(read_recording(recorded), None, tmp_path)
     assert replayed.decided
@@ -160,8 +175,8 @@ def test_a_killed_cell_leaves_all_but_the_last_instant(recorded_config, tmp_path
 
 def test_calibration_and_own_effects_are_in_it(quick, tmp_path):
     """A recording is enough, whatever becomes of the files that the settings named."""
+    from cell.records.recording.unpack import restored_files
     from cell.settings.referred import files_of
-    from cell.simulated.replayed import restored_files
 
     own = tmp_path / "own.py"
     own.write_text("an effect")
