@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -93,6 +94,41 @@ def show(
     if pictures:
         for image in images:
             typer.launch(str(image))
+
+
+@app.command()
+def report(
+    ctx: typer.Context,
+    folder: Annotated[
+        Path | None,
+        typer.Argument(help="A cycle's folder or its recording; default: the newest."),
+    ] = None,
+    runs: Annotated[
+        Path, typer.Option("--runs", help="Folder of the cycles: that of `cell run --out`.")
+    ] = Path("runs"),
+    out: Annotated[Path, typer.Option("-o", "--out", help="Write the page to this file.")] = Path(
+        "report.html"
+    ),
+    force: Force = False,
+) -> None:
+    """Write one HTML page of one cycle: result, film strip, path of the tip, decision, times.
+
+    The page needs no network.  Exit codes: 0; 2 if the folder is wrong.
+    """
+    from cell.lab.report.cycle_page import cycle_page
+    from cell.lab.report.html_page import write_page
+    from cell.records.folder import read_record
+    from cell.records.past_cycles import newest
+    from cell.records.recording import form
+    from cell.records.recording.reading import read_recording
+
+    with refusing(out, force=force), working("report") as progress:
+        given = newest(runs) if folder is None else folder
+        film = given if given.is_file() else given / form.FILE
+        record = read_record(folder_of(ctx, given))
+        progress("drawing")
+        page = cycle_page(record, read_recording(film) if film.exists() else None)
+    deliver(lambda: print(f"written to {out}"), (out, partial(write_page, page)))
 
 
 @app.command(cls=JsonCommand)

@@ -96,6 +96,20 @@ def test_the_lab_takes_a_recording_in_place_of_its_folder(recorded, tmp_path):
     assert "none.mcap:1: is missing" in done.stderr
 
 
+def test_a_report_shows_film_decision_and_path(recorded, tmp_path):
+    """From the recording alone; the folder adds its pictures."""
+    moved = tmp_path / "elsewhere.mcap"
+    moved.write_bytes((recorded / form.FILE).read_bytes())
+    for given, pictures in ((moved, 10), (recorded, 14)):
+        done = run("report", given, "-o", tmp_path / "report.html")
+        assert done.returncode == 0, done.stderr
+        page = (tmp_path / "report.html").read_text(encoding="utf-8")
+        assert page.count("data:image/jpeg;base64,") == pictures
+        for heading in ("Film", "Path of the tip", "Decision", "This cable", "Times"):
+            assert f"<h2>{heading}</h2>" in page
+        assert "taken</td>" in page
+
+
 def test_the_same_software_decides_the_same(recorded, tmp_path):
     replayed = replay(read_recording(recorded), None, tmp_path)
     assert replayed.decided

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
@@ -98,6 +99,15 @@ class Recording:
 
     def frames(self) -> Iterator[Frame]:
         """Frames in the order in which they were read, with their exact times."""
+        for frame, _ in self.frames_seen():
+            yield frame
+
+    def frames_seen(self) -> Iterator[tuple[Frame, np.ndarray | None]]:
+        """The same, with the cable as it was seen: (n, 2) column and row; None = it was not."""
+        seen = {}
+        for log_time, data in self._messages(form.SEEN):
+            points = [p for line in ImageAnnotations.FromString(data).points for p in line.points]
+            seen[log_time] = np.array([(p.x, p.y) for p in points]).reshape(-1, 2)
         exact = {}
         for log_time, data in self._messages(form.FRAME):
             said = json.loads(data)
@@ -105,7 +115,7 @@ class Recording:
         for log_time, data in self._messages(form.IMAGE):
             if log_time in exact:
                 index, t_s = exact[log_time]
-                yield Frame(index, t_s, _image(data))
+                yield Frame(index, t_s, _image(data)), seen.get(log_time)
 
     def trajectories(self, topic: str) -> Iterator[tuple[dict[str, Any], Trajectory]]:
         """Messages of `/arm/path` or `/arm/answer` with their poses."""

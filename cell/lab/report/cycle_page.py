@@ -1,0 +1,209 @@
+"""One page of one cycle: result, film strip, path of the tip, times, decision, parameters."""
+
+from __future__ import annotations
+
+import base64
+import html
+from collections.abc import Mapping
+from typing import Any
+
+import cv2
+import numpy as np
+import plotly.graph_objects as go
+from numpy.typing import NDArray
+
+from cell.lab.report.figure_layout import ADDED, MODEL, QUIET, SEEN, laid_out
+from cell.lab.report.html_page import html_page, html_plot, html_table
+from cell.records.folder import Recorded
+from cell.records.recording import form
+from cell.records.recording.reading import Recording
+from cell.records.result import Outcome
+
+Image = NDArray[Any]
+
+#: Pictures of the film strip, and their widths in pixels.
+STRIP, STRIP_PX, PICTURE_PX = 10, 420, 900
+_QUALITY = 80
+_GOOD = (Outcome.INSERTED, Outcome.MEASURED, Outcome.REHEARSED)
+#: Numbers of a result: entry, heading, unit, how many of it are one SI unit.
+_NUMBERS = (
+    ("offset_m", "offset", "mm", 1e3),
+    ("predicted_miss_m", "forecast of the tip above the middle", "mm", 1e3),
+    ("measured_miss_m", "measured", "mm", 1e3),
+    ("predicted_margin_m", "forecast margin", "mm", 1e3),
+    ("margin_m", "measured margin", "mm", 1e3),
+    ("prediction_error_m", "largest error of the forecast in the destination", "mm", 1e3),
+    ("probability", "forecast probability of passing", "%", 100.0),
+    ("residual_rms_m", "what the model misses of the swing", "mm", 1e3),
+    ("noise_m", "noise of the camera", "mm", 1e3),
+    ("wait_s", "the robot waited for the computer", "s", 1.0),
+)
+#: Columns of the decision's table.
+_DECISION = (
+    ("offset_m", "offset, mm", 1e3, ".0f"),
+    ("margin_m", "margin, mm", 1e3, ".2f"),
+    ("margin_std_m", "its standard deviation, mm", 1e3, ".2f"),
+    ("probability", "passes with, %", 100.0, ".1f"),
+)
+
+
+def cycle_page(record: Recorded, recording: Recording | None) -> str:
+    """The page; without a recording it lacks film strip, states and decision."""
+    result = record.result
+    parts = [_says(record)]
+    if result is not None:
+        numbers = [
+            [name, f"{value * size:.4g}", unit]
+            for key, name, unit, size in _NUMBERS
+            if (value := getattr(result, key)) is not None
+        ]
+        parts.append(html_table(["", "value", "unit"], numbers, (1,)))
+    if recording is not None:
+        parts += ["<h2>Film</h2>", _strip(recording)]
+    pictures = sorted(record.folder.glob("*.png"))
+    if pictures:
+        parts.append("<h2>What was seen and forecast</h2>")
+        parts += [_embedded(cv2.imread(str(p)), PICTURE_PX, p.stem) for p in pictures]
+    decision = None if recording is None else recording.last(form.DECISION)
+    if (path := _tip_path(record, decision)) is not None:
+        parts += ["<h2>Path of the tip</h2>", html_plot(path)]
+    if decision is not None:
+        parts += ["<h2>Decision</h2>", _decision(decision)]
+    if record.model is not None:
+        parts += ["<h2>This cable</h2>", _parameters(record.model)]
+    if result is not None and result.seconds:
+        parts += ["<h2>Times</h2>", html_plot(_times(result.seconds, result.state_seconds))]
+    parts.append(f"<p class='facts'>{html.escape(str(record.folder))}</p>")
+    return html_page(f"Cycle {record.cycle}: {record.folder.name}", parts)
+
+
+def _says(record: Recorded) -> str:
+    result = record.result
+    if result is None:
+        said, good = f"ended without a result in step {record.step}: it runs or was killed", False
+    else:
+        good = result.outcome in _GOOD
+        said = result.outcome.value + (f" at offset {_mm(result.offset_m)}" if good else "")
+        if result.reason:
+            said += f": {result.reason}"
+        if (fault := result.fault) is not None:
+            said += f" in step {fault.step}: {fault.cause}. {fault.remedy} {fault.cable}".rstrip()
+    part = (
+        "" if result is None or result.part is None else f"<p>Part {html.escape(result.part)}</p>"
+    )
+    look = "says" if good else "says bad"
+    return f'<p class="{look}">{html.escape(said)}</p>{part}'
+
+
+def _mm(length_m: float | None) -> str:
+    return "?" if length_m is None else f"{length_m * 1e3:.0f} mm"
+
+
+def _strip(recording: Recording) -> str:
+    """Frames evenly over both films, with the cable as it was seen."""
+    count = recording.count(form.IMAGE)
+    chosen = set(np.linspace(0, count - 1, min(STRIP, count)).round().astype(int).tolist())
+    shown = []
+    first_s: float | None = None
+    for number, (frame, points) in enumerate(recording.frames_seen()):
+        first_s = frame.t_s if first_s is None else first_s
+        if number not in chosen:
+            continue
+        image = cv2.cvtColor(np.ascontiguousarray(frame.image), cv2.COLOR_GRAY2BGR)
+        if points is not None and len(points):
+            drawn = np.round(points).astype(np.int32)[:, None]
+            cv2.polylines(image, [drawn], False, (255, 160, 0), 5, cv2.LINE_AA)
+        shown.append(_embedded(image, STRIP_PX, f"{frame.t_s - first_s:.2f} s"))
+    gaps = [
+        f"{g['frames']} frames from {g['first']}: {g['cause']}" for g in recording.json(form.GAP)
+    ]
+    lost = f"<p class='warning'>Missing: {html.escape('; '.join(gaps))}</p>" if gaps else ""
+    return f"{lost}<div style='display:flex;flex-wrap:wrap;gap:8px'>{''.join(shown)}</div>"
+
+
+def _embedded(image: Image | None, width_px: int, name: str) -> str:
+    """A picture within the page; nothing for one that cannot be read."""
+    if image is None:
+        return ""
+    height = round(image.shape[0] * width_px / image.shape[1])
+    small = cv2.resize(image, (width_px, height), interpolation=cv2.INTER_AREA)
+    done, data = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    assert done
+    text = base64.b64encode(data.tobytes()).decode()
+    shown = html.escape(name.replace("_", " "))
+    return (
+        f"<figure style='margin:0 0 8px'><img alt='{shown}' style='max-width:100%' "
+        f"width={width_px} src='data:image/jpeg;base64,{text}'>"
+        f"<figcaption class='note'>{shown}</figcaption></figure>"
+    )
+
+
+def _tip_path(record: Recorded, decision: Mapping[str, Any] | None) -> go.Figure | None:
+    """The tip of the execution as seen, and as it was forecast."""
+    trials = () if record.study is None else record.study.trials
+    executed = [t for t in trials if t.name == "execute"]
+    figure = go.Figure()
+    if decision is not None:
+        _draw(figure, np.array(decision["tip_m"], float), "forecast", MODEL)
+    if record.study is not None and executed:
+        tip = int(np.argmax(record.study.arc_length_m))
+        _draw(figure, executed[0].markers.xy_m[:, tip], "seen", SEEN)
+    if not figure.data:
+        return None
+    figure.update_xaxes(title="x, mm")
+    figure.update_yaxes(title="y, mm")
+    return laid_out(figure, 420)
+
+
+def _draw(figure: go.Figure, xy_m: NDArray[np.float64], name: str, colour: str) -> None:
+    x, y = (np.round(1e3 * xy_m[:, k], 3).tolist() for k in range(2))
+    figure.add_scatter(
+        x=x, y=y, name=name, mode="lines+markers", marker={"size": 3, "color": colour}
+    )
+
+
+def _decision(decision: Mapping[str, Any]) -> str:
+    chosen = decision["offset_m"]
+    said = f"No offset was taken: {decision['reason']}." if chosen is None else ""
+    rows = [
+        [
+            f"{row[key] * size:{digits}}" if row.get(key) is not None else ""
+            for key, _, size, digits in _DECISION
+        ]
+        + ["taken" if row["offset_m"] == chosen else ""]
+        for row in decision["table"]
+    ]
+    heads = [*(head for _, head, _, _ in _DECISION), ""]
+    return f"<p>{html.escape(said)}</p>" + html_table(heads, rows, range(len(_DECISION)))
+
+
+def _parameters(model: Mapping[str, Any]) -> str:
+    rows = [
+        [p["name"], f"{p['value']:.4g}", f"{p['low']:.4g} … {p['high']:.4g}", p["unit"]]
+        for p in model["parameters"]
+    ]
+    return html_table(["parameter", "value", "95 %", "unit"], rows, (1, 2))
+
+
+def _times(seconds: Mapping[str, float], state_seconds: Mapping[str, float]) -> go.Figure:
+    """Seconds in each state, and in each step one after another."""
+    figure = go.Figure()
+    for row, spent, colours in (
+        ("states", state_seconds, (ADDED, QUIET)),
+        ("steps", seconds, (MODEL, QUIET)),
+    ):
+        for number, (name, length_s) in enumerate(spent.items()):
+            figure.add_bar(
+                y=[row],
+                x=[round(length_s, 4)],
+                name=name,
+                orientation="h",
+                showlegend=False,
+                marker={"color": colours[number % 2]},
+                hovertemplate=f"{name}: {length_s:.3f} s<extra></extra>",
+                text=name if length_s > 0.05 * sum(spent.values()) else "",
+                textposition="inside",
+            )
+    figure.update_layout(barmode="stack")
+    figure.update_xaxes(title="s")
+    return laid_out(figure, 260)
