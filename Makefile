@@ -57,6 +57,7 @@ hardware: $(VENV)/.dev   ## the conformance suite on the devices of CONFIG=file;
 bench: $(VENV)/.dev   ## speed, as ratios against a peer in one run
 	$(BIN)/python -m tools.bench.bench
 	$(BIN)/python -m tools.bench.bench_recording
+	$(BIN)/python -m tools.bench.bench_ledger
 
 figures: $(VENV)/.dev   ## the paper's figures from this code
 	$(BIN)/python -m tools.figures.paper_figures

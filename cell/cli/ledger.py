@@ -91,7 +91,8 @@ class HistoryOptions:
 
     def wanted(self, now: datetime) -> Wanted:
         """Which cycles are asked for.  Raises ValueError: an option is wrong."""
-        from cell.records.ledger.ledger import UNFINISHED, Wanted
+        from cell.records.ledger.ledger import Wanted
+        from cell.records.past_cycles import UNFINISHED
 
         outcomes = [UNFINISHED if o == "unfinished" else _known(o) for o in self.outcome or ()]
         return Wanted(

@@ -15,6 +15,9 @@ from cell.records.folder import FORMAT
 
 _NAME = re.compile(r"(\d{8}T\d{6}\.\d{3})-(\d+)")
 
+#: Said of a cycle that has no outcome.
+UNFINISHED = "running or killed"
+
 
 @dataclass(frozen=True)
 class PastCycle:
@@ -86,7 +89,7 @@ def _past(folder: Path, started: datetime, cycle: int) -> PastCycle:
         folder,
         started,
         cycle,
-        str(known.get("outcome", "running or killed")),
+        str(known.get("outcome", UNFINISHED)),
         str((state or {}).get("step", "")),
         known.get("offset_m"),
         known.get("prediction_error_m"),

@@ -175,8 +175,7 @@ class Cell:
         except RecordError as error:
             result = self._unrecorded(progress, result, error)
         recording.end(result)
-        identified = progress.findings.identified
-        listing.end(result, None if identified is None else identified.to_dict())
+        listing.end(result, progress.findings.identified)
         _LOG.info("cycle %d: %s in %s", number, result.outcome.value, record.folder)
         del progress  # and its pictures
         release_free_memory()

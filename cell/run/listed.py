@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
+from cell.identify.identified import Identified
 from cell.records.ledger.entry import Entry, estimates_of
 from cell.records.result import Result
 
@@ -67,8 +67,8 @@ class CycleListing:
         )
         self._setup.ledger.put(self._entry)
 
-    def end(self, result: Result, model: Mapping[str, Any] | None) -> None:
-        """The cycle has ended; `model` is what was identified, as `model.json`."""
+    def end(self, result: Result, identified: Identified | None) -> None:
+        """The cycle has ended; None = its cable was not identified."""
         if self._setup is None or self._entry is None:
             return
         self._setup.ledger.put(
@@ -76,6 +76,6 @@ class CycleListing:
                 self._entry,
                 ended=datetime.now(UTC),
                 result=result,
-                estimates=estimates_of(model),
+                estimates=estimates_of(None if identified is None else identified.to_dict()),
             )
         )

@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from cell.records.folder import Recorded
-from cell.records.past_cycles import PastCycle
+from cell.records.past_cycles import UNFINISHED, PastCycle
 from cell.terminal.console import (
     checks_table,
     parameters_table,
@@ -21,7 +21,7 @@ from cell.terminal.console import (
 )
 
 #: Outcomes of which the step is worth saying.
-_IN_STEP = ("failed", "running or killed")
+_IN_STEP = ("failed", UNFINISHED)
 
 
 def history_table(past: Sequence[PastCycle]) -> Table:

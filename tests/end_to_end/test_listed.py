@@ -13,8 +13,9 @@ import pyarrow.parquet
 import pytest
 
 from cell.build import build_cell
-from cell.records.ledger.ledger import UNFINISHED, Ledger, Wanted
+from cell.records.ledger.ledger import Ledger, Wanted
 from cell.records.ledger.outbox import outbox_of
+from cell.records.past_cycles import UNFINISHED
 from cell.run.machine import Event
 from cell.settings import Settings
 

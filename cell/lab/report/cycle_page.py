@@ -21,9 +21,9 @@ from cell.records.result import Outcome
 
 Image = NDArray[Any]
 
-#: Pictures of the film strip, and their widths in pixels.
+#: Pictures of the film strip: two rows on the page.  Widths in pixels: of these, and of a picture
+#: whose legend must be read.
 STRIP, STRIP_PX, PICTURE_PX = 10, 420, 900
-_QUALITY = 80
 _GOOD = (Outcome.INSERTED, Outcome.MEASURED, Outcome.REHEARSED)
 #: Numbers of a result: entry, heading, unit, how many of it are one SI unit.
 _NUMBERS = (
@@ -127,7 +127,7 @@ def _embedded(image: Image | None, width_px: int, name: str) -> str:
         return ""
     height = round(image.shape[0] * width_px / image.shape[1])
     small = cv2.resize(image, (width_px, height), interpolation=cv2.INTER_AREA)
-    done, data = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    done, data = cv2.imencode(".jpg", small)
     assert done
     text = base64.b64encode(data.tobytes()).decode()
     shown = html.escape(name.replace("_", " "))

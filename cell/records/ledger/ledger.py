@@ -24,6 +24,7 @@ from sqlalchemy import (
 from cell.records.ledger.database import open_engine, told, url_of, writing
 from cell.records.ledger.entry import Entry, Estimate
 from cell.records.ledger.tables import NUMBERS, cycles, faults, parameters, parts, times
+from cell.records.past_cycles import UNFINISHED
 from cell.records.result import Fault, Outcome, Result
 
 #: Newest cycles that charts and the promotion check look at.
@@ -50,10 +51,6 @@ class Wanted:
     part: str | None = None
     model: str | None = None
     fault: str | None = None
-
-
-#: Said of a cycle that has no outcome.
-UNFINISHED = "running or killed"
 
 
 @dataclass(frozen=True)
@@ -169,13 +166,8 @@ class Ledger:
 
     def count(self, wanted: Wanted) -> dict[str, int]:
         """Number of cycles that are asked for, by outcome."""
-        asked = (
-            select(cycles.c.outcome, func.count())
-            .outerjoin(parts, parts.c.id == cycles.c.part_id)
-            .outerjoin(faults, faults.c.cycle_id == cycles.c.id)
-            .where(*_conditions(wanted))
-            .group_by(cycles.c.outcome)
-        )
+        asked = _of_cycles(select(cycles.c.outcome, func.count()), wanted)
+        asked = asked.group_by(cycles.c.outcome)
         with told(self._engine), self._engine.connect() as connection:
             return {outcome or UNFINISHED: n for outcome, n in connection.execute(asked)}
 
@@ -201,7 +193,7 @@ class Ledger:
 
     def span(self, wanted: Wanted) -> tuple[datetime, datetime] | None:
         """When the first and the last cycle that are asked for began; None = there are none."""
-        asked = _of_cycles(select(func.min(cycles.c.started), func.max(cycles.c.started)), wanted)
+        asked = _of_cycles(select(func.min(cycles.c.ordered), func.max(cycles.c.ordered)), wanted)
         with told(self._engine), self._engine.connect() as connection:
             first, last = connection.execute(asked).one()
         return None if first is None else (_aware(first), _aware(last))

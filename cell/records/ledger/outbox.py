@@ -55,10 +55,13 @@ class Outbox:
                 write_new(self._folder / f"{number:08d}-{os.getpid()}.json", content)
                 return
 
-    def waiting(self) -> list[tuple[Path, Entry]]:
-        """Entries and their files.  One that cannot be read is put aside, as `.bad`."""
+    def waiting(self, most: int) -> list[tuple[Path, Entry]]:
+        """The oldest entries, at most so many, and their files.
+
+        One that cannot be read is put aside, as `.bad`.
+        """
         found = []
-        for file in self._files():
+        for file in self._files()[:most]:
             try:
                 found.append((file, Entry.from_json(json.loads(file.read_text("utf-8")))))
             except FileNotFoundError:  # another cell has just written it
@@ -68,6 +71,10 @@ class Outbox:
                 with suppress(OSError):
                     file.rename(file.with_suffix(".bad"))
         return found
+
+    def count(self) -> int:
+        """Number of entries."""
+        return len(self._files())
 
     def remove(self, file: Path) -> None:
         """It was written; the folder goes with the last."""
@@ -156,7 +163,7 @@ class LedgerWriter:
         self._over.set()
         self._wake.set()
         self._thread.join(CLOSE_S)
-        waiting = len(self._outbox.waiting())
+        waiting = self._outbox.count()
         if waiting:
             self._note(
                 f"{waiting} entries of the ledger wait in {self._place}: {self._failed or 'slow'}; "
@@ -185,7 +192,7 @@ class LedgerWriter:
                 return
 
     def _write_waiting(self) -> None:
-        while waiting := self._outbox.waiting()[:_TOGETHER]:
+        while waiting := self._outbox.waiting(_TOGETHER):
             self._ledger.write([entry for _, entry in waiting])
             for file, _ in waiting:
                 self._outbox.remove(file)

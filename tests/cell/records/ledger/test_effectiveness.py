@@ -83,6 +83,14 @@ def test_a_fault_counts_as_no_insertion(tmp_path: Path) -> None:
     ledger.close()
 
 
+def test_a_clock_that_was_set_back_loses_no_cable(tmp_path: Path) -> None:
+    ledger = Ledger(tmp_path / "runs", create=True)
+    ledger.write([ended(1, started=at(15)), ended(2, started=at(-40))])
+    found = shifts(ledger, Wanted(), BEGINS, at(32))
+    assert [s.cables for s in found] == [2]
+    ledger.close()
+
+
 def test_simulated_time_that_is_quicker_than_the_clock_has_no_availability() -> None:
     shift = Shift(at(6), at(14), 100.0, 300.0, 10.0, 3, 3)
     assert shift.availability is None

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from cell.records.ledger.ledger import UNFINISHED, Ledger, Wanted
+from cell.records.ledger.ledger import Ledger, Wanted
+from cell.records.past_cycles import UNFINISHED
 from cell.records.result import Outcome
 
 from .conftest import BEGUN, begun, ended, stopped
