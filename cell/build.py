@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 
@@ -20,6 +21,8 @@ from cell.records.ledger.outbox import LaterLedger, LedgerWriter, outbox_of
 from cell.records.recording.devices import recorded_devices
 from cell.records.recording.recorder import Recorder
 from cell.records.recording.retention import Retention, Room
+from cell.records.recording.store import Store
+from cell.records.recording.uploads import Uploads
 from cell.records.result import Outcome
 from cell.run.archive import Archive
 from cell.run.clocks import KnownDelays
@@ -170,9 +173,16 @@ def with_recorder(
         settings.model_dump(mode="json"),
         files_of(settings),
         Keeping(frozenset(map(Outcome, wanted.keep)), wanted.keep_every),
-        Retention(runs, room),
+        Retention(runs, room, only_stored=wanted.store is not None),
+        None if wanted.store is None else _uploads(settings, wanted.store, runs),
     )
-    return recorded_devices(devices, recorder), recording
+    return recorded_devices(devices, recorder, recording.uploads), recording
+
+
+def _uploads(settings: Settings, url: str, runs: Path) -> Uploads:
+    uploads = Uploads(partial(Store, url), runs, line_of(settings))
+    uploads.start()
+    return uploads
 
 
 @contextmanager

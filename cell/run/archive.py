@@ -17,12 +17,12 @@ class Archive:
 
     def notes(self) -> tuple[str, ...]:
         """What a person should know of them."""
-        recorded = [] if self.recording is None else self.recording.recorder.notes
+        recorded = () if self.recording is None else self.recording.notes()
         return (*recorded, *([] if self.ledger is None else self.ledger.ledger.notes))
 
     def close(self) -> None:
         """Nothing more comes."""
         if self.recording is not None:
-            self.recording.recorder.close()
+            self.recording.close()
         if self.ledger is not None:
             self.ledger.ledger.close()

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from cell.records.recording import form
 from cell.records.recording.retention import Retention
+from cell.records.recording.uploads import Uploads
 from cell.records.result import Fault, Outcome, Result
 from cell.run.findings import FilmedMotion, Findings
 from cell.run.station import Station
@@ -78,6 +79,7 @@ class RecordingSetup:
 
     files      texts that the settings refer to, by path: the calibration, effects of one's own
     retention  what makes room for a recording; None = nothing has to
+    uploads    what brings recordings to a store; None = they stay
     """
 
     recorder: TakesEvents
@@ -85,6 +87,17 @@ class RecordingSetup:
     files: Mapping[str, str] = field(default_factory=dict)
     keeping: Keeping = Keeping()
     retention: Retention | None = None
+    uploads: Uploads | None = None
+
+    def notes(self) -> tuple[str, ...]:
+        """What a person should know."""
+        return (*self.recorder.notes, *(() if self.uploads is None else self.uploads.notes))
+
+    def close(self) -> None:
+        """Nothing more is recorded; what was is finished, and uploaded if there is time."""
+        self.recorder.close()
+        if self.uploads is not None:
+            self.uploads.close()
 
 
 def begun(cycle: int, started: datetime) -> dict[str, str]:
@@ -159,9 +172,12 @@ class CycleRecording:
         if self._recording is None:
             return
         self._event(form.RESULT, result.to_json())
-        self._recording.recorder.end(self._recording.keeping.keeps(result))
+        kept = self._recording.keeping.keeps(result)
+        self._recording.recorder.end(kept)
         if self._recording.retention is not None:
             self._recording.retention.add(self._path)
+        if kept and self._recording.uploads is not None:
+            self._recording.uploads.add(self._path)
 
     def _event(self, topic: str, data: Mapping[str, Any]) -> None:
         if self._recording is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from datetime import time
+from pathlib import Path
 from typing import Annotated, Literal, get_args
 from urllib.parse import urlsplit
 
@@ -24,6 +25,25 @@ def database_url(url: str) -> str:
         raise ValueError(
             "has a password, which would be copied to every record; leave it out, and put it into "
             "~/.pgpass or the environment (PGPASSWORD)"
+        )
+    return url
+
+
+def store_url(url: str) -> str:
+    """The URL itself.  Raises ValueError: of no store, or with a secret in it."""
+    from fsspec.registry import known_implementations, registry
+
+    parts = urlsplit(url)
+    if not parts.scheme:
+        if not Path(url).is_absolute():
+            raise ValueError(f"{url!r} is no store; give a whole path, or s3://bucket/folder")
+        return url
+    if parts.scheme not in {*known_implementations, *registry}:
+        raise ValueError(f"{parts.scheme}:// is no store that fsspec knows; s3://bucket/folder is")
+    if parts.password is not None or parts.query:
+        raise ValueError(
+            "has a password or options, which would be copied to every record; put them into the "
+            "environment (AWS_SECRET_ACCESS_KEY, AWS_ENDPOINT_URL, FSSPEC_...)"
         )
     return url
 
@@ -60,6 +80,10 @@ class Recording(Section):
     min_free_gb: NotNegative = 1.0
     """Free room on the disk before a cycle; with less the oldest recordings are removed, and if
     that is not enough nothing is recorded.  1 GB = 10⁹ bytes."""
+    store: Annotated[str, AfterValidator(store_url)] | None = None
+    """Recordings are brought to this folder or object store (`/mnt/nas/line3`, `s3://bucket/line3`)
+    while no cable is in the jaws, verified there and then removed here; what is not there yet is
+    never removed.  Passwords come from the environment.  Null = they stay in their folders."""
 
 
 class Ledger(Section):

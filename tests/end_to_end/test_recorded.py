@@ -215,3 +215,45 @@ def test_calibration_and_own_effects_are_in_it(quick, tmp_path):
 
 def test_the_shipped_settings_record(recorded_config):
     assert load_settings(recorded_config).recording == Recording()
+
+
+def with_store(recorded_config: Path, tmp_path: Path) -> Path:
+    """Settings with a store, a folder that is not there yet."""
+    config = tmp_path / "stored.yaml"
+    said = f"\nrecording: {{store: {tmp_path / 'nas'}}}\nledger: {{line: line 3}}\n"
+    config.write_text(recorded_config.read_text() + said)
+    return config
+
+
+def test_recordings_go_to_a_store_between_cables(tmp_path, recorded_config):
+    (tmp_path / "nas").mkdir()
+    config = with_store(recorded_config, tmp_path)
+    runs = tmp_path / "runs"
+    done = run("run", "--config", config, "--cycles", "2", "--out", runs)
+    assert done.returncode == 0, done.stderr
+    folders = sorted(f for f in runs.iterdir() if f.is_dir())
+    assert len(folders) == 2
+    assert not list(runs.glob(f"*/{form.FILE}"))
+    there = sorted((tmp_path / "nas").rglob(form.FILE))
+    assert [p.parent.name for p in there] == [f.name for f in folders]
+    assert {p.parent.parent.name for p in there} == {"line 3"}
+    assert "cell fetch" in run("replay", folders[0]).stderr
+    assert run("fetch", folders[0]).returncode == 0
+    assert run("replay", folders[0]).returncode == 0
+
+
+def test_upload_brings_what_a_run_could_not(tmp_path, recorded_config):
+    config = with_store(recorded_config, tmp_path)
+    runs = tmp_path / "runs"
+    done = run("run", "--config", config, "--out", runs)
+    assert done.returncode == 0  # the cable is in
+    assert "not uploaded yet: 1" in done.stderr and "make it, or mount it" in done.stderr
+    failed = run("upload", runs, "--config", config)
+    assert failed.returncode == 1 and "make it, or mount it" in failed.stderr
+    (tmp_path / "nas").mkdir()
+    assert run("upload", runs, "--config", config).stdout.startswith("1 recordings are in")
+    assert list((tmp_path / "nas").rglob(form.FILE))
+    assert run("upload", runs, "--config", recorded_config).returncode == 2
+    (folder,) = (f for f in runs.iterdir() if f.is_dir())
+    (folder / form.STORED).unlink()
+    assert run("fetch", folder).returncode == 2

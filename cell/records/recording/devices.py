@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from cell.records.recording import form
 from cell.records.recording.recorder import Recorder
+from cell.records.recording.uploads import Uploads
 from drivers.around import ArmAround, CameraAround, GripperAround
 from drivers.interfaces import (
     Arm,
@@ -20,13 +21,18 @@ from drivers.interfaces import (
 )
 
 
-def recorded_devices(devices: Devices, recorder: Recorder) -> Devices:
-    """The same devices, recorded."""
+def recorded_devices(
+    devices: Devices, recorder: Recorder, uploads: Uploads | None = None
+) -> Devices:
+    """The same devices, recorded.
+
+    uploads  is told whether a cable is in the jaws; None = nothing is uploaded
+    """
     return replace(
         devices,
         arm=RecordedArm(devices.arm, recorder),
         camera=RecordedCamera(devices.camera, recorder),
-        gripper=RecordedGripper(devices.gripper, recorder),
+        gripper=RecordedGripper(devices.gripper, recorder, uploads),
     )
 
 
@@ -93,13 +99,26 @@ class RecordedCamera(CameraAround):
 class RecordedGripper(GripperAround):
     """A gripper whose commands and answers are recorded."""
 
-    def __init__(self, gripper: Gripper, recorder: Recorder) -> None:
+    def __init__(self, gripper: Gripper, recorder: Recorder, uploads: Uploads | None) -> None:
         super().__init__(gripper)
         self._recorder = recorder
+        self._uploads = uploads
+        self._closing = False
+
+    def state(self) -> GripperState:
+        """Raises DeviceLostError."""
+        return self._told(self._gripper.state())
 
     def grip(self, force_n: float) -> GripperState:
         """Raises GripError, LimitError."""
-        return self._recorded(f"grip with {force_n:g} N", self._gripper.grip(force_n))
+        if self._uploads is not None:
+            self._uploads.jaws(holding=True)
+        self._closing = True
+        try:
+            state = self._gripper.grip(force_n)
+        finally:
+            self._closing = False
+        return self._recorded(f"grip with {force_n:g} N", state)
 
     def release(self) -> GripperState:
         """Open the jaws."""
@@ -110,4 +129,9 @@ class RecordedGripper(GripperAround):
             form.GRIPPER,
             {"told": told, "opening_m": state.opening_m, "holding": state.holding},
         )
+        return self._told(state)
+
+    def _told(self, state: GripperState) -> GripperState:
+        if self._uploads is not None and (state.holding or not self._closing):
+            self._uploads.jaws(holding=state.holding)
         return state

@@ -33,6 +33,8 @@ EPOCH = "epoch_ns"
 
 #: File of a recording in its cycle's folder, and its name until it is complete.
 FILE, PART = "recording.mcap", "recording.mcap.part"
+#: File that says in which store the recording is.
+STORED = "recording.stored.json"
 #: What was recovered from memory, until it is in the recovered file.
 REST = "recording.mcap.rest"
 

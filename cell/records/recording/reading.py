@@ -169,6 +169,9 @@ def recording_in(folder: Path) -> Path:
     if (folder / form.PART).exists():
         message = f"was not finished; `cell recover {folder}` makes what is there readable"
         raise InputError.at(folder / form.PART, message)
+    if (folder / form.STORED).exists():
+        message = f"says that the recording is in a store; `cell fetch {folder}` brings it back"
+        raise InputError.at(folder / form.STORED, message)
     raise InputError.at(
         folder / form.FILE,
         "is missing: this cycle was not recorded, or its recording was removed to make room",

@@ -45,9 +45,11 @@ class Retention:
     The folder is listed once; what is recorded afterwards is known.
     """
 
-    def __init__(self, runs: Path, room: Room) -> None:
+    def __init__(self, runs: Path, room: Room, *, only_stored: bool = False) -> None:
+        """`only_stored`: recordings that are in no store yet are not removed either."""
         self._runs = runs
         self._room = room
+        self._only_stored = only_stored
         self._known: deque[_Known] | None = None
         self._ended: list[Path] = []
 
@@ -59,7 +61,7 @@ class Retention:
         known = self._listed()
         for one in [k for k in known if not k.path.exists()]:  # removed by somebody else
             known.remove(one)
-        removable = deque(k for k in known if not (k.path.parent / KEPT).exists())
+        removable = deque(k for k in known if self._removable(k.path.parent))
         total = sum(k.bytes for k in known)
         while removable and (why := self._too_much(removable[0], total)):
             oldest = removable.popleft()
@@ -82,6 +84,10 @@ class Retention:
     def add(self, path: Path) -> None:
         """A recording was ended: it becomes a file soon, if it is kept."""
         self._ended.append(path)
+
+    def _removable(self, folder: Path) -> bool:
+        stored = not self._only_stored or (folder / form.STORED).exists()
+        return stored and not (folder / KEPT).exists()
 
     def _listed(self) -> deque[_Known]:
         if self._known is None:

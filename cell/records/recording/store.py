@@ -1,0 +1,197 @@
+"""Where recordings live away from the cell: a folder, or any object store that fsspec knows."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext, suppress
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from cell.files.atomic import write_whole
+from cell.files.input_error import InputError
+from cell.files.text_file import read_json_object
+from cell.records.recording import form
+
+#: So much is sent at once, the least that a part of an object may have.
+BLOCK_BYTES = 5 * 2**20
+#: Stores without folders of their own: there a bucket must exist, elsewhere the folder itself.
+_OBJECT_STORES = frozenset(
+    {"abfs", "abfss", "adl", "az", "gcs", "gs", "memory", "oci", "oss", "s3", "s3a"}
+)
+
+#: Entered around everything that is sent or read.
+Turn = Callable[[], AbstractContextManager[object]]
+
+
+class StoreError(Exception):
+    """A store is not there, or has not kept what it was given.  Scenario: the network is down."""
+
+
+@dataclass(frozen=True)
+class Stored:
+    """Where a recording is, and what must be in it.
+
+    stored  when it was verified there, UTC
+    """
+
+    url: str
+    bytes: int
+    sha256: str
+    stored: str
+
+
+class Store:
+    """A place for recordings.
+
+    url     as the settings allow it
+    raises  StoreError, from every method
+    """
+
+    def __init__(self, url: str) -> None:
+        import fsspec
+
+        self.url = url if url.endswith("//") else url.rstrip("/")
+        try:
+            self._files, self._root = fsspec.core.url_to_fs(self.url)
+        except ImportError as error:
+            package = "pip install 'cable-cell[s3]'" if url.startswith("s3") else str(error)
+            raise StoreError(f"{url} needs a package that is not installed: {package}") from error
+        except (ValueError, OSError) as error:
+            raise StoreError(f"{url}: {error}") from error
+
+    def put(self, source: Path, name: str, turn: Turn = nullcontext) -> Stored:
+        """Copy a file to the store, read it back there, and mark it as whole.
+
+        name  where it goes, below the store's URL
+        turn  entered around every block
+        """
+        target = f"{self._root}/{name}"
+        try:
+            with turn():
+                self._need_root()
+                self._files.makedirs(target.rpartition("/")[0], exist_ok=True)
+            size, sent = self._send(source, target, turn)
+            received = _hash(self._files, target, turn)
+            if received != (size, sent):
+                raise StoreError(
+                    f"{self.url}/{name} is not what was sent: {received[0]} of {size} bytes, or "
+                    "other ones; the recording is kept here"
+                )
+            now = datetime.now(UTC).isoformat(timespec="seconds")
+            stored = Stored(f"{self.url}/{name}", size, sent, now)
+            with turn():
+                self._files.pipe_file(f"{target}.json", _json(stored).encode())
+        except (StoreError, KeyboardInterrupt):
+            raise
+        except Exception as error:  # each store has errors of its own
+            raise StoreError(f"{self.url}/{name}: {_cause(error)}") from error
+        return stored
+
+    def _need_root(self) -> None:
+        protocols = self._files.protocol
+        named = {protocols} if isinstance(protocols, str) else set(protocols)
+        bucket = bool(named & _OBJECT_STORES)
+        place = self._root.lstrip("/").split("/")[0] if bucket else self._root
+        if not self._files.exists(place):
+            what = "bucket" if bucket else "folder"
+            raise StoreError(f"{self.url}: there is no {what} {place}; make it, or mount it")
+
+    def _send(self, source: Path, target: str, turn: Turn) -> tuple[int, str]:
+        digest, size = hashlib.sha256(), 0
+        with source.open("rb") as file:
+            with turn():
+                sink = self._files.open(target, "wb", block_size=BLOCK_BYTES)
+            try:
+                while block := file.read(BLOCK_BYTES):
+                    digest.update(block)
+                    size += len(block)
+                    with turn():
+                        sink.write(block)
+                with turn():
+                    sink.close()
+            except BaseException:
+                with suppress(Exception):  # what was sent has no mark, and is replaced next time
+                    sink.discard()
+                raise
+        return size, digest.hexdigest()
+
+
+def fetch(stored: Stored, target: Path, progress: Callable[[float], None]) -> None:
+    """Bring a recording back, whole or not at all.
+
+    progress  told of the share that is here
+    raises    StoreError; OSError: it cannot be written here
+    """
+    files, path = Store(stored.url)._files, Store(stored.url)._root
+    part = target.with_name(f"{target.name}.part")
+    digest, size = hashlib.sha256(), 0
+    with part.open("wb") as sink:
+        try:
+            with files.open(path, "rb", block_size=BLOCK_BYTES) as file:
+                while block := file.read(BLOCK_BYTES):
+                    digest.update(block)
+                    size += len(block)
+                    sink.write(block)
+                    progress(size / stored.bytes)
+            if (size, digest.hexdigest()) != (stored.bytes, stored.sha256):
+                raise StoreError(f"{stored.url} is not what was stored on {stored.stored}")
+        except BaseException as error:
+            part.unlink(missing_ok=True)
+            if isinstance(error, Exception) and not isinstance(error, StoreError):
+                raise StoreError(f"{stored.url}: {_cause(error)}") from error
+            raise
+    part.replace(target)
+
+
+def mark(folder: Path, stored: Stored) -> None:
+    """Say in a cycle's folder where its recording is.  Raises OSError."""
+    write_whole(folder / form.STORED, _json(stored))
+
+
+def stored_of(folder: Path) -> Stored | None:
+    """Where the recording of a cycle is; None = in no store.
+
+    raises  InputError: what says so was changed
+    """
+    path = folder / form.STORED
+    if not path.exists():
+        return None
+    return _stored(path, read_json_object(path))
+
+
+def _stored(path: Path, data: Mapping[str, Any]) -> Stored:
+    try:
+        return Stored(data["url"], int(data["bytes"]), data["sha256"], data["stored"])
+    except (KeyError, TypeError, ValueError) as error:
+        message = f"does not say where the recording is ({type(error).__name__}: {error})"
+        raise InputError.at(path, message) from error
+
+
+def name_of(recording: Path, line: str) -> str:
+    """Where a cycle's recording goes in a store: by line, then by the cycle's folder."""
+    return f"{line.replace('/', '_')}/{recording.parent.name}/{form.FILE}"
+
+
+def _hash(files: Any, path: str, turn: Turn) -> tuple[int, str]:
+    """Size and SHA-256 of what a store holds, read from its beginning to its end."""
+    digest, size = hashlib.sha256(), 0
+    with files.open(path, "rb", block_size=BLOCK_BYTES, cache_type="readahead") as file:
+        while True:
+            with turn():
+                block = file.read(BLOCK_BYTES)
+            if not block:
+                return size, digest.hexdigest()
+            digest.update(block)
+            size += len(block)
+
+
+def _json(stored: Stored) -> str:
+    return json.dumps(asdict(stored), indent=2) + "\n"
+
+
+def _cause(error: Exception) -> str:
+    return f"{type(error).__name__}: {str(error).strip() or 'no answer'}".splitlines()[0]

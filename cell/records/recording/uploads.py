@@ -1,0 +1,183 @@
+"""Brings recordings to a store while no cable is in the jaws, and then removes them here."""
+
+from __future__ import annotations
+
+import fcntl
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from cell.records.recording import form
+from cell.records.recording.retention import KEPT
+from cell.records.recording.store import Store, Stored, StoreError, Turn, mark, name_of
+
+_LOG = logging.getLogger(__name__)
+
+#: After a failure the store is tried again so soon, s, then later and later.
+_FIRST_S, _LAST_S = 2.0, 120.0
+#: So long a hand that is about to grip waits for the block that is on its way, s …
+HOLD_S = 2.0
+#: … and the end of a run for the recordings that are not uploaded yet.
+CLOSE_S = 60.0
+#: How often it is looked for a recording that its recorder has yet to finish, s.
+_LOOK_S = 0.05
+
+
+class _NotNowError(Exception):
+    """A run ends while a cable is in the jaws."""
+
+
+def waiting(runs: Path) -> list[Path]:
+    """Recordings of a folder that are in no store yet, oldest first."""
+    files = runs.glob(f"*/{form.FILE}") if runs.is_dir() else ()
+    return sorted(p for p in files if not p.with_name(form.STORED).exists())
+
+
+def bring(store: Store, recording: Path, line: str, turn: Turn) -> Stored | None:
+    """Copy a recording to the store, verify it there, then remove it here unless it is marked.
+
+    returns  None = another process is at it, or has done it
+    raises   StoreError: it stays here; OSError
+    """
+    try:
+        file = recording.open("rb")
+    except FileNotFoundError:
+        return None
+    with file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return None
+        stored = store.put(recording, name_of(recording, line), turn)
+        mark(recording.parent, stored)
+        if not recording.with_name(KEPT).exists():
+            recording.unlink()
+    _LOG.info("%s is in %s, verified", recording, stored.url)
+    return stored
+
+
+class Uploads:
+    """Uploads recordings in a thread, between two cables.
+
+    open_store  opens it, in the thread
+    runs        folder of the records: what earlier runs have left there is uploaded too
+    line        that the cell belongs to
+    notes       what a person should know
+    """
+
+    def __init__(self, open_store: Callable[[], Store], runs: Path, line: str) -> None:
+        self.notes: list[str] = []
+        self._open_store = open_store
+        self._runs, self._line = runs, line
+        self._store: Store | None = None
+        self._new: deque[Path] = deque()
+        self._wake = threading.Event()
+        self._over = threading.Event()
+        self._empty = threading.Event()  # the jaws
+        self._block = threading.Lock()
+        self._left = 0
+        self._failed = ""
+        self._thread = threading.Thread(target=self._run, name="uploads", daemon=True)
+
+    def start(self) -> None:
+        """Begin, with what earlier runs have left; nothing is sent before the jaws are empty."""
+        self._thread.start()
+
+    def add(self, recording: Path) -> None:
+        """A recording has ended: it becomes a file soon."""
+        self._new.append(recording)
+        self._wake.set()
+
+    def jaws(self, *, holding: bool) -> None:
+        """The jaws hold a cable or are about to, or are empty.  Nothing is on its way when this
+        returns, unless the store needs longer than `HOLD_S` for a block.
+        """
+        if not holding:
+            self._empty.set()
+            return
+        if not self._empty.is_set():
+            return
+        self._empty.clear()
+        if self._block.acquire(timeout=HOLD_S):
+            self._block.release()
+        else:
+            _LOG.warning("uploads: the store is slow: a block is sent while a cable is gripped")
+
+    def close(self) -> None:
+        """Upload what is left if no cable is in the jaws, but not for ever."""
+        if not self._thread.is_alive():
+            return
+        self._over.set()
+        self._wake.set()
+        self._thread.join(CLOSE_S if self._empty.is_set() else HOLD_S)
+        self._over.set()
+        if self._left or self._thread.is_alive():
+            why = self._failed or "there was no time"
+            if not self._empty.is_set():
+                why = "a cable is in the jaws"
+            number = max(self._left, 1)
+            self.notes.append(
+                f"recordings in {self._runs} that are not uploaded yet: {number}: {why}; the next "
+                "run or `cell upload` does it"
+            )
+
+    # --- its thread -------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        left = deque(waiting(self._runs))
+        pause_s = _FIRST_S
+        while True:
+            self._take_new(left)
+            self._left = len(left)
+            if not left:
+                if self._over.is_set():
+                    return
+                self._wake.wait()
+                self._wake.clear()
+                continue
+            try:
+                bring(self._opened(), left[0], self._line, self._turn)
+            except _NotNowError:
+                return
+            except (StoreError, OSError) as error:
+                if not self._failed:
+                    _LOG.warning("uploads: %s: recordings stay here until it is there", error)
+                pause_s = min(_LAST_S, 2.0 * pause_s) if self._failed else _FIRST_S
+                self._failed = str(error)
+                if self._over.is_set():
+                    return
+                self._over.wait(pause_s)
+            else:
+                left.popleft()
+                self._failed = ""
+
+    def _opened(self) -> Store:
+        if self._store is None:
+            self._store = self._open_store()
+        return self._store
+
+    def _take_new(self, left: deque[Path]) -> None:
+        """Recordings that have ended, once their recorder has finished them."""
+        while self._new:
+            path = self._new[0]
+            while path.with_name(form.PART).exists() and not path.exists():
+                time.sleep(_LOOK_S)
+            self._new.popleft()
+            if path.exists() and path not in left:
+                left.append(path)
+
+    @contextmanager
+    def _turn(self) -> Iterator[None]:
+        """Something is sent: only while the jaws are empty."""
+        while True:
+            while not self._empty.wait(_LOOK_S):
+                if self._over.is_set():
+                    raise _NotNowError
+            with self._block:
+                if self._empty.is_set():
+                    yield
+                    return
