@@ -14,7 +14,18 @@ from typing import Annotated
 
 import typer
 
-from cell.cli import calibrate, lab, ledger, line, recordings, records, run, settings, store
+from cell.cli import (
+    acknowledge,
+    calibrate,
+    lab,
+    ledger,
+    line,
+    recordings,
+    records,
+    run,
+    settings,
+    store,
+)
 from cell.cli.streams import open_streams, usable_streams
 from cell.computer.watched import go_on_watched
 from cell.terminal.logs import about, to_file, to_terminal
@@ -31,7 +42,7 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
-for group in (run, settings, records, ledger, recordings, store, lab, line):
+for group in (run, settings, records, ledger, acknowledge, recordings, store, lab, line):
     app.add_typer(group.app)
 app.add_typer(calibrate.app)
 

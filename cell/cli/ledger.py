@@ -69,6 +69,9 @@ class HistoryOptions:
     fault: Annotated[
         str | None, typer.Option(help="Ended by this fault, such as `stop`, `arm` or `arm.limit`.")
     ] = None
+    open_faults: Annotated[
+        bool, typer.Option("--open", help="Faults that nobody has acknowledged.")
+    ] = False
     most: Annotated[
         int | None,
         typer.Option("-n", "--most", min=1, help=f"The newest N cycles; tables show {_SHOWN}."),
@@ -103,6 +106,7 @@ class HistoryOptions:
             part=self.part_id,
             model=self.model,
             fault=self.fault,
+            acknowledged=False if self.open_faults else None,
         )
 
 
@@ -116,7 +120,7 @@ def history(options: HistoryOptions) -> None:
 
     Exit codes: 0; 2 if the ledger cannot be read or an option is wrong.
     """
-    with refusing(options.csv, options.parquet), _ledger_errors():
+    with refusing(options.csv, options.parquet), ledger_errors():
         settings = None if options.config is None else _settings(options.config)
         now = datetime.now(UTC)
         wanted = options.wanted(now)
@@ -173,16 +177,25 @@ def _answer(
 
 @contextmanager
 def open_ledger(
-    settings: Settings | None, place: str | None, *, create: bool = False
+    settings: Settings | None,
+    place: str | None,
+    *,
+    create: bool = False,
+    must_exist: bool = False,
 ) -> Iterator[Ledger]:
     """The ledger of an option, of the settings, or of the folder `runs`.
 
-    raises  LedgerError: it cannot be used
+    create      make its tables, or bring them up to date …
+    must_exist  … but make no new file
+    raises      LedgerError: it cannot be used
     """
+    from cell.records.ledger.database import need_file
     from cell.records.ledger.ledger import Ledger
 
     if place is None and settings is not None and settings.ledger is not None:
         place = settings.ledger.url
+    if must_exist:
+        need_file(place or Path("runs"))
     ledger = Ledger(place or Path("runs"), create=create)
     try:
         yield ledger
@@ -205,7 +218,7 @@ def listed_cycles(settings: Settings, place: str | None, since: str | None) -> l
         outcomes=tuple(o.value for o in outcomes),
         line=line_of(settings),
     )
-    with _ledger_errors(), open_ledger(settings, place) as ledger:
+    with ledger_errors(), open_ledger(settings, place) as ledger:
         folders = [c.folder for c in ledger.listed(wanted)]
     there = [f for f in folders if f.is_dir()]
     for gone in (f for f in folders if f not in there):
@@ -220,7 +233,7 @@ def listed_cycles(settings: Settings, place: str | None, since: str | None) -> l
 
 
 @contextmanager
-def _ledger_errors() -> Iterator[None]:
+def ledger_errors() -> Iterator[None]:
     """Bad input, to a command that only asks."""
     from cell.records.ledger.error import LedgerError
 

@@ -80,6 +80,7 @@ class Cell:
         self._watched = watched
         self._archive = Archive() if archive is None else archive
         self._done_once: set[str] = set()
+        self._listing: CycleListing | None = None
 
     def now_s(self) -> float:
         """Time on the cell's clock."""
@@ -99,10 +100,11 @@ class Cell:
         if event in INTERRUPTING:
             steps.stop(self._station.devices, reason or event.value)
 
-    def acknowledge(self) -> None:
-        """A person's word that the cause of a stop or an abort is gone.
+    def acknowledge(self, by: str = "", note: str = "") -> None:
+        """A person's word that the cause of a stop or an abort is gone; the ledger lists it.
 
-        raises  EventRefusedError: the cell is not stopped
+        by, note  who says so, and what was done
+        raises    EventRefusedError: the cell is not stopped
         """
         if self.machine.state is CellState.ABORTED:
             self.machine.send(Event.CLEAR)
@@ -110,6 +112,8 @@ class Cell:
         if self.machine.state is not CellState.STOPPED:
             raise EventRefusedError(f"nothing to acknowledge while {self.machine.state.value}")
         self.commands.clear()
+        if self._listing is not None:
+            self._listing.acknowledge(by, note)
 
     def close(self) -> None:
         """Stop the arm and disconnect all devices."""
@@ -140,7 +144,7 @@ class Cell:
         recording = CycleRecording(self._archive.recording)
         meant = {"aim": plan.aim.value, "steps": plan.names, "speed": plan.speed}
         recording.begin(record.folder, number, started, meant)
-        listing = CycleListing(self._archive.ledger)
+        self._listing = listing = CycleListing(self._archive.ledger)
         listing.begin(record.folder, number, started, plan.aim.value, part)
         progress = Progress(number, record, recording, station, plan.given, plan.resetting[0].name)
         try:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Protocol
 
 from cell.identify.identified import Identified
-from cell.records.ledger.entry import Entry, estimates_of
+from cell.records.ledger.entry import Acknowledgement, Entry, estimates_of
 from cell.records.result import Result
 
 
@@ -67,15 +67,20 @@ class CycleListing:
         )
         self._setup.ledger.put(self._entry)
 
+    def acknowledge(self, by: str, note: str) -> None:
+        """A person says that the cycle's fault was looked at."""
+        if self._setup is not None and self._entry is not None:
+            said = Acknowledgement(datetime.now(UTC), by, note)
+            self._setup.ledger.put(replace(self._entry, acknowledged=said))
+
     def end(self, result: Result, identified: Identified | None) -> None:
         """The cycle has ended; None = its cable was not identified."""
         if self._setup is None or self._entry is None:
             return
-        self._setup.ledger.put(
-            replace(
-                self._entry,
-                ended=datetime.now(UTC),
-                result=result,
-                estimates=estimates_of(None if identified is None else identified.to_dict()),
-            )
+        self._entry = replace(
+            self._entry,
+            ended=datetime.now(UTC),
+            result=result,
+            estimates=estimates_of(None if identified is None else identified.to_dict()),
         )
+        self._setup.ledger.put(self._entry)

@@ -29,7 +29,7 @@ def cycles_parts(
             f"{c.started:%Y-%m-%d %H:%M:%S}",
             *([Text(c.line)] if lines else []),
             *([Text(c.part or "")] if parts else []),
-            Text(f"{c.outcome}: {c.fault.code}" if c.fault else c.outcome),
+            Text(_outcome(c)),
             _mm(c.numbers["offset_m"], 0),
             _mm(missed, 2),
             _mm(expected, 2),
@@ -69,6 +69,13 @@ def shifts_parts(shifts: Sequence[Shift]) -> Sequence[RenderableType]:
     if any(s.availability is None for s in shifts):
         said.append("no availability: simulated time is not the clock's")
     return [table, *said]
+
+
+def _outcome(cycle: ListedCycle) -> str:
+    """With the fault's code, and a mark on one that nobody has acknowledged."""
+    if cycle.fault is None:
+        return cycle.outcome
+    return f"{cycle.outcome}: {cycle.fault.code}{'' if cycle.acknowledged else ' (open)'}"
 
 
 def _table(title: str, left: Sequence[str], right: Sequence[str]) -> Table:

@@ -7,15 +7,18 @@ import json
 import subprocess
 import sys
 import time
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pyarrow.parquet
 import pytest
 
 from cell.build import build_cell
+from cell.records.ledger.entry import Entry
 from cell.records.ledger.ledger import Ledger, Wanted
 from cell.records.ledger.outbox import outbox_of
 from cell.records.past_cycles import UNFINISHED
+from cell.records.result import Fault, Outcome, Result
 from cell.run.machine import Event
 from cell.settings import Settings
 
@@ -141,8 +144,10 @@ def test_a_fault_is_listed_with_its_code(quick: Settings, tmp_path: Path) -> Non
 
     cell = build_cell(quick, tmp_path / "runs", seed=1, cycles=1, on_step=on_step, recorded=True)
     result = cell.run_cycle(1, part="P")
+    cell.acknowledge("Ada", "was only tried")
     cell.close()
     (cycle,) = listed(tmp_path / "runs")
+    assert (cycle.acknowledged.by, cycle.acknowledged.note) == ("Ada", "was only tried")
     assert (cycle.outcome, cycle.part, cycle.fault) == ("failed", "P", result.fault)
     assert result.fault is not None
     assert (result.fault.code, result.fault.step) == ("stop", "lower")
@@ -193,3 +198,30 @@ def test_learning_finds_the_lines_cycles_in_the_ledger(
     done = run(*words, "--ledger", runs, "--since", "2100-01-01")
     assert done.returncode == 2
     assert "since 2100-01-01 is listed whose folder is there" in done.stderr
+
+
+def test_a_person_acknowledges_a_fault_afterwards(tmp_path: Path) -> None:
+    ledger = Ledger(tmp_path / "runs", create=True)
+    fault = Fault("lower", "the arm was stopped", "arm", code="arm.stopped")
+    at = datetime(2026, 11, 2, 6, 30, tzinfo=UTC)
+    for number in (1, 2, 3):
+        folder = tmp_path / "runs" / f"cycle-{number}"
+        result = Result(number, Outcome.FAILED, str(folder), fault=fault)
+        ledger.write([Entry("line3", number, folder, at, "inserted", ended=at, result=result)])
+    ledger.close()
+    place = ("--ledger", tmp_path / "runs")
+    assert run("history", *place).stdout.count("arm.stopped (open)") == 3
+    done = run("acknowledge", *place, "--by", "Ada", "--note", "button released", "--json")
+    (said,) = json.loads(done.stdout)
+    assert (said["by"], said["note"], said["fault"]) == ("Ada", "button released", "arm.stopped")
+    assert said["folder"].endswith("cycle-3")
+    assert run("acknowledge", *place, tmp_path / "runs" / "cycle-1").returncode == 0
+    opened = json.loads(run("history", *place, "--open", "--json").stdout)
+    assert [Path(c["folder"]).name for c in opened] == ["cycle-2"]
+    assert run("acknowledge", *place, "--all").stdout.count("acknowledged by") == 1
+    nothing = run("acknowledge", *place)
+    assert (nothing.returncode, "no fault is open" in nothing.stderr) == (2, True)
+    other = run("acknowledge", *place, "cycle-9")
+    assert (other.returncode, "cycle-9: no cycle of this name" in other.stderr) == (2, True)
+    assert run("acknowledge", "--ledger", tmp_path / "nowhere").returncode == 2
+    assert not (tmp_path / "nowhere.sqlite").exists()

@@ -44,6 +44,17 @@ def url_of(place: str | Path) -> URL:
     return url
 
 
+def need_file(place: str | Path | URL) -> None:
+    """Raises LedgerError: the ledger is a file, and that is not there."""
+    url = place if isinstance(place, URL) else url_of(place)
+    path = Path(url.database or "")
+    if url.drivername.startswith("sqlite") and url.database and not path.is_file():
+        raise LedgerError(
+            f"{path} is missing: no cycle is listed there; `cell run` lists each, "
+            "`cell history --import FOLDER` takes in those that were before"
+        )
+
+
 def open_engine(url: URL, *, create: bool) -> Engine:
     """An engine whose database has today's tables.
 
@@ -53,11 +64,8 @@ def open_engine(url: URL, *, create: bool) -> Engine:
     """
     path = None if url.database is None else Path(url.database)
     in_file = url.drivername.startswith("sqlite")
-    if in_file and not create and path is not None and not path.is_file():
-        raise LedgerError(
-            f"{path} is missing: no cycle is listed there; `cell run` lists each, "
-            "`cell history --import FOLDER` takes in those that were before"
-        )
+    if not create:
+        need_file(url)
     try:
         engine = create_engine(url, **_arguments(in_file))
     except (NoDialectError, ModuleNotFoundError) as error:

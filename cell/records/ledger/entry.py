@@ -25,6 +25,24 @@ class Estimate:
 
 
 @dataclass(frozen=True)
+class Acknowledgement:
+    """A person's word that a fault was looked at; `at` with a time zone."""
+
+    at: datetime
+    by: str
+    note: str = ""
+
+    def to_json(self) -> dict[str, str]:
+        """Plain data."""
+        return {"at": self.at.isoformat(), "by": self.by, "note": self.note}
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, str]) -> Acknowledgement:
+        """Back from `to_json`.  Raises KeyError, ValueError: not one."""
+        return cls(datetime.fromisoformat(data["at"]), data["by"], data["note"])
+
+
+@dataclass(frozen=True)
 class Entry:
     """A cycle that has begun, or has ended.
 
@@ -34,6 +52,7 @@ class Entry:
     result       None = it has not ended yet
     calibration  hash of the calibration's files; None = as typed
     software     version of this program
+    acknowledged   that its fault was looked at; None = not yet
     """
 
     line: str
@@ -47,6 +66,7 @@ class Entry:
     estimates: tuple[Estimate, ...] = ()
     calibration: str | None = None
     software: str | None = None
+    acknowledged: Acknowledgement | None = None
 
     @property
     def uid(self) -> str:
@@ -62,6 +82,7 @@ class Entry:
             "ended": None if self.ended is None else self.ended.isoformat(),
             "result": None if self.result is None else self.result.to_json(),
             "estimates": [asdict(e) for e in self.estimates],
+            "acknowledged": None if self.acknowledged is None else self.acknowledged.to_json(),
         }
         return plain(data)  # type: ignore[no-any-return]
 
@@ -69,12 +90,14 @@ class Entry:
     def from_json(cls, data: Mapping[str, Any]) -> Entry:
         """Back from `to_json`.  Raises KeyError, TypeError, ValueError: not an entry."""
         known = dict(data)
+        acknowledged = data.get("acknowledged")  # older versions did not say so
         known |= {
             "folder": Path(data["folder"]),
             "started": datetime.fromisoformat(data["started"]),
             "ended": None if data["ended"] is None else datetime.fromisoformat(data["ended"]),
             "result": None if data["result"] is None else Result.from_json(data["result"]),
             "estimates": tuple(Estimate(**e) for e in data["estimates"]),
+            "acknowledged": acknowledged and Acknowledgement.from_json(acknowledged),
         }
         return cls(**known)
 

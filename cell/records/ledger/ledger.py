@@ -22,8 +22,16 @@ from sqlalchemy import (
 )
 
 from cell.records.ledger.database import open_engine, told, url_of, writing
-from cell.records.ledger.entry import Entry, Estimate
-from cell.records.ledger.tables import NUMBERS, cycles, faults, parameters, parts, times
+from cell.records.ledger.entry import Acknowledgement, Entry, Estimate
+from cell.records.ledger.tables import (
+    NUMBERS,
+    acknowledgements,
+    cycles,
+    faults,
+    parameters,
+    parts,
+    times,
+)
 from cell.records.past_cycles import UNFINISHED
 from cell.records.result import Fault, Outcome, Result
 
@@ -41,7 +49,8 @@ class Wanted:
 
     since, until   of their beginning; with a time zone
     outcomes       "running or killed" are those that have none
-    fault          a reason code, or the beginning of some: `arm` is all of the arm
+    fault          a reason code, or the beginning of some: `arm` is all of the arm, "" is any
+    acknowledged   whether somebody has acknowledged the fault
     """
 
     since: datetime | None = None
@@ -51,6 +60,7 @@ class Wanted:
     part: str | None = None
     model: str | None = None
     fault: str | None = None
+    acknowledged: bool | None = None
 
 
 @dataclass(frozen=True)
@@ -72,16 +82,25 @@ class ListedCycle:
     numbers: Mapping[str, float | None]
     fault: Fault | None
     estimates: tuple[Estimate, ...] = ()
+    acknowledged: Acknowledgement | None = None
+
+    @property
+    def uid(self) -> str:
+        """As of its `Entry`."""
+        return f"{self.line}/{self.folder.name}"
 
     def to_json(self) -> dict[str, Any]:
         """Plain data: one level, as a row of a table."""
-        fault = self.fault or Fault("", "")
+        fault, seen = self.fault or Fault("", ""), self.acknowledged
         data: dict[str, Any] = {
             "started": self.started.isoformat(),
             "ended": None if self.ended is None else self.ended.isoformat(),
             **{k: getattr(self, k) for k in ("line", "cycle", "part", "outcome", "reason")},
             **{f"fault_{k}": getattr(fault, k) or None for k in ("code", "step", "device")},
             "fault_cause": fault.cause or None,
+            "acknowledged": None if seen is None else seen.at.isoformat(),
+            "acknowledged_by": None if seen is None else seen.by,
+            "acknowledged_note": (None if seen is None else seen.note) or None,
             **self.numbers,
             "running_s": self.running_s,
             **{k: getattr(self, k) for k in ("model", "calibration", "software")},
@@ -120,6 +139,14 @@ class Ledger:
             for entry in entries:
                 _write(connection, entry, of_now)
 
+    def acknowledge(self, of: Iterable[ListedCycle], said: Acknowledgement) -> None:
+        """Write a person's word on the faults of these cycles; it takes the place of another."""
+        with writing(self._engine) as connection:
+            for cycle in of:
+                at = connection.scalar(select(cycles.c.id).where(cycles.c.uid == cycle.uid))
+                if at is not None:
+                    _acknowledge(connection, at, said)
+
     # --- asking -----------------------------------------------------------------------------------
 
     def results(self, line: str, most: int = MOST) -> list[Result]:
@@ -151,9 +178,10 @@ class Ledger:
         estimates  with the cables' parameters
         """
         asked = (
-            select(cycles, parts.c.code.label("part"), *_FAULT_COLUMNS)
+            select(cycles, parts.c.code.label("part"), *_FAULT_COLUMNS, *_SEEN_COLUMNS)
             .outerjoin(parts, parts.c.id == cycles.c.part_id)
             .outerjoin(faults, faults.c.cycle_id == cycles.c.id)
+            .outerjoin(acknowledgements, acknowledgements.c.cycle_id == cycles.c.id)
             .where(*_conditions(wanted))
             .order_by(cycles.c.ordered.desc(), cycles.c.id.desc())
         )
@@ -179,6 +207,7 @@ class Ledger:
             select(faults.c.code, number, newest)
             .join(cycles, cycles.c.id == faults.c.cycle_id)
             .outerjoin(parts, parts.c.id == cycles.c.part_id)
+            .outerjoin(acknowledgements, acknowledgements.c.cycle_id == cycles.c.id)
             .where(*_conditions(wanted))
             .group_by(faults.c.code)
             .subquery()
@@ -242,6 +271,9 @@ class Ledger:
             numbers={name: getattr(row, name) for name in NUMBERS},
             fault=fault,
             estimates=tuple(estimates),
+            acknowledged=None
+            if row.seen_at is None
+            else Acknowledgement(_aware(row.seen_at), row.seen_by, row.seen_note),
         )
 
     def _folder(self, said: str) -> Path:
@@ -261,14 +293,18 @@ _CHARTED_NAMES = (
 _CHARTED = [cycles.c[name] for name in _CHARTED_NAMES]
 _FAULT_COLUMNS = [faults.c[k] for k in ("step", "cause", "device", "remedy", "cable", "code")]
 
+_SEEN_COLUMNS = [acknowledgements.c[k].label(f"seen_{k}") for k in ("at", "by", "note")]
+
 
 def _of_cycles(asked: Select[Any], wanted: Wanted) -> Select[Any]:
     """A question to cycles alone, unless parts or faults are asked for."""
     asked = asked.select_from(cycles)
     if wanted.part is not None:
         asked = asked.outerjoin(parts, parts.c.id == cycles.c.part_id)
-    if wanted.fault is not None:
+    if wanted.fault is not None or wanted.acknowledged is not None:
         asked = asked.outerjoin(faults, faults.c.cycle_id == cycles.c.id)
+    if wanted.acknowledged is not None:
+        asked = asked.outerjoin(acknowledgements, acknowledgements.c.cycle_id == cycles.c.id)
     return asked.where(*_conditions(wanted))
 
 
@@ -284,7 +320,13 @@ def _conditions(wanted: Wanted) -> list[ColumnElement[bool]]:
         if UNFINISHED in wanted.outcomes:
             of.append(cycles.c.outcome.is_(None))
         found.append(or_(*of))
-    if wanted.fault is not None:
+    if wanted.acknowledged is not None:
+        seen = acknowledgements.c.cycle_id
+        said = seen.is_not(None) if wanted.acknowledged else seen.is_(None)
+        found += [faults.c.code.is_not(None), said]
+    if wanted.fault == "":
+        found.append(faults.c.code.is_not(None))
+    elif wanted.fault is not None:
         below = faults.c.code.startswith(f"{wanted.fault}.", autoescape=True)
         found.append(or_(faults.c.code == wanted.fault, below))
     for column, value in (
@@ -301,8 +343,12 @@ def _write(connection: Connection, entry: Entry, of_now: bool) -> None:
     known = connection.execute(
         select(cycles.c.id, cycles.c.outcome, cycles.c.ordered).where(cycles.c.uid == entry.uid)
     ).first()
-    if known is not None and known.outcome is not None and entry.result is None:
-        return
+    if known is not None and known.outcome is not None:
+        if entry.acknowledged is not None:
+            _acknowledge(connection, known.id, entry.acknowledged)
+            return
+        if entry.result is None:
+            return
     values = _row(entry) | {"part_id": _part(connection, entry.part)}
     if known is None:
         values["ordered"] = _ordered(connection, entry) if of_now else _utc(entry.started)
@@ -333,6 +379,15 @@ def _write(connection: Connection, entry: Entry, of_now: bool) -> None:
     for of_cycle, new in rows.items():
         if new:
             connection.execute(insert(of_cycle), [{"cycle_id": at, **row} for row in new])
+    if entry.acknowledged is not None:
+        _acknowledge(connection, at, entry.acknowledged)
+
+
+def _acknowledge(connection: Connection, at: int, said: Acknowledgement) -> None:
+    """`at`: number of the cycle."""
+    connection.execute(delete(acknowledgements).where(acknowledgements.c.cycle_id == at))
+    row = {"cycle_id": at, "at": _utc(said.at), "by": said.by, "note": said.note}
+    connection.execute(insert(acknowledgements), [row])
 
 
 def _row(entry: Entry) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from sqlalchemy import (
 )
 
 #: Newest migration.
-HEAD = "0001"
+HEAD = "0002"
 
 metadata = MetaData()
 
@@ -98,6 +98,16 @@ faults = Table(
     Column("cause", Text, nullable=False),
     Column("remedy", Text, nullable=False),
     Column("cable", Text, nullable=False),
+)
+
+#: A person's word that the fault of a cycle was looked at.
+acknowledgements = Table(
+    "acknowledgements",
+    metadata,
+    Column("cycle_id", ForeignKey("cycles.id", ondelete="CASCADE"), primary_key=True),
+    Column("at", DateTime, nullable=False),
+    Column("by", String(100), nullable=False),
+    Column("note", Text, nullable=False),
 )
 
 #: Time spent in each state of the cell (PackML) and in each step.

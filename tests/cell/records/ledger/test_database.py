@@ -14,12 +14,13 @@ from alembic.script import ScriptDirectory
 from sqlalchemy import Engine, create_engine, text
 
 from cell.records.ledger.database import url_of
+from cell.records.ledger.entry import Acknowledgement
 from cell.records.ledger.error import LedgerError
 from cell.records.ledger.ledger import Ledger, Wanted
 from cell.records.ledger.migrations.upgrade import config
 from cell.records.ledger.tables import HEAD, metadata
 
-from .conftest import ended
+from .conftest import BEGUN, ended, stopped
 
 
 @contextmanager
@@ -103,3 +104,24 @@ def test_an_older_ledger_is_not_changed_by_asking(place: str) -> None:
         connection.execute(text("UPDATE alembic_version SET version_num = '0000'"))
     with pytest.raises(LedgerError, match=r"older version \(0000\)"):
         Ledger(place)
+
+
+def test_a_ledger_of_the_first_version_keeps_what_is_in_it(place: str) -> None:
+    """As it was before acknowledgements were listed."""
+    ledger = Ledger(place, create=True)
+    ledger.write([ended(1), stopped(2)])
+    ledger.close()
+    with engine_of(place) as engine, engine.begin() as connection:
+        connection.execute(text("DROP TABLE acknowledgements"))
+        connection.execute(text("UPDATE alembic_version SET version_num = '0001'"))
+    with pytest.raises(LedgerError, match=r"older version \(0001\)"):
+        Ledger(place)
+    ledger = Ledger(place, create=True)
+    found = ledger.listed(Wanted(), estimates=True)
+    assert [c.outcome for c in found] == ["inserted", "failed"]
+    assert [e.name for e in found[0].estimates] == ["rigidity_0", "viscosity"]
+    ledger.acknowledge(found[1:], Acknowledgement(BEGUN, "Ada"))
+    assert not ledger.listed(Wanted(acknowledged=False))
+    ledger.close()
+    with engine_of(place) as engine, engine.connect() as connection:
+        assert compare_metadata(MigrationContext.configure(connection), metadata) == []

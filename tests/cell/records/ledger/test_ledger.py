@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from cell.records.ledger.entry import Acknowledgement, Entry
 from cell.records.ledger.ledger import Ledger, Wanted
 from cell.records.past_cycles import UNFINISHED
 from cell.records.result import Outcome
@@ -158,3 +159,31 @@ def test_folders_are_found_beside_a_ledger_that_was_moved(tmp_path: Path) -> Non
     assert first.folder == tmp_path / "runs" / "00001"
     assert second.folder == Path("/records/00002")
     ledger.close()
+
+
+def test_a_fault_is_open_until_somebody_acknowledges_it(ledger: Ledger) -> None:
+    ledger.write([ended(1), stopped(2), stopped(3, "arm.limit")])
+    opened = Wanted(acknowledged=False)
+    assert [c.cycle for c in ledger.listed(opened)] == [2, 3]
+    assert ledger.count(opened) == {"failed": 2}
+    second = ledger.listed(Wanted(fault="arm"))
+    ledger.acknowledge(second, Acknowledgement(BEGUN, "Ada", "pads changed"))
+    ledger.acknowledge(second, Acknowledgement(BEGUN, "Bob", "pads changed again"))
+    assert [c.cycle for c in ledger.listed(opened)] == [2]
+    assert [code for code, *_ in ledger.faults(opened)] == ["stop"]
+    (seen,) = ledger.listed(Wanted(acknowledged=True))
+    assert seen.acknowledged == Acknowledgement(BEGUN, "Bob", "pads changed again")
+    assert seen.to_json()["acknowledged_by"] == "Bob"
+
+
+def test_an_acknowledgement_is_written_after_its_fault(ledger: Ledger) -> None:
+    """As the outbox hands them over; what the cycle had measured stays."""
+    said = Acknowledgement(BEGUN, "Ada", "looked")
+    ledger.write([begun(1), stopped(1), replace(stopped(1), acknowledged=said)])
+    (cycle,) = ledger.listed(Wanted(), estimates=True)
+    assert (cycle.outcome, cycle.acknowledged) == ("failed", said)
+    assert cycle.estimates
+    assert Entry.from_json(replace(stopped(1), acknowledged=said).to_json()).acknowledged == said
+    old = begun(1).to_json()
+    del old["acknowledged"]
+    assert Entry.from_json(old) == begun(1)

@@ -1,0 +1,86 @@
+"""The command by which a person acknowledges faults: acknowledge."""
+
+from __future__ import annotations
+
+import getpass
+import json
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cell.cli.lab import refusing
+from cell.cli.ledger import LedgerPlace, ledger_errors, open_ledger
+from cell.cli.shared import group
+from cell.cli.streams import emit
+
+app = group()
+
+
+def _user() -> str:
+    """Who is logged in; a service may have no name."""
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return "somebody"
+
+
+@app.command()
+def acknowledge(
+    folders: Annotated[
+        list[Path] | None,
+        typer.Argument(help="Folders of failed cycles; default: the newest failed cycle."),
+    ] = None,
+    *,
+    by: Annotated[str | None, typer.Option(help="Who; default: who is logged in.")] = None,
+    note: Annotated[str, typer.Option(help="What was found, what was done.")] = "",
+    everything: Annotated[
+        bool, typer.Option("--all", help="All faults that nobody has acknowledged.")
+    ] = False,
+    config: Annotated[
+        Path | None, typer.Option("--config", "-c", help="Settings of the cell, YAML.")
+    ] = None,
+    ledger: LedgerPlace = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")] = False,
+) -> None:
+    """Acknowledge that a fault was looked at: who, when, and what was done about it.
+
+    It is kept in the ledger beside the fault; `cell history --open` lists faults that nobody has
+    acknowledged.  An acknowledgement moves nothing: after a fault the next `cell run` begins anew.
+
+    Exit codes: 0; 2 if there is no such fault, or the ledger cannot be used.
+    """
+    from cell.records.ledger.entry import Acknowledgement
+    from cell.records.ledger.ledger import Wanted
+    from cell.settings import load_settings
+    from cell.settings.referred import line_of
+
+    with refusing(), ledger_errors():
+        if everything and folders:
+            raise ValueError("give folders or --all, not both")
+        settings = None if config is None else load_settings(config)
+        line = None if settings is None else line_of(settings)
+        said = Acknowledgement(datetime.now(UTC), by or _user(), note)
+        with open_ledger(settings, ledger, create=True, must_exist=True) as listed:
+            wanted = Wanted(line=line, fault="", acknowledged=None if folders else False)
+            faults = listed.listed(wanted)
+            chosen = faults if everything else faults[-1:]
+            if folders:
+                names = {folder.resolve().name for folder in folders}
+                chosen = [c for c in faults if c.folder.name in names]
+                for name in sorted(names - {c.folder.name for c in chosen}):
+                    raise ValueError(f"{name}: no cycle of this name was ended by a fault")
+            if not chosen:
+                raise ValueError("no fault is open: every one was acknowledged, or there was none")
+            listed.acknowledge(chosen, said)
+    data = [
+        {"folder": str(c.folder), "fault": c.fault.code, "cause": c.fault.cause, **said.to_json()}
+        for c in chosen
+        if c.fault is not None
+    ]
+    if as_json:
+        emit(json.dumps(data, indent=2, ensure_ascii=False))
+        return
+    for one in data:
+        print(f"acknowledged by {said.by}: {one['fault']}: {one['cause']}: {one['folder']}")
