@@ -1,8 +1,9 @@
 """Kills recording cells at random moments, and measures what `cell recover` gives back.
 
 A child runs simulated cycles at the speed of reality, and says in memory that both share what time
-its clock shows.  After SIGKILL of the child, or of the child and its recorder at once, the last
-frame and the last pose of its recording are compared with that time.
+its clock shows, and when the frame was taken that it has read last.  After SIGKILL of the child, or
+of the child and its recorder at once, the last pose and the last frame of its recording are
+compared with that.
 
     python -m tools.faults.kill_study --kills 100 kills.csv
 """
@@ -16,17 +17,21 @@ import mmap
 import os
 import random
 import signal
+import sqlite3
 import struct
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
 from mcap.reader import make_reader
 
+from cell.records.ledger.ledger import Ledger, ListedCycle, Wanted
+from cell.records.past_cycles import UNFINISHED
 from cell.records.recording import form
 from cell.records.recording.reading import Recording, read_recording
 from cell.records.recording.recover import being_written, recover_in_place, torn_recordings
@@ -49,6 +54,17 @@ cell = build_cell(settings, runs, seed=int(sys.argv[4]), cycles=100, recorded=Tr
 with shared.open("r+b") as file:
     memory = mmap.mmap(file.fileno(), 16)
 
+camera = cell._station.devices.camera
+read = camera.read
+
+def told():
+    frame = read()
+    if frame is not None:
+        memory[8:] = struct.pack("<d", frame.t_s)
+    return frame
+
+camera.read = told
+
 def tell():
     while True:
         memory[:8] = struct.pack("<d", cell.now_s())
@@ -67,9 +83,11 @@ class Kill:
     after_s   since its first cable was grasped, by the computer's clock
     both      whether the recorder was killed at the same time
     step      in which the cell was
-    poses_lost_s, frames_lost_s   from the last pose, or the last frame if frames were taken, to
-                                  the moment of the kill; on the cell's clock
+    poses_lost_s    from the last recorded pose, or the beginning of the recording if that was
+                    later, to the moment of the kill; on the cell's clock
+    frames_lost_s   from the last recorded frame to the last that the cell has read; nan = none
     finished_cycles, results   cycles that say they are closed; those with a result
+    listed, listed_wrong   cycles in the ledger; those that it calls finished without a result
     """
 
     number: int
@@ -81,12 +99,15 @@ class Kill:
     frames_lost_s: float
     finished_cycles: int
     results: int
+    listed: int
+    listed_wrong: int
 
 
 def kill_once(config: Path, runs: Path, number: int, after_s: float, both: bool) -> Kill:
     """Run a cell, kill it so long after it grasps, and recover the recording.
 
-    raises  RuntimeError: the cell ended by itself, or nothing could be recovered
+    raises  RuntimeError: the cell ended by itself, or nothing could be recovered, or the ledger
+            is damaged
     """
     with tempfile.NamedTemporaryFile() as shared:
         shared.write(bytes(16))
@@ -99,7 +120,7 @@ def kill_once(config: Path, runs: Path, number: int, after_s: float, both: bool)
             time.sleep(after_s)
             memory = mmap.mmap(shared.fileno(), 16)
             ids = [child.pid, *(_children(child.pid) if both else ())]
-            (now_s,) = struct.unpack("<d", memory[:8])
+            now_s, frame_s = struct.unpack("<dd", memory[:16])
             for process in ids:
                 os.kill(process, signal.SIGKILL)
         finally:
@@ -113,32 +134,54 @@ def kill_once(config: Path, runs: Path, number: int, after_s: float, both: bool)
     for torn in torn_recordings(runs):
         recover_in_place(torn)
     folders = sorted(runs.iterdir())
-    recording = read_recording(folders[-1])
-    frames = [said["t_s"] for said in recording.json(form.FRAME)]
+    recordings = [read_recording(f) for f in folders]
+    frames = [said["t_s"] for one in recordings for said in one.json(form.FRAME)]
+    recording = recordings[-1]
     states = list(recording.json(form.STATE))
-    filming = states and states[-1]["step"] in ("lower", "hold_and_capture", "execute")
     closed = [f for f in folders if '"closed": true' in (f / "state.json").read_text()]
     results = [f for f in folders if (f / "result.json").exists()]
+    listed = _listed(runs)
+    ended = [c for c in listed if c.outcome != UNFINISHED]
     return Kill(
         number,
         after_s,
         both,
         str(states[-1]["step"]) if states else "",
         recording.count(form.IMAGE),
-        now_s - _last_pose_s(recording),
-        now_s - max(frames) if filming and frames else float("nan"),
+        now_s - _known_until_s(recording),
+        frame_s - max(frames, default=0.0) if frame_s else float("nan"),
         len(closed),
         len(results),
+        len(listed),
+        sum(not (c.folder / "result.json").exists() for c in ended),
     )
 
 
-def _last_pose_s(recording: Recording) -> float:
-    """Time of the last measured pose on the cell's clock, s."""
+def _listed(runs: Path) -> list[ListedCycle]:
+    """What the ledger lists, as it was left; it is opened as it is, and may not be made yet."""
+    place = runs.with_name(f"{runs.name}.sqlite")
+    if not place.exists():
+        return []
+    with closing(sqlite3.connect(place)) as database:
+        if database.execute("PRAGMA integrity_check").fetchall() != [("ok",)]:
+            raise RuntimeError(f"{place} is damaged")
+        if not database.execute("SELECT * FROM sqlite_master").fetchall():  # as it was being made
+            return []
+    ledger = Ledger(runs)
+    try:
+        return ledger.listed(Wanted())
+    finally:
+        ledger.close()
+
+
+def _known_until_s(recording: Recording) -> float:
+    """Time of the last measured pose, or of the recording's beginning, on the cell's clock, s."""
     with recording.path.open("rb") as file:
-        poses = make_reader(file).iter_messages(topics=[form.MEASURED], log_time_order=False)
-        last_ns = max((message.log_time for _, _, message in poses), default=None)
-    if last_ns is None:
-        return 0.0  # the clock's beginning: none was there yet
+        topics = [form.CYCLE, form.MEASURED]
+        messages = make_reader(file).iter_messages(topics=topics, log_time_order=False)
+        last_ns = max(
+            (m.log_time for _, _, m in messages), default=int(recording.begun[form.EPOCH])
+        )
     return (last_ns - int(recording.begun[form.EPOCH])) / 1e9
 
 
@@ -164,12 +207,15 @@ def table(kills: list[Kill]) -> str:
     poses_ms = sorted(1e3 * k.poses_lost_s for k in kills)
     frames_ms = sorted(1e3 * k.frames_lost_s for k in kills if math.isfinite(k.frames_lost_s))
     lines = [f"{len(kills)} kills, {sum(k.both for k in kills)} of them with the recorder"]
-    for what, lost_ms in (("poses", poses_ms), ("frames, while filming", frames_ms)):
+    for what, lost_ms in (("poses", poses_ms), ("frames", frames_ms)):
         within = sum(lost <= MOST_LOST_S * 1e3 for lost in lost_ms)
         lines.append(
             f"{what}: {within} of {len(lost_ms)} up to {MOST_LOST_S * 1e3:.0f} ms before; "
             f"median {lost_ms[len(lost_ms) // 2]:.0f} ms, largest {lost_ms[-1]:.0f} ms"
         )
+    false = sum(k.listed_wrong for k in kills)
+    listed = sum(k.listed for k in kills)
+    lines.append(f"ledger: sound every time; {listed} cycles, {false} called finished that are not")
     wrong = sum(k.finished_cycles != k.results for k in kills)
     lines.append(f"listed as finished without a result, or the other way round: {wrong}")
     return "\n".join(lines)
@@ -191,7 +237,7 @@ def main() -> None:
         for number in range(given.kills):
             with tempfile.TemporaryDirectory() as folder:
                 after_s, both = rng.uniform(0.0, given.longest_s), number % 2 == 1
-                kills.append(kill_once(given.config, Path(folder), number, after_s, both))
+                kills.append(kill_once(given.config, Path(folder) / "runs", number, after_s, both))
             writer.writerow(asdict(kills[-1]))
             file.flush()
             print(kills[-1], flush=True)

@@ -100,15 +100,16 @@ class RecordingUnderWay:
                     self._mark_gap()
             counts = dict(self._writer.counts)
             closed = {"complete": json.dumps(complete), "counts": json.dumps(counts)}
-            self._writer.close(closed)
-            if keep:
-                with self._part.open("rb"):  # open until it has its name: nobody recovers it
+            with self._part.open("rb"):  # open until it has its name: nobody recovers it
+                self._writer.close(closed)
+                if keep:
                     _verify_apart(self._part, counts)
                     self._part.rename(self._path)
+                else:
+                    self._part.unlink()
+            if keep:
                 _sync_folder(self._path.parent)
                 report["bytes"] = self._path.stat().st_size
-            else:
-                self._part.unlink()
             report |= {"frames": counts.get(form.IMAGE, 0), "poses": counts.get(form.MEASURED, 0)}
         except (OSError, RuntimeError, TornRecordingError) as error:
             self._cause = self._cause or str(error)
