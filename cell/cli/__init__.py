@@ -16,6 +16,7 @@ import typer
 
 from cell.cli import (
     acknowledge,
+    bundle,
     calibrate,
     lab,
     ledger,
@@ -42,7 +43,7 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
-for group in (run, settings, records, ledger, acknowledge, recordings, store, lab, line):
+for group in (run, settings, records, ledger, acknowledge, bundle, recordings, store, lab, line):
     app.add_typer(group.app)
 app.add_typer(calibrate.app)
 

@@ -6,6 +6,7 @@ import json
 import logging
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -257,3 +258,31 @@ def test_upload_brings_what_a_run_could_not(tmp_path, recorded_config):
     (folder,) = (f for f in runs.iterdir() if f.is_dir())
     (folder / form.STORED).unlink()
     assert run("fetch", folder).returncode == 2
+
+
+def test_a_bundle_is_what_a_maker_needs(recorded, quick_config, tmp_path):
+    out = tmp_path / "bundle.zip"
+    words = ("--runs", recorded.parent, "--config", quick_config, "-o", out)
+    done = run("bundle", *words)
+    assert done.returncode == 0, done.stderr
+    with zipfile.ZipFile(out) as bundle:
+        names = bundle.namelist()
+        bundle.extractall(tmp_path / "there")
+    assert {"versions.txt", f"settings/{quick_config.name}", "ledger/cycles.csv"} <= set(names)
+    there = tmp_path / "there" / "cycles" / recorded.name
+    assert run("replay", there).returncode == 0
+    assert "numba==" in (tmp_path / "there" / "versions.txt").read_text()
+    assert run("bundle", *words).returncode == 2  # it is there already
+    again = run("bundle", *words, "--force", "--no-recordings", "--json")
+    assert not any(name.endswith(".mcap") for name in json.loads(again.stdout)["files"])
+    wrong = tmp_path / "wrong.yaml"
+    wrong.write_text("cable: [")
+    packed = run(
+        "bundle", "--runs", recorded.parent, "-c", wrong, "-n", "0", "-o", tmp_path / "b.zip"
+    )
+    assert packed.returncode == 0, packed.stderr
+    with zipfile.ZipFile(tmp_path / "b.zip") as bundle:
+        assert "wrong.yaml" in bundle.read("settings/errors.txt").decode()
+    assert run("bundle", tmp_path, "-o", tmp_path / "c.zip").returncode == 2
+    assert run("bundle", "-c", tmp_path / "gone.yaml", "-o", tmp_path / "c.zip").returncode == 2
+    assert not (tmp_path / "c.zip").exists()

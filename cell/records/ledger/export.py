@@ -18,14 +18,19 @@ def rows_of(cycles: Sequence[ListedCycle]) -> tuple[list[str], list[dict[str, An
     return list(dict.fromkeys(name for row in rows for name in row)), rows
 
 
-def write_csv(cycles: Sequence[ListedCycle], path: Path) -> None:
-    """Comma-separated values, UTF-8, one line of names.  Raises OSError."""
+def csv_text(cycles: Sequence[ListedCycle]) -> str:
+    """Comma-separated values, one line of names."""
     names, rows = rows_of(cycles)
     text = StringIO(newline="")
     writer = csv.DictWriter(text, names, lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
-    write_whole(path, text.getvalue())
+    return text.getvalue()
+
+
+def write_csv(cycles: Sequence[ListedCycle], path: Path) -> None:
+    """The same as a file, UTF-8.  Raises OSError."""
+    write_whole(path, csv_text(cycles))
 
 
 def write_parquet(cycles: Sequence[ListedCycle], path: Path) -> None:
