@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import heapq
 import itertools
+import math
 import threading
 import time
 from collections.abc import Callable
 
 #: A simulation in real time that is later than this goes on from there; less it makes up for, s.
 MOST_LATE_S = 0.5
+#: In real time the clock goes on in steps of at most this, s: others read it, and plan events.
+STEP_S = 0.005
 
 
 class SimClock:
@@ -44,13 +47,18 @@ class SimClock:
     def forward_to_s(self, t_s: float) -> None:
         """Forward time to `t_s`, running the events on the way; does nothing if that has passed."""
         while True:
+            steps_until_s = math.inf if self._factor is None else self._now_s + STEP_S
+            act = None
             with self._lock:
-                if not (self._events and self._events[0][0] <= t_s):
-                    break
-                event_s, _, act = heapq.heappop(self._events)
-            self._pass_until(event_s)
-            act()
-        self._pass_until(t_s)
+                event_s = self._events[0][0] if self._events else math.inf
+                next_s = min(t_s, event_s, steps_until_s)
+                if event_s == next_s:
+                    act = heapq.heappop(self._events)[2]
+            self._pass_until(next_s)
+            if act is not None:
+                act()
+            elif next_s == t_s:
+                return
 
     def call_at(self, t_s: float, act: Callable[[], None]) -> None:
         """Run `act` when time passes `t_s` (in the thread that lets it pass)."""

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import threading
 import time
 
 import pytest
@@ -52,6 +53,23 @@ def test_in_real_time_the_computers_own_work_passes_too() -> None:
     began = time.perf_counter()
     clock.sleep_s(0.04)
     assert time.perf_counter() - began < 0.03
+
+
+def test_in_real_time_others_see_the_clock_go_on() -> None:
+    """They saw it stand still for as long as somebody slept, and then jump."""
+    clock, seen = SimClock(real_time_factor=1.0), []
+    sleeper = threading.Thread(target=clock.sleep_s, args=(0.2,))
+    sleeper.start()
+    time.sleep(0.05)
+    clock.call_at(0.1, lambda: seen.append(clock.now_s()))
+    while sleeper.is_alive():
+        assert clock.now_s() <= 0.2
+        seen.append(clock.now_s())
+        time.sleep(0.001)
+    assert seen == sorted(seen)
+    assert len({t for t in seen if 0.0 < t < 0.2}) > 5
+    assert 0.1 in seen  # the event, at its own time
+    assert clock.now_s() == 0.2
 
 
 def test_real_time_factor_must_be_positive() -> None:
