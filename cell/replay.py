@@ -19,6 +19,8 @@ from cell.records.recording.reading import Recording
 from cell.records.recording.unpack import restored_files
 from cell.records.result import Outcome, Result
 from cell.run.archive import Archive
+from cell.run.findings import Filming
+from cell.run.plans import FILM, INSERTING, LOOK, Plan, filmed
 from cell.run.recorded import RecordingSetup
 from cell.settings import Settings, load_settings
 from cell.settings.calibrated import Calibrated, calibrated
@@ -91,9 +93,11 @@ def replay(
     raises  InputError: settings are wrong, or the recording lacks what is needed
     """
     about = recording.last(form.CYCLE)
-    if about is None or about["aim"] != Outcome.INSERTED.value:
+    plan = None if about is None else _plan(recording, about)
+    if about is None or plan is None:
         what = "of nothing" if about is None else f"of a cycle to have a cable {about['aim']}"
-        raise InputError.at(recording.path, f"is {what}; only insertions can be replayed")
+        message = f"is {what}; only insertions and films of your own can be replayed"
+        raise InputError.at(recording.path, message)
     with TemporaryDirectory() as folder:
         settings, known = _settings(recording, config, Path(folder), about)
         replayed = replayed_devices(recording, settings)
@@ -106,7 +110,7 @@ def replay(
         archive = Archive(RecordingSetup(heard, {}))
         cell = cell_with(settings, replayed.devices, runs, step, known, archive=archive)
         try:
-            result = cell.run_cycle(about["cycle"])
+            result = cell.run_cycle(about["cycle"], plan)
         finally:
             cell.close()
     then, now = _found(recording), heard.found()
@@ -118,6 +122,16 @@ def replay(
         tuple(_differences(then, now)),
         _software(recording, heard.begun),
     )
+
+
+def _plan(recording: Recording, about: Mapping[str, Any]) -> Plan | None:
+    """What was done in the recorded cycle; None = what cannot be done again."""
+    if about["aim"] == Outcome.INSERTED.value:
+        return INSERTING
+    said = recording.last(form.FILMING)
+    if FILM not in about["steps"] or said is None:
+        return None
+    return filmed(Filming(**said), decides=LOOK not in about["steps"])
 
 
 def _settings(

@@ -58,6 +58,11 @@ class FilesCamera:
         """Rate of the recording, Hz; 0 before `connect` if `frames.csv` is to say."""
         return self._rate_hz
 
+    @property
+    def left(self) -> int:
+        """Number of pictures that were not read yet."""
+        return len(self._pictures) - self._next
+
     def connect(self) -> None:
         """Raises ConnectError: no folder, no pictures, bad `frames.csv`, no rate."""
         self._pictures = self._list()
@@ -76,7 +81,7 @@ class FilesCamera:
 
     def start(self, frame_count: int) -> None:
         """Raises CameraError: fewer pictures are left."""
-        left = len(self._pictures) - self._next
+        left = self.left
         if not 1 <= frame_count <= left:
             raise CameraError(
                 self.name,
@@ -145,6 +150,30 @@ class FilesCamera:
                     raise ConnectError(self.name, f"{where}: t_s = {t_s} s, times must increase")
                 pictures.append(_Picture(file, t_s))
         return tuple(pictures)
+
+
+def video_frames(file: FilePath, frame_rate_hz: float | None = None) -> tuple[float, list[Frame]]:
+    """Rate in Hz and frames of a video in any format that OpenCV reads; the first at 0 s.
+
+    frame_rate_hz  None = as the file says
+    raises         ConnectError: it is no video, or says no rate
+    """
+    video = cv2.VideoCapture(str(file), cv2.CAP_FFMPEG)
+    try:
+        rate_hz = frame_rate_hz or video.get(cv2.CAP_PROP_FPS)
+        if not video.isOpened():
+            raise ConnectError("camera", f"{file} is no video", "give one, or a folder of pictures")
+        if not rate_hz > 0.0:
+            raise ConnectError("camera", f"{file} says no frame rate", "give it")
+        frames: list[Frame] = []
+        while True:
+            there, image = video.read()
+            if not there:
+                return rate_hz, frames
+            grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+            frames.append(Frame(len(frames), len(frames) / rate_hz, np.asarray(grey, np.uint8)))
+    finally:
+        video.release()
 
 
 def write_frames(folder: FilePath, frames: Iterable[Frame]) -> None:

@@ -128,6 +128,28 @@ class ReplayArm:
         self._mode = ArmMode.READY
 
 
+class FilmedArm(ReplayArm):
+    """An arm of which only measured poses are known, for as long as a film was made.
+
+    hand  the poses, on the clock of the film
+    """
+
+    def __init__(
+        self, clock: SimClock, home: Pose, rate_hz: float, lag_s: float, hand: Trajectory
+    ) -> None:
+        super().__init__(clock, home, rate_hz, lag_s, (), ())
+        self._hand = hand
+
+    def log(self, start_s: float, end_s: float) -> Trajectory:
+        """Those of the known poses that were measured in this time, and the next on either side."""
+        t_s = self._hand.t_s
+        first = max(0, int(np.searchsorted(t_s, start_s, "right")) - 1)
+        last = min(len(t_s), int(np.searchsorted(t_s, end_s)) + 1)
+        if t_s[first] > end_s or t_s[-1] < start_s:
+            return Trajectory(*(np.empty(0) for _ in range(4)))
+        return Trajectory(*(c[first:last] for c in vars(self._hand).values()))
+
+
 class ReplayCamera:
     """A camera that gives the recorded frames, each film in its turn."""
 

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
 from cell.cli.delivery import deliver, json_files
-from cell.cli.lab import refusing, working
+from cell.cli.lab import Force, refusing, working
+from cell.cli.options import taking
 from cell.cli.result_json import Json, JsonCommand, print_result
 from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, group
 
 if TYPE_CHECKING:
     from cell.records.recording.recover import Recovered
+    from cell.records.result import Result
     from cell.replay import Replayed
 
 app = group()
@@ -24,26 +27,66 @@ app = group()
 _MOST_PRINTED = 20
 
 
-@app.command(cls=JsonCommand)
-def replay(
+@dataclass(frozen=True)
+class ReplayOptions:
+    """What `cell replay` is told."""
+
     recording: Annotated[
-        Path, typer.Argument(help="A recording (recording.mcap), or a cycle's folder.")
-    ],
+        Path,
+        typer.Argument(
+            help="A recording (recording.mcap) or a cycle's folder; with --import a video, or a "
+            "folder of pictures."
+        ),
+    ]
     config: Annotated[
         Path | None,
         typer.Option(
             "--config", "-c", help="Other settings than those in the recording, to compare."
         ),
-    ] = None,
-    out: Annotated[
+    ] = None
+    as_cell: Annotated[
         Path | None,
         typer.Option(
             "--as-cell",
             help="Keep the folder of the replayed cycle in this folder, as `cell run` would.",
         ),
-    ] = None,
-    as_json: Json = None,
-) -> None:
+    ] = None
+    imported: Annotated[
+        bool,
+        typer.Option(
+            "--import", help="Make a recording of a film of your own: see --poses, --config, --out."
+        ),
+    ] = False
+    poses: Annotated[
+        Path | None,
+        typer.Option(help="With --import: CSV of the hand, t_s, x_m, y_m, angle_rad."),
+    ] = None
+    frame_rate_hz: Annotated[
+        float | None,
+        typer.Option(
+            "--frame-rate",
+            min=1.0,
+            help="With --import: frames per second; default: as frames.csv or the video says.",
+        ),
+    ] = None
+    first_frame_s: Annotated[
+        float,
+        typer.Option(
+            "--first-frame",
+            help="With --import: when the film begins on the clock of the poses, s.",
+        ),
+    ] = 0.0
+    out: Annotated[
+        Path | None,
+        typer.Option("-o", "--out", help="With --import: recording to write; default: FILM.mcap."),
+    ] = None
+    force: Force = False
+    as_json: Json = None
+
+
+@app.command(cls=JsonCommand)
+@taking(ReplayOptions)
+def replay(options: ReplayOptions) -> None:
     """Run a recorded cycle again, on its frames and poses, and compare the decisions.
 
     Vision, identification, simulation and choice compute everything anew, and the whole cycle is
@@ -51,28 +94,80 @@ def replay(
     same numbers to the last bit.  With other software or other settings the command prints what
     differs.
 
-    Exit codes: 0 if everything is the same; 1 if something differs; 2 if the recording cannot be
-    replayed.
+    With --import a film of your own becomes a recording: pictures or a video of a cable at rest,
+    jerked and swinging, seen as the settings say (camera.view or the calibration), and the poses of
+    the hand.  Its cable is identified.  If the hand ends where insertions begin, an offset is
+    chosen too.
+
+    Exit codes: 0 if everything is the same, or the film was imported; 1 if something differs, or
+    the film's cable was rejected; 2 if the recording cannot be replayed or the film not be read.
     """
+    if options.imported:
+        _import(options)
     from cell.records.recording.reading import read_recording
     from cell.replay import replay as replay_cycle
 
+    of_import = (options.poses, options.frame_rate_hz, options.out)
     with refusing(), working("replay") as progress, TemporaryDirectory() as folder:
-        recorded = read_recording(recording)
+        if any(given is not None for given in of_import):
+            raise ValueError("--poses, --frame-rate and --out are of --import")
+        recorded = read_recording(options.recording)
         replayed = replay_cycle(
             recorded,
-            config,
-            Path(folder) if out is None else out,
+            options.config,
+            Path(folder) if options.as_cell is None else options.as_cell,
             lambda number, step: progress(step.replace("_", " ")),
         )
     data = replayed.to_json()
 
     def printed() -> None:
-        if print_result(data, as_json):
-            _show_replayed(replayed, kept=out is not None)
+        if print_result(data, options.as_json):
+            _show_replayed(replayed, kept=options.as_cell is not None)
 
-    deliver(printed, *json_files(data, as_json))
+    deliver(printed, *json_files(data, options.as_json))
     raise typer.Exit(NOT_ALL_DONE if replayed.differences else ALL_DONE)
+
+
+def _import(options: ReplayOptions) -> NoReturn:
+    from cell.filmed import record_film
+    from cell.records.result import Outcome
+    from cell.settings import load_settings
+    from cell.simulated.filmed import read_film
+
+    film = options.recording
+    target = film.with_name(f"{film.name}.mcap") if options.out is None else options.out
+    with refusing(target, force=options.force), working("import") as progress:
+        if options.poses is None or options.config is None:
+            raise ValueError(
+                "--import needs --poses and --config: where the hand was, and how the camera sees"
+            )
+        settings = load_settings(options.config)
+        read = read_film(film, options.poses, options.frame_rate_hz, options.first_frame_s)
+        result = record_film(
+            read,
+            settings,
+            options.config,
+            target,
+            lambda number, step: progress(step.replace("_", " ")),
+        )
+    data = {"recording": str(target), "result": result.to_json()}
+
+    def printed() -> None:
+        if print_result(data, options.as_json):
+            _show_imported(result, target)
+
+    deliver(printed, *json_files(data, options.as_json))
+    raise typer.Exit(ALL_DONE if result.outcome is Outcome.MEASURED else NOT_ALL_DONE)
+
+
+def _show_imported(result: Result, target: Path) -> None:
+    from rich.console import Console
+
+    from cell.terminal.fitting import show
+    from cell.terminal.replayed import imported_parts
+
+    show(Console(), *imported_parts(result))
+    print(f"{target}: replay it, or give it to the lab, as `cell diagnose {target}`")
 
 
 def _show_replayed(replayed: Replayed, *, kept: bool) -> None:

@@ -10,7 +10,7 @@ from cell.plan.measuring import Measuring
 from cell.records.result import Outcome
 from cell.run import dry_run, movements, steps
 from cell.run.afterwards import after_dry_run, after_insertion, after_measurement, after_release
-from cell.run.findings import Findings
+from cell.run.findings import Filming, Findings
 from cell.run.movements import Movements, inserting_movements, measuring_movements
 from cell.run.station import Station, Task
 
@@ -119,6 +119,9 @@ EXECUTE = Step("execute", steps.execute, holding=True)
 VERIFY = Step("verify", steps.verify, after=after_insertion, computes=True, holding=True)
 RELEASE = Step("release", steps.release, after=after_release, may_pause=True, with_rejected=True)
 
+#: Steps of a film that was made without this cell.
+FILM, LOOK = "film", "look_at_film"
+
 #: What is done once is done again when devices were connected anew: their clocks may have been set.
 AGAIN_WHEN_LOST = frozenset({CONNECT.name, CHECK_CLOCKS.name})
 
@@ -161,6 +164,24 @@ def measuring(motion: Measuring) -> Plan:
             Step("go_back", steps.go_home, holding=True, may_pause=True, with_rejected=True),
             replace(RELEASE, act=steps.let_go, after=nothing, may_pause=False),
         ),
+    )
+
+
+def filmed(filming: Filming, *, decides: bool) -> Plan:
+    """Identify the cable of a film that was made without this cell, and execute nothing.
+
+    decides  choose an offset too: the hand came to where insertions begin
+    """
+    film = Step(FILM, partial(steps.begin_film, filming), holding=True)
+    conclude = Step("conclude", steps.conclude, after=after_measurement, holding=True)
+    choosing = Repeat((SIMULATE, CHOOSE), steps.review_choice, until=lambda f: f.decided)
+    looking = (HOLD,) if decides else (Step(LOOK, steps.look_at_film, holding=True),)
+    return replace(
+        INSERTING,
+        aim=Outcome.MEASURED,
+        resetting=(WARM_UP, CONNECT, RESET),
+        execute=(GRASP, film, *looking, IDENTIFY, *((choosing,) if decides else ()), conclude),
+        completing=(),
     )
 
 

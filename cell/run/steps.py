@@ -425,6 +425,29 @@ def measure(motion: Measuring, station: Station, findings: Findings) -> Findings
     )
 
 
+# --- a film of one's own --------------------------------------------------------------------------
+
+
+def begin_film(filming: Filming, station: Station, findings: Findings) -> Findings:
+    """Have the camera give a film whose motion was made without this cell."""
+    station.devices.camera.start(filming.frame_count)
+    return replace(findings, filming=filming)
+
+
+def look_at_film(station: Station, findings: Findings) -> Findings:
+    """Find the cable in every frame of a film after which nothing is to be decided."""
+    held = capture(station, required(findings.filming), KEEP_EVERY_HELD)
+    return replace(findings, held=held, trials=(held_trial(held),))
+
+
+def conclude(station: Station, findings: Findings) -> Findings:
+    """The cable of a film was identified; nothing is executed."""
+    return replace(findings, outcome=Outcome.MEASURED)
+
+
+# --- releasing ------------------------------------------------------------------------------------
+
+
 def let_go(station: Station, findings: Findings) -> Findings:
     """Open the jaws where the hand rests.  Raises DeviceTimeoutError: it does not come to rest."""
     await_rest(station)

@@ -55,7 +55,7 @@ def replayed_devices(recording: Recording, settings: Settings) -> ReplayedDevice
     )
 
     def on_step(number: int, step: str) -> None:
-        if step in ("lower", "measure"):
+        if step in ("lower", "measure", "film"):
             clock.forward_to_s(filming["begin_s"])
         elif step == "simulate" and simulated_s:
             clock.forward_to_s(simulated_s.pop(0))

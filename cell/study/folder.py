@@ -283,11 +283,9 @@ def _implausible(document: Document, header: _Study, datasheet: Cable | None) ->
     return problems
 
 
-def _read_trial(
-    folder: Path, trial: _Trial, of: tuple[_Study, Cable], order: NDArray[np.intp]
-) -> Trial:
-    header, cable = of
-    grip = read_table(folder / "grip.csv", GRIP_COLUMNS)
+def read_grip(path: Path) -> Motion:
+    """Read the log of a hand: t_s, x_m, y_m, angle_rad.  Raises InputError."""
+    grip = read_table(path, GRIP_COLUMNS)
     check_times(grip)
     check_finite(grip)
     grip.check(
@@ -299,8 +297,14 @@ def _read_trial(
         ),
     )
     check_whole(grip)
-    motion = Motion(*grip.values.T)
+    return Motion(*grip.values.T)
 
+
+def _read_trial(
+    folder: Path, trial: _Trial, of: tuple[_Study, Cable], order: NDArray[np.intp]
+) -> Trial:
+    header, cable = of
+    motion = read_grip(folder / "grip.csv")
     count = len(header.markers.arc_length_m)
     table = read_table(folder / "markers.csv", _marker_columns(count))
     check_times(table)

@@ -9,6 +9,7 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from cell.records.result import Result
 from cell.replay import Replayed
 
 
@@ -36,6 +37,25 @@ def replayed_parts(replayed: Replayed, most: int) -> list[RenderableType]:
     parts.append(table)
     if len(found) > most:
         parts.append(f"and {len(found) - most} more; --json has all")
+    return parts
+
+
+def imported_parts(result: Result) -> list[RenderableType]:
+    """What was made of a film of one's own."""
+    if result.fault is not None:
+        return [f"the film ended in step {result.fault.step}: {result.fault.cause}"]
+    table = Table(title="this cable (SI units)", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table.add_column("parameter", no_wrap=True)
+    table.add_column("value", justify="right", no_wrap=True)
+    for name, value in result.parameters.items():
+        table.add_row(Text(name), f"{value:.4g}")
+    parts: list[RenderableType] = [table] if result.parameters else []
+    if result.reason is not None:
+        parts.append(f"{result.outcome.value}: {result.reason}")
+    if result.residual_rms_m is not None:
+        parts.append(f"what the model leaves: {result.residual_rms_m * 1e3:.3f} mm rms")
+    if result.offset_m is not None:
+        parts.append(f"it would be inserted with an offset of {result.offset_m * 1e3:.0f} mm")
     return parts
 
 
