@@ -159,7 +159,10 @@ def run(options: RunOptions) -> None:
     except InputError as error:
         refuse(error)
     except RecordError as error:  # it cannot even be begun: nothing of this cycle has moved
-        print(f"{error}; choose another folder with --out, or make room there", file=sys.stderr)
+        print(
+            f"{error}; choose another folder with --out, or make it writable, with room",
+            file=sys.stderr,
+        )
         raise typer.Exit(NOT_ALL_DONE if results else BAD_INPUT) from error
     if not options.as_json:
         _show(results, plan.names, options.dry_run, known.notes)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -66,6 +67,10 @@ def open_engine(url: URL, *, create: bool) -> Engine:
     in_file = url.drivername.startswith("sqlite")
     if not create:
         need_file(url)
+    read_only = in_file and not create and path is not None and not os.access(path.parent, os.W_OK)
+    if read_only:  # nobody writes there: no file beside it is needed for others that do
+        query = {"mode": "ro", "immutable": "1", "uri": "true"}
+        url = url.set(database=f"file:{path}", query=query)
     try:
         engine = create_engine(url, **_arguments(in_file))
     except (NoDialectError, ModuleNotFoundError) as error:
@@ -76,7 +81,7 @@ def open_engine(url: URL, *, create: bool) -> Engine:
     if in_file:
         if path is not None and create:
             path.parent.mkdir(parents=True, exist_ok=True)
-        _keep_transactions(engine)
+        _keep_transactions(engine, read_only)
     try:
         with told(engine):
             _bring_up_to_date(engine, create)
@@ -115,13 +120,14 @@ def _arguments(in_file: bool) -> dict[str, Any]:
     return {"connect_args": {"connect_timeout": CONNECT_S}, "pool_pre_ping": True}
 
 
-def _keep_transactions(engine: Engine) -> None:
+def _keep_transactions(engine: Engine, read_only: bool) -> None:
     """Have SQLite do what is asked, and no more: Python's module begins transactions by itself."""
 
     @event.listens_for(engine, "connect")
     def connect(connection: Any, _record: object) -> None:
         connection.isolation_level = None
-        for pragma in ("journal_mode = WAL", "synchronous = FULL", "foreign_keys = ON"):
+        writing = ("journal_mode = WAL", "synchronous = FULL")
+        for pragma in (*(() if read_only else writing), "foreign_keys = ON"):
             connection.execute(f"PRAGMA {pragma}")
 
     @event.listens_for(engine, "begin")

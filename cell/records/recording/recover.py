@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from io import BytesIO
@@ -132,6 +133,10 @@ def recover(source: Path, target: Path) -> Recovered:
                 if (rest := _rest_in_memory(source)) is not None:
                     copy.take_all(rest)
             copy.close()
+        except RuntimeError as error:  # of the writing library, which drops the cause
+            if (why := copy.sink.refused) is None:
+                raise
+            raise OSError(why.errno, why.strerror, str(target)) from error
         finally:
             copy.sink.close()
         if not sum(copy.counts.values()):
@@ -168,25 +173,43 @@ def _rest_in_memory(source: Path) -> Path | None:
     descriptor = os.open(ring, os.O_RDWR)
     try:
         reader = RingReader(descriptor)
-        recording: RecordingUnderWay | None = RecordingUnderWay(rest, begun, part=rest)
-        ended: list[RecordingUnderWay] = []
-        while (taken := reader.take()) is not None:
-            header, payload = taken
-            match header:
-                case ("begin", path, said):
-                    ended += [recording] if recording else []
-                    recording = RecordingUnderWay(Path(path), said)
-                case ("end", *_):
-                    ended += [recording] if recording else []
-                    recording = None
-                case _ if recording is not None:
-                    recording.write(header, payload)
-        for one in ended + ([recording] if recording else []):
-            one.end(True, False)
+        begins_at = reader.position
+        reports = _write_what_waits(reader, rest, begun)
+        if refused := next((r for r in reports if "error" in r or r["lost_frames"]), None):
+            reader.position = begins_at  # it stays in memory, for the next try
+            for one in reports:
+                Path(one["path"]).unlink(missing_ok=True)
+            why = refused.get("error") or refused["cause"]
+            raise OSError(errno.ENOSPC, f"the rest, still in memory, cannot be written: {why}")
     finally:
         os.close(descriptor)
     ring.unlink()
     return rest
+
+
+def _write_what_waits(
+    reader: RingReader, rest: Path, begun: Mapping[str, str]
+) -> list[dict[str, Any]]:
+    """Write what is in a ring to files; what is reported of each.
+
+    rest, begun  of the recording to which the first of it belongs
+    """
+    rest.unlink(missing_ok=True)  # of a try that failed
+    recording: RecordingUnderWay | None = RecordingUnderWay(rest, begun, part=rest)
+    ended: list[RecordingUnderWay] = []
+    while (taken := reader.take()) is not None:
+        header, payload = taken
+        match header:
+            case ("begin", path, said):
+                ended += [recording] if recording else []
+                Path(path).with_name(form.PART).unlink(missing_ok=True)
+                recording = RecordingUnderWay(Path(path), said)
+            case ("end", *_):
+                ended += [recording] if recording else []
+                recording = None
+            case _ if recording is not None:
+                recording.write(header, payload)
+    return [one.end(True, False) for one in ended + ([recording] if recording else [])]
 
 
 def _begun(source: Path) -> dict[str, str]:

@@ -144,6 +144,15 @@ class RingReader:
         """Moment on `time.monotonic` until which the reader is asked to pause."""
         return float(self._memory.pause_until_s[0])
 
+    @property
+    def position(self) -> int:
+        """How much was taken so far; may be set back to what it was before."""
+        return int(self._memory.count[1])
+
+    @position.setter
+    def position(self, position: int) -> None:
+        self._memory.count[1] = position
+
     def take(self) -> tuple[Any, bytes] | None:
         """Header and payload of the next record; None if there is none."""
         memory, ring = self._memory, self._memory.ring

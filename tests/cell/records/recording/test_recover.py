@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from pathlib import Path
 
 import pytest
@@ -12,7 +14,8 @@ from cell.files.input_error import InputError
 from cell.records.recording import form
 from cell.records.recording.reading import read_recording, verify
 from cell.records.recording.recover import recover, recover_in_place, torn_recordings
-from cell.records.recording.writer import RecordingWriter
+from cell.records.recording.ring import RingWriter, shared_memory
+from cell.records.recording.writer import RecordingWriter, Sink
 
 from .conftest import EPOCH_NS, T_S, fill, picture
 
@@ -107,3 +110,48 @@ def test_folders_are_searched_but_not_what_is_being_written(tmp_path: Path):
     assert torn_recordings(one) == [one]
     with pytest.raises(InputError, match="is missing"):
         torn_recordings(tmp_path / "c")
+
+
+def killed_with_a_full_ring(tmp_path: Path) -> tuple[Path, Path]:
+    """A torn recording, and the memory with three frames that nobody has written."""
+    descriptor, ring = shared_memory(4 * 2**20)
+    os.close(descriptor)
+    torn = tmp_path / form.PART
+    writer = RecordingWriter(torn, {form.EPOCH: str(EPOCH_NS), form.RING: str(ring)})
+    fill(writer)
+    writer.abandon()
+    descriptor = os.open(ring, os.O_RDWR)
+    waiting = RingWriter(descriptor)
+    os.close(descriptor)
+    for index in range(12, 15):
+        header = ("frame", index, T_S[-1] + 0.005 * (index - 11), 48, 64)
+        assert waiting.put(header, picture(index))
+    return torn, ring
+
+
+def test_what_is_in_memory_is_not_lost_if_it_cannot_be_written(tmp_path, monkeypatch):
+    torn, ring = killed_with_a_full_ring(tmp_path)
+    with monkeypatch.context() as full:
+        full.setattr("cell.records.recording.writer.LEAST_FREE_BYTES", 2**62)
+        for _ in range(2):
+            with pytest.raises(OSError, match="still in memory"):
+                recover_in_place(torn)
+    assert torn.exists() and ring.exists()
+    assert {p.name for p in tmp_path.iterdir()} == {form.PART}
+    recovered = recover_in_place(torn)
+    assert recovered.messages[form.IMAGE] == 15
+    assert not ring.exists()
+
+
+def test_a_disk_that_is_full_is_told_of(make_recording, tmp_path, monkeypatch):
+    torn = make_recording(form.PART, closed=False)
+
+    def full(sink, data):
+        sink.refused = OSError(errno.ENOSPC, "No space left on device")
+        raise sink.refused
+
+    monkeypatch.setattr(Sink, "write", full)
+    with pytest.raises(OSError, match="No space left"):
+        recover_in_place(torn)
+    assert torn.exists()
+    assert list(tmp_path.iterdir()) == [torn]
