@@ -2,11 +2,18 @@
 
 The shipped emulated cell: real RTDE client, rendered pictures of a swinging cable as a stream, and
 the cable looked for in each of them by the process that also commands the arm.
+
+    python -m tools.bench.bench_servo --pairs 4 [--seconds 15] [--burn 1]
+
+With --pairs it is measured without and with a recording, in turn.
 """
 
 from __future__ import annotations
 
+import argparse
 import os
+import subprocess
+import sys
 import tempfile
 import time
 from dataclasses import dataclass
@@ -18,6 +25,9 @@ import yaml
 from calib.plane import PlaneView
 from cell.build import real_devices
 from cell.computer.stalls import StallProbe, Stalls
+from cell.records.recording import form
+from cell.records.recording.devices import recorded_devices
+from cell.records.recording.recorder import Recorder
 from cell.run.warm_up import warm_up_vision
 from cell.settings import load_settings
 from cell.settings.translate import vision_of
@@ -96,7 +106,7 @@ class _Watcher:
                 self._camera.stop()
 
 
-def servo(seconds: float) -> Servo:
+def servo(seconds: float, *, recorded: bool = False) -> Servo:
     with tempfile.TemporaryDirectory() as name:
         content = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
         content["arm"]["host"] = HOST
@@ -113,10 +123,16 @@ def servo(seconds: float) -> Servo:
         warm_up_vision(options)  # compiling on a new machine would hold everything up
         devices = real_devices(settings)
         with EmulatedCell(settings, seed=1) as emulated, StallProbe() as probe:
+            recorder = Recorder(devices.arm, devices.clock, 512 * 10**6)
+            if recorded:
+                devices = recorded_devices(devices, recorder)
+                recorder.prepare()
             devices.gripper.connect()
             devices.arm.connect()
             devices.gripper.grip(settings.gripper.force_n)
             emulated.controller.ask("servo_gaps")
+            if recorded:
+                recorder.begin(Path(name) / form.FILE, {})
             watcher = _Watcher(devices.camera, plane, options)
             probe.take()
             cpu_s = time.process_time()
@@ -125,6 +141,7 @@ def servo(seconds: float) -> Servo:
             cpu_s = time.process_time() - cpu_s
             stalls = probe.take()
             gaps_s = np.array(emulated.controller.ask("servo_gaps")["gaps_s"])
+            recorder.close()
             devices.arm.close()
             devices.camera.close()
             devices.gripper.close()
@@ -144,3 +161,42 @@ def summary(found: Servo) -> str:
         f"  CPU time of arm, camera and vision: {found.cpu_s / found.seconds:.0%} of a core\n"
         f"  {found.stalls}{troubles}"
     )
+
+
+def paired(pairs: int, seconds: float) -> None:
+    """Without and with a recording, in turn; the order changes from pair to pair."""
+    p99_ms: dict[bool, list[float]] = {False: [], True: []}
+    late: dict[bool, list[float]] = {False: [], True: []}
+    for pair in range(pairs):
+        for recorded in (pair % 2 == 1, pair % 2 == 0):
+            found = servo(seconds, recorded=recorded)
+            p99_ms[recorded].append(found.percentile_ms(99.0))
+            late[recorded].append(float(np.mean(found.gaps_s > 0.0025)))
+            print("recorded" if recorded else "not recorded", summary(found), sep="\n", flush=True)
+    ratios = np.array(p99_ms[True]) / np.array(p99_ms[False])
+    print(
+        f"p99 {np.median(p99_ms[True]):.2f} ms recorded, {np.median(p99_ms[False]):.2f} ms not: "
+        f"ratio median {np.median(ratios):.3f}, {ratios.min():.3f} to {ratios.max():.3f}; above "
+        f"2.5 ms {np.mean(late[True]):.3%} recorded, {np.mean(late[False]):.3%} not"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser.add_argument("--pairs", type=int, default=4)
+    parser.add_argument("--seconds", type=float, default=15.0)
+    parser.add_argument("--burn", type=int, default=0, help="processes that keep a core busy")
+    given = parser.parse_args()
+    burning = [
+        subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(given.burn)
+    ]
+    try:
+        paired(given.pairs, given.seconds)
+    finally:
+        for process in burning:
+            process.kill()
+            process.wait()
+
+
+if __name__ == "__main__":
+    main()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import html
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import cv2
@@ -63,9 +63,12 @@ def cycle_page(record: Recorded, recording: Recording | None) -> str:
     pictures = sorted(record.folder.glob("*.png"))
     if pictures:
         parts.append("<h2>What was seen and forecast</h2>")
-        parts += [_embedded(cv2.imread(str(p)), PICTURE_PX, p.stem) for p in pictures]
+        shown = [_embedded(cv2.imread(str(p)), PICTURE_PX, p.stem) for p in pictures]
+        parts.append(_grid(shown, least_px=480))
     decision = None if recording is None else recording.last(form.DECISION)
-    if (path := _tip_path(record, decision)) is not None:
+    said = None if recording is None else recording.last(form.SETTINGS)
+    destination = None if said is None else said["settings"]["destination"]
+    if (path := _tip_path(record, decision, destination)) is not None:
         parts += ["<h2>Path of the tip</h2>", html_plot(path)]
     if decision is not None:
         parts += ["<h2>Decision</h2>", _decision(decision)]
@@ -118,7 +121,14 @@ def _strip(recording: Recording) -> str:
         f"{g['frames']} frames from {g['first']}: {g['cause']}" for g in recording.json(form.GAP)
     ]
     lost = f"<p class='warning'>Missing: {html.escape('; '.join(gaps))}</p>" if gaps else ""
-    return f"{lost}<div style='display:flex;flex-wrap:wrap;gap:8px'>{''.join(shown)}</div>"
+    return lost + _grid(shown, least_px=180)
+
+
+def _grid(pictures: Sequence[str], least_px: int) -> str:
+    """Pictures side by side, as many as find room at this width."""
+    columns = f"repeat(auto-fill,minmax(min({least_px}px,100%),1fr))"
+    look = f"display:grid;grid-template-columns:{columns};gap:8px"
+    return f"<div style='{look}'>{''.join(pictures)}</div>"
 
 
 def _embedded(image: Image | None, width_px: int, name: str) -> str:
@@ -132,14 +142,18 @@ def _embedded(image: Image | None, width_px: int, name: str) -> str:
     text = base64.b64encode(data.tobytes()).decode()
     shown = html.escape(name.replace("_", " "))
     return (
-        f"<figure style='margin:0 0 8px'><img alt='{shown}' style='max-width:100%' "
-        f"width={width_px} src='data:image/jpeg;base64,{text}'>"
+        f"<figure style='margin:0 0 8px'><img alt='{shown}' style='width:100%' "
+        f"src='data:image/jpeg;base64,{text}'>"
         f"<figcaption class='note'>{shown}</figcaption></figure>"
     )
 
 
-def _tip_path(record: Recorded, decision: Mapping[str, Any] | None) -> go.Figure | None:
-    """The tip of the execution as seen, and as it was forecast."""
+def _tip_path(
+    record: Recorded,
+    decision: Mapping[str, Any] | None,
+    destination: Mapping[str, Sequence[float]] | None,
+) -> go.Figure | None:
+    """The tip of the execution as seen, and as it was forecast, and the destination."""
     trials = () if record.study is None else record.study.trials
     executed = [t for t in trials if t.name == "execute"]
     figure = go.Figure()
@@ -150,6 +164,11 @@ def _tip_path(record: Recorded, decision: Mapping[str, Any] | None) -> go.Figure
         _draw(figure, executed[0].markers.xy_m[:, tip], "seen", SEEN)
     if not figure.data:
         return None
+    if destination is not None:
+        (x0, x1), (y0, y1) = ([1e3 * v for v in destination[k]] for k in ("x_m", "y_m"))
+        colour = {"color": ADDED, "width": 2}
+        corners = {"x": [x0, x1, x1, x0, x0], "y": [y0, y0, y1, y1, y0]}
+        figure.add_scatter(**corners, name="destination", mode="lines", line=colour)
     figure.update_xaxes(title="x, mm")
     figure.update_yaxes(title="y, mm")
     return laid_out(figure, 420)
