@@ -29,7 +29,7 @@ from cell.run.clocks import KnownDelays
 from cell.run.cycle import Cell
 from cell.run.listed import LedgerSetup
 from cell.run.recorded import Keeping, RecordingSetup
-from cell.run.station import Task
+from cell.run.station import Freedom, Task
 from cell.settings import InputError, Settings
 from cell.settings import devices as given
 from cell.settings.calibrated import Calibrated, as_gripped, typed
@@ -306,6 +306,7 @@ def cell_task(settings: Settings, known: Calibrated | None = None) -> Task:
         hold_s=motion.hold_s,
         decide_s=motion.decide_s,
         offsets_m=motion.offsets.values_m,
+        freely=Freedom(motion.start.window_s, motion.start.paces),
         advance_m=motion.advance_m,
         settle_s=motion.settle_s,
         lowering=MotionLimits(**motion.lowering.model_dump()),

@@ -28,10 +28,12 @@ from cell.simulated.replayed import replayed_devices
 
 #: Of a result these tell what was found; the rest is time and place.
 _OF_RESULT = (
-    *("outcome", "reason", "offset_m", "predicted_miss_m", "measured_miss_m", "margin_m"),
-    *("predicted_margin_m", "predicted_std_m", "probability", "prediction_error_m"),
-    *("residual_rms_m", "noise_m", "model", "parameters"),
+    *("outcome", "reason", "offset_m", "delay_s", "pace", "predicted_miss_m"),
+    *("measured_miss_m", "margin_m", "predicted_margin_m", "predicted_std_m", "probability"),
+    *("prediction_error_m", "residual_rms_m", "noise_m", "model", "parameters"),
 )
+#: What recordings of the first version do not say: nothing to compare with.
+_SAID_LATER = frozenset({"delay_s", "pace"})
 #: Of a decision these depend on the computer's speed, or are said elsewhere.
 _NOT_OF_DECISION = frozenset({"wait_s", "simulated_s"})
 
@@ -214,7 +216,8 @@ def _differences(then: _Found, now: _Found) -> list[Difference]:
         ),
     ]
     if then.result is not None and now.result is not None:
-        a, b = ({k: r.get(k) for k in _OF_RESULT} for r in (then.result, now.result))
+        known = [k for k in _OF_RESULT if k in then.result or k not in _SAID_LATER]
+        a, b = ({k: r.get(k) for k in known} for r in (then.result, now.result))
         pairs.append(("result", a, b))
     for name, a, b in pairs:
         found += _compared(name, a, b)
@@ -230,7 +233,7 @@ def _part(decision: Mapping[str, Any] | None) -> Mapping[str, Any] | None:
 def _compared(name: str, then: Any, now: Any) -> list[Difference]:
     """Every leaf that differs; numbers must be the same to the last bit."""
     if isinstance(then, Mapping) and isinstance(now, Mapping):
-        keys = dict.fromkeys([*then, *now])
+        keys = dict.fromkeys([*then, *(k for k in now if k not in _SAID_LATER)])
         return [d for k in keys for d in _compared(f"{name}.{k}", then.get(k), now.get(k))]
     if isinstance(then, list) and isinstance(now, list) and len(then) == len(now):
         pairs = enumerate(zip(then, now, strict=True))

@@ -50,6 +50,8 @@ class Forecast:
     """Predicted tip paths of all offsets, with their sensitivities.
 
     offsets_m    (O,) m
+    delays_s     (O,) how much later than the first its path begins, s
+    paces        (O,) in how many times the usual time the hand makes its strokes
     t_s          (T,) s, from when the path begins
     mean         (p,) fit coordinates simulated
     tip_m        (O, T, 2) with them, m
@@ -57,6 +59,8 @@ class Forecast:
     """
 
     offsets_m: FloatArray
+    delays_s: FloatArray
+    paces: FloatArray
     t_s: FloatArray
     mean: FloatArray
     tip_m: FloatArray
@@ -73,12 +77,16 @@ class Forecast:
 
 @dataclass(frozen=True)
 class OffsetForecast:
-    """Forecast of one offset: probability of passing, margin (see `Destination`), m."""
+    """Forecast of one offset: probability of passing, margin (see `Destination`), m; delay, s; pace
+    (see `Forecast`).
+    """
 
     offset_m: float
     probability: float
     margin_m: float
     margin_std_m: float
+    delay_s: float = 0.0
+    pace: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,6 +118,8 @@ def forecast(
     offsets_m: FloatArray,
     motions: Sequence[Motion],
     *,
+    delays_s: FloatArray | None = None,
+    paces: FloatArray | None = None,
     begin_s: float = 0.0,
     solver: Solver = Solver(),  # noqa: B008
     options: ChoiceOptions = ChoiceOptions(),
@@ -119,6 +129,7 @@ def forecast(
     motions  of the hand, one per offset, the same until the path begins (see `executed_motion`):
              that the cable still swings from it is simulated once for all.  On the clock of the
              identification, because an effect may depend on the time.
+    delays_s, paces   (O,) of the motions, see `Forecast`; None = none is late or slow
     begin_s  when the path begins on that clock
     raises   ValueError: not one motion per offset; what the engine raises
     """
@@ -133,16 +144,20 @@ def forecast(
     models = [space.model(q) for q in lanes]
     tip_m = simulate_branches(models[:1], motions, begin_s, at_s, tip_at_m, solver=solver)
     tip_m = tip_m[:, 0, :, 0]
-    coarser = replace(
-        solver,
-        segments=max(4, round(SLOPES_SEGMENTS * solver.segments)),
-        step_s=SLOPES_COARSER * solver.step_s,
-    )
+    coarser = coarsened(solver)
     nearby_m = simulate_branches(models, motions, begin_s, at_s, tip_at_m, solver=coarser)
     nearby_m = nearby_m[:, :, :, 0]
     step = np.diag(lanes[1:] - mean)
     slopes = (nearby_m[:, 1:] - nearby_m[:, :1]) / step[:, None, None]
-    return Forecast(offsets_m, t_s, mean, tip_m, np.moveaxis(slopes, 1, -1))
+    delays_s = np.zeros(len(offsets_m)) if delays_s is None else delays_s
+    paces = np.ones(len(offsets_m)) if paces is None else paces
+    return Forecast(offsets_m, delays_s, paces, t_s, mean, tip_m, np.moveaxis(slopes, 1, -1))
+
+
+def coarsened(solver: Solver) -> Solver:
+    """Good enough for how a tip depends on parameters, and to look for where to look closely."""
+    segments = max(4, round(SLOPES_SEGMENTS * solver.segments))
+    return replace(solver, segments=segments, step_s=SLOPES_COARSER * solver.step_s)
 
 
 def choose(
@@ -151,7 +166,8 @@ def choose(
     destination: Destination,
     options: ChoiceOptions = ChoiceOptions(),
 ) -> Choice:
-    """The offset that passes most probably; of equally probable ones that of the widest margin.
+    """The offset that passes most probably; of equally probable ones the earliest, of these the
+    quickest, then that of the widest margin.
 
     expected  forecast of `identified` or of nearly the same cable, made while the hold went on
     """
@@ -168,16 +184,23 @@ def choose(
             probability=float(probability),
             margin_m=float(margin),
             margin_std_m=float(std),
+            delay_s=float(delay),
+            pace=float(pace),
         )
-        for offset, probability, margin, std in zip(
+        for offset, delay, pace, probability, margin, std in zip(
             expected.offsets_m,
+            expected.delays_s,
+            expected.paces,
             np.mean(margins > 0.0, axis=1),
             probable,
             np.std(margins, axis=1),
             strict=True,
         )
     )
-    index = max(range(len(table)), key=lambda i: (table[i].probability, table[i].margin_m))
+    index = max(
+        range(len(table)),
+        key=lambda i: (table[i].probability, -table[i].delay_s, -table[i].pace, table[i].margin_m),
+    )
     best = table[index]
     reason, model_misses = None, False
     if best.probability < options.least_probability:

@@ -74,17 +74,27 @@ def identification_path(
 
 
 def insertion_path(
-    start: Pose, offset_m: float, advance_m: float, limits: MotionLimits, rate_hz: float
+    start: Pose,
+    offset_m: float,
+    advance_m: float,
+    limits: MotionLimits,
+    rate_hz: float,
+    *,
+    delay_s: float = 0.0,
 ) -> Trajectory:
     """Down by `offset_m`, then left by `advance_m`; at rest at both ends and at the corner.
 
-    raises  ValueError: a negative offset, an advance ≤ 0, an impossible rate
+    delay_s  the hand rests so long before, rounded to the arm's period
+    raises   ValueError: a negative offset or delay, an advance ≤ 0, an impossible rate
     """
+    if delay_s < 0.0:
+        raise ValueError(f"delay {delay_s} s must be ≥ 0")
     if offset_m < 0.0 or not advance_m > 0.0:
         raise ValueError(f"offset {offset_m} m must be ≥ 0 and advance {advance_m} m > 0")
     down = _stroke((start.x_m, start.y_m), (0.0, -offset_m), limits, rate_hz)
     left = _stroke((float(down[-1, 0]), float(down[-1, 1])), (-advance_m, 0.0), limits, rate_hz)
-    return _path([down, left[1:]], start.angle_rad, rate_hz)
+    rest = np.repeat(down[:1], round(delay_s * rate_hz), axis=0)
+    return _path([rest, down, left[1:]], start.angle_rad, rate_hz)
 
 
 def retreat_path(start: Pose, end: Pose, limits: MotionLimits, rate_hz: float) -> Trajectory:

@@ -72,6 +72,8 @@ class Result:
     """End of one cycle.  None = not known, because the cycle did not come so far.
 
     offset_m            executed
+    delay_s, pace       with which: so long the hand rested before, s; in so many times the usual
+                        time it moved
     predicted_miss_m    height of the tip above the middle of the destination at its mouth
     measured_miss_m     the same, from the pictures of the execution
     margin_m            measured: smallest distance to the destination's floor or ceiling while
@@ -117,6 +119,8 @@ class Result:
     speed: float | None = None
     checks: tuple[Check, ...] = ()
     part: str | None = None
+    delay_s: float | None = None
+    pace: float | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Plain data for json.dumps; what is not finite becomes None."""

@@ -9,6 +9,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from cell.cable.geometry import Motion
 from cell.cable.solver import DivergedError, Solver, threads
 from cell.cable.statics import UnsettledError
 from cell.computer.second_process import SecondProcess
@@ -16,6 +17,7 @@ from cell.identify.hand import HandErrors
 from cell.identify.identified import Identified
 from cell.identify.individual import CableRejectedError, IdentifyOptions, identify, predict_frames
 from cell.plan.choose import forecast
+from cell.plan.closer import closer_look
 from cell.plan.paths import executed_motion, insertion_path
 from cell.run.commands import Commands
 from cell.run.filming import filmed_so_far
@@ -25,6 +27,7 @@ from cell.run.trials import hand_offset_m_rad, held_trial, moved
 from cell.run.waiting import POLL_S
 from cell.study.data import Trial
 from cell.vision.sighting import Sighting
+from drivers.interfaces import Trajectory
 
 Value = TypeVar("Value")
 
@@ -109,25 +112,51 @@ def simulate_offsets(
     begin_s = start_s - filmed.begin_s
     history = trial.grip.later(-begin_s)
     beside = hand_offset_m_rad(filmed.hand, trial.grip)
-    paths = tuple(
-        insertion_path(task.lowered, offset_m, task.advance_m, task.insertion, timing.arm_rate_hz)
-        for offset_m in task.offsets_m
-    )
-    motions = [
-        executed_motion(
+
+    def path(offset_m: float, delay_s: float = 0.0, pace: float = 1.0) -> Trajectory:
+        lowered, limits = task.lowered, task.insertion.slowed(pace)
+        return insertion_path(
+            lowered, offset_m, task.advance_m, limits, timing.arm_rate_hz, delay_s=delay_s
+        )
+
+    def motion(path: Trajectory) -> Motion:
+        hand = executed_motion(
             moved(path, beside), timing.arm_lag_s, settle_s=task.settle_s, history=history
-        ).later(begin_s)
-        for path in paths
-    ]
+        )
+        return hand.later(begin_s)
+
+    offsets_m = np.array(task.offsets_m)
+    paths = [path(o) for o in task.offsets_m]
+    motions = [motion(p) for p in paths]
+    delays_s, paces = np.zeros(len(paths)), np.ones(len(paths))
+    if task.freely.window_s > 0.0:
+        slower = {p: [motion(path(o, 0.0, p)) for o in task.offsets_m] for p in task.freely.paces}
+        closer = closer_look(
+            identified,
+            offsets_m,
+            {1.0: motions, **slower},
+            task.destination,
+            task.freely.window_s,
+            begin_s=begin_s,
+            solver=solver,
+            options=task.choice,
+        )
+        new = [path(*(float(v) for v in one)) for one in zip(*closer, strict=True)]
+        paths, motions = paths + new, motions + [motion(p) for p in new]
+        offsets_m, delays_s, paces = (
+            np.concatenate(pair) for pair in zip((offsets_m, delays_s, paces), closer, strict=True)
+        )
     expected = forecast(
         identified,
-        np.array(task.offsets_m),
+        offsets_m,
         motions,
+        delays_s=delays_s,
+        paces=paces,
         begin_s=begin_s,
         solver=solver,
         options=task.choice,
     )
-    return Candidates(start_s, paths, expected)
+    return Candidates(start_s, tuple(paths), expected)
 
 
 def _result(job: Future[Value], commands: Commands) -> Value | None:

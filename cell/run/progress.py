@@ -70,6 +70,8 @@ class Progress:
             outcome=Outcome.FAILED if self.fault is not None else required(f.outcome),
             folder=str(self.record.folder),
             offset_m=f.offset_m,
+            delay_s=None if f.offset_m is None or best is None else best.delay_s,
+            pace=None if f.offset_m is None or best is None else best.pace,
             predicted_miss_m=_finite(predicted_miss_m),
             measured_miss_m=None if passage is None else _finite(passage.miss_m),
             margin_m=None if passage is None else _finite(passage.margin_m),

@@ -96,6 +96,16 @@ class Briskness(Section):
     """Greatest jerk."""
 
 
+class Start(Section):
+    """How freely an insertion is chosen beside the offsets that are always looked at."""
+
+    window_s: Annotated[float, Field(ge=0.0, le=0.5)] = 0.0
+    """It may begin so much later, and with any offset between these; 0 = at once, with one of them.
+    A useful value is one period of a cable's swing, 0.25."""
+    paces: tuple[Annotated[float, Field(gt=1.0, le=3.0)], ...] = (1.3,)
+    """With a window it may also be made in so many times the usual time."""
+
+
 class Motion(Section):
     """What the hand does in a cycle."""
 
@@ -116,6 +126,8 @@ class Motion(Section):
     decide_s: Wait = 0.2
     """From the last frame of the swing until the execution begins: time for the computer."""
     offsets: Offsets = Offsets()
+    start: Start = Start()
+    """When the execution begins, and how fast it is."""
     advance_m: Distance = 0.050
     """Left, towards the destination."""
     settle_s: Wait = 0.2

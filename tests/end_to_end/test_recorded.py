@@ -286,3 +286,24 @@ def test_a_bundle_is_what_a_maker_needs(recorded, quick_config, tmp_path):
     assert run("bundle", tmp_path, "-o", tmp_path / "c.zip").returncode == 2
     assert run("bundle", "-c", tmp_path / "gone.yaml", "-o", tmp_path / "c.zip").returncode == 2
     assert not (tmp_path / "c.zip").exists()
+
+
+def test_an_insertion_that_begins_later_is_recorded_and_replayed(tmp_path, recorded_config):
+    """A narrow mouth: at once no offset passes."""
+    config = changed(
+        recorded_config,
+        tmp_path / "narrow.yaml",
+        [
+            ("y_m: [-0.111, -0.101]", "y_m: [-0.107, -0.105]"),
+            ("motion:\n", "motion:\n  start: {window_s: 0.25}\n"),
+        ],
+    )
+    runs = tmp_path / "runs"
+    done = run("run", "--config", config, "--seed", "7", "--cycles", "6", "--out", runs)
+    results = [json.loads(f.read_text()) for f in sorted(runs.glob("*/result.json"))]
+    assert [r["outcome"] for r in results].count("inserted") >= 5, done.stderr
+    later = [r for r in results if r["delay_s"]]
+    assert later
+    assert all(r["outcome"] == "inserted" for r in later)
+    again = run("replay", later[0]["folder"], "--json")
+    assert json.loads(again.stdout)["identical"], again.stdout

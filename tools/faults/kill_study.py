@@ -48,7 +48,7 @@ from cell.settings import load_settings
 
 config, runs, shared = map(Path, sys.argv[1:4])
 settings = load_settings(config)
-world = settings.world.model_copy(update={"real_time_factor": 1.0})
+world = settings.world.model_copy(update={"real_time_factor": float(sys.argv[5])})
 settings = settings.model_copy(update={"world": world})
 cell = build_cell(settings, runs, seed=int(sys.argv[4]), cycles=100, recorded=True)
 with shared.open("r+b") as file:
@@ -84,7 +84,7 @@ class Kill:
     both      whether the recorder was killed at the same time
     step      in which the cell was
     poses_lost_s    from the last recorded pose, or the beginning of the recording if that was
-                    later, to the moment of the kill; on the cell's clock
+                    later, to the moment of the kill
     frames_lost_s   from the last recorded frame to the last that the cell has read; nan = none
     finished_cycles, results   cycles that say they are closed; those with a result
     listed, listed_wrong   cycles in the ledger; those that it calls finished without a result
@@ -103,16 +103,19 @@ class Kill:
     listed_wrong: int
 
 
-def kill_once(config: Path, runs: Path, number: int, after_s: float, both: bool) -> Kill:
+def kill_once(
+    config: Path, runs: Path, number: int, after_s: float, both: bool, speed: float = 1.0
+) -> Kill:
     """Run a cell, kill it so long after it grasps, and recover the recording.
 
+    speed   of the simulated world; at 1 a busy computer falls behind, and then makes up for it
     raises  RuntimeError: the cell ended by itself, or nothing could be recovered, or the ledger
             is damaged
     """
     with tempfile.NamedTemporaryFile() as shared:
         shared.write(bytes(16))
         shared.flush()
-        command = [sys.executable, "-c", _CHILD, config, runs, shared.name, number + 1]
+        command = [sys.executable, "-c", _CHILD, config, runs, shared.name, number + 1, speed]
         environment = os.environ | {"PYTHONPATH": str(ROOT)}
         child = subprocess.Popen(list(map(str, command)), env=environment, cwd=ROOT)
         try:
@@ -148,8 +151,8 @@ def kill_once(config: Path, runs: Path, number: int, after_s: float, both: bool)
         both,
         str(states[-1]["step"]) if states else "",
         recording.count(form.IMAGE),
-        now_s - _known_until_s(recording),
-        frame_s - max(frames, default=0.0) if frame_s else float("nan"),
+        (now_s - _known_until_s(recording)) / speed,
+        (frame_s - max(frames, default=0.0)) / speed if frame_s else float("nan"),
         len(closed),
         len(results),
         len(listed),
@@ -227,7 +230,8 @@ def main() -> None:
     parser.add_argument("--kills", type=int, default=100)
     parser.add_argument("--config", type=Path, default=ROOT / "config" / "fake.yaml")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--longest-s", type=float, default=7.0, help="of a cycle's beginning")
+    parser.add_argument("--speed", type=float, default=0.5, help="of the simulated world")
+    parser.add_argument("--longest-s", type=float, default=14.0, help="after the first grasp")
     given = parser.parse_args()
     rng = random.Random(given.seed)
     kills: list[Kill] = []
@@ -237,7 +241,11 @@ def main() -> None:
         for number in range(given.kills):
             with tempfile.TemporaryDirectory() as folder:
                 after_s, both = rng.uniform(0.0, given.longest_s), number % 2 == 1
-                kills.append(kill_once(given.config, Path(folder) / "runs", number, after_s, both))
+                kills.append(
+                    kill_once(
+                        given.config, Path(folder) / "runs", number, after_s, both, given.speed
+                    )
+                )
             writer.writerow(asdict(kills[-1]))
             file.flush()
             print(kills[-1], flush=True)

@@ -118,7 +118,11 @@ def fast_cycle(
         reason = choice.reason
     except CableRejectedError as error:
         reason = str(error)
-    truth = _truths(task, hidden, down, start_s, lag_s)
+    table = [(o, 0.0, 1.0) for o in task.offsets_m]
+    if expected is not None:
+        coming = expected.forecast
+        table = list(zip(coming.offsets_m, coming.delays_s, coming.paces, strict=True))
+    truth = _truths(task, hidden, down, start_s, lag_s, table)
     at_s = np.arange(0.0, truth.end_s - start_s, 0.005)
     index = None if choice is None else choice.table.index(choice.best)
     best_m = np.nan
@@ -155,7 +159,8 @@ def best_margin_m(settings: Settings, seed: int, number: int) -> float:
     task, lag_s = cell_task(settings), settings.arm.lag_s
     down = _true_hold(task, lag_s)
     start_s = float(down.t_s[-1]) + task.decide_s
-    truth = _truths(task, hidden_cable(settings, seed, number), down, start_s, lag_s)
+    table = [(offset_m, 0.0, 1.0) for offset_m in task.offsets_m]
+    truth = _truths(task, hidden_cable(settings, seed, number), down, start_s, lag_s, table)
     tips = truth.tips(np.arange(0.0, truth.end_s - start_s, 0.005))
     return float(task.destination.margin_m(tips).max())
 
@@ -199,10 +204,21 @@ class _Truths:
         return simulate(self.hidden, motions, self.start_s + at_s, tip, solver=WORLD)[:, :, 0]
 
 
-def _truths(task: Task, hidden: CableModel, down: Motion, start_s: float, lag_s: float) -> _Truths:
+def _truths(
+    task: Task,
+    hidden: CableModel,
+    down: Motion,
+    start_s: float,
+    lag_s: float,
+    table: Sequence[tuple[float, float, float]],
+) -> _Truths:
+    """`table`: offset, delay and pace of every motion."""
     motions = []
-    for offset_m in task.offsets_m:
-        path = insertion_path(task.lowered, offset_m, task.advance_m, task.insertion, RATE_HZ)
+    for offset_m, delay_s, pace in table:
+        limits = task.insertion.slowed(pace)
+        path = insertion_path(
+            task.lowered, offset_m, task.advance_m, limits, RATE_HZ, delay_s=delay_s
+        )
         late = executed_motion(path, lag_s, settle_s=task.settle_s)
         rows = np.column_stack([late.t_s + start_s, late.x_m, late.y_m, late.angle_rad])
         before = np.column_stack([down.t_s, down.x_m, down.y_m, down.angle_rad])

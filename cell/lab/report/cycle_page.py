@@ -28,6 +28,8 @@ _GOOD = (Outcome.INSERTED, Outcome.MEASURED, Outcome.REHEARSED)
 #: Numbers of a result: entry, heading, unit, how many of it are one SI unit.
 _NUMBERS = (
     ("offset_m", "offset", "mm", 1e3),
+    ("delay_s", "rested before", "s", 1.0),
+    ("pace", "time for the motion, of the usual one", "%", 100.0),
     ("predicted_miss_m", "forecast of the tip above the middle", "mm", 1e3),
     ("measured_miss_m", "measured", "mm", 1e3),
     ("predicted_margin_m", "forecast margin", "mm", 1e3),
@@ -40,7 +42,9 @@ _NUMBERS = (
 )
 #: Columns of the decision's table.
 _DECISION = (
-    ("offset_m", "offset, mm", 1e3, ".0f"),
+    ("offset_m", "offset, mm", 1e3, ".1f"),
+    ("delay_s", "rested before, s", 1.0, ".2f"),
+    ("pace", "time, of the usual, %", 100.0, ".0f"),
     ("margin_m", "margin, mm", 1e3, ".2f"),
     ("margin_std_m", "its standard deviation, mm", 1e3, ".2f"),
     ("probability", "passes with, %", 100.0, ".1f"),

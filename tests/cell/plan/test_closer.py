@@ -1,0 +1,95 @@
+"""Between the offsets, later and slower there are insertions where none of the offsets passes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cell.build import cell_task
+from cell.plan import closer
+from cell.plan.closer import EVERY_S, MOST
+from cell.plan.paths import insertion_path
+from cell.run.station import Freedom
+from cell.settings import load_settings
+from drivers.interfaces import Pose
+from tools.worlds.fast_cell import fast_cycle
+
+ROOT = Path(__file__).parents[3]
+SETTINGS = load_settings(ROOT / "config" / "fake.yaml")
+FREELY = Freedom(0.25, (1.3,))
+
+
+def narrow(half_mm: float):
+    """The settings with a mouth of so many mm on either side of its middle."""
+    destination = SETTINGS.destination
+    middle_m = float(np.mean(destination.y_m))
+    height = (middle_m - half_mm * 1e-3, middle_m + half_mm * 1e-3)
+    changed = destination.model_copy(update={"y_m": height})
+    return SETTINGS.model_copy(update={"destination": changed})
+
+
+@pytest.mark.parametrize("number", [4, 5, 7])
+def test_a_narrow_mouth_that_no_offset_passes(number):
+    """Cables that were rejected with 21 offsets 2 mm apart, although no forecast erred."""
+    settings = narrow(1.0)
+    task = cell_task(settings)
+    before = fast_cycle(settings, 7, number, task=task, only_chosen=True)
+    assert before.outcome == "rejected"
+    now = fast_cycle(settings, 7, number, task=replace(task, freely=FREELY), only_chosen=True)
+    assert now.outcome == "inserted"
+    best = now.choice.best
+    assert best.delay_s > 0.0 or best.pace > 1.0
+    assert now.true_margin_m == pytest.approx(best.margin_m, abs=1e-4)
+
+
+def test_where_an_offset_passes_surely_it_is_done_at_once():
+    task = replace(cell_task(SETTINGS), freely=FREELY)
+    cycle = fast_cycle(SETTINGS, 7, 1, task=task, only_chosen=True)
+    assert cycle.outcome == "inserted"
+    assert (cycle.choice.best.delay_s, cycle.choice.best.pace) == (0.0, 1.0)
+
+
+def test_the_coarse_look_promises_what_the_close_one_finds(monkeypatch):
+    promised = []
+    widest = closer._widest
+
+    def spy(margins_m, *places):
+        promised.append(margins_m)
+        return widest(margins_m, *places)
+
+    monkeypatch.setattr(closer, "_widest", spy)
+    settings = narrow(1.0)
+    task = replace(cell_task(settings), freely=FREELY)
+    cycle = fast_cycle(settings, 7, 5, task=task, only_chosen=True)
+    coming = cycle.candidates.forecast
+    count = len(task.offsets_m)
+    assert 1 <= len(coming.offsets_m) - count <= MOST
+    close = task.destination.margin_m(coming.tip_m[count:])
+    (margins,) = promised
+    assert close.max() == pytest.approx(margins.max(), abs=2.5e-4)
+    for pace in (1.0, 1.3):
+        at_s = np.sort(coming.delays_s[count:][coming.paces[count:] == pace])
+        assert np.all(np.diff(at_s) >= EVERY_S - 1e-9)
+
+
+def test_places_between_are_exact_for_a_cubic():
+    known = np.linspace(0.0, 0.01, 6)
+    fine, weights = closer._between(known, 1e-3)
+    assert weights @ known**3 == pytest.approx(fine**3, abs=1e-15)
+    assert fine[-1] == pytest.approx(known[-1])
+    one, alone = closer._between(known[:1], 1e-3)
+    assert (one.tolist(), alone.tolist()) == ([0.0], [[1.0]])
+
+
+def test_a_delayed_path_rests_first():
+    limits = cell_task(SETTINGS).insertion
+    at_once = insertion_path(Pose(0.0, -0.05, 0.0), 0.02, 0.05, limits, 500.0)
+    later = insertion_path(Pose(0.0, -0.05, 0.0), 0.02, 0.05, limits, 500.0, delay_s=0.1)
+    assert later.t_s[-1] == pytest.approx(at_once.t_s[-1] + 0.1)
+    assert np.all(later.y_m[:51] == -0.05)
+    assert later.y_m[50:].tolist() == at_once.y_m.tolist()
+    with pytest.raises(ValueError, match="delay"):
+        insertion_path(Pose(0.0, 0.0, 0.0), 0.02, 0.05, limits, 500.0, delay_s=-0.1)
