@@ -1,6 +1,7 @@
 """How long the robot waits for the computer, over many cycles at the speed of reality.
 
-    python -m tools.bench.bench_wait [--cycles 30] [--seed 1] [--burn 1] [--recorded] [--effects …]
+    python -m tools.bench.bench_wait [--cycles 30] [--seed 1] [--burn 1] [--recorded]
+        [--freely 0.25] [--effects …]
 
 Beside every wait stands the longest stall of this computer in that cycle, as another process
 measured it, and the CPU time of the cell: a share of two cores while the hold is filmed, and what
@@ -38,6 +39,7 @@ from cell.run.archive import Archive
 from cell.run.cycle import Cell
 from cell.run.plans import EXECUTE, HOLD, IDENTIFY
 from cell.settings import Settings, load_settings
+from cell.settings.model import Start
 from cell.simulated.twins import build_twins
 from drivers.interfaces import Camera, Frame
 from drivers.priority import take_precedence
@@ -298,18 +300,27 @@ def main() -> None:
     parser.add_argument(
         "--recorded", action="store_true", help="the same again with every frame recorded"
     )
+    parser.add_argument(
+        "--freely", type=float, metavar="S", help="the same again with motion.start.window_s"
+    )
     options = parser.parse_args()
     asked = options.cycles, options.seed, options.burn
     settings = load_settings(CONFIG)
     base = waits(*asked, settings.model_copy(update={"recording": None}))
     print(summary(base))
-    if options.recorded:
-        print("recorded", flush=True)
-        found = waits(*asked, settings)
+    silent = settings.model_copy(update={"recording": None})
+    start = Start(window_s=options.freely or 0.0)
+    freely = silent.model_copy(update={"motion": silent.motion.model_copy(update={"start": start})})
+    for name, changed in (
+        *([("recorded", settings)] if options.recorded else []),
+        *([("freely", freely)] if options.freely else []),
+    ):
+        print(name, flush=True)
+        found = waits(*asked, changed)
         print(summary(found))
-        for name in ("wait_s", "after_cpu_s"):
-            then, now = (np.nanmedian([getattr(w, name) for w in ws]) for ws in (base, found))
-            print(f"  recorded: median {name} {now / then:.2f} × without", flush=True)
+        for of in ("wait_s", "after_cpu_s", "hold_cpu"):
+            then, now = (np.nanmedian([getattr(w, of) for w in ws]) for ws in (base, found))
+            print(f"  {name}: median {of} {now / then:.2f} × without", flush=True)
     for name in options.effects:
         from tools.bench.effect_cost import learned
 
