@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from cell.computer.memory import use_one_arena
 from cell.computer.second_process import SecondProcess
-from cell.plan.choose import ChoiceOptions
+from cell.plan.choose import ChoiceOptions, Freedom
 from cell.plan.destination import Destination
 from cell.plan.paths import MotionLimits
 from cell.records.ledger.outbox import LaterLedger, LedgerWriter, outbox_of
@@ -29,7 +29,7 @@ from cell.run.clocks import KnownDelays
 from cell.run.cycle import Cell
 from cell.run.listed import LedgerSetup
 from cell.run.recorded import Keeping, RecordingSetup
-from cell.run.station import Freedom, Task
+from cell.run.station import Task
 from cell.settings import InputError, Settings
 from cell.settings import devices as given
 from cell.settings.calibrated import Calibrated, as_gripped, typed
@@ -67,7 +67,7 @@ FloatArray = NDArray[np.float64]
 
 _UR_TUNING = ("lookahead_s", "gain")
 #: In simulated time a frame waits so long, s, for the recorder: nothing else is late by that.
-_PATIENCE_S = 60.0
+PATIENCE_S = 60.0
 
 
 def build_cell(
@@ -160,7 +160,7 @@ def with_recorder(
     wanted = settings.recording
     if wanted is None:
         return devices, None
-    patience_s = 0.0 if _in_real_time(settings) else _PATIENCE_S
+    patience_s = 0.0 if _in_real_time(settings) else PATIENCE_S
     recorder = Recorder(devices.arm, devices.clock, wanted.memory_mb * 10**6, patience_s)
     days, size_gb = wanted.max_age_days, wanted.max_size_gb
     room = Room(
@@ -306,7 +306,6 @@ def cell_task(settings: Settings, known: Calibrated | None = None) -> Task:
         hold_s=motion.hold_s,
         decide_s=motion.decide_s,
         offsets_m=motion.offsets.values_m,
-        freely=Freedom(motion.start.window_s, motion.start.paces),
         advance_m=motion.advance_m,
         settle_s=motion.settle_s,
         lowering=MotionLimits(**motion.lowering.model_dump()),
@@ -331,6 +330,10 @@ def _delays(settings: Settings, known: Calibrated) -> KnownDelays | None:
 
 def _choice(settings: Settings, known: Calibrated) -> ChoiceOptions:
     """How to choose; where the camera puts the destination is uncertain by the map as well."""
-    options = ChoiceOptions(least_probability=settings.choice.min_probability)
+    start = settings.motion.start
+    options = ChoiceOptions(
+        least_probability=settings.choice.min_probability,
+        freely=Freedom(start.window_s, start.paces),
+    )
     upright_m = known.map_std_m / np.sqrt(2.0)
     return replace(options, repeatability_m=float(np.hypot(options.repeatability_m, upright_m)))

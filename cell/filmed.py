@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from cell.build import cell_with
+from cell.build import PATIENCE_S, cell_task, cell_with
 from cell.files.input_error import InputError
 from cell.records.recording import form
 from cell.records.recording.devices import recorded_devices
@@ -17,7 +17,7 @@ from cell.records.recording.recorder import Recorder
 from cell.records.result import Result
 from cell.run.archive import Archive
 from cell.run.findings import Filming
-from cell.run.plans import filmed
+from cell.run.plans import FILM, filmed
 from cell.run.recorded import RecordingSetup
 from cell.settings import Settings
 from cell.settings.calibrated import calibrated
@@ -28,8 +28,6 @@ from drivers.interfaces import Pose
 
 #: From here an offset can be chosen: so far the hand may be from where insertions begin, m and rad.
 NEAR_M, NEAR_RAD = 1e-3, 5e-3
-#: A film waits so long for its recorder, s: nothing else is late by that.
-_PATIENCE_S = 60.0
 
 
 def record_film(
@@ -51,18 +49,14 @@ def record_film(
     devices = filmed_devices(film, settings, known.lag_s)
     clock = devices.clock
     memory = (settings.recording or Recording()).memory_mb * 10**6
-    recorder = Recorder(devices.arm, clock, memory, _PATIENCE_S)
+    recorder = Recorder(devices.arm, clock, memory, PATIENCE_S)
     plain = settings.model_dump(mode="json")
     setup = RecordingSetup(recorder, plain, files_of(settings))
     filming = Filming(film.begin_s, film.rest_s, film.end_s, len(film.frames))
-    lowered = Pose(
-        settings.motion.home.x_m,
-        settings.motion.home.y_m - settings.motion.lower_m,
-        settings.motion.home.angle_rad,
-    )
+    decides = _near(film.ends_at, cell_task(settings, known).lowered)
 
     def step(number: int, name: str) -> None:
-        if name == "film":
+        if name == FILM:
             clock.sleep_s(max(0.0, film.begin_s - clock.now_s()))
         on_step(number, name)
 
@@ -71,7 +65,7 @@ def record_film(
         archive = Archive(setup)
         cell = cell_with(settings, around, Path(folder), step, known, archive=archive)
         try:
-            result = cell.run_cycle(1, filmed(filming, decides=_near(film.ends_at, lowered)))
+            result = cell.run_cycle(1, filmed(filming, decides=decides))
         finally:
             cell.close()
         written = Path(result.folder) / form.FILE

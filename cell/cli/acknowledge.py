@@ -12,7 +12,7 @@ import typer
 
 from cell.cli.lab import refusing
 from cell.cli.ledger import LedgerPlace, ledger_errors, open_ledger
-from cell.cli.shared import group
+from cell.cli.shared import AsJson, MaybeConfig, group
 from cell.cli.streams import emit
 
 app = group()
@@ -38,11 +38,9 @@ def acknowledge(
     everything: Annotated[
         bool, typer.Option("--all", help="All faults that nobody has acknowledged.")
     ] = False,
-    config: Annotated[
-        Path | None, typer.Option("--config", "-c", help="Settings of the cell, YAML.")
-    ] = None,
+    config: MaybeConfig = None,
     ledger: LedgerPlace = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Acknowledge that a fault was looked at: who, when, and what was done about it.
 

@@ -14,7 +14,7 @@ import typer
 
 from cell.cli.lab import Force, refusing, working
 from cell.cli.ledger import open_ledger
-from cell.cli.shared import group
+from cell.cli.shared import AsJson, MaybeConfig, group
 from cell.cli.streams import emit
 
 if TYPE_CHECKING:
@@ -39,9 +39,7 @@ def bundle(
     newest: Annotated[
         int, typer.Option("-n", "--newest", min=0, help="So many cycles, the newest ones.")
     ] = 3,
-    config: Annotated[
-        Path | None, typer.Option("--config", "-c", help="Settings of the cell, YAML.")
-    ] = None,
+    config: MaybeConfig = None,
     recordings: Annotated[
         bool, typer.Option("--recordings/--no-recordings", help="With the frames, or without.")
     ] = True,
@@ -49,7 +47,7 @@ def bundle(
         Path | None, typer.Option("-o", "--out", help="File to write; default: bundle-TIME.zip.")
     ] = None,
     force: Force = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Pack what the maker of the cell needs after a failure into one ZIP file.
 

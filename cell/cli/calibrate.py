@@ -13,7 +13,7 @@ import typer
 
 from cell.cli.lab import refusing, working
 from cell.cli.result_json import STDOUT, print_result
-from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, Config, interrupted_once, refuse
+from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, Config, MaybeConfig, interrupted_once, refuse
 
 if TYPE_CHECKING:
     from cell.calibration.work import CalibrationJob
@@ -39,9 +39,7 @@ Seed = Annotated[int, typer.Option(min=0, help="Random seed of a simulated or em
 @app.callback()
 def everything(
     context: typer.Context,
-    config: Annotated[
-        Path | None, typer.Option("--config", "-c", help="Settings of the cell, YAML.")
-    ] = None,
+    config: MaybeConfig = None,
     seed: Seed = 1,
     as_json: AsJson = False,
 ) -> None:

@@ -18,7 +18,7 @@ import typer
 from cell.cli.delivery import Delivery, deliver
 from cell.cli.lab import refusing
 from cell.cli.options import taking
-from cell.cli.shared import group
+from cell.cli.shared import AsJson, MaybeConfig, group
 from cell.cli.streams import emit
 
 if TYPE_CHECKING:
@@ -51,9 +51,7 @@ LedgerPlace = Annotated[
 class HistoryOptions:
     """What `cell history` is asked for."""
 
-    config: Annotated[
-        Path | None, typer.Option("--config", "-c", help="Settings of the cell, YAML.")
-    ] = None
+    config: MaybeConfig = None
     ledger: LedgerPlace = None
     since: Since = None
     until: Annotated[str | None, typer.Option(help="Begun before this time.")] = None
@@ -80,7 +78,7 @@ class HistoryOptions:
     oee: Annotated[
         bool, typer.Option("--oee", help="Availability, performance and quality of every shift.")
     ] = False
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False
+    as_json: AsJson = False
     csv: Annotated[
         Path | None, typer.Option(help="Write the cycles with their cables' parameters as CSV.")
     ] = None

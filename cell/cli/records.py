@@ -14,7 +14,7 @@ from cell.cli.delivery import deliver, json_files
 from cell.cli.given import folder_of
 from cell.cli.lab import Force, refusing, working
 from cell.cli.result_json import Json, JsonCommand, print_result
-from cell.cli.shared import NOT_ALL_DONE, group, refuse, tell_notes
+from cell.cli.shared import NOT_ALL_DONE, AsJson, group, refuse, tell_notes
 
 app = group()
 
@@ -22,7 +22,6 @@ app = group()
 Runs = Annotated[
     Path, typer.Option("--out", help="Folder of the cycles: that of `cell run --out`.")
 ]
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
 
 
 @app.command("list")

@@ -20,6 +20,11 @@ Config = Annotated[
     Path, typer.Option("--config", "-c", help="Settings of the cell, YAML.", show_default=False)
 ]
 
+MaybeConfig = Annotated[
+    Path | None, typer.Option("--config", "-c", help="Settings of the cell, YAML.")
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
+
 
 def group() -> typer.Typer:
     """Typer app for the commands of one module, which `cell.cli` takes in at its top level."""

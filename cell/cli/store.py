@@ -61,7 +61,7 @@ def upload(
                 except (StoreError, OSError) as error:
                     failed += 1
                     print(f"{recording}: {error}", file=sys.stderr)
-    print(f"{done} recordings are in {store.url}, verified; {failed} could not be uploaded")
+    print(f"{store.url}: uploaded and verified: {done}; not uploaded: {failed}")
     raise typer.Exit(NOT_ALL_DONE if failed else ALL_DONE)
 
 

@@ -9,12 +9,12 @@ from contextlib import suppress
 from pathlib import Path
 
 #: Of a disk or a quota that is full, and of a file that may not grow.
-_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def no_room(error: OSError) -> bool:
     """Whether a file could not be written for want of room."""
-    return error.errno in _NO_ROOM
+    return error.errno in NO_ROOM
 
 
 def remedy(error: OSError) -> str:

@@ -25,6 +25,18 @@ SLOPES_COARSER, SLOPES_SEGMENTS = 4.0, 0.7
 
 
 @dataclass(frozen=True)
+class Freedom:
+    """What may be chosen beside the offsets.
+
+    window_s  an insertion may begin so much later, with any offset between those; 0 = it may not
+    paces     and be made in so many times the usual time
+    """
+
+    window_s: float = 0.0
+    paces: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
 class ChoiceOptions:
     """Options of the choice of an offset.
 
@@ -36,6 +48,7 @@ class ChoiceOptions:
                       what shows in another
     least_probability below which no offset is taken
     interval_s        between the instants at which a tip is compared with the destination
+    freely            what may be chosen beside the offsets
     """
 
     samples: int = 64
@@ -43,6 +56,7 @@ class ChoiceOptions:
     model_error_growth: float = 2.0
     least_probability: float = 0.9
     interval_s: float = 0.005
+    freely: Freedom = Freedom()
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -20,8 +20,8 @@ FloatArray = NDArray[np.float64]
 
 #: Insertions are simulated at moments so far apart, s, a fifth of the quickest swing …
 EVERY_S = 0.03
-#: … with so many offsets on either side of the one that is best at once.
-BESIDE = 4
+#: … with so many offsets, the outermost so far from the one that is best at once, m.
+NEAR, NEAR_M = 9, 8e-3
 #: Between them the tip is interpolated, at moments and offsets so far apart, s and m.
 FINE_S, FINE_M = 0.01, 1e-4
 #: So many are to be simulated closely, no two of a pace within `EVERY_S`.
@@ -33,9 +33,9 @@ Spots = tuple[FloatArray, FloatArray, FloatArray]
 def closer_look(
     identified: Identified,
     offsets_m: FloatArray,
-    motions: Mapping[float, Sequence[Motion]],
+    at_once: Sequence[Motion],
+    motion: Callable[[float, float], Motion],
     destination: Destination,
-    window_s: float,
     *,
     begin_s: float,
     solver: Solver,
@@ -47,9 +47,9 @@ def closer_look(
     between moments: counted from when the hand begins to move, it changes smoothly with both.
 
     offsets_m  (O,) ascending, m
-    motions    of the hand by pace, (O,) that begin at once; the usual pace is the first
-    window_s   the latest moment, after the earliest
-    begin_s    the earliest, on the clock of the motions
+    at_once    (O,) motions of the hand that begin at once, at the usual pace
+    motion     the same of any offset, m, and pace
+    begin_s    when they begin, on the clock of the motions
     returns    at most `MOST`, the widest margin first
     raises     what the engine raises
     """
@@ -57,33 +57,30 @@ def closer_look(
     def tips(motions: Sequence[Motion]) -> FloatArray:
         return _tips(identified, motions, begin_s, solver, options)
 
-    usual = next(iter(motions.values()))
-    best = int(destination.margin_m(tips(usual)).argmax())
-    near = slice(max(0, best - BESIDE), best + BESIDE + 1)
-    moments = round(window_s / EVERY_S)
+    best_m = offsets_m[destination.margin_m(tips(at_once)).argmax()]
+    ends_m = np.clip([best_m - NEAR_M, best_m + NEAR_M], offsets_m[0], offsets_m[-1])
+    near_m = np.unique(np.linspace(ends_m[0], ends_m[1], NEAR))
+    moments = round(options.freely.window_s / EVERY_S)
     delays_s = np.linspace(0.0, moments * EVERY_S, moments + 1)
-    later = [
-        _delayed(m, begin_s, float(d))
-        for of_pace in motions.values()
-        for d in delays_s
-        for m in of_pace[near]
-    ]
+    paces = (1.0, *options.freely.paces)
+    near = [[motion(float(o), pace) for o in near_m] for pace in paces]
+    later = [_delayed(m, begin_s, float(d)) for of_pace in near for d in delays_s for m in of_pace]
     found = tips(later)
     shift = round(EVERY_S / options.interval_s)
-    found = found.reshape(len(motions), moments + 1, -1, *found.shape[1:])
+    found = found.reshape(len(paces), moments + 1, -1, *found.shape[1:])
     steps = found.shape[3] - shift * moments
     moving = np.stack(
         [found[:, k, :, shift * k : shift * k + steps] for k in range(moments + 1)], 1
     )
     fine_s, by_delay = _between(delays_s, FINE_S)
-    fine_m, by_offset = _between(offsets_m[near], FINE_M)
+    fine_m, by_offset = _between(near_m, FINE_M)
     margins_m = [
         destination.margin_m(
             np.einsum("di,oj,ijtx->dotx", by_delay, by_offset, of_pace, optimize=True)
         )
         for of_pace in moving
     ]
-    return _widest(np.array(margins_m), fine_m, fine_s, np.array(list(motions)))
+    return _widest(np.array(margins_m), fine_m, fine_s, np.array(paces))
 
 
 def _delayed(motion: Motion, begin_s: float, delay_s: float) -> Motion:

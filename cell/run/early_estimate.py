@@ -129,14 +129,13 @@ def simulate_offsets(
     paths = [path(o) for o in task.offsets_m]
     motions = [motion(p) for p in paths]
     delays_s, paces = np.zeros(len(paths)), np.ones(len(paths))
-    if task.freely.window_s > 0.0:
-        slower = {p: [motion(path(o, 0.0, p)) for o in task.offsets_m] for p in task.freely.paces}
+    if task.choice.freely.window_s > 0.0:
         closer = closer_look(
             identified,
             offsets_m,
-            {1.0: motions, **slower},
+            motions,
+            lambda offset_m, pace: motion(path(offset_m, pace=pace)),
             task.destination,
-            task.freely.window_s,
             begin_s=begin_s,
             solver=solver,
             options=task.choice,

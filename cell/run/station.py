@@ -23,18 +23,6 @@ FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Freedom:
-    """What may be chosen beside the offsets.
-
-    window_s  an insertion may begin so much later, with any offset between those; 0 = it may not
-    paces     and be made in so many times the usual time
-    """
-
-    window_s: float = 0.0
-    paces: tuple[float, ...] = ()
-
-
-@dataclass(frozen=True)
 class Task:
     """The task that is done with every cable; `model` is the hash of what is assumed of it."""
 
@@ -59,8 +47,6 @@ class Task:
     identification: IdentifyOptions
     choice: ChoiceOptions
     model: str
-    freely: Freedom = Freedom()
-    """What may be chosen beside the offsets."""
     map_std_m: float = 0.0
     """Of a point's place by the view, over both axes together."""
     delays: KnownDelays | None = None

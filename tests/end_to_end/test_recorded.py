@@ -252,7 +252,8 @@ def test_upload_brings_what_a_run_could_not(tmp_path, recorded_config):
     failed = run("upload", runs, "--config", config)
     assert failed.returncode == 1 and "make it, or mount it" in failed.stderr
     (tmp_path / "nas").mkdir()
-    assert run("upload", runs, "--config", config).stdout.startswith("1 recordings are in")
+    done = run("upload", runs, "--config", config).stdout
+    assert done.endswith("uploaded and verified: 1; not uploaded: 0\n")
     assert list((tmp_path / "nas").rglob(form.FILE))
     assert run("upload", runs, "--config", recorded_config).returncode == 2
     (folder,) = (f for f in runs.iterdir() if f.is_dir())

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from cell.build import cell_task
-from cell.run.station import Freedom
+from cell.plan.choose import Freedom
 from cell.settings import Settings, load_settings
 from tools.worlds.fast_cell import fast_cycle
 
@@ -62,7 +62,8 @@ def with_mouth(settings: Settings, half_mm: float) -> Settings:
 def tried(settings: Settings, half_mm: float, freely: str, seed: int, cable: int) -> Tried:
     """What becomes of one cable."""
     narrow = with_mouth(settings, half_mm)
-    task = replace(cell_task(narrow), freely=FREELY[freely])
+    task = cell_task(narrow)
+    task = replace(task, choice=replace(task.choice, freely=FREELY[freely]))
     cycle = fast_cycle(narrow, seed, cable, task=task, only_chosen=True)
     best, coming = None if cycle.choice is None else cycle.choice.best, cycle.candidates
     if best is None or cycle.choice is None or coming is None:

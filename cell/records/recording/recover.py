@@ -177,8 +177,10 @@ def _rest_in_memory(source: Path) -> Path | None:
         reports = _write_what_waits(reader, rest, begun)
         if refused := next((r for r in reports if "error" in r or r["lost_frames"]), None):
             reader.position = begins_at  # it stays in memory, for the next try
-            for one in reports:
-                Path(one["path"]).unlink(missing_ok=True)
+            for one in (Path(r["path"]) for r in reports):
+                one.unlink(missing_ok=True)
+                if one != rest:
+                    one.with_name(form.PART).unlink(missing_ok=True)
             why = refused.get("error") or refused["cause"]
             raise OSError(errno.ENOSPC, f"the rest, still in memory, cannot be written: {why}")
     finally:

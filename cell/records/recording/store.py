@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+import os
+from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 from cell.files.atomic import write_whole
 from cell.files.input_error import InputError
+from cell.files.rescue import NO_ROOM
 from cell.files.text_file import read_json_object
 from cell.records.recording import form
 
@@ -75,7 +76,7 @@ class Store:
                 self._need_root()
                 self._files.makedirs(target.rpartition("/")[0], exist_ok=True)
             size, sent = self._send(source, target, turn)
-            received = _hash(self._files, target, turn)
+            received = self._read(target, _nowhere, turn)
             if received != (size, sent):
                 raise StoreError(
                     f"{self.url}/{name} is not what was sent: {received[0]} of {size} bytes, or "
@@ -101,50 +102,53 @@ class Store:
             raise StoreError(f"{self.url}: there is no {what} {place}; make it, or mount it")
 
     def _send(self, source: Path, target: str, turn: Turn) -> tuple[int, str]:
-        digest, size = hashlib.sha256(), 0
         with source.open("rb") as file:
             with turn():
                 sink = self._files.open(target, "wb", block_size=BLOCK_BYTES)
             try:
-                while block := file.read(BLOCK_BYTES):
-                    digest.update(block)
-                    size += len(block)
-                    with turn():
-                        sink.write(block)
+                sent = _pass_on(file.read, sink.write, turn)
                 with turn():
                     sink.close()
             except BaseException:
                 with suppress(Exception):  # what was sent has no mark, and is replaced next time
                     sink.discard()
                 raise
-        return size, digest.hexdigest()
+        return sent
+
+    def _read(self, path: str, sink: Callable[[bytes], object], turn: Turn) -> tuple[int, str]:
+        with self._files.open(path, "rb", block_size=BLOCK_BYTES) as file:
+            return _pass_on(file.read, sink, turn)
 
 
 def fetch(stored: Stored, target: Path, progress: Callable[[float], None]) -> None:
     """Bring a recording back, whole or not at all.
 
     progress  told of the share that is here
-    raises    StoreError; OSError: it cannot be written here
+    raises    StoreError: the store does not give it, or it is another; OSError: there is no place
+              for it here
     """
-    files, path = Store(stored.url)._files, Store(stored.url)._root
-    part = target.with_name(f"{target.name}.part")
-    digest, size = hashlib.sha256(), 0
-    with part.open("wb") as sink:
-        try:
-            with files.open(path, "rb", block_size=BLOCK_BYTES) as file:
-                while block := file.read(BLOCK_BYTES):
-                    digest.update(block)
-                    size += len(block)
-                    sink.write(block)
-                    progress(size / stored.bytes)
-            if (size, digest.hexdigest()) != (stored.bytes, stored.sha256):
-                raise StoreError(f"{stored.url} is not what was stored on {stored.stored}")
-        except BaseException as error:
-            part.unlink(missing_ok=True)
-            if isinstance(error, Exception) and not isinstance(error, StoreError):
+    store = Store(stored.url)
+    part = target.with_name(f"{target.name}.{os.getpid()}.fetched")
+    try:
+        with part.open("wb") as sink:
+
+            def take(block: bytes) -> None:
+                sink.write(block)
+                progress(sink.tell() / stored.bytes)
+
+            try:
+                received = store._read(store._root, take, nullcontext)
+            except OSError as error:
+                if error.errno in NO_ROOM:
+                    raise
                 raise StoreError(f"{stored.url}: {_cause(error)}") from error
-            raise
-    part.replace(target)
+            except Exception as error:  # each store has errors of its own
+                raise StoreError(f"{stored.url}: {_cause(error)}") from error
+        if received != (stored.bytes, stored.sha256):
+            raise StoreError(f"{stored.url} is not what was stored on {stored.stored}")
+        part.replace(target)
+    finally:
+        part.unlink(missing_ok=True)
 
 
 def mark(folder: Path, stored: Stored) -> None:
@@ -160,10 +164,7 @@ def stored_of(folder: Path) -> Stored | None:
     path = folder / form.STORED
     if not path.exists():
         return None
-    return _stored(path, read_json_object(path))
-
-
-def _stored(path: Path, data: Mapping[str, Any]) -> Stored:
+    data = read_json_object(path)
     try:
         return Stored(data["url"], int(data["bytes"]), data["sha256"], data["stored"])
     except (KeyError, TypeError, ValueError) as error:
@@ -176,17 +177,23 @@ def name_of(recording: Path, line: str) -> str:
     return f"{line.replace('/', '_')}/{recording.parent.name}/{form.FILE}"
 
 
-def _hash(files: Any, path: str, turn: Turn) -> tuple[int, str]:
-    """Size and SHA-256 of what a store holds, read from its beginning to its end."""
+def _pass_on(
+    read: Callable[[int], bytes], write: Callable[[bytes], object], turn: Turn
+) -> tuple[int, str]:
+    """Write what is read, block by block, each in its turn; size in bytes, and SHA-256."""
     digest, size = hashlib.sha256(), 0
-    with files.open(path, "rb", block_size=BLOCK_BYTES, cache_type="readahead") as file:
-        while True:
-            with turn():
-                block = file.read(BLOCK_BYTES)
-            if not block:
-                return size, digest.hexdigest()
-            digest.update(block)
-            size += len(block)
+    while True:
+        with turn():
+            block = read(BLOCK_BYTES)
+            write(block)
+        if not block:
+            return size, digest.hexdigest()
+        digest.update(block)
+        size += len(block)
+
+
+def _nowhere(block: bytes) -> None:
+    """What is only to be hashed."""
 
 
 def _json(stored: Stored) -> str:

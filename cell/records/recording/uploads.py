@@ -5,7 +5,6 @@ from __future__ import annotations
 import fcntl
 import logging
 import threading
-import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -24,7 +23,7 @@ HOLD_S = 2.0
 #: … and the end of a run for the recordings that are not uploaded yet.
 CLOSE_S = 60.0
 #: How often it is looked for a recording that its recorder has yet to finish, s.
-_LOOK_S = 0.05
+_LOOK_S = 0.1
 
 
 class _NotNowError(Exception):
@@ -114,7 +113,6 @@ class Uploads:
         self._over.set()
         self._wake.set()
         self._thread.join(CLOSE_S if self._empty.is_set() else HOLD_S)
-        self._over.set()
         if self._left or self._thread.is_alive():
             why = self._failed or "there was no time"
             if not self._empty.is_set():
@@ -131,12 +129,13 @@ class Uploads:
         left = deque(waiting(self._runs))
         pause_s = _FIRST_S
         while True:
-            self._take_new(left)
+            over = self._over.is_set()
+            unfinished = self._take_new(left)
             self._left = len(left)
             if not left:
-                if self._over.is_set():
+                if over:
                     return
-                self._wake.wait()
+                self._wake.wait(_LOOK_S if unfinished else None)
                 self._wake.clear()
                 continue
             try:
@@ -148,6 +147,7 @@ class Uploads:
                     _LOG.warning("uploads: %s: recordings stay here until it is there", error)
                 pause_s = min(_LAST_S, 2.0 * pause_s) if self._failed else _FIRST_S
                 self._failed = str(error)
+                left.rotate(-1)  # it may be this one alone
                 if self._over.is_set():
                     return
                 self._over.wait(pause_s)
@@ -160,15 +160,12 @@ class Uploads:
             self._store = self._open_store()
         return self._store
 
-    def _take_new(self, left: deque[Path]) -> None:
-        """Recordings that have ended, once their recorder has finished them."""
-        while self._new:
-            path = self._new[0]
-            while path.with_name(form.PART).exists() and not path.exists():
-                time.sleep(_LOOK_S)
-            self._new.popleft()
-            if path.exists() and path not in left:
-                left.append(path)
+    def _take_new(self, left: deque[Path]) -> bool:
+        """Take recordings that have ended and are files; whether some are none yet, or are torn."""
+        for _ in range(len(self._new)):
+            path = self._new.popleft()
+            (left if path.exists() else self._new).append(path)
+        return bool(self._new)
 
     @contextmanager
     def _turn(self) -> Iterator[None]:

@@ -10,9 +10,9 @@ import pytest
 
 from cell.build import cell_task
 from cell.plan import closer
+from cell.plan.choose import Freedom
 from cell.plan.closer import EVERY_S, MOST
 from cell.plan.paths import insertion_path
-from cell.run.station import Freedom
 from cell.settings import load_settings
 from drivers.interfaces import Pose
 from tools.worlds.fast_cell import fast_cycle
@@ -20,6 +20,10 @@ from tools.worlds.fast_cell import fast_cycle
 ROOT = Path(__file__).parents[3]
 SETTINGS = load_settings(ROOT / "config" / "fake.yaml")
 FREELY = Freedom(0.25, (1.3,))
+
+
+def free(task):
+    return replace(task, choice=replace(task.choice, freely=FREELY))
 
 
 def narrow(half_mm: float):
@@ -38,7 +42,7 @@ def test_a_narrow_mouth_that_no_offset_passes(number):
     task = cell_task(settings)
     before = fast_cycle(settings, 7, number, task=task, only_chosen=True)
     assert before.outcome == "rejected"
-    now = fast_cycle(settings, 7, number, task=replace(task, freely=FREELY), only_chosen=True)
+    now = fast_cycle(settings, 7, number, task=free(task), only_chosen=True)
     assert now.outcome == "inserted"
     best = now.choice.best
     assert best.delay_s > 0.0 or best.pace > 1.0
@@ -46,7 +50,7 @@ def test_a_narrow_mouth_that_no_offset_passes(number):
 
 
 def test_where_an_offset_passes_surely_it_is_done_at_once():
-    task = replace(cell_task(SETTINGS), freely=FREELY)
+    task = free(cell_task(SETTINGS))
     cycle = fast_cycle(SETTINGS, 7, 1, task=task, only_chosen=True)
     assert cycle.outcome == "inserted"
     assert (cycle.choice.best.delay_s, cycle.choice.best.pace) == (0.0, 1.0)
@@ -62,7 +66,7 @@ def test_the_coarse_look_promises_what_the_close_one_finds(monkeypatch):
 
     monkeypatch.setattr(closer, "_widest", spy)
     settings = narrow(1.0)
-    task = replace(cell_task(settings), freely=FREELY)
+    task = free(cell_task(settings))
     cycle = fast_cycle(settings, 7, 5, task=task, only_chosen=True)
     coming = cycle.candidates.forecast
     count = len(task.offsets_m)

@@ -279,3 +279,50 @@ def test_a_mark_that_was_changed_is_told_of(tmp_path):
     (tmp_path / form.STORED).write_text('{"url": "s3://bucket"}')
     with pytest.raises(InputError, match="does not say where"):
         stored_of(tmp_path)
+
+
+def test_a_torn_recording_blocks_no_other(tmp_path, slow):
+    """The thread waited for its file for ever."""
+    sent = Uploads(lambda: slow.store, tmp_path, "line3")
+    torn = tmp_path / "torn" / form.FILE
+    torn.parent.mkdir()
+    torn.with_name(form.PART).touch()
+    sent.start()
+    sent.jaws(holding=False)
+    sent.add(torn)
+    other = recording_of(tmp_path, 1)
+    sent.add(other)
+    wait_until(lambda: not other.exists())
+    sent.close()
+    assert not sent._thread.is_alive() and not sent.notes
+
+
+def test_a_recording_that_is_finished_late_is_uploaded(tmp_path, slow):
+    """The recorder may have begun nothing yet when the cycle ends."""
+    sent = Uploads(lambda: slow.store, tmp_path, "line3")
+    sent.start()
+    sent.jaws(holding=False)
+    sent.add(tmp_path / "20261124T101501.000-1" / form.FILE)
+    time.sleep(0.3)
+    late = recording_of(tmp_path, 1)
+    wait_until(lambda: not late.exists())
+    sent.close()
+
+
+def test_one_that_cannot_be_sent_stops_no_other(tmp_path, slow, monkeypatch):
+    monkeypatch.setattr(uploads, "_FIRST_S", 0.05)
+    first, second = recording_of(tmp_path, 1), recording_of(tmp_path, 2)
+    put = slow.store.put
+
+    def refusing(source, *rest):
+        if source == first:
+            raise StoreError("not this one")
+        return put(source, *rest)
+
+    monkeypatch.setattr(slow.store, "put", refusing)
+    sent = Uploads(lambda: slow.store, tmp_path, "line3")
+    sent.start()
+    sent.jaws(holding=False)
+    wait_until(lambda: not second.exists())
+    sent.close()
+    assert first.exists() and "not this one" in sent.notes[0]
