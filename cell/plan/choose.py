@@ -88,6 +88,14 @@ class Forecast:
         tip_m = self.tip_m + self.sensitivity @ (mean - self.mean)
         return replace(self, mean=mean, tip_m=tip_m)
 
+    def beside(self, more: Forecast) -> Forecast:
+        """These offsets and more, of the same cable at the same times."""
+        joined = {
+            name: np.concatenate([getattr(self, name), getattr(more, name)])
+            for name in ("offsets_m", "delays_s", "paces", "tip_m", "sensitivity")
+        }
+        return replace(self, **joined)
+
 
 @dataclass(frozen=True)
 class OffsetForecast:
@@ -135,6 +143,7 @@ def forecast(
     delays_s: FloatArray | None = None,
     paces: FloatArray | None = None,
     begin_s: float = 0.0,
+    end_s: float | None = None,
     solver: Solver = Solver(),  # noqa: B008
     options: ChoiceOptions = ChoiceOptions(),
 ) -> Forecast:
@@ -145,12 +154,13 @@ def forecast(
              identification, because an effect may depend on the time.
     delays_s, paces   (O,) of the motions, see `Forecast`; None = none is late or slow
     begin_s  when the path begins on that clock
+    end_s    until when; None = until the last motion ends
     raises   ValueError: not one motion per offset; what the engine raises
     """
     if len(motions) != len(offsets_m):
         raise ValueError(f"{len(offsets_m)} offsets but {len(motions)} motions")
-    end_s = max(float(m.t_s[-1]) for m in motions) - begin_s
-    t_s = np.arange(0.0, end_s + options.interval_s, options.interval_s)
+    end_s = max(float(m.t_s[-1]) for m in motions) if end_s is None else end_s
+    t_s = np.arange(0.0, end_s - begin_s + options.interval_s, options.interval_s)
     at_s = begin_s + t_s
     space, mean = identified.space, identified.mean
     tip_at_m = np.array([space.cable.free_length_m])

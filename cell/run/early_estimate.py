@@ -5,7 +5,7 @@ from __future__ import annotations
 from concurrent.futures import BrokenExecutor, Future
 from contextlib import nullcontext
 from dataclasses import replace
-from typing import TypeVar
+from typing import TypedDict, TypeVar
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from cell.computer.second_process import SecondProcess
 from cell.identify.hand import HandErrors
 from cell.identify.identified import Identified
 from cell.identify.individual import CableRejectedError, IdentifyOptions, identify, predict_frames
-from cell.plan.choose import forecast
+from cell.plan.choose import ChoiceOptions, choose, forecast
 from cell.plan.closer import closer_look
 from cell.plan.paths import executed_motion, insertion_path
 from cell.run.commands import Commands
@@ -31,10 +31,27 @@ from drivers.interfaces import Trajectory
 
 Value = TypeVar("Value")
 
+
+class Simulated(TypedDict):
+    """How insertions are simulated, see `forecast`."""
+
+    begin_s: float
+    end_s: float
+    solver: Solver
+    options: ChoiceOptions
+
+
 #: Shares of the hold after which the cable is identified from the frames so far: at first from
 #: scratch; then, starting there, nearly finally, with a simulation of the frames to come and of all
 #: offsets.  The time after each is several times what it needs.
 SHARES = (0.2, 0.6)
+
+#: Shares where insertions may begin later (`Freedom`): to look for them takes as long again.
+SHARES_FREELY = (0.2, 0.45)
+
+#: An offset whose margin is so many times its standard deviation passes surely: no other moment is
+#: looked at.
+SURE = 4.0
 
 #: A computation that takes longer has failed, s.
 LONGEST_S = 5.0
@@ -58,11 +75,12 @@ class EarlyEstimator:
         hold_s = self._filming.end_s - self._filming.rest_s
         share = (sightings[-1].t_s - self._filming.rest_s) / hold_s
         station = self._station
-        if self._first is None and share >= SHARES[0]:
+        shares = SHARES if station.task.choice.freely.window_s == 0.0 else SHARES_FREELY
+        if self._first is None and share >= shares[0]:
             self._first = station.computer.submit(
                 _identify_so_far, station.task, filmed_so_far(station, self._filming, sightings)
             )
-        elif self._first is not None and self._second is None and share >= SHARES[1]:
+        elif self._first is not None and self._second is None and share >= shares[1]:
             self._second = station.computer.submit(
                 _estimate,
                 station.task,
@@ -125,37 +143,35 @@ def simulate_offsets(
         )
         return hand.later(begin_s)
 
-    offsets_m = np.array(task.offsets_m)
+    choice = task.choice
     paths = [path(o) for o in task.offsets_m]
-    motions = [motion(p) for p in paths]
-    delays_s, paces = np.zeros(len(paths)), np.ones(len(paths))
-    if task.choice.freely.window_s > 0.0:
-        closer = closer_look(
-            identified,
-            offsets_m,
-            motions,
-            lambda offset_m, pace: motion(path(offset_m, pace=pace)),
-            task.destination,
-            begin_s=begin_s,
-            solver=solver,
-            options=task.choice,
-        )
-        new = [path(*(float(v) for v in one)) for one in zip(*closer, strict=True)]
-        paths, motions = paths + new, motions + [motion(p) for p in new]
-        offsets_m, delays_s, paces = (
-            np.concatenate(pair) for pair in zip((offsets_m, delays_s, paces), closer, strict=True)
-        )
-    expected = forecast(
+    longest = path(
+        task.offsets_m[-1], choice.freely.window_s, max([1.0, *choice.freely.paces], default=1.0)
+    )
+    how: Simulated = {
+        "begin_s": begin_s,
+        "end_s": float(motion(longest).t_s[-1]),
+        "solver": solver,
+        "options": choice,
+    }
+    expected = forecast(identified, np.array(task.offsets_m), [motion(p) for p in paths], **how)
+    at_once = choose(expected, identified, task.destination, choice).best
+    if choice.freely.window_s == 0.0 or at_once.margin_m > SURE * at_once.margin_std_m:
+        return Candidates(start_s, tuple(paths), expected)
+    spots = closer_look(
         identified,
-        offsets_m,
-        motions,
-        delays_s=delays_s,
-        paces=paces,
+        expected,
+        lambda offset_m, pace: motion(path(offset_m, pace=pace)),
+        task.destination,
         begin_s=begin_s,
         solver=solver,
-        options=task.choice,
+        options=choice,
     )
-    return Candidates(start_s, tuple(paths), expected)
+    new = [path(*(float(v) for v in one)) for one in zip(*spots, strict=True)]
+    offsets_m, delays_s, paces = spots
+    motions = [motion(p) for p in new]
+    closer = forecast(identified, offsets_m, motions, delays_s=delays_s, paces=paces, **how)
+    return Candidates(start_s, (*paths, *new), expected.beside(closer))
 
 
 def _result(job: Future[Value], commands: Commands) -> Value | None:

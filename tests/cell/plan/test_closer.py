@@ -11,7 +11,7 @@ import pytest
 from cell.build import cell_task
 from cell.plan import closer
 from cell.plan.choose import Freedom
-from cell.plan.closer import EVERY_S, MOST
+from cell.plan.closer import ALIKE_S, MOST
 from cell.plan.paths import insertion_path
 from cell.settings import load_settings
 from drivers.interfaces import Pose
@@ -76,15 +76,15 @@ def test_the_coarse_look_promises_what_the_close_one_finds(monkeypatch):
     assert close.max() == pytest.approx(margins.max(), abs=2.5e-4)
     for pace in (1.0, 1.3):
         at_s = np.sort(coming.delays_s[count:][coming.paces[count:] == pace])
-        assert np.all(np.diff(at_s) >= EVERY_S - 1e-9)
+        assert np.all(np.diff(at_s) >= ALIKE_S - 1e-9)
 
 
 def test_places_between_are_exact_for_a_cubic():
     known = np.linspace(0.0, 0.01, 6)
-    fine, weights = closer._between(known, 1e-3)
+    fine, weights = closer._between(known, np.linspace(0.0, 0.01, 11))
     assert weights @ known**3 == pytest.approx(fine**3, abs=1e-15)
     assert fine[-1] == pytest.approx(known[-1])
-    one, alone = closer._between(known[:1], 1e-3)
+    one, alone = closer._between(known[:1], known)
     assert (one.tolist(), alone.tolist()) == ([0.0], [[1.0]])
 
 
