@@ -98,7 +98,10 @@ def _same_motion(motion: Motion, predicted: Motion) -> bool:
 
 
 def extended_at_rest(motion: Motion, until_s: float) -> Motion:
-    """A log that goes on at rest: its end, back and forth, so that its noise goes on as well."""
+    """A log that goes on at rest: its end, back and forth, so that its noise goes on as well.
+
+    Only the later half of the rest: in the first one the hand still settles.
+    """
     interval_s = float(motion.t_s[-1] - motion.t_s[0]) / (len(motion.t_s) - 1)
     more = int(np.ceil((until_s - float(motion.t_s[-1])) / interval_s))
     if more <= 0:
@@ -108,7 +111,7 @@ def extended_at_rest(motion: Motion, until_s: float) -> Motion:
         value = getattr(motion, name)
         moved |= np.abs(value - np.median(value[-10:])) > limit
     count = int(np.argmax(moved[::-1])) if moved.any() else len(moved)
-    back = len(moved) - 1 - np.arange(max(1, count))
+    back = len(moved) - 1 - np.arange(max(1, count // 2))
     again = np.resize(np.concatenate([back, back[::-1]]), more)
     return Motion(
         np.concatenate([motion.t_s, motion.t_s[-1] + interval_s * np.arange(1, more + 1)]),

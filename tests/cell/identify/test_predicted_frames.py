@@ -174,3 +174,10 @@ def test_a_log_is_held_on_at_rest_with_its_noise() -> None:
     assert np.mean(after) == pytest.approx(-0.05, abs=2e-6)
     assert np.std(after) == pytest.approx(1e-5, rel=0.15)
     assert extended_at_rest(held, 1.0) is held
+
+
+def test_a_hand_that_settled_does_not_settle_again() -> None:
+    t_s = np.arange(0.0, 0.9, 0.002)
+    y_m = -0.05 * (1.0 - np.exp(-t_s / 0.06))
+    held = extended_at_rest(Motion(t_s, np.zeros_like(t_s), y_m, np.zeros_like(t_s)), 2.0)
+    assert np.abs(held.y_m[len(t_s) :] + 0.05).max() < 2e-5  # 0.1 mm where its rest begins
