@@ -140,19 +140,16 @@ def forecast(
     offsets_m: FloatArray,
     motions: Sequence[Motion],
     *,
-    delays_s: FloatArray | None = None,
-    paces: FloatArray | None = None,
     begin_s: float = 0.0,
     end_s: float | None = None,
     solver: Solver = Solver(),  # noqa: B008
     options: ChoiceOptions = ChoiceOptions(),
 ) -> Forecast:
-    """Simulate every offset, and how its tip depends on every parameter.
+    """Simulate every offset, and how its tip depends on every parameter; none is late or slow.
 
     motions  of the hand, one per offset, the same until the path begins (see `executed_motion`):
              that the cable still swings from it is simulated once for all.  On the clock of the
              identification, because an effect may depend on the time.
-    delays_s, paces   (O,) of the motions, see `Forecast`; None = none is late or slow
     begin_s  when the path begins on that clock
     end_s    until when; None = until the last motion ends
     raises   ValueError: not one motion per offset; what the engine raises
@@ -173,9 +170,8 @@ def forecast(
     nearby_m = nearby_m[:, :, :, 0]
     step = np.diag(lanes[1:] - mean)
     slopes = (nearby_m[:, 1:] - nearby_m[:, :1]) / step[:, None, None]
-    delays_s = np.zeros(len(offsets_m)) if delays_s is None else delays_s
-    paces = np.ones(len(offsets_m)) if paces is None else paces
-    return Forecast(offsets_m, delays_s, paces, t_s, mean, tip_m, np.moveaxis(slopes, 1, -1))
+    none, usual = np.zeros(len(offsets_m)), np.ones(len(offsets_m))
+    return Forecast(offsets_m, none, usual, t_s, mean, tip_m, np.moveaxis(slopes, 1, -1))
 
 
 def coarsened(solver: Solver) -> Solver:
@@ -196,10 +192,9 @@ def choose(
     expected  forecast of `identified` or of nearly the same cable, made while the hold went on
     """
     expected = expected.moved_to(identified.mean)
-    deviates = _deviates(len(identified.mean) + 1, options.samples)
-    shift = deviates[:, :-1] @ identified.root.T
-    missed_m = options.model_error_growth * identified.model_error_m
-    raised_m = float(np.hypot(missed_m, options.repeatability_m)) * deviates[:, -1]
+    drawn = deviates(len(identified.mean) + 1, options.samples)
+    shift = drawn[:, :-1] @ identified.root.T
+    raised_m = missed_height_m(identified, options) * drawn[:, -1]
     margins = np.array([destination.margin_m(tips) for tips in _tips(expected, shift, raised_m)])
     probable = destination.margin_m(expected.tip_m)
     table = tuple(
@@ -233,11 +228,18 @@ def choose(
             f"{best.offset_m * 1e3:.0f} mm, with {best.probability:.2f} "
             f"(margin {best.margin_m * 1e3:+z.2f} mm)"
         )
+        missed_m = options.model_error_growth * identified.model_error_m
         model_misses = missed_m > options.repeatability_m
         if model_misses:
             missed_mm = identified.model_error_m * 1e3
             reason += f"; the model misses this cable's tip by {missed_mm:.2f} mm while it swings"
     return Choice(best, table, reason, expected.t_s, expected.tip_m[index], model_misses)
+
+
+def missed_height_m(identified: Identified, options: ChoiceOptions) -> float:
+    """Standard deviation of the tip's height for reasons that are not the cable's parameters, m."""
+    missed_m = options.model_error_growth * identified.model_error_m
+    return float(np.hypot(missed_m, options.repeatability_m))
 
 
 def _tips(expected: Forecast, shift: FloatArray, raised_m: FloatArray) -> Iterator[FloatArray]:
@@ -256,7 +258,7 @@ def _tips(expected: Forecast, shift: FloatArray, raised_m: FloatArray) -> Iterat
 
 
 @lru_cache(maxsize=8)
-def _deviates(dimensions: int, samples: int) -> FloatArray:
+def deviates(dimensions: int, samples: int) -> FloatArray:
     """(samples, dimensions) standard normal deviates, one in every stratum, same every time.
 
     Means, spreads and correlations are made those of the distribution itself, so more samples

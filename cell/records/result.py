@@ -85,6 +85,8 @@ class Result:
     residual_rms_m, noise_m   what the identified model misses of the frames, and their noise
     model               hash of the section `model` of the settings
     wait_s              how long the robot stood waiting for the computer
+    hold_saved_s        how much shorter than its longest the hold was, because more frames would
+                        not have mattered
     seconds             time of each step, s
     state_seconds       time spent in each state of the cell, s
     parameters          of this cable, as identified: name → value, SI units
@@ -121,6 +123,7 @@ class Result:
     part: str | None = None
     delay_s: float | None = None
     pace: float | None = None
+    hold_saved_s: float | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Plain data for json.dumps; what is not finite becomes None."""

@@ -2,59 +2,62 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from concurrent.futures import BrokenExecutor, Future
-from contextlib import nullcontext
-from dataclasses import replace
-from typing import TypedDict, TypeVar
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
-from cell.cable.geometry import Motion
 from cell.cable.solver import DivergedError, Solver, threads
 from cell.cable.statics import UnsettledError
 from cell.computer.second_process import SecondProcess
 from cell.identify.hand import HandErrors
 from cell.identify.identified import Identified
 from cell.identify.individual import CableRejectedError, IdentifyOptions, identify, predict_frames
-from cell.plan.choose import ChoiceOptions, choose, forecast
-from cell.plan.closer import closer_look
-from cell.plan.paths import executed_motion, insertion_path
+from cell.plan.choose import choose
+from cell.plan.enough import enough_frames
+from cell.run.candidates import simulate_offsets
 from cell.run.commands import Commands
 from cell.run.filming import filmed_so_far
-from cell.run.findings import Candidates, EarlyEstimate, FilmedMotion, Filming
+from cell.run.findings import EarlyEstimate, FilmedMotion, Filming
 from cell.run.station import Station, Task, Timing
-from cell.run.trials import hand_offset_m_rad, held_trial, moved
+from cell.run.trials import held_trial
 from cell.run.waiting import POLL_S
-from cell.study.data import Trial
 from cell.vision.sighting import Sighting
-from drivers.interfaces import Trajectory
 
 Value = TypeVar("Value")
 
-
-class Simulated(TypedDict):
-    """How insertions are simulated, see `forecast`."""
-
-    begin_s: float
-    end_s: float
-    solver: Solver
-    options: ChoiceOptions
-
-
-#: Shares of the hold after which the cable is identified from the frames so far: at first from
+#: Shares of a fixed hold after which the cable is identified from the frames so far: at first from
 #: scratch; then, starting there, nearly finally, with a simulation of the frames to come and of all
 #: offsets.  The time after each is several times what it needs.
 SHARES = (0.2, 0.6)
-
-#: Shares where insertions may begin later (`Freedom`): to look for them takes as long again.
+#: The same where insertions may begin later (`Freedom`): to look for them takes as long again.
 SHARES_FREELY = (0.2, 0.45)
 
-#: An offset whose margin is so many times its standard deviation passes surely: no other moment is
-#: looked at.
-SURE = 4.0
+#: Where a hold may end early all that is done so long before it may, s, and again from then on …
+AHEAD_S, AHEAD_FREELY_S = 0.3, 0.45
+#: … but not before the hand has rested so long.
+FIRST_S = 0.1
 
 #: A computation that takes longer has failed, s.
 LONGEST_S = 5.0
+
+
+@dataclass(frozen=True)
+class Look:
+    """A computation while a hold is filmed.
+
+    after_s  when the hand has rested so long
+    filming  the hold, as if it ended when this is used; None = it only identifies the cable
+    """
+
+    after_s: float
+    filming: Filming | None
+
+
+Found = EarlyEstimate | Identified | None
 
 
 class EarlyEstimator:
@@ -65,113 +68,80 @@ class EarlyEstimator:
     """
 
     def __init__(self, station: Station, filming: Filming) -> None:
-        self._station = station
-        self._filming = filming
-        self._first: Future[Identified | None] | None = None
-        self._second: Future[EarlyEstimate | None] | None = None
+        self._station, self._filming = station, filming
+        self._coming = list(_looks(station.task, station.timing, filming))
+        self._running: list[tuple[Look, Future[Found]]] = []
 
-    def update(self, sightings: list[Sighting]) -> None:
-        """Start a computation if enough frames have come; the second one waits for the first."""
-        hold_s = self._filming.end_s - self._filming.rest_s
-        share = (sightings[-1].t_s - self._filming.rest_s) / hold_s
-        station = self._station
-        shares = SHARES if station.task.choice.freely.window_s == 0.0 else SHARES_FREELY
-        if self._first is None and share >= shares[0]:
-            self._first = station.computer.submit(
-                _identify_so_far, station.task, filmed_so_far(station, self._filming, sightings)
-            )
-        elif self._first is not None and self._second is None and share >= shares[1]:
-            self._second = station.computer.submit(
-                _estimate,
-                station.task,
-                station.timing,
-                replace(self._filming, sightings=(), pictures=()),
-                filmed_so_far(station, self._filming, sightings),
-                _result(self._first, station.commands),
-            )
+    def update(self, sightings: list[Sighting]) -> bool:
+        """Start a computation if enough frames have come; each one waits for the one before it.
 
-    def result(self) -> EarlyEstimate | None:
-        """The early estimate, waiting for it; None if the first frames were not enough.
+        returns  whether the hold may end with the last of these frames
+        """
+        station, filming = self._station, self._filming
+        ending = self._ending_with(len(sightings))
+        if ending is not None and len(sightings) < filming.frame_count:
+            found = self._waited_for(ending)
+            if isinstance(found, EarlyEstimate) and found.enough:
+                return True
+        rested_s = sightings[-1].t_s - filming.rest_s
+        if self._coming and rested_s >= self._coming[0].after_s:
+            look = self._coming.pop(0)
+            before = _result(self._running[-1][1], station.commands) if self._running else None
+            so_far = filmed_so_far(station, filming, sightings)
+            previous = before.identified if isinstance(before, EarlyEstimate) else before
+            unpictured = _without_pictures(look.filming)
+            asked = station.task, station.timing, so_far, previous, unpictured
+            self._running.append((look, station.computer.submit(_look, *asked)))
+        return False
+
+    def result(self, frame_count: int) -> EarlyEstimate | None:
+        """The estimate for a hold of so many frames, waiting for it; None if there is none.
 
         No frame is looked at any more, so what computes it need not give way.
         """
-        if self._second is None:
-            return None
-        computer = self._station.computer
-        hurry = computer.hurried() if isinstance(computer, SecondProcess) else nullcontext()
-        with hurry:
-            return _result(self._second, self._station.commands)
+        ending = self._ending_with(frame_count)
+        found = None if ending is None else self._waited_for(ending)
+        return found if isinstance(found, EarlyEstimate) else None
 
     def close(self) -> None:
         """Cancel what has not begun."""
-        for job in (self._first, self._second):
-            if job is not None:
-                job.cancel()
+        for _, job in self._running:
+            job.cancel()
+
+    def _ending_with(self, frame_count: int) -> Future[Found] | None:
+        for look, job in self._running:
+            if look.filming is not None and look.filming.frame_count == frame_count:
+                return job
+        return None
+
+    def _waited_for(self, job: Future[Found]) -> Found:
+        computer = self._station.computer
+        hurry: AbstractContextManager[None] = nullcontext()
+        if isinstance(computer, SecondProcess):
+            hurry = computer.hurried()
+        with hurry:
+            return _result(job, self._station.commands)
 
 
-def simulate_offsets(
-    task: Task,
-    timing: Timing,
-    filmed: FilmedMotion,
-    trial: Trial,
-    identified: Identified,
-    start_s: float,
-    solver: Solver = Solver(),  # noqa: B008
-) -> Candidates:
-    """Simulate every offset as it would be executed from `start_s` on.
+def _looks(task: Task, timing: Timing, filming: Filming) -> Iterator[Look]:
+    """What to compute while a hold is filmed, in its order."""
+    most_s = filming.end_s - filming.rest_s
+    if task.least_hold_s is None:
+        first, second = SHARES if task.choice.freely.window_s == 0.0 else SHARES_FREELY
+        yield Look(first * most_s, None)
+        yield Look(second * most_s, filming)
+        return
+    for after_s, end_s in possible_ends_s(task, task.least_hold_s, most_s):
+        count = filming.frame_count - int((most_s - end_s) * timing.frame_rate_hz)
+        yield Look(after_s, replace(filming, end_s=filming.rest_s + end_s, frame_count=count))
 
-    The cable still swings from the hand's motion before; the hand follows with its known
-    lag, and is seen by the camera a constant beside where the arm says it is.  Time goes on as in
-    the hold, in which the cable was identified: an effect may depend on it.
 
-    start_s  on the cell's clock, s
-    raises   DivergedError, UnsettledError
-    """
-    begin_s = start_s - filmed.begin_s
-    history = trial.grip.later(-begin_s)
-    beside = hand_offset_m_rad(filmed.hand, trial.grip)
-
-    def path(offset_m: float, delay_s: float = 0.0, pace: float = 1.0) -> Trajectory:
-        lowered, limits = task.lowered, task.insertion.slowed(pace)
-        return insertion_path(
-            lowered, offset_m, task.advance_m, limits, timing.arm_rate_hz, delay_s=delay_s
-        )
-
-    def motion(path: Trajectory) -> Motion:
-        hand = executed_motion(
-            moved(path, beside), timing.arm_lag_s, settle_s=task.settle_s, history=history
-        )
-        return hand.later(begin_s)
-
-    choice = task.choice
-    paths = [path(o) for o in task.offsets_m]
-    longest = path(
-        task.offsets_m[-1], choice.freely.window_s, max([1.0, *choice.freely.paces], default=1.0)
-    )
-    how: Simulated = {
-        "begin_s": begin_s,
-        "end_s": float(motion(longest).t_s[-1]),
-        "solver": solver,
-        "options": choice,
-    }
-    expected = forecast(identified, np.array(task.offsets_m), [motion(p) for p in paths], **how)
-    at_once = choose(expected, identified, task.destination, choice).best
-    if choice.freely.window_s == 0.0 or at_once.margin_m > SURE * at_once.margin_std_m:
-        return Candidates(start_s, tuple(paths), expected)
-    spots = closer_look(
-        identified,
-        expected,
-        lambda offset_m, pace: motion(path(offset_m, pace=pace)),
-        task.destination,
-        begin_s=begin_s,
-        solver=solver,
-        options=choice,
-    )
-    new = [path(*(float(v) for v in one)) for one in zip(*spots, strict=True)]
-    offsets_m, delays_s, paces = spots
-    motions = [motion(p) for p in new]
-    closer = forecast(identified, offsets_m, motions, delays_s=delays_s, paces=paces, **how)
-    return Candidates(start_s, (*paths, *new), expected.beside(closer))
+def possible_ends_s(task: Task, least_s: float, most_s: float) -> Iterator[tuple[float, float]]:
+    """After how long a hold may end, and after how long that is decided, this first, s."""
+    ahead_s = AHEAD_S if task.choice.freely.window_s == 0.0 else AHEAD_FREELY_S
+    first_s = max(least_s, FIRST_S + ahead_s)
+    for end_s in (*np.arange(first_s, most_s - 0.5 * ahead_s, ahead_s), most_s):
+        yield float(end_s) - ahead_s, float(end_s)
 
 
 def _result(job: Future[Value], commands: Commands) -> Value | None:
@@ -194,12 +164,8 @@ def _result(job: Future[Value], commands: Commands) -> Value | None:
 def _identify_so_far(
     task: Task, so_far: FilmedMotion, previous: Identified | None = None
 ) -> Identified | None:
-    """The cable as it seems from the frames so far; None if they are not enough.
-
-    How sure that is does not matter yet, so the hand's errors are left out.
-    """
-    options = _leaving_a_core(task.identification)
-    options = replace(options, fit=replace(options.fit, hand=HandErrors(samples=0)))
+    """The cable as it seems from the frames so far; None if they are not enough."""
+    options = without_hand_errors(_leaving_a_core(task.identification))
     try:
         return identify(
             held_trial(so_far), task.arc_length_m, task.cable, previous=previous, options=options
@@ -208,12 +174,20 @@ def _identify_so_far(
         return None
 
 
-def _estimate(
-    task: Task, timing: Timing, filming: Filming, so_far: FilmedMotion, first: Identified | None
-) -> EarlyEstimate | None:
-    identified = _identify_so_far(task, so_far, first)
-    if identified is None:
-        return None
+def _without_pictures(filming: Filming | None) -> Filming | None:
+    return None if filming is None else replace(filming, sightings=(), pictures=())
+
+
+def _look(
+    task: Task,
+    timing: Timing,
+    so_far: FilmedMotion,
+    previous: Identified | None,
+    filming: Filming | None,
+) -> Found:
+    identified = _identify_so_far(task, so_far, previous)
+    if identified is None or filming is None:
+        return identified
     trial = held_trial(so_far)
     options = _leaving_a_core(task.identification)
     missing = filming.frame_count - len(so_far.sightings)
@@ -222,13 +196,18 @@ def _estimate(
     start_s = filming.end_s + task.decide_s
     solver = Solver(threads=_spare_threads())
     try:
-        return EarlyEstimate(
-            identified,
-            predict_frames(trial, t_s, task.arc_length_m, identified, options),
-            simulate_offsets(task, timing, so_far, trial, identified, start_s, solver),
-        )
+        predicted = predict_frames(trial, t_s, task.arc_length_m, identified, options)
+        candidates = simulate_offsets(task, timing, so_far, trial, identified, start_s, solver)
     except (DivergedError, UnsettledError):
         return None
+    asked = candidates.forecast, identified, task.destination, task.choice
+    enough = task.least_hold_s is not None and enough_frames(choose(*asked), *asked)
+    return EarlyEstimate(identified, predicted, candidates, enough)
+
+
+def without_hand_errors(options: IdentifyOptions) -> IdentifyOptions:
+    """How sure a cable is does not matter yet."""
+    return replace(options, fit=replace(options.fit, hand=HandErrors(samples=0)))
 
 
 def _leaving_a_core(options: IdentifyOptions) -> IdentifyOptions:

@@ -53,17 +53,19 @@ def capture(
     station: Station,
     filming: Filming,
     keep_every: int,
-    after_each: Callable[[list[Sighting]], None] = lambda sightings: None,
+    enough: Callable[[list[Sighting]], bool] = lambda sightings: False,
 ) -> FilmedMotion:
     """See the filming to its end, and make sure that the arm rests and the cable is still held.
 
     What follows moves the arm again or opens the jaws; the film may be over before the arm rests.
-    after_each  is told of every sighting, and those before it, as it comes
-    raises      CameraError, StoppedError, DeviceTimeoutError, GripError
+    enough  is told of every sighting, and those before it, as it comes; says whether it is the last
+    raises  CameraError, StoppedError, DeviceTimeoutError, GripError
     """
     reader = _FrameReader(station, keep_every, filming)
-    taken_at_s = reader.read_until(np.inf, after_each)
-    if len(reader.sightings) < filming.frame_count:
+    taken_at_s = reader.read_until(np.inf, enough)
+    if reader.ended:
+        station.devices.camera.stop()
+    elif len(reader.sightings) < filming.frame_count:
         raise CameraError(
             station.devices.camera.name,
             f"only {len(reader.sightings)} of {filming.frame_count} frames came",
@@ -100,14 +102,16 @@ class _FrameReader:
         self.sightings: list[Sighting] = [] if filming is None else list(filming.sightings)
         self.pictures: list[Frame] = [] if filming is None else list(filming.pictures)
         self.delay_s = np.inf if filming is None else filming.delay_s
+        self.ended = False
 
     def read_until(
         self,
         until_s: float,
-        after_each: Callable[[list[Sighting]], None] = lambda sightings: None,
+        enough: Callable[[list[Sighting]], bool] = lambda sightings: False,
     ) -> float:
         """Find the cable in the frames that can be had until a moment on the cell's clock.
 
+        It has `ended` if one was said to be the last.
         returns  when the last of them was taken, by the computer's own clock
         """
         camera, clock = self._station.devices.camera, self._station.devices.clock
@@ -116,13 +120,16 @@ class _FrameReader:
             frames = self._waiting_frames()
             if not frames:
                 break
-            taken_at_s = time.perf_counter() - (clock.now_s() - frames[-1].t_s)
+            own_s = time.perf_counter() - clock.now_s()
             self._station.commands.check()
             for frame, sighting in zip(frames, self._look_at(frames), strict=True):
                 self.sightings.append(sighting)
                 if frame.index % self._keep_every == 0:
                     self.pictures.append(frame)
-                after_each(self.sightings)
+                taken_at_s = own_s + frame.t_s
+                self.ended = enough(self.sightings)
+                if self.ended:
+                    return taken_at_s
         return taken_at_s
 
     def _waiting_frames(self) -> list[Frame]:

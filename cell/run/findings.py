@@ -56,11 +56,13 @@ class EarlyEstimate:
     """The cable identified from the first frames of a hold, and what was simulated with it.
 
     predicted   what the frames to come will show, if this is the cable
+    enough      whether more frames would not matter, see `enough_frames`
     """
 
     identified: Identified
     predicted: PredictedFrames
     candidates: Candidates
+    enough: bool = False
 
 
 @dataclass(frozen=True)
@@ -123,6 +125,7 @@ class Findings:
     held        the hold after the cable was lowered, or the whole of a measuring motion
     trials      what was filmed, as it is recorded
     identified  the cable
+    hold_saved_s     how much less than the longest hold it took
     lead_s      from now to when a motion that is chosen now would begin
     simulated_s  when each simulation of the offsets began, on the cell's clock
     waiting_since_s   since when the hand waits for the computer, by the computer's own clock
@@ -141,6 +144,7 @@ class Findings:
     held: FilmedMotion | None = None
     trials: tuple[Trial, ...] = ()
     identified: Identified | None = None
+    hold_saved_s: float | None = None
     lead_s: float | None = None
     simulated_s: tuple[float, ...] = ()
     waiting_since_s: float | None = None

@@ -83,6 +83,7 @@ class Progress:
             model=self.station.task.model,
             prediction_error_m=None if passage is None else _finite(passage.error_m),
             wait_s=_finite(f.wait_s),
+            hold_saved_s=f.hold_saved_s,
             seconds=self.seconds,
             state_seconds=state_seconds,
             parameters={} if f.identified is None else parameters_of(f.identified),

@@ -49,6 +49,8 @@ class Task:
     model: str
     map_std_m: float = 0.0
     """Of a point's place by the view, over both axes together."""
+    least_hold_s: float | None = None
+    """A hold may end after this if more frames would not matter; None = always after `hold_s`."""
     delays: KnownDelays | None = None
     """None = latency and lag are typed: nothing says how well they are known."""
 

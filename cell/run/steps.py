@@ -24,8 +24,9 @@ from cell.plan.measuring import Measuring, measuring_path
 from cell.plan.passage import measured_passage
 from cell.plan.paths import MotionLimits, identification_path, path_to
 from cell.records.result import Outcome
+from cell.run.candidates import simulate_offsets
 from cell.run.clocks import delay_checks
-from cell.run.early_estimate import EarlyEstimator, simulate_offsets
+from cell.run.early_estimate import EarlyEstimator
 from cell.run.filming import capture, film
 from cell.run.findings import Filming, Findings, required
 from cell.run.movements import APPROACH_SLOWER, Movement, Movements, paths_from
@@ -226,19 +227,21 @@ def lowering_path(station: Station) -> Trajectory:
 def hold_and_capture(station: Station, findings: Findings) -> Findings:
     """Hold still while the cable swings, and find it in every frame as it comes.
 
-    The second process computes from the first frames, so that little is left after the last one.
+    The second process computes from the first frames, so that little is left after the last one,
+    which comes early if more of them would not matter and the task leaves that open.
     """
     filming = required(findings.filming)
     estimator = EarlyEstimator(station, filming)
     try:
         filmed = capture(station, filming, KEEP_EVERY_HELD, estimator.update)
-        held = replace(filmed, early=estimator.result())
+        held = replace(filmed, early=estimator.result(len(filmed.sightings)))
     finally:
         estimator.close()
     return replace(
         findings,
         held=held,
         trials=(held_trial(held),),
+        hold_saved_s=(filming.frame_count - len(held.sightings)) / station.timing.frame_rate_hz,
         lead_s=station.task.decide_s,
         waiting_since_s=held.seen_at_s,
     )

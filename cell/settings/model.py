@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Discriminator, Field, Tag
+from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from cell.settings.devices import (
     FilesCamera,
@@ -107,6 +107,25 @@ class Start(Section):
     """With a window it may also be made in so many times the usual time."""
 
 
+class Hold(Section):
+    """A hold as long as needed: it ends, at one of a few moments, if more frames would change the
+    chosen offset's probability by less than 1 %.  A cable that is to be rejected is held longest.
+    """
+
+    least_s: Duration = 0.4
+    """Held still at least so long."""
+    most_s: Duration = 1.0
+    """And at most so long."""
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Hold:
+        if self.least_s > self.most_s:
+            raise ValueError(
+                f"least_s {self.least_s:g} is longer than most_s {self.most_s:g}; lower least_s"
+            )
+        return self
+
+
 class Motion(Section):
     """What the hand does in a cycle."""
 
@@ -124,6 +143,8 @@ class Motion(Section):
     """In this time, or as long as the limits ask."""
     hold_s: Duration = 1.0
     """Held still while the swing is filmed."""
+    hold: Hold | None = None
+    """Null = always `hold_s`."""
     decide_s: Wait = 0.2
     """From the last frame of the swing until the execution begins: time for the computer."""
     offsets: Offsets = Offsets()
@@ -141,6 +162,21 @@ class Motion(Section):
         velocity_m_per_s=0.2, acceleration_m_per_s2=1.0, jerk_m_per_s3=10.0
     )
     """Gentle, so that neighbouring offsets lead the tip to neighbouring heights."""
+
+    @property
+    def longest_hold_s(self) -> float:
+        """For so long the swing is filmed at most."""
+        return self.hold_s if self.hold is None else self.hold.most_s
+
+    @model_validator(mode="after")
+    def _held_once(self) -> Motion:
+        said = "hold_s" in self.model_fields_set
+        if said and self.hold is not None and self.hold_s != self.hold.most_s:
+            raise ValueError(
+                f"hold_s {self.hold_s:g} contradicts hold.most_s {self.hold.most_s:g}; "
+                "remove hold_s"
+            )
+        return self
 
 
 class Limits(Briskness):

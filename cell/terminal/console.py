@@ -202,6 +202,8 @@ def seconds_table(results: Sequence[Result], steps: Sequence[str]) -> Table:
     table.add_section()
     row("all", [sum(r.seconds.values()) for r in results])
     row("robot waited for the computer", [r.wait_s for r in results])
+    if any(r.hold_saved_s for r in results):
+        row("hold ended early by", [r.hold_saved_s for r in results])
     return table
 
 

@@ -24,7 +24,8 @@ from cell.identify.hand import HandErrors
 from cell.identify.individual import IdentifyOptions, identify, predict_frames
 from cell.identify.model_class import ModelClass
 from cell.plan.choose import choose
-from cell.run.early_estimate import SHARES, simulate_offsets
+from cell.run.candidates import simulate_offsets
+from cell.run.early_estimate import SHARES
 from cell.run.findings import FilmedMotion
 from cell.run.station import Task, Timing
 from cell.settings import Settings, load_settings

@@ -21,9 +21,11 @@ from cell.cable.solver import Solver
 from cell.identify.identified import Identified
 from cell.identify.individual import CableRejectedError, hold_trial, identify
 from cell.plan.choose import Choice, choose
+from cell.plan.enough import enough_frames
 from cell.plan.passage import Passage, measured_passage
 from cell.plan.paths import executed_motion, identification_path, insertion_path
-from cell.run.early_estimate import simulate_offsets
+from cell.run.candidates import simulate_offsets
+from cell.run.early_estimate import possible_ends_s, without_hand_errors
 from cell.run.findings import Candidates, FilmedMotion
 from cell.run.station import Task, Timing
 from cell.settings import Settings
@@ -57,6 +59,7 @@ class FastCycle:
     best_margin_m: float
     true_margin_m: float
     true_tip_error_m: float
+    hold_saved_s: float = 0.0
 
     @property
     def outcome(self) -> str:
@@ -101,15 +104,13 @@ def fast_cycle(
     lag_s, frame_hz = settings.arm.lag_s, settings.camera.frame_rate_hz
     timing = Timing(RATE_HZ, lag_s, frame_hz)
     down = _true_hold(task, lag_s)
-    end_s = float(down.t_s[-1])
-    t_s = np.arange(0.001, end_s, 1.0 / frame_hz)
+    t_s = np.arange(0.001, float(down.t_s[-1]), 1.0 / frame_hz)
     bias = _Bias.drawn(rng, errors, len(task.arc_length_m))
     hand = _logged(down, errors, rng)
     held = _seen(task, hidden, down, t_s, hand, bias, errors, rng)
-    start_s = end_s + task.decide_s
-    filmed = FilmedMotion(
-        0.0, (), Trajectory(hand.t_s, hand.x_m, hand.y_m, hand.angle_rad), (), 0.0
-    )
+    end_s = _end_of_hold_s(task, timing, held)
+    held, down = until(held, end_s), _moved_until(down, end_s)
+    start_s, filmed = end_s + task.decide_s, _filmed(held)
     identified, expected, choice, reason = None, None, None, None
     try:
         identified = identify(held, task.arc_length_m, task.cable, options=task.identification)
@@ -130,7 +131,17 @@ def fast_cycle(
         tips = truth.tips(at_s)
         best_m = float(task.destination.margin_m(tips).max())
     cycle = FastCycle(
-        held, None, identified, expected, choice, None, reason, best_m, np.nan, np.nan
+        held,
+        None,
+        identified,
+        expected,
+        choice,
+        None,
+        reason,
+        best_m,
+        np.nan,
+        np.nan,
+        float(t_s[-1]) - float(held.markers.t_s[-1]),
     )
     if choice is None or index is None:
         return cycle
@@ -152,6 +163,49 @@ def fast_cycle(
         choice.tip_m,
     )
     return replace(cycle, executed=executed, passage=passage)
+
+
+def _end_of_hold_s(task: Task, timing: Timing, held: Trial) -> float:
+    """When the hold ends, as `EarlyEstimator` ends it."""
+    last_s = float(held.grip.t_s[-1])
+    if task.least_hold_s is None:
+        return last_s
+    rest_s, previous = last_s - task.hold_s, None
+    for after_s, end_s in possible_ends_s(task, task.least_hold_s, task.hold_s):
+        seen = until(held, rest_s + after_s)
+        try:
+            previous = identify(
+                seen,
+                task.arc_length_m,
+                task.cable,
+                previous=previous,
+                options=without_hand_errors(task.identification),
+            )
+        except CableRejectedError:
+            continue
+        start_s = rest_s + end_s + task.decide_s
+        coming = simulate_offsets(task, timing, _filmed(seen), seen, previous, start_s)
+        asked = coming.forecast, previous, task.destination, task.choice
+        if enough_frames(choose(*asked), *asked):
+            return rest_s + end_s
+    return last_s
+
+
+def until(trial: Trial, end_s: float) -> Trial:
+    """The same if it had ended then."""
+    seen = trial.markers.t_s < end_s
+    markers = replace(trial.markers, t_s=trial.markers.t_s[seen], xy_m=trial.markers.xy_m[seen])
+    return replace(trial, grip=_moved_until(trial.grip, end_s), markers=markers)
+
+
+def _moved_until(motion: Motion, end_s: float) -> Motion:
+    moved = motion.t_s <= end_s + 1e-9
+    return Motion(*(getattr(motion, n)[moved] for n in ("t_s", "x_m", "y_m", "angle_rad")))
+
+
+def _filmed(held: Trial) -> FilmedMotion:
+    hand = Trajectory(held.grip.t_s, held.grip.x_m, held.grip.y_m, held.grip.angle_rad)
+    return FilmedMotion(0.0, (), hand, (), 0.0)
 
 
 def best_margin_m(settings: Settings, seed: int, number: int) -> float:

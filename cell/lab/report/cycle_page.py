@@ -38,6 +38,7 @@ _NUMBERS = (
     ("probability", "forecast probability of passing", "%", 100.0),
     ("residual_rms_m", "what the model misses of the swing", "mm", 1e3),
     ("noise_m", "noise of the camera", "mm", 1e3),
+    ("hold_saved_s", "the hold ended early by", "s", 1.0),
     ("wait_s", "the robot waited for the computer", "s", 1.0),
 )
 #: Columns of the decision's table.

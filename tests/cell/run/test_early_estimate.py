@@ -10,6 +10,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from cell.build import cell_task
 from cell.cable.dynamics import simulate
@@ -19,10 +20,12 @@ from cell.computer.second_process import SecondProcess
 from cell.identify.identified import Identified
 from cell.identify.noise import Noise
 from cell.identify.parameters import ParameterSpace
+from cell.plan.choose import Freedom
 from cell.plan.paths import executed_motion, insertion_path
+from cell.run.candidates import simulate_offsets
 from cell.run.commands import Commands
-from cell.run.early_estimate import EarlyEstimator, simulate_offsets
-from cell.run.findings import FilmedMotion, Filming
+from cell.run.early_estimate import EarlyEstimator, Look, _looks
+from cell.run.findings import EarlyEstimate, FilmedMotion, Filming
 from cell.run.station import Timing
 from cell.settings import load_settings
 from cell.study.data import Markers, Trial
@@ -62,16 +65,52 @@ class Noting(SecondProcess):
 
 def test_the_hand_waits_for_a_process_that_hurries() -> None:
     computer = Noting()
-    station = SimpleNamespace(computer=computer, commands=Commands())
-    estimator = EarlyEstimator(station, Filming(0.0, 0.0, 1.0, 10))
-    assert estimator.result() is None
+    task, timing = cell_task(load_settings(CONFIG)), Timing(500.0, 0.03, 10.0)
+    station = SimpleNamespace(computer=computer, commands=Commands(), task=task, timing=timing)
+    filming = Filming(0.0, 0.0, 1.0, 10)
+    estimator = EarlyEstimator(station, filming)
+    assert estimator.result(10) is None
     assert computer.noted == []
     job: Future[object] = Future()
     computer.noted.append("asked")
-    job.set_result("estimate")
-    estimator._second = job
-    assert estimator.result() == "estimate"
+    estimate = EarlyEstimate(*3 * [SimpleNamespace()])
+    job.set_result(estimate)
+    estimator._running.append((Look(0.0, filming), job))
+    assert estimator.result(9) is None
+    assert estimator.result(10) is estimate
     assert computer.noted == ["asked", "hurries", "gives way"]
+
+
+def holds(least_s: float | None, most_s: float, window_s: float = 0.0) -> list[Look]:
+    task = replace(cell_task(load_settings(CONFIG)), least_hold_s=least_s, hold_s=most_s)
+    task = replace(task, choice=replace(task.choice, freely=Freedom(window_s)))
+    filming = Filming(2.0, 2.5, 2.5 + most_s, 100 + round(200 * most_s))
+    return list(_looks(task, Timing(500.0, 0.03, 200.0), filming))
+
+
+def test_a_fixed_hold_is_looked_at_twice_and_ends_once() -> None:
+    first, last = holds(None, 1.0)
+    assert first.filming is None and first.after_s < last.after_s
+    assert last.filming is not None and last.filming.frame_count == 300
+
+
+def test_a_hold_may_end_at_a_few_moments_each_decided_ahead() -> None:
+    looks = holds(0.4, 1.0)
+    assert [round(look.after_s, 9) for look in looks] == [0.1, 0.4, 0.7]
+    ends = [look.filming for look in looks if look.filming is not None]
+    assert [round(f.end_s - f.rest_s, 9) for f in ends] == [0.4, 0.7, 1.0]
+    assert [f.frame_count for f in ends] == [180, 240, 300]
+
+
+def test_the_last_moment_is_the_longest_hold() -> None:
+    """However the moments fall, none is close to the end, and none before the least."""
+    for least_s, most_s, window_s in ((0.1, 0.45, 0.0), (0.5, 0.6, 0.0), (0.4, 1.2, 0.25)):
+        looks = holds(least_s, most_s, window_s)
+        ends = [look.filming.end_s - 2.5 for look in looks if look.filming is not None]
+        assert len(ends) == len(looks) and ends[-1] == pytest.approx(most_s)
+        assert all(end_s >= least_s for end_s in ends)
+        assert all(look.after_s < end_s for look, end_s in zip(looks, ends, strict=True))
+        assert np.all(np.diff([0.0, *ends]) > 0.1)
 
 
 def test_an_effect_that_depends_on_time_goes_on_as_in_the_hold(tmp_path: Path) -> None:

@@ -236,6 +236,17 @@ def test_nothing_real_is_emulated_by_mistake(tmp_path: Path, old: str, new: str,
     assert said in complaint(tmp_path, EMULATED.replace(old, new))
 
 
+def test_a_hold_as_long_as_needed_is_said_once(tmp_path: Path) -> None:
+    hold = "  hold: {least_s: 0.4, most_s: 0.8}\n"
+    text = FAKE.replace("  hold_s: 1.0\n", hold)
+    (tmp_path / "good.yaml").write_text(text, encoding="utf-8")
+    assert load_settings(tmp_path / "good.yaml").motion.longest_hold_s == 0.8
+    said = complaint(tmp_path, FAKE.replace("  hold_s: 1.0\n", f"  hold_s: 1.0\n{hold}"))
+    assert "hold_s 1 contradicts hold.most_s 0.8; remove hold_s" in said
+    said = complaint(tmp_path, text.replace("least_s: 0.4", "least_s: 0.9"))
+    assert "least_s 0.9 is longer than most_s 0.8; lower least_s" in said
+
+
 def test_only_what_has_an_emulator_is_emulated(tmp_path: Path) -> None:
     text = complaint(tmp_path, FAKE + "\nemulated: {}\n")
     for section in ("arm", "camera", "gripper"):
