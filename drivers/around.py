@@ -42,6 +42,10 @@ class ArmAround:
         """See `Arm`."""
         self._arm.follow(path, start_s)
 
+    def revise(self, path: Trajectory, from_s: float) -> None:
+        """See `Arm`."""
+        self._arm.revise(path, from_s)
+
     def log(self, start_s: float, end_s: float) -> Trajectory:
         """See `Arm`."""
         return self._arm.log(start_s, end_s)

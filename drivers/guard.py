@@ -26,6 +26,7 @@ from drivers.interfaces import (
     LimitError,
     Pose,
     Trajectory,
+    nothing_to_revise,
 )
 
 _LOG = logging.getLogger(__name__)
@@ -67,12 +68,17 @@ class ArmLimits:
     tolerance_rad: float = 1e-3
 
 
+#: Paths are the same where they are so near to each other, m or rad.
+SAME_PATH = 1e-6
+
+
 class GuardedArm(ArmAround):
     """An arm that refuses a path outside its limits before anything of it is sent."""
 
     def __init__(self, arm: Arm, limits: ArmLimits) -> None:
         super().__init__(arm)
         self._limits = limits
+        self._followed: tuple[Trajectory, float] | None = None
 
     def check(self, path: Trajectory) -> None:
         """Raises LimitError naming point, value and limit; else as the arm."""
@@ -88,6 +94,30 @@ class GuardedArm(ArmAround):
         end = Pose(float(path.x_m[-1]), float(path.y_m[-1]), float(path.angle_rad[-1]))
         _LOG.info("%s: %.2f s to %s", self.name, path.t_s[-1] - path.t_s[0], _described(end))
         self._arm.follow(path, start_s)
+        self._followed = None if start_s is None else (path, start_s)
+
+    def revise(self, path: Trajectory, from_s: float) -> None:
+        """Raises LimitError naming point, value and limit; else as the arm."""
+        if self._followed is None:
+            raise nothing_to_revise(self.name)
+        present, start_s = self._followed
+        remedy = "its path is followed as it was"
+        check_path(path, self._limits, self.name, remedy)
+        until_s = from_s - start_s + float(present.t_s[0])
+        t_s = np.append(present.t_s[present.t_s < until_s], until_s)
+        for name in ("x_m", "y_m", "angle_rad"):
+            then, now = (np.interp(t_s, p.t_s, getattr(p, name)) for p in (present, path))
+            at = int(np.argmax(np.abs(now - then)))
+            if abs(now[at] - then[at]) > SAME_PATH:
+                raise LimitError(
+                    self.name,
+                    f"the new path leaves the present one {until_s - t_s[at]:.3f} s too early: "
+                    f"{name} = {now[at]:.6f} instead of {then[at]:.6f}",
+                    remedy,
+                )
+        self._arm.revise(path, from_s)
+        self._followed = path, start_s
+        _LOG.info("%s: path changed from %.3f s on", self.name, until_s)
 
     def stop(self, reason: str) -> None:
         """Stop now; latched."""

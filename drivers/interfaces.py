@@ -167,6 +167,20 @@ def too_late(device: str, late_s: float) -> LimitError:
     )
 
 
+def revised_too_late(device: str, late_s: float) -> LimitError:
+    """What an arm says that is to leave its path at a moment that has gone by."""
+    return LimitError(
+        device,
+        f"told {late_s * 1e3:.1f} ms after the moment from which its path was to change",
+        "tell it earlier; its path is followed as it was",
+    )
+
+
+def nothing_to_revise(device: str) -> LimitError:
+    """What an arm says that is to change a path while it follows none."""
+    return LimitError(device, "follows no path that could be changed", "nothing was moved")
+
+
 class StoppedError(DeviceError):
     """The device is stopped and must be reset by a person.  Scenario: protective stop."""
 
@@ -243,6 +257,17 @@ class Arm(Protocol):
         checked before takes its time, so an arm that is to start at a certain moment is told
         before.  Raises LimitError (outside the limits, still moving on another path, or the start
         has gone by; nothing was sent), StoppedError, DeviceLostError.
+        """
+        ...
+
+    def revise(self, path: Trajectory, from_s: float) -> None:
+        """Follow `path` instead of the present path from a moment on; returns at once.
+
+        Its times count from where those of the present path count, and until `from_s`, on the
+        cell's clock, it is the present path.  All of it is taken or nothing: when it is refused the
+        present path is followed to its end.  Raises LimitError (outside the limits, another path
+        before `from_s`, no path is followed, or `from_s` has gone by), StoppedError,
+        DeviceLostError.
         """
         ...
 

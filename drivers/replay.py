@@ -6,7 +6,7 @@ They know nothing of files: frames, answers and paths are given to them.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -108,6 +108,10 @@ class ReplayArm:
             path.t_s - path.t_s[0] + begin_s, path.x_m, path.y_m, path.angle_rad
         )
 
+    def revise(self, path: Trajectory, from_s: float) -> None:
+        """The recorded arm went on as recorded."""
+        self._path = replace(path, t_s=path.t_s - path.t_s[0] + self._path.t_s[0])
+
     def log(self, start_s: float, end_s: float) -> Trajectory:
         """The recorded answer to this question, or to the most similar one; else its own path."""
         alike = [a for a in self._answers if a.start_s == start_s]
@@ -161,6 +165,7 @@ class ReplayCamera:
         self._frames = iter(frames)
         self._next: Frame | None = None
         self._left = 0
+        self._begun = False
 
     @property
     def frame_rate_hz(self) -> float:
@@ -179,7 +184,7 @@ class ReplayCamera:
     def start(self, frame_count: int) -> None:
         """Go on to the next film."""
         self.stop()
-        self._left = frame_count
+        self._left, self._begun = frame_count, False
 
     def read(self) -> Frame | None:
         """Raises CameraError: the recording has no more frames of this film."""
@@ -191,6 +196,14 @@ class ReplayCamera:
             raise CameraError(
                 self.name, f"the recording ends {self._left} frames before its film", "see its gaps"
             )
+        if frame.index == 0 and self._begun:
+            self._next, left, self._left = frame, self._left, 0
+            raise CameraError(
+                self.name,
+                f"this film was ended {left} frames earlier than is asked for",
+                "replay it with the motion.hold that it was made with",
+            )
+        self._begun = True
         self._left -= 1
         self._clock.forward_to_s(frame.t_s)
         return frame

@@ -25,6 +25,8 @@ from drivers.interfaces import (
     Pose,
     StoppedError,
     Trajectory,
+    nothing_to_revise,
+    revised_too_late,
     too_late,
 )
 from drivers.plane_mount import PlaneMount
@@ -39,6 +41,7 @@ from drivers.ur_shared import COLUMNS, Column, Slot
 _LOST_REMEDY = ArmMode.LOST.remedy
 _RESET_S = 10.0
 _CLOSE_S = 2.0
+_POLL_S = 5e-4
 _MODEL_TOLERANCE_M = 0.015
 _MOVING_M_PER_S = 0.001
 
@@ -173,6 +176,35 @@ class UrArm:
                 raise too_late(self.name, now_s - start_s)
             self._paths += 1
             self._send(child, ("follow", begun, stops, start_s))
+
+    def revise(self, path: Trajectory, from_s: float) -> None:
+        """Raises LimitError: no path is followed, out of reach, too late; StoppedError."""
+        with self._lock:
+            child = self._alive()
+            shared = child.shared
+            stops = shared.get(Slot.STOPS)
+            mode = self._mode(child)
+            if mode is not ArmMode.READY:
+                raise StoppedError(self.name, f"stopped: {self._cause(child, mode)}", mode.remedy)
+            if not self._busy(child):
+                raise nothing_to_revise(self.name)
+            (sample,) = shared.samples(1)
+            begun = _from_zero(path)
+            self._check_reach(begun, sample[Column.Q1_RAD :])
+            if from_s < time.monotonic():
+                raise revised_too_late(self.name, time.monotonic() - from_s)
+            told, taken = shared.get(Slot.REVISIONS), shared.get(Slot.REVISED)
+            self._send(child, ("revise", begun, stops, float(from_s)))
+            while shared.get(Slot.REVISIONS) == told:  # at the child's next period
+                self._alive()
+                time.sleep(_POLL_S)
+            if shared.get(Slot.REVISED) > taken:
+                return
+            if shared.get(Slot.STOPS) != stops or self._mode(child) is not ArmMode.READY:
+                raise StoppedError(self.name, "stopped meanwhile", ArmMode.STOPPED.remedy)
+            if not self._busy(child):
+                raise nothing_to_revise(self.name)
+            raise revised_too_late(self.name, time.monotonic() - from_s)
 
     def log(self, start_s: float, end_s: float) -> Trajectory:
         """Measured poses; the robot's own time stamps, brought to the cell's clock."""

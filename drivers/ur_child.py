@@ -199,6 +199,8 @@ class _Child:
             match request:
                 case ("follow", Trajectory() as path, float(stops), start_s):
                     self._follow(path, stops, start_s)
+                case ("revise", Trajectory() as path, float(stops), float(from_s)):
+                    self._revise(path, stops, from_s)
                 case ("reset",):
                     self._answer(self._reset)
                 case ("close",):
@@ -212,6 +214,14 @@ class _Child:
             self._motion = _Motion(path, time.monotonic() if start_s is None else start_s)
             self._shared.put(Slot.STREAMING, 1.0)
         self._shared.add(Slot.PATHS)
+
+    def _revise(self, path: Trajectory, stops: float, from_s: float) -> None:
+        # between two commands, so that each is of one path; a stop wins
+        in_time = time.monotonic() <= from_s
+        if self._motion is not None and in_time and stops == self._shared.get(Slot.STOPS):
+            self._motion.path = path
+            self._shared.add(Slot.REVISED)
+        self._shared.add(Slot.REVISIONS)
 
     def _reset(self) -> None:
         self._robot.ask_anew()

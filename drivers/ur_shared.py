@@ -31,6 +31,8 @@ class Slot(IntEnum):
     LATE_PERIODS = 7  # child: number of such times above 1.25 periods
     PERIODS = 8  # child: number of such times
     SPEED = 9  # child: share of the full speed that the controller allows
+    REVISIONS = 11  # child: number of changes of a path that were told
+    REVISED = 12  # child: number of those that were taken
     SLOWED = 10  # child: 1 from when a path was broken off because it was slowed until a reset
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -13,8 +13,11 @@ from drivers.interfaces import (
     DeviceLostError,
     FloatArray,
     LimitError,
+    Pose,
     StoppedError,
     Trajectory,
+    nothing_to_revise,
+    revised_too_late,
     too_late,
 )
 from drivers.servo import servo_response
@@ -62,6 +65,18 @@ class ArmTwinOptions:
     fault_stop_s: float = 0.05
 
 
+@dataclass(frozen=True)
+class _Followed:
+    """A path on the cell's clock, the lag with which it is followed, and where the hand rested."""
+
+    path: Trajectory
+    lag_s: float
+    start: Pose
+
+    def response(self) -> Trajectory:
+        return servo_response(self.path, self.lag_s, start=self.start)
+
+
 class SimArm:
     """An arm in a simulated world."""
 
@@ -83,6 +98,7 @@ class SimArm:
         self._controller_stop: ArmMode | None = None
         self._lost: str | None = None
         self._happened: set[ArmMode] = set()
+        self._followed: _Followed | None = None
 
     @property
     def lag_s(self) -> float:
@@ -165,7 +181,25 @@ class SimArm:
             )
             true_lag_s = self._options.true_lag_s
             lag_s = self._options.lag_s if true_lag_s is None else true_lag_s
-            self._world.commit(servo_response(absolute, lag_s, start=self._world.hand_pose()))
+            self._followed = _Followed(absolute, lag_s, self._world.hand_pose())
+            self._world.commit(self._followed.response())
+
+    def revise(self, path: Trajectory, from_s: float) -> None:
+        """Raises LimitError: no path is followed, too late; StoppedError; DeviceLostError."""
+        with self._world.lock:
+            self._check_alive()
+            mode = self._mode()
+            if mode is not ArmMode.READY:
+                cause = self._stop_reason if mode is ArmMode.STOPPED else mode.value
+                raise StoppedError(self.name, f"stopped: {cause}", mode.remedy)
+            now_s, followed = self._clock.now_s(), self._followed
+            if followed is None or now_s >= self._world.hand_rests_from_s():
+                raise nothing_to_revise(self.name)
+            if from_s < now_s:
+                raise revised_too_late(self.name, now_s - from_s)
+            t_s = path.t_s - path.t_s[0] + followed.path.t_s[0]
+            self._followed = replace(followed, path=replace(path, t_s=t_s))
+            self._world.recommit(self._followed.response())
 
     def log(self, start_s: float, end_s: float) -> Trajectory:
         """Measured poses of the past, on the arm's own even grid of times."""

@@ -42,6 +42,14 @@ class Hand:
         poses = np.stack([path.x_m, path.y_m, path.angle_rad], axis=-1)[1:]
         self._poses = np.concatenate([self._poses, hold_p, poses])
 
+    def replace(self, t_s: float, path: Trajectory) -> None:
+        """Give up what is committed after `t_s` for what `path`, absolute times, says of it."""
+        here = self.at(np.array([t_s]))
+        keep, later = self._t_s < t_s, path.t_s > t_s
+        poses = np.stack([path.x_m, path.y_m, path.angle_rad], axis=-1)[later]
+        self._t_s = np.concatenate([self._t_s[keep], [t_s], path.t_s[later]])
+        self._poses = np.concatenate([self._poses[keep], here, poses])
+
     def halt(self, t_s: float, duration_s: float) -> None:
         """Give up what is committed after `t_s` and come to rest within `duration_s`.
 

@@ -105,6 +105,13 @@ class World:
             self._forget_after(float(path.t_s[0]))
             self._hand.extend(path)
 
+    def recommit(self, path: Trajectory) -> None:
+        """Let the hand move along `path` from now on, which it has followed so far."""
+        with self.lock:
+            now_s = self.clock.now_s()
+            self._forget_after(now_s)
+            self._hand.replace(now_s, path)
+
     def halt(self, duration_s: float) -> None:
         """Bring the hand to rest within `duration_s` from now."""
         with self.lock:

@@ -164,6 +164,34 @@ def test_a_stopped_arm_stays_stopped_behind_its_guard(guarded, line) -> None:
     guarded.follow(line())
 
 
+def test_a_changed_path_is_judged_as_a_whole(guarded, line, cell) -> None:
+    """It keeps the limits, also where it leaves the present path, and is that one until then."""
+    guarded.connect()
+    path = line(dy_m=0.02, duration_s=0.5, start=guarded.state().pose)
+    start_s = cell.clock.now_s() + 0.1
+    with pytest.raises(LimitError, match="follows no path"):
+        guarded.revise(path, start_s)
+    guarded.follow(path, start_s)
+    u = np.clip((path.t_s - 0.3) / 0.15, 0.0, 1.0)
+    smooth = u**3 * (10 - 15 * u + 6 * u**2)
+    early = np.clip(path.t_s / 0.5, 0.0, 1.0)
+    for x_m, message in (
+        (0.01 * (path.t_s > 0.3), "speed = .* m/s, allowed 0.0000..0.5000"),
+        (0.002 * u, "jerk = .* m/s³, allowed"),
+        (-0.6 * smooth, "x = -.* m, allowed 0.0000..1.0000"),
+        (
+            0.004 * early**3 * (10 - 15 * early + 6 * early**2),
+            "leaves the present one .* too early",
+        ),
+    ):
+        with pytest.raises(LimitError, match=message) as caught:
+            guarded.revise(replace(path, x_m=path.x_m + x_m), start_s + 0.3)
+        assert caught.value.remedy == "its path is followed as it was"
+    guarded.revise(replace(path, x_m=path.x_m + 0.001 * smooth), start_s + 0.3)
+    cell.clock.sleep_s(1.5)
+    assert guarded.state().pose.x_m == pytest.approx(path.x_m[-1] + 0.001, abs=1e-4)
+
+
 def test_force_outside_its_limits_is_refused(cell) -> None:
     gripper = GuardedGripper(cell.gripper, GripperLimits(5.0, 50.0))
     for force_n in (4.9, 50.1, float("nan")):

@@ -289,6 +289,21 @@ def test_a_bundle_is_what_a_maker_needs(recorded, quick_config, tmp_path):
     assert not (tmp_path / "c.zip").exists()
 
 
+def test_a_hold_that_ended_early_is_replayed(tmp_path, recorded_config):
+    """With other settings that ask for more frames than were filmed, the replay says so."""
+    hold = ("hold_s: 0.4", "hold: {least_s: 0.4, most_s: 1.0}")
+    config = changed(recorded_config, tmp_path / "hold.yaml", [hold])
+    done = run("run", "--config", config, "--cycles", "1", "--out", tmp_path / "runs", "--json")
+    result = json.loads(done.stdout.splitlines()[0])
+    assert result["outcome"] == "inserted" and result["hold_saved_s"] > 0.5
+    again = run("replay", result["folder"], "--json")
+    assert json.loads(again.stdout)["identical"], again.stdout
+    longer = changed(recorded_config, tmp_path / "longer.yaml", [("hold_s: 0.4", "hold_s: 1.0")])
+    again = run("replay", result["folder"], "--config", longer, "--json")
+    fault = json.loads(again.stdout)["result"]["fault"]
+    assert fault["cause"].startswith("this film was ended 6") and "motion.hold" in fault["remedy"]
+
+
 def test_an_insertion_that_begins_later_is_recorded_and_replayed(tmp_path, recorded_config):
     """A narrow mouth: at once no offset passes."""
     config = changed(

@@ -1,7 +1,7 @@
 """How long the robot waits for the computer, over many cycles at the speed of reality.
 
     python -m tools.bench.bench_wait [--cycles 30] [--seed 1] [--burn 1] [--recorded]
-        [--freely 0.25] [--effects …]
+        [--freely 0.25 [--half-mm 1]] [--effects …]
 
 Beside every wait stands the longest stall of this computer in that cycle, as another process
 measured it, and the CPU time of the cell: a share of two cores while the hold is filmed, and what
@@ -44,6 +44,7 @@ from cell.simulated.twins import build_twins
 from drivers.interfaces import Camera, Frame
 from drivers.priority import take_precedence
 from drivers.sim.clock import SimClock
+from tools.studies.mouth_study import with_mouth
 
 #: No hand shall hold a cable longer for want of a decision.
 MOST_WAITED_MS = 50.0
@@ -303,6 +304,9 @@ def main() -> None:
     parser.add_argument(
         "--freely", type=float, metavar="S", help="the same again with motion.start.window_s"
     )
+    parser.add_argument(
+        "--half-mm", type=float, default=5.0, help="half the mouth's height of --freely, mm"
+    )
     options = parser.parse_args()
     asked = options.cycles, options.seed, options.burn
     settings = load_settings(CONFIG)
@@ -311,6 +315,7 @@ def main() -> None:
     silent = settings.model_copy(update={"recording": None})
     start = Start(window_s=options.freely or 0.0)
     freely = silent.model_copy(update={"motion": silent.motion.model_copy(update={"start": start})})
+    freely = with_mouth(freely, options.half_mm)
     for name, changed in (
         *([("recorded", settings)] if options.recorded else []),
         *([("freely", freely)] if options.freely else []),

@@ -28,7 +28,7 @@ ROOT = Path(__file__).parents[2]
 WORLDS: dict[str, tuple[float, Freedom, str | None]] = {
     "as it is": (5.0, Freedom(), None),
     "narrow mouth": (2.0, Freedom(), None),
-    "freely": (1.0, Freedom(0.25, (1.3,)), None),
+    "freely": (1.0, Freedom(0.25, (1.15, 1.3, 1.5, 1.8)), None),
     "unknown drag": (5.0, Freedom(), "air_drag"),
     "unknown drag, narrow": (2.0, Freedom(), "air_drag"),
 }

@@ -25,8 +25,7 @@ HALF_MM = (5.0, 2.0, 1.0, 0.5, 0.25)
 FREELY = {
     "offsets": Freedom(),
     "and moment": Freedom(0.25),
-    "and pace": Freedom(0.25, (1.3,)),
-    "and paces": Freedom(0.25, (1.3, 1.6)),
+    "and pace": Freedom(0.25, (1.15, 1.3, 1.5, 1.8)),
 }
 
 

@@ -20,6 +20,9 @@ from drivers.interfaces import (
     Trajectory,
 )
 
+#: So long before its last frame the recorder is told to pause, s: what it writes then is written.
+PAUSE_BEFORE_S = 0.03
+
 
 def recorded_devices(
     devices: Devices, recorder: Recorder, uploads: Uploads | None = None
@@ -61,6 +64,11 @@ class RecordedArm(ArmAround):
         self._recorder.event(form.PATH, {"start_s": start_s, **vars(path)})
         self._recorder.poses(form.COMMANDED, replace(path, t_s=path.t_s - path.t_s[0] + begin_s))
 
+    def revise(self, path: Trajectory, from_s: float) -> None:
+        """Raises LimitError, StoppedError, DeviceLostError."""
+        self._arm.revise(path, from_s)
+        self._recorder.event(form.REVISION, {"from_s": from_s, **vars(path)})
+
     def log(self, start_s: float, end_s: float) -> Trajectory:
         """Measured poses."""
         poses = self._arm.log(start_s, end_s)
@@ -91,9 +99,14 @@ class RecordedCamera(CameraAround):
         frame = self._camera.read()
         if frame is not None:
             self._recorder.frame(frame)
-            if frame.index == self._wanted - 1:
+            if frame.index >= self._wanted - 1 - PAUSE_BEFORE_S * self._camera.frame_rate_hz:
                 self._recorder.pause()
         return frame
+
+    def stop(self) -> None:
+        """No more frames are needed: somebody computes what to do."""
+        self._camera.stop()
+        self._recorder.pause()
 
 
 class RecordedGripper(GripperAround):

@@ -40,7 +40,7 @@ REST = "recording.mcap.rest"
 
 IMAGE, FRAME, SEEN = "/camera/image", "/camera/frame", "/camera/seen"
 MEASURED, COMMANDED = "/arm/measured", "/arm/commanded"
-PATH, ANSWER, ARM = "/arm/path", "/arm/answer", "/arm/state"
+PATH, REVISION, ANSWER, ARM = "/arm/path", "/arm/revision", "/arm/answer", "/arm/state"
 GRIPPER = "/gripper"
 CYCLE, STATE, SETTINGS, TASK = "/cell/cycle", "/cell/state", "/cell/settings", "/cell/task"
 FILMING, DECISION, MODEL = "/cell/filming", "/cell/decision", "/cell/model"
@@ -49,8 +49,8 @@ GAP, LOG = "/recording/gap", "/log"
 
 #: Topics whose messages are JSON objects.
 JSON_TOPICS: Final = (
-    FRAME, PATH, ANSWER, ARM, GRIPPER, CYCLE, STATE, SETTINGS, TASK, FILMING, DECISION, MODEL,
-    FAULT, RESULT, STUDY, GAP,
+    FRAME, PATH, REVISION, ANSWER, ARM, GRIPPER, CYCLE, STATE, SETTINGS, TASK, FILMING, DECISION,
+    MODEL, FAULT, RESULT, STUDY, GAP,
 )  # fmt: skip
 
 _NUMBER, _NUMBERS = {"type": "number"}, {"type": "array", "items": {"type": "number"}}
@@ -58,6 +58,7 @@ _POSES = {"t_s": _NUMBERS, "x_m": _NUMBERS, "y_m": _NUMBERS, "angle_rad": _NUMBE
 _PROPERTIES: Final[dict[str, dict[str, Any]]] = {
     FRAME: {"index": {"type": "integer"}, "t_s": _NUMBER},
     PATH: {"start_s": {"type": ["number", "null"]}, **_POSES},
+    REVISION: {"from_s": _NUMBER, **_POSES},
     ANSWER: {"start_s": _NUMBER, "end_s": _NUMBER, **_POSES},
     ARM: {"t_s": _NUMBER, "mode": {"type": "string"}},
     GRIPPER: {"told": {"type": "string"}, "opening_m": _NUMBER, "holding": {"type": "boolean"}},

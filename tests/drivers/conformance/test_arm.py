@@ -15,6 +15,7 @@ from drivers.interfaces import (
     DeviceLostError,
     LimitError,
     StoppedError,
+    Trajectory,
 )
 
 
@@ -161,6 +162,82 @@ def test_refuses_a_second_path_while_moving(bench) -> None:
     bench.arm.follow(bench.make_path(dy_m=-0.05, duration_s=0.6, start=here(bench)))
     with pytest.raises(LimitError):
         bench.arm.follow(bench.make_path(dx_m=-0.05, start=here(bench)))
+
+
+def sideways(path: Trajectory, from_s: float, dx_m: float, lasts_s: float = 0.3) -> Trajectory:
+    """The same path until `from_s` after its beginning; then it leads `dx_m` aside as well."""
+    t_s = np.arange(0.0, max(float(path.t_s[-1]), from_s + lasts_s) + 1e-9, 0.002)
+    u = np.clip((t_s - from_s) / lasts_s, 0.0, 1.0)
+    x_m, y_m, angle_rad = (np.interp(t_s, path.t_s, c) for c in list(vars(path).values())[1:])
+    return Trajectory(t_s, x_m + dx_m * u**3 * (10.0 - 15.0 * u + 6.0 * u**2), y_m, angle_rad)
+
+
+def under_way(bench) -> tuple[Trajectory, float]:
+    """A path and when it was begun, 0.15 s ago."""
+    path = bench.make_path(dy_m=-0.05, duration_s=0.6, start=here(bench))
+    start_s = bench.clock.now_s() + 0.1
+    bench.arm.follow(path, start_s)
+    bench.clock.sleep_s(start_s + 0.15 - bench.clock.now_s())
+    return path, start_s
+
+
+def test_a_path_is_changed_while_it_is_followed(bench) -> None:
+    start = here(bench)
+    path, start_s = under_way(bench)
+    after_s = bench.clock.now_s() - start_s + 0.1
+    bench.arm.revise(sideways(path, after_s, -0.01), start_s + after_s)
+    assert bench.arm.state().moving
+    wait_for_rest(bench)
+    assert here(bench).y_m == pytest.approx(start.y_m - 0.05, abs=2e-4)
+    assert here(bench).x_m == pytest.approx(start.x_m - 0.01, abs=2e-4)
+    log = bench.arm.log(start_s, bench.clock.now_s())
+    assert np.all(np.abs(log.x_m - start.x_m)[log.t_s < start_s + after_s] < 2e-4)
+    assert np.abs(np.diff(log.x_m)).max() < 0.001, "no jump from one pose to the next"
+
+
+def test_a_change_that_comes_too_late_changes_nothing(bench) -> None:
+    start = here(bench)
+    path, start_s = under_way(bench)
+    late_s = bench.clock.now_s() - start_s - 0.02
+    with pytest.raises(LimitError, match=r"told .* ms after .*followed as it was"):
+        bench.arm.revise(sideways(path, late_s, -0.01), start_s + late_s)
+    wait_for_rest(bench)
+    assert here(bench).y_m == pytest.approx(start.y_m - 0.05, abs=2e-4)
+    assert here(bench).x_m == pytest.approx(start.x_m, abs=2e-4)
+
+
+def test_what_rests_has_no_path_to_be_changed(bench) -> None:
+    path = bench.make_path(dy_m=-0.05, start=here(bench))
+    with pytest.raises(LimitError, match="follows no path"):
+        bench.arm.revise(path, bench.clock.now_s() + 1.0)
+    bench.arm.follow(path, bench.clock.now_s() + 0.1)
+    bench.clock.sleep_s(0.1)
+    wait_for_rest(bench)
+    with pytest.raises(LimitError, match="follows no path"):
+        bench.arm.revise(path, bench.clock.now_s() + 1.0)
+    assert not bench.arm.state().moving
+
+
+def test_a_stop_wins_over_a_change(bench) -> None:
+    path, start_s = under_way(bench)
+    bench.arm.stop("test")
+    after_s = bench.clock.now_s() - start_s + 0.1
+    with pytest.raises(StoppedError):
+        bench.arm.revise(sideways(path, after_s, -0.01), start_s + after_s)
+    wait_for_rest(bench, 0.5)
+    x_m = here(bench).x_m
+    bench.clock.sleep_s(0.3)
+    assert here(bench).x_m == pytest.approx(x_m, abs=2e-4)
+
+
+def test_a_changed_path_is_stopped_like_any_other(bench) -> None:
+    path, start_s = under_way(bench)
+    after_s = bench.clock.now_s() - start_s + 0.05
+    bench.arm.revise(sideways(path, after_s, -0.01), start_s + after_s)
+    bench.clock.sleep_s(0.1)
+    bench.arm.stop("test")
+    wait_for_rest(bench, 0.5)
+    assert bench.arm.state().mode is ArmMode.STOPPED
 
 
 def test_rests_within_the_time_that_steps_wait_and_then_takes_the_next_path(bench) -> None:
