@@ -308,6 +308,7 @@ def cell_task(settings: Settings, known: Calibrated | None = None) -> Task:
         decide_s=motion.decide_s,
         offsets_m=motion.offsets.values_m,
         advance_m=motion.advance_m,
+        feedback=settings.feedback == "on",
         settle_s=motion.settle_s,
         lowering=MotionLimits(**motion.lowering.model_dump()),
         insertion=MotionLimits(**motion.insertion.model_dump()),

@@ -68,6 +68,23 @@ class Check:
 
 
 @dataclass(frozen=True)
+class Correction:
+    """A change of the hand's path in flight.
+
+    from_s       when it began, from when the hand was told to move
+    rise_m       by how much the hand was led up
+    lasts_s      in how much time
+    before, probability   predicted probability of passing, without and with it
+    """
+
+    from_s: float
+    rise_m: float
+    lasts_s: float
+    before: float
+    probability: float
+
+
+@dataclass(frozen=True)
 class Result:
     """End of one cycle.  None = not known, because the cycle did not come so far.
 
@@ -87,6 +104,7 @@ class Result:
     wait_s              how long the robot stood waiting for the computer
     hold_saved_s        how much shorter than its longest the hold was, because more frames would
                         not have mattered
+    corrections         of the path in flight; None = without feedback
     seconds             time of each step, s
     state_seconds       time spent in each state of the cell, s
     parameters          of this cable, as identified: name → value, SI units
@@ -124,6 +142,7 @@ class Result:
     delay_s: float | None = None
     pace: float | None = None
     hold_saved_s: float | None = None
+    corrections: tuple[Correction, ...] | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Plain data for json.dumps; what is not finite becomes None."""
@@ -135,5 +154,7 @@ class Result:
         known = {f.name: data[f.name] for f in fields(cls) if f.name in data}
         known["outcome"] = Outcome(data["outcome"])
         known["fault"] = None if data.get("fault") is None else Fault(**data["fault"])
+        if known.get("corrections") is not None:
+            known["corrections"] = tuple(Correction(**c) for c in data["corrections"])
         known["checks"] = tuple(Check(**check) for check in data.get("checks", ()))
         return cls(**known)

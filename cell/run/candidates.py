@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TypedDict
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cell.cable.geometry import Motion
 from cell.cable.solver import Solver
@@ -18,6 +19,8 @@ from cell.run.station import Task, Timing
 from cell.run.trials import hand_offset_m_rad, moved
 from cell.study.data import Trial
 from drivers.interfaces import Trajectory
+
+FloatArray = NDArray[np.float64]
 
 #: An offset whose margin is so many times its standard deviation passes surely: no other moment is
 #: looked at.
@@ -33,6 +36,52 @@ class Simulated(TypedDict):
     options: ChoiceOptions
 
 
+@dataclass(frozen=True, eq=False)
+class Executing:
+    """How the hand will be when it is told to insert at a moment.
+
+    The cable still swings from the hand's motion before; the hand follows with its known lag, and
+    is seen by the camera a constant beside where the arm says it is.  Time goes on as in the hold,
+    in which the cable was identified: an effect may depend on it.
+
+    begin_s  when it is told, on the clock of the identification
+    history  of the hand until now, counted from then
+    beside   (3,) x, y, angle of the hand as the camera sees it, from where the arm says it is
+    """
+
+    task: Task
+    timing: Timing
+    begin_s: float
+    history: Motion
+    beside: FloatArray
+
+    @staticmethod
+    def of(
+        task: Task, timing: Timing, filmed: FilmedMotion, trial: Trial, start_s: float
+    ) -> Executing:
+        """After a hold, from `start_s` on the cell's clock on."""
+        begin_s = start_s - filmed.begin_s
+        beside = hand_offset_m_rad(filmed.hand, trial.grip)
+        return Executing(task, timing, begin_s, trial.grip.later(-begin_s), beside)
+
+    def path(self, offset_m: float, delay_s: float = 0.0, pace: float = 1.0) -> Trajectory:
+        """What the arm would be told."""
+        task, limits = self.task, self.task.insertion.slowed(pace)
+        return insertion_path(
+            task.lowered, offset_m, task.advance_m, limits, self.timing.arm_rate_hz, delay_s=delay_s
+        )
+
+    def motion(self, path: Trajectory) -> Motion:
+        """Of the hand, on the clock of the identification, if the arm is told this."""
+        hand = executed_motion(
+            moved(path, self.beside),
+            self.timing.arm_lag_s,
+            settle_s=self.task.settle_s,
+            history=self.history,
+        )
+        return hand.later(self.begin_s)
+
+
 def simulate_offsets(
     task: Task,
     timing: Timing,
@@ -42,38 +91,20 @@ def simulate_offsets(
     start_s: float,
     solver: Solver = Solver(),  # noqa: B008
 ) -> Candidates:
-    """Simulate every offset as it would be executed from `start_s` on.
-
-    The cable still swings from the hand's motion before; the hand follows with its known
-    lag, and is seen by the camera a constant beside where the arm says it is.  Time goes on as in
-    the hold, in which the cable was identified: an effect may depend on it.
+    """Simulate every offset as it would be executed from `start_s` on, see `Executing`.
 
     start_s  on the cell's clock, s
     raises   DivergedError, UnsettledError
     """
-    begin_s = start_s - filmed.begin_s
-    history = trial.grip.later(-begin_s)
-    beside = hand_offset_m_rad(filmed.hand, trial.grip)
-
-    def path(offset_m: float, delay_s: float = 0.0, pace: float = 1.0) -> Trajectory:
-        lowered, limits = task.lowered, task.insertion.slowed(pace)
-        return insertion_path(
-            lowered, offset_m, task.advance_m, limits, timing.arm_rate_hz, delay_s=delay_s
-        )
-
-    def motion(path: Trajectory) -> Motion:
-        hand = executed_motion(
-            moved(path, beside), timing.arm_lag_s, settle_s=task.settle_s, history=history
-        )
-        return hand.later(begin_s)
-
+    executing = Executing.of(task, timing, filmed, trial, start_s)
+    path, motion = executing.path, executing.motion
     choice = task.choice
     paths = [path(o) for o in task.offsets_m]
     longest = path(
         task.offsets_m[-1], choice.freely.window_s, max([1.0, *choice.freely.paces], default=1.0)
     )
     how: Simulated = {
-        "begin_s": begin_s,
+        "begin_s": executing.begin_s,
         "end_s": float(motion(longest).t_s[-1]),
         "solver": solver,
         "options": choice,
@@ -87,7 +118,7 @@ def simulate_offsets(
         expected,
         lambda offset_m, pace: motion(path(offset_m, pace=pace)),
         task.destination,
-        begin_s=begin_s,
+        begin_s=executing.begin_s,
         solver=solver,
         options=choice,
     )

@@ -3,31 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from concurrent.futures import BrokenExecutor, Future
-from contextlib import AbstractContextManager, nullcontext
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
 
 from cell.cable.solver import DivergedError, Solver, threads
 from cell.cable.statics import UnsettledError
-from cell.computer.second_process import SecondProcess
 from cell.identify.hand import HandErrors
 from cell.identify.identified import Identified
 from cell.identify.individual import CableRejectedError, IdentifyOptions, identify, predict_frames
 from cell.plan.choose import choose
 from cell.plan.enough import enough_frames
 from cell.run.candidates import simulate_offsets
-from cell.run.commands import Commands
 from cell.run.filming import filmed_so_far
 from cell.run.findings import EarlyEstimate, FilmedMotion, Filming
+from cell.run.jobs import found_by, hurried
 from cell.run.station import Station, Task, Timing
 from cell.run.trials import held_trial
-from cell.run.waiting import POLL_S
 from cell.vision.sighting import Sighting
-
-Value = TypeVar("Value")
 
 #: Shares of a fixed hold after which the cable is identified from the frames so far: at first from
 #: scratch; then, starting there, nearly finally, with a simulation of the frames to come and of all
@@ -40,9 +34,6 @@ SHARES_FREELY = (0.2, 0.45)
 AHEAD_S, AHEAD_FREELY_S = 0.3, 0.45
 #: … but not before the hand has rested so long.
 FIRST_S = 0.1
-
-#: A computation that takes longer has failed, s.
-LONGEST_S = 5.0
 
 
 @dataclass(frozen=True)
@@ -86,7 +77,7 @@ class EarlyEstimator:
         rested_s = sightings[-1].t_s - filming.rest_s
         if self._coming and rested_s >= self._coming[0].after_s:
             look = self._coming.pop(0)
-            before = _result(self._running[-1][1], station.commands) if self._running else None
+            before = found_by(self._running[-1][1], station.commands) if self._running else None
             so_far = filmed_so_far(station, filming, sightings)
             previous = before.identified if isinstance(before, EarlyEstimate) else before
             unpictured = _without_pictures(look.filming)
@@ -115,12 +106,8 @@ class EarlyEstimator:
         return None
 
     def _waited_for(self, job: Future[Found]) -> Found:
-        computer = self._station.computer
-        hurry: AbstractContextManager[None] = nullcontext()
-        if isinstance(computer, SecondProcess):
-            hurry = computer.hurried()
-        with hurry:
-            return _result(job, self._station.commands)
+        with hurried(self._station.computer):
+            return found_by(job, self._station.commands)
 
 
 def _looks(task: Task, timing: Timing, filming: Filming) -> Iterator[Look]:
@@ -142,23 +129,6 @@ def possible_ends_s(task: Task, least_s: float, most_s: float) -> Iterator[tuple
     first_s = max(least_s, FIRST_S + ahead_s)
     for end_s in (*np.arange(first_s, most_s - 0.5 * ahead_s, ahead_s), most_s):
         yield float(end_s) - ahead_s, float(end_s)
-
-
-def _result(job: Future[Value], commands: Commands) -> Value | None:
-    """What a job found; None if its process was killed or hangs, which only costs time.
-
-    raises  InterruptedByCommandError
-    """
-    for _ in range(round(LONGEST_S / POLL_S)):
-        commands.check()
-        try:
-            return job.result(POLL_S)
-        except TimeoutError:
-            if job.done():  # it is the job's own
-                raise
-        except BrokenExecutor:
-            return None
-    return None
 
 
 def _identify_so_far(

@@ -9,6 +9,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.flight.correct import Tail
 from cell.identify.identified import Identified
 from cell.identify.predicted_frames import PredictedFrames
 from cell.plan.choose import Choice, Forecast
@@ -132,6 +133,8 @@ class Findings:
     wait_s      how long it has waited when the choice was made
     offset_m    of the choice that is executed
     executed    the execution
+    tails       changes of its path that were told in flight; None = without feedback
+    predicted   (T,) times on the cell's clock and (T, 2) tip as last predicted in flight
     followed    movements of a dry run
     speed       of a dry run, as a share of the full one
     checks      what a dry run found out about the devices
@@ -153,6 +156,8 @@ class Findings:
     wait_s: float | None = None
     offset_m: float | None = None
     executed: FilmedMotion | None = None
+    tails: tuple[Tail, ...] | None = None
+    predicted: tuple[FloatArray, FloatArray] | None = None
     passage: Passage | None = None
     followed: tuple[RehearsedMotion, ...] = ()
     speed: float | None = None

@@ -6,10 +6,11 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from cell.flight.correct import Tail
 from cell.identify.identified import Identified
 from cell.plan.passage import height_at_mouth_m
 from cell.records.folder import Record
-from cell.records.result import Fault, Outcome, Result
+from cell.records.result import Correction, Fault, Outcome, Result
 from cell.run.findings import Findings, required
 from cell.run.recorded import CycleRecording
 from cell.run.station import Station
@@ -84,6 +85,7 @@ class Progress:
             prediction_error_m=None if passage is None else _finite(passage.error_m),
             wait_s=_finite(f.wait_s),
             hold_saved_s=f.hold_saved_s,
+            corrections=None if f.tails is None else tuple(map(_correction, f.tails)),
             seconds=self.seconds,
             state_seconds=state_seconds,
             parameters={} if f.identified is None else parameters_of(f.identified),
@@ -101,6 +103,10 @@ def parameters_of(identified: Identified) -> dict[str, float]:
         name: float(value)
         for name, value in zip(identified.space.names, identified.values, strict=True)
     }
+
+
+def _correction(tail: Tail) -> Correction:
+    return Correction(tail.from_s, tail.rise_m, tail.lasts_s, tail.before, tail.probability)
 
 
 def _finite(value: float | None) -> float | None:

@@ -51,6 +51,8 @@ class Task:
     """Of a point's place by the view, over both axes together."""
     least_hold_s: float | None = None
     """A hold may end after this if more frames would not matter; None = always after `hold_s`."""
+    feedback: bool = False
+    """Whether an insertion is corrected while it is made."""
     delays: KnownDelays | None = None
     """None = latency and lag are typed: nothing says how well they are known."""
 

@@ -26,6 +26,7 @@ from cell.plan.paths import MotionLimits, identification_path, path_to
 from cell.records.result import Outcome
 from cell.run.candidates import simulate_offsets
 from cell.run.clocks import delay_checks
+from cell.run.correcting import Corrector
 from cell.run.early_estimate import EarlyEstimator
 from cell.run.filming import capture, film
 from cell.run.findings import Filming, Findings, required
@@ -361,7 +362,10 @@ def review_choice(station: Station, findings: Findings, paused: bool) -> Finding
 
 
 def execute(station: Station, findings: Findings) -> Findings:
-    """Follow the chosen path from its planned moment on; film it until the hand has settled."""
+    """Follow the chosen path from its planned moment on; film it until the hand has settled.
+
+    With feedback the path may be changed meanwhile, see `Corrector`.
+    """
     task, arm, camera = station.task, station.devices.arm, station.devices.camera
     candidates, choice = required(findings.candidates), required(findings.choice)
     path, start_s = candidates.paths[choice.table.index(choice.best)], candidates.start_s
@@ -369,10 +373,20 @@ def execute(station: Station, findings: Findings) -> Findings:
     frame_count = int(np.ceil(duration_s * camera.frame_rate_hz))
     end_s = start_s + duration_s
     arm.follow(path, start_s)
+    corrector = Corrector(station, findings, path) if task.feedback else None
     wait_until(station, start_s)
     camera.start(frame_count)
     filming = Filming(start_s, end_s - task.settle_s, end_s, frame_count)
-    executed = capture(station, filming, KEEP_EVERY_MOVING)
+    if corrector is None:
+        executed = capture(station, filming, KEEP_EVERY_MOVING)
+    else:
+        try:
+            executed = capture(station, filming, KEEP_EVERY_MOVING, corrector.update)
+        finally:
+            corrector.close()
+        findings = replace(findings, tails=corrector.tails)
+        if corrector.t_s is not None and corrector.tip_m is not None:
+            findings = replace(findings, predicted=(corrector.t_s, corrector.tip_m))
     (trial,) = findings.trials
     trials = (trial, executed_trial(trial, required(findings.held), executed))
     return replace(findings, executed=executed, trials=trials)
@@ -381,12 +395,14 @@ def execute(station: Station, findings: Findings) -> Findings:
 def verify(station: Station, findings: Findings) -> Findings:
     """Whether the tip was seen to pass the destination, and how far the forecast was off."""
     executed, choice = required(findings.executed), required(findings.choice)
+    predicted = findings.predicted
+    if predicted is None:
+        predicted = required(findings.candidates).start_s + choice.t_s, choice.tip_m
     passage = measured_passage(
         station.task.destination,
         np.array([s.t_s for s in executed.sightings]),
         np.array([s.nodes_m[0] for s in executed.sightings]),
-        required(findings.candidates).start_s + choice.t_s,
-        choice.tip_m,
+        *predicted,
     )
     outcome = Outcome.INSERTED if passage.passed else Outcome.MISSED
     return replace(findings, passage=passage, outcome=outcome, reason=passage.reason)

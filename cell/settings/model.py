@@ -356,6 +356,8 @@ class Settings(Section):
     model: Model = Model()
     promotion: Promotion = Promotion()
     choice: Choice = Choice()
+    feedback: Literal["off", "on"] = "off"
+    """`on`: an insertion is corrected while it is made, from what the camera sees."""
     recording: Recording | None = Recording()
     """Null = only tables, JSON and a few pictures are left of a cycle, no frames."""
     ledger: Ledger | None = Ledger()

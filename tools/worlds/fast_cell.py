@@ -18,13 +18,16 @@ from cell.cable.effects import Effect
 from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
 from cell.cable.solver import Solver
+from cell.flight.answers import Answers, answers
+from cell.flight.correct import Tail, best_tail, decisions_s, moved_by
+from cell.flight.estimate import deviation
 from cell.identify.identified import Identified
 from cell.identify.individual import CableRejectedError, hold_trial, identify
 from cell.plan.choose import Choice, choose
 from cell.plan.enough import enough_frames
 from cell.plan.passage import Passage, measured_passage
 from cell.plan.paths import executed_motion, identification_path, insertion_path
-from cell.run.candidates import simulate_offsets
+from cell.run.candidates import Executing, simulate_offsets
 from cell.run.early_estimate import possible_ends_s, without_hand_errors
 from cell.run.findings import Candidates, FilmedMotion
 from cell.run.station import Task, Timing
@@ -60,6 +63,8 @@ class FastCycle:
     true_margin_m: float
     true_tip_error_m: float
     hold_saved_s: float = 0.0
+    tails: tuple[Tail, ...] = ()
+    true_miss_m: float = np.nan
 
     @property
     def outcome(self) -> str:
@@ -93,10 +98,12 @@ def fast_cycle(
     errors: Errors = Errors(),  # noqa: B008
     hidden: CableModel | None = None,
     only_chosen: bool = False,
+    flown: Flown | None = None,
 ) -> FastCycle:
     """One cycle with the `number`-th hidden cable of a seed.
 
     only_chosen  of the offsets, for a third less time
+    flown        what happens in flight, and whether it is corrected; None = nothing, and it is not
     """
     task = cell_task(settings) if task is None else task
     hidden = hidden_cable(settings, seed, number) if hidden is None else hidden
@@ -151,10 +158,48 @@ def fast_cycle(
     )
     clean = measured_passage(task.destination, at_s, tip, at_s, predicted)
     margin_m = float(task.destination.margin_m(tip[None])[0])
-    cycle = replace(cycle, true_margin_m=margin_m, true_tip_error_m=clean.error_m)
+    cycle = replace(
+        cycle,
+        true_margin_m=margin_m,
+        true_tip_error_m=clean.error_m,
+        true_miss_m=clean.miss_m,
+    )
     if reason is not None:
         return cycle
-    executed = _executed(task, hidden, truth.motions[index], start_s, held, bias, errors, rng)
+    motion, tails = truth.motions[index], ()
+    if flown is not None:
+        assert identified is not None and expected is not None
+        executing = Executing.of(task, timing, filmed, held, start_s)
+        path = expected.paths[index]
+        ahead = answers(
+            identified,
+            executing.motion(path),
+            executing.begin_s,
+            truth.end_s,
+            task.arc_length_m,
+        )
+        view = _View(task, hidden, down, start_s, lag_s, bias, errors, identified.noise.std_m)
+        motion, tails, predicted = _corrected(view, path, ahead, flown, rng)
+        tip = simulate(
+            hidden,
+            motion,
+            start_s + at_s,
+            np.array([task.cable.free_length_m]),
+            solver=WORLD,
+        )[0, :, 0]
+        predicted = np.column_stack(
+            [np.interp(at_s, ahead.t_s, predicted[:, axis]) for axis in (0, 1)]
+        )
+        clean = measured_passage(task.destination, at_s, tip, at_s, predicted)
+        margin_m = float(task.destination.margin_m(tip[None])[0])
+        cycle = replace(
+            cycle,
+            true_margin_m=margin_m,
+            true_tip_error_m=clean.error_m,
+            tails=tails,
+            true_miss_m=clean.miss_m,
+        )
+    executed = _executed(task, hidden, motion, start_s, held, bias, errors, rng)
     passage = measured_passage(
         task.destination,
         executed.markers.t_s,
@@ -163,6 +208,94 @@ def fast_cycle(
         choice.tip_m,
     )
     return replace(cycle, executed=executed, passage=passage)
+
+
+@dataclass(frozen=True)
+class Flown:
+    """What happens while a cable is inserted.
+
+    feedback   whether it is corrected
+    late_s     by so much earlier the last frame was taken that is used
+    dead_s     a change can begin so long after it is decided
+    knock      when the hand is set off, and by how much to the right and up, m
+    """
+
+    feedback: bool = False
+    late_s: float = 0.015
+    dead_s: float = 0.015
+    knock: tuple[float, float, float] | None = None
+    lost: float = 0.0
+    latency_s: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class _View:
+    """A hidden cable as the camera sees it in flight."""
+
+    task: Task
+    hidden: CableModel
+    down: Motion
+    start_s: float
+    lag_s: float
+    bias: _Bias
+    errors: Errors
+    noise_m: float
+
+    def motion(self, path: Trajectory, flown: Flown) -> Motion:
+        """The hand's true one, the hold before included."""
+        motion = _whole(self.task, self.down, path, self.start_s, self.lag_s)
+        if flown.knock is None:
+            return motion
+        at_s, right_m, up_m = flown.knock
+        u = np.clip((motion.t_s - self.start_s - at_s) / 0.02, 0.0, 1.0)
+        knocked = u * u * (3.0 - 2.0 * u)
+        return replace(motion, x_m=motion.x_m + right_m * knocked, y_m=motion.y_m + up_m * knocked)
+
+    def nodes_m(
+        self, motion: Motion, t_s: FloatArray, flown: Flown, rng: np.random.Generator
+    ) -> FloatArray:
+        """(frames, nodes, 2) as seen, from when the hand is told to move."""
+        at_s = self.start_s + t_s - flown.latency_s
+        nodes = simulate(self.hidden, motion, at_s, self.task.arc_length_m, solver=WORLD)[0]
+        seen = _pictured(nodes, self.bias, self.errors, rng)
+        seen[rng.random(len(seen)) < flown.lost] = np.nan
+        return seen
+
+
+def _corrected(
+    view: _View, path: Trajectory, ahead: Answers, flown: Flown, rng: np.random.Generator
+) -> tuple[Motion, tuple[Tail, ...], FloatArray]:
+    """The hand's true motion, the changes that were told, and the tip as last predicted."""
+    tails: tuple[Tail, ...] = ()
+    motion = view.motion(path, flown)
+    tip_m = ahead.nodes_m[:, 0]
+    for decide_s in decisions_s(ahead, view.task.destination) if flown.feedback else ():
+        t_s = np.arange(0.001, decide_s - flown.late_s, 0.005)
+        seen = view.nodes_m(motion, t_s, flown, rng)
+        beside = deviation(ahead, t_s, seen, view.noise_m)
+        tip_m = ahead.nodes_m[:, 0] + beside.tip_m
+        tail = best_tail(
+            ahead,
+            beside,
+            view.task.destination,
+            decide_s + flown.dead_s,
+            view.lag_s,
+            view.task.choice.repeatability_m,
+        )
+        if tail is not None:
+            tails = (*tails, tail)
+            path, ahead, tip_m = tail.of(path), moved_by(ahead, tail, view.lag_s), tail.tip_m
+            motion = view.motion(path, flown)
+    return motion, tails, tip_m
+
+
+def _whole(task: Task, down: Motion, path: Trajectory, start_s: float, lag_s: float) -> Motion:
+    """The hand's true motion when it follows a path after a hold."""
+    late = executed_motion(path, lag_s, settle_s=task.settle_s)
+    rows = np.column_stack([late.t_s + start_s, late.x_m, late.y_m, late.angle_rad])
+    before = np.column_stack([down.t_s, down.x_m, down.y_m, down.angle_rad])
+    whole = np.vstack([before, rows[rows[:, 0] > down.t_s[-1] + 1e-6]])
+    return Motion(*(np.ascontiguousarray(c) for c in whole.T))
 
 
 def _end_of_hold_s(task: Task, timing: Timing, held: Trial) -> float:
@@ -273,11 +406,7 @@ def _truths(
         path = insertion_path(
             task.lowered, offset_m, task.advance_m, limits, RATE_HZ, delay_s=delay_s
         )
-        late = executed_motion(path, lag_s, settle_s=task.settle_s)
-        rows = np.column_stack([late.t_s + start_s, late.x_m, late.y_m, late.angle_rad])
-        before = np.column_stack([down.t_s, down.x_m, down.y_m, down.angle_rad])
-        whole = np.vstack([before, rows[rows[:, 0] > down.t_s[-1] + 1e-6]])
-        motions.append(Motion(*(np.ascontiguousarray(c) for c in whole.T)))
+        motions.append(_whole(task, down, path, start_s, lag_s))
     return _Truths(task, hidden, motions, start_s)
 
 

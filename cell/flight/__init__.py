@@ -1,0 +1,1 @@
+"""Correction of an insertion while it is made."""

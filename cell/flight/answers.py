@@ -1,0 +1,132 @@
+"""How a held cable answers what moves it beside the expected: small, so that answers add up."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable.dynamics import simulate
+from cell.cable.geometry import Motion
+from cell.cable.solver import Solver
+from cell.identify.differences import difference_points
+from cell.identify.identified import Identified
+from cell.plan.choose import coarsened
+
+FloatArray = NDArray[np.float64]
+
+#: Time between two instants at which nodes are known, s.
+INTERVAL_S = 0.005
+#: Modes of the swing that a force from outside excites.
+MODES = 2
+#: Forces and the hand's place change at moments so far apart, s.
+KNOTS_S = 0.05
+#: One node in so many is looked at in flight, the tip among them.
+EVERY_NODE = 2
+#: Pictures may be later than is known by about so much, s.
+LATE_S = 4e-3
+#: So far the hand, m, and the modes, in free lengths per second, are moved to see the answer …
+_STEP_M, _KICK = 1e-3, 0.05
+#: … the hand within this time, s.
+_STEP_S = INTERVAL_S
+
+
+@dataclass(frozen=True, eq=False)
+class Answers:
+    """A cable in a motion of the hand, and its answers to what is not expected.
+
+    Nodes are those that the camera sees, the tip first; all linear, of one cable near rest.
+
+    t_s       (T,) from when the hand is told to move, every `INTERVAL_S`
+    nodes_m   (T, nodes, 2) as expected
+    rise      (T, nodes, 2) after the hand was led up by 1 m at 0
+    basis     (T, nodes', 2, unknowns) of one node in `EVERY_NODE`: by pictures that are `LATE_S`
+              late; by the cable's parameters, each as uncertain as it is; then, for every knot, by
+              forces that begin there and bend the tip by 1 m at last, `MODES` of them, and by the
+              hand set off by 1 m right and up
+    tip       (T, 2, unknowns) of the tip itself, which is not late
+    lasting   how many of the unknowns are not changes at a knot
+    """
+
+    t_s: FloatArray
+    nodes_m: FloatArray
+    rise: FloatArray
+    basis: FloatArray
+    tip: FloatArray
+    lasting: int
+
+
+def answers(
+    identified: Identified,
+    motion: Motion,
+    begin_s: float,
+    end_s: float,
+    arc_length_m: FloatArray,
+    solver: Solver = Solver(),  # noqa: B008
+) -> Answers:
+    """Simulate the expected motion, and every answer once.
+
+    motion         of the hand, on the clock of the identification
+    begin_s, end_s on that clock: from when the hand is told to move, until when nodes are wanted
+    arc_length_m   (nodes,) of the nodes from the gripping point, m
+    raises         what the engine raises
+    """
+    t_s = np.arange(0.0, end_s - begin_s, INTERVAL_S)
+    space, mean = identified.space, identified.mean
+    coarse = coarsened(solver)
+    expected = simulate(space.model(mean), motion, begin_s + t_s, arc_length_m, solver=solver)[0]
+    lanes = difference_points(mean, space.difference_steps(mean))
+    models = [space.model(q) for q in lanes]
+    near = simulate(models, motion, begin_s + t_s, arc_length_m, solver=coarse)
+    by_step = (near[1:] - near[:1]) / np.diag(lanes[1:] - mean)[:, None, None, None]
+    slopes = np.einsum("qtnx,qp->ptnx", by_step, identified.root)
+    forces, hand = _answers_at_rest(identified, motion, t_s, arc_length_m, coarse)
+    late = -LATE_S * np.gradient(expected[:, ::EVERY_NODE], INTERVAL_S, axis=0)
+    columns = [late, *slopes[:, :, ::EVERY_NODE]]
+    for knot in range(0, len(t_s), round(KNOTS_S / INTERVAL_S)):
+        for answer in (*forces, *hand):
+            later = np.zeros_like(columns[0])
+            later[knot:] = answer[: len(t_s) - knot, ::EVERY_NODE]
+            columns.append(later)
+    basis = np.stack(columns, axis=-1)
+    tip = basis[:, 0].copy()
+    tip[..., 0] = 0.0
+    return Answers(t_s, expected, hand[1], basis, tip, 1 + len(slopes))
+
+
+def _answers_at_rest(
+    identified: Identified,
+    motion: Motion,
+    t_s: FloatArray,
+    arc_length_m: FloatArray,
+    solver: Solver,
+) -> tuple[FloatArray, FloatArray]:
+    model = identified.space.model(identified.mean)
+    still = _resting(motion, t_s)
+    kicks = [np.zeros((2, MODES))]
+    for mode in range(MODES):
+        kick = np.zeros((2, MODES))
+        kick[1, mode] = _KICK
+        kicks.append(kick)
+    swings = simulate(
+        [model] * len(kicks), still, t_s, arc_length_m, solver=solver, start="moving", bent=kicks
+    )
+    forces = np.cumsum(swings[1:] - swings[:1], axis=1)
+    held = simulate(model, still, t_s, arc_length_m, solver=solver)[0]
+    # the mean of the last swings is where a lasting force bends the tip to
+    bent_m = np.linalg.norm(forces[:, len(t_s) // 2 :, 0].mean(axis=1), axis=-1)
+    forces /= bent_m[:, None, None, None]
+    moved = [
+        replace(still, **{name: getattr(still, name) + _STEP_M * (still.t_s > 0.5 * _STEP_S)})
+        for name in ("x_m", "y_m")
+    ]
+    hand = simulate([model] * 2, moved, t_s, arc_length_m, solver=solver) - held
+    return forces, hand / _STEP_M
+
+
+def _resting(motion: Motion, t_s: FloatArray) -> Motion:
+    """The hand at rest where it is in the end, before time 0 and after."""
+    grid = np.arange(-10.0, len(t_s) + 1.0) * _STEP_S
+    ends = (np.full(len(grid), float(v[-1])) for v in (motion.x_m, motion.y_m, motion.angle_rad))
+    return Motion(grid, *ends)

@@ -1,0 +1,136 @@
+"""Corrects an insertion while it is filmed."""
+
+from __future__ import annotations
+
+import logging
+from concurrent.futures import Future
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable.solver import DivergedError, Solver, threads
+from cell.cable.statics import UnsettledError
+from cell.flight.answers import Answers, answers
+from cell.flight.correct import Tail, best_tail, decisions_s, moved_by
+from cell.flight.estimate import deviation
+from cell.run.candidates import Executing
+from cell.run.findings import Findings, required
+from cell.run.jobs import found_by, hurried
+from cell.run.station import Station
+from cell.vision.recording import steady_nodes
+from cell.vision.sighting import Sighting
+from drivers.interfaces import LimitError, Trajectory
+
+FloatArray = NDArray[np.float64]
+
+_LOG = logging.getLogger(__name__)
+
+#: When the hand has been told to move so long ago, it must be known how the cable answers, s.
+NEEDED_S = 0.1
+#: From a decision's last frame until its change may begin, s: to look, to compute, to tell the arm.
+DEAD_S = 0.04
+#: Frames that differ from what is found by so many standard deviations are not explained by it.
+MOST_MISFIT = 5.0
+#: A decision needs so many frames in which the cable is seen.
+LEAST_FRAMES = 10
+
+
+class Corrector:
+    """Changes the hand's path if the tip will pass more probably.
+
+    Which frames a decision uses depends on their times alone.  Whatever keeps a correction from
+    being found or told leaves the path as it is.
+    """
+
+    def __init__(self, station: Station, findings: Findings, path: Trajectory) -> None:
+        """For the insertion that is about to begin."""
+        self._station, self._path = station, path
+        self._start_s = required(findings.candidates).start_s
+        task, identified = station.task, required(findings.identified)
+        executing = Executing.of(
+            task, station.timing, required(findings.held), findings.trials[0], self._start_s
+        )
+        motion = executing.motion(path)
+        self._noise_m = identified.noise.std_m
+        self._job: Future[Answers] = station.computer.submit(
+            answers,
+            identified,
+            motion,
+            executing.begin_s,
+            float(motion.t_s[-1]),
+            task.arc_length_m,
+            Solver(threads=max(1, threads() - 1)),
+        )
+        self._answers: Answers | None = None
+        self._left: list[float] | None = None
+        self.tails: tuple[Tail, ...] = ()
+        self.tip_m: FloatArray | None = None
+
+    @property
+    def t_s(self) -> FloatArray | None:
+        """(T,) times of the tip as it was last predicted, on the cell's clock."""
+        return None if self._answers is None else self._start_s + self._answers.t_s
+
+    def update(self, sightings: list[Sighting]) -> bool:
+        """Decide, if it is time to; never ends the filming."""
+        since_s = sightings[-1].t_s - self._start_s
+        if self._left is None and since_s >= NEEDED_S:
+            self._left = self._begin()
+        if self._left and since_s >= self._left[0]:
+            self._left.pop(0)
+            self._decide(sightings, since_s)
+        return False
+
+    def close(self) -> None:
+        """Cancel what has not begun."""
+        self._job.cancel()
+
+    def _begin(self) -> list[float]:
+        try:
+            with hurried(self._station.computer):
+                self._answers = found_by(self._job, self._station.commands)
+        except (DivergedError, UnsettledError) as error:
+            _LOG.warning("no correction in flight: %s", error)
+        if self._answers is None:
+            return []
+        return list(decisions_s(self._answers, self._station.task.destination))
+
+    def _decide(self, sightings: list[Sighting], since_s: float) -> None:
+        assert self._answers is not None
+        t_s = np.array([s.t_s for s in sightings]) - self._start_s
+        nodes_m = steady_nodes(sightings)
+        seen = np.isfinite(nodes_m[:, 0, 0]) & (t_s >= 0.0)
+        if seen.sum() < LEAST_FRAMES:
+            _LOG.info(
+                "no correction at %.2f s: the cable is seen in %d frames", since_s, seen.sum()
+            )
+            return
+        beside = deviation(self._answers, t_s[seen], nodes_m[seen], self._noise_m)
+        if beside.misfit > MOST_MISFIT:
+            _LOG.info("no correction at %.2f s: misfit %.1f", since_s, beside.misfit)
+            return
+        self.tip_m = self._answers.nodes_m[:, 0] + beside.tip_m
+        task, arm = self._station.task, self._station.devices.arm
+        tail = best_tail(
+            self._answers,
+            beside,
+            task.destination,
+            since_s + DEAD_S,
+            arm.lag_s,
+            task.choice.repeatability_m,
+        )
+        if tail is None:
+            return
+        path = tail.of(self._path)
+        try:
+            arm.revise(path, self._start_s + tail.from_s)
+        except LimitError as error:
+            _LOG.warning("no correction at %.2f s: %s", since_s, error)
+            return
+        _LOG.info(
+            "corrected at %.2f s: %+.1f mm within %.2f s, probability %.2f instead of %.2f",
+            since_s, 1e3 * tail.rise_m, tail.lasts_s, tail.probability, tail.before,
+        )  # fmt: skip
+        self._path, self.tip_m = path, tail.tip_m
+        self._answers = moved_by(self._answers, tail, arm.lag_s)
+        self.tails = (*self.tails, tail)

@@ -1,0 +1,150 @@
+"""How often cables are inserted when a path is corrected in flight, and when it is not.
+
+Cells without pictures, each cable twice with the same noise: its path as chosen, and corrected.
+
+    python -m tools.studies.flight_study flights.csv --cables 20 [--half-mm 5] [--worlds NAME …]
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+from collections import Counter
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+
+import numpy as np
+
+from cell.build import cell_task
+from cell.cable.effects.library import library
+from cell.plan.choose import Freedom
+from cell.settings import Settings, load_settings
+from tools.studies.mouth_study import with_mouth
+from tools.worlds.fast_cell import Flown, fast_cycle, typical, with_world
+
+ROOT = Path(__file__).parents[2]
+NOTHING = Flown()
+#: What happens in flight.
+EVENTS = {
+    "complete": NOTHING,
+    "soft": NOTHING,
+    "knock up": Flown(knock=(0.5, 0.0, 0.002)),
+    "knock back": Flown(knock=(0.5, 0.002, 0.0)),
+    "late knock": Flown(knock=(0.7, 0.0, -0.002)),
+    "late frames": Flown(latency_s=0.01),
+    "lost frames": Flown(lost=0.03),
+}
+
+
+@dataclass(frozen=True)
+class Tried:
+    """One cable, once."""
+
+    world: str
+    feedback: bool
+    cable: int
+    outcome: str
+    true_margin_mm: float
+    miss_mm: float
+    error_mm: float
+    corrections: int
+
+
+def worlds() -> list[str]:
+    """Names of what may happen, and of effects that the model does not know, once and twice."""
+    effects = [f"{name} x{size}" for name in library() for size in (1, 2)]
+    return [*EVENTS, *effects]
+
+
+def settings_of(settings: Settings, world: str) -> Settings:
+    """The settings of cells in a world."""
+    if world == "soft":
+        low, high = settings.world.rigidity_n_m2
+        soft = settings.world.model_copy(update={"rigidity_n_m2": (0.5 * low, 0.5 * high)})
+        return settings.model_copy(update={"world": soft})
+    if world in EVENTS:
+        return settings
+    name, size = world.split(" x")
+    return with_world(settings, {name: typical(library()[name], float(size))})
+
+
+def tried(settings: Settings, freely: Freedom, world: str, seed: int, cable: int) -> list[Tried]:
+    """What becomes of one cable, without and with corrections."""
+    there = settings_of(settings, world)
+    task = cell_task(there)
+    task = replace(task, choice=replace(task.choice, freely=freely))
+    happens = EVENTS.get(world, NOTHING)
+    found = []
+    for feedback in (False, True):
+        flown = replace(happens, feedback=feedback)
+        cycle = fast_cycle(there, seed, cable, task=task, only_chosen=True, flown=flown)
+        found.append(
+            Tried(
+                world,
+                feedback,
+                cable,
+                cycle.outcome,
+                1e3 * cycle.true_margin_m,
+                1e3 * cycle.true_miss_m,
+                1e3 * cycle.true_tip_error_m,
+                len(cycle.tails),
+            )
+        )
+    return found
+
+
+def table(rows: list[Tried]) -> str:
+    """Per world: outcomes off and on, how many were saved and harmed, and the tip in the mouth."""
+    lines = [
+        f"{'world':22}{'inserted':>12}{'missed':>10}{'saved':>8}{'harmed':>8}"
+        f"{'miss rms mm':>16}{'forecast rms mm':>18}{'corrections':>13}"
+    ]
+    for world in dict.fromkeys(r.world for r in rows):
+        off = {r.cable: r for r in rows if r.world == world and not r.feedback}
+        on = {r.cable: r for r in rows if r.world == world and r.feedback}
+        counts = [Counter(r.outcome for r in those.values()) for those in (off, on)]
+        pairs = [(off[c].outcome, on[c].outcome) for c in off]
+        both = [c for c in off if off[c].outcome != "rejected"]
+        miss, error = (
+            [
+                np.sqrt(np.nanmean([getattr(those[c], name) ** 2 for c in both] or [np.nan]))
+                for those in (off, on)
+            ]
+            for name in ("miss_mm", "error_mm")
+        )
+        lines.append(
+            f"{world:22}{counts[0]['inserted']:>6}{counts[1]['inserted']:>6}"
+            f"{counts[0]['missed']:>5}{counts[1]['missed']:>5}"
+            f"{pairs.count(('missed', 'inserted')):>8}{pairs.count(('inserted', 'missed')):>8}"
+            f"{miss[0]:>8.2f}{miss[1]:>8.2f}{error[0]:>9.3f}{error[1]:>9.3f}"
+            f"{np.mean([r.corrections for r in on.values()]):>13.1f}"
+        )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser.add_argument("file", type=Path, help="CSV file to write")
+    parser.add_argument("--cables", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=7)
+    parser.add_argument("--config", type=Path, default=ROOT / "config" / "fake.yaml")
+    parser.add_argument("--half-mm", type=float, default=5.0)
+    parser.add_argument("--window-s", type=float, default=0.0)
+    parser.add_argument("--worlds", nargs="+", choices=worlds(), default=worlds())
+    given = parser.parse_args()
+    settings = with_mouth(load_settings(given.config), given.half_mm)
+    freely, rows = Freedom(given.window_s, (1.15, 1.3, 1.5, 1.8)), []
+    with given.file.open("w", newline="") as file:
+        writer = csv.DictWriter(file, [f.name for f in fields(Tried)])
+        writer.writeheader()
+        for world in given.worlds:
+            for cable in range(1, given.cables + 1):
+                rows += tried(settings, freely, world, given.seed, cable)
+                writer.writerows(asdict(r) for r in rows[-2:])
+                file.flush()
+            print(table([r for r in rows if r.world == world]), flush=True)
+    print(table(rows))
+
+
+if __name__ == "__main__":
+    main()
