@@ -21,14 +21,14 @@ INTERVAL_S = 0.005
 #: Modes of the swing that a force from outside excites.
 MODES = 2
 #: Forces and the hand's place change at moments so far apart, s.
-KNOTS_S = 0.05
+KNOTS_S = 0.025
 #: One node in so many is looked at in flight, the tip among them.
 EVERY_NODE = 2
 #: Pictures may be later than is known by about so much, s.
 LATE_S = 4e-3
 #: So far the hand, m, and the modes, in free lengths per second, are moved to see the answer …
 _STEP_M, _KICK = 1e-3, 0.05
-#: … the hand within this time, s.
+#: … the hand within this time before 0, s: so that a motion is a sum of such, one an instant.
 _STEP_S = INTERVAL_S
 
 
@@ -118,7 +118,7 @@ def _answers_at_rest(
     bent_m = np.linalg.norm(forces[:, len(t_s) // 2 :, 0].mean(axis=1), axis=-1)
     forces /= bent_m[:, None, None, None]
     moved = [
-        replace(still, **{name: getattr(still, name) + _STEP_M * (still.t_s > 0.5 * _STEP_S)})
+        replace(still, **{name: getattr(still, name) + _STEP_M * (still.t_s > -0.5 * _STEP_S)})
         for name in ("x_m", "y_m")
     ]
     hand = simulate([model] * 2, moved, t_s, arc_length_m, solver=solver) - held

@@ -23,6 +23,8 @@ LASTS_S = (0.12, 0.2, 0.3)
 AHEAD_S = (0.45, 0.32, 0.2)
 #: Of two changes that do as well the smaller one: so much margin a metre of it must gain, m.
 COST = 0.1
+#: No change is made that does not pass with this probability.
+LEAST = 0.5
 #: A change is made if it raises the probability by so much, or the margin by so many of its own
 #: standard deviations, and by so much, m.
 WORTH, WORTH_STD, WORTH_M = 0.01, 2.0, 1e-4
@@ -93,9 +95,10 @@ def best_tail(
     best = max((tail(float(r), lasts_s, every) for r in fine), key=_worth)
     worth, std_m, chosen = best
     surely = chosen.margin_m - none[1] > max(WORTH_M, WORTH_STD * std_m)
-    if worth <= none[0] + none[1] or not (chosen.probability - none[0] > WORTH or surely):
+    likely = chosen.probability >= max(LEAST, none[0])
+    if worth <= none[0] + none[1] or not likely:
         return None
-    return chosen
+    return chosen if chosen.probability - none[0] > WORTH or surely else None
 
 
 def _worth(judged: tuple[float, float, Tail]) -> float:

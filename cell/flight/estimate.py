@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
-from cell.flight.answers import EVERY_NODE, INTERVAL_S, MODES, Answers
+from cell.flight.answers import EVERY_NODE, INTERVAL_S, KNOTS_S, MODES, Answers
 
 FloatArray = NDArray[np.float64]
 
@@ -51,15 +51,19 @@ def deviation(
     std_m    of their noise
     source   Kalman & Bucy; batch form, as in Bar-Shalom, Li & Kirubarajan 2001, section 3.4
     """
-    basis, t_s, nodes_m = answers.basis, t_s[::-EVERY], nodes_m[::-EVERY, ::EVERY_NODE]
-    expected, seen_by = _at(answers.nodes_m[:, ::EVERY_NODE], t_s), _at(basis, t_s)
+    knots = 1 + int(t_s[-1] / KNOTS_S)  # of what is to come nothing is known
+    unknowns = answers.lasting + knots * (MODES + 2)
+    tip = answers.tip[..., :unknowns]
+    t_s, nodes_m = t_s[::-EVERY], nodes_m[::-EVERY, ::EVERY_NODE]
+    expected = _at(answers.nodes_m[:, ::EVERY_NODE], t_s)
+    seen_by = _at(answers.basis[..., :unknowns], t_s)
     rows, known = (nodes_m - expected).ravel(), np.isfinite(nodes_m).ravel()
     weight = 1.0 / (std_m * np.sqrt(ALIKE))
     values = weight * rows[known]
     slopes = weight * seen_by.reshape(len(rows), -1)[known]
     normal, right = slopes.T @ slopes, slopes.T @ values
     best: tuple[float, FloatArray, FloatArray, FloatArray] | None = None
-    for prior in _priors(basis.shape[-1], answers.lasting):
+    for prior in _priors(answers.lasting, knots):
         scaled = prior[:, None] * normal * prior
         factor = cho_factor(np.eye(len(prior)) + scaled, lower=True)
         z = cho_solve(factor, prior * right)
@@ -72,17 +76,16 @@ def deviation(
     drawn = np.random.default_rng(20260102).standard_normal((len(prior), samples))
     drawn = z[:, None] + solve_triangular(root.T, drawn, lower=False)
     return Deviation(
-        answers.tip @ (prior * z),
-        np.moveaxis(answers.tip @ (prior[:, None] * drawn), -1, 0),
+        tip @ (prior * z),
+        np.moveaxis(tip @ (prior[:, None] * drawn), -1, 0),
         float(np.sqrt(np.mean(left**2))) if len(left) else 1.0,
     )
 
 
-def _priors(unknowns: int, lasting: int) -> Iterator[FloatArray]:
+def _priors(lasting: int, knots: int) -> Iterator[FloatArray]:
     """(unknowns,) standard deviations that may be true."""
     for force_m, hand_m in product(FORCES_M, HAND_M):
         knot = [force_m / (mode + 1.0) ** 2 for mode in range(MODES)] + [hand_m] * 2
-        knots = (unknowns - lasting) // len(knot)
         yield np.array([1.0] * lasting + knot * knots)
 
 
