@@ -178,7 +178,8 @@ def fast_cycle(
             truth.end_s,
             task.arc_length_m,
         )
-        view = _View(task, hidden, down, start_s, lag_s, bias, errors, identified.noise.std_m)
+        noise_m = max(identified.noise.std_m, identified.residual_rms_m)
+        view = _View(task, hidden, down, start_s, lag_s, bias, errors, noise_m)
         motion, tails, predicted = _corrected(view, path, ahead, flown, rng)
         tip = simulate(
             hidden,

@@ -1,0 +1,142 @@
+"""An insertion is corrected while it is made, by the simulated cell as `cell run` makes it."""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from cell.cli import app
+from cell.flight.correct import Tail
+from cell.records.folder import read_record
+from cell.records.result import Outcome, Result
+from cell.run import correcting
+from cell.run.machine import Event
+from cell.settings import Settings
+
+Live = Callable[..., SimpleNamespace]
+
+
+def seeing(quick: Settings, **changes: Any) -> Settings:
+    return quick.model_copy(update={"feedback": "on", **changes})
+
+
+def one_change(rise_m: float) -> Callable[..., Tail | None]:
+    """At the first decision the hand is led up by so much, at no other."""
+    made: list[Tail] = []
+
+    def tail(answers: Any, beside: Any, destination: Any, from_s: float, *rest: Any) -> Tail | None:
+        if made:
+            return None
+        before_m = answers.nodes_m[:, 0] + beside.tip_m
+        tail = Tail(from_s, rise_m, 0.2, 1.0, 0.0, 0.5, before_m)
+        moved = correcting.moved_by(answers, tail, 0.03).nodes_m[:, 0] + beside.tip_m
+        made.append(replace(tail, tip_m=moved))
+        return made[0]
+
+    return tail
+
+
+def test_what_goes_well_goes_no_worse(live: Live, quick: Settings) -> None:
+    result = live(settings=seeing(quick)).cell.run_cycle(1)
+    assert result.outcome is Outcome.INSERTED
+    assert result.corrections is not None
+    assert result.margin_m is not None and result.predicted_margin_m is not None
+    assert result.margin_m > result.predicted_margin_m - 3e-4
+    assert result.prediction_error_m is not None and result.prediction_error_m < 5e-4
+
+
+def test_without_feedback_nothing_is_said_of_it(live: Live) -> None:
+    assert live().cell.run_cycle(1).corrections is None
+
+
+@pytest.mark.parametrize("rise_m", [0.002, -0.002])
+def test_a_change_in_flight_moves_the_tip_as_foretold(
+    live: Live, quick: Settings, monkeypatch: pytest.MonkeyPatch, rise_m: float
+) -> None:
+    plain = live().cell.run_cycle(1)
+    monkeypatch.setattr(correcting, "best_tail", one_change(rise_m))
+    result = live(settings=seeing(quick)).cell.run_cycle(1)
+    assert result.corrections is not None and len(result.corrections) == 1
+    assert result.corrections[0].rise_m == rise_m
+    assert result.measured_miss_m is not None and plain.measured_miss_m is not None
+    assert np.sign(result.measured_miss_m - plain.measured_miss_m) == np.sign(rise_m)
+    assert abs(result.measured_miss_m - plain.measured_miss_m) > 1e-3
+    assert result.prediction_error_m is not None and result.prediction_error_m < 5e-4
+    study = read_record(Path(result.folder)).study
+    assert study is not None
+    executed = study.trials[-1].grip  # what the arm did is in the record, not what was chosen first
+    assert executed.y_m[-1] == pytest.approx(
+        quick.motion.home.y_m - quick.motion.lower_m - (result.offset_m or 0.0) + rise_m, abs=3e-4
+    )
+
+
+def test_what_the_arm_refuses_leaves_the_path_as_it_is(
+    live: Live, quick: Settings, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Too fast for the limits of the settings, or told too late."""
+    plain = live().cell.run_cycle(1)
+    monkeypatch.setattr(correcting, "best_tail", one_change(0.5))
+    with caplog.at_level(logging.WARNING):
+        result = live(settings=seeing(quick)).cell.run_cycle(1)
+    assert result.outcome is Outcome.INSERTED and result.corrections == ()
+    assert result.measured_miss_m == pytest.approx(plain.measured_miss_m, abs=1e-4)
+    assert "no correction at" in caplog.text and "followed as it was" in caplog.text
+
+
+def test_what_cannot_be_explained_is_not_corrected(
+    live: Live, quick: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(correcting, "MOST_MISFIT", 0.0)
+    monkeypatch.setattr(correcting, "best_tail", one_change(0.002))
+    result = live(settings=seeing(quick)).cell.run_cycle(1)
+    assert result.outcome is Outcome.INSERTED and result.corrections == ()
+
+
+def test_without_the_second_process_it_goes_on_as_it_was(
+    live: Live, quick: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(correcting, "found_by", lambda job, commands: None)
+    result = live(settings=seeing(quick)).cell.run_cycle(1)
+    assert result.outcome is Outcome.INSERTED and result.corrections == ()
+
+
+def test_a_stop_wins_over_a_change(
+    live: Live, quick: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    it = live(settings=seeing(quick))
+    find = one_change(0.002)
+
+    def stopped(*asked: Any) -> Tail | None:
+        it.cell.command(Event.STOP, "a person")
+        return find(*asked)
+
+    monkeypatch.setattr(correcting, "best_tail", stopped)
+    result: Result = it.cell.run_cycle(1)
+    assert result.outcome is Outcome.FAILED and result.fault is not None
+    assert result.fault.step == "execute" and result.fault.cause == "a person"
+    assert not it.cell._station.devices.arm.state().moving
+
+
+def test_a_corrected_insertion_is_recorded_and_replayed(
+    tmp_path: Path, recorded_config: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = tmp_path / "seeing.yaml"
+    text = recorded_config.read_text(encoding="utf-8")
+    config.write_text(text + "\nfeedback: on\n", encoding="utf-8")
+    asked = ["run", "--config", str(config), "--cycles", "1", "--out", str(tmp_path / "runs")]
+    monkeypatch.setattr(correcting, "best_tail", one_change(0.002))
+    done = CliRunner().invoke(app, [*asked, "--json"])
+    result = json.loads(done.stdout.splitlines()[0])
+    assert len(result["corrections"]) == 1, done.output
+    monkeypatch.setattr(correcting, "best_tail", one_change(0.002))
+    again = CliRunner().invoke(app, ["replay", result["folder"], "--json"])
+    assert json.loads(again.stdout)["identical"], again.stdout
