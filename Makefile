@@ -4,7 +4,7 @@ BIN := $(VENV)/bin
 PYTHON ?= $(firstword $(foreach p,python3.12 python3.11 python3.13 python3,$(shell $(p) -c "import sys; print('$(p)' if (3,11) <= sys.version_info[:2] < (3,14) else '')" 2>/dev/null)))
 CYCLES ?= 3
 
-.PHONY: run test lint types imports compiled compiled-cell compiled-arm compiled-effects compiled-tests tests hardware bench figures learn coverage practice false-alarms confusion rigs breadth checks fault-trials calibration-study malformed endurance kills mouths endings words clean help jaw-plate picture docs
+.PHONY: run test lint types imports compiled compiled-cell compiled-arm compiled-effects compiled-tests tests hardware bench figures learn coverage practice false-alarms confusion rigs breadth checks fault-trials calibration-study malformed endurance kills mouths holds flights endings words clean help jaw-plate picture docs
 
 help:            ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
@@ -115,7 +115,13 @@ malformed: $(VENV)/.dev   ## 1,000 spoilt studies, settings, motions, models and
 endurance: $(VENV)/.dev   ## 500 cycles against the emulators: memory, threads, files (~40 min)
 	$(BIN)/python -m tools.faults.endurance --cycles 500
 
-mouths: $(VENV)/.dev   ## insertion rate by the mouth's height, offsets alone and freely, ~1 h
+holds: $(VENV)/.dev   ## insertion rate and stated probability, holds fixed and as needed, ~25 min
+	$(BIN)/python -m tools.studies.hold_study holds.csv
+
+flights: $(VENV)/.dev   ## insertion rate with and without correction in flight, by disturbance, ~1 h
+	$(BIN)/python -m tools.studies.flight_study flights.csv --half-mm 2
+
+mouths: $(VENV)/.dev   ## insertion rate by the mouth's height, offsets alone and freely, ~30 min
 	$(BIN)/python -m tools.studies.mouth_study mouths.csv
 
 kills: $(VENV)/.dev   ## 100 cells killed at random moments: what `cell recover` gives back (~40 min)

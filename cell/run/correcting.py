@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from concurrent.futures import Future
 
 import numpy as np
@@ -42,11 +43,18 @@ class Corrector:
     being found or told leaves the path as it is.
     """
 
-    def __init__(self, station: Station, findings: Findings, path: Trajectory) -> None:
-        """For the insertion that is about to begin."""
-        self._station, self._path = station, path
+    def __init__(
+        self,
+        station: Station,
+        findings: Findings,
+        path: Trajectory,
+        revise: Callable[[Trajectory, float], None],
+    ) -> None:
+        """For the insertion that is about to begin; `revise` is the arm's."""
+        self._station, self._path, self._revise = station, path, revise
         self._start_s = required(findings.candidates).start_s
         task, identified = station.task, required(findings.identified)
+        self._lag_s = station.timing.arm_lag_s
         executing = Executing.of(
             task, station.timing, required(findings.held), findings.trials[0], self._start_s
         )
@@ -111,20 +119,20 @@ class Corrector:
             _LOG.info("no correction at %.2f s: misfit %.1f", since_s, beside.misfit)
             return
         self.tip_m = self._answers.nodes_m[:, 0] + beside.tip_m
-        task, arm = self._station.task, self._station.devices.arm
+        task, lag_s = self._station.task, self._lag_s
         tail = best_tail(
             self._answers,
             beside,
             task.destination,
             since_s + DEAD_S,
-            arm.lag_s,
+            lag_s,
             task.choice.repeatability_m,
         )
         if tail is None:
             return
         path = tail.of(self._path)
         try:
-            arm.revise(path, self._start_s + tail.from_s)
+            self._revise(path, self._start_s + tail.from_s)
         except LimitError as error:
             _LOG.warning("no correction at %.2f s: %s", since_s, error)
             return
@@ -133,5 +141,5 @@ class Corrector:
             since_s, 1e3 * tail.rise_m, tail.lasts_s, tail.probability, tail.before,
         )  # fmt: skip
         self._path, self.tip_m = path, tail.tip_m
-        self._answers = moved_by(self._answers, tail, arm.lag_s)
+        self._answers = moved_by(self._answers, tail, lag_s)
         self.tails = (*self.tails, tail)

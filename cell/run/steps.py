@@ -373,7 +373,7 @@ def execute(station: Station, findings: Findings) -> Findings:
     frame_count = int(np.ceil(duration_s * camera.frame_rate_hz))
     end_s = start_s + duration_s
     arm.follow(path, start_s)
-    corrector = Corrector(station, findings, path) if task.feedback else None
+    corrector = Corrector(station, findings, path, arm.revise) if task.feedback else None
     wait_until(station, start_s)
     camera.start(frame_count)
     filming = Filming(start_s, end_s - task.settle_s, end_s, frame_count)

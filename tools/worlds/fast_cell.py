@@ -137,69 +137,21 @@ def fast_cycle(
     if not only_chosen:
         tips = truth.tips(at_s)
         best_m = float(task.destination.margin_m(tips).max())
+    saved_s = float(t_s[-1]) - float(held.markers.t_s[-1])
+    nan = float("nan")
     cycle = FastCycle(
-        held,
-        None,
-        identified,
-        expected,
-        choice,
-        None,
-        reason,
-        best_m,
-        np.nan,
-        np.nan,
-        float(t_s[-1]) - float(held.markers.t_s[-1]),
+        held, None, identified, expected, choice, None, reason, best_m, nan, nan, saved_s
     )
     if choice is None or index is None:
         return cycle
     tip = truth.tips(at_s, [index])[0] if only_chosen else tips[index]
-    predicted = np.column_stack(
-        [np.interp(at_s, choice.t_s, choice.tip_m[:, axis]) for axis in (0, 1)]
-    )
-    clean = measured_passage(task.destination, at_s, tip, at_s, predicted)
-    margin_m = float(task.destination.margin_m(tip[None])[0])
-    cycle = replace(
-        cycle,
-        true_margin_m=margin_m,
-        true_tip_error_m=clean.error_m,
-        true_miss_m=clean.miss_m,
-    )
+    cycle = _in_truth(cycle, task, at_s, tip, choice.t_s, choice.tip_m)
     if reason is not None:
         return cycle
-    motion, tails = truth.motions[index], ()
+    view = _View(task, timing, hidden, down, start_s, bias, errors)
+    motion = truth.motions[index]
     if flown is not None:
-        assert identified is not None and expected is not None
-        executing = Executing.of(task, timing, filmed, held, start_s)
-        path = expected.paths[index]
-        ahead = answers(
-            identified,
-            executing.motion(path),
-            executing.begin_s,
-            truth.end_s,
-            task.arc_length_m,
-        )
-        noise_m = max(identified.noise.std_m, identified.residual_rms_m)
-        view = _View(task, hidden, down, start_s, lag_s, bias, errors, noise_m)
-        motion, tails, predicted = _corrected(view, path, ahead, flown, rng)
-        tip = simulate(
-            hidden,
-            motion,
-            start_s + at_s,
-            np.array([task.cable.free_length_m]),
-            solver=WORLD,
-        )[0, :, 0]
-        predicted = np.column_stack(
-            [np.interp(at_s, ahead.t_s, predicted[:, axis]) for axis in (0, 1)]
-        )
-        clean = measured_passage(task.destination, at_s, tip, at_s, predicted)
-        margin_m = float(task.destination.margin_m(tip[None])[0])
-        cycle = replace(
-            cycle,
-            true_margin_m=margin_m,
-            true_tip_error_m=clean.error_m,
-            tails=tails,
-            true_miss_m=clean.miss_m,
-        )
+        cycle, motion = _flown(cycle, view, flown, at_s, rng)
     executed = _executed(task, hidden, motion, start_s, held, bias, errors, rng)
     passage = measured_passage(
         task.destination,
@@ -211,6 +163,47 @@ def fast_cycle(
     return replace(cycle, executed=executed, passage=passage)
 
 
+def _in_truth(
+    cycle: FastCycle,
+    task: Task,
+    at_s: FloatArray,
+    tip_m: FloatArray,
+    foretold_s: FloatArray,
+    foretold_m: FloatArray,
+) -> FastCycle:
+    """The cycle with the true tip's margin and miss, and how far it was foretold wrongly."""
+    foretold = np.column_stack([np.interp(at_s, foretold_s, foretold_m[:, k]) for k in (0, 1)])
+    clean = measured_passage(task.destination, at_s, tip_m, at_s, foretold)
+    return replace(
+        cycle,
+        true_margin_m=float(task.destination.margin_m(tip_m[None])[0]),
+        true_tip_error_m=clean.error_m,
+        true_miss_m=clean.miss_m,
+    )
+
+
+def _flown(
+    cycle: FastCycle, view: _View, flown: Flown, at_s: FloatArray, rng: np.random.Generator
+) -> tuple[FastCycle, Motion]:
+    """The cycle with what happened in flight, and the hand's true motion."""
+    task, coming, identified = view.task, cycle.candidates, cycle.identified
+    assert coming is not None and identified is not None and cycle.choice is not None
+    path = coming.paths[cycle.choice.table.index(cycle.choice.best)]
+    executing = Executing.of(task, view.timing, _filmed(cycle.held), cycle.held, view.start_s)
+    ahead = answers(
+        identified,
+        executing.motion(path),
+        executing.begin_s,
+        view.start_s + float(at_s[-1]),
+        task.arc_length_m,
+    )
+    noise_m = max(identified.noise.std_m, identified.residual_rms_m)
+    motion, tails, foretold_m = _corrected(view, path, ahead, flown, noise_m, rng)
+    at_tip = np.array([task.cable.free_length_m])
+    tip_m = simulate(view.hidden, motion, view.start_s + at_s, at_tip, solver=WORLD)[0, :, 0]
+    return replace(_in_truth(cycle, task, at_s, tip_m, ahead.t_s, foretold_m), tails=tails), motion
+
+
 @dataclass(frozen=True)
 class Flown:
     """What happens while a cable is inserted.
@@ -219,11 +212,13 @@ class Flown:
     late_s     by so much earlier the last frame was taken that is used
     dead_s     a change can begin so long after it is decided
     knock      when the hand is set off, and by how much to the right and up, m
+    lost       share of the frames in which nothing is seen
+    latency_s  by so much later than known pictures come
     """
 
     feedback: bool = False
     late_s: float = 0.015
-    dead_s: float = 0.015
+    dead_s: float = 0.025
     knock: tuple[float, float, float] | None = None
     lost: float = 0.0
     latency_s: float = 0.0
@@ -234,17 +229,16 @@ class _View:
     """A hidden cable as the camera sees it in flight."""
 
     task: Task
+    timing: Timing
     hidden: CableModel
     down: Motion
     start_s: float
-    lag_s: float
     bias: _Bias
     errors: Errors
-    noise_m: float
 
     def motion(self, path: Trajectory, flown: Flown) -> Motion:
         """The hand's true one, the hold before included."""
-        motion = _whole(self.task, self.down, path, self.start_s, self.lag_s)
+        motion = _whole(self.task, self.down, path, self.start_s, self.timing.arm_lag_s)
         if flown.knock is None:
             return motion
         at_s, right_m, up_m = flown.knock
@@ -264,7 +258,12 @@ class _View:
 
 
 def _corrected(
-    view: _View, path: Trajectory, ahead: Answers, flown: Flown, rng: np.random.Generator
+    view: _View,
+    path: Trajectory,
+    ahead: Answers,
+    flown: Flown,
+    noise_m: float,
+    rng: np.random.Generator,
 ) -> tuple[Motion, tuple[Tail, ...], FloatArray]:
     """The hand's true motion, the changes that were told, and the tip as last predicted."""
     tails: tuple[Tail, ...] = ()
@@ -273,19 +272,23 @@ def _corrected(
     for decide_s in decisions_s(ahead, view.task.destination) if flown.feedback else ():
         t_s = np.arange(0.001, decide_s - flown.late_s, 0.005)
         seen = view.nodes_m(motion, t_s, flown, rng)
-        beside = deviation(ahead, t_s, seen, view.noise_m)
+        beside = deviation(ahead, t_s, seen, noise_m)
         tip_m = ahead.nodes_m[:, 0] + beside.tip_m
         tail = best_tail(
             ahead,
             beside,
             view.task.destination,
             decide_s + flown.dead_s,
-            view.lag_s,
+            view.timing.arm_lag_s,
             view.task.choice.repeatability_m,
         )
         if tail is not None:
             tails = (*tails, tail)
-            path, ahead, tip_m = tail.of(path), moved_by(ahead, tail, view.lag_s), tail.tip_m
+            path, ahead, tip_m = (
+                tail.of(path),
+                moved_by(ahead, tail, view.timing.arm_lag_s),
+                tail.tip_m,
+            )
             motion = view.motion(path, flown)
     return motion, tails, tip_m
 
