@@ -53,6 +53,20 @@ def test_a_cable_is_inserted_by_the_one_command(light_config: Path, tmp_path: Pa
     eventually_silent(light_config)
 
 
+@pytest.mark.real_time
+def test_an_insertion_is_watched_in_flight(light_config: Path, tmp_path: Path) -> None:
+    """With feedback: what the cable answers is known in time, and the arm's path stays its own."""
+    config = tmp_path / "seeing.yaml"
+    config.write_text(light_config.read_text(encoding="utf-8") + "\nfeedback: on\n")
+    command = cell("run", "--config", config, "--json", "--out", tmp_path / "runs")
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    result = json.loads(done.stdout) if done.stdout else {}
+    assert result.get("outcome") == "inserted", f"{result.get('reason')} {done.stderr}"
+    assert result["corrections"] is not None
+    assert result["prediction_error_m"] < 2e-3
+    eventually_silent(light_config)
+
+
 @pytest.fixture
 def emulating(light_config: Path) -> Iterator[subprocess.Popen[str]]:
     process = subprocess.Popen(
