@@ -107,7 +107,7 @@ def table(rows: list[Tried]) -> str:
         both = [c for c in off if off[c].outcome != "rejected"]
         miss, error = (
             [
-                np.sqrt(np.nanmean([getattr(those[c], name) ** 2 for c in both] or [np.nan]))
+                np.sqrt(np.mean([getattr(those[c], name) ** 2 for c in both] or [np.nan]))
                 for those in (off, on)
             ]
             for name in ("miss_mm", "error_mm")
