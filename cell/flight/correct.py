@@ -16,8 +16,10 @@ from drivers.servo import servo_response
 
 FloatArray = NDArray[np.float64]
 
-#: The hand is led up or down by so much at most, in such steps, m, and in one of these times, s.
-MOST_M, COARSE_M, FINE_M = 6e-3, 5e-4, 1e-4
+#: The hand is led up or down by so much at most, m, in one of these times, s; so many heights are
+#: tried at first, this far apart, m, and so many around the best.
+MOST_M, COARSE, FINE = 6e-3, 25, 11
+STEP_M = 2.0 * MOST_M / (COARSE - 1)
 LASTS_S = (0.12, 0.2, 0.3)
 #: So long before the tip reaches the mouth a change is decided, s.
 AHEAD_S = (0.45, 0.32, 0.2)
@@ -76,33 +78,39 @@ def best_tail(
     first = max(0, int(from_s / INTERVAL_S) - 1)
     likely_m = answers.nodes_m[:, 0] + beside.tip_m
     tips_m = answers.nodes_m[None, first:, 0] + beside.tips_m[:, first:]
-    none = _judged(destination, tips_m, repeatability_m)
+    before, margin_m, _ = (v[0] for v in _judged(destination, tips_m[None], repeatability_m))
+    made = {s: tail_answer(answers, from_s, s, lag_s, slice(1))[:, 0] for s in LASTS_S}
 
-    def tail(rise_m: float, lasts_s: float, some: slice) -> tuple[float, float, Tail]:
+    def best(rises_m: FloatArray, lasts_s: float, some: FloatArray) -> tuple[float, float, Tail]:
+        """Its worth and its margin's standard deviation."""
         answer = made[lasts_s]
-        changed_m = tips_m[some] + rise_m * answer[first:]
-        chance, margin_m, std_m = _judged(destination, changed_m, repeatability_m)
-        worth = chance + margin_m - COST * abs(rise_m)
+        changed_m = some + rises_m[:, None, None, None] * answer[first:]
+        chances, margins_m, stds_m = _judged(destination, changed_m, repeatability_m)
+        worths = chances + margins_m - COST * np.abs(rises_m)
+        at = int(worths.argmax())
+        rise_m, chance = float(rises_m[at]), float(chances[at])
         tip_m = likely_m + rise_m * answer
-        return worth, std_m, Tail(from_s, rise_m, lasts_s, chance, margin_m, none[0], tip_m)
+        tail = Tail(from_s, rise_m, lasts_s, chance, float(margins_m[at]), float(before), tip_m)
+        return float(worths[at]), float(stds_m[at]), tail
 
-    made = {s: tail_answer(answers, from_s, s, lag_s)[:, 0] for s in LASTS_S}
-    coarse = np.arange(-MOST_M, MOST_M + 0.5 * COARSE_M, COARSE_M)
-    few, every = slice(None, None, 4), slice(None)
-    best = max((tail(float(r), s, few) for s in LASTS_S for r in coarse), key=_worth)
-    around, lasts_s = best[2].rise_m, best[2].lasts_s
-    fine = around + np.arange(-COARSE_M, COARSE_M + 0.5 * FINE_M, FINE_M)
-    best = max((tail(float(r), lasts_s, every) for r in fine), key=_worth)
-    worth, std_m, chosen = best
-    surely = chosen.margin_m - none[1] > max(WORTH_M, WORTH_STD * std_m)
-    likely = chosen.probability >= max(LEAST, none[0])
-    if worth <= none[0] + none[1] or not likely:
+    coarse = np.linspace(-MOST_M, MOST_M, COARSE)
+    near = max((best(coarse, s, tips_m[::4]) for s in LASTS_S), key=lambda b: b[0])[2]
+    ends = np.clip([near.rise_m - STEP_M, near.rise_m + STEP_M], -MOST_M, MOST_M)
+    fine = np.linspace(float(ends[0]), float(ends[1]), FINE)
+    worth, std_m, tail = best(fine, near.lasts_s, tips_m)
+    surely = tail.margin_m - margin_m > max(WORTH_M, WORTH_STD * std_m)
+    likely = tail.probability >= max(LEAST, tail.before)
+    if worth <= tail.before + margin_m or not likely:
         return None
-    return chosen if chosen.probability - none[0] > WORTH or surely else None
+    return tail if tail.probability - tail.before > WORTH or surely else None
 
 
-def _worth(judged: tuple[float, float, Tail]) -> float:
-    return judged[0]
+def chance(
+    answers: Answers, beside: Deviation, destination: Destination, repeatability_m: float
+) -> float:
+    """Probability of passing if the path stays as it is."""
+    tips_m = answers.nodes_m[None, None, :, 0] + beside.tips_m
+    return float(_judged(destination, tips_m, repeatability_m)[0][0])
 
 
 def decisions_s(answers: Answers, destination: Destination) -> tuple[float, ...]:
@@ -114,17 +122,17 @@ def decisions_s(answers: Answers, destination: Destination) -> tuple[float, ...]
     return tuple(at_s - ahead_s for ahead_s in AHEAD_S if at_s > ahead_s)
 
 
-def tail_answer(answers: Answers, from_s: float, lasts_s: float, lag_s: float) -> FloatArray:
+def tail_answer(
+    answers: Answers, from_s: float, lasts_s: float, lag_s: float, nodes: slice = slice(None)
+) -> FloatArray:
     """(T, nodes, 2) per metre that the hand is led up from a moment on."""
     t_s = np.arange(0.0, lasts_s + INTERVAL_S, INTERVAL_S / 2.0)
     up = Trajectory(t_s, 0.0 * t_s, _smooth(t_s / lasts_s), 0.0 * t_s)
     led = servo_response(up, lag_s)
-    place = np.interp(answers.t_s - from_s, led.t_s, led.y_m)
-    moved = np.diff(place, prepend=0.0)
-    out: FloatArray = np.zeros_like(answers.rise)
-    for k in np.flatnonzero(moved):
-        out[k:] += moved[k] * answers.rise[: len(out) - k]
-    return out
+    moved = np.diff(np.interp(answers.t_s - from_s, led.t_s, led.y_m), prepend=0.0)
+    rise = answers.rise[:, nodes]
+    each = [np.convolve(moved, column)[: len(rise)] for column in rise.reshape(len(rise), -1).T]
+    return np.stack(each, axis=-1).reshape(rise.shape)
 
 
 def moved_by(answers: Answers, tail: Tail, lag_s: float) -> Answers:
@@ -135,11 +143,11 @@ def moved_by(answers: Answers, tail: Tail, lag_s: float) -> Answers:
 
 def _judged(
     destination: Destination, tips_m: FloatArray, repeatability_m: float
-) -> tuple[float, float, float]:
-    """Probability, mean margin and its standard deviation, m, of (samples, T, 2) tips."""
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(n,) probability, mean margin and its standard deviation, m, of (n, samples, T, 2) tips."""
     margins = destination.margin_m(tips_m)
-    chance = ndtr(margins / repeatability_m)
-    return float(np.mean(chance)), float(np.mean(margins)), float(np.std(margins))
+    chances: FloatArray = ndtr(margins / repeatability_m)
+    return chances.mean(axis=1), margins.mean(axis=1), margins.std(axis=1)
 
 
 def _smooth(u: FloatArray) -> FloatArray:

@@ -23,7 +23,7 @@ def after_insertion(station: Station, findings: Findings) -> Findings:
     passage = passage_pictures(
         required(findings.executed),
         required(findings.candidates),
-        required(findings.choice),
+        findings.foretold,
         required(findings.passage),
         task,
     )

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from cell.cable.solver import DivergedError, Solver, threads
 from cell.cable.statics import UnsettledError
 from cell.flight.answers import Answers, answers
-from cell.flight.correct import Tail, best_tail, decisions_s, moved_by
-from cell.flight.estimate import deviation
+from cell.flight.correct import LEAST, Tail, best_tail, chance, decisions_s, moved_by
+from cell.flight.estimate import Deviation, deviation
+from cell.flight.stop import brought_to_rest
 from cell.run.candidates import Executing
 from cell.run.findings import Findings, required
 from cell.run.jobs import found_by, hurried
@@ -40,7 +41,8 @@ class Corrector:
     """Changes the hand's path if the tip will pass more probably.
 
     Which frames a decision uses depends on their times alone.  Whatever keeps a correction from
-    being found or told leaves the path as it is.
+    being found or told leaves the path as it is.  `stopped` says why the hand was brought to
+    rest in front of the mouth; None = it was not.
     """
 
     def __init__(
@@ -73,12 +75,15 @@ class Corrector:
         self._answers: Answers | None = None
         self._left: list[float] | None = None
         self.tails: tuple[Tail, ...] = ()
-        self.tip_m: FloatArray | None = None
+        self.stopped: str | None = None
+        self._tip_m: FloatArray | None = None
 
     @property
-    def t_s(self) -> FloatArray | None:
-        """(T,) times of the tip as it was last predicted, on the cell's clock."""
-        return None if self._answers is None else self._start_s + self._answers.t_s
+    def predicted(self) -> tuple[FloatArray, FloatArray] | None:
+        """(T,) times from when the path began, and (T, 2) tip as last predicted."""
+        if self._answers is None or self._tip_m is None:
+            return None
+        return self._answers.t_s, self._tip_m
 
     def update(self, sightings: list[Sighting]) -> bool:
         """Decide, if it is time to; never ends the filming."""
@@ -89,6 +94,25 @@ class Corrector:
             self._left.pop(0)
             self._decide(sightings, since_s)
         return False
+
+    def _stop_if_hopeless(self, beside: Deviation, since_s: float) -> None:
+        """At the last decision: what would not pass does not go on to the mouth's edge."""
+        assert self._answers is not None
+        task = self._station.task
+        passes = chance(self._answers, beside, task.destination, task.choice.repeatability_m)
+        if passes >= LEAST:
+            return
+        try:
+            path = brought_to_rest(self._path, since_s + DEAD_S, task.lowering)
+            self._revise(path, self._start_s + since_s + DEAD_S)
+        except (LimitError, ValueError) as error:
+            _LOG.warning("not stopped at %.2f s: %s", since_s, error)
+            return
+        self.stopped = (
+            f"stopped in front of the mouth: the tip would have passed with probability "
+            f"{passes:.2f}, and no change of the path made it {LEAST:.2f}"
+        )
+        _LOG.info("%s", self.stopped)
 
     def close(self) -> None:
         """Cancel what has not begun."""
@@ -118,7 +142,7 @@ class Corrector:
         if beside.misfit > MOST_MISFIT:
             _LOG.info("no correction at %.2f s: misfit %.1f", since_s, beside.misfit)
             return
-        self.tip_m = self._answers.nodes_m[:, 0] + beside.tip_m
+        self._tip_m = self._answers.nodes_m[:, 0] + beside.tip_m
         task, lag_s = self._station.task, self._lag_s
         tail = best_tail(
             self._answers,
@@ -129,6 +153,8 @@ class Corrector:
             task.choice.repeatability_m,
         )
         if tail is None:
+            if not self._left:
+                self._stop_if_hopeless(beside, since_s)
             return
         path = tail.of(self._path)
         try:
@@ -140,6 +166,6 @@ class Corrector:
             "corrected at %.2f s: %+.1f mm within %.2f s, probability %.2f instead of %.2f",
             since_s, 1e3 * tail.rise_m, tail.lasts_s, tail.probability, tail.before,
         )  # fmt: skip
-        self._path, self.tip_m = path, tail.tip_m
+        self._path, self._tip_m = path, tail.tip_m
         self._answers = moved_by(self._answers, tail, lag_s)
         self.tails = (*self.tails, tail)

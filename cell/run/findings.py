@@ -133,8 +133,9 @@ class Findings:
     wait_s      how long it has waited when the choice was made
     offset_m    of the choice that is executed
     executed    the execution
+    stopped     why the hand was brought to rest in front of the mouth; None = it was not
     tails       changes of its path that were told in flight; None = without feedback
-    predicted   (T,) times on the cell's clock and (T, 2) tip as last predicted in flight
+    predicted   (T,) times from when the path began, and (T, 2) tip as last predicted in flight
     followed    movements of a dry run
     speed       of a dry run, as a share of the full one
     checks      what a dry run found out about the devices
@@ -156,6 +157,7 @@ class Findings:
     wait_s: float | None = None
     offset_m: float | None = None
     executed: FilmedMotion | None = None
+    stopped: str | None = None
     tails: tuple[Tail, ...] | None = None
     predicted: tuple[FloatArray, FloatArray] | None = None
     passage: Passage | None = None
@@ -170,6 +172,14 @@ class Findings:
     def rejected(self) -> bool:
         """Whether this cable is not inserted, or its measurement not used."""
         return self.outcome is Outcome.REJECTED
+
+    @property
+    def foretold(self) -> Choice:
+        """The choice, with the tip's path as it was last predicted."""
+        choice = required(self.choice)
+        if self.predicted is None:
+            return choice
+        return replace(choice, t_s=self.predicted[0], tip_m=self.predicted[1])
 
     @property
     def decided(self) -> bool:

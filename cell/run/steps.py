@@ -385,8 +385,7 @@ def execute(station: Station, findings: Findings) -> Findings:
         finally:
             corrector.close()
         findings = replace(findings, tails=corrector.tails)
-        if corrector.t_s is not None and corrector.tip_m is not None:
-            findings = replace(findings, predicted=(corrector.t_s, corrector.tip_m))
+        findings = replace(findings, predicted=corrector.predicted, stopped=corrector.stopped)
     (trial,) = findings.trials
     trials = (trial, executed_trial(trial, required(findings.held), executed))
     return replace(findings, executed=executed, trials=trials)
@@ -394,16 +393,16 @@ def execute(station: Station, findings: Findings) -> Findings:
 
 def verify(station: Station, findings: Findings) -> Findings:
     """Whether the tip was seen to pass the destination, and how far the forecast was off."""
-    executed, choice = required(findings.executed), required(findings.choice)
-    predicted = findings.predicted
-    if predicted is None:
-        predicted = required(findings.candidates).start_s + choice.t_s, choice.tip_m
+    executed, foretold = required(findings.executed), findings.foretold
     passage = measured_passage(
         station.task.destination,
         np.array([s.t_s for s in executed.sightings]),
         np.array([s.nodes_m[0] for s in executed.sightings]),
-        *predicted,
+        required(findings.candidates).start_s + foretold.t_s,
+        foretold.tip_m,
     )
+    if findings.stopped is not None:
+        return replace(findings, passage=passage).reject(findings.stopped)
     outcome = Outcome.INSERTED if passage.passed else Outcome.MISSED
     return replace(findings, passage=passage, outcome=outcome, reason=passage.reason)
 

@@ -126,6 +126,26 @@ def test_a_stop_wins_over_a_change(
     assert not it.cell._station.devices.arm.state().moving
 
 
+def test_what_nothing_brings_through_stops_in_front_of_the_mouth(
+    live: Live, quick: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The cable is put aside, and the next one is inserted."""
+    monkeypatch.setattr(correcting, "best_tail", lambda *asked: None)
+    monkeypatch.setattr(correcting, "chance", lambda *asked: 0.03)
+    it = live(settings=seeing(quick), cycles=2)
+    result = it.cell.run_cycle(1)
+    assert result.outcome is Outcome.REJECTED
+    assert result.reason is not None
+    assert result.reason.startswith("stopped in front of the mouth: the tip would have passed with")
+    study = read_record(Path(result.folder)).study
+    assert study is not None
+    executed = study.trials[-1]
+    assert np.nanmin(executed.markers.xy_m[:, 0, 0]) > quick.destination.x_m[1]
+    assert it.steps[-2:] == ["release", "go_home"]
+    monkeypatch.undo()
+    assert it.cell.run_cycle(2).outcome is Outcome.INSERTED
+
+
 def test_a_corrected_insertion_is_recorded_and_replayed(
     tmp_path: Path, recorded_config: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -140,3 +160,7 @@ def test_a_corrected_insertion_is_recorded_and_replayed(
     monkeypatch.setattr(correcting, "best_tail", one_change(0.002))
     again = CliRunner().invoke(app, ["replay", result["folder"], "--json"])
     assert json.loads(again.stdout)["identical"], again.stdout
+    page = tmp_path / "page.html"
+    told = CliRunner().invoke(app, ["report", result["folder"], "-o", str(page)])
+    assert told.exit_code == 0, told.output
+    assert "Corrections in flight" in page.read_text(encoding="utf-8")

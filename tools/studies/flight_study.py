@@ -96,7 +96,7 @@ def tried(settings: Settings, freely: Freedom, world: str, seed: int, cable: int
 def table(rows: list[Tried]) -> str:
     """Per world: outcomes off and on, how many were saved and harmed, and the tip in the mouth."""
     lines = [
-        f"{'world':22}{'inserted':>12}{'missed':>10}{'saved':>8}{'harmed':>8}"
+        f"{'world':22}{'inserted':>12}{'missed':>10}{'stopped':>8}{'saved':>8}{'harmed':>8}"
         f"{'miss rms mm':>16}{'forecast rms mm':>18}{'corrections':>13}"
     ]
     for world in dict.fromkeys(r.world for r in rows):
@@ -115,7 +115,8 @@ def table(rows: list[Tried]) -> str:
         lines.append(
             f"{world:22}{counts[0]['inserted']:>6}{counts[1]['inserted']:>6}"
             f"{counts[0]['missed']:>5}{counts[1]['missed']:>5}"
-            f"{pairs.count(('missed', 'inserted')):>8}{pairs.count(('inserted', 'missed')):>8}"
+            f"{counts[1]['stopped']:>8}{pairs.count(('missed', 'inserted')):>8}"
+            f"{sum(a == 'inserted' != b for a, b in pairs):>8}"
             f"{miss[0]:>8.2f}{miss[1]:>8.2f}{error[0]:>9.3f}{error[1]:>9.3f}"
             f"{np.mean([r.corrections for r in on.values()]):>13.1f}"
         )

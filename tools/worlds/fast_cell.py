@@ -19,7 +19,7 @@ from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
 from cell.cable.solver import Solver
 from cell.flight.answers import Answers, answers
-from cell.flight.correct import Tail, best_tail, decisions_s, moved_by
+from cell.flight.correct import LEAST, Tail, best_tail, chance, decisions_s, moved_by
 from cell.flight.estimate import deviation
 from cell.identify.identified import Identified
 from cell.identify.individual import CableRejectedError, hold_trial, identify
@@ -65,12 +65,15 @@ class FastCycle:
     hold_saved_s: float = 0.0
     tails: tuple[Tail, ...] = ()
     true_miss_m: float = np.nan
+    stopped: bool = False
 
     @property
     def outcome(self) -> str:
         """As a result says it."""
         if self.passage is None:
             return "rejected"
+        if self.stopped:
+            return "stopped"
         return "inserted" if self.passage.passed else "missed"
 
 
@@ -198,10 +201,12 @@ def _flown(
         task.arc_length_m,
     )
     noise_m = max(identified.noise.std_m, identified.residual_rms_m)
-    motion, tails, foretold_m = _corrected(view, path, ahead, flown, noise_m, rng)
+    motion, tails, foretold_m, stopped = _corrected(view, path, ahead, flown, noise_m, rng)
     at_tip = np.array([task.cable.free_length_m])
     tip_m = simulate(view.hidden, motion, view.start_s + at_s, at_tip, solver=WORLD)[0, :, 0]
-    return replace(_in_truth(cycle, task, at_s, tip_m, ahead.t_s, foretold_m), tails=tails), motion
+    return replace(
+        _in_truth(cycle, task, at_s, tip_m, ahead.t_s, foretold_m), tails=tails, stopped=stopped
+    ), motion
 
 
 @dataclass(frozen=True)
@@ -264,12 +269,17 @@ def _corrected(
     flown: Flown,
     noise_m: float,
     rng: np.random.Generator,
-) -> tuple[Motion, tuple[Tail, ...], FloatArray]:
-    """The hand's true motion, the changes that were told, and the tip as last predicted."""
+) -> tuple[Motion, tuple[Tail, ...], FloatArray, bool]:
+    """The hand's true motion, the changes that were told, and the tip as last predicted; whether it
+    is stopped in front of the mouth, which is not simulated.
+    """
     tails: tuple[Tail, ...] = ()
     motion = view.motion(path, flown)
     tip_m = ahead.nodes_m[:, 0]
-    for decide_s in decisions_s(ahead, view.task.destination) if flown.feedback else ():
+    task = view.task
+    left = list(decisions_s(ahead, task.destination)) if flown.feedback else []
+    while left:
+        decide_s = left.pop(0)
         t_s = np.arange(0.001, decide_s - flown.late_s, 0.005)
         seen = view.nodes_m(motion, t_s, flown, rng)
         beside = deviation(ahead, t_s, seen, noise_m)
@@ -282,6 +292,10 @@ def _corrected(
             view.timing.arm_lag_s,
             view.task.choice.repeatability_m,
         )
+        if tail is None and not left:
+            passes = chance(ahead, beside, task.destination, task.choice.repeatability_m)
+            if passes < LEAST:
+                return motion, tails, tip_m, True
         if tail is not None:
             tails = (*tails, tail)
             path, ahead, tip_m = (
@@ -290,7 +304,7 @@ def _corrected(
                 tail.tip_m,
             )
             motion = view.motion(path, flown)
-    return motion, tails, tip_m
+    return motion, tails, tip_m, False
 
 
 def _whole(task: Task, down: Motion, path: Trajectory, start_s: float, lag_s: float) -> Motion:

@@ -17,7 +17,7 @@ from cell.lab.report.html_page import html_page, html_plot, html_table
 from cell.records.folder import Recorded
 from cell.records.recording import form
 from cell.records.recording.reading import Recording
-from cell.records.result import Outcome
+from cell.records.result import Correction, Outcome
 
 Image = NDArray[Any]
 
@@ -77,6 +77,8 @@ def cycle_page(record: Recorded, recording: Recording | None) -> str:
         parts += ["<h2>Path of the tip</h2>", html_plot(path)]
     if decision is not None:
         parts += ["<h2>Decision</h2>", _decision(decision)]
+    if result is not None and result.corrections:
+        parts += ["<h2>Corrections in flight</h2>", _corrections(result.corrections)]
     if record.model is not None:
         parts += ["<h2>This cable</h2>", _parameters(record.model)]
     if result is not None and result.seconds:
@@ -101,6 +103,21 @@ def _says(record: Recorded) -> str:
     )
     look = "says" if good else "says bad"
     return f'<p class="{look}">{html.escape(said)}</p>{part}'
+
+
+def _corrections(corrections: Sequence[Correction]) -> str:
+    rows = [
+        [
+            f"{c.from_s:.2f}",
+            f"{c.rise_m * 1e3:+z.1f}",
+            f"{c.lasts_s:.2f}",
+            f"{c.before * 100.0:.1f}",
+            f"{c.probability * 100.0:.1f}",
+        ]
+        for c in corrections
+    ]
+    headings = ["from, s", "hand led up by, mm", "within, s", "passes without, %", "with, %"]
+    return html_table(headings, rows, tuple(range(len(headings))))
 
 
 def _mm(length_m: float | None) -> str:
