@@ -385,7 +385,9 @@ def execute(station: Station, findings: Findings) -> Findings:
         finally:
             corrector.close()
         findings = replace(findings, tails=corrector.tails)
-        findings = replace(findings, predicted=corrector.predicted, stopped=corrector.stopped)
+        findings = replace(findings, stopped=corrector.stopped)
+        if corrector.tails:  # else what was planned is what the model is judged by
+            findings = replace(findings, predicted=corrector.predicted)
     (trial,) = findings.trials
     trials = (trial, executed_trial(trial, required(findings.held), executed))
     return replace(findings, executed=executed, trials=trials)

@@ -171,7 +171,7 @@ def test_a_cable_whose_swing_cannot_be_simulated_is_put_aside(
     def diverging(*args: object, **kwargs: object) -> Forecast:
         raise DivergedError([0], 0.1, 0.003)
 
-    monkeypatch.setattr("cell.run.early_estimate.forecast", diverging)
+    monkeypatch.setattr("cell.run.candidates.forecast", diverging)
     it = live()
     check_put_aside(it, it.cell.run_cycle(1), quick, "no forecast: lane 0 diverged")
 
