@@ -64,7 +64,6 @@ class Recorder:
         self._waiting = 0
         self._lost_frames: list[int] = []
         self._full = False
-        self._paused_until_s = 0.0
         self._stream: _PoseStream | None = None
         self._handler = _Handler(self)
         self.notes: list[str] = []
@@ -195,20 +194,13 @@ class Recorder:
 
     def pause(self) -> None:
         """The last frame was read: somebody computes what to do, and needs the computer."""
-        self._paused_until_s = time.monotonic() + PAUSE_S
         if self._ring is not None:
-            self._ring.pause(self._paused_until_s)
+            self._ring.pause(time.monotonic() + PAUSE_S)
 
     def resume(self) -> None:
         """The decision was made."""
-        self._paused_until_s = 0.0
         if self._ring is not None:
             self._ring.pause(0.0)
-
-    @property
-    def paused(self) -> bool:
-        """Whether somebody needs the computer."""
-        return time.monotonic() < self._paused_until_s
 
     def log(self, record: logging.LogRecord) -> None:
         """A line of the program's log."""
@@ -315,8 +307,7 @@ class _PoseStream(threading.Thread):
     def run(self) -> None:
         """See `threading.Thread`."""
         while not self._over.wait(POSES_EVERY_S):
-            if not self._recorder.paused:
-                self._take()
+            self._take()
         self._take()
 
     def end(self) -> None:
