@@ -162,9 +162,7 @@ class UrArm:
         with self._lock:
             child = self._alive()
             stops = child.shared.get(Slot.STOPS)
-            mode = self._mode(child)
-            if mode is not ArmMode.READY:
-                raise StoppedError(self.name, f"stopped: {self._cause(child, mode)}", mode.remedy)
+            self._check_ready(child)
             if self._busy(child):
                 raise LimitError(self.name, "still moving", "wait until it rests, or stop it")
             (sample,) = child.shared.samples(1)
@@ -183,9 +181,7 @@ class UrArm:
             child = self._alive()
             shared = child.shared
             stops = shared.get(Slot.STOPS)
-            mode = self._mode(child)
-            if mode is not ArmMode.READY:
-                raise StoppedError(self.name, f"stopped: {self._cause(child, mode)}", mode.remedy)
+            self._check_ready(child)
             if not self._busy(child):
                 raise nothing_to_revise(self.name)
             (sample,) = shared.samples(1)
@@ -200,8 +196,7 @@ class UrArm:
                 time.sleep(_POLL_S)
             if shared.get(Slot.REVISED) > taken:
                 return
-            if shared.get(Slot.STOPS) != stops or self._mode(child) is not ArmMode.READY:
-                raise StoppedError(self.name, "stopped meanwhile", ArmMode.STOPPED.remedy)
+            self._check_ready(child)
             if not self._busy(child):
                 raise nothing_to_revise(self.name)
             raise revised_too_late(self.name, time.monotonic() - from_s)
@@ -323,6 +318,11 @@ class UrArm:
         mode = MODES[int(child.shared.get(Slot.MODE))]
         stopped = self._stop_reason is not None or child.shared.get(Slot.SLOWED) != 0.0
         return ArmMode.STOPPED if mode is ArmMode.READY and stopped else mode
+
+    def _check_ready(self, child: ChildProcess) -> None:
+        mode = self._mode(child)
+        if mode is not ArmMode.READY:
+            raise StoppedError(self.name, f"stopped: {self._cause(child, mode)}", mode.remedy)
 
     def _cause(self, child: ChildProcess, mode: ArmMode) -> str:
         match mode:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import ruckig
@@ -113,6 +113,32 @@ def retreat_path(start: Pose, end: Pose, limits: MotionLimits, rate_hz: float) -
     if len(xy) < 2:
         raise ValueError(f"retreat from {start} to {end}: no distance to go")
     return Trajectory(np.arange(len(xy)) / rate_hz, xy[:, 0].copy(), xy[:, 1].copy(), angle_rad)
+
+
+def path_to_rest(path: Trajectory, from_s: float, limits: MotionLimits) -> Trajectory:
+    """The same path until a moment, and then to rest as soon as the limits allow.
+
+    path    evenly sampled, its clamp angle constant
+    from_s  from the path's beginning
+    raises  ValueError: the path has ended by then, or ruckig finds no way to rest
+    """
+    t_s = path.t_s - path.t_s[0]
+    first = max(2, int(np.searchsorted(t_s, from_s)) + 1)
+    if first + 2 > len(t_s):
+        raise ValueError(f"the path ends {t_s[-1]:.3f} s after it began, before {from_s:.3f} s")
+    rate_hz = 1.0 / float(t_s[1] - t_s[0])
+    xy_m = np.stack([path.x_m, path.y_m], axis=-1)
+    before, here, after = xy_m[first - 2 : first + 1]
+    wish = ruckig.InputParameter(2)
+    wish.control_interface = ruckig.ControlInterface.Velocity
+    wish.current_position = here.tolist()
+    wish.current_velocity = (0.5 * rate_hz * (after - before)).tolist()
+    wish.current_acceleration = (rate_hz**2 * (after - 2.0 * here + before)).tolist()
+    wish.max_acceleration = [limits.acceleration_m_per_s2] * 2
+    wish.max_jerk = [limits.jerk_m_per_s3] * 2
+    braked = _sampled(wish, rate_hz)[1:]
+    stopped = _path([xy_m[:first], braked], float(path.angle_rad[0]), rate_hz)
+    return replace(stopped, t_s=stopped.t_s + path.t_s[0])
 
 
 def path_to(goal: Pose, here: Pose, limits: MotionLimits, rate_hz: float) -> Trajectory | None:

@@ -31,7 +31,7 @@ class Simulated(TypedDict):
     """How insertions are simulated, see `forecast`."""
 
     begin_s: float
-    end_s: float
+    end_s: float | None
     solver: Solver
     options: ChoiceOptions
 
@@ -98,20 +98,22 @@ def simulate_offsets(
     """
     executing = Executing.of(task, timing, filmed, trial, start_s)
     path, motion = executing.path, executing.motion
-    choice = task.choice
-    paths = [path(o) for o in task.offsets_m]
-    longest = path(
-        task.offsets_m[-1], choice.freely.window_s, max([1.0, *choice.freely.paces], default=1.0)
-    )
+    choice, freely = task.choice, task.choice.freely
     how: Simulated = {
         "begin_s": executing.begin_s,
-        "end_s": float(motion(longest).t_s[-1]),
+        "end_s": None,
         "solver": solver,
         "options": choice,
     }
+    if freely.window_s > 0.0:
+        latest = path(task.offsets_m[-1], freely.window_s, max((1.0, *freely.paces)))
+        how["end_s"] = float(motion(latest).t_s[-1])
+    paths = [path(o) for o in task.offsets_m]
     expected = forecast(identified, np.array(task.offsets_m), [motion(p) for p in paths], **how)
+    if freely.window_s == 0.0:
+        return Candidates(start_s, tuple(paths), expected)
     at_once = choose(expected, identified, task.destination, choice).best
-    if choice.freely.window_s == 0.0 or at_once.margin_m > SURE * at_once.margin_std_m:
+    if at_once.margin_m > SURE * at_once.margin_std_m:
         return Candidates(start_s, tuple(paths), expected)
     spots = closer_look(
         identified,

@@ -165,11 +165,7 @@ class SimArm:
     def follow(self, path: Trajectory, start_s: float | None = None) -> None:
         """Raises LimitError: still moving, too late; StoppedError; DeviceLostError."""
         with self._world.lock:
-            self._check_alive()
-            mode = self._mode()
-            if mode is not ArmMode.READY:
-                cause = self._stop_reason if mode is ArmMode.STOPPED else mode.value
-                raise StoppedError(self.name, f"stopped: {cause}", mode.remedy)
+            self._check_ready()
             now_s = self._clock.now_s()
             if now_s < self._world.hand_rests_from_s():
                 raise LimitError(self.name, "still moving", "wait until it rests, or stop it")
@@ -187,11 +183,7 @@ class SimArm:
     def revise(self, path: Trajectory, from_s: float) -> None:
         """Raises LimitError: no path is followed, too late; StoppedError; DeviceLostError."""
         with self._world.lock:
-            self._check_alive()
-            mode = self._mode()
-            if mode is not ArmMode.READY:
-                cause = self._stop_reason if mode is ArmMode.STOPPED else mode.value
-                raise StoppedError(self.name, f"stopped: {cause}", mode.remedy)
+            self._check_ready()
             now_s, followed = self._clock.now_s(), self._followed
             if followed is None or now_s >= self._world.hand_rests_from_s():
                 raise nothing_to_revise(self.name)
@@ -244,6 +236,13 @@ class SimArm:
             raise DeviceLostError(self.name, self._lost, _LOST_REMEDY)
         if not self._connected:
             raise DeviceLostError(self.name, "not connected", "connect first")
+
+    def _check_ready(self) -> None:
+        self._check_alive()
+        mode = self._mode()
+        if mode is not ArmMode.READY:
+            cause = self._stop_reason if mode is ArmMode.STOPPED else mode.value
+            raise StoppedError(self.name, f"stopped: {cause}", mode.remedy)
 
     def _let_faults_happen(self) -> None:
         """Bring the twin into the state that its faults ask for by now."""

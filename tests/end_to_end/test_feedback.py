@@ -15,6 +15,7 @@ import pytest
 from typer.testing import CliRunner
 
 from cell.cli import app
+from cell.flight import decide
 from cell.flight.correct import Tail
 from cell.records.folder import read_record
 from cell.records.result import Outcome, Result
@@ -29,6 +30,10 @@ def seeing(quick: Settings, **changes: Any) -> Settings:
     return quick.model_copy(update={"feedback": "on", **changes})
 
 
+#: A change that no arm's limits allow.
+FAR = Tail(0.0, 0.5, 0.2, 1.0, 0.0, 0.2, np.zeros((1, 2)))
+
+
 def one_change(rise_m: float) -> Callable[..., Tail | None]:
     """At the first decision the hand is led up by so much, at no other."""
     made: list[Tail] = []
@@ -38,7 +43,7 @@ def one_change(rise_m: float) -> Callable[..., Tail | None]:
             return None
         before_m = answers.nodes_m[:, 0] + beside.tip_m
         tail = Tail(from_s, rise_m, 0.2, 1.0, 0.0, 0.5, before_m)
-        moved = correcting.moved_by(answers, tail, 0.03).nodes_m[:, 0] + beside.tip_m
+        moved = decide.moved_by(answers, tail, 0.03).nodes_m[:, 0] + beside.tip_m
         made.append(replace(tail, tip_m=moved))
         return made[0]
 
@@ -63,7 +68,7 @@ def test_a_change_in_flight_moves_the_tip_as_foretold(
     live: Live, quick: Settings, monkeypatch: pytest.MonkeyPatch, rise_m: float
 ) -> None:
     plain = live().cell.run_cycle(1)
-    monkeypatch.setattr(correcting, "best_tail", one_change(rise_m))
+    monkeypatch.setattr(decide, "best_tail", one_change(rise_m))
     result = live(settings=seeing(quick)).cell.run_cycle(1)
     assert result.corrections is not None and len(result.corrections) == 1
     assert result.corrections[0].rise_m == rise_m
@@ -84,19 +89,30 @@ def test_what_the_arm_refuses_leaves_the_path_as_it_is(
 ) -> None:
     """Too fast for the limits of the settings, or told too late."""
     plain = live().cell.run_cycle(1)
-    monkeypatch.setattr(correcting, "best_tail", one_change(0.5))
+    monkeypatch.setattr(decide, "best_tail", one_change(0.5))
     with caplog.at_level(logging.WARNING):
         result = live(settings=seeing(quick)).cell.run_cycle(1)
     assert result.outcome is Outcome.INSERTED and result.corrections == ()
     assert result.measured_miss_m == pytest.approx(plain.measured_miss_m, abs=1e-4)
-    assert "no correction at" in caplog.text and "followed as it was" in caplog.text
+    assert "path not changed" in caplog.text and "followed as it was" in caplog.text
+
+
+def test_what_needs_a_change_that_the_arm_refuses_stops_in_front_of_the_mouth(
+    live: Live, quick: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At the last decision; a rest within the limits is taken."""
+    monkeypatch.setattr(decide, "best_tail", lambda *asked: replace(FAR, from_s=asked[3]))
+    monkeypatch.setattr(decide, "chance", lambda *asked: 0.2)
+    result = live(settings=seeing(quick)).cell.run_cycle(1)
+    assert result.outcome is Outcome.REJECTED and result.corrections == ()
+    assert result.reason is not None and result.reason.startswith("stopped in front of the mouth")
 
 
 def test_what_cannot_be_explained_is_not_corrected(
     live: Live, quick: Settings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(correcting, "MOST_MISFIT", 0.0)
-    monkeypatch.setattr(correcting, "best_tail", one_change(0.002))
+    monkeypatch.setattr(decide, "MOST_MISFIT", 0.0)
+    monkeypatch.setattr(decide, "best_tail", one_change(0.002))
     result = live(settings=seeing(quick)).cell.run_cycle(1)
     assert result.outcome is Outcome.INSERTED and result.corrections == ()
 
@@ -119,7 +135,7 @@ def test_a_stop_wins_over_a_change(
         it.cell.command(Event.STOP, "a person")
         return find(*asked)
 
-    monkeypatch.setattr(correcting, "best_tail", stopped)
+    monkeypatch.setattr(decide, "best_tail", stopped)
     result: Result = it.cell.run_cycle(1)
     assert result.outcome is Outcome.FAILED and result.fault is not None
     assert result.fault.step == "execute" and result.fault.cause == "a person"
@@ -130,8 +146,8 @@ def test_what_nothing_brings_through_stops_in_front_of_the_mouth(
     live: Live, quick: Settings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The cable is put aside, and the next one is inserted."""
-    monkeypatch.setattr(correcting, "best_tail", lambda *asked: None)
-    monkeypatch.setattr(correcting, "chance", lambda *asked: 0.03)
+    monkeypatch.setattr(decide, "best_tail", lambda *asked: None)
+    monkeypatch.setattr(decide, "chance", lambda *asked: 0.03)
     it = live(settings=seeing(quick), cycles=2)
     result = it.cell.run_cycle(1)
     assert result.outcome is Outcome.REJECTED
@@ -153,11 +169,11 @@ def test_a_corrected_insertion_is_recorded_and_replayed(
     text = recorded_config.read_text(encoding="utf-8")
     config.write_text(text + "\nfeedback: on\n", encoding="utf-8")
     asked = ["run", "--config", str(config), "--cycles", "1", "--out", str(tmp_path / "runs")]
-    monkeypatch.setattr(correcting, "best_tail", one_change(0.002))
+    monkeypatch.setattr(decide, "best_tail", one_change(0.002))
     done = CliRunner().invoke(app, [*asked, "--json"])
     result = json.loads(done.stdout.splitlines()[0])
     assert len(result["corrections"]) == 1, done.output
-    monkeypatch.setattr(correcting, "best_tail", one_change(0.002))
+    monkeypatch.setattr(decide, "best_tail", one_change(0.002))
     again = CliRunner().invoke(app, ["replay", result["folder"], "--json"])
     assert json.loads(again.stdout)["identical"], again.stdout
     page = tmp_path / "page.html"

@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cell.flight.stop import brought_to_rest
-from cell.plan.paths import MotionLimits, insertion_path
+from cell.plan.paths import MotionLimits, insertion_path, path_to_rest
 from drivers.guard import ArmLimits, check_path
 from drivers.interfaces import Pose
 
@@ -17,7 +16,7 @@ PATH = insertion_path(Pose(0.0, -0.05), 0.02, 0.05, MotionLimits(0.2, 1.0, 10.0)
 
 @given(st.floats(0.0, float(PATH.t_s[-1]) - 0.006))
 def test_it_is_the_path_until_then_and_rests_soon_after(from_s: float) -> None:
-    stopped = brought_to_rest(PATH, from_s, BRISK)
+    stopped = path_to_rest(PATH, from_s, BRISK)
     same = int(np.searchsorted(PATH.t_s, from_s))
     np.testing.assert_array_equal(stopped.x_m[:same], PATH.x_m[:same])
     np.testing.assert_array_equal(stopped.y_m[:same], PATH.y_m[:same])
@@ -28,4 +27,4 @@ def test_it_is_the_path_until_then_and_rests_soon_after(from_s: float) -> None:
 
 def test_what_has_ended_is_not_left() -> None:
     with pytest.raises(ValueError, match="the path ends"):
-        brought_to_rest(PATH, float(PATH.t_s[-1]) + 0.1, BRISK)
+        path_to_rest(PATH, float(PATH.t_s[-1]) + 0.1, BRISK)
