@@ -35,7 +35,8 @@ from drivers.interfaces import Trajectory
 from tools.bench.bench_task import best_of
 from tools.studies.line_study import CONFIG
 from tools.studies.loop_study import SEEN
-from tools.worlds.fast_cell import RATE_HZ, fast_cycle, typical, with_world
+from tools.worlds.fast_cell import fast_cycle, typical, with_world
+from tools.worlds.fast_truth import RATE_HZ
 
 #: Cables from which the prior is.
 LEARNED_FROM = 4

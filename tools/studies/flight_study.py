@@ -7,11 +7,8 @@ Cells without pictures, each cable twice with the same noise: its path as chosen
 
 from __future__ import annotations
 
-import argparse
-import csv
 from collections import Counter
-from dataclasses import asdict, dataclass, fields, replace
-from pathlib import Path
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,10 +16,11 @@ from cell.build import cell_task
 from cell.cable.effects.library import library
 from cell.plan.choose import Freedom
 from cell.settings import Settings, load_settings
+from tools.studies.cable_rows import options, written
 from tools.studies.mouth_study import with_mouth
-from tools.worlds.fast_cell import Flown, fast_cycle, typical, with_world
+from tools.worlds.fast_cell import fast_cycle, typical, with_world
+from tools.worlds.fast_flight import Flown
 
-ROOT = Path(__file__).parents[2]
 NOTHING = Flown()
 #: What happens in flight.
 EVENTS = {
@@ -124,25 +122,18 @@ def table(rows: list[Tried]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
-    parser.add_argument("file", type=Path, help="CSV file to write")
-    parser.add_argument("--cables", type=int, default=20)
-    parser.add_argument("--seed", type=int, default=7)
-    parser.add_argument("--config", type=Path, default=ROOT / "config" / "fake.yaml")
+    parser = options(__doc__, 20)
     parser.add_argument("--half-mm", type=float, default=5.0)
     parser.add_argument("--window-s", type=float, default=0.0)
     parser.add_argument("--worlds", nargs="+", choices=worlds(), default=worlds())
     given = parser.parse_args()
     settings = with_mouth(load_settings(given.config), given.half_mm)
     freely, rows = Freedom(given.window_s, (1.15, 1.3, 1.5, 1.8)), []
-    with given.file.open("w", newline="") as file:
-        writer = csv.DictWriter(file, [f.name for f in fields(Tried)])
-        writer.writeheader()
+    with written(given.file, Tried) as write:
         for world in given.worlds:
             for cable in range(1, given.cables + 1):
                 rows += tried(settings, freely, world, given.seed, cable)
-                writer.writerows(asdict(r) for r in rows[-2:])
-                file.flush()
+                write(rows[-2:])
             print(table([r for r in rows if r.world == world]), flush=True)
     print(table(rows))
 

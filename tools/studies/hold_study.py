@@ -7,11 +7,8 @@ Cells without pictures; the same cables held for the longest time, and as long a
 
 from __future__ import annotations
 
-import argparse
-import csv
 from collections import Counter
-from dataclasses import asdict, dataclass, fields, replace
-from pathlib import Path
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,10 +17,10 @@ from cell.cable.effects.library import library
 from cell.plan.choose import Freedom
 from cell.run.station import Task
 from cell.settings import Settings, load_settings
+from tools.studies.cable_rows import options, written
 from tools.studies.mouth_study import with_mouth
 from tools.worlds.fast_cell import fast_cycle, typical, with_world
 
-ROOT = Path(__file__).parents[2]
 #: Half the mouth's height, mm, what may be chosen freely, and the effect that the model lacks.
 WORLDS: dict[str, tuple[float, Freedom, str | None]] = {
     "as it is": (5.0, Freedom(), None),
@@ -90,17 +87,11 @@ def table(rows: list[Tried]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
-    parser.add_argument("file", type=Path, help="CSV file to write")
-    parser.add_argument("--cables", type=int, default=200)
-    parser.add_argument("--seed", type=int, default=7)
-    parser.add_argument("--config", type=Path, default=ROOT / "config" / "fake.yaml")
+    parser = options(__doc__, 200)
     parser.add_argument("--worlds", nargs="+", choices=WORLDS, default=list(WORLDS))
     given = parser.parse_args()
     settings, rows = load_settings(given.config), []
-    with given.file.open("w", newline="") as file:
-        writer = csv.DictWriter(file, [f.name for f in fields(Tried)])
-        writer.writeheader()
+    with written(given.file, Tried) as write:
         for world in given.worlds:
             half_mm, freely, effect = WORLDS[world]
             there = with_mouth(settings, half_mm)
@@ -111,8 +102,7 @@ def main() -> None:
             for cable in range(1, given.cables + 1):
                 for hold in LEAST_S:
                     rows.append(tried(there, task, world, hold, given.seed, cable))
-                    writer.writerow(asdict(rows[-1]))
-                file.flush()
+                    write(rows[-1:])
             print(table([r for r in rows if r.world == world]), flush=True)
 
 

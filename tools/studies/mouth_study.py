@@ -7,20 +7,17 @@ Cells without pictures, whose model is complete: only the choice differs.
 
 from __future__ import annotations
 
-import argparse
-import csv
 from collections import Counter
-from dataclasses import asdict, dataclass, fields, replace
-from pathlib import Path
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cell.build import cell_task
 from cell.plan.choose import Freedom
 from cell.settings import Settings, load_settings
+from tools.studies.cable_rows import options, written
 from tools.worlds.fast_cell import fast_cycle
 
-ROOT = Path(__file__).parents[2]
 HALF_MM = (5.0, 2.0, 1.0, 0.5, 0.25)
 FREELY = {
     "offsets": Freedom(),
@@ -99,24 +96,17 @@ def table(rows: list[Tried]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
-    parser.add_argument("file", type=Path, help="CSV file to write")
-    parser.add_argument("--cables", type=int, default=200)
-    parser.add_argument("--seed", type=int, default=7)
-    parser.add_argument("--config", type=Path, default=ROOT / "config" / "fake.yaml")
+    parser = options(__doc__, 200)
     parser.add_argument("--half-mm", type=float, nargs="+", default=HALF_MM)
     parser.add_argument("--freely", nargs="+", choices=FREELY, default=list(FREELY))
     given = parser.parse_args()
     settings, rows = load_settings(given.config), []
-    with given.file.open("w", newline="") as file:
-        writer = csv.DictWriter(file, [f.name for f in fields(Tried)])
-        writer.writeheader()
+    with written(given.file, Tried) as write:
         for half_mm in given.half_mm:
             for cable in range(1, given.cables + 1):
                 for freely in given.freely:
                     rows.append(tried(settings, half_mm, freely, given.seed, cable))
-                    writer.writerow(asdict(rows[-1]))
-                file.flush()
+                    write(rows[-1:])
             print(table([r for r in rows if r.half_mm == half_mm]), flush=True)
     print(table(rows))
 

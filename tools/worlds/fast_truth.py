@@ -1,0 +1,182 @@
+"""What a cable of a cell without pictures truly does, and what is seen of it: nodes with noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable.dynamics import simulate
+from cell.cable.geometry import Motion
+from cell.cable.model import CableModel
+from cell.cable.solver import Solver
+from cell.identify.individual import hold_trial
+from cell.plan.paths import executed_motion, identification_path, insertion_path
+from cell.run.findings import FilmedMotion
+from cell.run.station import Task
+from cell.study.data import Markers, Trial
+from drivers.interfaces import Trajectory
+from tools.studies.coverage_study import Errors
+
+FloatArray = NDArray[np.float64]
+
+WORLD = Solver(segments=60, step_s=5e-4)
+RATE_HZ = 500.0
+
+
+def whole_motion(
+    task: Task, down: Motion, path: Trajectory, start_s: float, lag_s: float
+) -> Motion:
+    """The hand's true motion when it follows a path after a hold."""
+    late = executed_motion(path, lag_s, settle_s=task.settle_s)
+    rows = np.column_stack([late.t_s + start_s, late.x_m, late.y_m, late.angle_rad])
+    before = np.column_stack([down.t_s, down.x_m, down.y_m, down.angle_rad])
+    whole = np.vstack([before, rows[rows[:, 0] > down.t_s[-1] + 1e-6]])
+    return Motion(*(np.ascontiguousarray(c) for c in whole.T))
+
+
+def until(trial: Trial, end_s: float) -> Trial:
+    """The same if it had ended then."""
+    seen = trial.markers.t_s < end_s
+    markers = replace(trial.markers, t_s=trial.markers.t_s[seen], xy_m=trial.markers.xy_m[seen])
+    return replace(trial, grip=moved_until(trial.grip, end_s), markers=markers)
+
+
+def moved_until(motion: Motion, end_s: float) -> Motion:
+    moved = motion.t_s <= end_s + 1e-9
+    return Motion(*(getattr(motion, n)[moved] for n in ("t_s", "x_m", "y_m", "angle_rad")))
+
+
+def filmed_of(held: Trial) -> FilmedMotion:
+    hand = Trajectory(held.grip.t_s, held.grip.x_m, held.grip.y_m, held.grip.angle_rad)
+    return FilmedMotion(0.0, (), hand, (), 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Truths:
+    """The hand's true motion of every offset, holds before included, and the tips' true paths."""
+
+    task: Task
+    hidden: CableModel
+    motions: list[Motion]
+    start_s: float
+
+    @property
+    def end_s(self) -> float:
+        return max(float(m.t_s[-1]) for m in self.motions)
+
+    def tips(self, at_s: FloatArray, which: Sequence[int] | None = None) -> FloatArray:
+        """(offsets, times, 2) from the beginning of the execution on; None = of all offsets."""
+        tip = np.array([self.task.cable.free_length_m])
+        motions = self.motions if which is None else [self.motions[i] for i in which]
+        return simulate(self.hidden, motions, self.start_s + at_s, tip, solver=WORLD)[:, :, 0]
+
+
+def truths(
+    task: Task,
+    hidden: CableModel,
+    down: Motion,
+    start_s: float,
+    lag_s: float,
+    table: Sequence[tuple[float, float, float]],
+) -> Truths:
+    """`table`: offset, delay and pace of every motion."""
+    motions = []
+    for offset_m, delay_s, pace in table:
+        limits = task.insertion.slowed(pace)
+        path = insertion_path(
+            task.lowered, offset_m, task.advance_m, limits, RATE_HZ, delay_s=delay_s
+        )
+        motions.append(whole_motion(task, down, path, start_s, lag_s))
+    return Truths(task, hidden, motions, start_s)
+
+
+def true_hold(task: Task, lag_s: float) -> Motion:
+    path = identification_path(
+        task.home,
+        task.lower_m,
+        task.lowering,
+        RATE_HZ,
+        duration_s=task.lower_s,
+        hold_s=task.hold_s,
+    )
+    late = executed_motion(path, lag_s)
+    t = np.arange(0.0, task.still_s + float(late.t_s[-1]), 1.0 / RATE_HZ)
+    poses = (late.x_m, late.y_m, late.angle_rad)
+    return Motion(t, *(np.interp(t - task.still_s, late.t_s, v) for v in poses))
+
+
+@dataclass(frozen=True, eq=False)
+class Bias:
+    """Errors that are the same in every picture of a cable."""
+
+    stretch: FloatArray
+    across_m: FloatArray
+
+    @staticmethod
+    def drawn(rng: np.random.Generator, errors: Errors, nodes: int) -> Bias:
+        along = np.linspace(1.0, 0.0, nodes)
+        return Bias(errors.end_m * rng.normal() * along, errors.across_m * rng.normal(size=nodes))
+
+
+def pictured(nodes: FloatArray, bias: Bias, errors: Errors, rng: np.random.Generator) -> FloatArray:
+    along = np.gradient(nodes, axis=1)
+    along /= np.linalg.norm(along, axis=-1, keepdims=True)
+    across = np.stack([-along[..., 1], along[..., 0]], axis=-1)
+    noise = rng.normal(size=nodes.shape)
+    for i in range(1, len(noise)):
+        noise[i] = errors.colour * noise[i - 1] + np.sqrt(1.0 - errors.colour**2) * noise[i]
+    shifted = nodes - bias.stretch[:, None] * along + bias.across_m[:, None] * across
+    return np.asarray(shifted + errors.node_m * noise)
+
+
+def logged(motion: Motion, errors: Errors, rng: np.random.Generator) -> Motion:
+    xy = [v + errors.log_m * rng.normal(size=len(v)) for v in (motion.x_m, motion.y_m)]
+    return Motion(motion.t_s, *xy, motion.angle_rad)
+
+
+def seen_hold(
+    task: Task,
+    hidden: CableModel,
+    motion: Motion,
+    t_s: FloatArray,
+    hand: Motion,
+    bias: Bias,
+    errors: Errors,
+    rng: np.random.Generator,
+) -> Trial:
+    nodes = simulate(hidden, motion, t_s, task.arc_length_m, solver=WORLD)[0]
+    seen = np.stack([np.interp(t_s, motion.t_s, v) for v in (motion.x_m, motion.y_m)], axis=-1)
+    return hold_trial(
+        hand,
+        t_s,
+        pictured(nodes, bias, errors, rng),
+        seen + errors.grip_m * rng.normal(size=seen.shape),
+        errors.angle_rad * rng.normal(size=len(t_s)),
+    )
+
+
+def seen_execution(
+    task: Task,
+    hidden: CableModel,
+    motion: Motion,
+    start_s: float,
+    held: Trial,
+    bias: Bias,
+    errors: Errors,
+    rng: np.random.Generator,
+) -> Trial:
+    """As `station.executed_trial` makes it."""
+    period_s = float(np.median(np.diff(held.markers.t_s)))
+    t_s = np.arange(start_s + 0.001, float(motion.t_s[-1]), period_s)
+    nodes = simulate(hidden, motion, t_s, task.arc_length_m, solver=WORLD)[0]
+    log = logged(motion, errors, rng)
+    later = log.t_s > held.grip.t_s[-1]
+    shift = [getattr(held.grip, n)[0] - getattr(motion, n)[0] for n in ("x_m", "y_m", "angle_rad")]
+    grip = [np.concatenate([held.grip.t_s, log.t_s[later]])]
+    for name, by in zip(("x_m", "y_m", "angle_rad"), shift, strict=True):
+        grip.append(np.concatenate([getattr(held.grip, name), getattr(log, name)[later] + by]))
+    markers = Markers(t_s, pictured(nodes, bias, errors, rng))
+    return Trial("execute", "validate", "equilibrium", Motion(*grip), markers)
