@@ -68,6 +68,8 @@ FloatArray = NDArray[np.float64]
 _UR_TUNING = ("lookahead_s", "gain")
 #: In simulated time a frame waits so long, s, for the recorder: nothing else is late by that.
 PATIENCE_S = 60.0
+#: How well latency and lag must be known, 95 %, for corrections in flight, s.
+FEEDBACK_TIME_S = 2e-3
 
 
 def build_cell(
@@ -308,7 +310,8 @@ def cell_task(settings: Settings, known: Calibrated | None = None) -> Task:
         decide_s=motion.decide_s,
         offsets_m=motion.offsets.values_m,
         advance_m=motion.advance_m,
-        feedback=settings.feedback == "on",
+        feedback=corrects_in_flight(settings, known),
+        retries=settings.retry,
         settle_s=motion.settle_s,
         lowering=MotionLimits(**motion.lowering.model_dump()),
         insertion=MotionLimits(**motion.insertion.model_dump()),
@@ -321,6 +324,13 @@ def cell_task(settings: Settings, known: Calibrated | None = None) -> Task:
         choice=_choice(settings, known),
         model=model_hash(settings.model),
     )
+
+
+def corrects_in_flight(settings: Settings, known: Calibrated) -> bool:
+    """Whether insertions are corrected while they are made: as said, or if time is well known."""
+    if settings.feedback != "auto":
+        return settings.feedback == "on"
+    return known.delays_95_s is not None and max(known.delays_95_s) <= FEEDBACK_TIME_S
 
 
 def _delays(settings: Settings, known: Calibrated) -> KnownDelays | None:

@@ -158,18 +158,22 @@ class LimitError(DeviceError):
     code = "limit"
 
 
-def too_late(device: str, late_s: float) -> LimitError:
+class TooLateError(LimitError):
+    """A command is for a moment that has gone by; nothing was sent.  Scenario: a busy computer."""
+
+
+def too_late(device: str, late_s: float) -> TooLateError:
     """What an arm says that is told to start in the past."""
-    return LimitError(
+    return TooLateError(
         device,
         f"told {late_s * 1e3:.1f} ms after the moment at which it was to start",
         "tell it earlier; nothing was moved",
     )
 
 
-def revised_too_late(device: str, late_s: float) -> LimitError:
+def revised_too_late(device: str, late_s: float) -> TooLateError:
     """What an arm says that is to leave its path at a moment that has gone by."""
-    return LimitError(
+    return TooLateError(
         device,
         f"told {late_s * 1e3:.1f} ms after the moment from which its path was to change",
         "tell it earlier; its path is followed as it was",

@@ -20,6 +20,7 @@ from drivers.interfaces import (
     GripperState,
     Pose,
     Trajectory,
+    revised_too_late,
 )
 from drivers.servo import SETTLING_LAGS
 from drivers.sim.clock import SimClock
@@ -46,6 +47,7 @@ class ReplayArm:
 
     answers  in the order in which they were given
     filmed   paths that were told with a moment of their start
+    revisions  changed paths that the recorded arm took
     """
 
     name = "arm"
@@ -58,12 +60,14 @@ class ReplayArm:
         lag_s: float,
         answers: Sequence[Answer],
         filmed: Sequence[Trajectory],
+        revisions: Sequence[Trajectory] = (),
     ) -> None:
         self._clock = clock
         self._rate_hz = rate_hz
         self._lag_s = lag_s
         self._answers = answers
         self._filmed = filmed
+        self._revisions = revisions
         self._mode = ArmMode.READY
         t_s = clock.now_s() - np.array([2.0, 1.0])
         self._path = Trajectory(
@@ -109,7 +113,9 @@ class ReplayArm:
         )
 
     def revise(self, path: Trajectory, from_s: float) -> None:
-        """The recorded arm went on as recorded."""
+        """Raises TooLateError: the recorded arm took no such change; it may have come too late."""
+        if not any(_same(path, revision) for revision in self._revisions):
+            raise revised_too_late(self.name, self._clock.now_s() - from_s)
         self._path = replace(path, t_s=path.t_s - path.t_s[0] + self._path.t_s[0])
 
     def log(self, start_s: float, end_s: float) -> Trajectory:

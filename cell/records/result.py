@@ -105,6 +105,8 @@ class Result:
     hold_saved_s        how much shorter than its longest the hold was, because more frames would
                         not have mattered
     corrections         of the path in flight; None = without feedback
+    stops               why the hand was stopped in front of the mouth in earlier tries with this
+                        cable; the rest is of the last try
     seconds             time of each step, s
     state_seconds       time spent in each state of the cell, s
     parameters          of this cable, as identified: name → value, SI units
@@ -143,6 +145,7 @@ class Result:
     pace: float | None = None
     hold_saved_s: float | None = None
     corrections: tuple[Correction, ...] | None = None
+    stops: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """Plain data for json.dumps; what is not finite becomes None."""
@@ -156,5 +159,6 @@ class Result:
         known["fault"] = None if data.get("fault") is None else Fault(**data["fault"])
         if known.get("corrections") is not None:
             known["corrections"] = tuple(Correction(**c) for c in data["corrections"])
+        known["stops"] = tuple(data.get("stops", ()))
         known["checks"] = tuple(Check(**check) for check in data.get("checks", ()))
         return cls(**known)

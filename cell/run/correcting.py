@@ -21,7 +21,7 @@ from cell.run.jobs import found_by, hurried
 from cell.run.station import Station
 from cell.vision.recording import steady_nodes
 from cell.vision.sighting import Sighting
-from drivers.interfaces import LimitError, Trajectory
+from drivers.interfaces import LimitError, TooLateError, Trajectory
 
 FloatArray = NDArray[np.float64]
 
@@ -29,8 +29,9 @@ _LOG = logging.getLogger(__name__)
 
 #: When the hand has been told to move so long ago, it must be known how the cable answers, s.
 NEEDED_S = 0.1
-#: From a decision's last frame until its change may begin, s: to look, to compute, to tell the arm.
-DEAD_S = 0.04
+#: From a decision's last frame until its change may begin, s: to look, to compute, to tell the arm;
+#: and if the arm says that this was too late.
+DEAD_S = (0.04, 0.08)
 
 
 class Corrector:
@@ -113,10 +114,21 @@ class Corrector:
 
     def _decide(self, flight: Flight, sightings: list[Sighting], since_s: float) -> None:
         t_s = np.array([s.t_s for s in sightings]) - self._start_s
-        decision = flight.decide(t_s, steady_nodes(sightings), since_s + DEAD_S)
-        if decision.withheld is not None:
-            _LOG.info("no correction at %.2f s: %s", since_s, decision.withheld)
-            return
+        nodes_m = steady_nodes(sightings)
+        for dead_s in DEAD_S:
+            decision = flight.decide(t_s, nodes_m, since_s + dead_s)
+            if decision.withheld is not None:
+                _LOG.info("no correction at %.2f s: %s", since_s, decision.withheld)
+                return
+            try:
+                self._act(flight, decision, since_s, since_s + dead_s)
+            except TooLateError as error:
+                _LOG.warning("path not changed: %s", error)
+            else:
+                return
+
+    def _act(self, flight: Flight, decision: Decision, since_s: float, from_s: float) -> None:
+        """Raises TooLateError: the arm cannot do it any more."""
         tail, self._tip_m = decision.tail, decision.tip_m
         if tail is not None and self._told(tail.of(self._path), tail.from_s):
             _LOG.info(
@@ -126,11 +138,10 @@ class Corrector:
             self._flight, self._tip_m = flight.changed(tail), tail.tip_m
             self.tails = (*self.tails, tail)
         elif decision.hopeless and not self._left:
-            self._stop(decision, since_s)
+            self._stop(decision, since_s, from_s)
 
-    def _stop(self, decision: Decision, since_s: float) -> None:
-        """What would not pass does not go on to the mouth's edge."""
-        from_s = since_s + DEAD_S
+    def _stop(self, decision: Decision, since_s: float, from_s: float) -> None:
+        """What would not pass does not go on to the mouth's edge.  Raises TooLateError."""
         try:
             path = path_to_rest(self._path, from_s, self._station.task.lowering)
         except ValueError as error:
@@ -144,9 +155,11 @@ class Corrector:
             _LOG.info("%s", self.stopped)
 
     def _told(self, path: Trajectory, from_s: float) -> bool:
-        """Whether the arm takes a change of its path."""
+        """Whether the arm takes a change of its path.  Raises TooLateError."""
         try:
             self._revise(path, self._start_s + from_s)
+        except TooLateError:
+            raise
         except LimitError as error:
             _LOG.warning("path not changed: %s", error)
             return False

@@ -232,8 +232,12 @@ class Cell:
                             self._pause(progress)
                         self._do(progress, element)
                 case Repeat():
+                    again = False
                     while not element.until(progress.findings):
+                        if again:
+                            self._carry_out(progress, element.before_again)
                         self._carry_out(progress, element.steps)
+                        again = True
                         paused = self._pause(progress)
                         progress.findings = element.review(
                             progress.station, progress.findings, paused

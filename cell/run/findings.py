@@ -134,6 +134,7 @@ class Findings:
     offset_m    of the choice that is executed
     executed    the execution
     stopped     why the hand was brought to rest in front of the mouth; None = it was not
+    stops       the same of earlier tries with this cable; their trials
     tails       changes of its path that were told in flight; None = without feedback
     predicted   (T,) times from when the path began, and (T, 2) tip as last predicted in flight
     followed    movements of a dry run
@@ -158,6 +159,8 @@ class Findings:
     offset_m: float | None = None
     executed: FilmedMotion | None = None
     stopped: str | None = None
+    stops: tuple[str, ...] = ()
+    earlier: tuple[Trial, ...] = ()
     tails: tuple[Tail, ...] | None = None
     predicted: tuple[FloatArray, FloatArray] | None = None
     passage: Passage | None = None
@@ -189,6 +192,21 @@ class Findings:
     def reject(self, reason: str) -> Findings:
         """The same with the cable rejected."""
         return replace(self, outcome=Outcome.REJECTED, reason=reason)
+
+    def again(self) -> Findings:
+        """For another try with the same cable: what was measured, seen and checked stays."""
+        name = f"try_{len(self.stops) + 1}"
+        trials = (replace(t, name=f"{t.name}_{name}", role="validate") for t in self.trials)
+        return Findings(
+            stops=(*self.stops, required(self.stopped)),
+            earlier=(*self.earlier, *trials),
+            speed=self.speed,
+            checks=self.checks,
+            pictures={
+                known if known.startswith("try_") else f"{name}_{known}": picture
+                for known, picture in self.pictures.items()
+            },
+        )
 
     def with_pictures(self, pictures: Mapping[str, Image]) -> Findings:
         """The same with more pictures."""

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from functools import partial
 
 from cell.plan.measuring import Measuring
 from cell.records.result import Outcome
-from cell.run import dry_run, movements, steps
+from cell.run import dry_run, measuring_steps, movements, steps
 from cell.run.afterwards import after_dry_run, after_insertion, after_measurement, after_release
 from cell.run.findings import Filming, Findings
 from cell.run.movements import Movements, inserting_movements, measuring_movements
@@ -58,11 +58,24 @@ class Repeat:
     A pause is possible after them.
     review  what is known after them: station, findings, whether there was a pause
     until   whether they are done
+    before_again  done before they are done again
     """
 
-    steps: tuple[Step, ...]
+    steps: tuple[Step | Repeat, ...]
     review: Callable[[Station, Findings, bool], Findings]
     until: Callable[[Findings], bool]
+    before_again: tuple[Step, ...] = ()
+
+    @property
+    def flat(self) -> tuple[Step, ...]:
+        """All steps that are done at least once, in their order."""
+        return flat(self.steps)
+
+
+def flat(stages: Iterable[Step | Repeat]) -> tuple[Step, ...]:
+    """Steps in their order, those within a `Repeat` once."""
+    groups = (e.flat if isinstance(e, Repeat) else (e,) for e in stages)
+    return tuple(step for group in groups for step in group)
 
 
 @dataclass(frozen=True)
@@ -87,9 +100,7 @@ class Plan:
     @property
     def steps(self) -> tuple[Step, ...]:
         """All steps in their order."""
-        stages = (*self.resetting, *self.starting, *self.execute, *self.completing)
-        nested = (e.steps if isinstance(e, Repeat) else (e,) for e in stages)
-        return tuple(step for group in nested for step in group)
+        return flat((*self.resetting, *self.starting, *self.execute, *self.completing))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -117,6 +128,7 @@ SIMULATE = Step("simulate", steps.simulate, computes=True, holding=True, hand_wa
 CHOOSE = Step("choose", steps.choose, computes=True, holding=True, hand_waits=True)
 EXECUTE = Step("execute", steps.execute, holding=True)
 VERIFY = Step("verify", steps.verify, after=after_insertion, computes=True, holding=True)
+BRING_BACK = Step("bring_back", steps.bring_back, holding=True, may_pause=True)
 RELEASE = Step("release", steps.release, after=after_release, may_pause=True, with_rejected=True)
 
 #: Steps of a film that was made without this cell.
@@ -124,6 +136,8 @@ FILM, LOOK = "film", "look_at_film"
 
 #: What is done once is done again when devices were connected anew: their clocks may have been set.
 AGAIN_WHEN_LOST = frozenset({CONNECT.name, CHECK_CLOCKS.name})
+
+CHOOSING = Repeat((SIMULATE, CHOOSE), steps.review_choice, until=lambda f: f.decided)
 
 # --- the plans ----------------------------------------------------------------------------------
 
@@ -134,13 +148,12 @@ INSERTING = Plan(
     starting=(START,),
     execute=(
         GRASP,
-        LOWER,
-        HOLD,
-        CHECK_CLOCKS,
-        IDENTIFY,
-        Repeat((SIMULATE, CHOOSE), steps.review_choice, until=lambda f: f.decided),
-        EXECUTE,
-        VERIFY,
+        Repeat(
+            (LOWER, HOLD, CHECK_CLOCKS, IDENTIFY, CHOOSING, EXECUTE, VERIFY),
+            steps.review_insertion,
+            until=lambda f: f.outcome is not None,
+            before_again=(BRING_BACK,),
+        ),
         RELEASE,
     ),
     completing=(GO_HOME,),
@@ -149,7 +162,10 @@ INSERTING = Plan(
 
 def measuring(motion: Measuring) -> Plan:
     """Film a cable in a motion, for the model lab, and bring it back to where it was grasped."""
-    approach, measure = partial(steps.approach, motion), partial(steps.measure, motion)
+    approach, measure = (
+        partial(measuring_steps.approach, motion),
+        partial(measuring_steps.measure, motion),
+    )
     moves = partial(measuring_movements, motion)
     check = replace(CHECK_PATHS, act=partial(steps.check_paths, moves), once=False)
     return replace(
@@ -172,15 +188,14 @@ def filmed(filming: Filming, *, decides: bool) -> Plan:
 
     decides  choose an offset too: the hand came to where insertions begin
     """
-    film = Step(FILM, partial(steps.begin_film, filming), holding=True)
-    conclude = Step("conclude", steps.conclude, after=after_measurement, holding=True)
-    choosing = Repeat((SIMULATE, CHOOSE), steps.review_choice, until=lambda f: f.decided)
-    looking = (HOLD,) if decides else (Step(LOOK, steps.look_at_film, holding=True),)
+    film = Step(FILM, partial(measuring_steps.begin_film, filming), holding=True)
+    conclude = Step("conclude", measuring_steps.conclude, after=after_measurement, holding=True)
+    looking = (HOLD,) if decides else (Step(LOOK, measuring_steps.look_at_film, holding=True),)
     return replace(
         INSERTING,
         aim=Outcome.MEASURED,
         resetting=(WARM_UP, CONNECT, RESET),
-        execute=(GRASP, film, *looking, IDENTIFY, *((choosing,) if decides else ()), conclude),
+        execute=(GRASP, film, *looking, IDENTIFY, *((CHOOSING,) if decides else ()), conclude),
         completing=(),
     )
 

@@ -47,7 +47,7 @@ class Progress:
         self.written = now  # what cannot be written is not tried again
         if now.trials and now.trials is not before.trials:
             name = self.record.folder.name
-            study = study_of(name, self.station.task, now.trials)
+            study = study_of(name, self.station.task, (*now.trials, *now.earlier))
             self.recording.study(study)
             self.record.study(study)
         new = {name: p for name, p in now.pictures.items() if name not in before.pictures}
@@ -85,6 +85,7 @@ class Progress:
             prediction_error_m=None if passage is None else _finite(passage.error_m),
             wait_s=_finite(f.wait_s),
             hold_saved_s=f.hold_saved_s,
+            stops=f.stops,
             corrections=None if f.tails is None else tuple(map(_correction, f.tails)),
             seconds=self.seconds,
             state_seconds=state_seconds,

@@ -53,6 +53,8 @@ class Task:
     """A hold may end after this if more frames would not matter; None = always after `hold_s`."""
     feedback: bool = False
     """Whether an insertion is corrected while it is made."""
+    retries: int = 0
+    """So often a cable that was stopped in front of the mouth is measured and inserted again."""
     delays: KnownDelays | None = None
     """None = latency and lag are typed: nothing says how well they are known."""
 

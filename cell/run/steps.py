@@ -1,4 +1,4 @@
-"""What each step does: inserting and measuring.
+"""What each step does while a cable is inserted; `measuring_steps` has the others.
 
 With `waiting` and `filming`, and beside the `dry_run` and the `watch`, all that calls devices.
 Every step takes the station and what was found before it, and returns what is known after it;
@@ -7,6 +7,7 @@ nothing is kept here.  Which steps there are, and in which order, is said in `pl
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Sequence
 from concurrent.futures import BrokenExecutor
@@ -14,15 +15,16 @@ from dataclasses import replace
 
 import numpy as np
 
+from cell.cable.geometry import Motion
 from cell.cable.solver import DivergedError
 from cell.cable.statics import UnsettledError
 from cell.computer.memory import freeze_loaded_objects
 from cell.identify.individual import CableRejectedError
 from cell.identify.individual import identify as identify_cable
 from cell.plan.choose import choose as choose_offset
-from cell.plan.measuring import Measuring, measuring_path
 from cell.plan.passage import measured_passage
 from cell.plan.paths import MotionLimits, identification_path, path_to
+from cell.plan.rest import time_to_rest_s
 from cell.records.result import Outcome
 from cell.run.candidates import simulate_offsets
 from cell.run.clocks import delay_checks
@@ -48,6 +50,8 @@ from drivers.interfaces import (
     Trajectory,
 )
 
+_LOG = logging.getLogger(__name__)
+
 #: One frame in so many is kept as a picture, during the hold and during the execution.
 KEEP_EVERY_HELD, KEEP_EVERY_MOVING = 20, 4
 #: A forecast is corrected to first order, without simulating again, if its tips move less, m.
@@ -55,10 +59,10 @@ SMALL_SHIFT_M = 5e-4
 #: A computer that needs longer for a choice is not going to manage, s: the longer the hand waits,
 #: the more there is to simulate.
 LONGEST_LEAD_S = 3.0
+#: No cable of a few decimetres swings longer, s.
+LONGEST_SWING_S = 30.0
 #: What ends a simulation of a cable that the model makes impossible.
 IMPOSSIBLE = (DivergedError, UnsettledError)
-#: Share of a measuring motion's frames in which the cable must be seen.
-LEAST_SEEN = 0.8
 
 
 # --- before and after the cycle -----------------------------------------------------------------
@@ -409,6 +413,31 @@ def verify(station: Station, findings: Findings) -> Findings:
     return replace(findings, passage=passage, outcome=outcome, reason=passage.reason)
 
 
+def review_insertion(station: Station, findings: Findings, paused: bool) -> Findings:
+    """Open again if the cable was stopped in front of the mouth, and the task leaves a try."""
+    if findings.stopped is None or len(findings.stops) >= station.task.retries:
+        return findings
+    return replace(findings, outcome=None, reason=None)
+
+
+def bring_back(station: Station, findings: Findings) -> Findings:
+    """Bring a cable that was stopped slowly to where it was grasped, until it rests.
+
+    How long it swings its own model says, with what the hand has done since it was lowered.
+    raises  DeviceTimeoutError: the arm does not come to rest
+    """
+    task, arm, clock = station.task, station.devices.arm, station.devices.clock
+    identified, begin_s = required(findings.identified), required(findings.held).begin_s
+    move_to(station, task.home, task.insertion.slowed(APPROACH_SLOWER))
+    now_s = clock.now_s()
+    hand = arm.log(begin_s, now_s)
+    moved = Motion(hand.t_s - begin_s, hand.x_m, hand.y_m, hand.angle_rad)
+    swings_s = time_to_rest_s(identified, moved, identified.noise.std_m, LONGEST_SWING_S)
+    _LOG.info("the cable rests %.1f s after the hand", swings_s)
+    wait_until(station, now_s + max(swings_s, task.calm_s))
+    return findings.again()
+
+
 def release(station: Station, findings: Findings) -> Findings:
     """Let go of the cable: where it is if it was inserted, else aside.
 
@@ -417,52 +446,6 @@ def release(station: Station, findings: Findings) -> Findings:
     if findings.outcome is not Outcome.INSERTED:
         move_to(station, station.task.aside, station.task.lowering)
     return let_go(station, findings)
-
-
-# --- measuring ----------------------------------------------------------------------------------
-
-
-def approach(motion: Measuring, station: Station, findings: Findings) -> Findings:
-    """Bring the cable slowly to where a measuring motion begins, and let it calm down."""
-    move_to(station, motion.start, station.task.insertion.slowed(APPROACH_SLOWER))
-    wait_until(station, station.devices.clock.now_s() + station.task.calm_s)
-    return findings
-
-
-def measure(motion: Measuring, station: Station, findings: Findings) -> Findings:
-    """Film the cable at rest, during the moves and while the hand is held after them."""
-    path = measuring_path(motion.start, motion.moves, station.devices.arm.rate_hz)
-    filming = film(station, path, motion.still_s, motion.hold_s, KEEP_EVERY_HELD)
-    held = capture(station, filming, KEEP_EVERY_HELD)
-    trial = replace(held_trial(held), name=motion.name)
-    findings = replace(findings, held=held, trials=(trial,), outcome=Outcome.MEASURED)
-    seen = sum(s.seen for s in held.sightings)
-    if seen >= LEAST_SEEN * len(held.sightings):
-        return findings
-    return findings.reject(
-        f"the cable is seen in {seen} of {len(held.sightings)} frames, needs "
-        f"{LEAST_SEEN:.0%}; keep the motion inside the picture"
-    )
-
-
-# --- a film of one's own --------------------------------------------------------------------------
-
-
-def begin_film(filming: Filming, station: Station, findings: Findings) -> Findings:
-    """Have the camera give a film whose motion was made without this cell."""
-    station.devices.camera.start(filming.frame_count)
-    return replace(findings, filming=filming)
-
-
-def look_at_film(station: Station, findings: Findings) -> Findings:
-    """Find the cable in every frame of a film after which nothing is to be decided."""
-    held = capture(station, required(findings.filming), KEEP_EVERY_HELD)
-    return replace(findings, held=held, trials=(held_trial(held),))
-
-
-def conclude(station: Station, findings: Findings) -> Findings:
-    """The cable of a film was identified; nothing is executed."""
-    return replace(findings, outcome=Outcome.MEASURED)
 
 
 # --- releasing ------------------------------------------------------------------------------------

@@ -75,6 +75,7 @@ def contradictions(document: Document, settings: Settings) -> list[Problem]:
         *_calibration(document, settings),
         *_hidden_effects(document, settings),
         *_model(document, settings),
+        *_retry(document, settings),
     ]
     # Where the hand cannot go, what the tip can reach is an idle question.
     return problems or [
@@ -144,6 +145,16 @@ def _brisker_than_limits(document: Document, settings: Settings) -> list[Problem
         for name in ("velocity_m_per_s", "acceleration_m_per_s2", "jerk_m_per_s3")
         if getattr(briskness, name) > getattr(settings.limits, name)
     ]
+
+
+def _retry(document: Document, settings: Settings) -> list[Problem]:
+    if settings.retry == 0 or settings.feedback != "off":
+        return []
+    message = (
+        f"is {settings.retry}, but only feedback stops a cable in front of the mouth; remove it, "
+        "or set feedback: on"
+    )
+    return [document.problem(("retry",), message)]
 
 
 def _devices(document: Document, settings: Settings) -> list[Problem]:

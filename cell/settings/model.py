@@ -356,8 +356,10 @@ class Settings(Section):
     model: Model = Model()
     promotion: Promotion = Promotion()
     choice: Choice = Choice()
-    feedback: Literal["off", "on"] = "off"
-    """`on`: an insertion is corrected while it is made, from what the camera sees."""
+    feedback: Literal["auto", "off", "on"] = "auto"
+    """`on`: correct insertions in flight; `auto`: if latency and lag are calibrated to 2 ms."""
+    retry: Annotated[int, Field(ge=0, le=3)] = 0
+    """More tries for a cable that feedback has stopped in front of the mouth."""
     recording: Recording | None = Recording()
     """Null = only tables, JSON and a few pictures are left of a cycle, no frames."""
     ledger: Ledger | None = Ledger()

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from cell.files.input_error import InputError
@@ -31,9 +32,9 @@ def replayed_devices(recording: Recording, settings: Settings) -> ReplayedDevice
     task, filming = recording.last(form.TASK), recording.last(form.FILMING)
     if task is None or filming is None:
         raise InputError.at(recording.path, "ends before a cable was filmed: nothing to replay")
-    decision = recording.last(form.DECISION) or {}
-    simulated_s: list[float] = list(decision.get("simulated_s", ()))
-    clock = SimClock(filming["begin_s"] - _BEFORE_S)
+    tries = list(_tries(recording))
+    simulated_s: list[float] = []
+    clock = SimClock(tries[0][0] - _BEFORE_S)
     answers = [
         Answer(said["start_s"], said["end_s"], poses)
         for said, poses in recording.trajectories(form.ANSWER)
@@ -48,6 +49,7 @@ def replayed_devices(recording: Recording, settings: Settings) -> ReplayedDevice
             task["arm_lag_s"],
             answers,
             filmed,
+            [p for _, p in recording.trajectories(form.REVISION)],
         ),
         ReplayCamera(clock, task["frame_rate_hz"], recording.frames()),
         ReplayGripper(clock, held),
@@ -55,11 +57,21 @@ def replayed_devices(recording: Recording, settings: Settings) -> ReplayedDevice
     )
 
     def on_step(number: int, step: str) -> None:
-        if step in ("lower", "measure", "film"):
-            clock.forward_to_s(filming["begin_s"])
+        if step in ("lower", "measure", "film") and tries:
+            begin_s, simulated_s[:] = tries.pop(0)
+            clock.forward_to_s(begin_s)
         elif step == "simulate" and simulated_s:
             clock.forward_to_s(simulated_s.pop(0))
         elif step == "choose" and simulated_s:  # the recorded choice came too late
             clock.forward_to_s(simulated_s[0])
 
     return ReplayedDevices(devices, on_step)
+
+
+def _tries(recording: Recording) -> Iterator[tuple[float, list[float]]]:
+    """When each film of a hold began, and when simulations of its offsets did."""
+    decisions = [d["simulated_s"] for d in recording.json(form.DECISION)]
+    begun_s = list(dict.fromkeys(said["begin_s"] for said in recording.json(form.FILMING)))
+    for begin_s, end_s in zip(begun_s, [*begun_s[1:], math.inf], strict=True):
+        made = [s for s in decisions if s and begin_s <= s[0] < end_s]
+        yield begin_s, list(max(made, key=len, default=[]))

@@ -6,10 +6,12 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from cell.build import cell_with, twin_devices
+from cell.flight import decide
 from cell.settings import Settings, load_settings
 from cell.simulated.twins import build_twins
 
@@ -95,6 +97,24 @@ def live(quick: Settings, tmp_path: Path) -> Callable[..., SimpleNamespace]:
         return live
 
     return build
+
+
+@pytest.fixture
+def hopeless(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
+    """With feedback: in so many insertions nothing brings the tip through; then all goes well."""
+
+    def until(tries: int) -> None:
+        begun: list[object] = []
+
+        def chance(answers: Any, *asked: Any) -> float:
+            if not begun or begun[-1] is not answers:
+                begun.append(answers)
+            return 0.03 if len(begun) <= tries else 1.0
+
+        monkeypatch.setattr(decide, "best_tail", lambda *asked: None)
+        monkeypatch.setattr(decide, "chance", chance)
+
+    return until
 
 
 #: What makes a cycle light enough for a computer that does other things meanwhile; the protocols,

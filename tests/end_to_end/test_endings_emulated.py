@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from cell.build import cell_with, real_devices
@@ -136,6 +137,38 @@ def test_a_missed_cable_is_put_aside(line: Line) -> None:
     study = read_record(Path(result.folder)).study
     assert study is not None
     assert [t.name for t in study.trials] == ["identify", "execute"]
+
+
+@pytest.fixture
+def seeing(line: Line) -> Iterator[Line]:
+    """The same cell, which looks while it inserts and may try twice."""
+    station = line.cell._station
+    line.cell._station = replace(station, task=replace(station.task, feedback=True, retries=1))
+    yield line
+    line.cell._station = station
+
+
+def test_a_cable_stopped_in_front_of_the_mouth_is_tried_again(
+    seeing: Line, hopeless: Callable[[int], None]
+) -> None:
+    hopeless(1)
+    result = seeing.cycle(at={"lower": the_first})
+    assert (result.outcome, result.fault) == (Outcome.INSERTED, None), result.reason
+    assert len(result.stops) == 1 and result.corrections == ()
+    study = read_record(Path(result.folder)).study
+    assert study is not None
+    stopped = study.trials[-1]
+    assert stopped.name == "execute_try_1"
+    assert np.nanmin(stopped.markers.xy_m[:, 0, 0]) > seeing.settings.destination.x_m[1]
+
+
+def test_a_cable_stopped_again_is_put_aside(seeing: Line, hopeless: Callable[[int], None]) -> None:
+    hopeless(9)
+    result = seeing.cycle(at={"lower": the_first})
+    assert (result.outcome, result.fault) == (Outcome.REJECTED, None)
+    assert result.reason is not None and result.reason.startswith("stopped in front of the mouth")
+    assert len(result.stops) == 1
+    check_put_aside(seeing, result)
 
 
 def check_put_aside(line: Line, result: Result) -> None:

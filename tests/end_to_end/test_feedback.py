@@ -22,8 +22,11 @@ from cell.records.result import Outcome, Result
 from cell.run import correcting
 from cell.run.machine import Event
 from cell.settings import Settings
+from drivers.interfaces import Trajectory, revised_too_late
+from drivers.sim.arm import SimArm
 
 Live = Callable[..., SimpleNamespace]
+Hopeless = Callable[[int], None]
 
 
 def seeing(quick: Settings, **changes: Any) -> Settings:
@@ -180,3 +183,105 @@ def test_a_corrected_insertion_is_recorded_and_replayed(
     told = CliRunner().invoke(app, ["report", result["folder"], "-o", str(page)])
     assert told.exit_code == 0, told.output
     assert "Corrections in flight" in page.read_text(encoding="utf-8")
+
+
+# --- a second try --------------------------------------------------------------------------------
+
+
+def test_a_stopped_cable_is_brought_back_measured_and_inserted(
+    live: Live, quick: Settings, hopeless: Hopeless
+) -> None:
+    hopeless(1)
+    it = live(settings=seeing(quick, retry=1))
+    result = it.cell.run_cycle(1)
+    assert result.outcome is Outcome.INSERTED and result.reason is None
+    assert len(result.stops) == 1 and result.stops[0].startswith("stopped in front of the mouth")
+    assert it.steps.count("lower") == 2 and it.steps.count("bring_back") == 1
+    assert it.steps.count("grasp") == 1, "the cable stays in the jaws"
+    record = read_record(Path(result.folder))
+    assert record.study is not None and record.result == result
+    names = [t.name for t in record.study.trials]
+    assert names == ["identify", "execute", "identify_try_1", "execute_try_1"]
+    first, second = (record.study.trials[i].markers for i in (2, 0))
+    still = first.t_s < quick.motion.still_s  # the second film begins at rest as the first one did
+    scatter = [np.nanstd(m.xy_m[still, 0, 1]) for m in (first, second)]
+    assert scatter[1] < 2.0 * scatter[0] + 1e-5
+    pictures = {p.name for p in Path(result.folder).glob("*.png")}
+    assert {n for n in pictures if n.startswith("try_1_")}
+    assert {n.removeprefix("try_1_") for n in pictures if n.startswith("try_1_")} <= pictures
+
+
+def test_a_cable_that_is_stopped_again_is_put_aside(
+    live: Live, quick: Settings, hopeless: Hopeless, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hopeless(9)
+    it = live(settings=seeing(quick, retry=2), cycles=2)
+    result = it.cell.run_cycle(1)
+    assert result.outcome is Outcome.REJECTED and result.reason is not None
+    assert result.reason.startswith("stopped in front of the mouth")
+    assert len(result.stops) == 2 and it.steps.count("lower") == 3
+    assert it.steps[-2:] == ["release", "go_home"]
+    monkeypatch.undo()
+    assert it.cell.run_cycle(2).outcome is Outcome.INSERTED
+
+
+def test_a_stop_on_the_way_back_ends_the_cycle(
+    live: Live, quick: Settings, hopeless: Hopeless
+) -> None:
+    hopeless(1)
+    it = live(
+        {"bring_back": lambda it: it.cell.command(Event.STOP, "a person")},
+        settings=seeing(quick, retry=1),
+    )
+    result = it.cell.run_cycle(1)
+    assert result.outcome is Outcome.FAILED and result.fault is not None
+    assert result.fault.step == "bring_back" and result.fault.cable == "a cable is in the jaws"
+
+
+def test_a_second_try_is_recorded_and_replayed(
+    tmp_path: Path, recorded_config: Path, hopeless: Hopeless
+) -> None:
+    config = tmp_path / "seeing.yaml"
+    text = recorded_config.read_text(encoding="utf-8")
+    config.write_text(text + "\nfeedback: on\nretry: 1\n", encoding="utf-8")
+    asked = ["run", "--config", str(config), "--cycles", "1", "--out", str(tmp_path / "runs")]
+    hopeless(1)
+    done = CliRunner().invoke(app, [*asked, "--json"])
+    result = json.loads(done.stdout.splitlines()[0])
+    assert result["outcome"] == "inserted" and len(result["stops"]) == 1, done.output
+    hopeless(1)
+    again = CliRunner().invoke(app, ["replay", result["folder"], "--json"])
+    replayed = json.loads(again.stdout)
+    assert replayed["identical"] and replayed["result"]["stops"] == result["stops"], again.stdout
+
+
+def test_a_change_that_came_too_late_is_told_again_for_later(
+    live: Live, quick: Settings, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    asked: list[float] = []
+
+    def tail(answers: Any, beside: Any, destination: Any, from_s: float, *rest: Any) -> Tail | None:
+        asked.append(from_s)
+        if len(asked) > 2:
+            return None
+        return Tail(from_s, 0.002, 0.2, 1.0, 0.0, 0.5, answers.nodes_m[:, 0] + beside.tip_m)
+
+    it = live(settings=seeing(quick))
+    revise, told = SimArm.revise, []
+
+    def late_at_first(arm: SimArm, path: Trajectory, from_s: float) -> None:
+        told.append(from_s)
+        if len(told) == 1:
+            raise revised_too_late("arm", 0.003)
+        revise(arm, path, from_s)
+
+    monkeypatch.setattr(decide, "best_tail", tail)
+    monkeypatch.setattr(SimArm, "revise", late_at_first)
+    with caplog.at_level(logging.WARNING):
+        result = it.cell.run_cycle(1)
+    assert "told 3.0 ms after" in caplog.text
+    assert result.corrections is not None and len(result.corrections) == 1
+    early_s, late_s = correcting.DEAD_S
+    assert asked[1] - asked[0] == pytest.approx(late_s - early_s)
+    assert told[1] - told[0] == pytest.approx(late_s - early_s)
+    assert result.corrections[0].from_s == asked[1]

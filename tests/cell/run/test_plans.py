@@ -42,11 +42,16 @@ def test_steps_with_the_same_name_are_one_row() -> None:
 
 
 def test_steps_that_are_repeated_are_in_the_table_where_they_are_done_first() -> None:
-    (repeat,) = (e for e in INSERTING.execute if isinstance(e, Repeat))
-    names = [step.name for step in repeat.steps]
-    at = INSERTING.names.index(names[0])
-    assert list(INSERTING.names[at : at + len(names)]) == names
+    (whole,) = (e for e in INSERTING.execute if isinstance(e, Repeat))
+    (choosing,) = (e for e in whole.steps if isinstance(e, Repeat))
+    for repeat in (whole, choosing):
+        names = [step.name for step in repeat.flat]
+        at = INSERTING.names.index(names[0])
+        assert list(INSERTING.names[at : at + len(names)]) == names
+    at = INSERTING.names.index("simulate")
     assert INSERTING.names[at - 1 : at + 3 : 3] == ("identify", "execute")
+    assert [s.name for s in whole.before_again] == ["bring_back"]
+    assert "bring_back" not in INSERTING.names, "most cables never come to it"
 
 
 def test_a_step_that_comes_too_early_is_a_mistake_of_the_plan() -> None:
