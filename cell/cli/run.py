@@ -239,6 +239,7 @@ def _changes(out: Path, results: list[Result], config: Path, settings: Settings)
     from cell.records.chart import signals
     from cell.records.ledger.error import LedgerError
     from cell.records.ledger.ledger import Ledger
+    from cell.records.mean_error import mean_error
     from cell.settings.referred import line_of
 
     if not results or results[-1].model is None or settings.ledger is None:
@@ -250,9 +251,10 @@ def _changes(out: Path, results: list[Result], config: Path, settings: Settings)
     except LedgerError as error:
         return [f"whether anything has changed cannot be said: {error}"]
     of_model = [r for r in history if r.model == results[-1].model]
-    found = signals(of_model)
-    lines = [str(s) for s in found]
-    if any(not s.of_cables for s in found) or any(r.model_misses for r in results):
+    found, common = signals(of_model), mean_error(of_model)
+    lines = [*map(str, found), *([] if common is None else [str(common)])]
+    unforecast = common is not None or any(not s.of_cables for s in found)
+    if unforecast or any(r.model_misses for r in results):
         lines.append(f"to learn what the model lacks: cell learn {out} --config {config}")
     elif found:
         lines.append(

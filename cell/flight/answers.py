@@ -26,6 +26,9 @@ KNOTS_S = 0.025
 EVERY_NODE = 2
 #: Pictures may be later than is known by about so much, s.
 LATE_S = 4e-3
+#: The cable's end is seen wrongly along the cable by about so much, m, the same in all pictures,
+#: and the other nodes by their share of it.
+END_M = 1e-4
 #: So far the hand, m, and the modes, in free lengths per second, are moved to see the answer …
 _STEP_M, _KICK = 1e-3, 0.05
 #: … the hand within this time before 0, s: so that a motion is a sum of such, one an instant.
@@ -42,10 +45,10 @@ class Answers:
     nodes_m   (T, nodes, 2) as expected
     rise      (T, nodes, 2) after the hand was led up by 1 m at 0
     basis     (T, nodes', 2, unknowns) of one node in `EVERY_NODE`: by pictures that are `LATE_S`
-              late; by the cable's parameters, each as uncertain as it is; then, for every knot, by
-              forces that begin there and bend the tip by 1 m at last, `MODES` of them, and by the
-              hand set off by 1 m right and up
-    tip       (T, 2, unknowns) of the tip itself, which is not late
+              late; by an end that is seen wrongly by `END_M`; by the cable's parameters, each as
+              uncertain as it is; then, for every knot, by forces that begin there and bend the tip
+              by 1 m at last, `MODES` of them, and by the hand set off by 1 m right and up
+    tip       (T, 2, unknowns) of the tip itself, which is neither late nor elsewhere
     lasting   how many of the unknowns are not changes at a knot
     """
 
@@ -83,7 +86,7 @@ def answers(
     slopes = np.einsum("qtnx,qp->ptnx", by_step, identified.root)
     forces, hand = _answers_at_rest(identified, motion, t_s, arc_length_m, coarse)
     late = -LATE_S * np.gradient(expected[:, ::EVERY_NODE], INTERVAL_S, axis=0)
-    columns = [late, *slopes[:, :, ::EVERY_NODE]]
+    columns = [late, _end_seen_wrongly(expected, arc_length_m), *slopes[:, :, ::EVERY_NODE]]
     for knot in range(0, len(t_s), round(KNOTS_S / INTERVAL_S)):
         for answer in (*forces, *hand):
             later = np.zeros_like(columns[0])
@@ -91,8 +94,16 @@ def answers(
             columns.append(later)
     basis = np.stack(columns, axis=-1)
     tip = basis[:, 0].copy()
-    tip[..., 0] = 0.0
-    return Answers(t_s, expected, hand[1], basis, tip, 1 + len(slopes))
+    tip[..., :2] = 0.0
+    return Answers(t_s, expected, hand[1], basis, tip, 2 + len(slopes))
+
+
+def _end_seen_wrongly(nodes_m: FloatArray, arc_length_m: FloatArray) -> FloatArray:
+    """(T, nodes', 2) by which nodes seem to be displaced."""
+    along = np.gradient(nodes_m, axis=1)
+    along /= np.linalg.norm(along, axis=-1, keepdims=True)
+    share = arc_length_m / arc_length_m.max()
+    return np.asarray(END_M * share[::EVERY_NODE, None] * along[:, ::EVERY_NODE])
 
 
 def _answers_at_rest(

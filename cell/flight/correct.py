@@ -16,11 +16,11 @@ from drivers.servo import servo_response
 
 FloatArray = NDArray[np.float64]
 
-#: The hand is led up or down by so much at most, m, in one of these times, s; so many heights are
-#: tried at first, this far apart, m, and so many around the best.
-MOST_M, COARSE, FINE = 6e-3, 25, 11
-STEP_M = 2.0 * MOST_M / (COARSE - 1)
+#: The hand is led up or down by so much at most, m, in one of these times, s; and by as much again
+#: after that.  Pairs of heights so far apart, m, are compared, then nearer ones around the best.
+MOST_M = 6e-3
 LASTS_S = (0.12, 0.2, 0.3)
+COARSE_M, FINE_M = 1e-3, (5e-4, 2.5e-4)
 #: So long before the tip reaches the mouth a change is decided, s.
 AHEAD_S = (0.45, 0.32, 0.2)
 #: Of two changes that do as well the smaller one: so much margin a metre of it must gain, m.
@@ -34,15 +34,17 @@ WORTH, WORTH_STD, WORTH_M = 0.01, 2.0, 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Tail:
-    """A change of height of the hand from `from_s` on, by `rise_m` within `lasts_s`.
+    """A change of height of the hand from `from_s` on: two rises, one after the other.
 
+    rise_m, then_m   by which the hand is led up, each within `lasts_s`
     probability, margin_m   of passing, with it
-    before                  probability without it
-    tip_m                   (T, 2) predicted with it
+    before           probability without it
+    tip_m            (T, 2) predicted with it
     """
 
     from_s: float
     rise_m: float
+    then_m: float
     lasts_s: float
     probability: float
     margin_m: float
@@ -52,13 +54,15 @@ class Tail:
     def of(self, path: Trajectory) -> Trajectory:
         """The path with this change; longer if it ends before the change does."""
         step_s = float(path.t_s[1] - path.t_s[0])
-        end_s = max(float(path.t_s[-1] - path.t_s[0]), self.from_s + self.lasts_s)
+        whole_s = self.lasts_s * (1.0 if self.then_m == 0.0 else 2.0)
+        end_s = max(float(path.t_s[-1] - path.t_s[0]), self.from_s + whole_s)
         t_s = step_s * np.arange(round(end_s / step_s) + 1.0)
         since = path.t_s - path.t_s[0]
         x_m, y_m, angle_rad = (
             np.interp(t_s, since, v) for v in (path.x_m, path.y_m, path.angle_rad)
         )
-        y_m = y_m + self.rise_m * _smooth((t_s - self.from_s) / self.lasts_s)
+        u = (t_s - self.from_s) / self.lasts_s
+        y_m = y_m + self.rise_m * _smooth(u) + self.then_m * _smooth(u - 1.0)
         return Trajectory(t_s + path.t_s[0], x_m, y_m, angle_rad)
 
 
@@ -77,32 +81,59 @@ def best_tail(
     """
     first = max(0, int(from_s / INTERVAL_S) - 1)
     likely_m = answers.nodes_m[:, 0] + beside.tip_m
-    tips_m = answers.nodes_m[None, first:, 0] + beside.tips_m[:, first:]
-    before, margin_m, _ = (v[0] for v in _judged(destination, tips_m[None], repeatability_m))
-    made = {s: tail_answer(answers, from_s, s, lag_s, slice(1))[:, 0] for s in LASTS_S}
-
-    def best(rises_m: FloatArray, lasts_s: float, some: FloatArray) -> tuple[float, float, Tail]:
-        """Its worth and its margin's standard deviation."""
-        answer = made[lasts_s]
-        changed_m = some + rises_m[:, None, None, None] * answer[first:]
-        chances, margins_m, stds_m = _judged(destination, changed_m, repeatability_m)
-        worths = chances + margins_m - COST * np.abs(rises_m)
-        at = int(worths.argmax())
-        rise_m, chance = float(rises_m[at]), float(chances[at])
-        tip_m = likely_m + rise_m * answer
-        tail = Tail(from_s, rise_m, lasts_s, chance, float(margins_m[at]), float(before), tip_m)
-        return float(worths[at]), float(stds_m[at]), tail
-
-    coarse = np.linspace(-MOST_M, MOST_M, COARSE)
-    near = max((best(coarse, s, tips_m[::4]) for s in LASTS_S), key=lambda b: b[0])[2]
-    ends = np.clip([near.rise_m - STEP_M, near.rise_m + STEP_M], -MOST_M, MOST_M)
-    fine = np.linspace(float(ends[0]), float(ends[1]), FINE)
-    worth, std_m, tail = best(fine, near.lasts_s, tips_m)
-    surely = tail.margin_m - margin_m > max(WORTH_M, WORTH_STD * std_m)
-    likely = tail.probability >= max(LEAST, tail.before)
-    if worth <= tail.before + margin_m or not likely:
+    tips_m = answers.nodes_m[first:, 0] + beside.tips_m[:, first:]
+    best: tuple[float, float, FloatArray] | None = None
+    made = {s: _tip_answers(answers, from_s, s, lag_s) for s in LASTS_S}
+    for lasts_s, answer in made.items():
+        asked = answer[:, first:], destination, repeatability_m
+        _, rises_m = _widest(likely_m[None, first:], *asked, _pairs(np.zeros(2), MOST_M, COARSE_M))
+        worth, rises_m = _widest(tips_m[::4], *asked, _pairs(rises_m, COARSE_M, FINE_M[0]))
+        if best is None or worth > best[0]:
+            best = worth, lasts_s, rises_m
+    assert best is not None
+    _, lasts_s, rises_m = best
+    asked = made[lasts_s][:, first:], destination, repeatability_m
+    _, rises_m = _widest(tips_m[::2], *asked, _pairs(rises_m, FINE_M[0], FINE_M[1]))
+    led_m = np.tensordot(rises_m, made[lasts_s], axes=1)
+    judged = _judged(destination, np.stack([tips_m, tips_m + led_m[first:]]), repeatability_m)
+    (before, probability), (margin_m, with_m), (_, std_m) = judged
+    better = with_m - margin_m
+    surely = better > max(WORTH_M, WORTH_STD * std_m)
+    worth = probability - before + better - COST * np.abs(rises_m).sum()
+    if worth <= 0.0 or probability < max(LEAST, before):
         return None
-    return tail if tail.probability - tail.before > WORTH or surely else None
+    if probability - before <= WORTH and not surely:
+        return None
+    rise_m, then_m = (float(r) for r in rises_m)
+    passing = float(probability), float(with_m), float(before)
+    return Tail(from_s, rise_m, then_m, lasts_s, *passing, likely_m + led_m)
+
+
+def _pairs(about_m: FloatArray, reach_m: float, step_m: float) -> FloatArray:
+    """(pairs, 2) rises up to `reach_m` from others, `step_m` apart, m."""
+    count = round(reach_m / step_m)
+    steps_m = step_m * np.arange(-count, count + 1.0)
+    pairs_m = np.stack(np.meshgrid(steps_m, steps_m), axis=-1).reshape(-1, 2)
+    return np.clip(about_m + pairs_m, -MOST_M, MOST_M)
+
+
+def _widest(
+    tips_m: FloatArray,
+    answer: FloatArray,
+    destination: Destination,
+    repeatability_m: float,
+    pairs_m: FloatArray,
+) -> tuple[float, FloatArray]:
+    """What the best of (pairs, 2) rises is worth, and its (2,) rises, m.
+
+    tips_m  (samples, T, 2) as they are
+    answer  (2, T, 2) per metre of either rise
+    """
+    led_m = np.tensordot(pairs_m, answer, axes=1)
+    chances, margins_m, _ = _judged(destination, tips_m + led_m[:, None], repeatability_m)
+    worths = chances + margins_m - COST * np.abs(pairs_m).sum(axis=1)
+    at = int(worths.argmax())
+    return float(worths[at]), pairs_m[at]
 
 
 def chance(
@@ -135,9 +166,20 @@ def tail_answer(
     return np.stack(each, axis=-1).reshape(rise.shape)
 
 
+def _tip_answers(answers: Answers, from_s: float, lasts_s: float, lag_s: float) -> FloatArray:
+    """(2, T, 2) of the tip, per metre of either rise of a change."""
+    both = [
+        tail_answer(answers, begin_s, lasts_s, lag_s, slice(1))[:, 0]
+        for begin_s in (from_s, from_s + lasts_s)
+    ]
+    return np.array(both)
+
+
 def moved_by(answers: Answers, tail: Tail, lag_s: float) -> Answers:
     """The expected motion once a change was told."""
     led = tail.rise_m * tail_answer(answers, tail.from_s, tail.lasts_s, lag_s)
+    then_s = tail.from_s + tail.lasts_s
+    led += tail.then_m * tail_answer(answers, then_s, tail.lasts_s, lag_s)
     return replace(answers, nodes_m=answers.nodes_m + led)
 
 

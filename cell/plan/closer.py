@@ -94,6 +94,21 @@ def closer_look(
     return _widest(np.array(margins_m), fine_m, fine_s, np.array(paces))
 
 
+def widest_between(at_once: Forecast, destination: Destination) -> float:
+    """The offset that seems to pass by the widest margin, at once and at the usual pace, m.
+
+    Tips are interpolated between the offsets around the best one.
+    at_once  of the offsets, ascending
+    """
+    best = int(destination.margin_m(at_once.tip_m).argmax())
+    near = slice(max(0, best - 2), best + 3)
+    known_m = at_once.offsets_m[near]
+    ends_m = at_once.offsets_m[[max(0, best - 1), min(best + 1, len(at_once.offsets_m) - 1)]]
+    fine_m, weights = _between(known_m, np.arange(ends_m[0], ends_m[1] + 1e-3 * FINE_M, FINE_M))
+    tips_m = np.einsum("oj,jtx->otx", weights, at_once.tip_m[near])
+    return float(fine_m[destination.margin_m(tips_m).argmax()])
+
+
 def _delayed(motion: Motion, begin_s: float, delay_s: float) -> Motion:
     """The hand rests for so long at a moment, and then goes on."""
     before = motion.t_s <= begin_s

@@ -73,7 +73,8 @@ class Correction:
 
     from_s       when it began, from when the hand was told to move
     rise_m       by how much the hand was led up
-    lasts_s      in how much time
+    then_m       by how much after that
+    lasts_s      in how much time, either
     before, probability   predicted probability of passing, without and with it
     """
 
@@ -82,6 +83,7 @@ class Correction:
     lasts_s: float
     before: float
     probability: float
+    then_m: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -91,7 +93,8 @@ class Result:
     offset_m            executed
     delay_s, pace       with which: so long the hand rested before, s; in so many times the usual
                         time it moved
-    predicted_miss_m    height of the tip above the middle of the destination at its mouth
+    predicted_miss_m    height of the tip above the middle of the destination at its mouth; as last
+                        predicted if the path was changed in flight
     measured_miss_m     the same, from the pictures of the execution
     margin_m            measured: smallest distance to the destination's floor or ceiling while
                         the tip passed it; negative = missed by so much

@@ -12,7 +12,7 @@ from cell.cable.geometry import Motion
 from cell.cable.solver import Solver
 from cell.identify.identified import Identified
 from cell.plan.choose import ChoiceOptions, choose, forecast
-from cell.plan.closer import closer_look
+from cell.plan.closer import closer_look, widest_between
 from cell.plan.paths import executed_motion, insertion_path
 from cell.run.findings import Candidates, FilmedMotion
 from cell.run.station import Task, Timing
@@ -23,7 +23,7 @@ from drivers.interfaces import Trajectory
 FloatArray = NDArray[np.float64]
 
 #: An offset whose margin is so many times its standard deviation passes surely: no other moment is
-#: looked at.
+#: looked at, and the offset is only refined.
 SURE = 4.0
 
 
@@ -114,16 +114,17 @@ def simulate_offsets(
         return Candidates(start_s, tuple(paths), expected)
     at_once = choose(expected, identified, task.destination, choice).best
     if at_once.margin_m > SURE * at_once.margin_std_m:
-        return Candidates(start_s, tuple(paths), expected)
-    spots = closer_look(
-        identified,
-        expected,
-        lambda offset_m, pace: motion(path(offset_m, pace=pace)),
-        task.destination,
-        begin_s=executing.begin_s,
-        solver=solver,
-        options=choice,
-    )
+        spots = np.array([widest_between(expected, task.destination)]), np.zeros(1), np.ones(1)
+    else:
+        spots = closer_look(
+            identified,
+            expected,
+            lambda offset_m, pace: motion(path(offset_m, pace=pace)),
+            task.destination,
+            begin_s=executing.begin_s,
+            solver=solver,
+            options=choice,
+        )
     new = [path(*(float(v) for v in one)) for one in zip(*spots, strict=True)]
     offsets_m, delays_s, paces = spots
     motions = [motion(p) for p in new]

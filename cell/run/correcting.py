@@ -132,8 +132,9 @@ class Corrector:
         tail, self._tip_m = decision.tail, decision.tip_m
         if tail is not None and self._told(tail.of(self._path), tail.from_s):
             _LOG.info(
-                "corrected at %.2f s: %+.1f mm within %.2f s, probability %.2f instead of %.2f",
-                since_s, 1e3 * tail.rise_m, tail.lasts_s, tail.probability, tail.before,
+                "corrected at %.2f s: %+.1f, %+.1f mm, each in %.2f s; probability %.2f, was %.2f",
+                since_s, 1e3 * tail.rise_m, 1e3 * tail.then_m, tail.lasts_s, tail.probability,
+                tail.before,
             )  # fmt: skip
             self._flight, self._tip_m = flight.changed(tail), tail.tip_m
             self.tails = (*self.tails, tail)

@@ -63,7 +63,7 @@ class Progress:
         predicted_miss_m = (
             None
             if f.choice is None
-            else height_at_mouth_m(self.station.task.destination, f.choice.tip_m)
+            else height_at_mouth_m(self.station.task.destination, f.foretold.tip_m)
         )
         passage = f.passage
         return Result(
@@ -107,7 +107,9 @@ def parameters_of(identified: Identified) -> dict[str, float]:
 
 
 def _correction(tail: Tail) -> Correction:
-    return Correction(tail.from_s, tail.rise_m, tail.lasts_s, tail.before, tail.probability)
+    return Correction(
+        tail.from_s, tail.rise_m, tail.lasts_s, tail.before, tail.probability, tail.then_m
+    )
 
 
 def _finite(value: float | None) -> float | None:

@@ -147,7 +147,7 @@ def results_table(results: Sequence[Result]) -> Table:
     for r in results:
         table.add_row(
             str(r.cycle),
-            f"[{_COLOURS[r.outcome]}]{r.outcome.value}[/]",
+            f"[{_COLOURS[r.outcome]}]{r.outcome.value}[/]{_tries(r)}",
             _mm(r.offset_m, ".0f"),
             _mm(r.predicted_miss_m, "+z.2f"),
             _mm(r.measured_miss_m, "+z.2f"),
@@ -182,7 +182,7 @@ def conditions_table(conditions: Sequence[Condition]) -> Table:
 def seconds_table(results: Sequence[Result], steps: Sequence[str]) -> Table:
     """Time of each step: one column per cable, or median and longest of many cables.
 
-    steps  names in the order of the rows
+    steps  names in the order of the rows; those that few cables come to stand below
     """
     table = Table(title="seconds per step", box=SIMPLE_HEAD)
     table.add_column("step")
@@ -197,7 +197,7 @@ def seconds_table(results: Sequence[Result], steps: Sequence[str]) -> Table:
         shown = [median(known), max(known)] if many else times
         table.add_row(name, *("" if t is None else f"{t:.3f}" for t in shown))
 
-    for step in steps:
+    for step in dict.fromkeys([*steps, *(step for r in results for step in r.seconds)]):
         row(step.replace("_", " "), [r.seconds.get(step) for r in results])
     table.add_section()
     row("all", [sum(r.seconds.values()) for r in results])
@@ -235,6 +235,11 @@ def parameters_table(model: Mapping[str, Any]) -> Table:
         numbers = (f"{p[key]:.4g}" for key in ("value", "low", "high"))
         table.add_row(Text(p["name"]), *numbers, Text(p["unit"]))
     return table
+
+
+def _tries(result: Result) -> str:
+    """Which try it was, if the cable was stopped in front of the mouth before."""
+    return f", try {len(result.stops) + 1}" if result.stops else ""
 
 
 def _mm(value_m: float | None, form: str) -> str:

@@ -34,7 +34,7 @@ def seeing(quick: Settings, **changes: Any) -> Settings:
 
 
 #: A change that no arm's limits allow.
-FAR = Tail(0.0, 0.5, 0.2, 1.0, 0.0, 0.2, np.zeros((1, 2)))
+FAR = Tail(0.0, 0.5, 0.0, 0.2, 1.0, 0.0, 0.2, np.zeros((1, 2)))
 
 
 def one_change(rise_m: float) -> Callable[..., Tail | None]:
@@ -45,7 +45,7 @@ def one_change(rise_m: float) -> Callable[..., Tail | None]:
         if made:
             return None
         before_m = answers.nodes_m[:, 0] + beside.tip_m
-        tail = Tail(from_s, rise_m, 0.2, 1.0, 0.0, 0.5, before_m)
+        tail = Tail(from_s, rise_m, 0.0, 0.2, 1.0, 0.0, 0.5, before_m)
         moved = decide.moved_by(answers, tail, 0.03).nodes_m[:, 0] + beside.tip_m
         made.append(replace(tail, tip_m=moved))
         return made[0]
@@ -264,7 +264,7 @@ def test_a_change_that_came_too_late_is_told_again_for_later(
         asked.append(from_s)
         if len(asked) > 2:
             return None
-        return Tail(from_s, 0.002, 0.2, 1.0, 0.0, 0.5, answers.nodes_m[:, 0] + beside.tip_m)
+        return Tail(from_s, 0.002, 0.0, 0.2, 1.0, 0.0, 0.5, answers.nodes_m[:, 0] + beside.tip_m)
 
     it = live(settings=seeing(quick))
     revise, told = SimArm.revise, []

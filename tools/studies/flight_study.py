@@ -14,12 +14,16 @@ import numpy as np
 
 from cell.build import cell_task
 from cell.cable.effects.library import library
+from cell.cable.model import CableModel
 from cell.plan.choose import Freedom
 from cell.settings import Settings, load_settings
+from cell.simulated.hidden import hidden_cable
 from tools.studies.cable_rows import options, written
 from tools.studies.mouth_study import with_mouth
 from tools.worlds.fast_cell import fast_cycle, typical, with_world
 from tools.worlds.fast_flight import Flown
+from tools.worlds.fast_truth import true_hold
+from tools.worlds.puff import Puff
 
 NOTHING = Flown()
 #: What happens in flight.
@@ -31,7 +35,10 @@ EVENTS = {
     "late knock": Flown(knock=(0.7, 0.0, -0.002)),
     "late frames": Flown(latency_s=0.01),
     "lost frames": Flown(lost=0.03),
+    "puff": NOTHING,
 }
+#: A draught of 0.7 m/s that begins so long after the hand was told to move, s.
+PUFF_S, PUFF = 0.4, {"wind_x_m_per_s": 0.5, "wind_y_m_per_s": 0.5}
 
 
 @dataclass(frozen=True)
@@ -66,16 +73,30 @@ def settings_of(settings: Settings, world: str) -> Settings:
     return with_world(settings, {name: typical(library()[name], float(size))})
 
 
+def hidden_in(settings: Settings, world: str, seed: int, cable: int) -> CableModel:
+    """A cable of that world."""
+    hidden = hidden_cable(settings, seed, cable)
+    if world != "puff":
+        return hidden
+    task = cell_task(settings)
+    hold_ends_s = float(true_hold(task, settings.arm.lag_s).t_s[-1])
+    puff = Puff.active(**PUFF, begin_s=hold_ends_s + task.decide_s + PUFF_S)
+    return replace(hidden, effects=(*hidden.effects, puff))
+
+
 def tried(settings: Settings, freely: Freedom, world: str, seed: int, cable: int) -> list[Tried]:
-    """What becomes of one cable, without and with corrections."""
+    """What becomes of one cable: one of the offsets as planned; chosen freely and corrected."""
     there = settings_of(settings, world)
-    task = cell_task(there)
-    task = replace(task, choice=replace(task.choice, freely=freely))
-    happens = EVENTS.get(world, NOTHING)
+    happens, hidden = EVENTS.get(world, NOTHING), hidden_in(there, world, seed, cable)
     found = []
     for feedback in (False, True):
         flown = replace(happens, feedback=feedback)
-        cycle = fast_cycle(there, seed, cable, task=task, only_chosen=True, flown=flown)
+        task = cell_task(there)
+        if feedback:
+            task = replace(task, choice=replace(task.choice, freely=freely))
+        cycle = fast_cycle(
+            there, seed, cable, task=task, hidden=hidden, only_chosen=True, flown=flown
+        )
         found.append(
             Tried(
                 world,

@@ -32,7 +32,7 @@ from cell.settings import Settings
 from cell.simulated.hidden import hidden_cable
 from cell.study.data import Trial
 from tools.studies.coverage_study import Errors
-from tools.worlds.fast_flight import Flown, View, inserted
+from tools.worlds.fast_flight import Flown, Look, View, inserted
 from tools.worlds.fast_truth import (
     RATE_HZ,
     WORLD,
@@ -73,6 +73,7 @@ class FastCycle:
     tails: tuple[Tail, ...] = ()
     true_miss_m: float = np.nan
     stopped: bool = False
+    looks: tuple[Look, ...] = ()
 
     @property
     def outcome(self) -> str:
@@ -218,7 +219,8 @@ def _flown(
     at_tip = np.array([task.cable.free_length_m])
     tip_m = simulate(view.hidden, done.motion, view.start_s + at_s, at_tip, solver=WORLD)[0, :, 0]
     cycle = _in_truth(cycle, task, at_s, tip_m, ahead.t_s, done.tip_m)
-    return replace(cycle, tails=done.tails, stopped=done.stopped), done.motion
+    cycle = replace(cycle, tails=done.tails, stopped=done.stopped, looks=done.looks)
+    return cycle, done.motion
 
 
 def _end_of_hold_s(task: Task, timing: Timing, held: Trial) -> float:

@@ -39,6 +39,11 @@ class Flown:
     lost: float = 0.0
     latency_s: float = 0.0
 
+    @property
+    def seeing(self) -> Flown:
+        """The same with feedback."""
+        return replace(self, feedback=True)
+
 
 @dataclass(frozen=True, eq=False)
 class View:
@@ -74,18 +79,36 @@ class View:
 
 
 @dataclass(frozen=True, eq=False)
+class Look:
+    """What a decision was made from.
+
+    flight   the cable's answers, changes of the path that were told before included
+    t_s      (frames,) of the frames so far, from when the hand was told to move
+    nodes_m  (frames, nodes, 2) as seen
+    motion   the hand's true one, if nothing is changed from here on
+    """
+
+    flight: Flight
+    t_s: FloatArray
+    nodes_m: FloatArray
+    motion: Motion
+
+
+@dataclass(frozen=True, eq=False)
 class Inserted:
     """What became of an insertion.
 
     motion   true, of the hand
     tails    changes that were told
     tip_m    (T, 2) as last predicted, at the times of the answers
+    looks    one per decision
     stopped  whether the hand was stopped in front of the mouth, which is not simulated
     """
 
     motion: Motion
     tails: tuple[Tail, ...]
     tip_m: FloatArray
+    looks: tuple[Look, ...] = ()
     stopped: bool = False
 
 
@@ -100,10 +123,12 @@ def inserted(
         t_s = np.arange(0.001, decide_s - flown.late_s, 0.005)
         seen_m = view.nodes_m(done.motion, t_s, flown, rng)
         decision = flight.decide(t_s, seen_m, decide_s + flown.dead_s)
+        looks = (*done.looks, Look(flight, t_s, seen_m, done.motion))
+        done = replace(done, looks=looks)
         if decision.tail is not None:
             path, flight = decision.tail.of(path), flight.changed(decision.tail)
             tails = (*done.tails, decision.tail)
-            done = Inserted(view.motion(path, flown), tails, decision.tail.tip_m)
+            done = Inserted(view.motion(path, flown), tails, decision.tail.tip_m, looks)
         elif decision.hopeless and not left:
             done = replace(done, stopped=True)
     return done

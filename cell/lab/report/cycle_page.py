@@ -77,6 +77,9 @@ def cycle_page(record: Recorded, recording: Recording | None) -> str:
         parts += ["<h2>Path of the tip</h2>", html_plot(path)]
     if decision is not None:
         parts += ["<h2>Decision</h2>", _decision(decision)]
+    if result is not None and result.stops:
+        tries = [f"<li>{html.escape(reason)}</li>" for reason in result.stops]
+        parts += ["<h2>Earlier tries</h2>", f"<ol>{''.join(tries)}</ol>"]
     if result is not None and result.corrections:
         parts += ["<h2>Corrections in flight</h2>", _corrections(result.corrections)]
     if record.model is not None:
@@ -110,13 +113,15 @@ def _corrections(corrections: Sequence[Correction]) -> str:
         [
             f"{c.from_s:.2f}",
             f"{c.rise_m * 1e3:+z.1f}",
+            f"{c.then_m * 1e3:+z.1f}",
             f"{c.lasts_s:.2f}",
             f"{c.before * 100.0:.1f}",
             f"{c.probability * 100.0:.1f}",
         ]
         for c in corrections
     ]
-    headings = ["from, s", "hand led up by, mm", "within, s", "passes without, %", "with, %"]
+    led = ("hand led up by, mm", "then by, mm", "each within, s")
+    headings = ["from, s", *led, "passes without, %", "with, %"]
     return html_table(headings, rows, tuple(range(len(headings))))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 
 from rich.console import Console
 from rich.table import Table
@@ -44,6 +45,14 @@ def test_results_are_in_millimetres_with_their_signs() -> None:
     text = printed(results_table([INSERTED, REJECTED, FAILED]))
     for shown in ("12", "-1.23", "-1.19", "+3.50", "0.08", "99.8%", "rejected", "failed"):
         assert shown in text
+
+
+def test_a_second_try_is_said_and_its_steps_have_times() -> None:
+    again = replace(INSERTED, stops=("stopped",), seconds={**INSERTED.seconds, "bring_back": 4.2})
+    assert "inserted, try 2" in printed(results_table([INSERTED, again]))
+    text = printed(seconds_table([INSERTED, again], STEPS))
+    (row,) = (line.split() for line in text.splitlines() if line.split()[:1] == ["bring"])
+    assert row == ["bring", "back", "4.200"]
 
 
 def test_times_have_a_column_per_cable_or_a_summary_of_many() -> None:
