@@ -5,6 +5,9 @@ the cell stops and names device, step and remedy; the record is closed and says 
 hold what they held; and after the person's repair and acknowledgement the next cycle inserts.
 Then processes of the cell are killed at random moments, and the emulated arm must stand 200 ms
 later.  A summary goes to `docs/fault_trials.md`, every trial to the CSV beside it.
+
+With `--revising` insertions are corrected in flight, all of them, and the faults of the step
+`execute` happen while the arm is told a change of its path.
 """
 
 from __future__ import annotations
@@ -22,6 +25,10 @@ from typing import Any
 import numpy as np
 
 from cell.build import cell_with, real_devices
+from cell.flight import decide
+from cell.flight.answers import Answers
+from cell.flight.correct import Tail
+from cell.flight.estimate import Deviation
 from cell.records.folder import read_record
 from cell.records.result import Outcome, Result
 from cell.run.cycle import Cell
@@ -29,6 +36,7 @@ from cell.run.machine import Event
 from cell.run.plans import INSERTING
 from cell.settings import Settings, load_settings
 from cell.simulated.emulated import EmulatedCell
+from drivers.interfaces import Trajectory
 from drivers.recording import CaptureOptions
 from drivers.serial_gripper import SerialGripperOptions
 from tools.faults.fault_kills import STILL_S, Kill, kill_somebody
@@ -100,9 +108,14 @@ def all_trials() -> list[Trial]:
 
 
 class FaultRig:
-    """Emulators, real drivers and the cell around them."""
+    """Emulators, real drivers and the cell around them.
 
-    def __init__(self, settings: Settings, emulated: EmulatedCell, runs: Path) -> None:
+    revising  a fault in `execute` waits until the arm is told a change of its path
+    """
+
+    def __init__(
+        self, settings: Settings, emulated: EmulatedCell, runs: Path, *, revising: bool = False
+    ) -> None:
         self.settings, self.emulated = settings, emulated
         self.devices = real_devices(settings)
         self.victim = Victim(emulated, lambda: int(self.devices.arm._child.process.pid))
@@ -126,6 +139,17 @@ class FaultRig:
             start(frame_count)
 
         self.devices.camera.start = timed_start  # type: ignore[method-assign]
+        self.revising = revising
+        self.revisions = 0
+        revise = self.devices.arm.revise
+
+        def revise_amid_a_fault(path: Trajectory, from_s: float) -> None:
+            trial, self.revisions = self.trial, self.revisions + 1
+            if trial is not None and trial.given_s is None and trial.step == "execute":
+                threading.Thread(target=self._give, args=(trial,), daemon=True).start()
+            revise(path, from_s)
+
+        self.devices.arm.revise = revise_amid_a_fault  # type: ignore[method-assign]
         self.cell: Cell = cell_with(settings, self.devices, runs, self._on_step)
 
     def be_patient(self, silent_s: float, device: str = "") -> None:
@@ -153,6 +177,8 @@ class FaultRig:
         self.began_s[step] = time.monotonic()
         trial = self.trial
         if trial is None or trial.given_s is not None or step != trial.step:
+            return
+        if step == "execute" and self.revising:
             return
         if step in MOVING:
             threading.Thread(target=self._give_in_motion, args=(trial,), daemon=True).start()
@@ -236,6 +262,13 @@ def judge(bench: FaultRig, trial: Trial, result: Result) -> None:
         trial.wrong.append("the cable was let go")
 
 
+def small_change(
+    answers: Answers, beside: Deviation, destination: object, from_s: float, *asked: object
+) -> Tail:
+    """Up by 0.3 mm, at every decision."""
+    return Tail(from_s, 3e-4, 0.0, 0.2, 1.0, 0.0, 1.0, answers.nodes_m[:, 0] + beside.tip_m)
+
+
 # --- all of it ------------------------------------------------------------------------------------
 
 
@@ -271,6 +304,7 @@ def main() -> int:
     parser.add_argument("--attempts", type=int, default=1, help="of a trial that fails")
     parser.add_argument("--bar-ms", type=float, default=1e3 * BAR_S, help="p99 from fault to stop")
     parser.add_argument("--keep", type=Path, help="file of results; what passed is not repeated")
+    parser.add_argument("--revising", action="store_true", help="while paths are changed in flight")
     parser.add_argument("-o", "--output", type=Path, help=f"e.g. {TABLE.relative_to(ROOT)}")
     arguments = parser.parse_args()
     chosen = [
@@ -283,14 +317,20 @@ def main() -> int:
         known = json.loads(arguments.keep.read_text(encoding="utf-8"))
         for trial in chosen:
             vars(trial).update(known.get(trial.name, {}))
+    if arguments.revising:
+        chosen = [t for t in chosen if t.step == "execute"]
+        decide.best_tail = small_change  # type: ignore[assignment]
     left = [t for t in chosen if t.attempts == 0 or t.wrong]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         config = short_cycles(
             folder, arguments.host, arguments.patience_s, own_patience=False, **SHORT
         )
-        with EmulatedCell(settings := load_settings(config), seed=1) as emulated:
-            bench = FaultRig(settings, emulated, folder / "runs")
+        settings = load_settings(config)
+        if arguments.revising:
+            settings = settings.model_copy(update={"feedback": "on"})
+        with EmulatedCell(settings, seed=1) as emulated:
+            bench = FaultRig(settings, emulated, folder / "runs", revising=arguments.revising)
             bench.cycle()
             for number, trial in enumerate(left, 1):
                 run_trial(bench, trial)
@@ -304,6 +344,8 @@ def main() -> int:
                 said = "passed" if not trial.wrong else "; ".join(trial.wrong)
                 print(f"{number:3d}/{len(left)} {trial.name:48s} {stop:9s} {said}", flush=True)
             bench.cell.close()
+            if arguments.revising:
+                print(f"{bench.revisions} changes of paths were told")
             rng = random.Random(1)
             for number in range(arguments.kills):
                 victim = ("cell", "child", "both")[number % 3]
