@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +19,12 @@ from cell.plan.destination import Destination
 FloatArray = NDArray[np.float64]
 
 #: Insertions are simulated at so many moments at least, no further apart, s …
-MOMENTS, MOMENTS_S = 4, 0.09
+MOMENTS, MOMENTS_S = 3, 0.13
 #: … with so many offsets, the outermost so far from the one that is best at once, m.
 NEAR, NEAR_M = 5, 8e-3
-#: Between them the tip is interpolated, at moments and offsets so far apart, s and m.
-FINE_S, FINE_M = 0.01, 1e-4
+#: Between them the tip is interpolated, at moments and offsets so far apart, s and m, and at nearer
+#: offsets around the best of these.
+FINE_S, FINE_M, FINEST_M = 0.01, 4e-4, 5e-5
 #: Moments nearer to each other than a fifth of the quickest swing, s, are alike …
 ALIKE_S = 0.03
 #: … and so many that are not, or of different paces, are to be simulated closely.
@@ -46,8 +47,8 @@ def closer_look(
 
     The tip of the most probable cable is simulated coarsely.  Its path is nearly the sum of what
     the hand's motion makes and of the swing before, which goes on: what is left changes smoothly
-    with the offset and the moment, and is interpolated (0.01 mm rms, 0.08 mm at most, of three
-    cables of `fake.yaml`; the sum alone 0.16 mm rms of the softest).
+    with the offset and the moment, and is interpolated.  (The sum alone errs by 0.16 mm rms for the
+    softest of three cables of `fake.yaml`.)
 
     at_once    of the offsets, ascending, at once and at the usual pace
     motion     of the hand, at once, of any offset, m, and pace
@@ -82,16 +83,54 @@ def closer_look(
     made = np.array(
         [from_moment(t, d) - from_moment(swing, d) for t, d in zip(found, every_s, strict=True)]
     ).reshape(len(paces), len(moments_s), len(near_m), steps, 2)
-    fine_m, by_offset = _between(near_m, np.arange(near_m[0], near_m[-1] + 1e-3 * FINE_M, FINE_M))
+    fine_m = np.arange(near_m[0], near_m[-1] + 1e-3 * FINE_M, FINE_M)
+    fine_m, by_offset = _between(near_m, fine_m)
     by_moment = _between(moments_s, fine_s)[1]
     swings = np.array([from_moment(swing, float(d)) for d in fine_s])[:, None]
-    margins_m = [
-        destination.margin_m(
-            np.einsum("di,oj,ijtx->dotx", by_moment, by_offset, of_pace, optimize=True) + swings
-        )
-        for of_pace in made
+    seen = _Interpolated(near_m, by_moment, made, swings)
+    spots = [
+        (seen.best_offset_m(pace, moment, float(fine_m[offset]), destination), moment, pace)
+        for pace, moment, offset in _widest(seen.margins_m(by_offset, destination), fine_s)
     ]
-    return _widest(np.array(margins_m), fine_m, fine_s, np.array(paces))
+    chosen_m, moment, pace = (np.array(column) for column in zip(*spots, strict=True))
+    return chosen_m, fine_s[moment], np.array(paces)[pace]
+
+
+@dataclass(frozen=True, eq=False)
+class _Interpolated:
+    """Tips between the motions that were simulated.
+
+    near_m     (j,) offsets that were simulated
+    by_moment  (d, i) weights of the moments that were simulated
+    made       (paces, i, j, T, 2) what the hand's motion makes of a tip, m
+    swings     (d, 1, T, 2) what is left of the swing before, m
+    """
+
+    near_m: FloatArray
+    by_moment: FloatArray
+    made: FloatArray
+    swings: FloatArray
+
+    def margins_m(self, by_offset: FloatArray, destination: Destination) -> FloatArray:
+        """(paces, d, o) for (o, j) weights of offsets."""
+        margins_m = [
+            destination.margin_m(
+                np.einsum("di,oj,ijtx->dotx", self.by_moment, by_offset, of_pace, optimize=True)
+                + self.swings
+            )
+            for of_pace in self.made
+        ]
+        return np.array(margins_m)
+
+    def best_offset_m(
+        self, pace: int, moment: int, about_m: float, destination: Destination
+    ) -> float:
+        """The offset of the widest margin within `FINE_M` of another."""
+        ends_m = np.clip([about_m - FINE_M, about_m + FINE_M], self.near_m[0], self.near_m[-1])
+        offsets_m = np.arange(ends_m[0], ends_m[1] + 1e-3 * FINEST_M, FINEST_M)
+        offsets_m, weights = _between(self.near_m, offsets_m)
+        tips_m = np.einsum("i,oj,ijtx->otx", self.by_moment[moment], weights, self.made[pace])
+        return float(offsets_m[destination.margin_m(tips_m + self.swings[moment]).argmax()])
 
 
 def widest_between(at_once: Forecast, destination: Destination) -> float:
@@ -119,23 +158,20 @@ def _between(known: FloatArray, fine: FloatArray) -> tuple[FloatArray, FloatArra
     """These places, and (f, known) weights of a cubic spline there; one known place is the only."""
     if len(known) == 1:
         return known, np.ones((1, 1))
-    if len(known) < 4:
+    if len(known) < 3:
         return fine, np.array([np.interp(fine, known, row) for row in np.eye(len(known))]).T
     return fine, CubicSpline(known, np.eye(len(known)))(fine)
 
 
-def _widest(
-    margins_m: FloatArray, offsets_m: FloatArray, delays_s: FloatArray, paces: FloatArray
-) -> Spots:
-    """Of (paces, delays, offsets) margins the widest, then the widest at another moment …"""
+def _widest(margins_m: FloatArray, delays_s: FloatArray) -> list[tuple[int, int, int]]:
+    """Where (paces, delays, offsets) margins are widest, then widest at another moment …"""
     left, best = margins_m.max(axis=2), margins_m.argmax(axis=2)
-    chosen: list[tuple[int, int]] = []
+    chosen: list[tuple[int, int, int]] = []
     while len(chosen) < MOST and np.isfinite(left).any():
         pace, at = (int(i) for i in np.unravel_index(left.argmax(), left.shape))
-        chosen.append((pace, at))
+        chosen.append((pace, at, int(best[pace, at])))
         left[pace, np.abs(delays_s - delays_s[at]) < ALIKE_S - 1e-9] = -np.inf
-    of_pace, at_moment = np.array(chosen).T
-    return offsets_m[best[of_pace, at_moment]], delays_s[at_moment], paces[of_pace]
+    return chosen
 
 
 def _tips(
