@@ -3,9 +3,10 @@
 The shipped emulated cell: real RTDE client, rendered pictures of a swinging cable as a stream, and
 the cable looked for in each of them by the process that also commands the arm.
 
-    python -m tools.bench.bench_servo --pairs 4 [--seconds 15] [--burn 1]
+    python -m tools.bench.bench_servo --pairs 4 [--what revised] [--seconds 15] [--burn 1]
 
-With --pairs it is measured without and with a recording, in turn.
+With --pairs it is measured without and with a recording, in turn; with `--what revised` without and
+with a path that is changed ten times per second while it is followed.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import os
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +27,7 @@ import yaml
 from calib.plane import PlaneView
 from cell.build import real_devices
 from cell.computer.stalls import StallProbe, Stalls
+from cell.flight.correct import Tail
 from cell.records.recording import form
 from cell.records.recording.devices import recorded_devices
 from cell.records.recording.recorder import Recorder
@@ -34,12 +37,14 @@ from cell.settings.translate import vision_of
 from cell.simulated.emulated import EmulatedCell
 from cell.vision.detect import VisionOptions, detect
 from cell.vision.sighting import Sighting
-from drivers.interfaces import Camera, DeviceError, Trajectory
+from drivers.interfaces import Arm, Camera, DeviceError, TooLateError, Trajectory
 
 CONFIG = Path(__file__).parents[2] / "config" / "emulated.yaml"
 HOST = "127.0.0.76"
 PORTION = 300  # frames recorded at a time
 STROKE_M, SWING_S = 0.03, 1.5
+#: A path is changed so often, so long ahead, s, by so much, m.
+REVISED_EVERY_S, REVISED_AHEAD_S, RISE_M = 0.1, 0.06, 3e-4
 
 
 @dataclass(frozen=True)
@@ -47,6 +52,7 @@ class Servo:
     """Times between two commands as the controller got them, s, and frames seen meanwhile.
 
     cpu_s     of this process: arm, camera and vision
+    revised   changes of the path that the arm took
     troubles  what the camera said when it could not keep up; it was connected again
     stalls    of this computer in the same time
     """
@@ -58,6 +64,7 @@ class Servo:
     cpu_s: float
     troubles: tuple[str, ...]
     stalls: Stalls
+    revised: int = 0
 
     def percentile_ms(self, q: float) -> float:
         return 1e3 * float(np.percentile(self.gaps_s, q))
@@ -70,6 +77,30 @@ def up_and_down(seconds: float, rate_hz: float) -> Trajectory:
     fade = fade**3 * (10.0 - 15.0 * fade + 6.0 * fade * fade)
     y_m = -0.5 * STROKE_M * (1.0 - np.cos(2.0 * np.pi * t_s / SWING_S)) * fade
     return Trajectory(t_s, 0.0 * t_s, y_m, 0.0 * t_s)
+
+
+class _Reviser(threading.Thread):
+    """Changes a path again and again while it is followed."""
+
+    def __init__(self, arm: Arm, path: Trajectory, begin_s: float) -> None:
+        super().__init__(daemon=True)
+        self._arm, self._path, self._begin_s = arm, path, begin_s
+        self.taken = 0
+
+    def run(self) -> None:
+        end_s = self._begin_s + float(self._path.t_s[-1]) - 0.5
+        rise_m = RISE_M
+        while (now_s := time.monotonic()) < end_s:
+            from_s = now_s - self._begin_s + REVISED_AHEAD_S
+            tail = Tail(from_s, rise_m, 0.0, 0.2, 1.0, 0.0, 1.0, np.zeros((1, 2)))
+            path = tail.of(self._path)
+            try:
+                self._arm.revise(path, self._begin_s + from_s)
+            except TooLateError:
+                pass
+            else:
+                self._path, rise_m, self.taken = path, -rise_m, self.taken + 1
+            time.sleep(REVISED_EVERY_S)
 
 
 class _Watcher:
@@ -106,7 +137,7 @@ class _Watcher:
                 self._camera.stop()
 
 
-def servo(seconds: float, *, recorded: bool = False) -> Servo:
+def servo(seconds: float, *, recorded: bool = False, revised: bool = False) -> Servo:
     with tempfile.TemporaryDirectory() as name:
         content = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
         content["arm"]["host"] = HOST
@@ -136,7 +167,11 @@ def servo(seconds: float, *, recorded: bool = False) -> Servo:
             watcher = _Watcher(devices.camera, plane, options)
             probe.take()
             cpu_s = time.process_time()
-            devices.arm.follow(up_and_down(seconds, devices.arm.rate_hz))
+            path, begin_s = up_and_down(seconds, devices.arm.rate_hz), time.monotonic() + 0.1
+            devices.arm.follow(path, begin_s)
+            reviser = _Reviser(devices.arm, path, begin_s)
+            if revised:
+                reviser.start()
             watcher.watch(time.monotonic() + seconds)
             cpu_s = time.process_time() - cpu_s
             stalls = probe.take()
@@ -146,7 +181,8 @@ def servo(seconds: float, *, recorded: bool = False) -> Servo:
             devices.camera.close()
             devices.gripper.close()
     troubles = tuple(watcher.troubles)
-    return Servo(gaps_s, watcher.frames, watcher.unseen, seconds, cpu_s, troubles, stalls)
+    seen = watcher.frames, watcher.unseen
+    return Servo(gaps_s, *seen, seconds, cpu_s, troubles, stalls, reviser.taken)
 
 
 def summary(found: Servo) -> str:
@@ -159,31 +195,32 @@ def summary(found: Servo) -> str:
         f"p99.9 {found.percentile_ms(99.9):.2f}, longest {found.percentile_ms(100.0):.2f}; "
         f"{np.mean(gaps_s > 0.0025):.3%} above 2.5 ms\n"
         f"  CPU time of arm, camera and vision: {found.cpu_s / found.seconds:.0%} of a core\n"
-        f"  {found.stalls}{troubles}"
+        f"  {found.revised} changes of the path; {found.stalls}{troubles}"
     )
 
 
-def paired(pairs: int, seconds: float) -> None:
-    """Without and with a recording, in turn; the order changes from pair to pair."""
+def paired(pairs: int, seconds: float, what: str) -> None:
+    """Without and with something, in turn; the order changes from pair to pair."""
     p99_ms: dict[bool, list[float]] = {False: [], True: []}
     late: dict[bool, list[float]] = {False: [], True: []}
     for pair in range(pairs):
-        for recorded in (pair % 2 == 1, pair % 2 == 0):
-            found = servo(seconds, recorded=recorded)
-            p99_ms[recorded].append(found.percentile_ms(99.0))
-            late[recorded].append(float(np.mean(found.gaps_s > 0.0025)))
-            print("recorded" if recorded else "not recorded", summary(found), sep="\n", flush=True)
+        for done in (pair % 2 == 1, pair % 2 == 0):
+            found = servo(seconds, **{what: done})
+            p99_ms[done].append(found.percentile_ms(99.0))
+            late[done].append(float(np.mean(found.gaps_s > 0.0025)))
+            print(what if done else f"not {what}", summary(found), sep="\n", flush=True)
     ratios = np.array(p99_ms[True]) / np.array(p99_ms[False])
     print(
-        f"p99 {np.median(p99_ms[True]):.2f} ms recorded, {np.median(p99_ms[False]):.2f} ms not: "
+        f"p99 {np.median(p99_ms[True]):.2f} ms {what}, {np.median(p99_ms[False]):.2f} ms not: "
         f"ratio median {np.median(ratios):.3f}, {ratios.min():.3f} to {ratios.max():.3f}; above "
-        f"2.5 ms {np.mean(late[True]):.3%} recorded, {np.mean(late[False]):.3%} not"
+        f"2.5 ms {np.mean(late[True]):.3%} {what}, {np.mean(late[False]):.3%} not"
     )
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--pairs", type=int, default=4)
+    parser.add_argument("--what", choices=("recorded", "revised"), default="recorded")
     parser.add_argument("--seconds", type=float, default=15.0)
     parser.add_argument("--burn", type=int, default=0, help="processes that keep a core busy")
     given = parser.parse_args()
@@ -191,7 +228,7 @@ def main() -> None:
         subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(given.burn)
     ]
     try:
-        paired(given.pairs, given.seconds)
+        paired(given.pairs, given.seconds, given.what)
     finally:
         for process in burning:
             process.kill()
