@@ -137,10 +137,11 @@ def fast_cycle(
         reason = choice.reason
     except CableRejectedError as error:
         reason = str(error)
-    table = [(o, 0.0, 1.0) for o in task.offsets_m]
+    table = [(o, 0.0, 1.0, 0.0) for o in task.offsets_m]
     if expected is not None:
         coming = expected.forecast
-        table = list(zip(coming.offsets_m, coming.delays_s, coming.paces, strict=True))
+        beside = (coming.delays_s, coming.paces, coming.further_m)
+        table = list(zip(coming.offsets_m, *beside, strict=True))
     truth = truths(task, hidden, down, start_s, lag_s, table)
     at_s = np.arange(0.0, truth.end_s - start_s, 0.005)
     index = None if choice is None else choice.table.index(choice.best)
@@ -254,7 +255,7 @@ def best_margin_m(settings: Settings, seed: int, number: int) -> float:
     task, lag_s = cell_task(settings), settings.arm.lag_s
     down = true_hold(task, lag_s)
     start_s = float(down.t_s[-1]) + task.decide_s
-    table = [(offset_m, 0.0, 1.0) for offset_m in task.offsets_m]
+    table = [(offset_m, 0.0, 1.0, 0.0) for offset_m in task.offsets_m]
     truth = truths(task, hidden_cable(settings, seed, number), down, start_s, lag_s, table)
     tips = truth.tips(np.arange(0.0, truth.end_s - start_s, 0.005))
     return float(task.destination.margin_m(tips).max())
