@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import cv2
@@ -19,13 +17,9 @@ from cell.study.table import table_text
 from drivers.files import write_frames
 from drivers.interfaces import Frame
 
-CELL = [sys.executable, "-m", "cell"]
+from .conftest import run
+
 COLUMNS = ("t_s", "x_m", "y_m", "angle_rad")
-
-
-def run(*words: object) -> subprocess.CompletedProcess[str]:
-    command = [*CELL, *map(str, words)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=180)
 
 
 @pytest.fixture(scope="module")
