@@ -18,6 +18,7 @@ from cell.cli import (
     acknowledge,
     bundle,
     calibrate,
+    imports,
     lab,
     ledger,
     line,
@@ -26,6 +27,7 @@ from cell.cli import (
     run,
     settings,
     store,
+    studies,
 )
 from cell.cli.streams import open_streams, usable_streams
 from cell.computer.watched import go_on_watched
@@ -43,7 +45,10 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
-for group in (run, settings, records, ledger, acknowledge, bundle, recordings, store, lab, line):
+for group in (
+    *(run, settings, records, ledger, acknowledge, bundle, recordings, store),
+    *(lab, studies, imports, line),
+):
     app.add_typer(group.app)
 app.add_typer(calibrate.app)
 

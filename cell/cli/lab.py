@@ -1,4 +1,4 @@
-"""Commands of the model lab: fit, compare, diagnose, effects, discover, suggest, study."""
+"""Commands of the model lab: fit, compare, diagnose, effects, discover, suggest."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cell.cli.delivery import deliver, json_files
-from cell.cli.given import folder_of, folders_of
+from cell.cli.given import folder_of
 from cell.cli.result_json import STDOUT, Json, JsonCommand, print_result
 from cell.cli.shared import BAD_INPUT, answering, group, stoppable, tell_notes
-from cell.files.overwriting import check_apart, check_new_study, check_output
+from cell.files.overwriting import check_apart, check_output
 from cell.files.rescue import no_room, remedy
 
 if TYPE_CHECKING:
@@ -405,27 +405,6 @@ def suggest(
     deliver(printed, (out, partial(write_motion, suggestion)), *json_files(data, as_json))
     if interrupted:
         raise typer.Exit(interrupted.code)
-
-
-@app.command()
-def study(
-    runs: Annotated[
-        list[Path],
-        typer.Argument(help="Folders of recorded cycles, or recordings.", callback=folders_of),
-    ],
-    out: Annotated[Path, typer.Option("-o", "--out", help="Folder of the new study.")],
-    force: Force = False,
-) -> None:
-    """Gather recorded cycles of one cable into a study."""
-    from cell.lab.data.merge_studies import merge_into
-
-    with refusing(), working("study"):
-        check_new_study(out, force=force)
-        gathered, left_out = merge_into(out, runs)
-    tell_notes(gathered.notes)
-    for line in left_out:
-        print(f"left out: {line}", file=sys.stderr)
-    print(f"{out}: {len(gathered.trials)} trials of {len(runs) - len(left_out)} cycles")
 
 
 @contextmanager
