@@ -91,14 +91,31 @@ def _lengths(shape: FloatArray) -> FloatArray:
 
 def root_direction(shape: FloatArray) -> FloatArray:
     """(d,) unit vector in which a cable (points, d) leaves its first point."""
+    shape = apart(shape)
     at = _chords(shape)
     tangent: FloatArray = CubicSpline(at, shape)(0.0, 1)
     return np.asarray(tangent / np.linalg.norm(tangent))
 
 
+def apart(shape: FloatArray) -> FloatArray:
+    """(points, d) without those that lie where the one before them does.
+
+    Between such points, a marker at the gripping point and the hand for instance, noise alone
+    makes a direction.  The last point is kept.
+    """
+    at = _chords(shape)
+    kept = [0]
+    for i in range(1, len(shape)):
+        if at[i] - at[kept[-1]] > AWAY * at[-1]:
+            kept.append(i)
+    if kept[-1] != len(shape) - 1:
+        kept = [*(kept[:-1] if len(kept) > 1 else kept), len(shape) - 1]
+    return shape[kept]
+
+
 def bend(shape: FloatArray) -> FloatArray:
     """(d,) change of direction from a chain's first piece to its last; zero if there is one."""
-    pieces = np.diff(shape, axis=0)
+    pieces = np.diff(apart(shape), axis=0)
     lengths = np.linalg.norm(pieces, axis=1, keepdims=True)
     pieces = (pieces / np.where(lengths > 0.0, lengths, 1.0))[lengths[:, 0] > 0.0]
     return np.asarray(pieces[-1] - pieces[0] if len(pieces) else np.zeros(shape.shape[1]))
