@@ -160,7 +160,8 @@ def fast_cycle(
     cycle = _in_truth(cycle, task, at_s, tip, choice.t_s, choice.tip_m)
     if reason is not None:
         return cycle
-    view = View(task, timing, hidden, down, start_s, bias, errors)
+    executing = Executing.of(task, timing, filmed, held, start_s)
+    view = View(task, timing, hidden, down, start_s, bias, errors, identified, executing)
     motion = truth.motions[index]
     if flown is not None:
         cycle, motion = _flown(cycle, view, flown, at_s, rng)
@@ -201,7 +202,7 @@ def _flown(
     task, coming, identified = view.task, cycle.candidates, cycle.identified
     assert coming is not None and identified is not None and cycle.choice is not None
     path = coming.paths[cycle.choice.table.index(cycle.choice.best)]
-    executing = Executing.of(task, view.timing, filmed_of(cycle.held), cycle.held, view.start_s)
+    executing = view.executing
     ahead = answers(
         identified,
         executing.motion(path),
