@@ -29,7 +29,7 @@ from cell.lab.line.effect_fit import (
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.search.screen import ScreenedEffect, screen
-from cell.lab.statistics.score import holm
+from cell.lab.statistics.score import holm_among
 
 FloatArray = NDArray[np.float64]
 
@@ -131,7 +131,7 @@ class Search:
             float(chi2_sf(len(fit.theta) - fewer, max(fall, 0.0)))
             for fall, (_, fit) in zip(falls, fits, strict=True)
         ]
-        adjusted = holm(p + [1.0] * (self.library - len(p)))[: len(p)]
+        adjusted = holm_among(p, self.library)
         tried = [
             EffectFit((*earlier, effect), fit, float(fall), float(value))
             for (effect, fit), fall, value in zip(fits, falls, adjusted, strict=True)

@@ -210,6 +210,10 @@ class FitCache:
         """Trials that the models are fitted to."""
         return fit_trials(self.prepared)
 
+    def added(self, model: FittedModel) -> list[type[Effect]]:
+        """Effects of a model that the baseline lacks."""
+        return [e for e in model.effects if e not in self.space.effects]
+
     def gain(self, small: FittedModel, large: FittedModel) -> Gain:
         """What `large` has over `small`, which lacks one of its effects."""
         return gained(self.prepared, small, large, self.hand())

@@ -178,6 +178,11 @@ def holm(p_values: Sequence[float]) -> list[float]:
     return adjusted
 
 
+def holm_among(p_values: Sequence[float], library: int) -> list[float]:
+    """The same for choosing among a library; what was not tried was no better than chance."""
+    return holm([*p_values, *[1.0] * (library - len(p_values))])[: len(p_values)]
+
+
 def delta_bic(delta_chi2: float, parameters: int, values: int, effective_fraction: float) -> float:
     """BIC gained by an effect (positive = better), with coloured values counted as fewer.
 

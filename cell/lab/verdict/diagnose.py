@@ -21,10 +21,9 @@ from cell.lab.verdict.doubts import (
 )
 from cell.lab.verdict.evidence import Evidence
 from cell.lab.verdict.forward_search import (
-    added_to,
     errors_in_words,
-    in_order,
     searched,
+    steps_to,
     with_ties,
 )
 from cell.lab.verdict.nearest import nearest, tied_so_far, what_is_left
@@ -96,7 +95,7 @@ def _examined(fits: FitCache, rules: Rules) -> Examination:
     partial = Partial(fits, tuple(singles), (base,))
     if found:
         current, tied = with_ties(fits, base, current, rules)
-        steps = in_order(fits, current)
+        steps = steps_to(fits, current, rules)
     else:
         partial = explain_partly(fits, fits.known(), len(screened), rules)
     evidence = Evidence(fits, base, current, rules, tied)
@@ -104,7 +103,7 @@ def _examined(fits: FitCache, rules: Rules) -> Examination:
     verdict = verdict_of(asked, evidence.is_base)
     rivals = {n for names in tied.values() for n in names}
     whole, most = partial.fits, partial.steps
-    also = {e.name: tied_so_far(whole, most[-1], e, rules) for e in added_to(whole, most[-1])}
+    also = {e.name: tied_so_far(whole, most[-1], e, rules) for e in whole.added(most[-1])}
     final = current if found else most[-1]
     _LOG.info("verdict: %s", verdict)
     rivals |= {n for effect, names in also.items() for n in (effect, *names)}

@@ -47,7 +47,7 @@ class Evidence:
     @property
     def added(self) -> list[type[Effect]]:
         """Effects of the model that the baseline lacks."""
-        return [e for e in self.final.effects if e not in self.fits.space.effects]
+        return self.fits.added(self.final)
 
     @cached_property
     def smooth_before(self) -> SmoothPart | None:

@@ -19,7 +19,9 @@ from cell.identify.noise import Noise
 from cell.lab.data.prepared import PreparedStudy, all_fitted
 from cell.lab.search.fit_cache import POLISHED, FitCache
 from cell.lab.search.fitted_model import FittedModel
-from cell.lab.statistics.score import holm
+from cell.lab.search.stepwise import exchanged, in_order, levels
+from cell.lab.search.study_space import StudySpace
+from cell.lab.statistics.score import holm_among
 from cell.lab.verdict.doubts import is_hopeless
 from cell.lab.verdict.residual_summary import (
     removed_share,
@@ -77,24 +79,56 @@ def explain_partly(
         # fitted from anywhere.
         if error.std_m > WEIGHED_ANEW * before.std_m:
             break
-    steps, options = [base], singles
-    while True:
-        better = largest_step(whole, steps[-1], options, library - len(steps) + 1, rules)
-        if better is None:
-            break
-        steps.append(better)
-        if len(steps) > rules.first_effects:
-            break
-        options = whole.fit_extended(better, whole.shortlist(better, rules.max_refits))
-    if len(steps) > 2:
-        steps = _in_order(whole, base, _exchanged(whole, steps[-1], rules))
+    steps = _added(whole, base, singles, library, rules)
     steps = _borne_out(whole, steps, library, rules)
     if len(steps) == 2:
         for rival in near_singles(whole, steps[1], singles, rules):
-            whole.fit_extended(rival, whole.shortlist(rival, rules.max_refits))
+            StudySpace(whole, rules.max_refits).extended(rival)
     if is_hopeless(whole, steps[-1].fit):  # no model of the cable explains what it does
         steps = [base]
     return Partial(whole, tuple(singles), tuple(steps))
+
+
+def _added(
+    whole: FitCache,
+    base: FittedModel,
+    singles: Sequence[FittedModel],
+    library: int,
+    rules: Rules,
+) -> list[FittedModel]:
+    """The baseline, and one effect after another that removes most of what is left; exchanged."""
+    space, steps = StudySpace(whole, rules.max_refits), []
+
+    def extended(model: FittedModel) -> Sequence[FittedModel]:
+        return singles if model is base else space.extended(model)
+
+    def kept(model: FittedModel, options: Sequence[FittedModel]) -> list[FittedModel]:
+        found = largest_step(whole, model, options, library - len(whole.added(model)), rules)
+        return [] if found is None else [found]
+
+    for (model,) in levels(base, extended, kept):
+        steps.append(model)
+        if len(steps) > rules.first_effects:
+            break
+    if len(steps) < 3:
+        return steps
+    prepared = whole.prepared
+
+    def left(model: FittedModel) -> float:
+        return residual_summary(prepared, model).mean_square_m2
+
+    def better(
+        rest: FittedModel, options: Sequence[FittedModel], model: FittedModel
+    ) -> FittedModel | None:
+        sound = [c for c in options if not is_at_bound(rest, c)]
+        best = min(sound, key=left, default=None)
+        return best if best is not None and left(best) < left(model) else None
+
+    def in_time() -> bool:
+        return prepared.work.simulated_s < rules.max_simulated_s
+
+    final = exchanged(space, steps[-1], better, in_time)
+    return in_order(space, final, lambda c: -left(c))
 
 
 def _singles(whole: FitCache, library: int, rules: Rules) -> list[FittedModel]:
@@ -106,9 +140,7 @@ def _singles(whole: FitCache, library: int, rules: Rules) -> list[FittedModel]:
     singles: list[FittedModel] = []
     for _ in range(MOST_WEIGHINGS):
         base = whole.baseline()
-        singles = _finished(
-            whole, base, whole.fit_extended(base, whole.shortlist(base, rules.max_refits))
-        )
+        singles = _finished(whole, base, StudySpace(whole, rules.max_refits).extended(base))
         best = largest_step(whole, base, singles, library, rules)
         if best is None or not whole.rebase(_without_effect(base, best), rules.tie_delta_chi2):
             break
@@ -167,42 +199,6 @@ def _weighed_by(fits: FitCache, error: Noise) -> FitCache:
     return FitCache(weighed, fits.space, fits.library, fits.progress, fits.prior_q)
 
 
-def _exchanged(fits: FitCache, final: FittedModel, rules: Rules) -> FittedModel:
-    """The candidate with effects found before the last exchanged for what leaves less.
-
-    What was found first was found without the others, and may have stood in for one of them; what
-    leaves as little in its place is fitted here, and so is known for a tie.
-    """
-    prepared, exchanged = fits.prepared, True
-    tried: set[frozenset[str]] = set()
-    while exchanged and prepared.work.simulated_s < rules.max_simulated_s:
-        exchanged = False
-        for effect in [e for e in final.effects if e not in fits.space.effects]:
-            rest = fits.fit_reduced(final, effect)
-            if rest.names in tried:
-                continue
-            tried.add(rest.names)
-            rivals = fits.fit_extended(rest, fits.shortlist(rest, rules.max_refits))
-            left = [residual_summary(prepared, c).mean_square_m2 for c in rivals]
-            sound = [i for i, c in enumerate(rivals) if not is_at_bound(rest, c)]
-            best = min(sound, key=lambda i: left[i], default=None)
-            if best is not None and left[best] < residual_summary(prepared, final).mean_square_m2:
-                final, exchanged = rivals[best], True
-                break
-    return final
-
-
-def _in_order(fits: FitCache, base: FittedModel, final: FittedModel) -> list[FittedModel]:
-    """From the baseline to `final`, each time without the effect that the rest needs least."""
-    steps = [final]
-    while len(steps[0].names) > len(base.names) + 1:
-        added = [e for e in steps[0].effects if e.name not in base.names]
-        smaller = [fits.fit_reduced(steps[0], e) for e in added]
-        least = min(smaller, key=lambda c: residual_summary(fits.prepared, c).mean_square_m2)
-        steps.insert(0, least)
-    return [base, *steps]
-
-
 def _own_error(fits: FitCache, tried: Sequence[FittedModel]) -> Noise:
     """The least error so far on the fit trials, as noise of independent frames."""
     fitted = [replace(c, heldout=None) for c in tried]
@@ -229,7 +225,7 @@ def largest_step(
     before = residual_summary(prepared, current)
     left = [residual_summary(prepared, c) for c in options]
     chances = [chance(current, c, before, a) for c, a in zip(options, left, strict=True)]
-    adjusted = holm(chances + [1.0] * max(0, library - len(chances)))
+    adjusted = holm_among(chances, library)
     best = int(np.argmin([a.mean_square_m2 for a in left]))
     share = removed_share(prepared.noise_model.noise.std_m, before, left[best])
     by_fit = fits.gain(current, options[best]).p_value * library

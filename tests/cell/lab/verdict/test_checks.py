@@ -88,7 +88,7 @@ def fake(**given):
     )
     exact = SimpleNamespace(square=lambda _: 0.0, square_left=lambda *_: 0.0)
     fits = SimpleNamespace(
-        prepared=prepared, space=SimpleNamespace(effects=()), prior_q=None, hand=lambda: exact
+        prepared=prepared, added=lambda m: m.effects, prior_q=None, hand=lambda: exact
     )
 
     def candidate(rms_m: float, chi2: float, effects=()):

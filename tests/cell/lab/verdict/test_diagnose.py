@@ -211,7 +211,7 @@ def test_what_any_of_many_effects_does_beside_one_is_none_of_them(monkeypatch):
     pair = SimpleNamespace(effects=[first, second])
     alone = SimpleNamespace(effects=[first])
     fits = SimpleNamespace(
-        space=SimpleNamespace(effects=[]),
+        added=lambda found: found.effects,
         fit_reduced=lambda found, effect: {second: alone}.get(effect),
     )
     ties = {first: (), second: ("a", "b", "c", "d", "e", "f", "g")}
