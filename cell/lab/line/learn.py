@@ -14,12 +14,12 @@ from cell.identify.identified import Identified
 from cell.identify.individual import CableRejectedError, IdentifyOptions, identify
 from cell.lab.data.cycles import RecordedCycle
 from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.thresholds import SIGNIFICANCE
 from cell.lab.fit.fitting import space_with
 from cell.lab.fit.shared import BIAS_M, SharedFit, Spread, fit_shared, prepared_cycle
 from cell.lab.line.effect_fit import Budget, EffectFit, is_tied
 from cell.lab.line.lesson_search import SECOND, Progress, Search, on_all
 from cell.lab.search.stepwise import levels
-from cell.lab.statistics.score import SIGNIFICANCE
 
 FloatArray = NDArray[np.float64]
 
@@ -264,5 +264,13 @@ def negligible(fit: SharedFit) -> bool:
     noise_m = float(np.mean([c.noise.std_m for c in fit.cables]))
     if fit.rms_m**2 - noise_m**2 >= NEGLIGIBLE_M**2:
         return False
+    return ends_seen_beyond(fit) < CHANCE * BIAS_M
+
+
+def ends_seen_beyond(fit: SharedFit) -> float:
+    """How far along them all cables' ends are seen from where a model has them, m.
+
+    The mean, times the root of their number: as uncertain as of a single cable.
+    """
     beyond_m = fit.end_seen_beyond_m
-    return abs(float(beyond_m.mean())) < CHANCE * BIAS_M / float(np.sqrt(len(beyond_m)))
+    return abs(float(beyond_m.mean())) * float(np.sqrt(len(beyond_m)))

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Protocol, TypeVar
 
 from cell.lab.search.fitted_model import FittedModel
+from cell.lab.statistics.score import holm
 
 State = TypeVar("State")
 Option = TypeVar("Option")
@@ -29,6 +30,15 @@ class Space(Protocol[State]):
     def reduced(self, model: State) -> Iterable[State]:
         """The model without one of the effects that were found, for each of them."""
         ...
+
+
+def holm_among(p_values: Sequence[float], library: int) -> list[float]:
+    """p-values adjusted for choosing among a library, of which the rest was no better than chance.
+
+    p_values  of those that were fitted
+    library   number of effects to choose from (Holm's correction)
+    """
+    return holm([*p_values, *[1.0] * (library - len(p_values))])[: len(p_values)]
 
 
 def levels(

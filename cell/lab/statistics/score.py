@@ -14,10 +14,6 @@ from cell.identify.gaussian import covariance_root
 
 FloatArray = NDArray[np.float64]
 
-#: Probability of calling something an effect, a law, a disagreement that is none, for all tests of
-#: a question together.
-SIGNIFICANCE = 0.01
-
 #: Draws behind the p-value of a maximum over shapes; below a few of them Bonferroni is used.
 DRAWS = 20_000
 MIN_EXCEEDING = 20
@@ -176,11 +172,6 @@ def holm(p_values: Sequence[float]) -> list[float]:
         running = max(running, min(1.0, (count - rank) * p_values[index]))
         adjusted[index] = running
     return adjusted
-
-
-def holm_among(p_values: Sequence[float], library: int) -> list[float]:
-    """The same for choosing among a library; what was not tried was no better than chance."""
-    return holm([*p_values, *[1.0] * (library - len(p_values))])[: len(p_values)]
 
 
 def delta_bic(delta_chi2: float, parameters: int, values: int, effective_fraction: float) -> float:

@@ -7,16 +7,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from cell.cable.effects.base import Effect
+from cell.lab.data.thresholds import Rules
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
-from cell.lab.search.stepwise import exchanged, in_order, levels, pruned
+from cell.lab.search.stepwise import exchanged, holm_among, in_order, levels, pruned
 from cell.lab.search.study_space import StudySpace
-from cell.lab.statistics.score import holm_among
 from cell.lab.verdict.checks import explains
 from cell.lab.verdict.evidence import Evidence
 from cell.lab.verdict.residual_summary import removed_share, residual_summary
 from cell.lab.verdict.rivals import added_effect, close_rivals
-from cell.lab.verdict.thresholds import Rules
 
 _LOG = logging.getLogger(__name__)
 

@@ -17,18 +17,20 @@ from numpy.typing import NDArray
 from cell.cable.solver import Solver
 from cell.identify.noise import Noise
 from cell.lab.data.prepared import PreparedStudy, all_fitted
-from cell.lab.search.fit_cache import POLISHED, FitCache
+from cell.lab.data.thresholds import Rules
+from cell.lab.fit.fitting import fit_trials
+from cell.lab.fit.starts import taken_from
+from cell.lab.search.fit_cache import FitCache, rebased
 from cell.lab.search.fitted_model import FittedModel
-from cell.lab.search.stepwise import exchanged, in_order, levels
+from cell.lab.search.refits import POLISHED
+from cell.lab.search.stepwise import exchanged, holm_among, in_order, levels
 from cell.lab.search.study_space import StudySpace
-from cell.lab.statistics.score import holm_among
 from cell.lab.verdict.doubts import is_hopeless
 from cell.lab.verdict.residual_summary import (
     removed_share,
     residual_summary,
 )
 from cell.lab.verdict.rivals import added_effect, chance, chance_of, is_at_bound, near_singles
-from cell.lab.verdict.thresholds import Rules
 
 FloatArray = NDArray[np.float64]
 
@@ -68,10 +70,9 @@ def explain_partly(
     for _ in range(MOST_WEIGHINGS):
         whole = _weighed_by(fits, error)
         if least_m < residual_summary(whole.prepared, whole.baseline()).rms_m:
-            whole.rebase(
-                lowest.fit.q, rules.tie_delta_chi2
-            )  # fitted to all trials a model leaves no more of them
-        singles = _singles(whole, library, rules)
+            # fitted to all trials a model leaves no more of them
+            whole = rebased(whole, lowest.fit.q, rules.tie_delta_chi2)
+        whole, singles = _singles(whole, library, rules)
         base = whole.baseline()
         lowest, least_m = base, min(least_m, residual_summary(whole.prepared, base).rms_m)
         before, error = error, _own_error(whole, whole.known())
@@ -131,8 +132,8 @@ def _added(
     return in_order(space, final, lambda c: -left(c))
 
 
-def _singles(whole: FitCache, library: int, rules: Rules) -> list[FittedModel]:
-    """Each effect worth it alone beside the baseline, taken to convergence.
+def _singles(whole: FitCache, library: int, rules: Rules) -> tuple[FitCache, list[FittedModel]]:
+    """Each effect worth it alone beside the baseline, converged; and the fits of that baseline.
 
     One explains only what the same model without it does not, wherever its search began: the
     baseline is fitted from where the best one ended too.
@@ -142,9 +143,13 @@ def _singles(whole: FitCache, library: int, rules: Rules) -> list[FittedModel]:
         base = whole.baseline()
         singles = _finished(whole, base, StudySpace(whole, rules.max_refits).extended(base))
         best = largest_step(whole, base, singles, library, rules)
-        if best is None or not whole.rebase(_without_effect(base, best), rules.tie_delta_chi2):
+        if best is None:
             break
-    return singles
+        lower = rebased(whole, taken_from(best.fit, base.fit.space), rules.tie_delta_chi2)
+        if lower is whole:
+            break
+        whole = lower
+    return whole, singles
 
 
 def _borne_out(
@@ -167,12 +172,6 @@ def p_value_of(fits: FitCache, small: FittedModel, large: FittedModel, library: 
     by_fit = fits.gain(small, large).p_value
     by_left = chance_of(fits, small, large)
     return min(1.0, max(by_fit, by_left) * max(1, library - len(small.effects)))
-
-
-def _without_effect(base: FittedModel, candidate: FittedModel) -> FloatArray:
-    """Coordinates of a candidate that the baseline has too."""
-    names = candidate.fit.space.names
-    return candidate.fit.q[[names.index(name) for name in base.fit.space.names]]
 
 
 def _finished(
@@ -203,7 +202,7 @@ def _own_error(fits: FitCache, tried: Sequence[FittedModel]) -> Noise:
     """The least error so far on the fit trials, as noise of independent frames."""
     fitted = [replace(c, heldout=None) for c in tried]
     left = min((residual_summary(fits.prepared, c) for c in fitted), key=lambda e: e.mean_square_m2)
-    count = sum(fits.prepared.whiteners[t.name].count for t in fits.fitted_trials())
+    count = sum(fits.prepared.whiteners[t.name].count for t in fit_trials(fits.prepared))
     return Noise(left.rms_m * float(np.sqrt(max(1.0, count / left.independent))))
 
 

@@ -10,6 +10,7 @@ from scipy.special import chdtrc as chi2_sf
 from cell.cable.effects.base import Effect
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.thresholds import Rules
 from cell.lab.fit.fitting import space_with
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
@@ -17,7 +18,6 @@ from cell.lab.search.stepwise import levels
 from cell.lab.search.study_space import StudySpace
 from cell.lab.verdict.evidence import Evidence, above_noise
 from cell.lab.verdict.rivals import close_rivals
-from cell.lab.verdict.thresholds import Rules
 
 Explains = Callable[[Evidence], bool]
 

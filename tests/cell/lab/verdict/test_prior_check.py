@@ -8,13 +8,13 @@ import pytest
 
 from cell.cable.effects import library
 from cell.lab.data.selection import EffectSelection
+from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.search.setup import fit_cache_of
 from cell.lab.strength.fitted_study import fit_study
 from cell.lab.verdict import prior_check
 from cell.lab.verdict.checks import explains
 from cell.lab.verdict.evidence import Evidence
 from cell.lab.verdict.prior_check import asked_by_prior_only, not_borne_out
-from cell.lab.verdict.thresholds import DEFAULT_RULES
 
 KNOWN = library()
 FEW = EffectSelection((), {n: KNOWN[n] for n in ("grip_angle", "tip_mass")})
