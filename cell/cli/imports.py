@@ -166,7 +166,7 @@ def _propose(options: ImportOptions) -> NoReturn:
     from functools import partial
 
     from cell.files.atomic import write_whole
-    from cell.lab.report.html_page import write_page
+    from cell.files.page import write_page
 
     deliver(
         printed,

@@ -154,7 +154,7 @@ def fit(
             show(*warning_lines(warnings), errors, model_table(model), *apart, *said)
 
     def page(path: Path) -> None:
-        from cell.lab.report.html_page import write_page
+        from cell.files.page import write_page
         from cell.lab.report.report import profile_page
 
         write_page(profile_page(fits.prepared.study.name, found), path)
@@ -218,7 +218,7 @@ def compare(
             )
 
     def page(path: Path) -> None:
-        from cell.lab.report.html_page import write_page
+        from cell.files.page import write_page
         from cell.lab.report.report import comparison_page
 
         write_page(comparison_page(comparisons), path)
@@ -251,9 +251,9 @@ def diagnose(
         selection = select_for_diagnosis(effect or [], known or [])
         fits = _explorer(study, selection, prior, progress, config)
         gc.freeze()  # what is loaded stays: not looked through for garbage again and again
-        with stoppable(fits.prepared.work.stop) as interrupted:
-            examination = with_limits(fits, diagnose_study(fits))
-            examination = with_agreement(fits, examination)
+        with stoppable(fits.work.stop) as interrupted:
+            examination = with_agreement(with_limits(diagnose_study(fits)))
+        fits = examination.fits
         steps = [fits.prior_candidate(), *examination.steps[1:]]
         shown = steps if report else [steps[0], *steps[1:][-1:]]
         comparisons = [compare_model(fits.prepared.study, c.fit.model) for c in shown]
@@ -272,12 +272,12 @@ def diagnose(
             show(*diagnosis_parts(diagnosis, comparisons, todo))
 
     def page(path: Path) -> None:
-        from cell.lab.report.html_page import write_page
+        from cell.files.page import write_page
         from cell.lab.report.report import diagnosis_page
 
         fitted = examination.steps[-1].fit
         model = identified(fits.prepared, fitted, fits.library.values())
-        write_page(diagnosis_page(examination, comparisons, model, todo), path)
+        write_page(diagnosis_page(diagnosis, comparisons, model, todo), path)
 
     deliver(printed, *json_files(data, *results or []), (report, page))
     if interrupted:
@@ -331,7 +331,7 @@ def discover(
         effect_name(out)
         selection = select_effects(effect or [])
         fits = _explorer(study, selection, prior, progress)
-        with stoppable(fits.prepared.work.stop) as interrupted:
+        with stoppable(fits.work.stop) as interrupted:
             try:
                 discovery = discover_effect(fits, out)
             except NothingFoundError as error:
@@ -377,7 +377,8 @@ def suggest(
 ) -> None:
     """Suggest the safe motion that best distinguishes the remaining candidates, and its power."""
     from cell.lab.data.selection import select_for_diagnosis
-    from cell.lab.next.suggest import suggest_motion, write_motion
+    from cell.lab.next.suggest import suggest_motion
+    from cell.lab.next.suggestion import write_motion
     from cell.lab.report.model_tables import suggestion_table
     from cell.lab.report.tables import verdict_line, warning_lines
     from cell.lab.verdict.diagnose import diagnose as diagnose_study
@@ -387,13 +388,13 @@ def suggest(
         surroundings = Surroundings.read(config)
         selection = select_for_diagnosis(effect or [], known or [])
         fits = _explorer(study, selection, prior, progress, config)
-        with stoppable(fits.prepared.work.stop) as interrupted:
+        with stoppable(fits.work.stop) as interrupted:
             diagnosed = diagnose_study(fits)
         if interrupted:
             show(verdict_line(diagnosed.diagnosis), *warning_lines(diagnosed.diagnosis.warnings))
             raise typer.Exit(interrupted.code)
         with answering() as interrupted:
-            suggestion = suggest_motion(fits, diagnosed, surroundings)
+            suggestion = suggest_motion(diagnosed, surroundings)
         if interrupted:
             tell_notes(["interrupted: the result is the best of the motions evaluated so far"])
     data = suggestion.to_json()

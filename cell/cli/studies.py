@@ -95,7 +95,7 @@ def look_at_study(
     """
     from functools import partial
 
-    from cell.lab.report.html_page import write_page
+    from cell.files.page import write_page
     from cell.lab.report.look_page import FACT_NOTE, look_page
     from cell.lab.report.look_table import fact_table
 

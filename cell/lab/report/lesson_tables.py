@@ -9,12 +9,24 @@ from numpy.typing import NDArray
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from cell.lab.data.prepared import ERRS
-from cell.lab.line.gates import Gate
+from cell.lab.data.check import Answer
+from cell.lab.data.results import Verdict
 from cell.lab.line.learn import LearningResult
+from cell.lab.line.lesson_checks import lesson_answers, lesson_verdict
+from cell.lab.line.lesson_questions import LineEvidence
+from cell.lab.report.tables import checks_table
+from cell.lab.report.wording import check_rows
 
 #: What helps where the library has no name for what is missing.
 LAWS = "`cell learn --laws` looks for a law that is not in the library"
+
+#: What the verdict of a lesson means.
+LESSON_VERDICTS: dict[Verdict, str] = {
+    "complete": "these cycles show no missing effect",
+    "missing": "the effect named is missing in the model; the gates say whether it helps the line",
+    "unexplained": "the model lacks an effect, and none that was tried explains the error",
+    "cannot_tell": "these cycles cannot decide whether the model lacks an effect, or which one",
+}
 
 FloatArray = NDArray[np.float64]
 
@@ -32,13 +44,7 @@ def lesson_lines(lesson: LearningResult, *, so_far: bool = False) -> list[str]:
     if lesson.best is None and so_far:
         return [first, "the missing effect is not identified yet; nothing was written"]
     if lesson.best is None:
-        if lesson.left_out:
-            tried = "no effect that was tried explains more than chance; some were not tried"
-            return [first, tried]
-        nothing = "no effect of the library explains more than chance"
-        if before_m > ERRS * noise_m:
-            return [first, f"{nothing}, and the model misses more than noise: {LAWS}"]
-        return [first, f"{nothing}: the model is complete"]
+        return [first, _nothing(lesson)]
     best, lines = lesson.best, [first]
     natural = best.fit.space.natural(_point(lesson))[best.fit.common]
     values = ", ".join(
@@ -62,6 +68,34 @@ def lesson_lines(lesson: LearningResult, *, so_far: bool = False) -> list[str]:
     return lines
 
 
+def _nothing(lesson: LearningResult) -> str:
+    """What it means that no effect was found."""
+    if lesson.left_out:
+        return "no effect that was tried explains more than chance; some were not tried"
+    nothing = "no effect of the library explains more than chance"
+    found = lesson_answers(lesson)
+    why = " ".join(a.check.failed for a in found if a.passed is False)
+    verdict = lesson_verdict(lesson, found)
+    if verdict == "complete":
+        return f"{nothing}: the model is complete"
+    if verdict == "unexplained":
+        return f"{nothing}, and {why[0].lower()}{why[1:-1]}: {LAWS}"
+    return f"{nothing}. {why}"
+
+
+def lesson_parts(
+    lesson: LearningResult, judged: Sequence[Answer[LineEvidence]]
+) -> list[str | Table]:
+    """What the result rests on: the verdict, its checks, the votes of the cycles, the gates."""
+    found = lesson_answers(lesson)
+    verdict = lesson_verdict(lesson, found)
+    parts: list[str | Table] = [
+        f"Verdict {verdict}: {LESSON_VERDICTS[verdict]}.",
+        checks_table([answer.result for answer in found]),
+    ]
+    return parts if lesson.best is None else [*parts, votes_table(lesson), gates_table(judged)]
+
+
 def _cables(count: int) -> str:
     return f"{count} cable" if count == 1 else f"{count} cables"
 
@@ -79,13 +113,15 @@ def votes_table(lesson: LearningResult) -> Table:
     return table
 
 
-def gates_table(judged: Sequence[Gate]) -> Table:
+def gates_table(judged: Sequence[Answer[LineEvidence]]) -> Table:
     """What a candidate must pass."""
     table = Table(title="gates", box=SIMPLE_HEAD)
-    for heading in ("", "found", ""):
+    for heading in ("", "found", "limit", ""):
         table.add_column(heading)
-    for g in judged:
-        table.add_row(g.name, g.found, "[green]passed[/]" if g.passed else "[red]not passed[/]")
+    limits = [row[2] for row in check_rows([g.result for g in judged])]
+    for g, limit in zip(judged, limits, strict=True):
+        passed = "[green]passed[/]" if g.passed else "[red]not passed[/]"
+        table.add_row(g.name, g.found, limit, passed)
     return table
 
 

@@ -7,7 +7,7 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
-from cell.lab.report.figure_layout import ADDED, MODEL, NOISE, QUIET, SEEN, in_mm, laid_out, listed
+from cell.files.figure_style import ADDED, MODEL, NOISE, QUIET, SEEN, in_mm, laid_out, listed
 from cell.study.data import Trial
 from cell.study.facts import TrialFacts
 

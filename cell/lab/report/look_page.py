@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import html
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.lab.report.html_page import html_page, html_plot, html_table
+from cell.files.page import HtmlTable, Plot, page
 from cell.lab.report.look_figures import courses, film_strip, swing_figure
 from cell.study.data import Trial
 from cell.study.facts import TrialFacts
@@ -57,37 +57,52 @@ class Look:
         }
 
 
+@dataclass(frozen=True)
+class _TrialPlots:
+    """Pictures of one trial; without a swing there is no spectrum."""
+
+    name: str
+    strip: Plot
+    courses: Plot
+    swing: Plot | None
+
+    @staticmethod
+    def of(trial: Trial, facts: TrialFacts) -> _TrialPlots:
+        swing = swing_figure(facts)
+        return _TrialPlots(
+            trial.name,
+            Plot.of(film_strip(trial, facts)),
+            Plot.of(courses(trial, facts)),
+            None if swing is None else Plot.of(swing),
+        )
+
+
 def look_page(look: Look) -> str:
     """One page with the pictures of all trials, one shown at a time."""
-    count = len(look.wrong) + len(look.odd)
+    count, trials = len(look.wrong) + len(look.odd), len(look.trials)
     if look.wrong:
         top = f"{len(look.wrong)} to be mended before a model can be fitted"
     else:
         top = f"{count} remark{'s' * (count != 1)}" if count else "nothing is odd"
-    wrong = [f'<p class="warning"><b>To be mended:</b> {html.escape(w)}</p>' for w in look.wrong]
-    parts = [
-        f'<p class="says{" bad" if look.wrong else ""}">{len(look.trials)} '
-        f"trial{'s' * (len(look.trials) != 1)}; {top}</p>",
-        *wrong,
-        *_said(look.says),
-        *(f'<p class="warning">{html.escape(o)}</p>' for o in look.odd),
-    ]
-    if look.facts:
-        parts += [
-            html_table(FACT_HEADS, fact_rows(look.facts), range(2, len(FACT_HEADS) - 1)),
-            f'<p class="note">{FACT_NOTE}.</p>',
-            *_trials(look),
-        ]
-    return html_page(look.title, parts)
+    return page(
+        Path(__file__).parent / "templates",
+        "look.html",
+        look.title,
+        says=f"{trials} trial{'s' * (trials != 1)}; {top}",
+        wrong=look.wrong,
+        said=look.says,
+        odd=look.odd,
+        facts=HtmlTable(FACT_HEADS, fact_rows(look.facts), range(2, len(FACT_HEADS) - 1)),
+        note=FACT_NOTE,
+        trials=_plots(look),
+    )
 
 
-def _said(says: Mapping[str, Sequence[str]]) -> list[str]:
-    """Sentences as lists under their headings."""
-    parts = []
-    for head, sentences in says.items():
-        items = "".join(f"<li>{html.escape(s)}</li>" for s in sentences)
-        parts.append(f"<p><b>{html.escape(head)}</b></p><ul>{items}</ul>")
-    return parts
+def _plots(look: Look) -> list[_TrialPlots]:
+    """Of every trial; of none if their facts are not known."""
+    if not look.facts:
+        return []
+    return [_TrialPlots.of(t, f) for t, f in zip(look.trials, look.facts, strict=True)]
 
 
 def fact_rows(facts: Sequence[TrialFacts]) -> list[list[str]]:
@@ -114,23 +129,3 @@ def _frequencies(facts: TrialFacts) -> str:
     if facts.spectrum is None or not facts.spectrum.peaks_hz:
         return "–"
     return ", ".join(f"{f:.3g}" for f in facts.spectrum.peaks_hz)
-
-
-def _trials(look: Look) -> list[str]:
-    """Film strip, courses and spectrum of every trial, one shown at a time."""
-    options, parts = [], []
-    for number, (trial, facts) in enumerate(zip(look.trials, look.facts, strict=True)):
-        name = html.escape(trial.name)
-        picked, hidden = ("", " hidden") if number else (" selected", "")
-        options.append(f'<option value="{name}"{picked}>{name}</option>')
-        swing = swing_figure(facts)
-        parts.append(
-            f'<div class="trial" data-trial="{name}"{hidden}>'
-            f"<h2>{name}: film strip</h2>{html_plot(film_strip(trial, facts))}"
-            f"<h2>Tip and hand</h2>{html_plot(courses(trial, facts))}"
-            + ("" if swing is None else f"<h2>Swing of the tip</h2>{html_plot(swing)}")
-            + "</div>"
-        )
-    choice = f'<p><label>Trial: <select id="chooser">{"".join(options)}</select></label></p>'
-    note = '<p class="note">The hand moves between the dotted lines.</p>'
-    return [choice, note, *parts]

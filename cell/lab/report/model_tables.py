@@ -27,7 +27,7 @@ from cell.lab.strength.compare import Comparison
 
 if TYPE_CHECKING:
     from cell.lab.next.discover import Discovery
-    from cell.lab.next.suggest import Suggestion
+    from cell.lab.next.suggestion import Suggestion
 
 
 def model_table(model: Identified) -> Table:

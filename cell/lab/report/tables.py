@@ -9,7 +9,8 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from cell.lab.data.results import Agreement, Diagnosis, Doubt, Errors
+from cell.lab.data.results import Agreement, CheckResult, Diagnosis, Doubt, Errors
+from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.next.advice import STATUSES, Step, meaning
 from cell.lab.report.wording import (
     AGREEMENT_NOTE,
@@ -41,7 +42,6 @@ from cell.lab.report.wording import (
     why_not_told,
 )
 from cell.lab.strength.compare import Comparison
-from cell.lab.verdict.thresholds import DEFAULT_RULES
 
 #: Said where no check failed: the search was stopped.
 NOT_WHY = "These motions cannot show why."
@@ -180,13 +180,13 @@ def limits_table(diagnosis: Diagnosis) -> Table:
     return table
 
 
-def checks_table(diagnosis: Diagnosis) -> Table:
-    """What the verdict rests on."""
+def checks_table(checks: Sequence[CheckResult]) -> Table:
+    """What a verdict rests on."""
     table = Table(title="What the verdict rests on", box=SIMPLE_HEAD)
     for column in CHECK_HEADS:
         table.add_column(column, justify="right" if column in ("answer", "limit") else "left")
     colours = {"passed": "green", "failed": "red"}
-    for row in check_rows(diagnosis):
+    for row in check_rows(checks):
         table.add_row(*map(Text, row[:-1]), Text(row[-1], colours.get(row[-1], "dim")))
     table.caption = CHECK_NOTE
     return table
@@ -218,7 +218,7 @@ def diagnosis_parts(
         *([agreement_sentence(agreement)] if agreement else []),
         waterfall_table(diagnosis),
         *([nearest_table(diagnosis)] if diagnosis.nearest else []),
-        *([checks_table(diagnosis)] if diagnosis.checks else []),
+        *([checks_table(diagnosis.checks)] if diagnosis.checks else []),
         *([ranking_table(diagnosis)] if diagnosis.ranking else []),
         *([limits_table(diagnosis)] if diagnosis.limits else []),
         *([agreement_table(agreement)] if agreement else []),

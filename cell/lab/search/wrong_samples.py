@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.fit.fitting import errors_m
+from cell.lab.fit.fitting import errors_m, fit_trials
 from cell.lab.search.fit_cache import FitCache
 from cell.study.data import Study
 from cell.study.left_out import leaving_out
@@ -46,7 +46,7 @@ def _wrong(fits: FitCache) -> dict[str, FloatArray]:
     """Of every trial (times, channels) by how much samples are wrong, m; nan where right."""
     base = fits.baseline()
     study = fits.prepared.study
-    left = dict(zip((t.name for t in fits.fitted_trials()),
+    left = dict(zip((t.name for t in fit_trials(fits.prepared)),
                     errors_m(fits.prepared, base.fit), strict=True))  # fmt: skip
     if base.heldout is not None:
         for trial in study.role("validate"):

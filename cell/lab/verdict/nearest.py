@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from cell.cable.effects.base import Effect
 from cell.lab.data.results import Errors, Nearest, RemainingError
+from cell.lab.data.thresholds import Rules
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.verdict.partial import Partial
@@ -24,7 +25,6 @@ from cell.lab.verdict.rivals import (
     is_at_bound,
     near_singles,
 )
-from cell.lab.verdict.thresholds import Rules
 
 #: Errors of what was not fitted to the fit trials alone.
 NOT_FITTED = Errors(float("nan"), float("nan"))

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import chdtrc as chi2_sf
 from scipy.special import fdtrc as f_sf
 
+from cell.lab.data.check import Reading
 from cell.lab.fit.fitting import Fit, fit_trials
 from cell.lab.statistics.score import holm
 from cell.lab.verdict.evidence import Evidence
@@ -16,14 +16,6 @@ from cell.lab.verdict.residual_summary import removed_share, residual_summary
 from cell.lab.verdict.smooth_part import SmoothPart, of_a_finer_model
 from cell.lab.verdict.specification import of_effects, parameter_constancy_of, wider_law_of
 from cell.lab.verdict.stated import chance_of_stated
-
-
-@dataclass(frozen=True)
-class Reading:
-    """The number that answers a question, and the effects that it is about."""
-
-    value: float
-    effects: tuple[str, ...] = ()
 
 
 def within_stated(evidence: Evidence) -> Reading | None:

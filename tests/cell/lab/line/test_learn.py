@@ -29,18 +29,22 @@ from cell.identify.individual import (
     Reason,
     identify,
 )
+from cell.lab.data.check import Answer
 from cell.lab.data.cycles import RecordedCycle, read_cycles
 from cell.lab.data.selection import select_effects
 from cell.lab.fit.shared import SharedFit, Spread, along_end, fit_shared, prepared_cycle
 from cell.lab.line.candidate import lines_of, section, write_candidate
 from cell.lab.line.effect_fit import TIE, Budget, EffectFit
 from cell.lab.line.forecasts import ForecastPair, forecasts
-from cell.lab.line.gates import Gate, Judgement, best_judged, gates, judge
+from cell.lab.line.gates import Judgement, best_judged, gates, judge
 from cell.lab.line.learn import LearningResult, learn, negligible
+from cell.lab.line.lesson_checks import lesson_answers, lesson_verdict
+from cell.lab.line.lesson_questions import LineEvidence
 from cell.lab.line.lesson_search import ALL_PASSES, Search, library_first
+from cell.lab.line.next_cable import asked, open_to
 from cell.lab.next.discover import Laws, laws_in
 from cell.lab.next.motion_file import load_motion
-from cell.lab.next.next_motion import _of_the_next_cable, asked, motion_that_tells, worth_it
+from cell.lab.next.next_motion import motion_that_tells, worth_it
 from cell.lab.next.terms import admissible
 from cell.lab.report.lesson_tables import lesson_lines
 from cell.lab.search.setup import fit_cache_of, read_kind
@@ -259,7 +263,7 @@ def test_an_effect_of_one_line_in_two_does_not_pass(
     begin = np.vstack([lesson.baseline.q[:2], lesson.baseline.q[:2]])
     mixed = fit_shared(prepared, base, begin, (library()["air_drag"],), np.array([1.0]))
 
-    def gate(fit: SharedFit) -> Gate:
+    def gate(fit: SharedFit) -> Answer[LineEvidence]:
         tried = replace(lesson, best=EffectFit((library()["air_drag"],), fit, 1e3, 1e-9))
         found = gates(tried, [], task.destination)
         return next(g for g in found if g.name == "all cables have it alike")
@@ -430,6 +434,14 @@ def test_a_complete_world_teaches_nothing_unless_all_ends_are_seen_elsewhere() -
     assert fit.end_seen_beyond_m == pytest.approx(complete.end_seen_beyond_m + 5e-4, abs=1e-4)
     assert fit.rms_m < 1.05 * complete.rms_m
     assert negligible(complete) and not negligible(fit)
+    answers = lesson_answers(lesson)
+    assert [a.name for a in answers if a.passed is False] == []
+    assert lesson_verdict(lesson, answers) == "complete"
+    elsewhere = replace(lesson, baseline=fit)
+    answers = lesson_answers(elsewhere)
+    assert [a.name for a in answers if a.passed is False] == ["ends_beyond"]
+    assert lesson_verdict(elsewhere, answers) == "unexplained"
+    assert "ends are seen elsewhere" in lesson_lines(elsewhere)[-1], "it was called complete"
 
 
 def test_the_spread_between_cables_is_that_of_restricted_maximum_likelihood() -> None:
@@ -474,7 +486,8 @@ def tied(lesson: LearningResult) -> LearningResult:
 
 
 def test_the_motion_tells_the_tied_effects_of_a_cable_not_seen_yet(tied: LearningResult) -> None:
-    suggestion = motion_that_tells(tied, Surroundings.read(CONFIG))
+    cable, around = tied.baseline.cables[0], Surroundings.read(CONFIG)
+    suggestion = motion_that_tells(cable, open_to(tied), around)
     assert suggestion is not None
     assert suggestion.candidates == ("air_drag", "tip_mass")
     best = worth_it(suggestion)
@@ -482,16 +495,16 @@ def test_the_motion_tells_the_tied_effects_of_a_cable_not_seen_yet(tied: Learnin
     assert best.power > 0.9
     weak = replace(suggestion, options=(replace(best, power=0.3),))
     assert worth_it(weak) is None
-    assert motion_that_tells(replace(tied, tied=()), Surroundings.read(CONFIG)) is None
+    assert motion_that_tells(cable, open_to(replace(tied, tied=())), around) is None
 
 
 def test_the_next_cable_may_be_as_far_away_as_these_are_from_each_other(
     tied: LearningResult,
 ) -> None:
     fit = tied.ranking[0].fit
-    rival = _of_the_next_cable(tied.ranking[0])
-    open_to = np.diag(rival.covariance)[: fit.own]
-    assert np.all(open_to >= np.var(fit.q, axis=0, ddof=1))
+    rival, _ = open_to(tied)
+    uncertain = np.diag(rival.covariance)[: fit.own]
+    assert np.all(uncertain >= np.var(fit.q, axis=0, ddof=1))
     assert np.diag(rival.covariance)[fit.common] == pytest.approx(np.diag(fit.covariance))
     assert rival.q[: fit.own] == pytest.approx(fit.q.mean(axis=0))
 

@@ -5,7 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from cell.lab.data.noise_floor import KNOWN_WITHIN
-from cell.lab.statistics.score import SIGNIFICANCE
+
+#: Probability of calling something an effect, a law, a disagreement that is none, for all tests of
+#: a question together.
+SIGNIFICANCE = 0.01
 
 
 @dataclass(frozen=True)
