@@ -125,12 +125,13 @@ def learn(
 
 def _print(lesson: LearningResult, judgement: Judgement, more: Sequence[str]) -> None:
     """What was learned, what speaks for it, and more lines."""
-    from cell.lab.report.lesson_tables import lesson_lines, lesson_parts
+    from cell.lab.report.lesson_tables import common_error_line, lesson_lines, lesson_parts
 
     for line in lesson_lines(lesson):
         print(line)
     show(*lesson_parts(lesson, judgement.gates))
-    for line in more:
+    common = common_error_line(judgement.paired)
+    for line in (*([common] if common else []), *more):
         print(line)
 
 

@@ -11,11 +11,13 @@ from rich.table import Table
 
 from cell.lab.data.check import Answer
 from cell.lab.data.results import Verdict
+from cell.lab.line.forecasts import ForecastPair
 from cell.lab.line.learn import LearningResult
 from cell.lab.line.lesson_checks import lesson_answers, lesson_verdict
 from cell.lab.line.lesson_questions import LineEvidence
 from cell.lab.report.tables import checks_table
 from cell.lab.report.wording import check_rows
+from cell.records.mean_error import FEWEST, interval
 
 #: What helps where the library has no name for what is missing.
 LAWS = "`cell learn --laws` looks for a law that is not in the library"
@@ -134,3 +136,22 @@ def _point(lesson: LearningResult) -> FloatArray:
     q = lesson.best.fit.space.mean.copy()
     q[lesson.best.fit.common] = lesson.best.fit.theta
     return q
+
+
+def common_error_line(paired: Sequence[ForecastPair]) -> str:
+    """What the forecasts of all executions have in common, at present and with the candidate.
+
+    Empty if they are too few to tell.
+    """
+    pairs = np.array([(f.present_above_m, f.candidate_above_m) for f in paired]).reshape(-1, 2)
+    pairs = pairs[np.isfinite(pairs).all(axis=1)]
+    if len(pairs) < FEWEST:
+        return ""
+    said = []
+    for errors_m in pairs.T:
+        mean_m, low_m, high_m = (1e3 * m for m in interval(errors_m, 0.95))
+        said.append(f"{mean_m:+z.3f} mm ({low_m:+z.3f} to {high_m:+z.3f})")
+    return (
+        f"in the mean of {len(pairs)} executions the tip passes the mouth {said[0]} above the "
+        f"present model's forecast, {said[1]} above the candidate's; 95 % intervals"
+    )
