@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -20,6 +20,7 @@ from cell.files.overwriting import check_apart, check_output
 from cell.files.rescue import no_room, remedy
 
 if TYPE_CHECKING:
+    from cell.files.table import TableData
     from cell.lab.data.progress import Progress
     from cell.lab.data.results import Agreement, Doubt
     from cell.lab.data.selection import EffectSelection
@@ -150,7 +151,7 @@ def fit(
     def printed() -> None:
         if print_result(written, out, as_json):
             errors = errors_line(fits.prepared, candidate.errors)
-            apart = [agreement_sentence(trials), agreement_table(trials)] if trials else []
+            apart = (agreement_sentence(trials), agreement_table(trials)) if trials else ()
             show(*warning_lines(warnings), errors, model_table(model), *apart, *said)
 
     def page(path: Path) -> None:
@@ -470,10 +471,12 @@ def working(command: str) -> ProgressLine:
     return ProgressLine(command)
 
 
-def show(*parts: Any) -> None:
+def show(*parts: str | TableData) -> None:
     """Print texts as they are, and tables of which no number is cut."""
     from rich.console import Console
 
+    from cell.cli.text_table import text_table
+    from cell.files.table import TableData
     from cell.terminal.fitting import show as show_on
 
-    show_on(Console(), *parts)
+    show_on(Console(), *(text_table(p) if isinstance(p, TableData) else p for p in parts))

@@ -96,8 +96,7 @@ def look_at_study(
     from functools import partial
 
     from cell.files.page import write_page
-    from cell.lab.report.look_page import FACT_NOTE, look_page
-    from cell.lab.report.look_table import fact_table
+    from cell.lab.report.look_page import FACT_NOTE, facts_table, look_page
 
     page = out or (Path("look.html") if open_it else None)
     with refusing(page, as_json, force=force), working("look"):
@@ -106,7 +105,7 @@ def look_at_study(
 
     def printed() -> None:
         if print_result(data, as_json):
-            show(fact_table(look), f"{FACT_NOTE}.")
+            show(facts_table(look), f"{FACT_NOTE}.")
             for head, found in (("Odd:", look.odd), ("To be mended:", look.wrong)):
                 show(*([head, *(f"  {s}" for s in found)] if found else []))
             if not look.odd and not look.wrong:

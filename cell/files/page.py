@@ -7,7 +7,6 @@ A template extends `page.html`.  It shows tables, figures and pictures by the ma
 from __future__ import annotations
 
 import base64
-from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,15 +22,6 @@ from cell.files.atomic import write_whole
 from cell.files.figure_style import least_px
 
 _SHARED = Path(__file__).parent / "templates"
-
-
-@dataclass(frozen=True)
-class HtmlTable:
-    """Cells as text; columns of numbers stand to the right."""
-
-    heads: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    numbers: Collection[int] = ()
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,8 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from cell.files.figure_style import ADDED, MODEL, QUIET, SEEN, laid_out
-from cell.files.page import HtmlTable, Picture, Plot, page
+from cell.files.page import Picture, Plot, page
+from cell.files.table import TableData
 from cell.records.folder import Recorded
 from cell.records.recording import form
 from cell.records.recording.reading import Recording
@@ -96,16 +97,16 @@ def _says(record: Recorded) -> tuple[str, bool]:
     return said, good
 
 
-def _numbers(result: Result) -> HtmlTable:
+def _numbers(result: Result) -> TableData:
     rows = [
         [name, f"{value * size:.4g}", unit]
         for key, name, unit, size in _NUMBERS
         if (value := getattr(result, key)) is not None
     ]
-    return HtmlTable(["", "value", "unit"], rows, (1,))
+    return TableData("", ["", "value", "unit"], rows, (1,))
 
 
-def _corrections(corrections: Sequence[Correction] | None) -> HtmlTable | None:
+def _corrections(corrections: Sequence[Correction] | None) -> TableData | None:
     if not corrections:
         return None
     rows = [
@@ -121,7 +122,7 @@ def _corrections(corrections: Sequence[Correction] | None) -> HtmlTable | None:
     ]
     led = ("hand led up by, mm", "then by, mm", "each within, s")
     headings = ["from, s", *led, "passes without, %", "with, %"]
-    return HtmlTable(headings, rows, range(len(headings)))
+    return TableData("", headings, rows, range(len(headings)))
 
 
 def _mm(length_m: float | None) -> str:
@@ -197,7 +198,7 @@ def _decided(decision: Mapping[str, Any]) -> str:
     return f"No offset was taken: {decision['reason']}." if none else ""
 
 
-def _decision(decision: Mapping[str, Any]) -> HtmlTable:
+def _decision(decision: Mapping[str, Any]) -> TableData:
     chosen = decision["offset_m"]
     rows = [
         [
@@ -208,15 +209,15 @@ def _decision(decision: Mapping[str, Any]) -> HtmlTable:
         for row in decision["table"]
     ]
     heads = [*(head for _, head, _, _ in _DECISION), ""]
-    return HtmlTable(heads, rows, range(len(_DECISION)))
+    return TableData("", heads, rows, range(len(_DECISION)))
 
 
-def _parameters(model: Mapping[str, Any]) -> HtmlTable:
+def _parameters(model: Mapping[str, Any]) -> TableData:
     rows = [
         [p["name"], f"{p['value']:.4g}", f"{p['low']:.4g} … {p['high']:.4g}", p["unit"]]
         for p in model["parameters"]
     ]
-    return HtmlTable(["parameter", "value", "95 %", "unit"], rows, (1, 2))
+    return TableData("", ["parameter", "value", "95 %", "unit"], rows, (1, 2))
 
 
 def _times(seconds: Mapping[str, float], state_seconds: Mapping[str, float]) -> go.Figure:

@@ -17,8 +17,8 @@ from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.thresholds import SIGNIFICANCE
 from cell.lab.fit.fitting import space_with
 from cell.lab.fit.shared import BIAS_M, SharedFit, Spread, fit_shared, prepared_cycle
+from cell.lab.line.cables_space import SECOND, CablesSpace, Progress, on_all
 from cell.lab.line.effect_fit import Budget, EffectFit, is_tied
-from cell.lab.line.lesson_search import SECOND, Progress, Search, on_all
 from cell.lab.search.stepwise import levels
 
 FloatArray = NDArray[np.float64]
@@ -119,7 +119,7 @@ def learn(
     none = lesson = LearningResult(names, baseline, (), None, (), (), ())
     known(none)
     if not negligible(baseline):
-        search = Search(tuple(few), base, plausible[:TRIED_ON], len(others), budget, progress)
+        search = CablesSpace(tuple(few), base, plausible[:TRIED_ON], len(others), budget, progress)
         lessons = _Lessons(search, alone[:TRIED_ON], prepared, plausible, others)
         for step, (lesson,) in enumerate(levels(none, lessons.extended, lessons.kept)):
             enough = lesson.best is not None and negligible(lesson.best.fit)
@@ -183,7 +183,7 @@ class _Lessons:
     others     effects to choose from
     """
 
-    search: Search
+    search: CablesSpace
     alone: Sequence[SharedFit]
     prepared: Sequence[PreparedStudy]
     plausible: FloatArray

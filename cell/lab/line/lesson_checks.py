@@ -45,7 +45,7 @@ LESSON: tuple[Check[LineEvidence], ...] = (
         "effects",
         questions.most_tied,
         "<=",
-        "max_tied",
+        "most_named",
         "cannot_tell",
         "These cycles cannot tell them apart.",
         "their number: up to three candidates can be tested, more cannot",

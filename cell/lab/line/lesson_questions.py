@@ -28,7 +28,7 @@ RANKED_FROM = 5
 class LineRules:
     """Limits at which a line's model is complete, and a candidate good enough for the line.
 
-    error_over_noise, max_tied, noise_known_within   as in a diagnosis
+    error_over_noise, most_named, noise_known_within   as in a diagnosis
     chance               standard deviations that are still chance
     fewest               forecasts that there must be for a candidate to be judged
     least_gain, least_gain_m   share and size by which forecasts must become better
@@ -44,7 +44,7 @@ class LineRules:
     """
 
     error_over_noise: float = DEFAULT_RULES.gross_misfit
-    max_tied: int = DEFAULT_RULES.max_tied
+    most_named: int = DEFAULT_RULES.most_named
     noise_known_within: float = KNOWN_WITHIN
     chance: float = CHANCE
     fewest: int = 3

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 
+from cell.files.table import TableData
 from cell.lab.data.check import Answer
 from cell.lab.data.results import Verdict
 from cell.lab.line.forecasts import ForecastPair
@@ -87,11 +86,11 @@ def _nothing(lesson: LearningResult) -> str:
 
 def lesson_parts(
     lesson: LearningResult, judged: Sequence[Answer[LineEvidence]]
-) -> list[str | Table]:
+) -> list[str | TableData]:
     """What the result rests on: the verdict, its checks, the votes of the cycles, the gates."""
     found = lesson_answers(lesson)
     verdict = lesson_verdict(lesson, found)
-    parts: list[str | Table] = [
+    parts: list[str | TableData] = [
         f"Verdict {verdict}: {LESSON_VERDICTS[verdict]}.",
         checks_table([answer.result for answer in found]),
     ]
@@ -102,29 +101,27 @@ def _cables(count: int) -> str:
     return f"{count} cable" if count == 1 else f"{count} cables"
 
 
-def votes_table(lesson: LearningResult) -> Table:
+def votes_table(lesson: LearningResult) -> TableData:
     """Which cycles speak for the effect, and which against."""
     assert lesson.best is not None
-    name = lesson.best.names[lesson.best.firsts[-1]]
-    table = Table(title=f"cycles for and against {lesson.best.effect.name}", box=SIMPLE_HEAD)
-    for heading in ("cycle", "speaks", "fall of χ²", name.partition(".")[2], "±"):
-        table.add_column(heading, justify="left" if heading in ("cycle", "speaks") else "right")
+    name = lesson.best.names[lesson.best.firsts[-1]].partition(".")[2]
+    rows = []
     for v in lesson.votes:
         speaks = "for" if v.fall > 2.0 else "against" if v.fall < -2.0 else "neither"
-        table.add_row(v.cycle, speaks, f"{v.fall:.1f}", f"{v.value:.4g}", f"{v.std:.2g}")
-    return table
+        rows.append([v.cycle, speaks, f"{v.fall:.1f}", f"{v.value:.4g}", f"{v.std:.2g}"])
+    title = f"cycles for and against {lesson.best.effect.name}"
+    return TableData(title, ["cycle", "speaks", "fall of χ²", name, "±"], rows, (2, 3, 4))
 
 
-def gates_table(judged: Sequence[Answer[LineEvidence]]) -> Table:
+def gates_table(judged: Sequence[Answer[LineEvidence]]) -> TableData:
     """What a candidate must pass."""
-    table = Table(title="gates", box=SIMPLE_HEAD)
-    for heading in ("", "found", "limit", ""):
-        table.add_column(heading)
     limits = [row[2] for row in check_rows([g.result for g in judged])]
-    for g, limit in zip(judged, limits, strict=True):
-        passed = "[green]passed[/]" if g.passed else "[red]not passed[/]"
-        table.add_row(g.name, g.found, limit, passed)
-    return table
+    rows = [
+        [g.name, g.found, limit, "passed" if g.passed else "not passed"]
+        for g, limit in zip(judged, limits, strict=True)
+    ]
+    colours = {"passed": "green", "not passed": "red"}
+    return TableData("gates", ["", "found", "limit", ""], rows, colours=colours)
 
 
 def _chance(p_value: float) -> str:

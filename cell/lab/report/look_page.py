@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.files.page import HtmlTable, Plot, page
+from cell.files.page import Plot, page
+from cell.files.table import TableData
 from cell.lab.report.look_figures import courses, film_strip, swing_figure
 from cell.study.data import Trial
 from cell.study.facts import TrialFacts
@@ -92,7 +93,7 @@ def look_page(look: Look) -> str:
         wrong=look.wrong,
         said=look.says,
         odd=look.odd,
-        facts=HtmlTable(FACT_HEADS, fact_rows(look.facts), range(2, len(FACT_HEADS) - 1)),
+        facts=facts_table(look),
         note=FACT_NOTE,
         trials=_plots(look),
     )
@@ -105,9 +106,9 @@ def _plots(look: Look) -> list[_TrialPlots]:
     return [_TrialPlots.of(t, f) for t, f in zip(look.trials, look.facts, strict=True)]
 
 
-def fact_rows(facts: Sequence[TrialFacts]) -> list[list[str]]:
-    """Facts of every trial as words, under `FACT_HEADS`."""
-    return [
+def facts_table(look: Look) -> TableData:
+    """Facts of every trial, one row each; its title is for a terminal."""
+    rows = [
         [
             f.name,
             f"{f.role}, {f.start}",
@@ -121,8 +122,10 @@ def fact_rows(facts: Sequence[TrialFacts]) -> list[list[str]]:
             f"{f.noise_m * 1e3:.2g}" if np.isfinite(f.noise_m) else "–",
             _frequencies(f),
         ]
-        for f in facts
+        for f in look.facts
     ]
+    title = f"{look.name}: {len(look.trials)} trials"
+    return TableData(title, FACT_HEADS, rows, range(2, len(FACT_HEADS) - 1))
 
 
 def _frequencies(facts: TrialFacts) -> str:

@@ -10,38 +10,32 @@ from pathlib import Path
 import numpy as np
 
 from cell.files.figure_style import ADDED, BETWEEN, MODEL
-from cell.files.page import HtmlTable, Plot, page
+from cell.files.page import Plot, page
+from cell.files.table import TableData
 from cell.identify.identified import Identified
 from cell.lab.data.results import Diagnosis
-from cell.lab.next.advice import STATUSES, Step, meaning
+from cell.lab.next.advice import Step, meaning
 from cell.lab.report.cable_overlay import overlay
 from cell.lab.report.curves import profile_curves
 from cell.lab.report.figures import by_trial, history, profiles, ranking, residual_maps, waterfall
-from cell.lab.report.model_tables import comparison_sentence
+from cell.lab.report.model_tables import comparison_sentence, model_table
 from cell.lab.report.series import Series
-from cell.lab.report.tables import sentence, warning_lines
+from cell.lab.report.tables import (
+    agreement_table,
+    checks_table,
+    limits_table,
+    nearest_table,
+    ranking_table,
+    sentence,
+    warning_lines,
+)
 from cell.lab.report.wording import (
-    AGREEMENT_NOTE,
-    CHECK_HEADS,
-    CHECK_NOTE,
-    LIMIT_HEADS,
-    LIMIT_NOTE,
-    NEAREST_HEADS,
-    agreement_heads,
-    agreement_rows,
     agreement_sentence,
-    by_evidence,
-    chance,
-    check_rows,
     correlation,
     digits,
     left_in_words,
-    limit_rows,
-    nearest_note,
-    nearest_rows,
     noise_in_words,
     noise_label,
-    places,
 )
 from cell.lab.strength.compare import NOTICEABLE, Comparison
 from cell.lab.strength.profiles import ParameterProfile, profile_sentences
@@ -53,16 +47,6 @@ LEAST_CORRELATION = 0.2
 MOST_ABOVE = 3
 
 _TEMPLATES = Path(__file__).parent / "templates"
-
-
-@dataclass(frozen=True)
-class _Part:
-    """A table of a page with its title, a sentence above and a note below."""
-
-    title: str
-    table: HtmlTable
-    note: str
-    says: str = ""
 
 
 @dataclass(frozen=True)
@@ -79,7 +63,7 @@ class _Where:
     """Profiles of an error over all trials, and a line for each."""
 
     profiles: Plot
-    table: HtmlTable
+    table: TableData
 
 
 @dataclass(frozen=True)
@@ -122,17 +106,20 @@ def diagnosis_page(
         warnings=warning_lines(diagnosis.warnings),
         steps=steps,
         waterfall=Plot.of(waterfall(diagnosis)),
-        nearest=_nearest(diagnosis),
-        nearest_note=nearest_note(diagnosis),
+        nearest=nearest_table(diagnosis) if diagnosis.nearest else None,
         laws=_laws(diagnosis, model),
         parameters=_parameters(diagnosis),
         ranking=Plot.of(ranking(diagnosis)) if diagnosis.ranking else None,
-        effects=_everything(diagnosis),
-        statuses=_statuses(diagnosis),
-        parts=_parts(diagnosis),
+        effects=ranking_table(diagnosis),
+        agreement=agreement_sentence(diagnosis.agreement),
+        tables=[
+            checks_table(diagnosis.checks) if diagnosis.checks else None,
+            limits_table(diagnosis) if diagnosis.limits else None,
+            agreement_table(diagnosis.agreement) if diagnosis.agreement else None,
+        ],
         left=_where(series),
         shown=_trials(series),
-        cable=_cable(model),
+        cable=model_table(model),
     )
 
 
@@ -177,7 +164,7 @@ def profile_page(study: str, found: Sequence[ParameterProfile]) -> str:
         f"Profiles of {study}",
         remarks=profile_sentences(found),
         curves=Plot.of(profile_curves(found)),
-        profiles=HtmlTable(heads, rows, (1, 2, 3, 4)),
+        profiles=TableData("", heads, rows, (1, 2, 3, 4)),
     )
 
 
@@ -198,7 +185,7 @@ def _series(comparisons: Sequence[Comparison]) -> list[Series]:
     ]
 
 
-def _models(comparisons: Sequence[Comparison]) -> HtmlTable:
+def _models(comparisons: Sequence[Comparison]) -> TableData:
     """Errors of models as numbers."""
     first = comparisons[0]
     over = f"over {noise_label(first.noise_is_stated)}"
@@ -214,7 +201,7 @@ def _models(comparisons: Sequence[Comparison]) -> HtmlTable:
         ]
         for c in comparisons
     ]
-    return HtmlTable(heads, rows, (2, 3, 4, 5))
+    return TableData("", heads, rows, (2, 3, 4, 5))
 
 
 def _names(diagnosis: Diagnosis) -> str:
@@ -244,7 +231,7 @@ def _where(series: Sequence[Series]) -> _Where:
         left = left_in_words(last, series[-1].comparison)
         rows.append([trial.name, role, *errors, left, _goes_with(wheres[0])])
     numbers = range(2, 2 + len(series))
-    return _Where(Plot.of(profiles(series)), HtmlTable(heads, rows, numbers))
+    return _Where(Plot.of(profiles(series)), TableData("", heads, rows, numbers))
 
 
 def _goes_with(where: TrialResidual) -> str:
@@ -269,7 +256,7 @@ def _trials(series: Sequence[Series]) -> list[_Trial]:
     return found
 
 
-def _parameters(diagnosis: Diagnosis) -> HtmlTable:
+def _parameters(diagnosis: Diagnosis) -> TableData:
     rows = [
         [
             " or ".join((f.effect, *f.tied_with)),
@@ -281,7 +268,7 @@ def _parameters(diagnosis: Diagnosis) -> HtmlTable:
         for f in diagnosis.missing
         for name, p in f.parameters.items()
     ]
-    return HtmlTable(["effect", "parameter", "value", "95 % interval", "unit"], rows, (2, 3))
+    return TableData("", ["effect", "parameter", "value", "95 % interval", "unit"], rows, (2, 3))
 
 
 def _laws(diagnosis: Diagnosis, model: Identified) -> list[_Law]:
@@ -293,53 +280,3 @@ def _laws(diagnosis: Diagnosis, model: Identified) -> list[_Law]:
             first, *others = inspect.cleandoc(effect.__doc__ or "").split("\n\n")
             laws.append(_Law(effect.name, first, others))
     return laws
-
-
-def _everything(diagnosis: Diagnosis) -> HtmlTable:
-    """The evidence for every effect."""
-    rows = [
-        [r.effect, places(r.score, 1), chance(r.p_value), r.status.replace("_", " ")]
-        for r in by_evidence(diagnosis)
-    ]
-    return HtmlTable(["effect", "χ² explained", "p", "status"], rows, (1, 2))
-
-
-def _statuses(diagnosis: Diagnosis) -> str:
-    """What the statuses in that table mean."""
-    shown = dict.fromkeys(r.status for r in diagnosis.ranking)
-    return "; ".join(f"{s.replace('_', ' ')}: {STATUSES[s]}" for s in shown)
-
-
-def _nearest(diagnosis: Diagnosis) -> HtmlTable | None:
-    """Of an unexplained study: the effects that leave least."""
-    if not diagnosis.nearest:
-        return None
-    return HtmlTable(NEAREST_HEADS, nearest_rows(diagnosis), (1, 2, 3))
-
-
-def _parts(diagnosis: Diagnosis) -> list[_Part]:
-    """What the verdict rests on, what the study excludes, and whether its trials agree."""
-    parts = []
-    if diagnosis.checks:
-        checks = HtmlTable(CHECK_HEADS, check_rows(diagnosis.checks), (1, 2))
-        parts.append(_Part("What the verdict rests on", checks, CHECK_NOTE))
-    if diagnosis.limits:
-        limits = HtmlTable(LIMIT_HEADS, limit_rows(diagnosis), (2, 3))
-        parts.append(_Part("What the study excludes", limits, LIMIT_NOTE))
-    if found := diagnosis.agreement:
-        numbers = range(1, len(found) + 1)
-        table = HtmlTable(agreement_heads(found), agreement_rows(found), numbers)
-        said = agreement_sentence(found)
-        parts.append(_Part("Estimates per trial", table, AGREEMENT_NOTE, said))
-    return parts
-
-
-def _cable(model: Identified) -> HtmlTable:
-    low, high = model.interval()
-    rows = [
-        [name, digits(value, 4), _range(lo, hi), unit]
-        for name, value, lo, hi, unit in zip(
-            model.space.names, model.values, low, high, model.space.units, strict=True
-        )
-    ]
-    return HtmlTable(["parameter", "value", "95 % interval", "unit"], rows, (1, 2))

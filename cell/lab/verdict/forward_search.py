@@ -53,7 +53,7 @@ class Confirmation:
         if self.gain < -rules.heldout_gain:
             return False
         seen = self.log_lr()
-        plain = 2.0 * seen < rules.heldout_insensitive * self.delta_chi2
+        plain = 2.0 * seen < rules.small_share * self.delta_chi2
         return seen < rules.least_visible and plain
 
 
@@ -107,7 +107,7 @@ class ConfirmedEffects:
         least_m2 = rules.first_share * noise_m2
         if fits.added(small):
             excess_m2 = max(base.rms_m**2 - noise_m2, 0.0)
-            least_m2 = max(rules.more_share * noise_m2, rules.excess_share * excess_m2)
+            least_m2 = max(rules.slight_share * noise_m2, rules.negligible_share * excess_m2)
         return Confirmation(
             gain=gain.heldout,
             fall_m2=small.heldout.rms_m**2 - large.heldout.rms_m**2,
@@ -131,16 +131,16 @@ def searched(
         if better is None:
             return []
         several = len(fits.added(better)) > 1
-        if several and not _hopeless_search(fits, better, rules, rules.unexchanged_left):
+        if several and not _hopeless_search(fits, better, rules, rules.most_share):
             better = exchanged(space, better, criterion.better, in_time)
         better = pruned(space, better, criterion.needed)
         _LOG.info("with %s: %s", ", ".join(sorted(better.names)), errors_in_words(better))
         return [better]
 
     for step, (current,) in enumerate(levels(base, space.extended, kept)):
-        if step == rules.max_effects or Evidence(fits, base, current, rules).below_stated:
+        if step == rules.most_named or Evidence(fits, base, current, rules).below_stated:
             break
-        if _hopeless_search(fits, current, rules, rules.hopeless_left):
+        if _hopeless_search(fits, current, rules, rules.small_share):
             break
         if current is not base and not in_time():  # beside the baseline all were refitted already
             return current, True
@@ -193,7 +193,7 @@ def with_ties(
     added = fits.added(found)
     tied = {e.name: _tied(fits, found, e, rules) for e in added}
     for effect in added if len(added) > 1 else ():
-        if len(tied[effect.name]) + 1 > rules.max_tied:
+        if len(tied[effect.name]) + 1 > rules.most_named:
             rest = fits.fit_reduced(found, effect)
             if explains(Evidence(fits, base, rest, rules)):
                 return with_ties(fits, base, rest, rules)

@@ -228,5 +228,5 @@ def largest_step(
     best = int(np.argmin([a.mean_square_m2 for a in left]))
     share = removed_share(prepared.noise_model.noise.std_m, before, left[best])
     by_fit = fits.gain(current, options[best]).p_value * library
-    sound = max(adjusted[best], by_fit) < rules.significance and share > rules.least_share
+    sound = max(adjusted[best], by_fit) < rules.significance and share > rules.most_share
     return options[best] if sound else None

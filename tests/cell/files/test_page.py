@@ -9,7 +9,8 @@ import pytest
 from jinja2 import UndefinedError
 
 from cell.files.figure_style import laid_out
-from cell.files.page import HtmlTable, Picture, Plot, code, page
+from cell.files.page import Picture, Plot, code, page
+from cell.files.table import TableData
 
 TEMPLATE = """{% extends "page.html" %}{% from "parts.html" import table, plot, pictures %}
 {% block content %}{{ table(rows) }}{{ plot(figure) }}{{ pictures(shown, 100) }}{% endblock %}"""
@@ -20,7 +21,7 @@ def made(tmp_path: Path, **given: object) -> str:
     (tmp_path / "t.html").write_text(TEMPLATE, encoding="utf-8")
     figure = laid_out(go.Figure().add_scatter(x=[1], y=[2], name="</script>"), 300)
     content = {
-        "rows": HtmlTable(["a", EVIL], [["1", EVIL]], (0,)),
+        "rows": TableData("", ["a", EVIL], [["1", EVIL]], (0,)),
         "figure": Plot.of(figure),
         "shown": [Picture.of(np.zeros((10, 20, 3), np.uint8), 10, "one_two")],
     }

@@ -33,6 +33,7 @@ from cell.lab.data.check import Answer
 from cell.lab.data.cycles import RecordedCycle, read_cycles
 from cell.lab.data.selection import select_effects
 from cell.lab.fit.shared import SharedFit, Spread, along_end, fit_shared, prepared_cycle
+from cell.lab.line.cables_space import ALL_PASSES, CablesSpace, library_first
 from cell.lab.line.candidate import lines_of, section, write_candidate
 from cell.lab.line.effect_fit import TIE, Budget, EffectFit
 from cell.lab.line.forecasts import ForecastPair, forecasts
@@ -40,7 +41,6 @@ from cell.lab.line.gates import Judgement, best_judged, gates, judge
 from cell.lab.line.learn import LearningResult, learn, negligible
 from cell.lab.line.lesson_checks import lesson_answers, lesson_verdict
 from cell.lab.line.lesson_questions import LineEvidence
-from cell.lab.line.lesson_search import ALL_PASSES, Search, library_first
 from cell.lab.line.next_cable import asked, open_to
 from cell.lab.next.discover import Laws, laws_in
 from cell.lab.next.motion_file import load_motion
@@ -358,7 +358,7 @@ def test_a_second_effect_that_explains_all_does_not_keep_the_first(lesson: Learn
     task = cell_task(SETTINGS)
     base = task.identification.kind.space(task.cable, lesson.cycles[0].study.gravity_m_per_s2)
     prepared = [prepared_cycle(c.whole) for c in lesson.cycles[:2]]
-    search = Search(tuple(prepared), base, lesson.baseline.q[:2], 2, Budget(), lambda _: None)
+    search = CablesSpace(tuple(prepared), base, lesson.baseline.q[:2], 2, Budget(), lambda _: None)
     alone = [
         fit_shared([p], base, q[None]) for p, q in zip(prepared, lesson.baseline.q, strict=False)
     ]

@@ -11,6 +11,8 @@ import pytest
 from rich.console import Console
 
 from cell.cable.effects import library
+from cell.cli.text_table import text_table
+from cell.files.table import TableData
 from cell.identify.gauss_newton import Options
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy, all_fitted
@@ -41,7 +43,7 @@ def told(study, names):
     """A diagnosis as the command ends with it: JSON and text."""
     fits = fit_cache_of(study, names)
     examination = with_agreement(diagnose(fits))
-    ends = (fits.baseline(), examination.steps[-1])
+    ends = (examination.fits.baseline(), examination.steps[-1])
     comparisons = [compare_model(study, c.fit.model) for c in ends]
     todo = advice(examination.diagnosis, Paths(Path("STUDY")))
     return examination, printed(examination.diagnosis, comparisons, todo)
@@ -49,7 +51,9 @@ def told(study, names):
 
 def printed(diagnosis, comparisons, todo):
     shown = io.StringIO()
-    show(Console(file=shown, width=200), *diagnosis_parts(diagnosis, comparisons, todo))
+    parts = diagnosis_parts(diagnosis, comparisons, todo)
+    texts = [text_table(p) if isinstance(p, TableData) else p for p in parts]
+    show(Console(file=shown, width=200), *texts)
     return shown.getvalue()
 
 

@@ -1,4 +1,4 @@
-"""The search for the effect that a model of several cables lacks: in each cable, then in all."""
+"""Sets of effects fitted to several cables, as a space that is searched: each alone, then all."""
 
 from __future__ import annotations
 
@@ -60,8 +60,8 @@ def library_first(ranked: Sequence[EffectFit]) -> list[EffectFit]:
 
 
 @dataclass(frozen=True, eq=False)
-class Search:
-    """Looks for the next effect on a few cables.
+class CablesSpace:
+    """Effects fitted to a few cables beside those that their model has.
 
     base       parameters of one cable without the shared effects
     plausible  (cables, own) where refits begin: each cable as its hold shows it, frames weighed by
