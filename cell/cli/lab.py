@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import gc
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -21,10 +20,6 @@ from cell.files.rescue import no_room, remedy
 
 if TYPE_CHECKING:
     from cell.files.table import TableData
-    from cell.lab.data.progress import Progress
-    from cell.lab.data.results import Agreement, Doubt
-    from cell.lab.data.selection import EffectSelection
-    from cell.lab.search.fit_cache import FitCache
     from cell.lab.strength.compare import Comparison
     from cell.lab.strength.profiles import ParameterProfile
     from cell.terminal.progress import ProgressLine
@@ -108,14 +103,8 @@ def fit(
     force: Force = False,
 ) -> None:
     """Fit the cable's parameters, and those of effects, to the study's `fit` trials."""
-    from cell.lab.data.results import agreement_json
+    from cell.api.lab import fitted, set_up
     from cell.lab.data.selection import select_effects
-    from cell.lab.report.model_tables import errors_line, model_table
-    from cell.lab.report.tables import agreement_table, warning_lines
-    from cell.lab.report.wording import agreement_sentence
-    from cell.lab.strength.fitted_study import fit_study
-    from cell.lab.strength.trial_agreement import agreement
-    from cell.lab.verdict.doubts import fit_doubts, interrupted_doubt, lacking_doubt
 
     found: list[ParameterProfile] = []
     said: list[str] = []
@@ -125,40 +114,29 @@ def fit(
         answering() as interrupted,
     ):
         selection = select_effects(effect or [])
-        fits = _explorer(study, selection, prior, progress, config)
-        model, candidate, fitted_to = fit_study(fits)
-        warnings: tuple[Doubt, ...] = lacking_doubt(model.lacks)
-        trials: Sequence[Agreement] = ()
+        result = fitted(set_up(study, selection, prior, config, progress, tell_notes))
         with suppress(KeyboardInterrupt):
-            warnings = (*fit_doubts(fits, candidate), *warnings)
-            trials = agreement(fitted_to, candidate.fit, progress)
-            if profile is not None:
+            if profile is not None and not interrupted:
                 from cell.lab.strength.profiles import each_profile, profile_sentences
 
-                for one in each_profile(fitted_to, candidate.fit, model, progress):
+                at = result.weighed, result.candidate.fit, result.model
+                for one in each_profile(*at, progress):
                     found.append(one)
                     said = [f"{sentence}." for sentence in profile_sentences(found)]
-        if interrupted:
-            what = "the computations after the fit are missing or incomplete"
-            warnings = (interrupted_doubt(what), *warnings)
-    written = model.to_dict() | {
-        "warnings": [vars(w) for w in warnings],
-        "agreement": agreement_json(trials),
-    }
+        result = result.interrupted() if interrupted else result
+    written = result.to_json()
     if profile is not None:
         written["profiles"] = [p.to_json() for p in found]
 
     def printed() -> None:
         if print_result(written, out, as_json):
-            errors = errors_line(fits.prepared, candidate.errors)
-            apart = (agreement_sentence(trials), agreement_table(trials)) if trials else ()
-            show(*warning_lines(warnings), errors, model_table(model), *apart, *said)
+            show(*result.parts(), *said)
 
     def page(path: Path) -> None:
         from cell.files.page import write_page
         from cell.lab.report.report import profile_page
 
-        write_page(profile_page(fits.prepared.study.name, found), path)
+        write_page(profile_page(result.prepared.study.name, found), path)
 
     deliver(printed, *json_files(written, out, as_json), (profile if found else None, page))
     if interrupted:
@@ -178,6 +156,13 @@ def compare(
             "--effect", help="The file.py of an effect in the model, if the file was moved."
         ),
     ] = None,
+    residuals: Annotated[
+        Path | None,
+        typer.Option(
+            "--residuals",
+            help="Write measured − predicted, m, to this folder: MODEL/TRIAL.csv.",
+        ),
+    ] = None,
     results: Results = None,
     report: ReportFile = None,
     force: Force = False,
@@ -187,15 +172,10 @@ def compare(
     Give several models in the order in which they were made.  Their errors are shown side by side:
     how the error falls as effects are added, and maps before and after.
     """
+    from cell.api.results import CompareResult
     from cell.lab.data.opened_study import open_study
-    from cell.lab.report.model_tables import (
-        comparison_sentence,
-        comparison_table,
-        comparisons_table,
-        correlations_table,
-    )
     from cell.lab.search.setup import read_models
-    from cell.lab.strength.compare import compare_model, comparisons_json, model_names
+    from cell.lab.strength.compare import compare_model, model_names
 
     with refusing(*results or [], report, force=force), working("compare") as progress:
         opened = open_study(study)
@@ -205,18 +185,14 @@ def compare(
         for m, name in zip(individuals, model_names(model), strict=True):
             progress(f"comparing {name}", len(comparisons), len(individuals))
             comparisons.append(compare_model(opened, m.model, name))
-    data = comparisons_json(comparisons)
+        result = CompareResult(tuple(comparisons))
+        if residuals is not None:
+            result.write_residuals(residuals)
+    data = result.to_json()
 
     def printed() -> None:
         if print_result(data, *results or []):
-            last = comparisons[-1]
-            side_by_side = [comparisons_table(comparisons)] if len(comparisons) > 1 else []
-            show(
-                comparison_sentence(comparisons),
-                *side_by_side,
-                comparison_table(last),
-                correlations_table(last),
-            )
+            show(*result.parts())
 
     def page(path: Path) -> None:
         from cell.files.page import write_page
@@ -239,48 +215,23 @@ def diagnose(
     force: Force = False,
 ) -> None:
     """Find the physical effect that the model lacks, if it lacks one."""
-    from cell.lab.data.results import to_json
+    from cell.api.lab import diagnosed, examined, set_up
     from cell.lab.data.selection import select_for_diagnosis
-    from cell.lab.next.advice import Paths, advice
-    from cell.lab.report.tables import diagnosis_parts
-    from cell.lab.strength.compare import compare_model
-    from cell.lab.strength.kept_model import identified
-    from cell.lab.verdict.diagnose import diagnose as diagnose_study
-    from cell.lab.verdict.limits_and_agreement import with_agreement, with_limits
 
     with refusing(*results or [], report, force=force), working("diagnose") as progress:
         selection = select_for_diagnosis(effect or [], known or [])
-        fits = _explorer(study, selection, prior, progress, config)
+        fits = set_up(study, selection, prior, config, progress, tell_notes)
         gc.freeze()  # what is loaded stays: not looked through for garbage again and again
         with stoppable(fits.work.stop) as interrupted:
-            examination = with_agreement(with_limits(diagnose_study(fits)))
-        fits = examination.fits
-        steps = [fits.prior_candidate(), *examination.steps[1:]]
-        shown = steps if report else [steps[0], *steps[1:][-1:]]
-        comparisons = [compare_model(fits.prepared.study, c.fit.model) for c in shown]
-        in_model = fits.space.effects
-        todo = advice(
-            examination.diagnosis,
-            Paths.of(study, [*in_model, *fits.library.values()]),
-            known=tuple(e.name for e in in_model),
-            accepted=tuple(e.name for e in examination.accepted.effects if e not in in_model),
-        )
-    diagnosis = examination.diagnosis
-    data = to_json(diagnosis)
+            examination = examined(fits)
+        result = diagnosed(examination, study, every_step=report is not None)
+    data = result.to_json()
 
     def printed() -> None:
         if print_result(data, *results or []):
-            show(*diagnosis_parts(diagnosis, comparisons, todo))
+            show(*result.parts())
 
-    def page(path: Path) -> None:
-        from cell.files.page import write_page
-        from cell.lab.report.report import diagnosis_page
-
-        fitted = examination.steps[-1].fit
-        model = identified(fits.prepared, fitted, fits.library.values())
-        write_page(diagnosis_page(diagnosis, comparisons, model, todo), path)
-
-    deliver(printed, *json_files(data, *results or []), (report, page))
+    deliver(printed, *json_files(data, *results or []), (report, result.write_report))
     if interrupted:
         raise typer.Exit(interrupted.code)
 
@@ -321,6 +272,7 @@ def discover(
     force: Force = False,
 ) -> None:
     """Infer the missing law from the residual and write it as a readable effect file."""
+    from cell.api.lab import set_up
     from cell.lab.data.selection import select_effects
     from cell.lab.next.advice import Paths, after_discovery
     from cell.lab.next.discover import NothingFoundError, effect_name
@@ -331,7 +283,7 @@ def discover(
     with refusing(out, as_json, force=force), working("discover") as progress:
         effect_name(out)
         selection = select_effects(effect or [])
-        fits = _explorer(study, selection, prior, progress)
+        fits = set_up(study, selection, prior, progress=progress, tell=tell_notes)
         with stoppable(fits.work.stop) as interrupted:
             try:
                 discovery = discover_effect(fits, out)
@@ -377,10 +329,10 @@ def suggest(
     force: Force = False,
 ) -> None:
     """Suggest the safe motion that best distinguishes the remaining candidates, and its power."""
+    from cell.api.lab import set_up
+    from cell.api.results import SuggestResult
     from cell.lab.data.selection import select_for_diagnosis
     from cell.lab.next.suggest import suggest_motion
-    from cell.lab.next.suggestion import write_motion
-    from cell.lab.report.model_tables import suggestion_table
     from cell.lab.report.tables import verdict_line, warning_lines
     from cell.lab.verdict.diagnose import diagnose as diagnose_study
     from cell.settings.surroundings import Surroundings
@@ -388,23 +340,23 @@ def suggest(
     with refusing(out, as_json, force=force), working("suggest") as progress:
         surroundings = Surroundings.read(config)
         selection = select_for_diagnosis(effect or [], known or [])
-        fits = _explorer(study, selection, prior, progress, config)
+        fits = set_up(study, selection, prior, config, progress, tell_notes)
         with stoppable(fits.work.stop) as interrupted:
             diagnosed = diagnose_study(fits)
         if interrupted:
             show(verdict_line(diagnosed.diagnosis), *warning_lines(diagnosed.diagnosis.warnings))
             raise typer.Exit(interrupted.code)
         with answering() as interrupted:
-            suggestion = suggest_motion(diagnosed, surroundings)
+            result = SuggestResult(suggest_motion(diagnosed, surroundings))
         if interrupted:
             tell_notes(["interrupted: the result is the best of the motions evaluated so far"])
-    data = suggestion.to_json()
+    data = result.to_json()
 
     def printed() -> None:
         if print_result(data, as_json):
-            show(suggestion_table(suggestion))
+            show(*result.parts())
 
-    deliver(printed, (out, partial(write_motion, suggestion)), *json_files(data, as_json))
+    deliver(printed, (out, result.write), *json_files(data, as_json))
     if interrupted:
         raise typer.Exit(interrupted.code)
 
@@ -433,35 +385,6 @@ def refusing(*outputs: Path | None, force: bool = False) -> Iterator[None]:
             raise
         print(f"{error.filename}: {error.strerror}; {remedy(error)}", file=sys.stderr)
         raise typer.Exit(BAD_INPUT) from error
-
-
-def _explorer(
-    folder: Path,
-    selection: EffectSelection,
-    prior: Path | None,
-    progress: Progress,
-    config: Path | None = None,
-) -> FitCache:
-    """A study made ready, with the model files and settings that the command line names.
-
-    What is odd about the study is told.
-    """
-    from cell.lab.data.opened_study import open_study
-    from cell.lab.search.setup import fit_cache_of, read_kind, read_prior
-    from cell.lab.search.wrong_samples import without_wrong_samples
-
-    study = open_study(folder)
-    tell_notes(study.notes)
-    fits = fit_cache_of(
-        study,
-        selection,
-        read_prior(prior, selection.own),
-        progress,
-        read_kind(config),
-    )
-    fits, more = without_wrong_samples(fits)
-    tell_notes(more)
-    return fits
 
 
 def working(command: str) -> ProgressLine:
