@@ -120,7 +120,7 @@ holds: $(VENV)/.dev   ## insertion rate and stated probability, holds fixed and 
 	$(BIN)/python -m tools.studies.hold_study holds.csv
 
 flights: $(VENV)/.dev   ## insertion rate with and without correction in flight, by disturbance, ~1 h
-	$(BIN)/python -m tools.studies.flight_study flights.csv --half-mm 2
+	$(BIN)/python -m tools.studies.flight_study flights.csv --half-mm 2 --window-s 0.25
 
 mouths: $(VENV)/.dev   ## insertion rate by the mouth's height, offsets alone and freely, ~30 min
 	$(BIN)/python -m tools.studies.mouth_study mouths.csv

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,8 +11,15 @@ from typing import TYPE_CHECKING
 from cell.api.results import CompareResult, DiagnoseResult, FitResult, SuggestResult
 from cell.identify.identified import Identified
 from cell.lab.data.opened_study import open_study
+from cell.lab.data.own_check import read_own_checks
 from cell.lab.data.progress import Progress, no_progress
-from cell.lab.data.selection import EffectSelection, select_effects, select_for_diagnosis
+from cell.lab.data.selection import (
+    EffectSelection,
+    candidates_in,
+    select_effects,
+    select_for_diagnosis,
+)
+from cell.lab.data.thresholds import DEFAULT_RULES, Rules
 from cell.lab.fit.individual_model import check_same_kind, read_model
 from cell.lab.next.advice import Paths, advice
 from cell.lab.search.setup import fit_cache_of, read_kind, read_prior
@@ -19,6 +27,7 @@ from cell.lab.search.wrong_samples import without_wrong_samples
 from cell.lab.strength.compare import compare_model
 from cell.lab.strength.fitted_study import fit_study
 from cell.lab.strength.trial_agreement import agreement
+from cell.lab.verdict.checks import CHECKS
 from cell.lab.verdict.diagnose import diagnose as examine
 from cell.lab.verdict.doubts import fit_doubts, lacking_doubt
 from cell.lab.verdict.limits_and_agreement import with_agreement, with_limits
@@ -87,7 +96,9 @@ def diagnose(
     study: StudyOrFolder,
     *,
     effects: Sequence[str] = (),
+    candidates: Path | str | None = None,
     known: Sequence[str] = (),
+    checks: Sequence[Path | str] = (),
     prior: Path | str | None = None,
     config: Path | str | None = None,
     progress: Progress = no_progress,
@@ -95,12 +106,21 @@ def diagnose(
     """Find the physical effect that the model lacks, if it lacks one.
 
     effects  files of your own effects, tried beside the library
+    candidates  a folder of such files, of which those that cannot be used are left out, with a
+             warning; one that could do more than compute is not run
     known    effects that are part of the model
+    checks   files of your own questions, asked beside those of the lab
     other arguments and errors as of `fit`
     """
-    selection = select_for_diagnosis(effects, known)
+    rules, tried = rules_with(checks), list(effects)
+    if candidates is not None:
+        good, refused = candidates_in(Path(candidates), progress)
+        tried += good
+        for why in refused:
+            warnings.warn(why, stacklevel=2)
+    selection = select_for_diagnosis(tried, known)
     fits = set_up(study, selection, prior, config, progress)
-    return diagnosed(examined(fits), _place(study))
+    return diagnosed(examined(fits, rules), _place(study))
 
 
 def suggest(
@@ -162,9 +182,14 @@ def fitted(fits: FitCache) -> FitResult:
         return result.interrupted()
 
 
-def examined(fits: FitCache) -> Examination:
+def rules_with(checks: Sequence[Path | str]) -> Rules:
+    """The lab's limits, and a user's own checks.  Raises InputError, FileNotFoundError."""
+    return replace(DEFAULT_RULES, own=tuple(read_own_checks(checks, [c.name for c in CHECKS])))
+
+
+def examined(fits: FitCache, rules: Rules = DEFAULT_RULES) -> Examination:
     """A study that was made ready, with all that is asked of it; stopped, what is known by then."""
-    return with_agreement(with_limits(examine(fits)))
+    return with_agreement(with_limits(examine(fits, rules)))
 
 
 def diagnosed(examination: Examination, folder: Path, *, every_step: bool = True) -> DiagnoseResult:

@@ -6,6 +6,7 @@ import gc
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,6 +14,7 @@ import typer
 
 from cell.cli.delivery import deliver, json_files
 from cell.cli.given import folder_of
+from cell.cli.options import taking
 from cell.cli.result_json import STDOUT, Json, JsonCommand, print_result
 from cell.cli.shared import BAD_INPUT, answering, group, stoppable, tell_notes
 from cell.files.overwriting import check_apart, check_output
@@ -20,6 +22,7 @@ from cell.files.rescue import no_room, remedy
 
 if TYPE_CHECKING:
     from cell.files.table import TableData
+    from cell.lab.data.progress import Progress
     from cell.lab.strength.compare import Comparison
     from cell.lab.strength.profiles import ParameterProfile
     from cell.terminal.progress import ProgressLine
@@ -45,6 +48,14 @@ EffectOption = Annotated[
         "--effect",
         help="A file.py with an effect of your own: it is tried beside the library. A name that "
         "is tried anyway: it is part of the model.",
+    ),
+]
+Candidates = Annotated[
+    Path | None,
+    typer.Option(
+        "--candidates",
+        help="A folder of files with effects, written by people or programs; all are tried beside "
+        "the library. A file that could do more than compute is left out.",
     ),
 ]
 Known = Annotated[
@@ -203,35 +214,68 @@ def compare(
     deliver(printed, *json_files(data, *results or []), (report, page))
 
 
+@dataclass(frozen=True)
+class _Sought:
+    """A study, and what is tried in it."""
+
+    study: StudyFolder
+    effect: EffectOption = None
+    candidates: Candidates = None
+    known: Known = None
+    prior: PriorFile = None
+
+    def effects(self, progress: Progress) -> list[str]:
+        """Effects that are tried beside the library; those that cannot be are told."""
+        from cell.lab.data.selection import candidates_in
+
+        if self.candidates is None:
+            return self.effect or []
+        good, refused = candidates_in(self.candidates, progress)
+        tell_notes(refused)
+        return [*(self.effect or []), *good]
+
+
+@dataclass(frozen=True)
+class _Diagnose(_Sought):
+    """Options of `cell diagnose`."""
+
+    config: LineModel = None
+    check: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--check", help="A file.py with a question of your own to what the model leaves."
+        ),
+    ] = None
+    results: Results = None
+    report: ReportFile = None
+    force: Force = False
+
+
 @app.command(cls=JsonCommand)
-def diagnose(
-    study: StudyFolder,
-    effect: EffectOption = None,
-    known: Known = None,
-    prior: PriorFile = None,
-    config: LineModel = None,
-    results: Results = None,
-    report: ReportFile = None,
-    force: Force = False,
-) -> None:
+@taking(_Diagnose)
+def diagnose(given: _Diagnose) -> None:
     """Find the physical effect that the model lacks, if it lacks one."""
-    from cell.api.lab import diagnosed, examined, set_up
+    from cell.api.lab import diagnosed, examined, rules_with, set_up
     from cell.lab.data.selection import select_for_diagnosis
 
-    with refusing(*results or [], report, force=force), working("diagnose") as progress:
-        selection = select_for_diagnosis(effect or [], known or [])
-        fits = set_up(study, selection, prior, config, progress, tell_notes)
+    with (
+        refusing(*given.results or [], given.report, force=given.force),
+        working("diagnose") as progress,
+    ):
+        selection = select_for_diagnosis(given.effects(progress), given.known or [])
+        rules = rules_with(given.check or [])
+        fits = set_up(given.study, selection, given.prior, given.config, progress, tell_notes)
         gc.freeze()  # what is loaded stays: not looked through for garbage again and again
         with stoppable(fits.work.stop) as interrupted:
-            examination = examined(fits)
-        result = diagnosed(examination, study, every_step=report is not None)
+            examination = examined(fits, rules)
+        result = diagnosed(examination, given.study, every_step=given.report is not None)
     data = result.to_json()
 
     def printed() -> None:
-        if print_result(data, *results or []):
+        if print_result(data, *given.results or []):
             show(*result.parts())
 
-    deliver(printed, *json_files(data, *results or []), (report, result.write_report))
+    deliver(printed, *json_files(data, *given.results or []), (given.report, result.write_report))
     if interrupted:
         raise typer.Exit(interrupted.code)
 
@@ -311,23 +355,25 @@ def discover(
         raise typer.Exit(interrupted.code)
 
 
-@app.command(cls=JsonCommand)
-def suggest(
-    study: StudyFolder,
+@dataclass(frozen=True)
+class _Suggest(_Sought):
+    """Options of `cell suggest`."""
+
     out: Annotated[
         Path | None,
         typer.Option("-o", "--out", help="Write the motion to this file, for `cell run --motion`."),
-    ] = None,
+    ] = None
     config: Annotated[
         Path | None,
         typer.Option("--config", "-c", help="Settings of the cell: its limits and `model`."),
-    ] = None,
-    effect: EffectOption = None,
-    known: Known = None,
-    prior: PriorFile = None,
-    as_json: Json = None,
-    force: Force = False,
-) -> None:
+    ] = None
+    as_json: Json = None
+    force: Force = False
+
+
+@app.command(cls=JsonCommand)
+@taking(_Suggest)
+def suggest(given: _Suggest) -> None:
     """Suggest the safe motion that best distinguishes the remaining candidates, and its power."""
     from cell.api.lab import set_up
     from cell.api.results import SuggestResult
@@ -337,10 +383,10 @@ def suggest(
     from cell.lab.verdict.diagnose import diagnose as diagnose_study
     from cell.settings.surroundings import Surroundings
 
-    with refusing(out, as_json, force=force), working("suggest") as progress:
-        surroundings = Surroundings.read(config)
-        selection = select_for_diagnosis(effect or [], known or [])
-        fits = set_up(study, selection, prior, config, progress, tell_notes)
+    with refusing(given.out, given.as_json, force=given.force), working("suggest") as progress:
+        surroundings = Surroundings.read(given.config)
+        selection = select_for_diagnosis(given.effects(progress), given.known or [])
+        fits = set_up(given.study, selection, given.prior, given.config, progress, tell_notes)
         with stoppable(fits.work.stop) as interrupted:
             diagnosed = diagnose_study(fits)
         if interrupted:
@@ -353,10 +399,10 @@ def suggest(
     data = result.to_json()
 
     def printed() -> None:
-        if print_result(data, as_json):
+        if print_result(data, given.as_json):
             show(*result.parts())
 
-    deliver(printed, (out, result.write), *json_files(data, as_json))
+    deliver(printed, (given.out, result.write), *json_files(data, given.as_json))
     if interrupted:
         raise typer.Exit(interrupted.code)
 

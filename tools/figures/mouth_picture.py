@@ -19,6 +19,7 @@ NAMES = {
     "offsets": ("21 offsets, at once", "#9e9e9e", "o"),
     "and moment": ("any offset and moment", "#1565c0", "s"),
     "and pace": ("and pace", "#2e7d32", "^"),
+    "and feedback": ("and corrected in flight", "#c62828", "D"),
 }
 
 
@@ -43,7 +44,7 @@ def main() -> None:
     heights = sorted({half_mm for _, half_mm in found}, reverse=True)
     for index, (name, (label, colour, marker)) in enumerate(NAMES.items()):
         known = [(place, found[name, h]) for place, h in enumerate(heights) if (name, h) in found]
-        places = [place + 0.06 * (index - 1) for place, _ in known]
+        places = [place + 0.06 * (index - 1.5) for place, _ in known]
         share = [100.0 * k / n for _, (k, n) in known]
         low = [s - 100.0 * beta.ppf(0.025, k, n - k + 1) if k else 0.0
                for s, (_, (k, n)) in zip(share, known, strict=True)]  # fmt: skip

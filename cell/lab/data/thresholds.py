@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from cell.lab.data.noise_floor import KNOWN_WITHIN
+from cell.lab.data.own_check import OwnCheck
 
 #: Probability of calling something an effect, a law, a disagreement that is none, for all tests of
 #: a question together.
@@ -60,6 +61,8 @@ class Rules:
     max_refits       of the screen that are refitted, besides all that are not smooth
     max_simulated_s  after so many seconds of motion simulated no further effect is sought; some
                      twenty seconds on two cores, and as much again for what was begun
+
+    own              a user's own questions, asked beside those of the lab
     """
 
     significance: float = SIGNIFICANCE
@@ -84,6 +87,7 @@ class Rules:
     first_effects: int = 2
     max_refits: int = 6
     max_simulated_s: float = 40_000.0
+    own: tuple[OwnCheck, ...] = ()
 
 
 DEFAULT_RULES = Rules()

@@ -8,6 +8,7 @@ the worst of these.  Text, page, JSON and the reference in docs print these rows
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 
 from cell.lab.data.check import Answer, Check, Reading
 from cell.lab.verdict import doubts, questions
@@ -96,9 +97,31 @@ LEAVES_NOISE: tuple[Check[Evidence], ...] = (
 )
 
 
+def _of_noise(evidence: Evidence) -> Iterator[Check[Evidence]]:
+    """Whether the model leaves noise: the lab's questions, then a user's own."""
+    yield from LEAVES_NOISE
+    for own in evidence.rules.own:
+        yield Check(
+            own.name,
+            own.question,
+            "p",
+            partial(_own, name=own.name),
+            ">=",
+            "misfit_significance",
+            "unexplained",
+            f"What the model leaves is not what noise would leave: {own.question}",
+            f"the statistic of {own.file} beside its values for noise alone, Holm-corrected",
+        )
+
+
+def _own(evidence: Evidence, name: str) -> Reading | None:
+    found = evidence.own_p_values
+    return None if found is None else Reading(found[name])
+
+
 def explains(evidence: Evidence) -> bool:
     """Whether what the model leaves is noise, or of an earlier cable's error."""
-    return all(check.ask(evidence).passed is not False for check in LEAVES_NOISE)
+    return all(check.ask(evidence).passed is not False for check in _of_noise(evidence))
 
 
 def _asked_by_prior_only(evidence: Evidence) -> Reading | None:
@@ -203,7 +226,7 @@ def answers(evidence: Evidence) -> Iterator[Answer[Evidence]]:
     may be claimed is asked only of a model that leaves noise.
     """
     explained = True
-    for check in LEAVES_NOISE:
+    for check in _of_noise(evidence):
         if not explained and evidence.over_noise >= evidence.rules.gross_misfit:
             return
         answer = check.ask(evidence)

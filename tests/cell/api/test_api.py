@@ -30,7 +30,8 @@ SIGNATURES = {
     "models: 'Sequence[FitResult | Identified | Path | str]', *, "
     "names: 'Sequence[str] | None' = None) -> 'CompareResult'",
     "diagnose": "(study: 'StudyOrFolder', *, effects: 'Sequence[str]' = (), "
-    "known: 'Sequence[str]' = (), prior: 'Path | str | None' = None, "
+    "candidates: 'Path | str | None' = None, known: 'Sequence[str]' = (), "
+    "checks: 'Sequence[Path | str]' = (), prior: 'Path | str | None' = None, "
     "config: 'Path | str | None' = None, progress: 'Progress' = <function no_progress>) "
     "-> 'DiagnoseResult'",
     "suggest": "(study: 'StudyOrFolder', *, effects: 'Sequence[str]' = (), "
