@@ -1,14 +1,12 @@
-"""Insertion rate against the mouth's height, from the file of a mouth study.
+"""Insertion rate against the mouth's height, from counts of mouth and flight studies.
 
-`python -m tools.studies.mouth_study F.csv`, then
-`python -m tools.figures.mouth_picture F.csv [-o docs/images/mouths.png]`
+`python -m tools.figures.mouth_picture docs/measured/mouths.csv [-o docs/images/mouths.png]`
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
-from collections import defaultdict
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -25,12 +23,10 @@ NAMES = {
 
 def rates(rows: list[dict[str, str]]) -> dict[tuple[str, float], tuple[int, int]]:
     """Inserted and all, by what may be chosen and half the mouth's height, mm."""
-    counted: dict[tuple[str, float], list[int]] = defaultdict(lambda: [0, 0])
-    for row in rows:
-        count = counted[row["freely"], float(row["half_mm"])]
-        count[0] += row["outcome"] == "inserted"
-        count[1] += 1
-    return {key: (inserted, total) for key, (inserted, total) in counted.items()}
+    return {
+        (row["freely"], float(row["half_mm"])): (int(row["inserted"]), int(row["cables"]))
+        for row in rows
+    }
 
 
 def main() -> None:
