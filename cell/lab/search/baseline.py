@@ -75,7 +75,7 @@ class Baseline:
         space = self.space
         names = ", ".join(e.name for e in space.effects) or "no effects"
         self.progress(f"looking where to begin with {names}", 0, 3)
-        start = self._beginning(prepared)
+        start = self._start(prepared)
         self.progress(f"fitting the model with {names}", 1, 3)
         fit = fit_model(prepared, space, start, options=POLISH)
         judged = prepared.judged_by(errors_m(prepared, fit))
@@ -93,7 +93,7 @@ class Baseline:
         prepared, fit = with_slopes(found.prepared, found.fit)
         return replace(found, prepared=prepared, fit=fit)
 
-    def _beginning(self, prepared: PreparedStudy) -> FloatArray:
+    def _start(self, prepared: PreparedStudy) -> FloatArray:
         """Where the first fit begins."""
         if self.start is not None:
             return self.start

@@ -120,7 +120,7 @@ def _wrong_minimum(fits: FitCache, candidate: FittedModel) -> list[Doubt]:
 
 
 def _starts_disagree(fits: FitCache) -> list[Doubt]:
-    """Of a baseline that ends elsewhere from a second start, in EI or in its effects."""
+    """Of a baseline that a second start leads to another minimum, in EI or in its effects."""
     base, other = fits.baseline().fit, fits.second_start()
     if other is None:
         return []

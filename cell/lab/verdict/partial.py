@@ -1,7 +1,7 @@
 """Partial explanations: effects that explain most of an error but not all, and their residuals.
 
 Where no set of effects leaves noise, the model's own error is what an answer could be wrong by.  So
-it is taken for the noise here, with its colour, and the model is fitted to all trials together:
+it is taken for the noise here, with its correlation.  The model is fitted to all trials together:
 which effect makes the largest difference to what is seen is asked, not what it would forecast.
 """
 

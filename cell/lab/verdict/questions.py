@@ -213,7 +213,7 @@ def _of_part(evidence: Evidence, left: SmoothPart | None) -> Reading | None:
 
 
 def _p_value(chi2: float, count: int, dof: float) -> float:
-    """Of a χ² of `count` values whose unit is known from `freedom` others."""
+    """Of a χ² of `count` values whose unit is known from `dof` others."""
     if np.isfinite(dof):
         return float(f_sf(count, dof, chi2 / count))
     return float(chi2_sf(count, chi2))
