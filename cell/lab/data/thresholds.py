@@ -53,10 +53,9 @@ class Rules:
 
     Numbers:
     most_named       effects added one after another, tied, or told as nearest: more than three
-                     cannot be tested
+                     cannot be tested; the last is looked for only where a small part is left
     least_heldout    held-out trials that confirm an effect
     max_prior_driven effects that only an earlier cable's model asks for
-    first_effects    after so many a search that leaves more than a small part is ended
     max_refits       of the screen that are refitted, besides all that are not smooth
     max_simulated_s  after so many seconds of motion simulated no further effect is sought; some
                      twenty seconds on two cores, and as much again for what was begun
@@ -81,9 +80,13 @@ class Rules:
     most_named: int = 3
     least_heldout: int = 1
     max_prior_driven: int = 0
-    first_effects: int = 2
     max_refits: int = 6
     max_simulated_s: float = 40_000.0
+
+    @property
+    def first_effects(self) -> int:
+        """Number of effects after which a search ends that leaves more than a small part."""
+        return self.most_named - 1
 
 
 DEFAULT_RULES = Rules()
