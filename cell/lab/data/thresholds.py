@@ -54,8 +54,8 @@ class Rules:
     Numbers:
     most_named       effects added one after another, tied, or told as nearest: more than three
                      cannot be tested; the last is looked for only where a small part is left
-    least_heldout    held-out trials that confirm an effect
-    max_prior_driven effects that only an earlier cable's model asks for
+    max_unconfirmed  effects that no held-out trial confirms, or that only an earlier cable's model
+                     asks for
     max_refits       of the screen that are refitted, besides all that are not smooth
     max_simulated_s  after so many seconds of motion simulated no further effect is sought; some
                      twenty seconds on two cores, and as much again for what was begun
@@ -78,8 +78,7 @@ class Rules:
     small_share: float = 0.1
     most_share: float = 0.5
     most_named: int = 3
-    least_heldout: int = 1
-    max_prior_driven: int = 0
+    max_unconfirmed: int = 0
     max_refits: int = 6
     max_simulated_s: float = 40_000.0
 

@@ -106,12 +106,11 @@ def explained_of_earlier(evidence: Evidence) -> Reading | None:
     return Reading(removed_share(prepared.noise_model.noise.std_m, before, after))
 
 
-def heldout_trials(evidence: Evidence) -> Reading | None:
-    """Number of trials that confirm what was found; None where nothing was."""
+def without_heldout_trial(evidence: Evidence) -> Reading | None:
+    """Number of effects found that no trial is held out to confirm; None where none was found."""
     if evidence.is_base:
         return None
-    held = evidence.prepared.study.role("validate")
-    return Reading(float(len(held)) if evidence.final.heldout is not None else 0.0)
+    return Reading(float(len(evidence.added)) if evidence.final.heldout is None else 0.0)
 
 
 def least_visible(evidence: Evidence) -> Reading | None:
