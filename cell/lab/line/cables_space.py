@@ -26,7 +26,7 @@ from cell.lab.line.effect_fit import (
     is_tied,
     natural,
 )
-from cell.lab.line.lesson_starts import (
+from cell.lab.line.learning_starts import (
     coordinates_of,
     distinct,
     values_of,
