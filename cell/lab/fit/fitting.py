@@ -48,6 +48,11 @@ class Fit:
         return self.space.model(self.q)
 
     @property
+    def widening(self) -> float:
+        """Factor by which the residuals widen variances, at least 1."""
+        return max(1.0, self.chi2 / max(1, int(np.count_nonzero(self.solution.residual))))
+
+    @property
     def covariance(self) -> FloatArray:
         """(p, p) of q, were the residuals white noise."""
         p = len(self.q)

@@ -16,6 +16,7 @@ from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import Fit
 from cell.lab.fit.sensitivity import shapes_of
 from cell.lab.fit.shared import PASSES, SharedFit, fit_shared, simulated_s
+from cell.lab.fit.starts import taken_from
 from cell.lab.line.effect_fit import (
     ALL_PASSES,
     NEAR,
@@ -27,7 +28,6 @@ from cell.lab.line.effect_fit import (
     natural,
 )
 from cell.lab.line.learning_starts import (
-    coordinates_of,
     distinct,
     values_of,
     where_all_show_it,
@@ -233,7 +233,7 @@ class CablesSpace:
         begin = self.plausible.copy()
         for i, candidate in enumerate(own):
             if candidate is not None:
-                begin[i] = coordinates_of(candidate.fit, self.base.names)
+                begin[i] = taken_from(candidate.fit, self.base)
         for candidate in distinct(solved, effects):
             if not found or self.budget.allows(REFITS, f"other starts of {effect.name}"):
                 fitted(begin, values_of(candidate.fit, effects))
