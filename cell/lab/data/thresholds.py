@@ -16,10 +16,10 @@ class Rules:
     """Limits at which an effect is accepted and a model called complete, and how far a search goes.
 
     Probabilities:
-    significance         family-wise, over the library (Holm), on the fit trials
+    significance         family-wise, over the library (Holm), on the fit trials; and at which the
+                         trials must show half of an effect's smooth part, or else it is not told
+                         from effects of no library
     misfit_significance  of what a model leaves; of less than a tenth of it `significance`
-    half_seen            at which the trials must be able to show half of an effect's smooth part,
-                         or else it is not told from effects of no library
 
     Likelihoods:
     heldout_gain     ln of how much likelier the held-out trials must become
@@ -63,7 +63,6 @@ class Rules:
 
     significance: float = SIGNIFICANCE
     misfit_significance: float = 1e-3
-    half_seen: float = 0.05
     heldout_gain: float = 3.0
     least_visible: float = 1.0
     tie_delta_chi2: float = 9.0

@@ -150,10 +150,10 @@ MAY_BE_CLAIMED: tuple[Check[Evidence], ...] = (
         "p",
         questions.half_seen,
         "<",
-        "half_seen",
+        "significance",
         "cannot_tell",
         "So weak a signal cannot identify its cause.",
-        "power: the residual with half of the effect must fail the checks above at 5 %",
+        "power: the residual with half of the effect must fail the checks above at 1 %",
         doubts.weak_doubts,
     ),
     Check(

@@ -136,7 +136,7 @@ def half_seen(evidence: Evidence) -> Reading | None:
         return None
     without = {e.name: evidence.fits.fit_reduced(evidence.final, e).fit for e in evidence.added}
     chances = {name: _chance_of_half(evidence, fit) for name, fit in without.items()}
-    weak = tuple(name for name, p in chances.items() if p >= evidence.rules.half_seen)
+    weak = tuple(name for name, p in chances.items() if p >= evidence.rules.significance)
     return Reading(max(chances.values()), weak)
 
 
@@ -151,7 +151,7 @@ def _chance_of_half(evidence: Evidence, without: Fit) -> float:
     for look in looks:
         part = look()
         least = min(least, 0.0 if part is None else part.chance_of(0.5 * part.excess))
-        if least < evidence.rules.half_seen:
+        if least < evidence.rules.significance:
             break
     return least
 
