@@ -206,7 +206,7 @@ def _asking(
 ) -> tuple[list[str], list[Delivery]]:
     """The motion that tells what these cycles cannot: the commands for it, and its file."""
     from cell.lab.line.next_cable import asked, open_to
-    from cell.lab.next.next_motion import MOST_ASKED, motion_that_tells, worth_it
+    from cell.lab.next.next_motion import MOST_ASKED, distinguishing_motion, worth_measuring
     from cell.lab.next.suggestion import write_motion
     from cell.settings.surroundings import Surroundings
 
@@ -218,10 +218,10 @@ def _asking(
     try:
         around = Surroundings.read(config)
         cable = result.baseline.cables[0]
-        suggestion = motion_that_tells(cable, open_to(result), around, progress)
+        suggestion = distinguishing_motion(cable, open_to(result), around, progress)
     except ValueError as error:
         return [f"no motion distinguishes the tied effects: {error}"], []
-    best = None if suggestion is None else worth_it(suggestion)
+    best = None if suggestion is None else worth_measuring(suggestion)
     if suggestion is None or best is None:
         return ["no safe motion is likely to distinguish the tied effects on these cables"], []
     motion = _motion(out)

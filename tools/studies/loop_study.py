@@ -31,7 +31,7 @@ from cell.lab.line.candidate import section
 from cell.lab.line.gates import best_judged
 from cell.lab.line.learn import LearningResult, learn
 from cell.lab.next.discover import laws_in
-from cell.lab.next.next_motion import MOST_ASKED, motion_that_tells, worth_it
+from cell.lab.next.next_motion import MOST_ASKED, distinguishing_motion, worth_measuring
 from cell.run.station import Task
 from cell.settings import Settings, load_settings
 from cell.settings.surroundings import Surroundings
@@ -189,10 +189,10 @@ def _learned(
     result = learn(recorded, task.cable, task.identification, tried, _said())
     for done in range(MOST_ASKED):
         try:
-            suggestion = motion_that_tells(result, surroundings)
+            suggestion = distinguishing_motion(result, surroundings)
         except ValueError:
             return result, done
-        best = None if suggestion is None else worth_it(suggestion)
+        best = None if suggestion is None else worth_measuring(suggestion)
         if best is None:
             return result, done
         number, motion = 1000 + done, best.motion.motion()

@@ -14,7 +14,7 @@ from cell.cable.model import CableModel
 from cell.cable.solver import Solver
 from cell.identify.fit import Lane, predict_lanes
 from cell.identify.noise import Noise, Whitener, still_frames
-from cell.lab.data.noise_floor import NoiseModel, floor_of_residuals, noise_floor
+from cell.lab.data.noise_model import NoiseModel, noise_model_of, noise_model_of_residuals
 from cell.lab.data.unknown_start import InitialState, initial_state_of
 from cell.study.data import Study, Trial
 
@@ -68,8 +68,8 @@ class PreparedStudy:
     """A study, its noise, and what whitens its trials.
 
     work   what has been simulated of it
-    noise  used for whitening: the floor's, or larger where an earlier individual's model is known
-           to err by more
+    noise  used for whitening: the measurement's, or larger where an earlier individual's model is
+           known to err by more
     slopes of which only differences of simulations are taken, where that is measured to do no harm
     counted   as which simulations count as work, if not as those of `solver`: how far a search goes
               must not depend on whether slopes may be coarser
@@ -104,7 +104,7 @@ class PreparedStudy:
         raises  NoiseUnknownError
         """
         study = placed(study)
-        noise_model = noise_floor(study)
+        noise_model = noise_model_of(study)
         noise = (
             misfit
             if misfit and misfit.std_m > ERRS * noise_model.noise.std_m
@@ -129,13 +129,13 @@ class PreparedStudy:
         errors  per trial (times, channels), m, nan where not seen
         """
         noise_model = (
-            floor_of_residuals(self.noise_model, errors)
+            noise_model_of_residuals(self.noise_model, errors)
             if self.noise_is_measured
             else self.noise_model
         )
-        return self if noise_model == self.noise_model else self.with_floor(noise_model)
+        return self if noise_model == self.noise_model else self.with_noise_model(noise_model)
 
-    def with_floor(self, noise_model: NoiseModel) -> PreparedStudy:
+    def with_noise_model(self, noise_model: NoiseModel) -> PreparedStudy:
         """The same, whitened for another noise of the measurement."""
         if noise_model.weighed == self.noise:
             return replace(self, noise_model=noise_model)

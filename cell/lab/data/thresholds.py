@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cell.lab.data.noise_floor import KNOWN_WITHIN
+from cell.lab.data.noise_model import KNOWN_WITHIN
 
 #: Probability of calling something an effect, a law, a disagreement that is none, for all tests of
 #: a question together.

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cell.cable.effects.base import Effect
 from cell.lab.data.check import Reading
-from cell.lab.data.noise_floor import KNOWN_WITHIN
+from cell.lab.data.noise_model import KNOWN_WITHIN
 from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.fit.shared import BIAS_M, SharedFit, Spread
 from cell.lab.line.effect_fit import EffectFit

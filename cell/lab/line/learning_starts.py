@@ -32,7 +32,7 @@ A_LITTLE = 0.05
 ALIKE = 3.0
 
 
-def where_all_show_it(
+def common_start(
     prepared: Sequence[PreparedStudy],
     base: ParameterSpace,
     plausible: FloatArray,

@@ -18,7 +18,7 @@ from cell.lab.data.progress import Progress, no_progress
 from cell.lab.fit.fitting import Fit, fit_model, pinned, space_with
 from cell.lab.fit.hand_error import HandError, hand_error
 from cell.lab.fit.heldout import heldout_log_lr
-from cell.lab.fit.mesh import as_its_mesh_shows
+from cell.lab.fit.mesh import without_mesh_error
 from cell.lab.fit.starts import cold_start, taken_from
 from cell.lab.search.baseline import Baseline, BaselineFit
 from cell.lab.search.extension import Extension, by_effect
@@ -116,7 +116,7 @@ class FitCache:
         """
         if self.settled or not self.prepared.mesh_m:
             return None
-        settled = as_its_mesh_shows(self.prepared, found.fit)
+        settled = without_mesh_error(self.prepared, found.fit)
         return replace(self, given=settled, settled=True, _memory=_Memory())
 
     @property

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from cell.lab.data.check import Answer, Check, Reading
 from cell.lab.verdict import doubts, questions
 from cell.lab.verdict.evidence import Evidence
-from cell.lab.verdict.prior_check import asked_by_prior_only
+from cell.lab.verdict.prior_check import prior_driven_effects
 
 LEAVES_NOISE: tuple[Check[Evidence], ...] = (
     Check(
@@ -101,11 +101,11 @@ def explains(evidence: Evidence) -> bool:
     return all(check.ask(evidence).passed is not False for check in LEAVES_NOISE)
 
 
-def _asked_by_prior_only(evidence: Evidence) -> Reading | None:
+def _prior_driven(evidence: Evidence) -> Reading | None:
     """Number of effects that only an earlier cable's model asks for; which."""
     if evidence.fits.prior_q is None or evidence.is_base:
         return None
-    asked = asked_by_prior_only(evidence, explains)
+    asked = prior_driven_effects(evidence, explains)
     return Reading(float(len(asked)), asked)
 
 
@@ -160,7 +160,7 @@ MAY_BE_CLAIMED: tuple[Check[Evidence], ...] = (
         "prior_driven",
         "How many effects are needed only because of the prior?",
         "effects",
-        _asked_by_prior_only,
+        _prior_driven,
         "<=",
         "max_unconfirmed",
         "cannot_tell",

@@ -14,8 +14,8 @@ from scipy.special import fdtrc as f_sf
 from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.gaussian import marginal_chi2
 from cell.identify.noise import Whitener
-from cell.lab.data.noise_floor import NoiseModel
 from cell.lab.data.noise_likelihood import MAX_AR1
+from cell.lab.data.noise_model import NoiseModel
 from cell.lab.data.prepared import PreparedStudy, once_per_study
 from cell.lab.fit.all_trials_fit import AllTrialsFit, of_all_trials
 from cell.lab.fit.fitting import Fit, best_initial_state, fit_trials

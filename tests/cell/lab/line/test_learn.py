@@ -44,7 +44,7 @@ from cell.lab.line.learning_questions import LineEvidence
 from cell.lab.line.next_cable import asked, open_to
 from cell.lab.next.discover import Laws, laws_in
 from cell.lab.next.motion_file import load_motion
-from cell.lab.next.next_motion import motion_that_tells, worth_it
+from cell.lab.next.next_motion import distinguishing_motion, worth_measuring
 from cell.lab.next.terms import admissible
 from cell.lab.report.learning_tables import learning_lines
 from cell.lab.search.setup import fit_cache_of, read_kind
@@ -487,15 +487,15 @@ def tied(result: LearningResult) -> LearningResult:
 
 def test_the_motion_tells_the_tied_effects_of_a_cable_not_seen_yet(tied: LearningResult) -> None:
     cable, around = tied.baseline.cables[0], Surroundings.read(CONFIG)
-    suggestion = motion_that_tells(cable, open_to(tied), around)
+    suggestion = distinguishing_motion(cable, open_to(tied), around)
     assert suggestion is not None
     assert suggestion.candidates == ("air_drag", "tip_mass")
-    best = worth_it(suggestion)
+    best = worth_measuring(suggestion)
     assert best is suggestion.options[0]
     assert best.power > 0.9
     weak = replace(suggestion, options=(replace(best, power=0.3),))
-    assert worth_it(weak) is None
-    assert motion_that_tells(cable, open_to(replace(tied, tied=())), around) is None
+    assert worth_measuring(weak) is None
+    assert distinguishing_motion(cable, open_to(replace(tied, tied=())), around) is None
 
 
 def test_the_next_cable_may_be_as_far_away_as_these_are_from_each_other(

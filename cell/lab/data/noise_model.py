@@ -100,8 +100,8 @@ class NoiseModel:
         return self.slow or self.dof / (1.0 + 2.0 / self.effective_fraction)
 
 
-def floor_of_residuals(noise_model: NoiseModel, errors: Sequence[FloatArray]) -> NoiseModel:
-    """A stated floor with the correlations that a fitted model's residuals have.
+def noise_model_of_residuals(noise_model: NoiseModel, errors: Sequence[FloatArray]) -> NoiseModel:
+    """A stated noise with the correlations that a fitted model's residuals have.
 
     A study that states its error has it from elsewhere: from shapes fitted to pictures, say, which
     err along the whole cable at once and for several frames, and its few still frames say little of
@@ -131,8 +131,8 @@ def floor_of_residuals(noise_model: NoiseModel, errors: Sequence[FloatArray]) ->
     )
 
 
-def noise_floor(study: Study) -> NoiseModel:
-    """Noise floor of a study, from the frames before anything moves, all markers together.
+def noise_model_of(study: Study) -> NoiseModel:
+    """Noise of a study, from the frames before anything moves, all markers together.
 
     Restricted maximum likelihood of level and AR(1) correlation; each coordinate of each trial has
     its own mean, and its own slope or parabola where the cable is still settling (chosen by BIC).
@@ -181,7 +181,7 @@ def _longest_run(seen: NDArray[np.bool_]) -> tuple[int, int]:
     return int(begin), int(end)
 
 
-def floor_of_all_frames(noise_model: NoiseModel, remainder: Remainder) -> NoiseModel:
+def noise_model_of_all_frames(noise_model: NoiseModel, remainder: Remainder) -> NoiseModel:
     """The noise of highest likelihood over rest and remainder, within what the rest allows.
 
     Few still frames leave level and correlation uncertain, and a noise that is wrongly taken for
