@@ -37,7 +37,7 @@ _FARTHEST = 4.0
 
 @dataclass(frozen=True, eq=False)
 class InitialState:
-    """The unknowns of a trial's beginning, all 0 as noted: delay of a release, places, velocities.
+    """The unknowns of a trial's state, all 0 as noted: delay of a release, places, velocities.
 
     std, step, limit  (unknowns,) of the prior, of finite differences, largest magnitude
     """

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 from cell.cable.effects.base import Effect
-from cell.lab.data.noise_floor import NoiseModel
+from cell.lab.data.noise_model import NoiseModel
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.thresholds import Rules
 from cell.lab.search.fit_cache import FitCache
