@@ -18,6 +18,7 @@ from cell.cli import (
     acknowledge,
     bundle,
     calibrate,
+    exchange,
     lab,
     ledger,
     line,
@@ -34,7 +35,7 @@ from cell.terminal.logs import about, to_file, to_terminal
 #: Commands that run a user's own effects; another process watches that they end.
 WATCHED = (
     *("fit", "compare", "diagnose", "discover", "suggest", "identify", "learn"),
-    *("check", "effects", "promote"),
+    *("check", "effects", "promote", "export"),
 )
 
 app = typer.Typer(
@@ -43,7 +44,19 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
-for group in (run, settings, records, ledger, acknowledge, bundle, recordings, store, lab, line):
+for group in (
+    run,
+    settings,
+    records,
+    ledger,
+    acknowledge,
+    bundle,
+    recordings,
+    store,
+    lab,
+    line,
+    exchange,
+):
     app.add_typer(group.app)
 app.add_typer(calibrate.app)
 
