@@ -34,7 +34,8 @@ imports: $(VENV)/.dev
 compiled: compiled-cell compiled-arm compiled-effects   # machine code on disk, or each test process would compile it
 
 compiled-cell: $(VENV)/.dev
-	@folder=$$(mktemp -d) && $(BIN)/cell run --config config/fake.yaml --cycles 1 --out $$folder/runs > $$folder/log 2>&1 \
+	@folder=$$(mktemp -d) && (cat config/fake.yaml; echo "recording: null") > $$folder/cell.yaml \
+		&& $(BIN)/cell run --config $$folder/cell.yaml --cycles 1 --out $$folder/runs > $$folder/log 2>&1 \
 		|| { cat $$folder/log; rm -rf $$folder; exit 1; }; rm -rf $$folder
 
 compiled-arm: $(VENV)/.dev

@@ -345,7 +345,7 @@ def _choice(settings: Settings, known: Calibrated) -> ChoiceOptions:
     start = settings.motion.start
     options = ChoiceOptions(
         least_probability=settings.choice.min_probability,
-        freely=Freedom(start.window_s, start.paces),
+        freely=Freedom(start.window_s, start.paces, start.further_m),
     )
     upright_m = known.map_std_m / np.sqrt(2.0)
     return replace(options, repeatability_m=float(np.hypot(options.repeatability_m, upright_m)))

@@ -29,12 +29,12 @@ from cell.simulated.replayed import replayed_devices
 #: Of a result these tell what was found; the rest is time and place.
 _OF_RESULT = (
     *("outcome", "reason", "stops", "hold_saved_s", "offset_m", "delay_s", "pace", "corrections"),
-    *("predicted_miss_m", "measured_miss_m", "margin_m", "predicted_margin_m"),
+    *("further_m", "predicted_miss_m", "measured_miss_m", "margin_m", "predicted_margin_m"),
     *("predicted_std_m", "probability", "prediction_error_m"),
     *("residual_rms_m", "noise_m", "model", "parameters"),
 )
 #: What recordings of the first version do not say: nothing to compare with.
-_SAID_LATER = frozenset({"delay_s", "pace", "hold_saved_s", "corrections", "stops"})
+_SAID_LATER = frozenset({"delay_s", "pace", "further_m", "hold_saved_s", "corrections", "stops"})
 #: Of a decision these depend on the computer's speed, or are said elsewhere.
 _NOT_OF_DECISION = frozenset({"wait_s", "simulated_s"})
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +33,15 @@ settings.load_profile("untimed")
 def no_ticks(monkeypatch: pytest.MonkeyPatch) -> None:
     """On a busy computer a command takes more than the ten seconds after which it speaks."""
     monkeypatch.setattr("cell.terminal.progress.EVERY_S", 1e6)
+
+
+@pytest.fixture(autouse=True)
+def no_precedence() -> Iterator[None]:
+    """A cell with real devices goes before others on its computer: no longer than its test."""
+    usual = os.getpriority(os.PRIO_PROCESS, 0)
+    yield
+    if os.getpriority(os.PRIO_PROCESS, 0) != usual:
+        os.setpriority(os.PRIO_PROCESS, 0, usual)
 
 
 @pytest.fixture

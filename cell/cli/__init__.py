@@ -19,6 +19,7 @@ from cell.cli import (
     bundle,
     calibrate,
     exchange,
+    imports,
     lab,
     ledger,
     line,
@@ -27,6 +28,7 @@ from cell.cli import (
     run,
     settings,
     store,
+    studies,
 )
 from cell.cli.streams import open_streams, usable_streams
 from cell.computer.watched import go_on_watched
@@ -45,17 +47,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 for group in (
-    run,
-    settings,
-    records,
-    ledger,
-    acknowledge,
-    bundle,
-    recordings,
-    store,
-    lab,
-    line,
-    exchange,
+    *(run, settings, records, ledger, acknowledge, bundle, recordings, store),
+    *(lab, studies, imports, exchange, line),
 ):
     app.add_typer(group.app)
 app.add_typer(calibrate.app)

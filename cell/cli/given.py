@@ -33,8 +33,10 @@ def folder_in(enter: Callable[[AbstractContextManager[str]], str], given: Path) 
     from cell.records.recording.reading import read_recording
     from cell.records.recording.unpack import unpack
 
-    into = Path(enter(TemporaryDirectory()))
+    folder = TemporaryDirectory()
+    into = Path(enter(folder))
     try:
         return unpack(read_recording(given), into)
     except InputError as error:
+        folder.cleanup()  # while arguments are read the command has not begun, nor does it end
         refuse(error)

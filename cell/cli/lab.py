@@ -1,4 +1,4 @@
-"""Commands of the model lab: fit, compare, diagnose, effects, discover, suggest, study."""
+"""Commands of the model lab: fit, compare, diagnose, effects, discover, suggest."""
 
 from __future__ import annotations
 
@@ -8,18 +8,19 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from cell.cli.delivery import deliver, json_files
-from cell.cli.given import folder_of, folders_of
+from cell.cli.given import folder_of
 from cell.cli.result_json import STDOUT, Json, JsonCommand, print_result
 from cell.cli.shared import BAD_INPUT, answering, group, stoppable, tell_notes
-from cell.files.overwriting import check_apart, check_new_study, check_output
+from cell.files.overwriting import check_apart, check_output
 from cell.files.rescue import no_room, remedy
 
 if TYPE_CHECKING:
+    from cell.files.table import TableData
     from cell.lab.data.progress import Progress
     from cell.lab.data.results import Agreement, Doubt
     from cell.lab.data.selection import EffectSelection
@@ -150,11 +151,11 @@ def fit(
     def printed() -> None:
         if print_result(written, out, as_json):
             errors = errors_line(fits.prepared, candidate.errors)
-            apart = [agreement_sentence(trials), agreement_table(trials)] if trials else []
+            apart = (agreement_sentence(trials), agreement_table(trials)) if trials else ()
             show(*warning_lines(warnings), errors, model_table(model), *apart, *said)
 
     def page(path: Path) -> None:
-        from cell.lab.report.html_page import write_page
+        from cell.files.page import write_page
         from cell.lab.report.report import profile_page
 
         write_page(profile_page(fits.prepared.study.name, found), path)
@@ -218,7 +219,7 @@ def compare(
             )
 
     def page(path: Path) -> None:
-        from cell.lab.report.html_page import write_page
+        from cell.files.page import write_page
         from cell.lab.report.report import comparison_page
 
         write_page(comparison_page(comparisons), path)
@@ -251,9 +252,9 @@ def diagnose(
         selection = select_for_diagnosis(effect or [], known or [])
         fits = _explorer(study, selection, prior, progress, config)
         gc.freeze()  # what is loaded stays: not looked through for garbage again and again
-        with stoppable(fits.prepared.work.stop) as interrupted:
-            examination = with_limits(fits, diagnose_study(fits))
-            examination = with_agreement(fits, examination)
+        with stoppable(fits.work.stop) as interrupted:
+            examination = with_agreement(with_limits(diagnose_study(fits)))
+        fits = examination.fits
         steps = [fits.prior_candidate(), *examination.steps[1:]]
         shown = steps if report else [steps[0], *steps[1:][-1:]]
         comparisons = [compare_model(fits.prepared.study, c.fit.model) for c in shown]
@@ -272,12 +273,12 @@ def diagnose(
             show(*diagnosis_parts(diagnosis, comparisons, todo))
 
     def page(path: Path) -> None:
-        from cell.lab.report.html_page import write_page
+        from cell.files.page import write_page
         from cell.lab.report.report import diagnosis_page
 
         fitted = examination.steps[-1].fit
         model = identified(fits.prepared, fitted, fits.library.values())
-        write_page(diagnosis_page(examination, comparisons, model, todo), path)
+        write_page(diagnosis_page(diagnosis, comparisons, model, todo), path)
 
     deliver(printed, *json_files(data, *results or []), (report, page))
     if interrupted:
@@ -331,7 +332,7 @@ def discover(
         effect_name(out)
         selection = select_effects(effect or [])
         fits = _explorer(study, selection, prior, progress)
-        with stoppable(fits.prepared.work.stop) as interrupted:
+        with stoppable(fits.work.stop) as interrupted:
             try:
                 discovery = discover_effect(fits, out)
             except NothingFoundError as error:
@@ -377,7 +378,8 @@ def suggest(
 ) -> None:
     """Suggest the safe motion that best distinguishes the remaining candidates, and its power."""
     from cell.lab.data.selection import select_for_diagnosis
-    from cell.lab.next.suggest import suggest_motion, write_motion
+    from cell.lab.next.suggest import suggest_motion
+    from cell.lab.next.suggestion import write_motion
     from cell.lab.report.model_tables import suggestion_table
     from cell.lab.report.tables import verdict_line, warning_lines
     from cell.lab.verdict.diagnose import diagnose as diagnose_study
@@ -387,13 +389,13 @@ def suggest(
         surroundings = Surroundings.read(config)
         selection = select_for_diagnosis(effect or [], known or [])
         fits = _explorer(study, selection, prior, progress, config)
-        with stoppable(fits.prepared.work.stop) as interrupted:
+        with stoppable(fits.work.stop) as interrupted:
             diagnosed = diagnose_study(fits)
         if interrupted:
             show(verdict_line(diagnosed.diagnosis), *warning_lines(diagnosed.diagnosis.warnings))
             raise typer.Exit(interrupted.code)
         with answering() as interrupted:
-            suggestion = suggest_motion(fits, diagnosed, surroundings)
+            suggestion = suggest_motion(diagnosed, surroundings)
         if interrupted:
             tell_notes(["interrupted: the result is the best of the motions evaluated so far"])
     data = suggestion.to_json()
@@ -405,27 +407,6 @@ def suggest(
     deliver(printed, (out, partial(write_motion, suggestion)), *json_files(data, as_json))
     if interrupted:
         raise typer.Exit(interrupted.code)
-
-
-@app.command()
-def study(
-    runs: Annotated[
-        list[Path],
-        typer.Argument(help="Folders of recorded cycles, or recordings.", callback=folders_of),
-    ],
-    out: Annotated[Path, typer.Option("-o", "--out", help="Folder of the new study.")],
-    force: Force = False,
-) -> None:
-    """Gather recorded cycles of one cable into a study."""
-    from cell.lab.data.merge_studies import merge_into
-
-    with refusing(), working("study"):
-        check_new_study(out, force=force)
-        gathered, left_out = merge_into(out, runs)
-    tell_notes(gathered.notes)
-    for line in left_out:
-        print(f"left out: {line}", file=sys.stderr)
-    print(f"{out}: {len(gathered.trials)} trials of {len(runs) - len(left_out)} cycles")
 
 
 @contextmanager
@@ -490,10 +471,12 @@ def working(command: str) -> ProgressLine:
     return ProgressLine(command)
 
 
-def show(*parts: Any) -> None:
+def show(*parts: str | TableData) -> None:
     """Print texts as they are, and tables of which no number is cut."""
     from rich.console import Console
 
+    from cell.cli.text_table import text_table
+    from cell.files.table import TableData
     from cell.terminal.fitting import show as show_on
 
-    show_on(Console(), *parts)
+    show_on(Console(), *(text_table(p) if isinstance(p, TableData) else p for p in parts))

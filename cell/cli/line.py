@@ -117,7 +117,7 @@ def learn(
     if judgement.fit_for_line:
         print(f"written to {out}; use it with: cell promote {out} --config {config}")
         raise typer.Exit(ALL_DONE)
-    failed = ", ".join(g.name for g in judgement.gates if not g.passed)
+    failed = ", ".join(judgement.failed)
     more_laws = "" if laws else f", or with --laws {out.with_suffix('.laws')}"
     print(f"{out} is not fit for the line: {failed}; record more cycles and learn again{more_laws}")
     raise typer.Exit(NOT_ALL_DONE)
@@ -125,13 +125,13 @@ def learn(
 
 def _print(lesson: LearningResult, judgement: Judgement, more: Sequence[str]) -> None:
     """What was learned, what speaks for it, and more lines."""
-    from cell.lab.report.lesson_tables import gates_table, lesson_lines, votes_table
+    from cell.lab.report.lesson_tables import common_error_line, lesson_lines, lesson_parts
 
     for line in lesson_lines(lesson):
         print(line)
-    if lesson.best is not None:
-        show(votes_table(lesson), gates_table(judgement.gates))
-    for line in more:
+    show(*lesson_parts(lesson, judgement.gates))
+    common = common_error_line(judgement.paired)
+    for line in (*([common] if common else []), *more):
         print(line)
 
 
@@ -205,8 +205,9 @@ def _asking(
     lesson: LearningResult, config: Path, out: Path, again: str, progress: Progress
 ) -> tuple[list[str], list[Delivery]]:
     """The motion that tells what these cycles cannot: the commands for it, and its file."""
-    from cell.lab.next.next_motion import MOST_ASKED, asked, motion_that_tells, worth_it
-    from cell.lab.next.suggest import write_motion
+    from cell.lab.line.next_cable import asked, open_to
+    from cell.lab.next.next_motion import MOST_ASKED, motion_that_tells, worth_it
+    from cell.lab.next.suggestion import write_motion
     from cell.settings.surroundings import Surroundings
 
     if not lesson.tied:
@@ -215,7 +216,9 @@ def _asking(
         told = f"{MOST_ASKED} motions could not distinguish the tied effects on these cables"
         return [told], []
     try:
-        suggestion = motion_that_tells(lesson, Surroundings.read(config), progress)
+        around = Surroundings.read(config)
+        cable = lesson.baseline.cables[0]
+        suggestion = motion_that_tells(cable, open_to(lesson), around, progress)
     except ValueError as error:
         return [f"no motion distinguishes the tied effects: {error}"], []
     best = None if suggestion is None else worth_it(suggestion)

@@ -114,8 +114,8 @@ def report(
 
     The page needs no network.  Exit codes: 0; 2 if the folder is wrong.
     """
-    from cell.lab.report.cycle_page import cycle_page
-    from cell.lab.report.html_page import write_page
+    from cell.files.page import write_page
+    from cell.records.cycle_page import cycle_page
     from cell.records.folder import read_record
     from cell.records.past_cycles import newest
     from cell.records.recording import form

@@ -1,1 +1,1 @@
-"""Files in and out: YAML whose mistakes have a place."""
+"""Files in and out: YAML whose mistakes have a place, tables and pages as data."""

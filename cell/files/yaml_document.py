@@ -152,10 +152,14 @@ def read_yaml(path: Path) -> Document:
     return Document(path, data, places)
 
 
-def yaml_text(data: Mapping[str, Any]) -> str:
-    """Plain data as YAML, in their order."""
+def yaml_text(data: Mapping[str, Any], *, inline: bool = False) -> str:
+    """Plain data as YAML, in their order.
+
+    inline  lists and sections that hold no others are written in one line
+    """
     writer: Any = YAML(typ="safe", pure=True)
-    writer.default_flow_style = False
+    writer.default_flow_style = None if inline else False
+    writer.width = 98
     writer.sort_base_mapping_type_on_output = False
     writer.allow_unicode = True
     stream = io.StringIO()

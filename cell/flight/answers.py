@@ -78,7 +78,7 @@ def answers(
     t_s = np.arange(0.0, end_s - begin_s, INTERVAL_S)
     space, mean = identified.space, identified.mean
     coarse = coarsened(solver)
-    expected = simulate(space.model(mean), motion, begin_s + t_s, arc_length_m, solver=solver)[0]
+    expected = expected_nodes(identified, motion, begin_s + t_s, arc_length_m, solver)
     lanes = difference_points(mean, space.difference_steps(mean))
     models = [space.model(q) for q in lanes]
     near = simulate(models, motion, begin_s + t_s, arc_length_m, solver=coarse)
@@ -96,6 +96,18 @@ def answers(
     tip = basis[:, 0].copy()
     tip[..., :2] = 0.0
     return Answers(t_s, expected, hand[1], basis, tip, 2 + len(slopes))
+
+
+def expected_nodes(
+    identified: Identified,
+    motion: Motion,
+    at_s: FloatArray,
+    arc_length_m: FloatArray,
+    solver: Solver = Solver(),  # noqa: B008
+) -> FloatArray:
+    """(T, nodes, 2) of the most probable cable, m.  Raises what the engine raises."""
+    model = identified.space.model(identified.mean)
+    return np.asarray(simulate(model, motion, at_s, arc_length_m, solver=solver)[0])
 
 
 def _end_seen_wrongly(nodes_m: FloatArray, arc_length_m: FloatArray) -> FloatArray:

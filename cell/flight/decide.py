@@ -79,8 +79,12 @@ class Flight:
         )
 
     def changed(self, tail: Tail) -> Flight:
-        """The same once a change was told."""
+        """The same once a change was told: the expected motion is moved by linear answers."""
         return replace(self, answers=moved_by(self.answers, tail, self.lag_s))
+
+    def expecting(self, nodes_m: FloatArray) -> Flight:
+        """The same with the expected motion (T, nodes, 2) simulated anew for a changed path."""
+        return replace(self, answers=replace(self.answers, nodes_m=nodes_m))
 
 
 def seen_within_m(identified: Identified) -> float:

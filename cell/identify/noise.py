@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numba import njit
@@ -16,6 +17,9 @@ FloatArray = NDArray[np.float64]
 
 #: Fewest still frames of a trial from which noise is estimated.
 FEWEST_STILL_FRAMES = 8
+
+#: A smooth residual changes over no fewer frames than this, and is of so many powers of the place.
+SLOW_FRAMES, ALONG = 8, 3
 
 _STRONGEST_COLOUR = 0.98
 
@@ -189,6 +193,15 @@ class Whitener:
         )
         return out.reshape(len(predicted_m), self.rows)
 
+    @cached_property
+    def smooth_modes(self) -> tuple[FloatArray, ...]:
+        """Per channel (markers × frames, modes) orthonormal smooth functions of what was seen.
+
+        Cosines in time and polynomials along the cable span them.  A misfit of a model is there, of
+        noise only a few per cent.
+        """
+        return tuple(_smooth_modes(self.seen[..., c]) for c in range(self.channels))
+
     def error_m(self, white: FloatArray) -> FloatArray:
         """(T, markers, channels) errors behind white residuals (rows,), m; nan if unseen."""
         fresh = white.reshape(self._memory.shape)
@@ -198,6 +211,19 @@ class Whitener:
         error = np.full(self.seen.shape, np.nan)
         _colour(np.ascontiguousarray(fresh), self._memory, self._weight, self._gain, error)
         return error
+
+
+def _smooth_modes(seen: NDArray[np.bool_]) -> FloatArray:
+    """(markers × frames, modes) of what was seen (frames, markers) in a channel."""
+    frames, markers = seen.shape
+    slow = max(2, frames // SLOW_FRAMES)
+    in_time = np.cos(np.pi * np.outer(np.arange(frames) + 0.5, np.arange(slow)) / frames)
+    along = np.vander(np.linspace(-1.0, 1.0, markers), min(markers, ALONG))
+    functions = np.einsum("mk,tj->mtkj", along, in_time).reshape(markers * frames, -1)
+    functions = functions * seen.T.reshape(-1, 1)
+    values, vectors = np.linalg.eigh(functions.T @ functions)
+    good = values > 1e-9 * max(values[-1], 1e-300)
+    return np.asarray(functions @ (vectors[:, good] / np.sqrt(values[good])))
 
 
 def _innovations(

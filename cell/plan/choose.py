@@ -30,10 +30,12 @@ class Freedom:
 
     window_s  an insertion may begin so much later, with any offset between those; 0 = it may not
     paces     and be made in so many times the usual time
+    further_m  and lead so much further left
     """
 
     window_s: float = 0.0
     paces: tuple[float, ...] = ()
+    further_m: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,7 @@ class Forecast:
     offsets_m    (O,) m
     delays_s     (O,) how much later than the first its path begins, s
     paces        (O,) in how many times the usual time the hand makes its strokes
+    further_m    (O,) how much further left than usual it goes, m
     t_s          (T,) s, from when the path begins
     mean         (p,) fit coordinates simulated
     tip_m        (O, T, 2) with them, m
@@ -75,6 +78,7 @@ class Forecast:
     offsets_m: FloatArray
     delays_s: FloatArray
     paces: FloatArray
+    further_m: FloatArray
     t_s: FloatArray
     mean: FloatArray
     tip_m: FloatArray
@@ -92,15 +96,15 @@ class Forecast:
         """These offsets and more, of the same cable at the same times."""
         joined = {
             name: np.concatenate([getattr(self, name), getattr(more, name)])
-            for name in ("offsets_m", "delays_s", "paces", "tip_m", "sensitivity")
+            for name in ("offsets_m", "delays_s", "paces", "further_m", "tip_m", "sensitivity")
         }
         return replace(self, **joined)
 
 
 @dataclass(frozen=True)
 class OffsetForecast:
-    """Forecast of one offset: probability of passing, margin (see `Destination`), m; delay, s; pace
-    (see `Forecast`).
+    """Forecast of one offset: probability of passing, margin (see `Destination`), m; delay, s;
+    pace; how much further the hand goes, m (see `Forecast`).
     """
 
     offset_m: float
@@ -109,6 +113,7 @@ class OffsetForecast:
     margin_std_m: float
     delay_s: float = 0.0
     pace: float = 1.0
+    further_m: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +176,7 @@ def forecast(
     step = np.diag(lanes[1:] - mean)
     slopes = (nearby_m[:, 1:] - nearby_m[:, :1]) / step[:, None, None]
     none, usual = np.zeros(len(offsets_m)), np.ones(len(offsets_m))
-    return Forecast(offsets_m, none, usual, t_s, mean, tip_m, np.moveaxis(slopes, 1, -1))
+    return Forecast(offsets_m, none, usual, none, t_s, mean, tip_m, np.moveaxis(slopes, 1, -1))
 
 
 def coarsened(solver: Solver) -> Solver:
@@ -205,11 +210,13 @@ def choose(
             margin_std_m=float(std),
             delay_s=float(delay),
             pace=float(pace),
+            further_m=float(further_m),
         )
-        for offset, delay, pace, probability, margin, std in zip(
+        for offset, delay, pace, further_m, probability, margin, std in zip(
             expected.offsets_m,
             expected.delays_s,
             expected.paces,
+            expected.further_m,
             np.mean(margins > 0.0, axis=1),
             probable,
             np.std(margins, axis=1),

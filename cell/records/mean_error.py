@@ -6,9 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import special
 
 from cell.records.result import Result
+
+FloatArray = NDArray[np.float64]
 
 #: Cycles that are looked at: at least, and at most the newest.
 FEWEST, MOST = 5, 50
@@ -39,11 +42,21 @@ class MeanError:
         )
 
 
+def interval(errors_m: FloatArray, confidence: float = CONFIDENCE) -> tuple[float, float, float]:
+    """Mean of errors (n ≥ 2,), and both ends of its interval, m.
+
+    source  Student 1908, The probable error of a mean, Biometrika 6, 1
+    """
+    n, mean_m = len(errors_m), float(errors_m.mean())
+    quantile = float(special.stdtrit(n - 1, 0.5 + 0.5 * confidence))
+    half_m = quantile * float(errors_m.std(ddof=1)) / np.sqrt(n)
+    return mean_m, mean_m - half_m, mean_m + half_m
+
+
 def mean_error(results: Sequence[Result]) -> MeanError | None:
     """Mean error of the newest forecasts; None = they are few, or it may be too small to matter.
 
     results  of one model, oldest first
-    source   Student 1908, The probable error of a mean, Biometrika 6, 1
     """
     errors_m = np.array(
         [
@@ -52,12 +65,9 @@ def mean_error(results: Sequence[Result]) -> MeanError | None:
             if r.measured_miss_m is not None and r.predicted_miss_m is not None
         ][-MOST:]
     )
-    n = len(errors_m)
-    if n < FEWEST:
+    if len(errors_m) < FEWEST:
         return None
-    mean_m = float(errors_m.mean())
-    quantile = float(special.stdtrit(n - 1, 0.5 + 0.5 * CONFIDENCE))
-    half_m = quantile * float(errors_m.std(ddof=1)) / np.sqrt(n)
-    if abs(mean_m) - half_m <= REPEATABILITY_M:
+    mean_m, low_m, high_m = interval(errors_m)
+    if min(abs(low_m), abs(high_m)) <= REPEATABILITY_M or low_m * high_m < 0.0:
         return None
-    return MeanError(mean_m, mean_m - half_m, mean_m + half_m, n)
+    return MeanError(mean_m, low_m, high_m, len(errors_m))

@@ -93,6 +93,7 @@ class Result:
     offset_m            executed
     delay_s, pace       with which: so long the hand rested before, s; in so many times the usual
                         time it moved
+    further_m           and so much further left than usual it went
     predicted_miss_m    height of the tip above the middle of the destination at its mouth; as last
                         predicted if the path was changed in flight
     measured_miss_m     the same, from the pictures of the execution
@@ -146,6 +147,7 @@ class Result:
     part: str | None = None
     delay_s: float | None = None
     pace: float | None = None
+    further_m: float | None = None
     hold_saved_s: float | None = None
     corrections: tuple[Correction, ...] | None = None
     stops: tuple[str, ...] = ()

@@ -64,12 +64,13 @@ class Executing:
         beside = hand_offset_m_rad(filmed.hand, trial.grip)
         return Executing(task, timing, begin_s, trial.grip.later(-begin_s), beside)
 
-    def path(self, offset_m: float, delay_s: float = 0.0, pace: float = 1.0) -> Trajectory:
+    def path(
+        self, offset_m: float, delay_s: float = 0.0, pace: float = 1.0, further_m: float = 0.0
+    ) -> Trajectory:
         """What the arm would be told."""
         task, limits = self.task, self.task.insertion.slowed(pace)
-        return insertion_path(
-            task.lowered, offset_m, task.advance_m, limits, self.timing.arm_rate_hz, delay_s=delay_s
-        )
+        advance_m, rate_hz = task.advance_m + further_m, self.timing.arm_rate_hz
+        return insertion_path(task.lowered, offset_m, advance_m, limits, rate_hz, delay_s=delay_s)
 
     def motion(self, path: Trajectory) -> Motion:
         """Of the hand, on the clock of the identification, if the arm is told this."""
@@ -106,7 +107,8 @@ def simulate_offsets(
         "options": choice,
     }
     if freely.window_s > 0.0:
-        latest = path(task.offsets_m[-1], freely.window_s, max((1.0, *freely.paces)))
+        slowest = max((1.0, *freely.paces))
+        latest = path(task.offsets_m[-1], freely.window_s, slowest, freely.further_m)
         how["end_s"] = float(motion(latest).t_s[-1])
     paths = [path(o) for o in task.offsets_m]
     expected = forecast(identified, np.array(task.offsets_m), [motion(p) for p in paths], **how)
@@ -115,19 +117,25 @@ def simulate_offsets(
     at_once = choose(expected, identified, task.destination, choice).best
     if at_once.margin_m > SURE * at_once.margin_std_m:
         spots = np.array([widest_between(expected, task.destination)]), np.zeros(1), np.ones(1)
+        further_m = 0.0
     else:
+        further_m = freely.further_m
         spots = closer_look(
             identified,
             expected,
-            lambda offset_m, pace: motion(path(offset_m, pace=pace)),
+            lambda offset_m, pace: motion(path(offset_m, pace=pace, further_m=further_m)),
             task.destination,
             begin_s=executing.begin_s,
             solver=solver,
             options=choice,
         )
-    new = [path(*(float(v) for v in one)) for one in zip(*spots, strict=True)]
+    new = [
+        path(float(offset_m), float(delay_s), float(pace), further_m)
+        for offset_m, delay_s, pace in zip(*spots, strict=True)
+    ]
     offsets_m, delays_s, paces = spots
     motions = [motion(p) for p in new]
     closer = forecast(identified, offsets_m, motions, **how)
-    closer = replace(closer, delays_s=delays_s, paces=paces)
+    beyond_m = np.full(len(new), further_m)
+    closer = replace(closer, delays_s=delays_s, paces=paces, further_m=beyond_m)
     return Candidates(start_s, (*paths, *new), expected.beside(closer))

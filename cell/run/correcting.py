@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cell.cable.solver import DivergedError, Solver, threads
 from cell.cable.statics import UnsettledError
-from cell.flight.answers import Answers, answers
+from cell.flight.answers import Answers, answers, expected_nodes
 from cell.flight.correct import LEAST, Tail, decisions_s
 from cell.flight.decide import Decision, Flight, seen_within_m
 from cell.plan.paths import path_to_rest
@@ -53,19 +53,21 @@ class Corrector:
         self._station, self._path, self._revise = station, path, revise
         self._start_s = required(findings.candidates).start_s
         self._identified = required(findings.identified)
-        executing = Executing.of(
+        self._executing = Executing.of(
             station.task, station.timing, required(findings.held), findings.trials[0], self._start_s
         )
-        motion = executing.motion(path)
+        self._solver = Solver(threads=max(1, threads() - 1))
+        motion = self._executing.motion(path)
         self._job: Future[Answers] = station.computer.submit(
             answers,
             self._identified,
             motion,
-            executing.begin_s,
+            self._executing.begin_s,
             float(motion.t_s[-1]),
             station.task.arc_length_m,
-            Solver(threads=max(1, threads() - 1)),
+            self._solver,
         )
+        self._anew: Future[FloatArray] | None = None
         self._flight: Flight | None = None
         self._left: list[float] | None = None
         self.tails: tuple[Tail, ...] = ()
@@ -86,12 +88,14 @@ class Corrector:
             self._left = self._begin()
         if self._flight is not None and self._left and since_s >= self._left[0]:
             self._left.pop(0)
-            self._decide(self._flight, sightings, since_s)
+            self._decide(self._simulated(self._flight), sightings, since_s)
         return False
 
     def close(self) -> None:
         """Cancel what has not begun."""
-        self._job.cancel()
+        for job in (self._job, self._anew):
+            if job is not None:
+                job.cancel()
 
     def _begin(self) -> list[float]:
         """Moments of the decisions, once it is known how the cable answers."""
@@ -111,6 +115,18 @@ class Corrector:
             task.choice.repeatability_m,
         )
         return list(decisions_s(found, task.destination))
+
+    def _simulated(self, flight: Flight) -> Flight:
+        """With the expected motion as simulated anew, if the path was changed since."""
+        job, self._anew = self._anew, None
+        if job is None:
+            return flight
+        try:
+            nodes_m = found_by(job, self._station.commands)
+        except (DivergedError, UnsettledError) as error:
+            _LOG.warning("the changed path is not simulated: %s", error)
+            return flight
+        return flight if nodes_m is None else flight.expecting(nodes_m)
 
     def _decide(self, flight: Flight, sightings: list[Sighting], since_s: float) -> None:
         t_s = np.array([s.t_s for s in sightings]) - self._start_s
@@ -138,6 +154,15 @@ class Corrector:
             )  # fmt: skip
             self._flight, self._tip_m = flight.changed(tail), tail.tip_m
             self.tails = (*self.tails, tail)
+            if self._left:
+                self._anew = self._station.computer.submit(
+                    expected_nodes,
+                    self._identified,
+                    self._executing.motion(self._path),
+                    self._executing.begin_s + flight.answers.t_s,
+                    self._station.task.arc_length_m,
+                    self._solver,
+                )
         elif decision.hopeless and not self._left:
             self._stop(decision, since_s, from_s)
 

@@ -73,7 +73,9 @@ def inserting_movements(task: Task, rate_hz: float, speed: float = 1.0) -> tuple
     home = Movement(HOME, task.home, task.lowering)
     movements = [home]
     for offset_m in sorted({task.offsets_m[0], task.offsets_m[-1]}):
-        left = insertion_path(task.lowered, offset_m, task.advance_m, task.insertion, rate_hz)
+        left = insertion_path(
+            task.lowered, offset_m, task.longest_advance_m, task.insertion, rate_hz
+        )
         movements += [
             Movement(DOWN, _end(down), path=down),
             Movement(IN, _end(left), path=left),
@@ -110,7 +112,9 @@ def paths_from(
         here = movement.goal
     if any(movement.name == IN for movement in movements):
         for offset_m in task.offsets_m[1:-1]:
-            left = insertion_path(task.lowered, offset_m, task.advance_m, task.insertion, rate_hz)
+            left = insertion_path(
+                task.lowered, offset_m, task.longest_advance_m, task.insertion, rate_hz
+            )
             paths.append((f"{IN} with offset {offset_m:g} m", left))
     return tuple(paths)
 

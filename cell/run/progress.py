@@ -73,6 +73,7 @@ class Progress:
             offset_m=f.offset_m,
             delay_s=None if f.offset_m is None or best is None else best.delay_s,
             pace=None if f.offset_m is None or best is None else best.pace,
+            further_m=None if f.offset_m is None or best is None else best.further_m,
             predicted_miss_m=_finite(predicted_miss_m),
             measured_miss_m=None if passage is None else _finite(passage.miss_m),
             margin_m=None if passage is None else _finite(passage.margin_m),

@@ -64,6 +64,11 @@ class Task:
         return Pose(self.home.x_m, self.home.y_m - self.lower_m, self.home.angle_rad)
 
     @property
+    def longest_advance_m(self) -> float:
+        """So far left the hand goes at most."""
+        return self.advance_m + self.choice.freely.further_m
+
+    @property
     def arc_length_m(self) -> FloatArray:
         """(nodes,) where on the cable the camera measures, tip first."""
         return node_arc_lengths(self.cable.free_length_m, self.vision.nodes)

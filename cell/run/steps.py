@@ -59,8 +59,9 @@ SMALL_SHIFT_M = 5e-4
 #: A computer that needs longer for a choice is not going to manage, s: the longer the hand waits,
 #: the more there is to simulate.
 LONGEST_LEAD_S = 3.0
-#: No cable of a few decimetres swings longer, s.
-LONGEST_SWING_S = 30.0
+#: A cable rests if its tip stays within so much of its place, m: a twentieth of a pixel, or the
+#: noise if that is more.  No cable of a few decimetres swings longer than this, s.
+RESTING_M, LONGEST_SWING_S = 1e-5, 30.0
 #: What ends a simulation of a cable that the model makes impossible.
 IMPOSSIBLE = (DivergedError, UnsettledError)
 
@@ -432,7 +433,8 @@ def bring_back(station: Station, findings: Findings) -> Findings:
     now_s = clock.now_s()
     hand = arm.log(begin_s, now_s)
     moved = Motion(hand.t_s - begin_s, hand.x_m, hand.y_m, hand.angle_rad)
-    swings_s = time_to_rest_s(identified, moved, identified.noise.std_m, LONGEST_SWING_S)
+    rest_m = max(RESTING_M, identified.noise.std_m)
+    swings_s = time_to_rest_s(identified, moved, rest_m, LONGEST_SWING_S)
     _LOG.info("the cable rests %.1f s after the hand", swings_s)
     wait_until(station, now_s + max(swings_s, task.calm_s))
     return findings.again()

@@ -110,6 +110,7 @@ def _hand_within_limits(document: Document, settings: Settings) -> list[Problem]
     motion, limits, home = settings.motion, settings.limits, settings.motion.home
     lowered_m = home.y_m - motion.lower_m
     deepest_m = lowered_m - motion.offsets.last_m
+    furthest_m = home.x_m - motion.advance_m - motion.start.further_m
     places: list[tuple[Key, str, float, tuple[float, float]]] = [
         (("motion", "home", "x_m"), "x_m", home.x_m, limits.x_m),
         (("motion", "home", "y_m"), "y_m", home.y_m, limits.y_m),
@@ -119,6 +120,7 @@ def _hand_within_limits(document: Document, settings: Settings) -> list[Problem]
         (("motion", "lower_m"), "y_m", lowered_m, limits.y_m),
         (("motion", "offsets", "last_m"), "y_m", deepest_m, limits.y_m),
         (("motion", "advance_m"), "x_m", home.x_m - motion.advance_m, limits.x_m),
+        (("motion", "start", "further_m"), "x_m", furthest_m, limits.x_m),
     ]
     return [
         document.problem(

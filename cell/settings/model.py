@@ -105,6 +105,9 @@ class Start(Section):
     computer: up to 0.3 s on two cores, if no offset passes surely at once."""
     paces: tuple[Annotated[float, Field(gt=1.0, le=3.0)], ...] = (1.15, 1.3, 1.5, 1.8)
     """With a window it may also be made in so many times the usual time."""
+    further_m: NotNegative = 0.0
+    """With a window the hand may also go so much further left, where no offset passes surely: for
+    cables that hang too low to reach the depth."""
 
 
 class Hold(Section):

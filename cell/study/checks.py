@@ -69,7 +69,7 @@ def exchanged(markers: Markers) -> Problem | None:
     if not found or source is None:
         return None
     first = found[0]
-    names = [f"marker {source.numbers[m]}" for m in (first.first, first.second)]
+    names = [source.marker(m) for m in (first.first, first.second)]
     last = markers.line(first.until - 1)
     more = f", as do {len(found) - 1} more pairs in the file" if len(found) > 1 else ""
     return Problem(

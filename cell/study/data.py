@@ -20,15 +20,23 @@ class Source:
 
     lines    (T,) counted from 1
     numbers  (markers,) of the columns' names
+    names    (markers,) that the file gives to markers; empty = none, columns are numbered
     """
 
     file: Path
     lines: NDArray[np.intp]
     numbers: NDArray[np.intp]
+    names: tuple[str, ...] = ()
 
     def column(self, marker: int, axis: int) -> str:
         """Name of the column of a marker's x (0) or y (1)."""
+        if self.names:
+            return f"{self.names[marker]} {'xy'[axis]}"
         return f"{'xy'[axis]}{self.numbers[marker]}_m"
+
+    def marker(self, marker: int) -> str:
+        """Name of a marker."""
+        return self.names[marker] if self.names else f"marker {self.numbers[marker]}"
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,10 @@ from cell.cable.geometry import Cable, Motion, Start
 from cell.files.atomic import write_all
 from cell.files.input_error import InputError, Problem
 from cell.files.yaml_document import Document, Key, read_yaml, validate, yaml_text
-from cell.study.checks import check_finite, check_times, check_whole, exchanged
+from cell.study.checks import check_finite, check_times, check_whole
 from cell.study.data import Markers, Source, Study, Trial
-from cell.study.plausible import clocks_differ, doubt, impossible
+from cell.study.entries import datasheet_of, implausible_entries
+from cell.study.judged import judged
 from cell.study.table import read_table, table_text
 
 FloatArray = NDArray[np.float64]
@@ -24,10 +25,7 @@ FloatArray = NDArray[np.float64]
 FORMAT = "cable-study/1"
 GRIP_COLUMNS = ("t_s", "x_m", "y_m", "angle_rad")
 
-#: Beyond these a number is taken for a mistaken unit.
-MAX_LENGTH_M = 10.0
-MIN_GRAVITY_M_PER_S2, MAX_GRAVITY_M_PER_S2 = 0.01, 100.0
-MAX_NOISE_FRACTION = 0.2
+#: Beyond this a number is taken for a mistaken unit.
 MAX_DISTANCE_M = 100.0
 #: Of a marker; nearer ones are told with their distance from the hand.
 MAX_COORDINATE_M = 1e6
@@ -51,18 +49,6 @@ class _Cable(_Strict):
     width_m: _Positive | None = None
     thickness_m: _Positive | None = None
     diameter_m: _Positive | None = None
-
-    def datasheet(self) -> Cable | None:
-        """A round cable as a strip as wide that has the same section; None: neither or both."""
-        across = self.width_m, self.thickness_m
-        if self.diameter_m is not None and across == (None, None):
-            across = self.diameter_m, np.pi / 4.0 * self.diameter_m
-        elif self.diameter_m is not None:
-            return None
-        width_m, thickness_m = across
-        if width_m is None or thickness_m is None:
-            return None
-        return Cable(self.free_length_m, self.line_density_kg_per_m, width_m, thickness_m)
 
 
 class _Markers(_Strict):
@@ -95,9 +81,20 @@ def read_study(folder: Path) -> Study:
     raises  InputError: a file is missing or wrong; every problem names file, line, value,
             limit and remedy
     """
+    study, problems = study_as_it_is(folder)
+    if problems:
+        raise InputError(problems)
+    return study
+
+
+def study_as_it_is(folder: Path) -> tuple[Study, list[Problem]]:
+    """The study with every trial that can be read, and all that `read_study` refuses it for.
+
+    raises  InputError: no trial can be read
+    """
     document = read_yaml(folder / "study.yaml")
     header = validate(document, _Study)
-    cable = header.cable.datasheet()
+    cable = datasheet_of(header.cable.model_dump(exclude_none=True))
     problems = _implausible(document, header, cable)
     if cable is None or problems:
         raise InputError(problems)
@@ -108,30 +105,24 @@ def read_study(folder: Path) -> Study:
     notes: list[str] = []
     for trial in header.trials:
         try:
-            read = _read_trial(folder / trial.name, trial, (header, cable), order)
+            read = _read_trial(folder / trial.name, trial, header, order)
         except InputError as error:
             problems.extend(error.problems)
             continue
-        looked_at = (read, cable, arc_length_m[order], header.gravity_m_per_s2)
-        markers = folder / trial.name / "markers.csv"
-        if places := exchanged(read.markers):
-            problems.append(places)
-        elif found := impossible(*looked_at):
-            line = read.markers.line(found.row)
-            problems.append(Problem(markers, line, None, "", found.cause))
-        elif odd := doubt(*looked_at):
-            notes.append(f"{markers}: {odd}")
-        step = -(-len(read.markers.t_s) // MAX_FRAMES)
+        found, odd = judged(read, cable, arc_length_m[order], header.gravity_m_per_s2)
+        problems += found
+        notes += odd
+        taken, step = thinned(read)
         if step > 1:
+            markers = folder / trial.name / "markers.csv"
             notes.append(
                 f"{markers}: one of every {step} of the {len(read.markers.t_s)} frames is taken; "
                 f"a swing needs no more than {MAX_FRAMES}"
             )
-            read = replace(read, markers=_every(step, read.markers))
-        trials.append(read)
-    if problems:
+        trials.append(taken)
+    if not trials:
         raise InputError(problems)
-    return Study(
+    study = Study(
         name=header.name,
         cable=cable,
         arc_length_m=arc_length_m[order],
@@ -140,6 +131,7 @@ def read_study(folder: Path) -> Study:
         noise_std_m=header.noise_std_m,
         notes=tuple(notes),
     )
+    return study, problems
 
 
 def study_folder(folder: Path) -> Path:
@@ -209,65 +201,14 @@ def _implausible(document: Document, header: _Study, datasheet: Cable | None) ->
     def add(key: Key, message: str) -> None:
         problems.append(document.problem(key, message))
 
-    for name in ("free_length_m", "width_m", "thickness_m", "diameter_m"):
-        value = getattr(header.cable, name)
-        if value is not None and value > MAX_LENGTH_M:
-            add(
-                ("cable", name),
-                f"{value:g} m is beyond {MAX_LENGTH_M:g} m; give metres, not millimetres",
-            )
-    if datasheet is None:
-        given = [n for n in ("width_m", "thickness_m", "diameter_m") if getattr(header.cable, n)]
-        add(
-            ("cable",),
-            f"{' and '.join(given) or 'no section'} given; a flat cable has width_m and "
-            "thickness_m, a round one diameter_m alone",
-        )
-    implausible = datasheet.implausible() if datasheet else None
-    if implausible and not problems:
-        add(("cable", "line_density_kg_per_m"), implausible)
-    size = np.hypot(*header.gravity_m_per_s2)
-    if size < MIN_GRAVITY_M_PER_S2:
-        add(
-            ("gravity_m_per_s2",),
-            f"{list(header.gravity_m_per_s2)} is below {MIN_GRAVITY_M_PER_S2:g} m/s²: only beside "
-            "its weight is a cable's rigidity known; give [0.0, -9.81]",
-        )
-    elif size > MAX_GRAVITY_M_PER_S2:
-        add(
-            ("gravity_m_per_s2",),
-            f"{list(header.gravity_m_per_s2)} is beyond {MAX_GRAVITY_M_PER_S2:g} m/s²; "
-            "give m/s², not mm/s²",
-        )
-    elif header.gravity_m_per_s2[1] > 0.0:
-        add(
-            ("gravity_m_per_s2",),
-            f"{list(header.gravity_m_per_s2)} points up, for y is up; give [0.0, -9.81], and all y "
-            "upwards",
-        )
-
-    arcs = header.markers.arc_length_m
-    for i, arc in enumerate(arcs):
-        if not 0.0 <= arc <= header.cable.free_length_m * (1 + 1e-9):
-            add(
-                ("markers", "arc_length_m", i),
-                f"{arc:g} m is not on the cable, 0 … {header.cable.free_length_m:g} m; "
-                "count from the gripping point, in metres",
-            )
-    sign = np.sign(np.diff(arcs))
-    for i in map(int, np.flatnonzero((sign != sign[:1]) | (sign == 0.0))):
-        add(
-            ("markers", "arc_length_m", i + 1),
-            f"{arcs[i + 1]:g} m after {arcs[i]:g} m: markers cross or coincide; "
-            "order them along the cable",
-        )
-    if header.noise_std_m and header.noise_std_m > MAX_NOISE_FRACTION * header.cable.free_length_m:
-        add(
-            ("noise_std_m",),
-            f"{header.noise_std_m:g} m is beyond {MAX_NOISE_FRACTION:g} of the free length; "
-            "give metres, not millimetres",
-        )
-
+    for where, message in implausible_entries(
+        header.cable.model_dump(exclude_none=True),
+        datasheet,
+        header.gravity_m_per_s2,
+        header.markers.arc_length_m,
+        header.noise_std_m,
+    ):
+        add(where, message)
     seen: dict[str, int] = {}
     for i, trial in enumerate(header.trials):
         key: Key = ("trials", i)
@@ -300,10 +241,7 @@ def read_grip(path: Path) -> Motion:
     return Motion(*grip.values.T)
 
 
-def _read_trial(
-    folder: Path, trial: _Trial, of: tuple[_Study, Cable], order: NDArray[np.intp]
-) -> Trial:
-    header, cable = of
+def _read_trial(folder: Path, trial: _Trial, header: _Study, order: NDArray[np.intp]) -> Trial:
     motion = read_grip(folder / "grip.csv")
     count = len(header.markers.arc_length_m)
     table = read_table(folder / "markers.csv", _marker_columns(count))
@@ -325,33 +263,19 @@ def _read_trial(
         ~(np.abs(table.values) > [np.inf, *[MAX_COORDINATE_M] * (2 * count)]),
         lambda _: f"is beyond ±{MAX_COORDINATE_M:g} m; give metres",
     )
-    grip_xy_m = np.column_stack([np.interp(t_s, motion.t_s, v) for v in (motion.x_m, motion.y_m)])
-    # A marker cannot be farther from the hand than the cable is long; half as far again leaves
-    # room for noise, a slipping grip and a clock that is off, and none for millimetres.
-    limit_m = 1.5 * header.cable.free_length_m
-    # A coordinate that was not seen adds nothing: what is left is the least that it can be.
-    away_m = np.nan_to_num(xy_m - grip_xy_m[:, None])
-    distance_m = np.hypot(away_m[..., 0], away_m[..., 1])
-    near = ~(distance_m > limit_m)
     source = Source(table.path, np.array(table.lines), order)
     markers = Markers(t_s, xy_m[:, order], source)
-    read = Trial(trial.name, trial.role, trial.start, motion, markers, trial.release_s)
-    shifted = None if near.all() else clocks_differ(read, cable, header.gravity_m_per_s2)
-    if shifted is not None:
-        raise table.error(table.lines[shifted.row], "t_s", shifted.cause)
-    table.check(
-        np.column_stack([np.ones(len(t_s), bool), np.repeat(near, 2, axis=1)]),
-        lambda _: (
-            f"lies more than {limit_m:g} m (1.5 free lengths) from the gripping point; "
-            "give metres, in the frame of grip.csv"
-        ),
-    )
-    return read
+    return Trial(trial.name, trial.role, trial.start, motion, markers, trial.release_s)
 
 
-def _every(step: int, markers: Markers) -> Markers:
-    """One of so many frames."""
+def thinned(trial: Trial) -> tuple[Trial, int]:
+    """The trial with at most `MAX_FRAMES` frames: one of every so many, which is told too."""
+    markers = trial.markers
+    step = -(-len(markers.t_s) // MAX_FRAMES)
+    if step <= 1:
+        return trial, 1
     source = markers.source
     if source is not None:
         source = replace(source, lines=source.lines[::step])
-    return Markers(markers.t_s[::step], markers.xy_m[::step], source)
+    fewer = Markers(markers.t_s[::step], markers.xy_m[::step], source)
+    return replace(trial, markers=fewer), step

@@ -3,20 +3,24 @@
 import re
 from pathlib import Path
 
+import pytest
+
 from tools.figures import checks_reference
 
 ROOT = Path(__file__).parents[2]
 
 
-def test_the_page_has_what_the_table_says() -> None:
-    text = checks_reference.PAGE.read_text(encoding="utf-8")
-    assert text == checks_reference.page(text), "run: python -m tools.figures.checks_reference"
+@pytest.mark.parametrize("path", checks_reference.PAGES, ids=lambda p: p.name)
+def test_the_page_has_what_the_table_says(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    written = checks_reference.page(text, checks_reference.PAGES[path]())
+    assert text == written, "run: python -m tools.figures.checks_reference"
 
 
 def test_every_warning_that_the_lab_gives_is_listed() -> None:
     """A code that no table has would be met by a reader who finds nothing of it."""
     source = (ROOT / "cell/lab/verdict/doubts.py").read_text(encoding="utf-8")
     codes = set(re.findall(r'Doubt\(\s*"(\w+)"', source))
-    listed = checks_reference.reference()
+    listed = checks_reference.of_diagnosis()
     assert codes
     assert all(f"`{code}`" in listed for code in codes)

@@ -26,6 +26,9 @@ from drivers.ur_kinematics import UR5E
 from drivers.ur_pose import pose_of
 
 HOME = Pose(0.5, 0.5, 0.0)
+#: An emulated gripper that is a thread of these tests may answer so late, s: on a busy computer the
+#: 35 ms of a real line passed twice in a row.
+GRIPPER_REPLY_S = 0.15
 SCALE_M_PER_PX = 0.001  # coarse pictures are quick pictures
 
 

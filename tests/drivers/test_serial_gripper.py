@@ -18,6 +18,8 @@ from drivers.interfaces import (
 )
 from drivers.serial_gripper import SerialGripper, SerialGripperOptions
 
+from .conftest import GRIPPER_REPLY_S
+
 
 @pytest.fixture
 def emulator():
@@ -27,7 +29,7 @@ def emulator():
 
 @pytest.fixture
 def gripper(emulator):
-    options = SerialGripperOptions(emulator.port, motion_s=1.5)
+    options = SerialGripperOptions(emulator.port, reply_s=GRIPPER_REPLY_S, motion_s=1.5)
     it = SerialGripper(options, RealClock())
     it.connect()
     yield it
@@ -71,6 +73,7 @@ def test_a_line_without_sense_is_a_lost_gripper_soon(emulator, gripper, fault) -
     with pytest.raises(DeviceLostError, match=r"2 attempts.*check the gripper's cable"):
         gripper.state()
     assert time.monotonic() - began_s < 0.6
+    assert SerialGripperOptions("as shipped").reply_s < GRIPPER_REPLY_S, "and sooner still"
     with pytest.raises(DeviceLostError, match="not connected"):
         gripper.state()
     setattr(emulator.jaws.faults, fault, False)

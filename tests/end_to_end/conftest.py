@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import os
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from typer.testing import CliRunner
 
 from cell.build import cell_with, twin_devices
+from cell.cli import app
 from cell.flight import decide
 from cell.settings import Settings, load_settings
 from cell.simulated.twins import build_twins
@@ -48,6 +51,15 @@ def unrecorded(config: Path) -> Path:
     with config.open("a", encoding="utf-8") as file:
         file.write("\nrecording: null\n")
     return config
+
+
+def run(*words: object, typed: str | None = None) -> subprocess.CompletedProcess[str]:
+    """A command as a user gives it, in this process: where its start is not what is tested."""
+    given = [str(word) for word in words]
+    done = CliRunner().invoke(app, given, input=typed)
+    if done.exception is not None and not isinstance(done.exception, SystemExit):
+        raise done.exception
+    return subprocess.CompletedProcess(given, done.exit_code, done.stdout, done.stderr)
 
 
 @pytest.fixture(scope="session")

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import cv2
@@ -15,17 +13,14 @@ from cell.build import build_cell
 from cell.records.recording import form
 from cell.records.recording.reading import read_recording
 from cell.settings import Settings
+from cell.study.folder import read_study
 from cell.study.table import table_text
 from drivers.files import write_frames
 from drivers.interfaces import Frame
 
-CELL = [sys.executable, "-m", "cell"]
+from .conftest import run
+
 COLUMNS = ("t_s", "x_m", "y_m", "angle_rad")
-
-
-def run(*words: object) -> subprocess.CompletedProcess[str]:
-    command = [*CELL, *map(str, words)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=180)
 
 
 @pytest.fixture(scope="module")
@@ -109,6 +104,23 @@ def test_a_video_is_the_same_film(own):
     pictures = [f.image for f in read_recording(own[0] / "film.mcap").frames()]
     assert len(frames) == len(pictures)
     assert all(np.abs(a.astype(int) - b).max() <= 1 for a, b in zip(frames, pictures, strict=True))
+
+
+def test_a_video_and_a_recording_become_studies_at_once(own, tmp_path):
+    folder, _, config = own
+    film = ["--hand", folder / "poses.csv", "--config", config]
+    done = run("import", folder / "film.avi", *film, "-o", tmp_path / "of_film", "--json")
+    assert done.returncode == 0, done.stderr
+    seen = read_study(tmp_path / "of_film")
+    assert len(seen.trials[0].markers.t_s) > 90
+    recording = tmp_path / "of_film" / "film.mcap"
+    again = run("import", recording, "-o", tmp_path / "of_recording")
+    assert again.returncode == 0, again.stderr
+    same = read_study(tmp_path / "of_recording").trials[0]
+    np.testing.assert_array_equal(same.markers.xy_m, seen.trials[0].markers.xy_m)
+    without = run("import", folder / "film.avi", "-o", tmp_path / "no")
+    assert without.returncode == 2
+    assert "--config and --hand" in without.stderr
 
 
 def test_a_hand_that_ends_elsewhere_is_identified_without_a_choice(own, tmp_path):

@@ -22,12 +22,9 @@ from cell.records.result import Fault, Outcome, Result
 from cell.run.machine import Event
 from cell.settings import Settings
 
+from .conftest import run
+
 CELL = [sys.executable, "-m", "cell"]
-
-
-def run(*words: object, **options) -> subprocess.CompletedProcess[str]:
-    command = [*CELL, *map(str, words)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=180, **options)
 
 
 def listed(place: Path, wanted: Wanted | None = None):
@@ -97,9 +94,12 @@ def test_history_lists_counts_and_exports(runs: Path, tmp_path: Path) -> None:
         (["--import", "nowhere"], "--import nowhere: is no folder"),
     ],
 )
-def test_what_is_wrong_is_named(runs: Path, tmp_path: Path, words: list[str], said: str) -> None:
+def test_what_is_wrong_is_named(
+    runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], said: str
+) -> None:
     given = words if "--ledger" in words else ["--ledger", str(runs), *words]
-    done = run("history", *given, cwd=tmp_path)
+    monkeypatch.chdir(tmp_path)
+    done = run("history", *given)
     assert done.returncode == 2
     assert said in done.stderr
 
@@ -173,7 +173,7 @@ def test_a_run_goes_on_without_its_server(quick_config: Path, tmp_path: Path) ->
 
 def test_ids_are_scanned(quick_config: Path, tmp_path: Path) -> None:
     words = ("--config", quick_config, "--out", tmp_path / "runs", "--cycles", 3, "--part-id", "-")
-    done = run("run", *words, input="X1\n \nY2\n")
+    done = run("run", *words, typed="X1\n \nY2\n")
     assert done.returncode == 1  # two of three
     assert "'' is no id" in done.stderr
     assert [c.part for c in listed(tmp_path / "runs")] == ["X1", "Y2"]

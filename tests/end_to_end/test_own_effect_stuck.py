@@ -17,7 +17,7 @@ from cell.study.folder import write_study
 PROGRAM = """
 import sys
 from cell.computer import watched
-watched.PATIENCE_S = 2.0
+watched.PATIENCE_S = 1.0
 from cell.cli import main
 sys.argv = ["cell", *sys.argv[1:]]
 main()
@@ -53,7 +53,7 @@ IN_PYTHON = HEAD + (
 IN_C = IN_PYTHON.replace("while len", "if len").replace("pass\n", "sum(range(10**13))\n")
 RAISES = COMPILED.replace("while", "if").replace("k += 1.0", "raise KeyError('deep')")
 RAISES_IN_PYTHON = IN_PYTHON.replace("while", "if").replace("pass\n", "raise KeyError('deep')\n")
-ENDS = "takes more than 2 s, as a loop without end does: mend that"
+ENDS = "takes more than 1 s, as a loop without end does: mend that"
 
 
 @pytest.fixture(scope="module")

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-import subprocess
-import sys
 import zipfile
 from pathlib import Path
 
@@ -24,14 +22,7 @@ from cell.terminal.fitting import show
 from cell.terminal.replayed import replayed_parts
 from tools.faults.kill_study import kill_once
 
-from .conftest import changed
-
-CELL = [sys.executable, "-m", "cell"]
-
-
-def run(*arguments: str | Path, **options) -> subprocess.CompletedProcess[str]:
-    command = [*CELL, *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120, **options)
+from .conftest import changed, run
 
 
 def recorded_cycles(settings: Settings, runs: Path, count: int = 1, **changes):

@@ -1,17 +1,24 @@
-"""The reference of checks and warnings in docs/lab.md, written from the tables that the lab reads.
+"""References of checks and warnings in docs, written from the tables that the lab reads.
+
+docs/lab.md has those of a diagnosis, docs/learning.md those of many cables.
 
 python -m tools.figures.checks_reference
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
+from cell.lab.data.check import Check
+from cell.lab.data.thresholds import DEFAULT_RULES
+from cell.lab.line.lesson_checks import GATES, LESSON
+from cell.lab.line.lesson_questions import LineRules
 from cell.lab.verdict.checks import CHECKS
 from cell.lab.verdict.doubts import MEANINGS
-from cell.lab.verdict.thresholds import DEFAULT_RULES
 
-PAGE = Path(__file__).parents[2] / "docs" / "lab.md"
+DOCS = Path(__file__).parents[2] / "docs"
 BEGIN, END = "<!-- checks: begin -->", "<!-- checks: end -->"
 #: Codes of warnings in files of versions before.
 OLD_CODES = {
@@ -23,17 +30,23 @@ OLD_CODES = {
 }
 
 
-def reference() -> str:
-    """Tables in Markdown."""
+def table(checks: Sequence[Check[Any]], rules: object) -> list[str]:
+    """Checks in Markdown: their limits, what a failure says, and why the limit is what it is."""
     lines = ["| check | question | passes if | if not |", "|---|---|---|---|"]
-    for c in CHECKS:
-        limit = f"{c.unit} {c.passes} {getattr(DEFAULT_RULES, c.limit):g}"
+    for c in checks:
+        limit = f"{c.unit} {c.passes} {getattr(rules, c.limit):g}"
         lines.append(f"| `{c.name}` | {c.question} | {limit} | `{c.failing}` |")
     lines += ["", "What a check that fails says, and why its limit is what it is:", ""]
-    for c in CHECKS:
+    for c in checks:
         code = OLD_CODES.get(c.name)
         old = f" In files of earlier versions: `{code}`." if code else ""
         lines.append(f"- `{c.name}`: {c.failed} Judged by {c.reason}.{old}")
+    return lines
+
+
+def of_diagnosis() -> str:
+    """The checks of a diagnosis, and its other warnings."""
+    lines = table(CHECKS, DEFAULT_RULES)
     lines += ["", "Warnings that come of no check:", ""]
     lines += ["| code | what was found | verdict |", "|---|---|---|"]
     for code, (meaning, verdict) in MEANINGS.items():
@@ -41,12 +54,21 @@ def reference() -> str:
     return "\n".join(lines)
 
 
-def page(text: str) -> str:
+def of_line() -> str:
+    """The checks of what many cables teach, and the gates of a candidate."""
+    return "\n".join(table((*LESSON, *GATES), LineRules()))
+
+
+PAGES = {DOCS / "lab.md": of_diagnosis, DOCS / "learning.md": of_line}
+
+
+def page(text: str, reference: str) -> str:
     """The page with the reference in its place."""
     before, _, rest = text.partition(BEGIN)
     after = rest.partition(END)[2]
-    return f"{before}{BEGIN}\n\n{reference()}\n\n{END}{after}"
+    return f"{before}{BEGIN}\n\n{reference}\n\n{END}{after}"
 
 
 if __name__ == "__main__":
-    PAGE.write_text(page(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    for path, reference in PAGES.items():
+        path.write_text(page(path.read_text(encoding="utf-8"), reference()), encoding="utf-8")

@@ -35,20 +35,21 @@ from cell.cable.solver import DivergedError
 from cell.cable.statics import UnsettledError
 from cell.files.input_error import InputError
 from cell.identify.parameters import ParameterSpace
+from cell.lab.data.check import COMPARE, Answer, Check, verdict_of
 from cell.lab.data.noise_floor import NoiseUnknownError
 from cell.lab.data.opened_study import open_study
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.selection import EffectSelection
+from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.fit.fitting import fit_trials
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.search.setup import fit_cache_of
 from cell.lab.statistics.score import holm
-from cell.lab.verdict.checks import CHECKS, COMPARE, Answer, Check, verdict_of
+from cell.lab.verdict.checks import CHECKS
 from cell.lab.verdict.diagnose import Examination, diagnose
 from cell.lab.verdict.evidence import Evidence
 from cell.lab.verdict.forward_search import with_ties
-from cell.lab.verdict.thresholds import DEFAULT_RULES
 from cell.study.folder import write_study
 from tools.studies.breadth_study import _hidden, _power
 from tools.studies.confusion_study import ONE_CLASS, _class_of, _drawn, evidence, power_of
@@ -114,7 +115,7 @@ def judged(case: Case) -> Row:
         except (InputError, NoiseUnknownError):
             return blank
         examination = diagnose(fits)
-    return _row(case, there, power, fits, examination)
+    return _row(case, there, power, examination)
 
 
 def _made(case: Case, folder: Path, known: dict[str, type[Effect]]) -> tuple[str, float, FitCache]:
@@ -149,7 +150,8 @@ def _made(case: Case, folder: Path, known: dict[str, type[Effect]]) -> tuple[str
     return "+".join(e.name for e in effects), power, fits
 
 
-def _row(case: Case, there: str, power: float, fits: FitCache, examination: Examination) -> Row:
+def _row(case: Case, there: str, power: float, examination: Examination) -> Row:
+    fits = examination.fits
     base, rules = fits.baseline(), DEFAULT_RULES
     current, tied = examination.accepted, {}
     if current is not base:

@@ -146,10 +146,11 @@ def main() -> None:
     parser = options(__doc__, 20)
     parser.add_argument("--half-mm", type=float, default=5.0)
     parser.add_argument("--window-s", type=float, default=0.0)
+    parser.add_argument("--further-m", type=float, default=0.0)
     parser.add_argument("--worlds", nargs="+", choices=worlds(), default=worlds())
     given = parser.parse_args()
     settings = with_mouth(load_settings(given.config), given.half_mm)
-    freely, rows = Freedom(given.window_s, (1.15, 1.3, 1.5, 1.8)), []
+    freely, rows = Freedom(given.window_s, (1.15, 1.3, 1.5, 1.8), given.further_m), []
     with written(given.file, Tried) as write:
         for world in given.worlds:
             for cable in range(1, given.cables + 1):

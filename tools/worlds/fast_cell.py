@@ -137,10 +137,11 @@ def fast_cycle(
         reason = choice.reason
     except CableRejectedError as error:
         reason = str(error)
-    table = [(o, 0.0, 1.0) for o in task.offsets_m]
+    table = [(o, 0.0, 1.0, 0.0) for o in task.offsets_m]
     if expected is not None:
         coming = expected.forecast
-        table = list(zip(coming.offsets_m, coming.delays_s, coming.paces, strict=True))
+        beside = (coming.delays_s, coming.paces, coming.further_m)
+        table = list(zip(coming.offsets_m, *beside, strict=True))
     truth = truths(task, hidden, down, start_s, lag_s, table)
     at_s = np.arange(0.0, truth.end_s - start_s, 0.005)
     index = None if choice is None else choice.table.index(choice.best)
@@ -159,7 +160,8 @@ def fast_cycle(
     cycle = _in_truth(cycle, task, at_s, tip, choice.t_s, choice.tip_m)
     if reason is not None:
         return cycle
-    view = View(task, timing, hidden, down, start_s, bias, errors)
+    executing = Executing.of(task, timing, filmed, held, start_s)
+    view = View(task, timing, hidden, down, start_s, bias, errors, identified, executing)
     motion = truth.motions[index]
     if flown is not None:
         cycle, motion = _flown(cycle, view, flown, at_s, rng)
@@ -200,7 +202,7 @@ def _flown(
     task, coming, identified = view.task, cycle.candidates, cycle.identified
     assert coming is not None and identified is not None and cycle.choice is not None
     path = coming.paths[cycle.choice.table.index(cycle.choice.best)]
-    executing = Executing.of(task, view.timing, filmed_of(cycle.held), cycle.held, view.start_s)
+    executing = view.executing
     ahead = answers(
         identified,
         executing.motion(path),
@@ -254,7 +256,7 @@ def best_margin_m(settings: Settings, seed: int, number: int) -> float:
     task, lag_s = cell_task(settings), settings.arm.lag_s
     down = true_hold(task, lag_s)
     start_s = float(down.t_s[-1]) + task.decide_s
-    table = [(offset_m, 0.0, 1.0) for offset_m in task.offsets_m]
+    table = [(offset_m, 0.0, 1.0, 0.0) for offset_m in task.offsets_m]
     truth = truths(task, hidden_cable(settings, seed, number), down, start_s, lag_s, table)
     tips = truth.tips(np.arange(0.0, truth.end_s - start_s, 0.005))
     return float(task.destination.margin_m(tips).max())

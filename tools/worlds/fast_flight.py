@@ -10,8 +10,11 @@ from numpy.typing import NDArray
 from cell.cable.dynamics import simulate
 from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
+from cell.flight.answers import expected_nodes
 from cell.flight.correct import Tail, decisions_s
 from cell.flight.decide import Flight
+from cell.identify.identified import Identified
+from cell.run.candidates import Executing
 from cell.run.station import Task, Timing
 from drivers.interfaces import Trajectory
 from tools.studies.coverage_study import Errors
@@ -56,6 +59,13 @@ class View:
     start_s: float
     bias: Bias
     errors: Errors
+    identified: Identified
+    executing: Executing
+
+    def expected_nodes(self, path: Trajectory, t_s: FloatArray) -> FloatArray:
+        """Of a path, as the cell simulates it in flight."""
+        at_s, motion = self.executing.begin_s + t_s, self.executing.motion(path)
+        return expected_nodes(self.identified, motion, at_s, self.task.arc_length_m)
 
     def motion(self, path: Trajectory, flown: Flown) -> Motion:
         """The hand's true one, the hold before included."""
@@ -126,7 +136,8 @@ def inserted(
         looks = (*done.looks, Look(flight, t_s, seen_m, done.motion))
         done = replace(done, looks=looks)
         if decision.tail is not None:
-            path, flight = decision.tail.of(path), flight.changed(decision.tail)
+            path = decision.tail.of(path)
+            flight = flight.expecting(view.expected_nodes(path, flight.answers.t_s))
             tails = (*done.tails, decision.tail)
             done = Inserted(view.motion(path, flown), tails, decision.tail.tip_m, looks)
         elif decision.hopeless and not left:

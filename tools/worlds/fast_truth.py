@@ -80,15 +80,13 @@ def truths(
     down: Motion,
     start_s: float,
     lag_s: float,
-    table: Sequence[tuple[float, float, float]],
+    table: Sequence[tuple[float, float, float, float]],
 ) -> Truths:
-    """`table`: offset, delay and pace of every motion."""
+    """`table`: offset, delay, pace of every motion, and how much further it goes."""
     motions = []
-    for offset_m, delay_s, pace in table:
-        limits = task.insertion.slowed(pace)
-        path = insertion_path(
-            task.lowered, offset_m, task.advance_m, limits, RATE_HZ, delay_s=delay_s
-        )
+    for offset_m, delay_s, pace, further_m in table:
+        limits, advance_m = task.insertion.slowed(pace), task.advance_m + further_m
+        path = insertion_path(task.lowered, offset_m, advance_m, limits, RATE_HZ, delay_s=delay_s)
         motions.append(whole_motion(task, down, path, start_s, lag_s))
     return Truths(task, hidden, motions, start_s)
 

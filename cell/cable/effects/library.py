@@ -44,7 +44,8 @@ def load_effect(path: str | Path, *, trusted: bool = False) -> type[Effect]:
     The file is a program, and it is run: first in a process of its own, which is killed if it does
     not come to an end, then in this one.
 
-    trusted  the program wrote the file itself: it is not tried elsewhere first
+    trusted  the program wrote the file itself: it is not tried elsewhere first, and imports nothing
+             from its folder
     raises   EffectError: with the file and line of the mistake; FileNotFoundError
     """
     file = Path(path).resolve()
@@ -65,7 +66,7 @@ def load_effect(path: str | Path, *, trusted: bool = False) -> type[Effect]:
                 step.enter_context(must_end(f"{file}:{line}: {what}"))
 
         doing("its module", 1, PATIENCE_S)
-        return _loaded(file, doing)
+        return _loaded(file, doing, alone=trusted)
 
 
 def _tried(file: Path, doing: Doing) -> None:
@@ -89,9 +90,15 @@ class _FromSource(SourceFileLoader):
         return code
 
 
-def _loaded(file: Path, doing: Doing) -> type[Effect]:
+def _loaded(file: Path, doing: Doing, *, alone: bool = False) -> type[Effect]:
+    """Effect of a file.
+
+    alone  the file needs no other beside it: a copy elsewhere has the same machine code, which is
+           found by the module's name
+    """
     sha256 = file_sha256(file)
-    name = f"cable_effect_{file.stem}_{hashlib.sha256(str(file).encode()).hexdigest()[:8]}"
+    where = sha256 if alone else hashlib.sha256(str(file).encode()).hexdigest()
+    name = f"cable_effect_{file.stem}_{where[:8]}"
     loader = _FromSource(name, str(file))
     spec = importlib.util.spec_from_file_location(name, file, loader=loader)
     if spec is None or file.suffix != ".py":

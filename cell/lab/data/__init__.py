@@ -1,1 +1,1 @@
-"""What goes into the lab and comes out: studies made ready, noise, recorded cycles, results."""
+"""What goes in and comes out: studies made ready, noise, cycles, limits, checks, results."""

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import wraps
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,6 +70,7 @@ class PreparedStudy:
     slopes of which only differences of simulations are taken, where that is measured to do no harm
     counted   as which simulations count as work, if not as those of `solver`: how far a search goes
               must not depend on whether slopes may be coarser
+    memo      what `once_per_study` has worked out of it; another study begins with none
     mesh_m    per trial (times, markers, 2) error of the solver's mesh that has been taken out of
               the study's markers, m
     """
@@ -81,6 +84,7 @@ class PreparedStudy:
     slopes: Solver | None = None
     counted: Solver | None = None
     mesh_m: Mapping[str, FloatArray] = field(default_factory=dict)
+    memo: dict[tuple[object, ...], Any] = field(default_factory=dict, init=False, repr=False)
 
     @staticmethod
     def of(
@@ -236,6 +240,26 @@ class PreparedStudy:
     def count(self, trials: Sequence[Trial]) -> int:
         """Coordinates seen in trials."""
         return sum(self.whiteners[t.name].count for t in trials)
+
+
+Given = ParamSpec("Given")
+Result = TypeVar("Result")
+
+
+def once_per_study(
+    function: Callable[Concatenate[PreparedStudy, Given], Result],
+) -> Callable[Concatenate[PreparedStudy, Given], Result]:
+    """A function of a study and of other things, worked out once; the study keeps the result."""
+
+    @wraps(function)
+    def known(prepared: PreparedStudy, /, *of: Given.args, **named: Given.kwargs) -> Result:
+        key = (function, *of, *named.items())
+        if key not in prepared.memo:
+            prepared.memo[key] = function(prepared, *of, **named)
+        result: Result = prepared.memo[key]
+        return result
+
+    return known
 
 
 def pooled(prepared: PreparedStudy) -> PreparedStudy:

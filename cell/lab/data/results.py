@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
 from cell.files.atomic import write_whole
+from cell.files.plain import plain
 
 Verdict = Literal["complete", "missing", "unexplained", "cannot_tell"]
 Status = Literal["present", "absent", "inspect", "cannot_tell"]
@@ -223,101 +223,45 @@ class Diagnosis:
         return frozenset(w.code for w in self.warnings)
 
 
+#: Entries of a diagnosis, in the order in which files have them.
+_ENTRIES = (
+    "noise_m",
+    "noise_is_stated",
+    "baseline",
+    "verdict",
+    "missing",
+    "ranking",
+    "left",
+    "partial",
+    "nearest",
+    "checks",
+    "warnings",
+    "limits",
+    "agreement",
+)
+
+
 def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
     """The diagnosis as plain data in the form cable-diagnosis/1; nan becomes null."""
-    return {
-        "format": FORMAT,
-        "noise_m": _number(diagnosis.noise_m),
-        "noise_is_stated": diagnosis.noise_is_stated,
-        "baseline": _errors(diagnosis.baseline),
-        "verdict": diagnosis.verdict,
-        "missing": [_found(f) for f in diagnosis.missing],
-        "ranking": [
-            {
-                "effect": r.effect,
-                "score": _number(r.score),
-                "p_value": _number(r.p_value),
-                "status": r.status,
-            }
-            for r in diagnosis.ranking
-        ],
-        "left": None if diagnosis.left is None else _left(diagnosis.left),
-        "partial": [_found(f) for f in diagnosis.partial],
-        "nearest": [
-            {
-                "effect": n.effect,
-                "explained_share": _number(n.explained_share),
-                "left_rms_m": _number(n.left_rms_m),
-                **_errors(n.errors),
-                "peak": _peak(n.peak),
-            }
-            for n in diagnosis.nearest
-        ],
-        "checks": [
-            vars(c) | {"statistic": None if c.statistic is None else _number(c.statistic)}
-            for c in diagnosis.checks
-        ],
-        "warnings": [vars(w) for w in diagnosis.warnings],
-        "limits": [vars(limit) for limit in diagnosis.limits],
-        "agreement": agreement_json(diagnosis.agreement),
-    }
+    content = plain(asdict(diagnosis))
+    for name in ("missing", "partial", "nearest"):
+        content[name] = [_flat(found) for found in content[name]]
+    return {"format": FORMAT} | {name: content[name] for name in _ENTRIES}
+
+
+def _flat(found: dict[str, Any]) -> dict[str, Any]:
+    """An effect with its errors among its own entries."""
+    flat: dict[str, Any] = {}
+    for name, value in found.items():
+        flat |= value if name == "errors" else {name: value}
+    return flat
 
 
 def agreement_json(agreement: Sequence[Agreement]) -> list[dict[str, Any]]:
     """Estimates per trial, as plain data."""
-    return [vars(a) | {"by_trial": [vars(t) for t in a.by_trial]} for a in agreement]
-
-
-def _found(found: MissingEffect) -> dict[str, Any]:
-    return {
-        "effect": found.effect,
-        "tied_with": list(found.tied_with),
-        "p_value": _number(found.p_value),
-        "delta_bic": _number(found.delta_bic),
-        "parameters": {
-            name: {
-                "value": _number(p.value),
-                "low": _number(p.low),
-                "high": _number(p.high),
-                "unit": p.unit,
-            }
-            for name, p in found.parameters.items()
-        },
-        **_errors(found.errors),
-        "explained_share": _number(found.explained_share),
-    }
-
-
-def _left(left: RemainingError) -> dict[str, Any]:
-    return {
-        "rms_m": _number(left.rms_m),
-        "before_rms_m": _number(left.before_rms_m),
-        "over_noise": _number(left.over_noise),
-        "explained_share": _number(left.explained_share),
-        "peak": _peak(left.peak),
-    }
-
-
-def _peak(peak: Peak) -> dict[str, Any]:
-    return {
-        "trial": peak.trial,
-        "time_s": _number(peak.time_s),
-        "arc_length_m": _number(peak.arc_length_m),
-        "frequency_hz": _number(peak.frequency_hz),
-    }
+    return [plain(asdict(a)) for a in agreement]
 
 
 def write_json(content: dict[str, Any], path: Path) -> None:
     """Write plain data as JSON, whole or not at all."""
     write_whole(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
-
-
-def _errors(errors: Errors) -> dict[str, float | None]:
-    return {
-        "fit_rms_m": _number(errors.fit_rms_m),
-        "heldout_rms_m": _number(errors.heldout_rms_m),
-    }
-
-
-def _number(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import Options
-from cell.lab.data.prepared import PreparedStudy, pooled
+from cell.lab.data.prepared import PreparedStudy, once_per_study, pooled
 from cell.lab.fit.fitting import Fit, fit_model, fit_trials
 from cell.lab.fit.sensitivity import Sensitivity, prior_root, sensitivities
 from cell.lab.fit.systematic_error import SystematicError, systematic_error
@@ -80,7 +80,7 @@ class AllTrialsFit:
         return [self._slopes[e] for e in asked]
 
 
-@lru_cache(maxsize=4)
+@once_per_study
 def of_all_trials(prepared: PreparedStudy, fit: Fit) -> AllTrialsFit:
     """The model of a fit, fitted to every trial of its study.
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.identify.hand import HandErrors, likely_motions
-from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.prepared import PreparedStudy, once_per_study
 from cell.lab.fit.fitting import Fit
 from cell.study.data import Trial
 
@@ -60,6 +60,7 @@ class HandError:
         return self.square(trials) - imitated / MOTIONS
 
 
+@once_per_study
 def hand_error(prepared: PreparedStudy, fit: Fit) -> HandError:
     """Of every trial, near a fitted model.  What cannot be simulated counts as none."""
     trials = prepared.study.trials

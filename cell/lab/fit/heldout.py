@@ -13,7 +13,7 @@ from cell.cable.effects.base import Effect
 from cell.cable.model import CableModel
 from cell.identify.differences import difference_points
 from cell.identify.gaussian import covariance_root, marginal_chi2
-from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.prepared import PreparedStudy, once_per_study
 from cell.lab.fit.fitting import Fit, best_initial_state, extended
 from cell.lab.statistics.series import overall
 from cell.study.data import Trial
@@ -89,6 +89,7 @@ def heldout(prepared: PreparedStudy, fit: Fit) -> Heldout | None:
     )
 
 
+@once_per_study
 def heldout_rows(prepared: PreparedStudy, fit: Fit) -> HeldoutRows:
     """Of the `validate` trials; not finite where the cable cannot be simulated."""
     trials = prepared.study.role("validate")

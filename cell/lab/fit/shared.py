@@ -86,7 +86,7 @@ class SharedFit:
         noise_m = float(np.mean([c.noise.std_m for c in self.cables]))
         return noise_m * float(np.sqrt(self.chi2_by_cable.sum() / count))
 
-    @property
+    @cached_property
     def end_seen_beyond_m(self) -> FloatArray:
         """(cables,) how far along it a cable's end is seen from where the fit has it, mean of all
         its pictures, m.

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cell.cable.effects.base import Effect
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.fit.fitting import fit_trials, residuals
+from cell.lab.fit.fitting import Fit, fit_trials, residuals
 
 FloatArray = NDArray[np.float64]
 
@@ -64,3 +64,11 @@ def typical(effect: type[Effect]) -> list[FloatArray]:
     """All combinations of the effect's starts, the most typical first."""
     choices = itertools.product(*(p.starts for p in effect.parameters))
     return [np.array(c) for c in itertools.islice(choices, MOST_GUESSES)]
+
+
+def taken_from(fit: Fit, space: ParameterSpace) -> FloatArray:
+    """(p,) coordinates in a space whose parameters a fit has."""
+    q = space.mean.copy()
+    for i, name in enumerate(space.names):
+        q[i] = fit.q[fit.space.names.index(name)]
+    return q

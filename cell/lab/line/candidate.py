@@ -16,6 +16,7 @@ from cell.identify.model_class import source_of
 from cell.lab.data.cycles import RecordedCycle
 from cell.lab.line.gates import Judgement
 from cell.lab.line.learn import LearningResult
+from cell.lab.line.lesson_checks import lesson_answers, lesson_verdict
 from cell.settings import Settings, load_settings
 from cell.settings.line import distinct, line_of
 from cell.settings.model import Model
@@ -46,12 +47,18 @@ def write_candidate(
     present  the model beside which it was learned
     lines    on which the cycles were recorded, as `lines_of` has them
     """
+    found = lesson_answers(lesson)
     content = {
         "format": FORMAT,
         "beside": model_hash(present),
         "model": section(lesson, present).model_dump(mode="json", exclude_defaults=True),
         "tied": list(lesson.tied),
-        "gates": [{"gate": g.name, "passed": g.passed, "found": g.found} for g in judgement.gates],
+        "verdict": lesson_verdict(lesson, found),
+        "checks": [_plain(vars(answer.result)) for answer in found],
+        "gates": [
+            {"gate": g.name, "passed": g.passed, "found": g.found, **_plain(vars(g.result))}
+            for g in judgement.gates
+        ],
         "forecasts": [_plain(asdict(f)) for f in judgement.paired],
         "votes": [_plain(asdict(v)) for v in lesson.votes],
         "left_out": list(lesson.left_out),

@@ -21,7 +21,7 @@ from cell.lab.fit.shared import BIAS_M, along_end
 from cell.lab.line.effect_fit import EffectFit
 from cell.lab.line.learn import LearningResult
 from cell.plan.destination import Destination
-from cell.plan.passage import measured_passage
+from cell.plan.passage import height_at_mouth_m, measured_passage
 from cell.study.data import Markers, Trial
 
 FloatArray = NDArray[np.float64]
@@ -42,6 +42,8 @@ class ForecastPair:
                              those that the other cables show
     present_s, candidate_s   of the computer, for the identification
     present_rms_m, candidate_rms_m   of the tip in all frames, of which noise makes less
+    present_above_m, candidate_above_m   height of the tip in the mouth above its forecast; nan = it
+                                         was not executed, or did not come there
     """
 
     cycle: str
@@ -52,6 +54,8 @@ class ForecastPair:
     present_rms_m: float
     candidate_rms_m: float
     of: Literal["execution", "rest of the hold"] = "execution"
+    present_above_m: float = float("nan")
+    candidate_above_m: float = float("nan")
 
 
 def forecasts(
@@ -67,7 +71,10 @@ def forecasts(
     """
     assert lesson.best is not None
     at_present = {
-        pair.cycle: _Forecast(pair.present_m, pair.present_rms_m, pair.present_s) for pair in known
+        pair.cycle: _Forecast(
+            pair.present_m, pair.present_rms_m, pair.present_s, pair.present_above_m
+        )
+        for pair in known
     }
     found = []
     for i, cycle in enumerate(lesson.cycles):
@@ -89,6 +96,8 @@ def forecasts(
                 before.rms_m,
                 after.rms_m,
                 of,
+                before.above_m,
+                after.above_m,
             )
         )
     return found
@@ -120,11 +129,13 @@ class _Forecast(NamedTuple):
     """Errors of the tip, `inf` if there is no forecast, and the CPU time.
 
     largest_m  in the destination, or in the rest of the hold; rms_m in all frames
+    above_m    see `ForecastPair`
     """
 
     largest_m: float
     rms_m: float
     spent_s: float
+    above_m: float = float("nan")
 
 
 def _forecast(
@@ -158,7 +169,8 @@ def _forecast(
     if cycle.executed is None:
         return _Forecast(float(np.nanmax(away_m)), rms_m, spent_s)
     passage = measured_passage(destination, markers.t_s, seen, markers.t_s, tip)
-    return _Forecast(passage.error_m, rms_m, spent_s)
+    above_m = passage.miss_m - height_at_mouth_m(destination, tip)
+    return _Forecast(passage.error_m, rms_m, spent_s, above_m)
 
 
 def _seen_beyond_m(held: Trial, tip: FloatArray) -> float:

@@ -14,16 +14,19 @@ from cell.identify.identified import Identified
 from cell.identify.individual import CableRejectedError, IdentifyOptions, identify
 from cell.lab.data.cycles import RecordedCycle
 from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.thresholds import SIGNIFICANCE
 from cell.lab.fit.fitting import space_with
 from cell.lab.fit.shared import BIAS_M, SharedFit, Spread, fit_shared, prepared_cycle
+from cell.lab.line.cables_space import SECOND, CablesSpace, Progress, on_all
 from cell.lab.line.effect_fit import Budget, EffectFit, is_tied
-from cell.lab.line.lesson_search import SECOND, Progress, Search, on_all
-from cell.lab.statistics.score import SIGNIFICANCE
+from cell.lab.search.stepwise import levels
 
 FloatArray = NDArray[np.float64]
 
 #: Cables that the library is tried on; and that a model is then fitted to, at most.
 TRIED_ON, FITTED_TO = 4, 12
+#: Effects that are added one after another, at most.
+MOST_EFFECTS = 2
 #: A model is complete for the line if it misses by no more than this above the noise, m.
 NEGLIGIBLE_M = 5e-6
 #: Standard deviations that are still chance.
@@ -113,11 +116,17 @@ def learn(
     others = [e for e in library.values() if e not in base.effects]
     baseline = fit_shared(prepared, base, np.vstack([a.q for a in alone]))
     names = tuple(c for c, _ in chosen)
-    lesson = LearningResult(names, baseline, (), None, (), (), ())
-    known(lesson)
+    none = lesson = LearningResult(names, baseline, (), None, (), (), ())
+    known(none)
     if not negligible(baseline):
-        search = Search(tuple(few), base, plausible[:TRIED_ON], len(others), budget, progress)
-        lesson = _searched(lesson, search, prepared, plausible, alone[:TRIED_ON], others, known)
+        search = CablesSpace(tuple(few), base, plausible[:TRIED_ON], len(others), budget, progress)
+        lessons = _Lessons(search, alone[:TRIED_ON], prepared, plausible, others)
+        for step, (lesson,) in enumerate(levels(none, lessons.extended, lessons.kept)):
+            enough = lesson.best is not None and negligible(lesson.best.fit)
+            if enough or step == min(MOST_EFFECTS, len(others)):
+                break
+            if step:
+                known(lesson)
     return replace(lesson, left_out=tuple(budget.left_out))
 
 
@@ -164,80 +173,86 @@ def _chosen(
     return ranked[:FITTED_TO]
 
 
-def _searched(
-    none: LearningResult,
-    search: Search,
-    prepared: Sequence[PreparedStudy],
-    plausible: FloatArray,
-    alone: Sequence[SharedFit],
-    others: Sequence[type[Effect]],
-    known: Callable[[LearningResult], None],
-) -> LearningResult:
-    """The lesson with one effect, or two; as it was if none is more than chance.
+@dataclass(frozen=True, eq=False)
+class _Lessons:
+    """Lessons with one effect, and with one more, as a search takes them.
 
-    none   of the present model
-    alone  that model fitted to each of the search's cables
+    search     on a few of the cables
+    alone      the present model fitted to each of these
+    prepared, plausible   all cables, and where their refits begin
+    others     effects to choose from
     """
-    tried = search.next(alone, others, None)
-    first = _lesson(replace(none, ranking=tuple(tried)), search, prepared, plausible, tried)
-    if first.best is None or negligible(first.best.fit) or len(others) < 2:
-        return first
-    known(first)
-    if not search.budget.allows(SECOND, f"effects beside {first.best.effect.name}"):
-        return first
-    search.progress(f"looking for what {first.best.effect.name} leaves")
-    with_it = space_with(search.base, (*search.base.effects, first.best.effect))
-    assert tuple(with_it.names[i] for i in first.best.fit.common) == first.best.names
-    full = np.tile(with_it.mean, (len(prepared), 1))
-    full[:, : first.best.fit.own], full[:, first.best.fit.common] = (
-        first.best.fit.q,
-        first.best.fit.theta,
-    )
-    left = [fit_shared([p], with_it, full[i : i + 1]) for i, p in enumerate(search.prepared)]
-    rest = [e for e in others if e is not first.best.effect]
-    second = _lesson(first, search, prepared, plausible, search.next(left, rest, tried[0]))
-    if second.best is first.best:
-        return first
-    single = search.last_alone(alone, second.ranking[0])
-    if single is None:
-        return second
-    # what is as good as it beside the first is as good without
-    return replace(_lesson(none, search, prepared, plausible, [single]), tied=second.tied)
 
+    search: CablesSpace
+    alone: Sequence[SharedFit]
+    prepared: Sequence[PreparedStudy]
+    plausible: FloatArray
+    others: Sequence[type[Effect]]
 
-def _lesson(
-    before: LearningResult,
-    search: Search,
-    prepared: Sequence[PreparedStudy],
-    plausible: FloatArray,
-    tried: Sequence[EffectFit],
-) -> LearningResult:
-    """The lesson with the best of these; as before, if it is no more than chance."""
-    simpler = before.baseline if before.best is None else before.best.fit
-    if not tried or tried[0].p_value >= SIGNIFICANCE:
-        return before
-    search.progress(f"fitting {tried[0].name} to {len(prepared)} cables")
-    tied = tuple(t.effect.name for t in tried[1:] if is_tied(t, tried[0]))
-    best = on_all(prepared, search.base, plausible, simpler, tried[0], search.budget)
-    values, std = best.fit.by_cable
-    falls = (simpler.chi2_by_cable - best.fit.chi2_by_cable) / best.fit.inflation
-    last = best.firsts[-1]
-    votes = tuple(
-        CycleEvidence(cycle.name, float(fall), float(value), float(of_it))
-        for cycle, fall, value, of_it in zip(
-            before.cycles, falls, values[:, last], std[:, last], strict=True
+    def extended(self, lesson: LearningResult) -> list[EffectFit]:
+        """The effects of the lesson and one more, fitted to the few cables, the best first."""
+        best = lesson.best
+        if best is None:
+            return self.search.next(self.alone, self.others, None)
+        if not self.search.budget.allows(SECOND, f"effects beside {best.effect.name}"):
+            return []
+        self.search.progress(f"looking for what {best.effect.name} leaves")
+        rest = [e for e in self.others if e not in best.effects]
+        return self.search.next(self._each_with(best), rest, lesson.ranking[0])
+
+    def _each_with(self, best: EffectFit) -> list[SharedFit]:
+        """The cables of the search, each fitted alone with effects that were found."""
+        base = self.search.base
+        with_it = space_with(base, (*base.effects, *best.effects))
+        assert tuple(with_it.names[i] for i in best.fit.common) == best.names
+        full = np.tile(with_it.mean, (len(self.prepared), 1))
+        full[:, : best.fit.own], full[:, best.fit.common] = best.fit.q, best.fit.theta
+        cables = enumerate(self.search.prepared)
+        return [fit_shared([p], with_it, full[i : i + 1]) for i, p in cables]
+
+    def kept(self, lesson: LearningResult, tried: Sequence[EffectFit]) -> list[LearningResult]:
+        """The lesson with the best of these, fitted to all cables; none if that is chance.
+
+        Where the last effect explains as much without the one before it, it is the only one.
+        """
+        if not tried or tried[0].p_value >= SIGNIFICANCE:
+            return []
+        found = self._lesson(lesson, tried)
+        if lesson.best is None:
+            return [found]
+        single = self.search.last_alone(self.alone, tried[0])
+        if single is None:
+            return [found]
+        none = replace(lesson, best=None, ranking=(), tied=(), spread=(), votes=(), simpler=None)
+        # what is as good as it beside the first is as good without
+        return [replace(self._lesson(none, [single]), tied=found.tied)]
+
+    def _lesson(self, before: LearningResult, tried: Sequence[EffectFit]) -> LearningResult:
+        """The lesson with the best of these, fitted to all cables."""
+        search = self.search
+        simpler = before.baseline if before.best is None else before.best.fit
+        search.progress(f"fitting {tried[0].name} to {len(self.prepared)} cables")
+        tied = tuple(t.effect.name for t in tried[1:] if is_tied(t, tried[0]))
+        best = on_all(self.prepared, search.base, self.plausible, simpler, tried[0], search.budget)
+        values, std = best.fit.by_cable
+        falls = (simpler.chi2_by_cable - best.fit.chi2_by_cable) / best.fit.inflation
+        last = best.firsts[-1]
+        votes = tuple(
+            CycleEvidence(cycle.name, float(fall), float(value), float(of_it))
+            for cycle, fall, value, of_it in zip(
+                before.cycles, falls, values[:, last], std[:, last], strict=True
+            )
         )
-    )
-    return LearningResult(
-        before.cycles,
-        before.baseline,
-        tuple(tried),
-        best,
-        tied,
-        tuple(Spread.of(values[:, i], std[:, i]) for i in best.firsts),
-        votes,
-        None if before.best is None else before,
-    )
+        return LearningResult(
+            before.cycles,
+            before.baseline,
+            tuple(tried),
+            best,
+            tied,
+            tuple(Spread.of(values[:, i], std[:, i]) for i in best.firsts),
+            votes,
+            None if before.best is None else before,
+        )
 
 
 def negligible(fit: SharedFit) -> bool:
@@ -249,5 +264,13 @@ def negligible(fit: SharedFit) -> bool:
     noise_m = float(np.mean([c.noise.std_m for c in fit.cables]))
     if fit.rms_m**2 - noise_m**2 >= NEGLIGIBLE_M**2:
         return False
+    return ends_seen_beyond(fit) < CHANCE * BIAS_M
+
+
+def ends_seen_beyond(fit: SharedFit) -> float:
+    """How far along them all cables' ends are seen from where a model has them, m.
+
+    The mean, times the root of their number: as uncertain as of a single cable.
+    """
     beyond_m = fit.end_seen_beyond_m
-    return abs(float(beyond_m.mean())) < CHANCE * BIAS_M / float(np.sqrt(len(beyond_m)))
+    return abs(float(beyond_m.mean())) * float(np.sqrt(len(beyond_m)))

@@ -12,13 +12,13 @@ import numpy as np
 
 from cell.cable.effects import Effect, library, load_effect, unscreened
 from cell.files.atomic import write_whole
+from cell.lab.data.thresholds import Rules
 from cell.lab.next.term_source import effect_source
 from cell.lab.next.terms import Term, admissible
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.strength.estimate import estimate
 from cell.lab.verdict.diagnose import Examination, diagnose
-from cell.lab.verdict.thresholds import Rules
 from cell.study.data import Study, Trial
 
 
@@ -104,12 +104,12 @@ def discover(fits: FitCache, out: Path, rules: Rules = ALL_TERMS) -> Discovery:
             of the file will not do; nothing written
     """
     name = effect_name(out, [e.name for e in fits.space.effects])
-    terms = {t.name: t for t in admissible(_box(fits.fitted_trials()))}
+    terms = {t.name: t for t in admissible(_box(fits.prepared.study.role("fit")))}
     with tempfile.TemporaryDirectory() as folder:
         tried = _each(terms.values(), Path(folder))
         search = FitCache(fits.prepared, fits.space, tried, fits.progress)
         examination = diagnose(search, rules)
-    base, found = search.baseline(), examination.accepted
+    base, found = examination.fits.baseline(), examination.accepted
     if found is base:
         study = fits.prepared.study.name
         raise NothingFoundError(f"study {study}: {_why_nothing(examination, base)}")

@@ -7,10 +7,7 @@ Biometrika 62 (1975) 57.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,16 +15,14 @@ from scipy.special import ndtr as normal_cdf
 
 from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
-from cell.files.atomic import write_whole
-from cell.files.yaml_document import yaml_text
 from cell.identify.differences import difference_points
 from cell.identify.gaussian import covariance_root, marginal_chi2
 from cell.identify.noise import Whitener
-from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.progress import Progress, no_progress
-from cell.lab.next.strokes import FORMAT, HOLD_S, STILL_S, TURN_RAD, Stroke, strokes
-from cell.lab.search.fit_cache import FitCache
+from cell.lab.data.rival import Rival
+from cell.lab.next.strokes import TURN_RAD, Stroke, strokes
+from cell.lab.next.suggestion import Option, Suggestion
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.strength.compare import everywhere
 from cell.lab.verdict.diagnose import Examination
@@ -50,81 +45,16 @@ SURELY = 3.0
 MODEL_ERROR_M = 0.001
 
 
-@dataclass(frozen=True, eq=False)
-class Rival:
-    """A model that may be the right one.
-
-    q, covariance  (p,), (p, p) coordinates of `space`, and how far they are open
-    """
-
-    name: str
-    space: ParameterSpace
-    q: FloatArray
-    covariance: FloatArray
-
-    @property
-    def model(self) -> CableModel:
-        """The cable at q."""
-        return self.space.model(self.q)
-
-
-@dataclass(frozen=True)
-class Option:
-    """A motion within all limits, and how well it distinguishes the candidates.
-
-    separation  χ² that it puts between the likeliest candidate and the one hardest to tell from it
-    hardest     that one
-    power       probability that the motion decides against every other candidate, if the noise and
-                the candidates are as they are taken to be
-    """
-
-    motion: Stroke
-    separation: float
-    hardest: str
-    power: float
-
-
-@dataclass(frozen=True)
-class Suggestion:
-    """Motions, the most informative first, and the candidates that they distinguish.
-
-    refused  how many motions were left out, and for which limit
-    """
-
-    candidates: tuple[str, ...]
-    options: tuple[Option, ...]
-    surroundings: Surroundings
-    refused: Mapping[str, int]
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain data."""
-        return {
-            "format": "cable-suggestion/1",
-            "candidates": list(self.candidates),
-            "options": [
-                {
-                    **vars(o.motion),
-                    "separation": o.separation,
-                    "hardest": o.hardest,
-                    "power": o.power,
-                }
-                for o in self.options
-            ],
-            "refused": dict(self.refused),
-        }
-
-
-def suggest_motion(
-    fits: FitCache, examination: Examination, surroundings: Surroundings
-) -> Suggestion:
+def suggest_motion(examination: Examination, surroundings: Surroundings) -> Suggestion:
     """The safe motion at which the remaining candidates differ most, given their free parameters.
 
     Each candidate may move within what the trials so far leave uncertain of it; what then still
     separates their markers, in standard deviations squared, is the separation.
     raises  ValueError: nothing is left to tell apart, no motion keeps the limits, or none tells
     """
+    fits = examination.fits
     open_to = [
-        Rival(_label(c), c.fit.space, c.fit.q, c.fit.covariance) for c in rivals(fits, examination)
+        Rival(_label(c), c.fit.space, c.fit.q, c.fit.covariance) for c in rivals(examination)
     ]
     found = telling_motions(fits.prepared, open_to, surroundings, fits.progress)
     if max(option.power for option in found.options) < LEAST_POWER:
@@ -202,14 +132,14 @@ def telling_motions(
     return Suggestion(names, tuple(options), surroundings, dict(refused))
 
 
-def rivals(fits: FitCache, examination: Examination) -> list[FittedModel]:
+def rivals(examination: Examination) -> list[FittedModel]:
     """The likeliest set of effects, and those that the trials cannot distinguish from it.
 
     If it has no equal, the next likeliest that is not the same with more: one, or several where
     nothing could be confirmed on held-out trials.
     raises  ValueError: there is nothing to tell apart
     """
-    diagnosis, final = examination.diagnosis, examination.steps[-1]
+    diagnosis, fits, final = examination.diagnosis, examination.fits, examination.steps[-1]
     if diagnosis.verdict == "complete":
         raise ValueError(
             f"study {fits.prepared.study.name}: the model explains these trials to their "
@@ -355,27 +285,3 @@ def _separation(
 
 def _label(candidate: FittedModel) -> str:
     return " + ".join(e.name for e in candidate.effects) or "baseline"
-
-
-def write_motion(suggestion: Suggestion, path: Path) -> None:
-    """Write the best motion as YAML for `cell run --motion`: places from the cell's home."""
-    best = suggestion.options[0].motion
-    home_x, home_y, _ = suggestion.surroundings.home
-    x_m, y_m = best.x_m - home_x, best.y_m - home_y
-    first, *others = suggestion.candidates
-    content = {
-        "format": FORMAT,
-        "purpose": f"tell {first} from {', '.join(others)}",
-        "start": {"x_m": round(x_m, 6), "y_m": round(y_m, 6), "angle_rad": best.angle_rad},
-        "still_s": STILL_S,
-        "moves": [
-            {
-                "x_m": round(x_m + best.dx_m, 6),
-                "y_m": round(y_m + best.dy_m, 6),
-                "angle_rad": best.angle_rad,
-                "duration_s": best.duration_s,
-            }
-        ],
-        "hold_s": HOLD_S,
-    }
-    write_whole(path, yaml_text(content))

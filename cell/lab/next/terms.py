@@ -46,7 +46,14 @@ def admissible(box_m: tuple[float, float, float, float]) -> tuple[Term, ...]:
     in curvature and its rate, so that turning the strip over changes nothing.
     """
 
-    return (*_fields(box_m), *_drags(), *_lifts(), _sheared_wind(box_m), *_moments())
+    return (
+        *_fields(box_m),
+        *_drags(),
+        *_lifts(),
+        _sheared_wind(box_m),
+        *_moments(),
+        *_viscosities(),
+    )
 
 
 def _one(name: str, unit: str, typical: float, positive: bool = False) -> Parameter:
@@ -251,6 +258,12 @@ def _moments() -> tuple[Term, ...]:
             ("moment += p.dry_moment * at.rate / (at.rate**2 + p.dry_rate**2) ** 0.5",),
             True,
         ),
+    )
+
+
+def _viscosities() -> tuple[Term, ...]:
+    """Terms of bending moment that are not linear in its rate."""
+    return (
         Term(
             "curved_viscosity",
             "moment",

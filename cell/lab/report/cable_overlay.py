@@ -10,7 +10,8 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
-from cell.lab.report.figure_layout import NOISE, SEEN, Series, laid_out, listed
+from cell.files.figure_style import NOISE, SEEN, laid_out, listed
+from cell.lab.report.series import Series
 from cell.lab.strength.trial_residual import across_tip, displacement, distance, largest
 
 FloatArray = NDArray[np.float64]
@@ -58,7 +59,27 @@ def overlay(series: Sequence[Series], number: int) -> go.Figure:
 
     cursors = [_reach(seen[:, 0, 1]), _reach(np.concatenate(errors))]
     first = len(figure.data)
-    looks: list[dict[str, Any]] = [
+    looks = _looks(series, larger)
+    places = [(1, 1)] * (1 + 2 * len(series)) + [(1, 2), (2, 2)]
+    farthest = np.nan_to_num(distance(seen, models[0])[shown]).max(axis=1)
+    worst = int(shown[np.argmax(farthest)])
+    for data, look, (row, column) in zip(at(worst), looks, places, strict=True):
+        figure.add_scatter(**data, **look, row=row, col=column)
+    moved = list(range(first, len(figure.data)))
+    figure.frames = [
+        go.Frame(name=str(k), traces=moved, data=[go.Scatter(**d) for d in at(int(k))])
+        for k in shown
+    ]
+    _axes(figure, (seen, *cables), t_s)
+    _slider(figure, [(str(k), float(t_s[k])) for k in shown], list(shown).index(worst))
+    figure = laid_out(figure, HEIGHT).update_layout(margin_b=BELOW)
+    drawn = HEIGHT - BELOW - figure.layout.margin.t
+    return figure.update_layout(legend={"y": -SLIDER / drawn, "yanchor": "top"})
+
+
+def _looks(series: Sequence[Series], larger: int) -> list[dict[str, Any]]:
+    """How each of what the slider moves is drawn, in the same order."""
+    return [
         {"mode": "markers", "name": "seen", "marker": {"size": 8, "color": SEEN}},
         *(
             {"mode": "lines", "name": s.name, "line": {"color": s.colour, "width": s.width}}
@@ -76,27 +97,17 @@ def overlay(series: Sequence[Series], number: int) -> go.Figure:
         ),
         *({"mode": "lines", "line": {"color": "#999", "width": 1}, "showlegend": False},) * 2,
     ]
-    places = [(1, 1)] * (1 + 2 * len(series)) + [(1, 2), (2, 2)]
-    farthest = np.nan_to_num(distance(seen, models[0])[shown]).max(axis=1)
-    worst = int(shown[np.argmax(farthest)])
-    for data, look, (row, column) in zip(at(worst), looks, places, strict=True):
-        figure.add_scatter(**data, **look, row=row, col=column)
-    moved = list(range(first, len(figure.data)))
-    figure.frames = [
-        go.Frame(name=str(k), traces=moved, data=[go.Scatter(**d) for d in at(int(k))])
-        for k in shown
-    ]
-    both = np.concatenate([p.reshape(-1, 2) for p in (seen, *cables)])
+
+
+def _axes(figure: go.Figure, shapes_mm: Sequence[FloatArray], t_s: FloatArray) -> None:
+    """Ranges that show all of the cable and of the time."""
+    both = np.concatenate([p.reshape(-1, 2) for p in shapes_mm])
     low, high = np.nanmin(both, axis=0) - 8.0, np.nanmax(both, axis=0) + 8.0
     figure.update_xaxes(range=listed(np.array([low[0], high[0]]), 1), row=1, col=1)
     figure.update_yaxes(range=listed(np.array([low[1], high[1]]), 1), scaleanchor="x", row=1, col=1)
     span = listed(np.array([t_s[0], t_s[-1]]), 4)
     figure.update_xaxes(range=span, col=2)
     figure.update_xaxes(title="s", row=2, col=2)
-    _slider(figure, [(str(k), float(t_s[k])) for k in shown], list(shown).index(worst))
-    figure = laid_out(figure, HEIGHT).update_layout(margin_b=BELOW)
-    drawn = HEIGHT - BELOW - figure.layout.margin.t
-    return figure.update_layout(legend={"y": -SLIDER / drawn, "yanchor": "top"})
 
 
 def _tip_panels(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 from scipy.special import ndtri as normal_quantile
 
-from cell.lab.report.figure_layout import ADDED, MODEL, NOISE, QUIET, laid_out, listed
+from cell.files.figure_style import ADDED, MODEL, NOISE, QUIET, laid_out, listed
 from cell.lab.strength.profiles import ParameterProfile
 
 FloatArray = NDArray[np.float64]

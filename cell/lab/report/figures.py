@@ -11,14 +11,12 @@ from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 from scipy.special import ndtri as normal_quantile
 
-from cell.lab.data.results import Diagnosis
-from cell.lab.report.figure_layout import (
+from cell.files.figure_style import (
     ADDED,
     BETWEEN,
     FEW_MARKERS,
     NOISE,
     QUIET,
-    Series,
     in_mm,
     laid_out,
     listed,
@@ -26,6 +24,8 @@ from cell.lab.report.figure_layout import (
     noise_line,
     thirds,
 )
+from cell.lab.data.results import Diagnosis
+from cell.lab.report.series import Series
 from cell.lab.report.wording import by_evidence, chance, noise_label, places
 from cell.lab.strength.compare import Comparison
 from cell.lab.strength.trial_residual import PHASES, distance, largest, phase_of

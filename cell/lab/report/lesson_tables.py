@@ -6,15 +6,28 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 
-from cell.lab.data.prepared import ERRS
-from cell.lab.line.gates import Gate
+from cell.files.table import TableData
+from cell.lab.data.check import Answer
+from cell.lab.data.results import Verdict
+from cell.lab.line.forecasts import ForecastPair
 from cell.lab.line.learn import LearningResult
+from cell.lab.line.lesson_checks import lesson_answers, lesson_verdict
+from cell.lab.line.lesson_questions import LineEvidence
+from cell.lab.report.tables import checks_table
+from cell.lab.report.wording import check_rows
+from cell.records.mean_error import FEWEST, interval
 
 #: What helps where the library has no name for what is missing.
 LAWS = "`cell learn --laws` looks for a law that is not in the library"
+
+#: What the verdict of a lesson means.
+LESSON_VERDICTS: dict[Verdict, str] = {
+    "complete": "these cycles show no missing effect",
+    "missing": "the effect named is missing in the model; the gates say whether it helps the line",
+    "unexplained": "the model lacks an effect, and none that was tried explains the error",
+    "cannot_tell": "these cycles cannot decide whether the model lacks an effect, or which one",
+}
 
 FloatArray = NDArray[np.float64]
 
@@ -32,13 +45,7 @@ def lesson_lines(lesson: LearningResult, *, so_far: bool = False) -> list[str]:
     if lesson.best is None and so_far:
         return [first, "the missing effect is not identified yet; nothing was written"]
     if lesson.best is None:
-        if lesson.left_out:
-            tried = "no effect that was tried explains more than chance; some were not tried"
-            return [first, tried]
-        nothing = "no effect of the library explains more than chance"
-        if before_m > ERRS * noise_m:
-            return [first, f"{nothing}, and the model misses more than noise: {LAWS}"]
-        return [first, f"{nothing}: the model is complete"]
+        return [first, _nothing(lesson)]
     best, lines = lesson.best, [first]
     natural = best.fit.space.natural(_point(lesson))[best.fit.common]
     values = ", ".join(
@@ -62,31 +69,59 @@ def lesson_lines(lesson: LearningResult, *, so_far: bool = False) -> list[str]:
     return lines
 
 
+def _nothing(lesson: LearningResult) -> str:
+    """What it means that no effect was found."""
+    if lesson.left_out:
+        return "no effect that was tried explains more than chance; some were not tried"
+    nothing = "no effect of the library explains more than chance"
+    found = lesson_answers(lesson)
+    why = " ".join(a.check.failed for a in found if a.passed is False)
+    verdict = lesson_verdict(lesson, found)
+    if verdict == "complete":
+        return f"{nothing}: the model is complete"
+    if verdict == "unexplained":
+        return f"{nothing}, and {why[0].lower()}{why[1:-1]}: {LAWS}"
+    return f"{nothing}. {why}"
+
+
+def lesson_parts(
+    lesson: LearningResult, judged: Sequence[Answer[LineEvidence]]
+) -> list[str | TableData]:
+    """What the result rests on: the verdict, its checks, the votes of the cycles, the gates."""
+    found = lesson_answers(lesson)
+    verdict = lesson_verdict(lesson, found)
+    parts: list[str | TableData] = [
+        f"Verdict {verdict}: {LESSON_VERDICTS[verdict]}.",
+        checks_table([answer.result for answer in found]),
+    ]
+    return parts if lesson.best is None else [*parts, votes_table(lesson), gates_table(judged)]
+
+
 def _cables(count: int) -> str:
     return f"{count} cable" if count == 1 else f"{count} cables"
 
 
-def votes_table(lesson: LearningResult) -> Table:
+def votes_table(lesson: LearningResult) -> TableData:
     """Which cycles speak for the effect, and which against."""
     assert lesson.best is not None
-    name = lesson.best.names[lesson.best.firsts[-1]]
-    table = Table(title=f"cycles for and against {lesson.best.effect.name}", box=SIMPLE_HEAD)
-    for heading in ("cycle", "speaks", "fall of χ²", name.partition(".")[2], "±"):
-        table.add_column(heading, justify="left" if heading in ("cycle", "speaks") else "right")
+    name = lesson.best.names[lesson.best.firsts[-1]].partition(".")[2]
+    rows = []
     for v in lesson.votes:
         speaks = "for" if v.fall > 2.0 else "against" if v.fall < -2.0 else "neither"
-        table.add_row(v.cycle, speaks, f"{v.fall:.1f}", f"{v.value:.4g}", f"{v.std:.2g}")
-    return table
+        rows.append([v.cycle, speaks, f"{v.fall:.1f}", f"{v.value:.4g}", f"{v.std:.2g}"])
+    title = f"cycles for and against {lesson.best.effect.name}"
+    return TableData(title, ["cycle", "speaks", "fall of χ²", name, "±"], rows, (2, 3, 4))
 
 
-def gates_table(judged: Sequence[Gate]) -> Table:
+def gates_table(judged: Sequence[Answer[LineEvidence]]) -> TableData:
     """What a candidate must pass."""
-    table = Table(title="gates", box=SIMPLE_HEAD)
-    for heading in ("", "found", ""):
-        table.add_column(heading)
-    for g in judged:
-        table.add_row(g.name, g.found, "[green]passed[/]" if g.passed else "[red]not passed[/]")
-    return table
+    limits = [row[2] for row in check_rows([g.result for g in judged])]
+    rows = [
+        [g.name, g.found, limit, "passed" if g.passed else "not passed"]
+        for g, limit in zip(judged, limits, strict=True)
+    ]
+    colours = {"passed": "green", "not passed": "red"}
+    return TableData("gates", ["", "found", "limit", ""], rows, colours=colours)
 
 
 def _chance(p_value: float) -> str:
@@ -98,3 +133,22 @@ def _point(lesson: LearningResult) -> FloatArray:
     q = lesson.best.fit.space.mean.copy()
     q[lesson.best.fit.common] = lesson.best.fit.theta
     return q
+
+
+def common_error_line(paired: Sequence[ForecastPair]) -> str:
+    """What the forecasts of all executions have in common, at present and with the candidate.
+
+    Empty if they are too few to tell.
+    """
+    pairs = np.array([(f.present_above_m, f.candidate_above_m) for f in paired]).reshape(-1, 2)
+    pairs = pairs[np.isfinite(pairs).all(axis=1)]
+    if len(pairs) < FEWEST:
+        return ""
+    said = []
+    for errors_m in pairs.T:
+        mean_m, low_m, high_m = (1e3 * m for m in interval(errors_m, 0.95))
+        said.append(f"{mean_m:+z.3f} mm ({low_m:+z.3f} to {high_m:+z.3f})")
+    return (
+        f"in the mean of {len(pairs)} executions the tip passes the mouth {said[0]} above the "
+        f"present model's forecast, {said[1]} above the candidate's; 95 % intervals"
+    )

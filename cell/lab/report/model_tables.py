@@ -6,11 +6,9 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
-from rich.text import Text
 
 from cell.cable.effects.base import Effect
+from cell.files.table import TableData
 from cell.identify.identified import Identified
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import Errors
@@ -23,23 +21,25 @@ from cell.lab.report.wording import (
     noise_label,
     short,
 )
-from cell.lab.strength.compare import Comparison
+from cell.lab.strength.compare import NOTICEABLE, Comparison
+
+_ERROR = "Error, mm rms per coordinate"
+_INTERVAL_HEADS = ("parameter", "value", "low", "high", "unit")
 
 if TYPE_CHECKING:
     from cell.lab.next.discover import Discovery
-    from cell.lab.next.suggest import Suggestion
+    from cell.lab.next.suggestion import Suggestion
 
 
-def model_table(model: Identified) -> Table:
+def model_table(model: Identified) -> TableData:
     """Parameters with 95 % intervals."""
-    table = Table(title="Parameters, 95 % intervals", box=SIMPLE_HEAD)
-    for column in ("parameter", "value", "low", "high", "unit"):
-        table.add_column(column, justify="left" if column in ("parameter", "unit") else "right")
     low, high = model.interval()
-    rows = zip(model.space.names, model.values, low, high, model.space.units, strict=True)
-    for name, value, lo, hi, unit in rows:
-        table.add_row(Text(name), digits(value, 4), digits(lo, 4), digits(hi, 4), Text(unit))
-    return table
+    columns = (model.space.names, model.values, low, high, model.space.units)
+    rows = [
+        [name, digits(value, 4), digits(lo, 4), digits(hi, 4), unit]
+        for name, value, lo, hi, unit in zip(*columns, strict=True)
+    ]
+    return TableData("Parameters, 95 % intervals", _INTERVAL_HEADS, rows, (1, 2, 3))
 
 
 def errors_line(prepared: PreparedStudy, errors: Errors) -> str:
@@ -70,74 +70,77 @@ def comparison_sentence(comparisons: Sequence[Comparison]) -> str:
     return f"From “{first.model}” to “{last.model}” the error on {where} {goes}; {noise}."
 
 
-def comparisons_table(comparisons: Sequence[Comparison]) -> Table:
+def comparisons_table(comparisons: Sequence[Comparison]) -> TableData:
     """Errors of models side by side, trial by trial."""
-    table = Table(title="Error, mm rms per coordinate", box=SIMPLE_HEAD)
-    table.add_column("trial")
-    table.add_column("role")
-    for c in comparisons:
-        table.add_column(c.model, justify="right")
-    for i, trial in enumerate(comparisons[0].study.trials):
-        table.add_row(trial.name, trial.role, *(mm(c.where[i].rms_m) for c in comparisons))
-    table.add_section()
-    table.add_row("fitted", "", *(mm(c.fit_rms_m) for c in comparisons))
-    table.add_row("held out", "", *(mm(c.heldout_rms_m) for c in comparisons))
-    label = noise_label(comparisons[0].noise_is_stated)
-    table.add_row(label, "", *(mm(c.noise_m) for c in comparisons))
-    table.add_row("effects", "", *("\n".join(c.effects) or "–" for c in comparisons))
-    return table
+    trials = comparisons[0].study.trials
+    rows = [
+        [trial.name, trial.role, *(mm(c.where[i].rms_m) for c in comparisons)]
+        for i, trial in enumerate(trials)
+    ]
+    rows += [
+        ["fitted", "", *(mm(c.fit_rms_m) for c in comparisons)],
+        ["held out", "", *(mm(c.heldout_rms_m) for c in comparisons)],
+        [noise_label(comparisons[0].noise_is_stated), "", *(mm(c.noise_m) for c in comparisons)],
+        ["effects", "", *("\n".join(c.effects) or "–" for c in comparisons)],
+    ]
+    heads = ["trial", "role", *(c.model for c in comparisons)]
+    numbers = range(2, len(heads))
+    return TableData(_ERROR, heads, rows, numbers, ends=(len(trials) - 1,))
 
 
-def comparison_table(comparison: Comparison) -> Table:
+def comparison_table(comparison: Comparison) -> TableData:
     """Error of each trial, by phase."""
-    table = Table(title="Error, mm rms per coordinate", box=SIMPLE_HEAD)
     phases = list(comparison.where[0].by_phase)
-    for column in ("trial", "role", "all", *phases, "p (white)"):
-        table.add_column(column, justify="left" if column in ("trial", "role") else "right")
-    for trial, w in zip(comparison.study.trials, comparison.where, strict=True):
-        table.add_row(
-            Text(trial.name),
+    rows = [
+        [
+            trial.name,
             trial.role,
             mm(w.rms_m),
             *(mm(w.by_phase[p]) for p in phases),
             chance(w.whiteness_p_value),
-        )
-    table.add_row("fitted", "", mm(comparison.fit_rms_m))
-    table.add_row("held out", "", mm(comparison.heldout_rms_m))
-    table.add_row(noise_label(comparison.noise_is_stated), "", mm(comparison.noise_m))
-    return table
-
-
-def correlations_table(comparison: Comparison) -> Table:
-    """Correlations of the tip's residual with signals, by trial."""
-    table = Table(title="Correlation of the tip's residual", box=SIMPLE_HEAD)
-    names = sorted({f.signal for w in comparison.where for f in w.correlations})
-    for column in ("trial", *names):
-        table.add_column(column, justify="left" if column == "trial" else "right")
-    for w in comparison.where:
-        found = {f.signal: f for f in w.correlations}
-        cells = [
-            f"{correlation(found[n].correlation)}{'*' if found[n].p_value < 0.01 else ''}"
-            if n in found
-            else ""
-            for n in names
         ]
-        table.add_row(Text(w.trial), *cells)
-    return table
-
-
-def effects_table(library: Mapping[str, type[Effect]]) -> Table:
-    """Names, laws and parameters of effects."""
-    table = Table(box=SIMPLE_HEAD)
-    for column in ("effect", "law", "parameters"):
-        table.add_column(column)
-    for name, effect in library.items():
-        law = " ".join((effect.__doc__ or "").split("\n\n")[0].split())
-        parameters = "\n".join(
-            f"{p.name} [{p.unit}] {p.low:g} … {p.high:g}" for p in effect.parameters if p.fitted
+        for trial, w in zip(comparison.study.trials, comparison.where, strict=True)
+    ]
+    blank = [""] * (len(phases) + 1)
+    rows += [
+        [name, "", mm(value_m), *blank]
+        for name, value_m in (
+            ("fitted", comparison.fit_rms_m),
+            ("held out", comparison.heldout_rms_m),
+            (noise_label(comparison.noise_is_stated), comparison.noise_m),
         )
-        table.add_row(Text(name), Text(law), Text(parameters))
-    return table
+    ]
+    heads = ["trial", "role", "all", *phases, "p (white)"]
+    return TableData(_ERROR, heads, rows, range(2, len(heads)))
+
+
+def correlations_table(comparison: Comparison) -> TableData:
+    """Correlations of the tip's residual with signals, by trial."""
+    names = sorted({f.signal for w in comparison.where for f in w.correlations})
+    rows = []
+    for w in comparison.where:
+        found = {
+            f.signal: f"{correlation(f.correlation)}{'*' if f.p_value < NOTICEABLE else ''}"
+            for f in w.correlations
+        }
+        rows.append([w.trial, *(found.get(n, "") for n in names)])
+    heads = ["trial", *names]
+    return TableData("Correlation of the tip's residual", heads, rows, range(1, len(heads)))
+
+
+def effects_table(library: Mapping[str, type[Effect]]) -> TableData:
+    """Names, laws and parameters of effects."""
+    rows = [
+        [
+            name,
+            " ".join((effect.__doc__ or "").split("\n\n")[0].split()),
+            "\n".join(
+                f"{p.name} [{p.unit}] {p.low:g} … {p.high:g}" for p in effect.parameters if p.fitted
+            ),
+        ]
+        for name, effect in library.items()
+    ]
+    return TableData("", ["effect", "law", "parameters"], rows)
 
 
 def describe_effects(library: Mapping[str, type[Effect]]) -> list[dict[str, Any]]:
@@ -161,15 +164,13 @@ def describe_effects(library: Mapping[str, type[Effect]]) -> list[dict[str, Any]
     ]
 
 
-def discovery_table(discovery: Discovery) -> Table:
+def discovery_table(discovery: Discovery) -> TableData:
     """Numbers of the law."""
-    table = Table(title="Discovered law", box=SIMPLE_HEAD)
-    for column in ("parameter", "value", "low", "high", "unit"):
-        table.add_column(column, justify="left" if column in ("parameter", "unit") else "right")
-    for p in discovery.parameters:
-        ends = (digits(p.low, 4), digits(p.high, 4))
-        table.add_row(Text(p.name), digits(p.value, 4), *ends, Text(p.unit))
-    return table
+    rows = [
+        [p.name, digits(p.value, 4), digits(p.low, 4), digits(p.high, 4), p.unit]
+        for p in discovery.parameters
+    ]
+    return TableData("Discovered law", _INTERVAL_HEADS, rows, (1, 2, 3))
 
 
 def discovery_sentence(discovery: Discovery) -> str:
@@ -188,23 +189,16 @@ def discovery_sentence(discovery: Discovery) -> str:
     )
 
 
-def suggestion_table(suggestion: Suggestion) -> Table:
+def suggestion_table(suggestion: Suggestion) -> TableData:
     """The motions and what they would tell."""
-    table = Table(title="Suggested motion, and the next best", box=SIMPLE_HEAD)
-    for column in ("motion", "separation χ²", "hardest to distinguish", "power"):
-        table.add_column(
-            column, justify="right" if column in ("separation χ²", "power") else "left"
-        )
-    for option in suggestion.options[:5]:
-        table.add_row(
-            option.motion.describe(),
-            f"{option.separation:.1f}",
-            option.hardest,
-            f"{option.power:.2f}",
-        )
+    rows = [
+        [o.motion.describe(), f"{o.separation:.1f}", o.hardest, f"{o.power:.2f}"]
+        for o in suggestion.options[:5]
+    ]
     first, *others = suggestion.candidates
-    table.caption = f"distinguishes {first} from {', '.join(others)}; {_kept(suggestion)}"
-    return table
+    note = f"distinguishes {first} from {', '.join(others)}; {_kept(suggestion)}"
+    heads = ["motion", "separation χ²", "hardest to distinguish", "power"]
+    return TableData("Suggested motion, and the next best", heads, rows, (1, 3), note)
 
 
 def _kept(suggestion: Suggestion) -> str:

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
-from rich.text import Text
 
-from cell.lab.data.results import Agreement, Diagnosis, Doubt, Errors
+from cell.files.table import TableData
+from cell.lab.data.results import Agreement, CheckResult, Diagnosis, Doubt, Errors
+from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.next.advice import STATUSES, Step, meaning
 from cell.lab.report.wording import (
     AGREEMENT_NOTE,
@@ -41,7 +40,6 @@ from cell.lab.report.wording import (
     why_not_told,
 )
 from cell.lab.strength.compare import Comparison
-from cell.lab.verdict.thresholds import DEFAULT_RULES
 
 #: Said where no check failed: the search was stopped.
 NOT_WHY = "These motions cannot show why."
@@ -49,7 +47,7 @@ NOT_WHY = "These motions cannot show why."
 FITTED_TO_ALL = "fitted to all"
 #: Up to so many times the noise a remaining error is called noise.
 NOISE_ALONE = DEFAULT_RULES.gross_misfit
-_COLOURS = {"present": "green", "inspect": "yellow", "absent": "dim", "cannot_tell": ""}
+_COLOURS = {"present": "green", "inspect": "yellow", "absent": "dim"}
 
 
 def sentence(
@@ -111,30 +109,20 @@ def _worst_place(comparison: Comparison) -> str:
     return f", most of it {part} {when[phases[int(np.argmax(by_phase))]]}"
 
 
-def nearest_table(diagnosis: Diagnosis) -> Table:
+def nearest_table(diagnosis: Diagnosis) -> TableData:
     """Of an unexplained study: the effects that leave least, how much and where."""
-    table = Table(title="Nearest effects, each alone", box=SIMPLE_HEAD)
-    for column in NEAREST_HEADS:
-        table.add_column(column, justify="left" if column in ("effect", "most of it") else "right")
-    for row in nearest_rows(diagnosis):
-        table.add_row(*map(Text, row))
-    table.caption = nearest_note(diagnosis)
-    return table
+    title, note = "Nearest effects, each alone", nearest_note(diagnosis)
+    return TableData(title, NEAREST_HEADS, nearest_rows(diagnosis), (1, 2, 3), note)
 
 
-def waterfall_table(diagnosis: Diagnosis) -> Table:
+def waterfall_table(diagnosis: Diagnosis) -> TableData:
     """Error of the baseline, after each effect added, and the noise."""
-    table = Table(title="Error, mm rms per coordinate", box=SIMPLE_HEAD)
     in_part, left = bool(diagnosis.partial), diagnosis.left
-    heads = ("model", "fitted", "held out", *[FITTED_TO_ALL] * in_part, "parameters (95 %)", "p")
-    for column in (*heads, "ΔBIC"):
-        table.add_column(
-            column, justify="left" if column in ("model", "parameters (95 %)") else "right"
-        )
+    heads = ["model", "fitted", "held out", *[FITTED_TO_ALL] * in_part, "parameters (95 %)", "p"]
     base, noise = diagnosis.baseline, mm(diagnosis.noise_m)
     before = ["–" if left is None else mm(left.before_rms_m)] * in_part
     errors = (mm(base.fit_rms_m), mm(base.heldout_rms_m))
-    table.add_row("baseline", *errors, *before, "", "", "")
+    rows = [["baseline", *errors, *before, "", "", ""]]
     for found in diagnosis.missing or diagnosis.partial:
         parameters = ", ".join(
             f"{name} {digits(p.value, 4)} ({digits(p.low, 4)} … {digits(p.high, 4)}) {p.unit}"
@@ -143,69 +131,55 @@ def waterfall_table(diagnosis: Diagnosis) -> Table:
         tied = f" or {', '.join(found.tied_with)}" if found.tied_with else ""
         fitted = mm(found.errors.fit_rms_m)
         held = mm(found.errors.heldout_rms_m)
-        table.add_row(
-            f"+ {found.effect}{tied}",
-            *(("–", "–", fitted) if in_part else (fitted, held)),
-            Text(parameters),
-            chance(found.p_value),
-            places(found.delta_bic, 0),
+        rows.append(
+            [
+                f"+ {found.effect}{tied}",
+                *(("–", "–", fitted) if in_part else (fitted, held)),
+                parameters,
+                chance(found.p_value),
+                places(found.delta_bic, 0),
+            ]
         )
     label = noise_label(diagnosis.noise_is_stated)
-    table.add_row(label, noise, noise, *[noise] * in_part, "", "", "")
-    return table
+    rows.append([label, noise, noise, *[noise] * in_part, "", "", ""])
+    words = {0, heads.index("parameters (95 %)")}
+    numbers = [i for i in range(len(heads) + 1) if i not in words]
+    return TableData("Error, mm rms per coordinate", [*heads, "ΔBIC"], rows, numbers)
 
 
-def ranking_table(diagnosis: Diagnosis) -> Table:
+def ranking_table(diagnosis: Diagnosis) -> TableData:
     """All effects, what explains most first."""
-    table = Table(title="Effects, each alone beside the baseline", box=SIMPLE_HEAD)
-    for column in ("effect", "χ² explained", "p", "status"):
-        table.add_column(column, justify="left" if column in ("effect", "status") else "right")
-    for r in by_evidence(diagnosis):
-        colour = _COLOURS[r.status]
-        status = f"[{colour}]{r.status}[/]" if colour else r.status
-        table.add_row(r.effect, places(r.score, 1), chance(r.p_value), status)
+    rows = [
+        [r.effect, places(r.score, 1), chance(r.p_value), r.status] for r in by_evidence(diagnosis)
+    ]
     shown = dict.fromkeys(r.status for r in diagnosis.ranking)
-    table.caption = "; ".join(f"{s}: {STATUSES[s]}" for s in shown)
-    return table
+    note = "; ".join(f"{s}: {STATUSES[s]}" for s in shown)
+    title = "Effects, each alone beside the baseline"
+    return TableData(title, ["effect", "χ² explained", "p", "status"], rows, (1, 2), note, _COLOURS)
 
 
-def limits_table(diagnosis: Diagnosis) -> Table:
+def limits_table(diagnosis: Diagnosis) -> TableData:
     """How strong the effects could be that are neither named nor tied."""
-    table = Table(title="What the study excludes, 95 %", box=SIMPLE_HEAD)
-    for column in LIMIT_HEADS:
-        table.add_column(column, justify="right" if column.endswith("mm") else "left")
-    for row in limit_rows(diagnosis):
-        table.add_row(*map(Text, row))
-    table.caption = LIMIT_NOTE
-    return table
+    title = "What the study excludes, 95 %"
+    return TableData(title, LIMIT_HEADS, limit_rows(diagnosis), (3,), LIMIT_NOTE)
 
 
-def checks_table(diagnosis: Diagnosis) -> Table:
-    """What the verdict rests on."""
-    table = Table(title="What the verdict rests on", box=SIMPLE_HEAD)
-    for column in CHECK_HEADS:
-        table.add_column(column, justify="right" if column in ("answer", "limit") else "left")
-    colours = {"passed": "green", "failed": "red"}
-    for row in check_rows(diagnosis):
-        table.add_row(*map(Text, row[:-1]), Text(row[-1], colours.get(row[-1], "dim")))
-    table.caption = CHECK_NOTE
-    return table
+def checks_table(checks: Sequence[CheckResult]) -> TableData:
+    """What a verdict rests on."""
+    colours = {"passed": "green", "failed": "red", "–": "dim"}
+    title, rows = "What the verdict rests on", check_rows(checks)
+    return TableData(title, CHECK_HEADS, rows, (1, 2), CHECK_NOTE, colours)
 
 
-def agreement_table(found: Sequence[Agreement]) -> Table:
+def agreement_table(found: Sequence[Agreement]) -> TableData:
     """Estimates of the parameters per trial."""
-    table = Table(title="Estimates per trial", box=SIMPLE_HEAD)
-    for column in agreement_heads(found):
-        table.add_column(column)
-    for row in agreement_rows(found):
-        table.add_row(*map(Text, row))
-    table.caption = AGREEMENT_NOTE
-    return table
+    heads, rows = agreement_heads(found), agreement_rows(found)
+    return TableData("Estimates per trial", heads, rows, note=AGREEMENT_NOTE)
 
 
 def diagnosis_parts(
     diagnosis: Diagnosis, comparisons: Sequence[Comparison], steps: Sequence[Step]
-) -> list[str | Table]:
+) -> list[str | TableData]:
     """All that is printed of a diagnosis, in its order.
 
     comparisons  of the baseline, and last of the model with everything found
@@ -217,13 +191,21 @@ def diagnosis_parts(
         *warning_lines(diagnosis.warnings),
         *([agreement_sentence(agreement)] if agreement else []),
         waterfall_table(diagnosis),
-        *([nearest_table(diagnosis)] if diagnosis.nearest else []),
-        *([checks_table(diagnosis)] if diagnosis.checks else []),
-        *([ranking_table(diagnosis)] if diagnosis.ranking else []),
-        *([limits_table(diagnosis)] if diagnosis.limits else []),
-        *([agreement_table(agreement)] if agreement else []),
+        *evidence_tables(diagnosis),
         steps_text(steps),
     ]
+
+
+def evidence_tables(diagnosis: Diagnosis) -> list[TableData]:
+    """What a diagnosis rests on, and what it leaves open: each table that has rows."""
+    tables = (
+        nearest_table(diagnosis) if diagnosis.nearest else None,
+        checks_table(diagnosis.checks) if diagnosis.checks else None,
+        ranking_table(diagnosis) if diagnosis.ranking else None,
+        limits_table(diagnosis) if diagnosis.limits else None,
+        agreement_table(diagnosis.agreement) if diagnosis.agreement else None,
+    )
+    return [table for table in tables if table is not None]
 
 
 def verdict_line(diagnosis: Diagnosis) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 from cell.lab.data.prepared import ERRS
 from cell.lab.data.results import (
     Agreement,
+    CheckResult,
     Diagnosis,
     Limit,
     MissingEffect,
@@ -47,7 +48,7 @@ AGREEMENT_NOTE = (
 )
 
 
-def check_rows(diagnosis: Diagnosis) -> list[tuple[str, str, str, str]]:
+def check_rows(checks: Sequence[CheckResult]) -> list[tuple[str, str, str, str]]:
     """Question, answer, limit and result of every check."""
     words = {True: "passed", False: "failed", None: "–"}
     return [
@@ -57,7 +58,7 @@ def check_rows(diagnosis: Diagnosis) -> list[tuple[str, str, str, str]]:
             f"{c.unit} {_SIGNS[c.passes]} {c.limit:g}",
             words[c.passed],
         )
-        for c in diagnosis.checks
+        for c in checks
     ]
 
 

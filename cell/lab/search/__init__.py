@@ -1,1 +1,1 @@
-"""Sets of effects fitted to a study, each set once, screened and compared."""
+"""The search over sets of effects; sets fitted to a study, each once, screened and compared."""

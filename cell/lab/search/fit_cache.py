@@ -3,49 +3,34 @@
 from __future__ import annotations
 
 import contextlib
-import copy
-import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable.effects.base import Effect
-from cell.identify.gauss_newton import UNSIMULATED, Options
+from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.parameters import ParameterSpace
-from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.prepared import PreparedStudy, Work
 from cell.lab.data.progress import Progress, no_progress
-from cell.lab.data.side_by_side import side_by_side
-from cell.lab.fit.fitting import Fit, fit_model, fit_trials, pinned, space_with
+from cell.lab.fit.fitting import Fit, fit_model, pinned, space_with
 from cell.lab.fit.hand_error import HandError, hand_error
 from cell.lab.fit.heldout import heldout_log_lr
 from cell.lab.fit.mesh import as_its_mesh_shows
-from cell.lab.fit.sensitivity import shapes_of
-from cell.lab.fit.starts import cold_start
+from cell.lab.fit.starts import cold_start, taken_from
 from cell.lab.search.baseline import Baseline, BaselineFit
-from cell.lab.search.extension import Extension, by_effect, polished
+from cell.lab.search.extension import Extension, by_effect
 from cell.lab.search.fitted_model import POLISH, REFIT, FittedModel, Gain, gained, weighed
+from cell.lab.search.refits import Refits
 from cell.lab.search.screen import ScreenedEffect, screen
-from cell.study.data import Trial
+from cell.lab.search.stepwise import levels
 
 FloatArray = NDArray[np.float64]
 
 #: Two fits of the same effects are different minima if one is so much likelier (logarithm).
 LIKELIER = 0.1
-#: So many of the first refits are taken to convergence.
-POLISHED = 3
-#: A first refit is given up if after some passes its objective is so many times that of the best of
-#: the first few effects, the likeliest by the screen.
-FAR_ABOVE, ENOUGH_PASSES, FIRST = 10.0, 5, 2
-
-
-@dataclass(frozen=True)
-class _Refit:
-    """An effect with which a model is to be fitted."""
-
-    effect: type[Effect]
-    options: Options = REFIT
 
 
 @dataclass(eq=False)
@@ -55,7 +40,6 @@ class _Memory:
     baseline: BaselineFit | None = None
     second: Fit | None = None
     prior: FittedModel | None = None
-    hand: HandError | None = None
     models: dict[frozenset[str], FittedModel] = field(default_factory=dict)
     screens: dict[frozenset[str], list[ScreenedEffect]] = field(default_factory=dict)
     heldout_log_lr: dict[tuple[frozenset[str], str], float] = field(default_factory=dict)
@@ -63,93 +47,77 @@ class _Memory:
     reduced: set[tuple[frozenset[str], frozenset[str]]] = field(default_factory=set)
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class FitCache:
     """Remembers every set of effects that it has fitted to one study.
 
+    given     the study as it was made ready
     prior_q   an earlier individual's coordinates: an effect may be all that sets this one apart
     begin     where the baseline's fit begins; None = it is looked for
     sought    effects of `space` of which nothing is known: they are looked for as if the model
               lacked them where a fit from their typical size leaves more than the noise
+    settled   the mesh's error has been taken out by a model that was found
     """
 
-    prepared: PreparedStudy
+    given: PreparedStudy
     space: ParameterSpace
     library: Mapping[str, type[Effect]]
     progress: Progress = no_progress
     prior_q: FloatArray | None = None
     begin: FloatArray | None = None
     sought: tuple[type[Effect], ...] = ()
-    _settled: bool = False
-    _before_settled: FitCache | None = None
+    settled: bool = False
     _memory: _Memory = field(default_factory=_Memory)
 
+    @property
+    def work(self) -> Work:
+        """What is simulated of the study; whoever waits may stop it."""
+        return self.given.work
+
+    @property
+    def prepared(self) -> PreparedStudy:
+        """The study with the noise that shows beside the baseline, and without its mesh's error.
+
+        The baseline is fitted when it is first asked for.
+        """
+        return self._baseline_fit().prepared
+
+    def _baseline_fit(self) -> BaselineFit:
+        memory = self._memory
+        if memory.baseline is None:
+            known = {e.name for e in self.space.effects}
+            others = [e for name, e in self.library.items() if name not in known]
+            added = partial(_found_by_adding, self) if self.sought else None
+            memory.baseline = Baseline(
+                self.space,
+                others,
+                self.begin,
+                self.prior_q is not None,
+                added,
+                self.settled,
+                self.progress,
+            ).fitted_to(self.given)
+            memory.second = memory.baseline.second
+        return memory.baseline
+
     def baseline(self) -> FittedModel:
-        """The model with no effects beyond those that `space` brings along.
+        """The model with no effects beyond those that `space` brings along."""
+        key, models = frozenset(e.name for e in self.space.effects), self._memory.models
+        if key not in models:
+            found = self._baseline_fit()
+            models[key] = weighed(found.prepared, self.space.effects, found.fit)
+        return models[key]
 
-        The study has the noise that shows beside it from then on, and its mesh's error no more.
-        """
-        key = frozenset(e.name for e in self.space.effects)
-        if key not in self._memory.models:
-            found = self._how_baseline_is_fitted().fitted_to(self.prepared)
-            self.prepared = found.prepared
-            self._memory.baseline, self._memory.second = found, found.second
-            self._memory.models[key] = weighed(self.prepared, self.space.effects, found.fit)
-        return self._memory.models[key]
-
-    def _how_baseline_is_fitted(self) -> Baseline:
-        known = frozenset(e.name for e in self.space.effects)
-        return Baseline(
-            self.space,
-            [e for name, e in self.library.items() if name not in known],
-            self.begin,
-            self.prior_q is not None,
-            self._found_by_adding if self.sought else None,
-            self._settled,
-            self.progress,
-        )
-
-    def _found_by_adding(self, prepared: PreparedStudy) -> Fit | None:
-        """The baseline's fit from where a diagnosis comes that adds the `sought` effects.
-
-        None if the cable cannot be simulated so.
-        """
-        rest = [e for e in self.space.effects if e not in self.sought]
-        space, library = space_with(self.space, rest), {e.name: e for e in self.sought}
-        known = [i for i, name in enumerate(self.space.names) if name in space.names]
-        prior_q = None if self.prior_q is None else self.prior_q[known]
-        search = FitCache(prepared, space, library, self.progress, prior_q)
-        with contextlib.suppress(*UNSIMULATED):
-            found = search.baseline()
-            while left := [e for e in self.sought if e not in found.effects]:
-                found = min(search.fit_extended(found, left), key=lambda c: c.fit.objective)
-            q = _taken_from(found.fit, self.space)
-            inside = np.clip(q, self.space.low, self.space.high)
-            states = found.fit.initial_states
-            return fit_model(prepared, self.space, inside, states, options=POLISH)
-        return None
-
-    def settle_mesh(self, found: FittedModel) -> bool:
-        """Take the mesh's error by a model that was found out of the study, and forget all fits.
+    def without_mesh_of(self, found: FittedModel) -> FitCache | None:
+        """The study without the mesh's error by a model that was found, nothing fitted to it yet.
 
         The baseline's own, which imitated what was missing, was another.  Noise stays as it is.
-        returns  whether that was to be done: once, and where the baseline's has been taken out
+        returns  None if that was done, or where the baseline's has not been taken out
         """
-        if self._settled or not self.prepared.mesh_m:
-            return False
-        self._before_settled = copy.copy(self)
-        self.prepared, self._settled = as_its_mesh_shows(self.prepared, found.fit), True
-        self._memory = _Memory()
-        return True
-
-    def recall(self) -> bool:
-        """Know again what was known before `settle_mesh`, if nothing has been fitted since.
-
-        returns  whether a baseline is known
-        """
-        if not self.baseline_is_fitted() and self._before_settled is not None:
-            vars(self).update(vars(self._before_settled))
-        return self.baseline_is_fitted()
+        if self.settled or not self.prepared.mesh_m:
+            return None
+        settled = as_its_mesh_shows(self.prepared, found.fit)
+        return replace(self, given=settled, settled=True, _memory=_Memory())
 
     @property
     def second(self) -> Fit | None:
@@ -174,20 +142,6 @@ class FitCache:
         """The baseline's fit with residuals divided, where it cannot fit."""
         return None if self._memory.baseline is None else self._memory.baseline.tempered
 
-    def rebase(self, start: FloatArray, least: float) -> bool:
-        """Fit the baseline from another start too; True if χ² ends lower by at least so much.
-
-        It is the baseline then, and what was fitted beside the former one is forgotten.
-        """
-        base, memory = self.baseline(), self._memory
-        with contextlib.suppress(*UNSIMULATED):  # where it ended nothing is simulated
-            fit = fit_model(self.prepared, base.fit.space, start, options=POLISH)
-            if fit.objective < base.fit.objective - least:
-                known = {base.names: weighed(self.prepared, base.effects, fit)}
-                self._memory = _Memory(memory.baseline, memory.second, memory.prior, models=known)
-                return True
-        return False
-
     def prior_candidate(self) -> FittedModel:
         """The earlier individual's model as it is; the baseline if there is none."""
         if self.prior_q is None:
@@ -206,9 +160,9 @@ class FitCache:
         """Every model so far."""
         return tuple(self._memory.models.values())
 
-    def fitted_trials(self) -> tuple[Trial, ...]:
-        """Trials that the models are fitted to."""
-        return fit_trials(self.prepared)
+    def added(self, model: FittedModel) -> list[type[Effect]]:
+        """Effects of a model that the baseline lacks."""
+        return [e for e in model.effects if e not in self.space.effects]
 
     def gain(self, small: FittedModel, large: FittedModel) -> Gain:
         """What `large` has over `small`, which lacks one of its effects."""
@@ -216,9 +170,7 @@ class FitCache:
 
     def hand(self) -> HandError:
         """What the log of the hand may be wrong by, near the baseline."""
-        if self._memory.hand is None:
-            self._memory.hand = hand_error(self.prepared, self.baseline().fit)
-        return self._memory.hand
+        return hand_error(self.prepared, self.baseline().fit)
 
     def screened(self, base: FittedModel) -> list[ScreenedEffect]:
         """Score tests of the whole library against a model, likeliest first."""
@@ -234,82 +186,22 @@ class FitCache:
         rough = [s.effect for s in ranked[best:] if not s.effect.smooth]
         return [s.effect for s in ranked[:best]] + rough
 
-    def _screened_elsewhere(
-        self, base: FittedModel, effects: Sequence[type[Effect]]
-    ) -> list[ScreenedEffect]:
-        """The same from the tempered baseline and from what was believed of the cable.
-
-        Where the best baseline has been bent to imitate an effect, its slopes mislead.
-        """
-        if base is not self.baseline():
-            return []
-        found = [] if self._tempered is None else screen(self.prepared, self._tempered, effects)
-        if self.prior_q is not None:
-            found += screen(self.prepared, self.prior_candidate().fit, effects)
-        return found
-
-    def _extension(self, base: FittedModel) -> Extension:
-        """Where fits with one effect more begin."""
-        origins = [base.fit.q]
-        if self._tempered is not None and base is self.baseline():
-            origins.append(self._tempered.q)
-        if self.prior_q is not None:
-            # An earlier individual is far from one with, say, a load: there slopes say little.
-            origins.append(np.concatenate([self.prior_q, base.fit.q[len(self.prior_q) :]]))
-        return Extension(self.prepared, base, tuple(origins), far=self.prior_q is not None)
-
     def fit_extended(self, base: FittedModel, effects: Sequence[type[Effect]]) -> list[FittedModel]:
         """The model with each of the effects added to it, side by side on all cores.
 
         An effect with which the cable cannot be simulated from any start is left out.
         """
-        screens = by_effect([*self.screened(base), *self._screened_elsewhere(base, effects)])
-        extension, models = self._extension(base), self._memory.models
-        keys = {e: frozenset({*base.names, e.name}) for e in effects}
-        unknown = [e for e in effects if keys[e] not in models]
-        done = itertools.count(len(effects) - len(unknown) + 1)
-
-        def refitted(job: _Refit) -> FittedModel | None:
-            return extension.by(job.effect, screens[job.effect.name], job.options)
-
-        def taken_on(model: FittedModel) -> FittedModel:
-            return polished(self.prepared, model)
-
-        def was_fitted(job: _Refit, model: FittedModel | None) -> None:
-            if model is not None:
-                models[model.names] = model
-            self.progress(f"refitted with {job.effect.name}", next(done), len(effects))
-
-        def was_taken_on(_: FittedModel, model: FittedModel) -> None:
-            models[model.names] = model
-            if model.fit.solution.passes < POLISH.most_passes:  # it gained no more
-                self._memory.polished.add(model.names)
-
-        def least(of: Sequence[type[Effect]]) -> float:
-            found = [c for e in of if (c := models.get(keys[e])) is not None]
-            return min((c.fit.objective for c in found), default=np.inf)
-
-        self.progress("refitting with one effect more", 0, len(effects))
+        memory = self._memory
+        screens = by_effect([*self.screened(base), *_screened_elsewhere(self, base, effects)])
         offered = (*self.library.values(), *base.effects, *effects)
-        work, functions = self.prepared.work, (refitted, taken_on)
-        with side_by_side(work, functions, offered, len(unknown)) as beside:
-            first = [_Refit(e) for e in unknown if e in effects[:FIRST]]
-            beside.map(refitted, first, was_fitted)
-            hurried = replace(REFIT, above=(FAR_ABOVE * least(effects[:FIRST]), ENOUGH_PASSES))
-            # those with most shapes take longest, and so begin first
-            rest = [_Refit(e, hurried) for e in unknown if e not in effects[:FIRST]]
-            beside.map(refitted, sorted(rest, key=lambda j: -shapes_of(j.effect)), was_fitted)
-            found = [c for e in effects if (c := models.get(keys[e])) is not None]
-            far = FAR_ABOVE * least(effects)
-            likely = sorted(found, key=lambda c: -c.evidence)[:POLISHED]
-            beside.map(taken_on, [c for c in likely if self._unpolished(c, far)], was_taken_on)
-        return [models[c.names] for c in found]
-
-    def _unpolished(self, model: FittedModel, far: float) -> bool:
-        """Whether a model is worth to be taken to convergence, and never was."""
-        if model.fit.solution.settled or model.names in self._memory.polished:
-            return False
-        return model.fit.objective <= far
+        return Refits(
+            _extension(self, base),
+            screens,
+            offered,
+            memory.models,
+            memory.polished,
+            self.progress,
+        ).with_each(effects)
 
     def heldout_log_lr(self, model: FittedModel, effect: type[Effect]) -> float:
         """ln of how much likelier an effect of a model must make the held-out trials."""
@@ -337,7 +229,7 @@ class FitCache:
     def _taken_out(self, model: FittedModel, rest: tuple[type[Effect], ...]) -> Fit:
         """A model's fit with only these of its effects."""
         space = space_with(model.fit.space, rest)
-        q = _taken_from(model.fit, space)
+        q = taken_from(model.fit, space)
         try:
             return fit_model(self.prepared, space, q, model.fit.initial_states, options=REFIT)
         except UNSIMULATED:  # a cable that only the effect kept from collapsing
@@ -345,9 +237,71 @@ class FitCache:
             return fit_model(self.prepared, space, q, options=REFIT)
 
 
-def _taken_from(fit: Fit, space: ParameterSpace) -> FloatArray:
-    """(p,) coordinates in a space whose parameters a fit has."""
-    q = space.mean.copy()
-    for i, name in enumerate(space.names):
-        q[i] = fit.q[fit.space.names.index(name)]
-    return q
+def rebased(fits: FitCache, start: FloatArray, least: float) -> FitCache:
+    """A cache with the baseline fitted from another start too, if χ² ends so much lower.
+
+    It is the baseline then, and nothing is fitted beside it yet; else this cache itself.
+    """
+    base, memory = fits.baseline(), fits._memory
+    with contextlib.suppress(*UNSIMULATED):  # where it ended nothing is simulated
+        fit = fit_model(fits.prepared, base.fit.space, start, options=POLISH)
+        if fit.objective < base.fit.objective - least:
+            known = {base.names: weighed(fits.prepared, base.effects, fit)}
+            others = _Memory(memory.baseline, memory.second, memory.prior, models=known)
+            return replace(fits, _memory=others)
+    return fits
+
+
+def _screened_elsewhere(
+    fits: FitCache, base: FittedModel, effects: Sequence[type[Effect]]
+) -> list[ScreenedEffect]:
+    """The same from the tempered baseline and from what was believed of the cable.
+
+    Where the best baseline has been bent to imitate an effect, its slopes mislead.
+    """
+    if base is not fits.baseline():
+        return []
+    found = [] if fits._tempered is None else screen(fits.prepared, fits._tempered, effects)
+    if fits.prior_q is not None:
+        found += screen(fits.prepared, fits.prior_candidate().fit, effects)
+    return found
+
+
+def _extension(fits: FitCache, base: FittedModel) -> Extension:
+    """Where fits with one effect more begin."""
+    origins = [base.fit.q]
+    if fits._tempered is not None and base is fits.baseline():
+        origins.append(fits._tempered.q)
+    if fits.prior_q is not None:
+        # An earlier individual is far from one with, say, a load: there slopes say little.
+        origins.append(np.concatenate([fits.prior_q, base.fit.q[len(fits.prior_q) :]]))
+    return Extension(fits.prepared, base, tuple(origins), far=fits.prior_q is not None)
+
+
+def _found_by_adding(fits: FitCache, prepared: PreparedStudy) -> Fit | None:
+    """The baseline's fit from where a search comes that adds the effects sought, one by one.
+
+    None if the cable cannot be simulated so.
+    """
+    rest = [e for e in fits.space.effects if e not in fits.sought]
+    space, library = space_with(fits.space, rest), {e.name: e for e in fits.sought}
+    known = [i for i, name in enumerate(fits.space.names) if name in space.names]
+    prior_q = None if fits.prior_q is None else fits.prior_q[known]
+    search = FitCache(prepared, space, library, fits.progress, prior_q)
+
+    def extended(model: FittedModel) -> list[FittedModel]:
+        left = [e for e in fits.sought if e not in model.effects]
+        return search.fit_extended(model, left) if left else []
+
+    def likeliest(_: FittedModel, options: Sequence[FittedModel]) -> list[FittedModel]:
+        return sorted(options, key=lambda c: c.fit.objective)[:1]
+
+    with contextlib.suppress(*UNSIMULATED):
+        *_, (found,) = levels(search.baseline(), extended, likeliest)
+        if len(found.effects) < len(fits.space.effects):
+            return None
+        q = taken_from(found.fit, fits.space)
+        inside = np.clip(q, fits.space.low, fits.space.high)
+        states = found.fit.initial_states
+        return fit_model(prepared, fits.space, inside, states, options=POLISH)
+    return None

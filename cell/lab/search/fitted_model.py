@@ -11,7 +11,7 @@ from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import Options
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import Errors
-from cell.lab.fit.fitting import Fit, fit_trials
+from cell.lab.fit.fitting import Fit, errors_m, fit_trials
 from cell.lab.fit.hand_error import HandError
 from cell.lab.fit.heldout import Heldout, heldout
 from cell.lab.fit.sensitivity import chances_of
@@ -70,6 +70,17 @@ def weighed(prepared: PreparedStudy, effects: tuple[type[Effect], ...], fit: Fit
     penalty = -delta_bic(0.0, extra, count, prepared.noise_model.effective_fraction)
     evidence = -0.5 * (fit.objective + penalty) + (held.log_likelihood if held else 0.0)
     return FittedModel(effects, fit, held, evidence)
+
+
+def residuals_m(prepared: PreparedStudy, candidate: FittedModel) -> dict[str, FloatArray]:
+    """Per trial (times, channels): measured − predicted, m, nan where not seen."""
+    names = [trial.name for trial in fit_trials(prepared)]
+    found = dict(zip(names, errors_m(prepared, candidate.fit), strict=True))
+    if candidate.heldout is not None:
+        for trial in prepared.study.role("validate"):
+            error = trial.markers.xy_m - candidate.heldout.predicted_m[trial.name]
+            found[trial.name] = error.reshape(len(error), -1)
+    return found
 
 
 def gained(

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.fit.fitting import errors_m
 from cell.lab.search.fit_cache import FitCache
+from cell.lab.search.fitted_model import residuals_m
 from cell.study.data import Study
 from cell.study.left_out import leaving_out
 from cell.study.wrong_samples import wrong_samples
@@ -44,14 +44,7 @@ def without_wrong_samples(fits: FitCache) -> tuple[FitCache, tuple[str, ...]]:
 
 def _wrong(fits: FitCache) -> dict[str, FloatArray]:
     """Of every trial (times, channels) by how much samples are wrong, m; nan where right."""
-    base = fits.baseline()
-    study = fits.prepared.study
-    left = dict(zip((t.name for t in fits.fitted_trials()),
-                    errors_m(fits.prepared, base.fit), strict=True))  # fmt: skip
-    if base.heldout is not None:
-        for trial in study.role("validate"):
-            beside = trial.markers.xy_m - base.heldout.predicted_m[trial.name]
-            left[trial.name] = beside.reshape(len(beside), -1)
+    study, left = fits.prepared.study, residuals_m(fits.prepared, fits.baseline())
     nothing = {t.name: np.full((len(t.markers.t_s), t.markers.xy_m[0].size), np.nan)
                for t in study.trials}  # fmt: skip
     return nothing | {

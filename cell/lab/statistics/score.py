@@ -14,10 +14,6 @@ from cell.identify.gaussian import covariance_root
 
 FloatArray = NDArray[np.float64]
 
-#: Probability of calling something an effect, a law, a disagreement that is none, for all tests of
-#: a question together.
-SIGNIFICANCE = 0.01
-
 #: Draws behind the p-value of a maximum over shapes; below a few of them Bonferroni is used.
 DRAWS = 20_000
 MIN_EXCEEDING = 20

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable.model import CableModel
+from cell.files.plain import plain
 from cell.lab.data.noise_floor import NoiseUnknownError, noise_floor
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import best_initial_state
@@ -79,32 +80,35 @@ class Comparison:
     def to_json(self) -> dict[str, Any]:
         """Plain data: errors per trial, profiles, whiteness, correlations."""
         roles = {t.name: t.role for t in self.study.trials}
-        return {
+        trials = [
+            {
+                "name": w.trial,
+                "role": roles[w.trial],
+                "rms_m": w.rms_m,
+                "by_time": {"t_s": w.by_time.centre, "rms_m": w.by_time.rms_m},
+                "by_arc_length": {
+                    "arc_length_m": w.by_arc_length.centre,
+                    "rms_m": w.by_arc_length.rms_m,
+                },
+                "by_phase": w.by_phase,
+                "by_frequency": {
+                    "frequency_hz": w.spectrum.frequency_hz,
+                    "residual_m2_per_hz": w.spectrum.residual,
+                    "noise_m2_per_hz": w.spectrum.noise,
+                },
+                "whiteness_p_value": w.whiteness_p_value,
+                "follows": [asdict(f) for f in w.correlations],
+            }
+            for w in self.where
+        ]
+        content = {
             "format": "cable-comparison/1",
             "noise_m": self.noise_m,
-            "fit_rms_m": _number(self.fit_rms_m),
-            "heldout_rms_m": _number(self.heldout_rms_m),
-            "trials": [
-                {
-                    "name": w.trial,
-                    "role": roles[w.trial],
-                    "rms_m": _number(w.rms_m),
-                    "by_time": _profile(w.by_time.centre, w.by_time.rms_m, "t_s"),
-                    "by_arc_length": _profile(
-                        w.by_arc_length.centre, w.by_arc_length.rms_m, "arc_length_m"
-                    ),
-                    "by_phase": {k: _number(v) for k, v in w.by_phase.items()},
-                    "by_frequency": {
-                        "frequency_hz": w.spectrum.frequency_hz.tolist(),
-                        "residual_m2_per_hz": w.spectrum.residual.tolist(),
-                        "noise_m2_per_hz": w.spectrum.noise.tolist(),
-                    },
-                    "whiteness_p_value": _number(w.whiteness_p_value),
-                    "follows": [asdict(f) for f in w.correlations],
-                }
-                for w in self.where
-            ],
+            "fit_rms_m": self.fit_rms_m,
+            "heldout_rms_m": self.heldout_rms_m,
+            "trials": trials,
         }
+        return dict(plain(content))
 
 
 def compare_model(study: Study, model: CableModel, name: str = "model") -> Comparison:
@@ -165,7 +169,7 @@ def comparisons_json(comparisons: Sequence[Comparison]) -> dict[str, Any]:
         {
             "name": c.model,
             "effects": list(c.effects),
-            "removed_share": None if c is first else _number(c.removed_share(first)),
+            "removed_share": None if c is first else plain(c.removed_share(first)),
             **{k: v for k, v in c.to_json().items() if k not in ("format", "noise_m")},
         }
         for c in comparisons
@@ -200,11 +204,3 @@ def everywhere(
     )
     at, shape = (np.searchsorted(-arcs, -s) for s in (study.arc_length_m, drawn))
     return points[:, :, at], points[:, :, shape]
-
-
-def _profile(centre: FloatArray, rms_m: FloatArray, name: str) -> dict[str, list[float | None]]:
-    return {name: centre.tolist(), "rms_m": [_number(v) for v in rms_m]}
-
-
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None

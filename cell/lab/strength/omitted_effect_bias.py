@@ -17,11 +17,11 @@ from scipy.special import chdtrc as chi2_sf
 from cell.cable.effects.base import Effect
 from cell.identify.fit import variance_inflation
 from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.thresholds import SIGNIFICANCE
 from cell.lab.fit.all_trials_fit import AllTrialsFit, Linear
 from cell.lab.fit.fitting import Fit, fit_trials
 from cell.lab.fit.sensitivity import one_sided
 from cell.lab.fit.systematic_error import SystematicError
-from cell.lab.statistics.score import SIGNIFICANCE
 
 FloatArray = NDArray[np.float64]
 

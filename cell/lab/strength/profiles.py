@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri as normal_quantile
 
+from cell.files.plain import plain
 from cell.identify.gauss_newton import Options, minimise
 from cell.identify.identified import Identified
 from cell.identify.profile import Profile, profile
@@ -50,26 +51,19 @@ class ParameterProfile:
 
     def to_json(self) -> dict[str, Any]:
         """Plain data; null where an interval has no end."""
-        ends = [float(v) if np.isfinite(v) else None for v in (self.low, self.high)]
-        return {
+        content = {
             "name": self.name,
             "unit": self.unit,
             "value": self.value,
-            "low": ends[0],
-            "high": ends[1],
+            "low": self.low,
+            "high": self.high,
             "better": self.better,
             "points": [
                 {"value": float(v), "rise": float(r), "at_bound": list(names)}
                 for v, r, names in zip(self.values, self.rise, self.at_bound, strict=True)
             ],
         }
-
-
-def parameter_profiles(
-    prepared: PreparedStudy, fit: Fit, model: Identified, progress: Progress = no_progress
-) -> tuple[ParameterProfile, ...]:
-    """Profiles of all parameters that are free, as `each_profile`."""
-    return tuple(each_profile(prepared, fit, model, progress))
+        return dict(plain(content))
 
 
 def each_profile(

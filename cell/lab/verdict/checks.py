@@ -7,87 +7,14 @@ the worst of these.  Text, page, JSON and the reference in docs print these rows
 
 from __future__ import annotations
 
-import operator
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Iterator
 
-from cell.lab.data.results import CheckResult, Doubt, Verdict
+from cell.lab.data.check import Answer, Check, Reading
 from cell.lab.verdict import doubts, questions
 from cell.lab.verdict.evidence import Evidence
 from cell.lab.verdict.prior_check import asked_by_prior_only
-from cell.lab.verdict.questions import Reading
 
-#: Comparisons of a statistic with its limit.
-COMPARE = {"<=": operator.le, ">=": operator.ge, "<": operator.lt, ">": operator.gt}
-
-
-@dataclass(frozen=True)
-class Check:
-    """A question that is asked of a model before anything is claimed of it.
-
-    name       code in JSON, and of the warning if there is one
-    unit       of the statistic: p (of noise alone), ln LR (ln of a likelihood ratio), …
-    statistic  the number that answers the question; None where it does not apply
-    passes     how the statistic compares with the limit if all is well
-    limit      field of `Rules`
-    failing    what the verdict is then, unless another check makes it worse
-    failed     sentence that says so
-    reason     how it is judged, and why so: a test by its name, or what was measured
-    warn       warnings with the numbers of the study
-    """
-
-    name: str
-    question: str
-    unit: str
-    statistic: Callable[[Evidence], Reading | None]
-    passes: Literal["<=", ">=", "<", ">"]
-    limit: str
-    failing: Literal["unexplained", "cannot_tell"]
-    failed: str
-    reason: str
-    warn: Callable[[Evidence, Reading], tuple[Doubt, ...]] | None = None
-
-    def ask(self, evidence: Evidence) -> Answer:
-        """Of a model."""
-        reading = self.statistic(evidence)
-        if reading is None:
-            return Answer(self, None, None)
-        limit = getattr(evidence.rules, self.limit)
-        return Answer(self, reading, bool(COMPARE[self.passes](reading.value, limit)))
-
-
-@dataclass(frozen=True)
-class Answer:
-    """A check's answer; `passed` is None where the question does not apply."""
-
-    check: Check
-    reading: Reading | None
-    passed: bool | None
-
-    def warnings(self, evidence: Evidence) -> tuple[Doubt, ...]:
-        """With the numbers of the study, if it failed."""
-        if self.passed is not False or self.check.warn is None or self.reading is None:
-            return ()
-        return self.check.warn(evidence, self.reading)
-
-    def result(self, evidence: Evidence) -> CheckResult:
-        """As data."""
-        check = self.check
-        return CheckResult(
-            name=check.name,
-            question=check.question,
-            unit=check.unit,
-            statistic=None if self.reading is None else self.reading.value,
-            passes=check.passes,
-            limit=float(getattr(evidence.rules, check.limit)),
-            passed=self.passed,
-            failing=check.failing,
-            failed=check.failed,
-        )
-
-
-LEAVES_NOISE: tuple[Check, ...] = (
+LEAVES_NOISE: tuple[Check[Evidence], ...] = (
     Check(
         "stated_error",
         "Is the error within what the study states?",
@@ -161,7 +88,7 @@ LEAVES_NOISE: tuple[Check, ...] = (
         "share",
         questions.explained_of_earlier,
         ">",
-        "least_share",
+        "most_share",
         "unexplained",
         "It leaves most of the error of the earlier cable's model.",
         "the explained share; the remainder may be the earlier model's own error",
@@ -182,7 +109,7 @@ def _asked_by_prior_only(evidence: Evidence) -> Reading | None:
     return Reading(float(len(asked)), asked)
 
 
-MAY_BE_CLAIMED: tuple[Check, ...] = (
+MAY_BE_CLAIMED: tuple[Check[Evidence], ...] = (
     Check(
         "confirmation",
         "Is a trial held out to confirm what was found?",
@@ -212,7 +139,7 @@ MAY_BE_CLAIMED: tuple[Check, ...] = (
         "effects",
         questions.most_tied,
         "<=",
-        "max_tied",
+        "most_named",
         "cannot_tell",
         "These motions cannot tell them apart.",
         "their number: up to three candidates can be tested, more cannot",
@@ -269,7 +196,7 @@ MAY_BE_CLAIMED: tuple[Check, ...] = (
 CHECKS = (*LEAVES_NOISE, *MAY_BE_CLAIMED)
 
 
-def answers(evidence: Evidence) -> Iterator[Answer]:
+def answers(evidence: Evidence) -> Iterator[Answer[Evidence]]:
     """Of every check that is needed for the verdict, in order.
 
     Where a model is far above the noise, nothing is asked after the first check that fails; what
@@ -284,13 +211,3 @@ def answers(evidence: Evidence) -> Iterator[Answer]:
         yield answer
     if explained:
         yield from (check.ask(evidence) for check in MAY_BE_CLAIMED)
-
-
-def verdict_of(found: Sequence[Answer], is_base: bool) -> Verdict:
-    """The worst of what failed; else that the model is complete, or an effect is missing."""
-    failed = {a.check.failing for a in found if a.passed is False}
-    if "unexplained" in failed:
-        return "unexplained"
-    if "cannot_tell" in failed:
-        return "cannot_tell"
-    return "complete" if is_base else "missing"

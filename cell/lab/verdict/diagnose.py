@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from cell.identify.gauss_newton import UnsimulatedError
+from cell.lab.data.check import verdict_of
 from cell.lab.data.prepared import PreparedStudy, StoppedError
 from cell.lab.data.results import Diagnosis, Doubt, Verdict
+from cell.lab.data.thresholds import DEFAULT_RULES, Rules
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.search.screen import ScreenedEffect
-from cell.lab.verdict.checks import answers, explains, verdict_of
+from cell.lab.verdict.checks import answers, explains
 from cell.lab.verdict.doubts import (
     doubts,
     interrupted_doubt,
@@ -21,16 +24,14 @@ from cell.lab.verdict.doubts import (
 )
 from cell.lab.verdict.evidence import Evidence
 from cell.lab.verdict.forward_search import (
-    added_to,
     errors_in_words,
-    in_order,
     searched,
+    steps_to,
     with_ties,
 )
 from cell.lab.verdict.nearest import nearest, tied_so_far, what_is_left
 from cell.lab.verdict.partial import Partial, explain_partly
 from cell.lab.verdict.ranking import all_found, ranked, sound
-from cell.lab.verdict.thresholds import DEFAULT_RULES, Rules
 
 _LOG = logging.getLogger(__name__)
 
@@ -39,6 +40,7 @@ _LOG = logging.getLogger(__name__)
 class Examination:
     """A diagnosis and the fits behind it, for the report.
 
+    fits      the models that were fitted
     steps     the baseline, then with each effect added in the order of `diagnosis.missing`
     accepted  with every effect that is significant and confirmed, even if they do not explain all
     final     the model that explains most: with `diagnosis.missing` in, or else `diagnosis.partial`
@@ -47,6 +49,7 @@ class Examination:
     """
 
     diagnosis: Diagnosis
+    fits: FitCache
     steps: tuple[FittedModel, ...]
     screened: tuple[ScreenedEffect, ...]
     singles: tuple[FittedModel, ...]
@@ -66,21 +69,30 @@ def diagnose(fits: FitCache, rules: Rules = DEFAULT_RULES) -> Examination:
     raises  StoppedError, UnsimulatedError: before the baseline was fitted; later, what is known is
             returned
     """
+    searches = [fits]
     try:
-        return _examined(fits, rules)
+        return _examined(searches, rules)
     except StoppedError:
-        if not fits.recall():
+        known = _last_known(searches)
+        if known is None:
             raise
-        fits.prepared.work.stopped = False
-        return _so_far(fits, rules)
+        fits.work.stopped = False
+        return _so_far(known, rules)
     except UnsimulatedError:
-        if not fits.recall():
+        known = _last_known(searches)
+        if known is None:
             raise
-        base = fits.baseline()
-        return _unsearched(fits, base, rules, "cannot_tell", unsimulated_doubt())
+        return _unsearched(known, known.baseline(), rules, "cannot_tell", unsimulated_doubt())
 
 
-def _examined(fits: FitCache, rules: Rules) -> Examination:
+def _last_known(searches: Sequence[FitCache]) -> FitCache | None:
+    """The last search of which the baseline is known."""
+    return next((fits for fits in reversed(searches) if fits.baseline_is_fitted()), None)
+
+
+def _examined(searches: list[FitCache], rules: Rules) -> Examination:
+    """The diagnosis by the last of the searches; one that it needs is added to them."""
+    fits = searches[-1]
     base = fits.baseline()
     _LOG.info("study %s, baseline: %s", fits.prepared.study.name, errors_in_words(base))
     if is_no_model(fits, base.fit):
@@ -88,44 +100,83 @@ def _examined(fits: FitCache, rules: Rules) -> Examination:
     screened = fits.screened(base)
     singles = fits.fit_extended(base, fits.shortlist(base, rules.max_refits))
     current, cut_short = searched(fits, base, len(screened), rules)
-    if current is not base and fits.settle_mesh(current):
-        return _examined(fits, rules)
+    again = None if current is base else fits.without_mesh_of(current)
+    if again is not None:
+        searches.append(again)
+        return _examined(searches, rules)
+    return _concluded(fits, current, singles, cut_short, rules)
+
+
+def _concluded(
+    fits: FitCache,
+    current: FittedModel,
+    singles: Sequence[FittedModel],
+    cut_short: bool,
+    rules: Rules,
+) -> Examination:
+    """What may be said of the model that a search ended at; or what comes nearest.
+
+    singles    each effect worth it alone beside the baseline
+    cut_short  the search was ended by its limit
+    """
+    base, library = fits.baseline(), len(fits.screened(fits.baseline()))
     found = explains(Evidence(fits, base, current, rules))
     tied: dict[str, tuple[str, ...]] = {}
     steps: tuple[FittedModel, ...] = (base,)
     partial = Partial(fits, tuple(singles), (base,))
     if found:
         current, tied = with_ties(fits, base, current, rules)
-        steps = in_order(fits, current)
+        steps = steps_to(fits, current, rules)
     else:
-        partial = explain_partly(fits, fits.known(), len(screened), rules)
+        partial = explain_partly(fits, fits.known(), library, rules)
+    final = current if found else partial.steps[-1]
     evidence = Evidence(fits, base, current, rules, tied)
+    return Examination(
+        diagnosis=_diagnosis(evidence, steps, partial, singles, final, cut_short),
+        fits=fits,
+        steps=steps,
+        screened=tuple(fits.screened(base)),
+        singles=tuple(singles),
+        accepted=current,
+        final=final,
+        weighed=partial.fits.prepared,
+        partial=partial.steps,
+    )
+
+
+def _diagnosis(
+    evidence: Evidence,
+    steps: Sequence[FittedModel],
+    partial: Partial,
+    singles: Sequence[FittedModel],
+    final: FittedModel,
+    cut_short: bool,
+) -> Diagnosis:
+    """The verdict with what it rests on; arguments as in `Examination` and `_concluded`."""
+    fits, base, rules = evidence.fits, evidence.base, evidence.rules
+    library, tied = len(fits.screened(base)), evidence.tied
     asked = tuple(answers(evidence))
     verdict = verdict_of(asked, evidence.is_base)
-    rivals = {n for names in tied.values() for n in names}
-    whole, most = partial.fits, partial.steps
-    also = {e.name: tied_so_far(whole, most[-1], e, rules) for e in added_to(whole, most[-1])}
-    final = current if found else most[-1]
     _LOG.info("verdict: %s", verdict)
-    rivals |= {n for effect, names in also.items() for n in (effect, *names)}
-    diagnosis = Diagnosis(
+    whole, most = partial.fits, partial.steps
+    also = {e.name: tied_so_far(whole, most[-1], e, rules) for e in whole.added(most[-1])}
+    rivals = {n for names in (*tied.values(), also, *also.values()) for n in names}
+    unexplained = final is not evidence.final
+    return Diagnosis(
         noise_m=fits.prepared.noise_model.noise.std_m,
         noise_is_stated=fits.prepared.study.noise_std_m is not None,
         baseline=(base if verdict == "complete" else fits.prior_candidate()).errors,
         verdict=verdict,
-        missing=all_found(fits, steps, tied, len(screened), rules),
+        missing=all_found(fits, steps, tied, library, rules),
         ranking=ranked(fits, base, steps[-1], singles, rivals, rules),
         left=what_is_left(whole, most[0], final),
-        partial=all_found(whole, most, also, len(screened), rules),
-        nearest=() if found else nearest(partial, sound(singles, base), rules),
+        partial=all_found(whole, most, also, library, rules),
+        nearest=nearest(partial, sound(singles, base), rules) if unexplained else (),
         warnings=(
             *doubts(fits, whole, final, cut_short),
             *(doubt for answer in asked for doubt in answer.warnings(evidence)),
         ),
-        checks=tuple(answer.result(evidence) for answer in asked),
-    )
-    return Examination(
-        diagnosis, steps, tuple(screened), tuple(singles), current, final, whole.prepared, most
+        checks=tuple(answer.result for answer in asked),
     )
 
 
@@ -159,4 +210,4 @@ def _unsearched(
             *doubts(fits, fits, base, cut_short=False),
         ),
     )
-    return Examination(diagnosis, (base,), screened, singles, base, base, fits.prepared)
+    return Examination(diagnosis, fits, (base,), screened, singles, base, base, fits.prepared)

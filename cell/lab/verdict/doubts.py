@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from cell.lab.data.check import Reading
 from cell.lab.data.prepared import ERRS
 from cell.lab.data.results import Doubt
 from cell.lab.fit.fitting import Fit, fit_trials
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.verdict.evidence import Evidence
-from cell.lab.verdict.questions import Reading
 
 #: A model that leaves this share of what the markers move (rms) is no model of the cable.
 HOPELESS_SHARE = 0.5

@@ -9,10 +9,10 @@ from functools import cached_property
 from cell.cable.effects.base import Effect
 from cell.lab.data.noise_floor import NoiseModel
 from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.thresholds import Rules
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.verdict.smooth_part import SmoothPart, smooth_part
-from cell.lab.verdict.thresholds import Rules
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +47,7 @@ class Evidence:
     @property
     def added(self) -> list[type[Effect]]:
         """Effects of the model that the baseline lacks."""
-        return [e for e in self.final.effects if e not in self.fits.space.effects]
+        return self.fits.added(self.final)
 
     @cached_property
     def smooth_before(self) -> SmoothPart | None:

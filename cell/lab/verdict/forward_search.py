@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 from cell.cable.effects.base import Effect
+from cell.lab.data.thresholds import Rules
 from cell.lab.search.fit_cache import FitCache
-from cell.lab.search.fitted_model import FittedModel, Gain
-from cell.lab.statistics.score import holm
+from cell.lab.search.fitted_model import FittedModel
+from cell.lab.search.stepwise import exchanged, holm_among, in_order, levels, pruned
+from cell.lab.search.study_space import StudySpace
 from cell.lab.verdict.checks import explains
 from cell.lab.verdict.evidence import Evidence
 from cell.lab.verdict.residual_summary import removed_share, residual_summary
 from cell.lab.verdict.rivals import added_effect, close_rivals
-from cell.lab.verdict.thresholds import Rules
 
 _LOG = logging.getLogger(__name__)
 
@@ -25,27 +27,123 @@ def errors_in_words(candidate: FittedModel) -> str:
     return f"{candidate.fit.rms_m * 1e3:.4f} mm fitted, {beyond}"
 
 
+@dataclass(frozen=True)
+class Confirmation:
+    """What the held-out trials say of one more effect.
+
+    gain         ln of how much likelier they become
+    fall_m2      of their mean square; least_m2: from which it matters
+    delta_chi2   that the effect explains of the trials fitted to
+    log_lr       ln of how much likelier the effect itself makes them, all else as fitted
+    """
+
+    gain: float
+    fall_m2: float
+    least_m2: float
+    delta_chi2: float
+    log_lr: Callable[[], float]
+
+    def is_given(self, rules: Rules) -> bool:
+        """Whether they bear the effect out, by enough to matter."""
+        matters = self.gain > rules.heldout_gain and self.fall_m2 > self.least_m2
+        return matters and self.log_lr() > rules.least_visible
+
+    def is_impossible(self, rules: Rules) -> bool:
+        """Whether they cannot show an effect that the other trials show plainly."""
+        if self.gain < -rules.heldout_gain:
+            return False
+        seen = self.log_lr()
+        plain = 2.0 * seen < rules.small_share * self.delta_chi2
+        return seen < rules.least_visible and plain
+
+
+@dataclass(frozen=True, eq=False)
+class ConfirmedEffects:
+    """The criterion of a diagnosis: an effect is significant, and held-out trials confirm it.
+
+    library  number of effects to choose from: those not refitted count as tried, because their
+             screen was no better than chance
+    """
+
+    fits: FitCache
+    library: int
+    rules: Rules
+
+    def accepted(self, current: FittedModel, options: Sequence[FittedModel]) -> FittedModel | None:
+        """The option with the most evidence of those confirmed; else of those that cannot be."""
+        rules = self.rules
+        gains = [self.fits.gain(current, o) for o in options]
+        adjusted = holm_among([g.p_value for g in gains], self.library)
+        likely = [
+            (o, self._confirmation(current, o))
+            for o, g, p in zip(options, gains, adjusted, strict=True)
+            if p < rules.significance and g.delta_bic > 0.0
+        ]
+        sound = [o for o, c in likely if c is None or c.is_given(rules)]
+        if not sound:
+            sound = [o for o, c in likely if c is not None and c.is_impossible(rules)]
+        return max(sound, key=lambda o: o.evidence, default=None)
+
+    def better(
+        self, rest: FittedModel, options: Sequence[FittedModel], model: FittedModel
+    ) -> FittedModel | None:
+        """The option with the most evidence, if that is more than the model's."""
+        best = max(options, key=lambda c: c.evidence, default=model)
+        return best if best.evidence > model.evidence + 1.0 else None
+
+    def needed(self, rest: FittedModel, model: FittedModel) -> bool:
+        """Whether the model's effect that the rest lacks is confirmed beside it."""
+        found, rules = self._confirmation(rest, model), self.rules
+        kept = found is None or found.is_given(rules) or found.is_impossible(rules)
+        return kept and self.fits.gain(rest, model).delta_bic > 0.0
+
+    def _confirmation(self, small: FittedModel, large: FittedModel) -> Confirmation | None:
+        """What held-out trials say of the last effect of `large`; None if there are none."""
+        fits, rules = self.fits, self.rules
+        base = fits.baseline().heldout
+        if small.heldout is None or large.heldout is None or base is None:
+            return None
+        noise_m2, gain = fits.prepared.expected.std_m**2, fits.gain(small, large)
+        least_m2 = rules.first_share * noise_m2
+        if fits.added(small):
+            excess_m2 = max(base.rms_m**2 - noise_m2, 0.0)
+            least_m2 = max(rules.slight_share * noise_m2, rules.negligible_share * excess_m2)
+        return Confirmation(
+            gain=gain.heldout,
+            fall_m2=small.heldout.rms_m**2 - large.heldout.rms_m**2,
+            least_m2=least_m2,
+            delta_chi2=gain.delta_chi2,
+            log_lr=lambda: fits.heldout_log_lr(large, added_effect(small, large)),
+        )
+
+
 def searched(
     fits: FitCache, base: FittedModel, library: int, rules: Rules
 ) -> tuple[FittedModel, bool]:
     """The baseline with the effects that are believed; whether the search was cut short."""
-    current = base
-    for _ in range(rules.max_effects):
-        if Evidence(fits, fits.baseline(), current, rules).below_stated:
-            break
-        if _hopeless_search(fits, current, rules, rules.hopeless_left):
-            break
-        spent = fits.prepared.work.simulated_s > rules.max_simulated_s
-        if spent and current is not base:  # beside the baseline, all were refitted already
-            return current, True
-        options = fits.fit_extended(current, fits.shortlist(current, rules.max_refits))
-        better = _accepted(fits, current, options, library, rules)
+    space, criterion = StudySpace(fits, rules.max_refits), ConfirmedEffects(fits, library, rules)
+
+    def in_time() -> bool:
+        return fits.prepared.work.simulated_s < rules.max_simulated_s
+
+    def kept(current: FittedModel, options: Sequence[FittedModel]) -> list[FittedModel]:
+        better = criterion.accepted(current, options)
         if better is None:
+            return []
+        several = len(fits.added(better)) > 1
+        if several and not _hopeless_search(fits, better, rules, rules.most_share):
+            better = exchanged(space, better, criterion.better, in_time)
+        better = pruned(space, better, criterion.needed)
+        _LOG.info("with %s: %s", ", ".join(sorted(better.names)), errors_in_words(better))
+        return [better]
+
+    for step, (current,) in enumerate(levels(base, space.extended, kept)):
+        if step == rules.most_named or Evidence(fits, base, current, rules).below_stated:
             break
-        if not _hopeless_search(fits, better, rules, rules.unexchanged_left):
-            better = _exchanged(fits, better, rules)
-        current = _pruned(fits, better, rules)
-        _LOG.info("with %s: %s", ", ".join(sorted(current.names)), errors_in_words(current))
+        if _hopeless_search(fits, current, rules, rules.small_share):
+            break
+        if current is not base and not in_time():  # beside the baseline all were refitted already
+            return current, True
     return current, False
 
 
@@ -54,7 +152,7 @@ def _hopeless_search(fits: FitCache, current: FittedModel, rules: Rules, most_le
 
     So it is if two have been found, and still more than a share `most_left` of the error is left.
     """
-    if len(current.names) - len(fits.space.effects) < rules.first_effects:
+    if len(fits.added(current)) < rules.first_effects:
         return False
     prepared = fits.prepared
     before, after = (
@@ -65,100 +163,9 @@ def _hopeless_search(fits: FitCache, current: FittedModel, rules: Rules, most_le
     return left > most_left
 
 
-def added_to(fits: FitCache, candidate: FittedModel) -> list[type[Effect]]:
-    """Effects of a candidate that the baseline did not have already."""
-    return [e for e in candidate.effects if e not in fits.space.effects]
-
-
-def _accepted(
-    fits: FitCache,
-    current: FittedModel,
-    options: Sequence[FittedModel],
-    library: int,
-    rules: Rules,
-) -> FittedModel | None:
-    """The option with the most evidence, if it is significant and confirmed.
-
-    Where there is none, one that the held-out trials are blind to.  Effects that were not refitted
-    count as tried: their screen was no better than chance.
-    """
-    gains = [fits.gain(current, o) for o in options]
-    tried = [g.p_value for g in gains]
-    adjusted = holm(tried + [1.0] * (library - len(tried)))[: len(tried)]
-    likely = [
-        (o, g)
-        for o, g, p in zip(options, gains, adjusted, strict=True)
-        if p < rules.significance and g.delta_bic > 0.0
-    ]
-    sound = [o for o, g in likely if _confirmed(fits, current, o, g, rules)]
-    if not sound:
-        sound = [o for o, g in likely if _unseen(fits, current, o, g, rules)]
-    return max(sound, key=lambda o: o.evidence) if sound else None
-
-
-def _confirmed(
-    fits: FitCache, small: FittedModel, large: FittedModel, gain: Gain, rules: Rules
-) -> bool:
-    """Whether the held-out trials bear out the last effect of `large`, by enough to matter."""
-    base = fits.baseline().heldout
-    if small.heldout is None or large.heldout is None or base is None:
-        return True
-    noise = fits.prepared.expected.std_m**2
-    least = rules.first_share * noise
-    if added_to(fits, small):
-        excess = max(base.rms_m**2 - noise, 0.0)
-        least = max(rules.more_share * noise, rules.excess_share * excess)
-    fall = small.heldout.rms_m**2 - large.heldout.rms_m**2
-    if not (gain.heldout > rules.heldout_gain and fall > least):
-        return False
-    return fits.heldout_log_lr(large, added_effect(small, large)) > rules.least_visible
-
-
-def _unseen(
-    fits: FitCache, small: FittedModel, large: FittedModel, gain: Gain, rules: Rules
-) -> bool:
-    """Whether the held-out trials are blind to an effect that the others show plainly."""
-    if large.heldout is None or gain.heldout < -rules.heldout_gain:
-        return False
-    seen = fits.heldout_log_lr(large, added_effect(small, large))
-    return seen < rules.least_visible and 2.0 * seen < rules.heldout_insensitive * gain.delta_chi2
-
-
-def _exchanged(fits: FitCache, candidate: FittedModel, rules: Rules) -> FittedModel:
-    """The candidate with effects exchanged one by one for others while evidence grows."""
-    improved = len(added_to(fits, candidate)) > 1
-    while improved and fits.prepared.work.simulated_s < rules.max_simulated_s:
-        improved = False
-        for effect in added_to(fits, candidate):
-            rest = fits.fit_reduced(candidate, effect)
-            options = fits.fit_extended(rest, fits.shortlist(rest, rules.max_refits))
-            best = max(options, key=lambda c: c.evidence, default=candidate)
-            if best.evidence > candidate.evidence + 1.0:
-                candidate, improved = best, True
-                break
-    return candidate
-
-
-def _pruned(fits: FitCache, candidate: FittedModel, rules: Rules) -> FittedModel:
-    """The candidate without effects that the others have made unnecessary."""
-    for effect in added_to(fits, candidate):
-        rest = fits.fit_reduced(candidate, effect)
-        gain = fits.gain(rest, candidate)
-        kept = _confirmed(fits, rest, candidate, gain, rules) or _unseen(
-            fits, rest, candidate, gain, rules
-        )
-        if gain.delta_bic <= 0.0 or not kept:
-            return _pruned(fits, rest, rules)
-    return candidate
-
-
-def in_order(fits: FitCache, final: FittedModel) -> tuple[FittedModel, ...]:
+def steps_to(fits: FitCache, final: FittedModel, rules: Rules) -> tuple[FittedModel, ...]:
     """From the baseline to `final`, the effect with the most evidence first."""
-    steps = [final]
-    while added := added_to(fits, steps[0]):
-        smaller = [fits.fit_reduced(steps[0], e) for e in added]
-        steps.insert(0, max(smaller, key=lambda c: c.evidence))
-    return tuple(steps)
+    return tuple(in_order(StudySpace(fits, rules.max_refits), final, lambda c: c.evidence))
 
 
 def _tied(
@@ -169,7 +176,7 @@ def _tied(
 ) -> tuple[str, ...]:
     """Effects that explain as much in place of `effect`, all trials together."""
     rest = fits.fit_reduced(final, effect)
-    rivals = fits.fit_extended(rest, fits.shortlist(rest, rules.max_refits))
+    rivals = StudySpace(fits, rules.max_refits).extended(rest)
     close = close_rivals(fits, final, rivals, rules)
     names = [next(iter(c.names - rest.names)) for c in close]
     return tuple(name for name in names if name not in final.names)
@@ -183,10 +190,10 @@ def with_ties(
     Not the only one, and only if what was found explains the study without it too: what any of
     many effects does as well is none of them in particular.
     """
-    added = added_to(fits, found)
+    added = fits.added(found)
     tied = {e.name: _tied(fits, found, e, rules) for e in added}
     for effect in added if len(added) > 1 else ():
-        if len(tied[effect.name]) + 1 > rules.max_tied:
+        if len(tied[effect.name]) + 1 > rules.most_named:
             rest = fits.fit_reduced(found, effect)
             if explains(Evidence(fits, base, rest, rules)):
                 return with_ties(fits, base, rest, rules)

@@ -8,14 +8,13 @@ from cell.identify.gauss_newton import UNSIMULATED
 from cell.lab.data.prepared import StoppedError
 from cell.lab.data.results import Limit
 from cell.lab.fit.all_trials_fit import AllTrialsFit, of_all_trials
-from cell.lab.search.fit_cache import FitCache
 from cell.lab.strength.limits import limits
 from cell.lab.strength.trial_agreement import agreement
 from cell.lab.verdict.diagnose import Examination
 from cell.lab.verdict.doubts import interrupted_doubt
 
 
-def with_limits(fits: FitCache, examination: Examination) -> Examination:
+def with_limits(examination: Examination) -> Examination:
     """The examination with limits of every effect that was tried and is neither named nor tied.
 
     None of an unexplained study: beside a wrong model the true effect would be excluded; nor beside
@@ -25,18 +24,18 @@ def with_limits(fits: FitCache, examination: Examination) -> Examination:
     if diagnosis.verdict == "unexplained" or diagnosis.codes & {"interrupted", "hopeless"}:
         return examination
     try:
-        return replace(examination, diagnosis=replace(diagnosis, limits=_limits(fits, examination)))
+        return replace(examination, diagnosis=replace(diagnosis, limits=_limits(examination)))
     except StoppedError:
-        fits.prepared.work.stopped = False
+        examination.fits.work.stopped = False
         doubt = interrupted_doubt("how strong other effects could be was not computed")
         return replace(
             examination, diagnosis=replace(diagnosis, warnings=(*diagnosis.warnings, doubt))
         )
 
 
-def _limits(fits: FitCache, examination: Examination) -> tuple[Limit, ...]:
+def _limits(examination: Examination) -> tuple[Limit, ...]:
     """Limits of what the examination has neither named nor tied."""
-    diagnosis = examination.diagnosis
+    diagnosis, fits = examination.diagnosis, examination.fits
     named = {n for f in (*diagnosis.missing, *diagnosis.partial) for n in (f.effect, *f.tied_with)}
     final = examination.final
     absent = [
@@ -51,7 +50,7 @@ def _limits(fits: FitCache, examination: Examination) -> tuple[Limit, ...]:
     return limits(whole, absent, fits.progress)
 
 
-def with_agreement(fits: FitCache, examination: Examination) -> Examination:
+def with_agreement(examination: Examination) -> Examination:
     """The examination with estimates per trial of the final model's parameters.
 
     None, and a warning, where there is no time for it; none where no model's parameters mean
@@ -61,9 +60,10 @@ def with_agreement(fits: FitCache, examination: Examination) -> Examination:
     if diagnosis.codes & {"interrupted", "not_searched", "hopeless"}:
         return examination
     try:
+        fits = examination.fits
         found = agreement(fits.prepared, examination.final.fit, fits.progress)
     except StoppedError:
-        fits.prepared.work.stopped = False
+        examination.fits.work.stopped = False
         doubt = interrupted_doubt("whether the trials agree was not computed")
         diagnosis = replace(diagnosis, warnings=(*diagnosis.warnings, doubt))
         return replace(examination, diagnosis=diagnosis)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from cell.cable.effects.base import Effect
 from cell.lab.data.results import Errors, Nearest, RemainingError
+from cell.lab.data.thresholds import Rules
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.verdict.partial import Partial
@@ -24,7 +25,6 @@ from cell.lab.verdict.rivals import (
     is_at_bound,
     near_singles,
 )
-from cell.lab.verdict.thresholds import Rules
 
 #: Errors of what was not fitted to the fit trials alone.
 NOT_FITTED = Errors(float("nan"), float("nan"))
@@ -77,7 +77,7 @@ def _as_good(
     prepared = fits.prepared
     noise_m = prepared.noise_model.noise.std_m
     before, most = residual_summary(prepared, small), residual_summary(prepared, final)
-    least = rules.least_share * removed_share(noise_m, before, most)
+    least = rules.most_share * removed_share(noise_m, before, most)
     close = {c.names for c in close_rivals(fits, final, rivals, rules)}
     found = []
     for rival in rivals:
@@ -113,7 +113,7 @@ def nearest(partial: Partial, tried: Sequence[FittedModel], rules: Rules) -> tup
             errors=strict[candidate.names].errors if candidate.names in strict else NOT_FITTED,
             peak=peak(prepared, candidate),
         )
-        for after, candidate in best[: rules.nearest]
+        for after, candidate in best[: rules.most_named]
     )
 
 

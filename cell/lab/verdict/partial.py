@@ -17,16 +17,20 @@ from numpy.typing import NDArray
 from cell.cable.solver import Solver
 from cell.identify.noise import Noise
 from cell.lab.data.prepared import PreparedStudy, all_fitted
-from cell.lab.search.fit_cache import POLISHED, FitCache
+from cell.lab.data.thresholds import Rules
+from cell.lab.fit.fitting import fit_trials
+from cell.lab.fit.starts import taken_from
+from cell.lab.search.fit_cache import FitCache, rebased
 from cell.lab.search.fitted_model import FittedModel
-from cell.lab.statistics.score import holm
+from cell.lab.search.refits import POLISHED
+from cell.lab.search.stepwise import exchanged, holm_among, in_order, levels
+from cell.lab.search.study_space import StudySpace
 from cell.lab.verdict.doubts import is_hopeless
 from cell.lab.verdict.residual_summary import (
     removed_share,
     residual_summary,
 )
 from cell.lab.verdict.rivals import added_effect, chance, chance_of, is_at_bound, near_singles
-from cell.lab.verdict.thresholds import Rules
 
 FloatArray = NDArray[np.float64]
 
@@ -66,10 +70,9 @@ def explain_partly(
     for _ in range(MOST_WEIGHINGS):
         whole = _weighed_by(fits, error)
         if least_m < residual_summary(whole.prepared, whole.baseline()).rms_m:
-            whole.rebase(
-                lowest.fit.q, rules.tie_delta_chi2
-            )  # fitted to all trials a model leaves no more of them
-        singles = _singles(whole, library, rules)
+            # fitted to all trials a model leaves no more of them
+            whole = rebased(whole, lowest.fit.q, rules.tie_delta_chi2)
+        whole, singles = _singles(whole, library, rules)
         base = whole.baseline()
         lowest, least_m = base, min(least_m, residual_summary(whole.prepared, base).rms_m)
         before, error = error, _own_error(whole, whole.known())
@@ -77,28 +80,60 @@ def explain_partly(
         # fitted from anywhere.
         if error.std_m > WEIGHED_ANEW * before.std_m:
             break
-    steps, options = [base], singles
-    while True:
-        better = largest_step(whole, steps[-1], options, library - len(steps) + 1, rules)
-        if better is None:
-            break
-        steps.append(better)
-        if len(steps) > rules.first_effects:
-            break
-        options = whole.fit_extended(better, whole.shortlist(better, rules.max_refits))
-    if len(steps) > 2:
-        steps = _in_order(whole, base, _exchanged(whole, steps[-1], rules))
+    steps = _added(whole, base, singles, library, rules)
     steps = _borne_out(whole, steps, library, rules)
     if len(steps) == 2:
         for rival in near_singles(whole, steps[1], singles, rules):
-            whole.fit_extended(rival, whole.shortlist(rival, rules.max_refits))
+            StudySpace(whole, rules.max_refits).extended(rival)
     if is_hopeless(whole, steps[-1].fit):  # no model of the cable explains what it does
         steps = [base]
     return Partial(whole, tuple(singles), tuple(steps))
 
 
-def _singles(whole: FitCache, library: int, rules: Rules) -> list[FittedModel]:
-    """Each effect worth it alone beside the baseline, taken to convergence.
+def _added(
+    whole: FitCache,
+    base: FittedModel,
+    singles: Sequence[FittedModel],
+    library: int,
+    rules: Rules,
+) -> list[FittedModel]:
+    """The baseline, and one effect after another that removes most of what is left; exchanged."""
+    space, steps = StudySpace(whole, rules.max_refits), []
+
+    def extended(model: FittedModel) -> Sequence[FittedModel]:
+        return singles if model is base else space.extended(model)
+
+    def kept(model: FittedModel, options: Sequence[FittedModel]) -> list[FittedModel]:
+        found = largest_step(whole, model, options, library - len(whole.added(model)), rules)
+        return [] if found is None else [found]
+
+    for (model,) in levels(base, extended, kept):
+        steps.append(model)
+        if len(steps) > rules.first_effects:
+            break
+    if len(steps) < 3:
+        return steps
+    prepared = whole.prepared
+
+    def left(model: FittedModel) -> float:
+        return residual_summary(prepared, model).mean_square_m2
+
+    def better(
+        rest: FittedModel, options: Sequence[FittedModel], model: FittedModel
+    ) -> FittedModel | None:
+        sound = [c for c in options if not is_at_bound(rest, c)]
+        best = min(sound, key=left, default=None)
+        return best if best is not None and left(best) < left(model) else None
+
+    def in_time() -> bool:
+        return prepared.work.simulated_s < rules.max_simulated_s
+
+    final = exchanged(space, steps[-1], better, in_time)
+    return in_order(space, final, lambda c: -left(c))
+
+
+def _singles(whole: FitCache, library: int, rules: Rules) -> tuple[FitCache, list[FittedModel]]:
+    """Each effect worth it alone beside the baseline, converged; and the fits of that baseline.
 
     One explains only what the same model without it does not, wherever its search began: the
     baseline is fitted from where the best one ended too.
@@ -106,13 +141,15 @@ def _singles(whole: FitCache, library: int, rules: Rules) -> list[FittedModel]:
     singles: list[FittedModel] = []
     for _ in range(MOST_WEIGHINGS):
         base = whole.baseline()
-        singles = _finished(
-            whole, base, whole.fit_extended(base, whole.shortlist(base, rules.max_refits))
-        )
+        singles = _finished(whole, base, StudySpace(whole, rules.max_refits).extended(base))
         best = largest_step(whole, base, singles, library, rules)
-        if best is None or not whole.rebase(_without_effect(base, best), rules.tie_delta_chi2):
+        if best is None:
             break
-    return singles
+        lower = rebased(whole, taken_from(best.fit, base.fit.space), rules.tie_delta_chi2)
+        if lower is whole:
+            break
+        whole = lower
+    return whole, singles
 
 
 def _borne_out(
@@ -135,12 +172,6 @@ def p_value_of(fits: FitCache, small: FittedModel, large: FittedModel, library: 
     by_fit = fits.gain(small, large).p_value
     by_left = chance_of(fits, small, large)
     return min(1.0, max(by_fit, by_left) * max(1, library - len(small.effects)))
-
-
-def _without_effect(base: FittedModel, candidate: FittedModel) -> FloatArray:
-    """Coordinates of a candidate that the baseline has too."""
-    names = candidate.fit.space.names
-    return candidate.fit.q[[names.index(name) for name in base.fit.space.names]]
 
 
 def _finished(
@@ -167,47 +198,11 @@ def _weighed_by(fits: FitCache, error: Noise) -> FitCache:
     return FitCache(weighed, fits.space, fits.library, fits.progress, fits.prior_q)
 
 
-def _exchanged(fits: FitCache, final: FittedModel, rules: Rules) -> FittedModel:
-    """The candidate with effects found before the last exchanged for what leaves less.
-
-    What was found first was found without the others, and may have stood in for one of them; what
-    leaves as little in its place is fitted here, and so is known for a tie.
-    """
-    prepared, exchanged = fits.prepared, True
-    tried: set[frozenset[str]] = set()
-    while exchanged and prepared.work.simulated_s < rules.max_simulated_s:
-        exchanged = False
-        for effect in [e for e in final.effects if e not in fits.space.effects]:
-            rest = fits.fit_reduced(final, effect)
-            if rest.names in tried:
-                continue
-            tried.add(rest.names)
-            rivals = fits.fit_extended(rest, fits.shortlist(rest, rules.max_refits))
-            left = [residual_summary(prepared, c).mean_square_m2 for c in rivals]
-            sound = [i for i, c in enumerate(rivals) if not is_at_bound(rest, c)]
-            best = min(sound, key=lambda i: left[i], default=None)
-            if best is not None and left[best] < residual_summary(prepared, final).mean_square_m2:
-                final, exchanged = rivals[best], True
-                break
-    return final
-
-
-def _in_order(fits: FitCache, base: FittedModel, final: FittedModel) -> list[FittedModel]:
-    """From the baseline to `final`, each time without the effect that the rest needs least."""
-    steps = [final]
-    while len(steps[0].names) > len(base.names) + 1:
-        added = [e for e in steps[0].effects if e.name not in base.names]
-        smaller = [fits.fit_reduced(steps[0], e) for e in added]
-        least = min(smaller, key=lambda c: residual_summary(fits.prepared, c).mean_square_m2)
-        steps.insert(0, least)
-    return [base, *steps]
-
-
 def _own_error(fits: FitCache, tried: Sequence[FittedModel]) -> Noise:
     """The least error so far on the fit trials, as noise of independent frames."""
     fitted = [replace(c, heldout=None) for c in tried]
     left = min((residual_summary(fits.prepared, c) for c in fitted), key=lambda e: e.mean_square_m2)
-    count = sum(fits.prepared.whiteners[t.name].count for t in fits.fitted_trials())
+    count = sum(fits.prepared.whiteners[t.name].count for t in fit_trials(fits.prepared))
     return Noise(left.rms_m * float(np.sqrt(max(1.0, count / left.independent))))
 
 
@@ -229,9 +224,9 @@ def largest_step(
     before = residual_summary(prepared, current)
     left = [residual_summary(prepared, c) for c in options]
     chances = [chance(current, c, before, a) for c, a in zip(options, left, strict=True)]
-    adjusted = holm(chances + [1.0] * max(0, library - len(chances)))
+    adjusted = holm_among(chances, library)
     best = int(np.argmin([a.mean_square_m2 for a in left]))
     share = removed_share(prepared.noise_model.noise.std_m, before, left[best])
     by_fit = fits.gain(current, options[best]).p_value * library
-    sound = max(adjusted[best], by_fit) < rules.significance and share > rules.least_share
+    sound = max(adjusted[best], by_fit) < rules.significance and share > rules.most_share
     return options[best] if sound else None

@@ -10,12 +10,14 @@ from scipy.special import chdtrc as chi2_sf
 from cell.cable.effects.base import Effect
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.thresholds import Rules
 from cell.lab.fit.fitting import space_with
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
+from cell.lab.search.stepwise import levels
+from cell.lab.search.study_space import StudySpace
 from cell.lab.verdict.evidence import Evidence, above_noise
 from cell.lab.verdict.rivals import close_rivals
-from cell.lab.verdict.thresholds import Rules
 
 Explains = Callable[[Evidence], bool]
 
@@ -63,9 +65,14 @@ def not_borne_out(
     explains: Explains,
 ) -> tuple[str, ...]:
     """Those of some effects that a study without a prior does not need or explain."""
-    tried = [alone.baseline()]
-    while tried:
-        fewest = [c for c in tried if explains(Evidence(alone, alone.baseline(), c, rules))]
+    base = alone.baseline()
+
+    def extended(model: FittedModel) -> Sequence[FittedModel]:
+        others = [e for e in effects if e.name not in model.names]
+        return alone.fit_extended(model, others) if others else ()
+
+    for level in levels(base, extended, lambda _, options: options):
+        fewest = [c for c in level if explains(Evidence(alone, base, c, rules))]
         if fewest:
             needed = max(fewest, key=lambda c: c.evidence)
             return tuple(
@@ -74,11 +81,6 @@ def not_borne_out(
                 if e.name not in needed.names
                 or _in_place(alone, needed, e, rules) - set(tied.get(e.name, ()))
             )
-        rest = [[e for e in effects if e.name not in c.names] for c in tried]
-        more = [
-            alone.fit_extended(c, others) for c, others in zip(tried, rest, strict=True) if others
-        ]
-        tried = list({c.names: c for found in more for c in found}.values())
     return tuple(e.name for e in effects)
 
 
@@ -87,7 +89,7 @@ def _in_place(
 ) -> frozenset[str]:
     """Effects that explain as much as one of a candidate's, or more, in its place."""
     rest = alone.fit_reduced(needed, effect)
-    rivals = alone.fit_extended(rest, alone.shortlist(rest, rules.max_refits))
+    rivals = StudySpace(alone, rules.max_refits).extended(rest)
     found = [c.names - rest.names for c in close_rivals(alone, needed, rivals, rules)]
     return frozenset().union(*found) - needed.names
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import chdtrc as chi2_sf
 from scipy.special import fdtrc as f_sf
 
+from cell.lab.data.check import Reading
 from cell.lab.fit.fitting import Fit, fit_trials
 from cell.lab.statistics.score import holm
 from cell.lab.verdict.evidence import Evidence
@@ -16,14 +16,6 @@ from cell.lab.verdict.residual_summary import removed_share, residual_summary
 from cell.lab.verdict.smooth_part import SmoothPart, of_a_finer_model
 from cell.lab.verdict.specification import of_effects, parameter_constancy_of, wider_law_of
 from cell.lab.verdict.stated import chance_of_stated
-
-
-@dataclass(frozen=True)
-class Reading:
-    """The number that answers a question, and the effects that it is about."""
-
-    value: float
-    effects: tuple[str, ...] = ()
 
 
 def within_stated(evidence: Evidence) -> Reading | None:
@@ -71,7 +63,7 @@ def wider_law(evidence: Evidence) -> Reading | None:
     for effect in evidence.final.effects:
         left = wider_law_of(evidence.prepared, evidence.final.fit, effect)
         if left is not None:
-            negligible = left.excess_of_all <= rules.law_share * before.excess_of_all
+            negligible = left.excess_of_all <= rules.negligible_share * before.excess_of_all
             chances[effect.name] = 1.0 if negligible else left.p_value
     broken = tuple(name for name, p in chances.items() if p < rules.misfit_significance)
     return Reading(min(chances.values()), broken) if chances else None
@@ -95,7 +87,7 @@ def residual_level(evidence: Evidence) -> Reading | None:
     chi2, rms_m = chi2 / expected, rms_m / float(np.sqrt(expected))
     ratio = max(rms_m / noise_m, float(np.sqrt(chi2 / count)))
     left = (rms_m**2 - noise_m**2) / max(before_m**2 - noise_m**2, 1e-30)
-    if ratio < rules.misfit or (ratio < rules.gross_misfit and left < rules.misfit_share):
+    if ratio < rules.misfit or (ratio < rules.gross_misfit and left < rules.small_share):
         return Reading(1.0)
     return Reading(_p_value(chi2, count, prepared.noise_model.dof))
 
@@ -180,7 +172,7 @@ def possibly_omitted(evidence: Evidence) -> Reading | None:
     adjusted = holm([p for _, p in asked.values()])
     fall = evidence.base.chi2 - final.chi2
     chances = {
-        name: p if part.chi2 - part.count > rules.law_share * fall else 1.0
+        name: p if part.chi2 - part.count > rules.negligible_share * fall else 1.0
         for (name, (part, _)), p in zip(asked.items(), adjusted, strict=True)
     }
     plain = sorted((p, name) for name, p in chances.items() if p < rules.misfit_significance)
@@ -206,13 +198,16 @@ def _of_part(evidence: Evidence, left: SmoothPart | None) -> Reading | None:
     before, rules = evidence.smooth_before, evidence.rules
     if before is None or left is None or not _judged_by_rest(evidence):
         return None
-    shares = rules.smooth_shares
+    shares: tuple[tuple[float, float], ...] = (
+        (rules.slight_share, rules.misfit_significance),
+        (rules.small_share, rules.significance),
+    )
     if evidence.is_base:
         shares = ((0.0, rules.misfit_significance),)
     least = 1.0
     for share, significance in shares:
         too_much = left.excess_of_all > share * before.excess_of_all
-        if too_much or left.excess_of_all > rules.gross_smooth_misfit:
+        if too_much or left.excess_of_all > rules.gross_misfit**2 - 1.0:
             least = min(least, left.p_value * rules.misfit_significance / significance)
     return Reading(least)
 

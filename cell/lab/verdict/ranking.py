@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from cell.lab.data.results import MissingEffect, RankedEffect, Status
+from cell.lab.data.thresholds import Rules
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.search.screen import ScreenedEffect
@@ -17,7 +18,6 @@ from cell.lab.strength.estimate import Estimate, estimate
 from cell.lab.verdict.evidence import above_noise
 from cell.lab.verdict.residual_summary import removed_share, residual_summary
 from cell.lab.verdict.rivals import added_effect, chance_of
-from cell.lab.verdict.thresholds import Rules
 
 
 def sound(singles: Sequence[FittedModel], base: FittedModel) -> list[FittedModel]:
@@ -28,7 +28,7 @@ def sound(singles: Sequence[FittedModel], base: FittedModel) -> list[FittedModel
 def all_found(
     fits: FitCache,
     steps: Sequence[FittedModel],
-    tied: dict[str, tuple[str, ...]],
+    tied: Mapping[str, Sequence[str]],
     library: int,
     rules: Rules,
 ) -> tuple[MissingEffect, ...]:
@@ -51,7 +51,7 @@ def _found(
     fits: FitCache,
     small: FittedModel,
     large: FittedModel,
-    tied: dict[str, tuple[str, ...]],
+    tied: Mapping[str, Sequence[str]],
     library: int,
     final: Estimate,
     rules: Rules,
@@ -63,7 +63,7 @@ def _found(
         p_value = max(p_value, chance_of(fits, small, large))
     return MissingEffect(
         effect=effect.name,
-        tied_with=tied.get(effect.name, ()),
+        tied_with=tuple(tied.get(effect.name, ())),
         p_value=min(1.0, p_value * (library - len(small.effects))),
         delta_bic=gain.delta_bic,
         parameters=final.intervals(effect),

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.prepared import PreparedStudy, once_per_study
 from cell.lab.data.results import Peak
-from cell.lab.fit.fitting import errors_m, fit_trials
-from cell.lab.search.fitted_model import FittedModel
+from cell.lab.search.fitted_model import FittedModel, residuals_m
 from cell.lab.statistics.series import rms, spectrum
 from cell.lab.strength.trial_residual import TIME_BINS
 from cell.study.data import Study
@@ -41,17 +40,7 @@ class ResidualSummary:
         return float(np.sqrt(self.mean_square_m2))
 
 
-def residuals_m(prepared: PreparedStudy, candidate: FittedModel) -> dict[str, FloatArray]:
-    """Per trial (times, channels): measured − predicted, m, nan where not seen."""
-    names = [trial.name for trial in fit_trials(prepared)]
-    found = dict(zip(names, errors_m(prepared, candidate.fit), strict=True))
-    if candidate.heldout is not None:
-        for trial in prepared.study.role("validate"):
-            error = trial.markers.xy_m - candidate.heldout.predicted_m[trial.name]
-            found[trial.name] = error.reshape(len(error), -1)
-    return found
-
-
+@once_per_study
 def residual_summary(prepared: PreparedStudy, candidate: FittedModel) -> ResidualSummary:
     """What a candidate leaves of all trials."""
     held = candidate.heldout

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from scipy.special import chdtrc as chi2_sf
 
 from cell.cable.effects.base import Effect
+from cell.lab.data.thresholds import Rules
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.verdict.doubts import at_bound
@@ -16,7 +17,6 @@ from cell.lab.verdict.residual_summary import (
     log_variance_ratio,
     residual_summary,
 )
-from cell.lab.verdict.thresholds import Rules
 
 
 def close_rivals(
@@ -71,7 +71,7 @@ def near_singles(
     left = {c.names: residual_summary(prepared, c).mean_square_m2 for c in singles}
     if left[final.names] < (rules.gross_misfit * prepared.noise_model.noise.std_m) ** 2:
         return []
-    by_left = sorted(singles, key=lambda c: left[c.names])[: rules.nearest]
+    by_left = sorted(singles, key=lambda c: left[c.names])[: rules.most_named]
     return [c for c in by_left if c.names != final.names]
 
 

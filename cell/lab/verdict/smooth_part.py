@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from cell.identify.gaussian import marginal_chi2
 from cell.identify.noise import Whitener
 from cell.lab.data.noise_floor import NoiseModel
 from cell.lab.data.noise_likelihood import MAX_AR1
-from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.prepared import PreparedStudy, once_per_study
 from cell.lab.fit.all_trials_fit import AllTrialsFit, of_all_trials
 from cell.lab.fit.fitting import Fit, best_initial_state, fit_trials
 from cell.lab.fit.hand_error import MOTIONS
@@ -26,9 +26,6 @@ from cell.lab.fit.sensitivity import prior_root
 from cell.lab.fit.systematic_error import systematic_error
 
 FloatArray = NDArray[np.float64]
-
-#: A smooth residual changes over no fewer frames than this, and is of so many powers of the place.
-SLOW_FRAMES, ALONG = 8, 3
 
 
 @dataclass(frozen=True)
@@ -67,7 +64,7 @@ class SmoothPart:
         return float(f_sf(self.count, self.dof, 1.0 + excess))
 
 
-@lru_cache(maxsize=16)
+@once_per_study
 def smooth_part(prepared: PreparedStudy, fit: Fit) -> SmoothPart | None:
     """Of what a fit leaves on the held-out trials; None where it says nothing.
 
@@ -161,7 +158,7 @@ class AllTrialsResidual:
         return SmoothPart(chi2, count, sum(w.count for w in self.whiteners), dof)
 
 
-@lru_cache(maxsize=4)
+@once_per_study
 def all_trials_residual(prepared: PreparedStudy, fit: Fit) -> AllTrialsResidual | None:
     """A model fitted to all trials; None where one of them cannot be simulated."""
     try:
@@ -202,7 +199,7 @@ class _Fast:
         square = products = values = neighbours = 0.0
         pairs = 0
         for channel in range(whitener.channels):
-            modes = _smooth_modes(whitener, channel)
+            modes = whitener.smooth_modes[channel]
             series = grid[:, channel]
             fast = series - (modes @ (modes.T @ series.ravel())).reshape(series.shape)
             seen = whitener.seen[..., channel].T
@@ -266,25 +263,6 @@ def _of_trial(whitener: Whitener, white: FloatArray) -> FloatArray:
     grid = white.reshape(-1, whitener.channels, whitener.frames, white.shape[1])
     parts = []
     for channel in range(whitener.channels):
-        modes = _smooth_modes(whitener, channel)
+        modes = whitener.smooth_modes[channel]
         parts.append(modes.T @ grid[:, channel].reshape(len(modes), -1))
     return np.concatenate(parts)
-
-
-@lru_cache(maxsize=64)
-def _smooth_modes(whitener: Whitener, channel: int) -> FloatArray:
-    """(markers × frames, modes) orthonormal smooth functions of what was seen in a channel.
-
-    Cosines in time and polynomials along the cable span them.  A misfit of the model is there, of
-    noise only a few per cent.
-    """
-    seen = whitener.seen[..., channel]
-    frames, markers = seen.shape
-    slow = max(2, frames // SLOW_FRAMES)
-    in_time = np.cos(np.pi * np.outer(np.arange(frames) + 0.5, np.arange(slow)) / frames)
-    along = np.vander(np.linspace(-1.0, 1.0, markers), min(markers, ALONG))
-    functions = np.einsum("mk,tj->mtkj", along, in_time).reshape(markers * frames, -1)
-    functions = functions * seen.T.reshape(-1, 1)
-    values, vectors = np.linalg.eigh(functions.T @ functions)
-    good = values > 1e-9 * max(values[-1], 1e-300)
-    return np.asarray(functions @ (vectors[:, good] / np.sqrt(values[good])))

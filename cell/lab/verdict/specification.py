@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable.effects.base import Effect
-from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.prepared import PreparedStudy, once_per_study
 from cell.lab.fit.fitting import Fit
 from cell.lab.verdict.smooth_part import (
     AllTrialsResidual,
@@ -24,7 +23,7 @@ FloatArray = NDArray[np.float64]
 LEAST_ASKED = 1e-6
 
 
-@lru_cache(maxsize=4)
+@once_per_study
 def parameter_constancy_of(
     prepared: PreparedStudy, fit: Fit, parameters: Fit | None = None
 ) -> SmoothPart | None:

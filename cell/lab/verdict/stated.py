@@ -10,8 +10,7 @@ from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.all_trials_fit import of_all_trials
 from cell.lab.fit.fitting import Fit, errors_m
 from cell.lab.fit.heldout import heldout_rows
-from cell.lab.search.fitted_model import FittedModel
-from cell.lab.verdict.residual_summary import residuals_m
+from cell.lab.search.fitted_model import FittedModel, residuals_m
 
 
 def chance_of_stated(prepared: PreparedStudy, final: FittedModel, negligible: float) -> float:

@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 
 from cell.cli import app
 from cell.files.overwriting import check_apart, check_new_study, check_output
+from cell.files.page import page
 
 
 @pytest.mark.parametrize(
@@ -19,6 +20,7 @@ from cell.files.overwriting import check_apart, check_new_study, check_output
         '{"format": "cable-diagnosis/1"}',
         "format: cell-motion/1\n",
         '"""Law inferred from the residuals of study s."""\n',
+        page(Path(), "page.html", "One of the program's pages"),
     ],
 )
 def test_what_commands_write_may_be_written_again(tmp_path: Path, text: str) -> None:

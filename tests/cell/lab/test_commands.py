@@ -12,7 +12,7 @@ import yaml
 from typer.testing import CliRunner
 
 from cell.cable.effects import library
-from cell.cli.lab import app
+from cell.cli import app
 from cell.files.input_error import InputError
 from cell.lab.data.opened_study import open_study
 from cell.study.folder import read_study, write_study

@@ -49,11 +49,29 @@ def test_a_narrow_mouth_that_no_offset_passes(number):
     assert now.true_margin_m == pytest.approx(best.margin_m, abs=1e-4)
 
 
-def test_where_an_offset_passes_surely_it_is_done_at_once():
+def test_where_an_offset_passes_surely_it_is_done_at_once_and_refined():
     task = free(cell_task(SETTINGS))
     cycle = fast_cycle(SETTINGS, 7, 1, task=task, only_chosen=True)
     assert cycle.outcome == "inserted"
-    assert (cycle.choice.best.delay_s, cycle.choice.best.pace) == (0.0, 1.0)
+    best, (*others, refined) = cycle.choice.best, cycle.choice.table
+    assert best is refined and len(others) == len(task.offsets_m)
+    assert (best.delay_s, best.pace, best.further_m) == (0.0, 1.0, 0.0)
+    nearest = max(others, key=lambda o: o.margin_m)
+    assert abs(best.offset_m - nearest.offset_m) < 0.002 and best.margin_m > nearest.margin_m
+    assert cycle.true_margin_m == pytest.approx(best.margin_m, abs=1e-4)
+
+
+def test_a_cable_that_hangs_too_low_is_led_further():
+    """Half as stiff as usual: its tip does not come as far left as the mouth is deep."""
+    low, high = SETTINGS.world.rigidity_n_m2
+    world = SETTINGS.world.model_copy(update={"rigidity_n_m2": (0.5 * low, 0.5 * high)})
+    settings = SETTINGS.model_copy(update={"world": world})
+    task = free(cell_task(settings))
+    assert fast_cycle(settings, 7, 4, task=task, only_chosen=True).outcome == "rejected"
+    further = replace(task.choice, freely=replace(FREELY, further_m=0.01))
+    now = fast_cycle(settings, 7, 4, task=replace(task, choice=further), only_chosen=True)
+    assert now.outcome == "inserted" and now.choice.best.further_m == 0.01
+    assert now.true_margin_m == pytest.approx(now.choice.best.margin_m, abs=1e-4)
 
 
 def test_the_coarse_look_promises_what_the_close_one_finds(monkeypatch):

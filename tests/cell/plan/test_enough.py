@@ -33,7 +33,7 @@ def straight(height_m: float) -> Forecast:
     slopes = np.zeros((1, 101, 2, len(MEAN)))
     slopes[0, :, 1, 0] = 1.0
     one = np.ones(1)
-    return Forecast(0.0 * one, 0.0 * one, one, t_s, MEAN, tip_m[None], slopes)
+    return Forecast(0.0 * one, 0.0 * one, one, 0.0 * one, t_s, MEAN, tip_m[None], slopes)
 
 
 def change(height_m: float, std_m: float, options: ChoiceOptions = CERTAIN) -> float:

@@ -144,6 +144,11 @@ MISTAKES = [
     ("first_m: 0.0,", "first_m: 0.05,", "0.04 m is less than first_m = 0.05 m"),
     ("advance_m: 0.050", "advance_m: 0.070", "takes the hand to x_m = -0.07, outside limits.x_m"),
     (
+        "advance_m: 0.050",
+        "advance_m: 0.050\n  start: {window_s: 0.2, further_m: 0.02}",
+        "takes the hand to x_m = -0.07, outside limits.x_m",
+    ),
+    (
         "velocity_m_per_s: 0.6",
         "velocity_m_per_s: 0.4",
         "motion.lowering.velocity_m_per_s: 0.5 is beyond limits.velocity",

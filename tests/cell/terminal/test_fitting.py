@@ -8,6 +8,7 @@ from rich.table import Table
 from rich.text import Text
 
 from cell.cable.effects import library
+from cell.cli.text_table import text_table
 from cell.lab.report.model_tables import effects_table
 from cell.terminal.fitting import show
 
@@ -52,6 +53,6 @@ def test_off_a_terminal_a_table_is_as_wide_as_it_needs() -> None:
 
 @pytest.mark.parametrize("width", [40, 80, 200])
 def test_units_in_brackets_are_printed(width: int) -> None:
-    text = shown(effects_table(library()), width)
+    text = shown(text_table(effects_table(library())), width)
     assert "[s]" in text and "[1]" in text and "[kg]" in text
     assert "[s]" in shown("lasts 3 [s]", width)

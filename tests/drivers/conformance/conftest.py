@@ -36,6 +36,8 @@ from drivers.sim.clock import SimClock
 from drivers.sim.gripper import GripperFaults
 from drivers.ur import UrArm
 
+from ..conftest import GRIPPER_REPLY_S
+
 if TYPE_CHECKING:  # the rest of the cell takes its time, and only devices that are there need it
     from cell.run.station import Station
 
@@ -209,7 +211,7 @@ def guarded_sim_gripper(request: pytest.FixtureRequest) -> Iterator[GripperBench
 @contextlib.contextmanager
 def serial_gripper(request: pytest.FixtureRequest) -> Iterator[GripperBench]:
     with EmulatedGripper() as emulator:
-        options = SerialGripperOptions(emulator.port)
+        options = SerialGripperOptions(emulator.port, reply_s=GRIPPER_REPLY_S)
         jaws, faults = emulator.jaws, emulator.jaws.faults
         clock = RealClock()
 

@@ -14,6 +14,8 @@ from drivers.emulators.robotiq import GripperFaults
 from drivers.interfaces import DeviceLostError, GripError
 from drivers.serial_gripper import SerialGripper, SerialGripperOptions
 
+from ..conftest import GRIPPER_REPLY_S
+
 
 @pytest.fixture
 def emulator(tmp_path):
@@ -23,7 +25,7 @@ def emulator(tmp_path):
 
 @pytest.fixture
 def gripper(emulator):
-    it = SerialGripper(SerialGripperOptions(emulator.port), RealClock())
+    it = SerialGripper(SerialGripperOptions(emulator.port, reply_s=GRIPPER_REPLY_S), RealClock())
     it.connect()
     yield it
     it.close()

@@ -85,6 +85,25 @@ def test_changing_a_value_compiles_nothing(tmp_path, cable, arc, jerk):
     assert len(module.loop.overloads) == 1
 
 
+@pytest.mark.parametrize("trusted", [True, False])
+def test_what_the_program_wrote_is_compiled_once_wherever_it_lies(tmp_path, monkeypatch, trusted):
+    """Every search for a law wrote all of them to a new folder, and compiled them for 9 s.
+
+    A user's file may import from its folder: that of another folder is another effect.
+    """
+    module_of = sys.modules[load_effect.__module__]
+    monkeypatch.setattr(module_of, "try_effect", lambda *_: None)  # it compiles, too
+    text = FORCE + f"        return 0.0, -p.size*at.vy  # {tmp_path} {trusted}\n"
+    found = []
+    for name in ("here", "there"):
+        (tmp_path / name).mkdir()
+        effect = load_effect(written(tmp_path / name, text), trusted=trusted)
+        assert effect.file.path == (tmp_path / name / "mine.py").resolve()
+        (module,) = loops_of(effect).alive
+        found.append(sum(module.loop.stats.cache_hits.values()))
+    assert found == [0, 1 if trusted else 0]
+
+
 def test_an_edited_file_is_compiled_anew(tmp_path, cable, arc, jerk):
     tips = []
     for factor in (1.0, 2.0):

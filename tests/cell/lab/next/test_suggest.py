@@ -16,14 +16,8 @@ from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.next.motion_file import load_motion
 from cell.lab.next.strokes import Stroke, strokes
-from cell.lab.next.suggest import (
-    DECIDED,
-    Option,
-    Suggestion,
-    _separation,
-    suggest_motion,
-    write_motion,
-)
+from cell.lab.next.suggest import DECIDED, _separation, suggest_motion
+from cell.lab.next.suggestion import Option, Suggestion, write_motion
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.verdict.diagnose import diagnose
 from cell.plan.measuring import measuring_path
@@ -60,7 +54,7 @@ def tied(make_study):
 
 
 def test_the_clamp_is_tilted_to_tell_added_mass_from_natural_curvature(tied):
-    suggestion = suggest_motion(*tied, Surroundings(angle_rad=(-1.1, 0.3)))
+    suggestion = suggest_motion(tied[1], Surroundings(angle_rad=(-1.1, 0.3)))
     best = suggestion.options[0]
     level_best = max(o.separation for o in suggestion.options if o.motion.angle_rad == 0.0)
     assert abs(best.motion.angle_rad) > 0.4
@@ -80,7 +74,7 @@ def suggested(tied, tmp_path_factory):
     config.write_text(text)
     settings = load_settings(config)
     assert settings.motion.home.x_m == 0.005
-    return settings, suggest_motion(*tied, Surroundings.read(config))
+    return settings, suggest_motion(tied[1], Surroundings.read(config))
 
 
 def test_the_true_cable_stays_in_the_picture_and_off_the_workpiece(suggested):
@@ -137,7 +131,7 @@ def test_what_is_written_is_what_the_cell_runs(suggested, tmp_path):
 def test_without_a_safe_motion_it_says_what_forbids_it(tied):
     small = Surroundings(picture_m=((-0.05, 0.05), (-0.05, 0.05)))
     with pytest.raises(ValueError, match=r"none of 144 motions is safe.* 144 for the picture"):
-        suggest_motion(*tied, small)
+        suggest_motion(tied[1], small)
 
 
 def test_a_motion_that_tells_nothing_is_refused_and_it_is_said_what_would_help(tied, monkeypatch):
@@ -147,7 +141,7 @@ def test_a_motion_that_tells_nothing_is_refused_and_it_is_said_what_would_help(t
     found = Suggestion(names, (weak,), Surroundings(), {"picture": 12})
     monkeypatch.setattr("cell.lab.next.suggest.telling_motions", lambda *_: found)
     with pytest.raises(ValueError, match="no safe motion tells") as caught:
-        suggest_motion(*tied, Surroundings())
+        suggest_motion(tied[1], Surroundings())
     said = str(caught.value)
     assert "decides with probability 0.00 (separation χ² 0.25, 9 are needed)" in said
     assert "the best one 36 times over" in said
@@ -156,7 +150,7 @@ def test_a_motion_that_tells_nothing_is_refused_and_it_is_said_what_would_help(t
     assert "room for the 12 motions that were refused, 12 for the picture" in said
     strong = replace(found, options=(replace(weak, power=0.3),))
     monkeypatch.setattr("cell.lab.next.suggest.telling_motions", lambda *_: strong)
-    assert suggest_motion(*tied, Surroundings()) is strong
+    assert suggest_motion(tied[1], Surroundings()) is strong
 
 
 def test_a_complete_model_leaves_nothing_to_tell(make_study):
@@ -164,7 +158,7 @@ def test_a_complete_model_leaves_nothing_to_tell(make_study):
     rivals = {n: library()[n] for n in ("tip_mass", "grip_angle")}
     fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), rivals)
     with pytest.raises(ValueError, match="nothing to tell apart"):
-        suggest_motion(fits, diagnose(fits), Surroundings())
+        suggest_motion(diagnose(fits), Surroundings())
 
 
 def swept(**changes):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from cell.cable.effects import library
+from cell.files.figure_style import least_px
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.results import (
     Diagnosis,
@@ -17,7 +18,6 @@ from cell.lab.data.results import (
 )
 from cell.lab.report.cable_overlay import BELOW, HEIGHT, overlay
 from cell.lab.report.curves import profile_curves
-from cell.lab.report.figure_layout import least_px
 from cell.lab.report.figures import by_trial, history, profiles, ranking, waterfall
 from cell.lab.report.report import _series, comparison_page
 from cell.lab.strength.compare import compare_model

@@ -9,6 +9,7 @@ import pytest
 
 from cell.cable.effects import library
 from cell.identify.parameters import ParameterSpace
+from cell.lab.data.check import Reading
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.next.advice import advice
 from cell.lab.report.report import comparison_page, diagnosis_page
@@ -17,7 +18,6 @@ from cell.lab.strength.compare import compare_model
 from cell.lab.strength.kept_model import identified
 from cell.lab.verdict.diagnose import diagnose
 from cell.lab.verdict.doubts import omitted_doubts
-from cell.lab.verdict.questions import Reading
 from cell.study.data import Markers
 
 
@@ -64,9 +64,8 @@ def diagnosed(make_study):
     model = identified(fits.prepared, examination.steps[-1].fit)
     asked = omitted_doubts(None, Reading(0.0, ("air_drag",)))
     warned = replace(examination.diagnosis, warnings=asked)
-    examination = replace(examination, diagnosis=warned)
-    text = diagnosis_page(examination, comparisons, model, advice(examination.diagnosis))
-    return study, examination.diagnosis, comparisons, text
+    text = diagnosis_page(warned, comparisons, model, advice(warned))
+    return study, warned, comparisons, text
 
 
 def test_its_warnings_stand_at_its_head(diagnosed):

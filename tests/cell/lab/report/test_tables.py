@@ -2,12 +2,12 @@
 
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
 from cell.cable.effects import library
 from cell.identify.parameters import ParameterSpace
+from cell.lab.data.check import Answer, Reading
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import Diagnosis, Doubt, Errors, MissingEffect
 from cell.lab.next.advice import Paths, advice
@@ -17,9 +17,7 @@ from cell.lab.report.tables import sentence, steps_text, verdict_line
 from cell.lab.report.wording import apart, left_in_words, noise_in_words
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.strength.compare import compare_model
-from cell.lab.verdict.checks import CHECKS, Answer
-from cell.lab.verdict.questions import Reading
-from cell.lab.verdict.thresholds import DEFAULT_RULES
+from cell.lab.verdict.checks import CHECKS
 
 
 def diagnosis(verdict, *names, tied=(), noise_m=1e-4, after_m=1e-4):
@@ -54,8 +52,7 @@ def test_where_the_noise_is_not_known_no_effect_is_said_to_lack_and_rest_is_aske
 def failed(name):
     """A check that failed."""
     (check,) = [c for c in CHECKS if c.name == name]
-    evidence = SimpleNamespace(rules=DEFAULT_RULES)
-    return Answer(check, Reading(0.0, ("tip_mass",)), passed=False).result(evidence)
+    return Answer(check, Reading(0.0, ("tip_mass",)), passed=False).result
 
 
 def test_one_effect_that_a_prior_alone_asks_for_is_not_told_from_others():

@@ -34,4 +34,4 @@ def test_every_unit_in_a_name_of_the_library_is_shown_as_one() -> None:
 def test_what_is_rounded_to_nothing_has_no_sign() -> None:
     ranked = RankedEffect("bending_hysteresis", -0.02, 1.0, "absent")
     found = Diagnosis(1e-4, Errors(1e-4, 1e-4), "complete", (), ranking=(ranked,))
-    assert list(ranking_table(found).columns[1].cells) == ["0.0"]
+    assert [row[1] for row in ranking_table(found).rows] == ["0.0"]

@@ -13,17 +13,17 @@ from cell.identify.parameters import ParameterSpace
 from cell.lab.data import side_by_side
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.selection import select_effects
+from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.fit.fitting import space_with
 from cell.lab.next.term_source import effect_source
 from cell.lab.next.terms import admissible
 from cell.lab.search import extension, fit_cache
 from cell.lab.search.extension import Extension, polished
-from cell.lab.search.fit_cache import FitCache
+from cell.lab.search.fit_cache import FitCache, rebased
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.search.setup import fit_cache_of
 from cell.lab.verdict import diagnose as diagnosing
 from cell.lab.verdict.doubts import fit_doubts
-from cell.lab.verdict.thresholds import DEFAULT_RULES
 
 DOCS = Path(__file__).parents[4] / "docs"
 
@@ -213,7 +213,7 @@ def test_a_fit_that_ended_at_the_edge_of_what_can_be_simulated_stays_there(make_
     monkeypatch.setattr(fit_cache, "fit_model", impossible)
     monkeypatch.setattr(extension, "fit_model", impossible)
     assert polished(fits.prepared, base) is base
-    assert not fits.rebase(base.fit.q, 0.0)
+    assert rebased(fits, base.fit.q, 0.0) is fits
 
 
 def test_an_effect_explains_no_less_than_nothing(make_study):

@@ -57,5 +57,5 @@ def test_a_fit_whose_last_place_cannot_be_simulated_is_its_own_estimate(monkeypa
 
     monkeypatch.setattr(all_trials_fit, "fit_model", impossible)
     fit = Stub(space=None, q=None, initial_states={})
-    found = estimate(Stub(study=Stub(trials=())), fit)
+    found = estimate(Stub(study=Stub(trials=()), memo={}), fit)
     assert (found.fit, found.disagreement) == (fit, 1.0)

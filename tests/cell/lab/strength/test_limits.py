@@ -146,7 +146,7 @@ def test_a_diagnosis_tells_them_for_what_is_neither_named_nor_tied(make_study):
     names = ("tip_mass", "air_drag", "camera_scale")
     space = ParameterSpace.of(study.cable)
     fits = FitCache(PreparedStudy.of(study), space, {n: KNOWN[n] for n in names})
-    examination = with_limits(fits, diagnose(fits))
+    examination = with_limits(diagnose(fits))
     found = examination.diagnosis
     assert [f.effect for f in found.missing] == ["tip_mass"]
     assert [limit.effect for limit in found.limits] == ["air_drag", "camera_scale"]

@@ -6,21 +6,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from cell.lab.data.check import Answer, Check, Reading, verdict_of
+from cell.lab.data.thresholds import DEFAULT_RULES, Rules
 from cell.lab.verdict import questions
-from cell.lab.verdict.checks import (
-    CHECKS,
-    LEAVES_NOISE,
-    MAY_BE_CLAIMED,
-    Answer,
-    Check,
-    answers,
-    explains,
-    verdict_of,
-)
+from cell.lab.verdict.checks import CHECKS, LEAVES_NOISE, MAY_BE_CLAIMED, answers, explains
 from cell.lab.verdict.evidence import Evidence
-from cell.lab.verdict.questions import Reading
 from cell.lab.verdict.smooth_part import SmoothPart
-from cell.lab.verdict.thresholds import DEFAULT_RULES, Rules
 
 NAMES = [c.name for c in CHECKS]
 
@@ -88,7 +79,7 @@ def fake(**given):
     )
     exact = SimpleNamespace(square=lambda _: 0.0, square_left=lambda *_: 0.0)
     fits = SimpleNamespace(
-        prepared=prepared, space=SimpleNamespace(effects=()), prior_q=None, hand=lambda: exact
+        prepared=prepared, added=lambda m: m.effects, prior_q=None, hand=lambda: exact
     )
 
     def candidate(rms_m: float, chi2: float, effects=()):

@@ -11,20 +11,22 @@ import pytest
 from rich.console import Console
 
 from cell.cable.effects import library
+from cell.cli.text_table import text_table
+from cell.files.table import TableData
 from cell.identify.gauss_newton import Options
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy, all_fitted
 from cell.lab.data.results import RankedEffect, to_json
+from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.fit.fitting import fit_model
 from cell.lab.next.advice import MEND, Paths, advice
 from cell.lab.report.tables import diagnosis_parts
-from cell.lab.search.fit_cache import FitCache
+from cell.lab.search.fit_cache import FitCache, rebased
 from cell.lab.search.fitted_model import weighed
 from cell.lab.strength.compare import compare_model
 from cell.lab.verdict import partial
 from cell.lab.verdict.diagnose import diagnose
 from cell.lab.verdict.limits_and_agreement import with_agreement
-from cell.lab.verdict.thresholds import DEFAULT_RULES
 from cell.study.data import Markers
 from cell.terminal.fitting import show
 from tools.studies.contradictions import contradictions
@@ -40,8 +42,8 @@ def fit_cache_of(study, names):
 def told(study, names):
     """A diagnosis as the command ends with it: JSON and text."""
     fits = fit_cache_of(study, names)
-    examination = with_agreement(fits, diagnose(fits))
-    ends = (fits.baseline(), examination.steps[-1])
+    examination = with_agreement(diagnose(fits))
+    ends = (examination.fits.baseline(), examination.steps[-1])
     comparisons = [compare_model(study, c.fit.model) for c in ends]
     todo = advice(examination.diagnosis, Paths(Path("STUDY")))
     return examination, printed(examination.diagnosis, comparisons, todo)
@@ -49,7 +51,9 @@ def told(study, names):
 
 def printed(diagnosis, comparisons, todo):
     shown = io.StringIO()
-    show(Console(file=shown, width=200), *diagnosis_parts(diagnosis, comparisons, todo))
+    parts = diagnosis_parts(diagnosis, comparisons, todo)
+    texts = [text_table(p) if isinstance(p, TableData) else p for p in parts]
+    show(Console(file=shown, width=200), *texts)
     return shown.getvalue()
 
 
@@ -118,10 +122,10 @@ def test_an_effect_explains_only_what_the_model_without_it_does_not(make_study, 
     stuck = weighed(whole.prepared, base.effects, stuck)
     assert stuck.fit.rms_m > 1.2 * base.fit.rms_m
     monkeypatch.setitem(whole._memory.models, base.names, stuck)
-    singles = partial._singles(whole, 2, DEFAULT_RULES)
+    whole, singles = partial._singles(whole, 2, DEFAULT_RULES)
     assert whole.baseline().fit.rms_m == pytest.approx(base.fit.rms_m, rel=0.01)
     assert partial.largest_step(whole, whole.baseline(), singles, 2, DEFAULT_RULES) is None
-    assert not whole.rebase(whole.baseline().fit.q, DEFAULT_RULES.tie_delta_chi2)
+    assert rebased(whole, whole.baseline().fit.q, DEFAULT_RULES.tie_delta_chi2) is whole
 
 
 @pytest.fixture(scope="module")

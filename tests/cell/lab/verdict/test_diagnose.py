@@ -12,13 +12,13 @@ from cell.cable.effects import library
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import to_json
+from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.screen import screen
 from cell.lab.verdict import forward_search
 from cell.lab.verdict.diagnose import diagnose
 from cell.lab.verdict.forward_search import with_ties
 from cell.lab.verdict.limits_and_agreement import with_agreement
-from cell.lab.verdict.thresholds import DEFAULT_RULES
 from cell.study.folder import read_study
 
 SCHEMA = {
@@ -113,7 +113,7 @@ def test_a_complete_model_is_called_complete(make_study):
 def test_a_hidden_effect_is_named_measured_and_removed(make_study):
     drag = library()["air_drag"].active(drag_coefficient=2.0)
     fits = explore(make_study([drag], seed=6))
-    found = with_agreement(fits, diagnose(fits)).diagnosis
+    found = with_agreement(diagnose(fits)).diagnosis
     assert found.verdict == "missing"
     assert [f.effect for f in found.missing] == ["air_drag"]
     assert {a.parameter: a.agrees for a in found.agreement}["air_drag.drag_coefficient"]
@@ -211,7 +211,7 @@ def test_what_any_of_many_effects_does_beside_one_is_none_of_them(monkeypatch):
     pair = SimpleNamespace(effects=[first, second])
     alone = SimpleNamespace(effects=[first])
     fits = SimpleNamespace(
-        space=SimpleNamespace(effects=[]),
+        added=lambda found: found.effects,
         fit_reduced=lambda found, effect: {second: alone}.get(effect),
     )
     ties = {first: (), second: ("a", "b", "c", "d", "e", "f", "g")}

@@ -14,7 +14,9 @@ from cell.cable.effects import library
 from cell.cli import app
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy, StoppedError
-from cell.lab.next.suggest import Option, Rival, telling_motions
+from cell.lab.data.rival import Rival
+from cell.lab.next.suggest import telling_motions
+from cell.lab.next.suggestion import Option
 from cell.lab.next.terms import admissible
 from cell.lab.report.tables import sentence, verdict_line
 from cell.lab.search.fit_cache import FitCache
@@ -37,7 +39,7 @@ def stopped_when(study, text, done=0):
 
     def progress(said, count=0, total=0):
         if text in said and count >= done:
-            fits.prepared.work.stop()
+            fits.work.stop()
 
     space = ParameterSpace.of(study.cable)
     chosen = {n: KNOWN[n] for n in NAMES}
@@ -47,7 +49,7 @@ def stopped_when(study, text, done=0):
 
 def test_what_was_fitted_until_then_is_told_and_nothing_claimed(study):
     fits = stopped_when(study, "refitted with", 3)
-    examination = with_limits(fits, diagnose(fits))
+    examination = with_limits(diagnose(fits))
     found = examination.diagnosis
     assert found.verdict == "cannot_tell"
     assert found.missing == ()
@@ -62,12 +64,17 @@ def test_what_was_fitted_until_then_is_told_and_nothing_claimed(study):
 
 def test_stopped_before_the_second_search_has_begun_the_first_is_told(study, monkeypatch):
     """After an effect is found, the mesh's error is that of another model: all is fitted again."""
-    fits = stopped_when(study, "looking where to begin")
-    fits.prepared = replace(fits.prepared, mesh_m={study.trials[0].name: 0.0})
     before = stopped_when(study, "never")
-    before.prepared = fits.prepared
     before.screened(before.baseline())
-    vars(fits).update({**vars(before), "progress": fits.progress})
+    memory = before._memory
+    meshed = replace(before.prepared, mesh_m={study.trials[0].name: 0.0})
+    memory.baseline = replace(memory.baseline, prepared=meshed)
+
+    def progress(said, count=0, total=0):
+        if "looking where to begin" in said:
+            before.work.stop()
+
+    fits = replace(before, progress=progress)
     monkeypatch.setattr(
         "cell.lab.search.fit_cache.as_its_mesh_shows", lambda prepared, fit: prepared
     )
@@ -84,7 +91,7 @@ def test_before_the_baseline_there_is_nothing_to_tell(study):
 
 def test_a_verdict_that_is_known_stays_when_its_limits_are_stopped(study):
     fits = stopped_when(study, "how strong")
-    found = with_limits(fits, diagnose(fits)).diagnosis
+    found = with_limits(diagnose(fits)).diagnosis
     assert found.verdict == "missing"
     assert found.limits == ()
     assert [w.code for w in found.warnings] == ["interrupted"]

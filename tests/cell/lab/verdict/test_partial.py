@@ -8,6 +8,7 @@ import pytest
 from cell.cable.effects import library
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.fit.fitting import space_with
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.verdict import nearest, partial, rivals
@@ -15,7 +16,6 @@ from cell.lab.verdict.diagnose import diagnose
 from cell.lab.verdict.nearest import tied_so_far
 from cell.lab.verdict.partial import largest_step
 from cell.lab.verdict.residual_summary import ResidualSummary, log_variance_ratio
-from cell.lab.verdict.thresholds import DEFAULT_RULES
 
 KNOWN = library()
 

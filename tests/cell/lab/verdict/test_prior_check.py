@@ -8,13 +8,13 @@ import pytest
 
 from cell.cable.effects import library
 from cell.lab.data.selection import EffectSelection
+from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.search.setup import fit_cache_of
 from cell.lab.strength.fitted_study import fit_study
 from cell.lab.verdict import prior_check
 from cell.lab.verdict.checks import explains
 from cell.lab.verdict.evidence import Evidence
 from cell.lab.verdict.prior_check import asked_by_prior_only, not_borne_out
-from cell.lab.verdict.thresholds import DEFAULT_RULES
 
 KNOWN = library()
 FEW = EffectSelection((), {n: KNOWN[n] for n in ("grip_angle", "tip_mass")})
@@ -64,7 +64,7 @@ def test_of_several_effects_a_prior_may_ask_for_one_alone(monkeypatch, named, no
     monkeypatch.setattr(prior_check, "_of_this_cable", lambda *_: True)
     monkeypatch.setattr(prior_check, "_without_prior", lambda fits: fits)
     monkeypatch.setattr(prior_check, "not_borne_out", lambda *_: not_borne)
-    fits = SimpleNamespace(prior_q=[0.0], space=SimpleNamespace(effects=()))
+    fits = SimpleNamespace(prior_q=[0.0], added=lambda found: found.effects)
     base, final = (SimpleNamespace(effects=tuple(KNOWN[n] for n in e)) for e in ((), named))
     assert asked_by_prior_only(Evidence(fits, base, final, DEFAULT_RULES), explains) == told
 

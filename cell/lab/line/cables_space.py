@@ -1,4 +1,4 @@
-"""The search for the effect that a model of several cables lacks: in each cable, then in all."""
+"""Sets of effects fitted to several cables, as a space that is searched: each alone, then all."""
 
 from __future__ import annotations
 
@@ -26,27 +26,25 @@ from cell.lab.line.effect_fit import (
     is_tied,
     natural,
 )
+from cell.lab.line.lesson_starts import (
+    coordinates_of,
+    distinct,
+    values_of,
+    where_all_show_it,
+)
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.search.screen import ScreenedEffect, screen
-from cell.lab.statistics.score import holm
+from cell.lab.search.stepwise import holm_among
 
 FloatArray = NDArray[np.float64]
 
 #: Effects of the screen that are refitted, besides those that are not smooth.
 BEST = 4
-#: Starts of a fit are compared on so many cables, with so many passes.
-START_ON, FIRST_PASSES = 1, replace(PASSES, tolerance=1.0, most_passes=6)
-#: Of an effect with more shapes than this a refit begins with several, the likeliest of the cable
-#: that shows it best: the middle of what cables show is none of them.
-SEVERAL, PLACES = 12, 3
-#: Share of what the slope says that a refit begins with.
-A_LITTLE = 0.05
 #: A fit of which χ² is above the best by this factor after so many passes is given up; an effect of
 #: which each cable's own fit leaves so much is not fitted to all at once.
 FAR_ABOVE, ENOUGH_PASSES = 4.0, 4
-#: Two cables' own solutions are one if they differ by fewer standard deviations in every parameter.
-ALIKE = 3.0
+#: Shares of the limit of work after which no more own solutions are looked for, and so on.
 OWN, REFITS, ENDS, SECOND = 0.4, 0.5, 0.6, 0.6
 
 Progress = Callable[[str], None]
@@ -62,8 +60,8 @@ def library_first(ranked: Sequence[EffectFit]) -> list[EffectFit]:
 
 
 @dataclass(frozen=True, eq=False)
-class Search:
-    """Looks for the next effect on a few cables.
+class CablesSpace:
+    """Effects fitted to a few cables beside those that their model has.
 
     base       parameters of one cable without the shared effects
     plausible  (cables, own) where refits begin: each cable as its hold shows it, frames weighed by
@@ -131,7 +129,7 @@ class Search:
             float(chi2_sf(len(fit.theta) - fewer, max(fall, 0.0)))
             for fall, (_, fit) in zip(falls, fits, strict=True)
         ]
-        adjusted = holm(p + [1.0] * (self.library - len(p)))[: len(p)]
+        adjusted = holm_among(p, self.library)
         tried = [
             EffectFit((*earlier, effect), fit, float(fall), float(value))
             for (effect, fit), fall, value in zip(fits, falls, adjusted, strict=True)
@@ -235,50 +233,17 @@ class Search:
         begin = self.plausible.copy()
         for i, candidate in enumerate(own):
             if candidate is not None:
-                begin[i] = _of(candidate.fit, self.base.names)
-        for candidate in _distinct(solved, effects):
+                begin[i] = coordinates_of(candidate.fit, self.base.names)
+        for candidate in distinct(solved, effects):
             if not found or self.budget.allows(REFITS, f"other starts of {effect.name}"):
-                fitted(begin, _values(candidate.fit, effects))
+                fitted(begin, values_of(candidate.fit, effects))
         if not found or self.budget.allows(REFITS, f"other starts of {effect.name}"):
-            fitted(*self._where_all_show_it(simpler, effect, screened))
-        return min(found, key=lambda f: f.chi2, default=None)
-
-    def _where_all_show_it(
-        self, simpler: EffectFit | None, effect: type[Effect], screened: Sequence[ScreenedEffect]
-    ) -> tuple[FloatArray, FloatArray]:
-        """Cables' coordinates and the effects' values that lead furthest on a few of the cables."""
-        effects = (effect,) if simpler is None else (*simpler.effects, effect)
-        known = np.zeros(0) if simpler is None else natural(simpler.fit)
-        # The slope says how much of it there is, but the cables were fitted without it: from a
-        # little of it all parameters move together.
-        off = np.array([p.default if p.amplitude else np.nan for p in effect.parameters])
-        most = [np.median(np.array([s.starts[0] for s in screened]), axis=0)]
-        if shapes_of(effect) > SEVERAL:
-            clearest = max(screened, key=lambda s: s.score.statistic)
-            most = [*clearest.starts[:PLACES]]
-        places = [np.where(np.isnan(off), m, off + A_LITTLE * (m - off)) for m in most]
-        if not effect.smooth:
-            places += [
-                np.array([p.starts[min(k, len(p.starts) - 1)] for p in effect.parameters])
-                for k in range(3)
-            ]
-        starts = [np.concatenate([known, values]) for values in places]
-        few, q = slice(0, START_ON), self.plausible
-        found: list[SharedFit] = []
-        for values in starts if len(starts) > 1 else ():
-            try:
-                found.append(
-                    fit_shared(
-                        self.prepared[few], self.base, q[few], effects, values, options=FIRST_PASSES
-                    )
+            fitted(
+                *where_all_show_it(
+                    self.prepared, self.base, self.plausible, simpler, effect, screened
                 )
-            except UNSIMULATED:
-                continue
-        begin, values = q.copy(), starts[0]
-        if found:
-            best = min(found, key=lambda f: f.chi2)
-            begin[few], values = best.q, natural(best)
-        return begin, values
+            )
+        return min(found, key=lambda f: f.chi2, default=None)
 
 
 def _worth_refitting(screens: Sequence[Sequence[ScreenedEffect]]) -> list[type[Effect]]:
@@ -290,38 +255,6 @@ def _worth_refitting(screens: Sequence[Sequence[ScreenedEffect]]) -> list[type[E
     effects = {s.effect.name: s.effect for s in screens[0]}
     ranked = [effects[n] for n in sorted(effects, key=lambda n: -score[n])]
     return ranked[:BEST] + [e for e in ranked[BEST:] if not e.smooth]
-
-
-def _of(fit: Fit, names: Sequence[str]) -> FloatArray:
-    """Coordinates of these parameters in a fit."""
-    return np.array([fit.q[fit.space.names.index(name)] for name in names])
-
-
-def _values(fit: Fit, effects: Sequence[type[Effect]]) -> FloatArray:
-    """Natural values of all parameters of these effects in a fit."""
-    values = fit.space.natural(fit.q)
-    names = [f"{e.name}.{p.name}" for e in effects for p in e.parameters]
-    return np.array([values[fit.space.names.index(name)] for name in names])
-
-
-def _distinct(
-    candidates: Sequence[FittedModel], effects: Sequence[type[Effect]]
-) -> list[FittedModel]:
-    """Own solutions, the clearest first, without those that say the same of the effects.
-
-    A candidate's covariance is widened by what it leaves.
-    """
-    kept: list[tuple[FittedModel, FloatArray, FloatArray]] = []
-    for candidate in sorted(candidates, key=lambda c: c.fit.objective):
-        fit = candidate.fit
-        names = [n for n in fit.space.names if n.startswith(tuple(f"{e.name}." for e in effects))]
-        index = [fit.space.names.index(n) for n in names]
-        widened = max(1.0, fit.chi2 / max(1, int(np.count_nonzero(fit.solution.residual))))
-        q, variance = fit.q[index], widened * np.diag(fit.covariance)[index]
-        apart = [(q - a) ** 2 > ALIKE**2 * (variance + b) for _, a, b in kept]
-        if all(np.any(far) for far in apart):
-            kept.append((candidate, q, variance))
-    return [candidate for candidate, *_ in kept]
 
 
 def on_all(

@@ -1,15 +1,12 @@
-"""Layout that all figures share: colours, panels, the line of the noise, numbers as lists."""
+"""The look that all figures share: colours, panels, the line of the noise, numbers as lists."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
-
-from cell.lab.strength.compare import Comparison
 
 FloatArray = NDArray[np.float64]
 
@@ -21,31 +18,6 @@ BETWEEN = ("#edae49", "#7768ae", "#8f5d2b", "#3d8b37", "#c06c9b")
 FEW_MARKERS = 5
 #: Pixels that a panel, and a name below an axis, need at least to be read.
 PANEL_PX, NAME_PX = 310, 90
-
-
-@dataclass(frozen=True)
-class Series:
-    """A model beside the measurements, under the name and in the colour it has in all figures.
-
-    of     the name after "error"
-    above  number of models drawn over it: it is drawn so much larger that equal ones are seen too
-    """
-
-    name: str
-    of: str
-    colour: str
-    comparison: Comparison
-    above: int = 0
-
-    @property
-    def width(self) -> float:
-        """Of its lines, in pixels."""
-        return 1.5 + 2.0 * self.above
-
-    @property
-    def size(self) -> float:
-        """Of its markers, in pixels."""
-        return 8.0 + 5.0 * self.above
 
 
 def logarithmic(figure: go.Figure, values: Sequence[FloatArray], **where: int) -> None:

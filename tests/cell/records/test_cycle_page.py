@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cell.lab.report.cycle_page import cycle_page
+from cell.records.cycle_page import cycle_page
 from cell.records.folder import Record, read_record
 from cell.records.result import Fault, Outcome, Result
 

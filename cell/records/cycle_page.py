@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import base64
-import html
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -12,14 +11,13 @@ import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
 
-from cell.lab.report.figure_layout import ADDED, MODEL, QUIET, SEEN, laid_out
-from cell.lab.report.html_page import html_page, html_plot, html_table
+from cell.files.figure_style import ADDED, MODEL, QUIET, SEEN, laid_out
+from cell.files.page import Picture, Plot, page
+from cell.files.table import TableData
 from cell.records.folder import Recorded
 from cell.records.recording import form
 from cell.records.recording.reading import Recording
-from cell.records.result import Correction, Outcome
-
-Image = NDArray[Any]
+from cell.records.result import Correction, Outcome, Result
 
 #: Pictures of the film strip: two rows on the page.  Widths in pixels: of these, and of a picture
 #: whose legend must be read.
@@ -30,6 +28,7 @@ _NUMBERS = (
     ("offset_m", "offset", "mm", 1e3),
     ("delay_s", "rested before", "s", 1.0),
     ("pace", "time for the motion, of the usual one", "%", 100.0),
+    ("further_m", "further left than usual", "mm", 1e3),
     ("predicted_miss_m", "forecast of the tip above the middle", "mm", 1e3),
     ("measured_miss_m", "measured", "mm", 1e3),
     ("predicted_margin_m", "forecast margin", "mm", 1e3),
@@ -46,6 +45,7 @@ _DECISION = (
     ("offset_m", "offset, mm", 1e3, ".1f"),
     ("delay_s", "rested before, s", 1.0, ".2f"),
     ("pace", "time, of the usual, %", 100.0, ".0f"),
+    ("further_m", "further left, mm", 1e3, ".0f"),
     ("margin_m", "margin, mm", 1e3, ".2f"),
     ("margin_std_m", "its standard deviation, mm", 1e3, ".2f"),
     ("probability", "passes with, %", 100.0, ".1f"),
@@ -55,60 +55,60 @@ _DECISION = (
 def cycle_page(record: Recorded, recording: Recording | None) -> str:
     """The page; without a recording it lacks film strip, states and decision."""
     result = record.result
-    parts = [_says(record)]
-    if result is not None:
-        numbers = [
-            [name, f"{value * size:.4g}", unit]
-            for key, name, unit, size in _NUMBERS
-            if (value := getattr(result, key)) is not None
-        ]
-        parts.append(html_table(["", "value", "unit"], numbers, (1,)))
-    if recording is not None:
-        parts += ["<h2>Film</h2>", _strip(recording)]
-    pictures = sorted(record.folder.glob("*.png"))
-    if pictures:
-        parts.append("<h2>What was seen and forecast</h2>")
-        shown = [_embedded(cv2.imread(str(p)), PICTURE_PX, p.stem) for p in pictures]
-        parts.append(_grid(shown, least_px=480))
+    says, good = _says(record)
     decision = None if recording is None else recording.last(form.DECISION)
     said = None if recording is None else recording.last(form.SETTINGS)
     destination = None if said is None else said["settings"]["destination"]
-    if (path := _tip_path(record, decision, destination)) is not None:
-        parts += ["<h2>Path of the tip</h2>", html_plot(path)]
-    if decision is not None:
-        parts += ["<h2>Decision</h2>", _decision(decision)]
-    if result is not None and result.stops:
-        tries = [f"<li>{html.escape(reason)}</li>" for reason in result.stops]
-        parts += ["<h2>Earlier tries</h2>", f"<ol>{''.join(tries)}</ol>"]
-    if result is not None and result.corrections:
-        parts += ["<h2>Corrections in flight</h2>", _corrections(result.corrections)]
-    if record.model is not None:
-        parts += ["<h2>This cable</h2>", _parameters(record.model)]
-    if result is not None and result.seconds:
-        parts += ["<h2>Times</h2>", html_plot(_times(result.seconds, result.state_seconds))]
-    parts.append(f"<p class='facts'>{html.escape(str(record.folder))}</p>")
-    return html_page(f"Cycle {record.cycle}: {record.folder.name}", parts)
+    tip = _tip_path(record, decision, destination)
+    timed = result is not None and result.seconds
+    return page(
+        Path(__file__).parent / "templates",
+        "cycle.html",
+        f"Cycle {record.cycle}: {record.folder.name}",
+        says=says,
+        good=good,
+        part=None if result is None else result.part,
+        numbers=None if result is None else _numbers(result),
+        missing="" if recording is None else _missing(recording),
+        strip=None if recording is None else _strip(recording),
+        seen=_seen(record),
+        tip=None if tip is None else Plot.of(tip),
+        decision=None if decision is None else _decision(decision),
+        decision_says="" if decision is None else _decided(decision),
+        stops=() if result is None else result.stops,
+        corrections=None if result is None else _corrections(result.corrections),
+        parameters=None if record.model is None else _parameters(record.model),
+        times=Plot.of(_times(result.seconds, result.state_seconds)) if result and timed else None,
+        folder=record.folder,
+    )
 
 
-def _says(record: Recorded) -> str:
+def _says(record: Recorded) -> tuple[str, bool]:
+    """How the cycle ended, and whether that is good."""
     result = record.result
     if result is None:
-        said, good = f"ended without a result in step {record.step}: it runs or was killed", False
-    else:
-        good = result.outcome in _GOOD
-        said = result.outcome.value + (f" at offset {_mm(result.offset_m)}" if good else "")
-        if result.reason:
-            said += f": {result.reason}"
-        if (fault := result.fault) is not None:
-            said += f" in step {fault.step}: {fault.cause}. {fault.remedy} {fault.cable}".rstrip()
-    part = (
-        "" if result is None or result.part is None else f"<p>Part {html.escape(result.part)}</p>"
-    )
-    look = "says" if good else "says bad"
-    return f'<p class="{look}">{html.escape(said)}</p>{part}'
+        return f"ended without a result in step {record.step}: it runs or was killed", False
+    good = result.outcome in _GOOD
+    said = result.outcome.value + (f" at offset {_mm(result.offset_m)}" if good else "")
+    if result.reason:
+        said += f": {result.reason}"
+    if (fault := result.fault) is not None:
+        said += f" in step {fault.step}: {fault.cause}. {fault.remedy} {fault.cable}".rstrip()
+    return said, good
 
 
-def _corrections(corrections: Sequence[Correction]) -> str:
+def _numbers(result: Result) -> TableData:
+    rows = [
+        [name, f"{value * size:.4g}", unit]
+        for key, name, unit, size in _NUMBERS
+        if (value := getattr(result, key)) is not None
+    ]
+    return TableData("", ["", "value", "unit"], rows, (1,))
+
+
+def _corrections(corrections: Sequence[Correction] | None) -> TableData | None:
+    if not corrections:
+        return None
     rows = [
         [
             f"{c.from_s:.2f}",
@@ -122,14 +122,14 @@ def _corrections(corrections: Sequence[Correction]) -> str:
     ]
     led = ("hand led up by, mm", "then by, mm", "each within, s")
     headings = ["from, s", *led, "passes without, %", "with, %"]
-    return html_table(headings, rows, tuple(range(len(headings))))
+    return TableData("", headings, rows, range(len(headings)))
 
 
 def _mm(length_m: float | None) -> str:
     return "?" if length_m is None else f"{length_m * 1e3:.0f} mm"
 
 
-def _strip(recording: Recording) -> str:
+def _strip(recording: Recording) -> list[Picture]:
     """Frames evenly over both films, with the cable as it was seen."""
     count = recording.count(form.IMAGE)
     chosen = set(np.linspace(0, count - 1, min(STRIP, count)).round().astype(int).tolist())
@@ -143,36 +143,20 @@ def _strip(recording: Recording) -> str:
         if points is not None and len(points):
             drawn = np.round(points).astype(np.int32)[:, None]
             cv2.polylines(image, [drawn], False, (255, 160, 0), 5, cv2.LINE_AA)
-        shown.append(_embedded(image, STRIP_PX, f"{frame.t_s - first_s:.2f} s"))
-    gaps = [
-        f"{g['frames']} frames from {g['first']}: {g['cause']}" for g in recording.json(form.GAP)
-    ]
-    lost = f"<p class='warning'>Missing: {html.escape('; '.join(gaps))}</p>" if gaps else ""
-    return lost + _grid(shown, least_px=180)
+        shown.append(Picture.of(image, STRIP_PX, f"{frame.t_s - first_s:.2f} s"))
+    return shown
 
 
-def _grid(pictures: Sequence[str], least_px: int) -> str:
-    """Pictures side by side, as many as find room at this width."""
-    columns = f"repeat(auto-fill,minmax(min({least_px}px,100%),1fr))"
-    look = f"display:grid;grid-template-columns:{columns};gap:8px"
-    return f"<div style='{look}'>{''.join(pictures)}</div>"
+def _missing(recording: Recording) -> str:
+    """Frames that were not recorded, and why."""
+    gaps = recording.json(form.GAP)
+    return "; ".join(f"{g['frames']} frames from {g['first']}: {g['cause']}" for g in gaps)
 
 
-def _embedded(image: Image | None, width_px: int, name: str) -> str:
-    """A picture within the page; nothing for one that cannot be read."""
-    if image is None:
-        return ""
-    height = round(image.shape[0] * width_px / image.shape[1])
-    small = cv2.resize(image, (width_px, height), interpolation=cv2.INTER_AREA)
-    done, data = cv2.imencode(".jpg", small)
-    assert done
-    text = base64.b64encode(data.tobytes()).decode()
-    shown = html.escape(name.replace("_", " "))
-    return (
-        f"<figure style='margin:0 0 8px'><img alt='{shown}' style='width:100%' "
-        f"src='data:image/jpeg;base64,{text}'>"
-        f"<figcaption class='note'>{shown}</figcaption></figure>"
-    )
+def _seen(record: Recorded) -> list[Picture]:
+    """The pictures of the folder that can be read."""
+    read = [(path.stem, cv2.imread(str(path))) for path in sorted(record.folder.glob("*.png"))]
+    return [Picture.of(image, PICTURE_PX, name) for name, image in read if image is not None]
 
 
 def _tip_path(
@@ -208,9 +192,14 @@ def _draw(figure: go.Figure, xy_m: NDArray[np.float64], name: str, colour: str) 
     )
 
 
-def _decision(decision: Mapping[str, Any]) -> str:
+def _decided(decision: Mapping[str, Any]) -> str:
+    """Why no offset was taken, if none was."""
+    none = decision["offset_m"] is None
+    return f"No offset was taken: {decision['reason']}." if none else ""
+
+
+def _decision(decision: Mapping[str, Any]) -> TableData:
     chosen = decision["offset_m"]
-    said = f"No offset was taken: {decision['reason']}." if chosen is None else ""
     rows = [
         [
             f"{row[key] * size:{digits}}" if row.get(key) is not None else ""
@@ -220,15 +209,15 @@ def _decision(decision: Mapping[str, Any]) -> str:
         for row in decision["table"]
     ]
     heads = [*(head for _, head, _, _ in _DECISION), ""]
-    return f"<p>{html.escape(said)}</p>" + html_table(heads, rows, range(len(_DECISION)))
+    return TableData("", heads, rows, range(len(_DECISION)))
 
 
-def _parameters(model: Mapping[str, Any]) -> str:
+def _parameters(model: Mapping[str, Any]) -> TableData:
     rows = [
         [p["name"], f"{p['value']:.4g}", f"{p['low']:.4g} … {p['high']:.4g}", p["unit"]]
         for p in model["parameters"]
     ]
-    return html_table(["parameter", "value", "95 %", "unit"], rows, (1, 2))
+    return TableData("", ["parameter", "value", "95 %", "unit"], rows, (1, 2))
 
 
 def _times(seconds: Mapping[str, float], state_seconds: Mapping[str, float]) -> go.Figure:

@@ -1,0 +1,297 @@
+"""Command that makes a study of files of any form: import."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+
+import typer
+
+from cell.cli.delivery import deliver, json_files
+from cell.cli.import_recorded import Recorded, film_study, recordings_study
+from cell.cli.lab import refusing, show, working
+from cell.cli.options import taking
+from cell.cli.result_json import Json, JsonCommand, print_result
+from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, group, tell_notes
+from cell.files.overwriting import check_new_study, check_output
+
+if TYPE_CHECKING:
+    from cell.lab.report.look_page import Look
+    from cell.study.imports.finding import Finding
+    from cell.study.imports.understand import Files, Understanding
+    from cell.terminal.progress import ProgressLine
+
+app = group()
+
+#: Endings of names of videos, which the cell's own vision looks at.
+_VIDEOS = (".mp4", ".avi", ".mov", ".mkv", ".m4v")
+PREVIEW = "preview.html"
+
+
+@dataclass(frozen=True)
+class ImportOptions:
+    """What `cell import` is told."""
+
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Files of one cable, each a trial: CSV, TSV or text tables, TRC, C3D, MCAP; a "
+            "video; or the mapping that the command proposed (import.yaml)."
+        ),
+    ]
+    out: Annotated[
+        Path | None,
+        typer.Option("-o", "--out", help="Folder of the study; default: that of the mapping."),
+    ] = None
+    hand: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--hand", help="File of the hand, if it is not in the markers' file; one per trial."
+        ),
+    ] = None
+    free_length: Annotated[
+        float | None,
+        typer.Option(
+            "--free-length", min=1e-3, help="Cable from the gripping point to its tip, m."
+        ),
+    ] = None
+    line_density: Annotated[
+        float | None, typer.Option("--line-density", min=1e-6, help="Mass per length, kg/m.")
+    ] = None
+    width: Annotated[
+        float | None, typer.Option("--width", min=1e-6, help="Width of a flat cable, m.")
+    ] = None
+    thickness: Annotated[
+        float | None, typer.Option("--thickness", min=1e-7, help="Thickness of a flat cable, m.")
+    ] = None
+    diameter: Annotated[
+        float | None, typer.Option("--diameter", min=1e-6, help="Diameter of a round cable, m.")
+    ] = None
+    rate: Annotated[
+        float | None,
+        typer.Option("--rate", min=0.1, help="Rows a second, if the file has no time."),
+    ] = None
+    config: Annotated[
+        Path | None,
+        typer.Option("--config", "-c", help="Of a video: settings of the cell that filmed it."),
+    ] = None
+    first_frame_s: Annotated[
+        float,
+        typer.Option("--first-frame", help="Of a video: when it begins on the hand's clock, s."),
+    ] = 0.0
+    look: Annotated[
+        bool, typer.Option("--open", help="Open the preview with the computer's browser.")
+    ] = False
+    force: Annotated[
+        bool, typer.Option("--force", help="Overwrite an earlier mapping, preview or study.")
+    ] = False
+    as_json: Json = None
+
+
+@app.command("import", cls=JsonCommand)
+@taking(ImportOptions)
+def import_(options: ImportOptions) -> None:
+    """Make a study of files of any form: the first call proposes a mapping, the second writes it.
+
+    `cell import trial.csv -o my_study` reads the file, says what it understood and what it guesses,
+    and writes my_study/import.yaml and my_study/preview.html.  Check both; edit the mapping.  Then
+    `cell import my_study/import.yaml` writes the study and verifies it by reading it back.
+
+    A recording of `cell run`, and a video with --config and --hand, become a study at once.
+
+    Exit codes: 0; 1 if the proposal shows something that must be mended; 2 if a file or the mapping
+    is wrong.
+    """
+    if options.files[0].suffix.lower() in (".yaml", ".yml"):
+        _write(options)
+    elif options.files[0].suffix.lower() in _VIDEOS or options.files[0].is_dir():
+        with refusing():
+            recorded = _recorded(options)
+        film_study(recorded)
+    else:
+        _propose(options)
+
+
+def _recorded(options: ImportOptions) -> Recorded:
+    hands = options.hand or []
+    return Recorded(
+        tuple(options.files),
+        _folder(options),
+        hands[0] if hands else None,
+        options.config,
+        options.rate,
+        options.first_frame_s,
+        options.force,
+        options.as_json,
+    )
+
+
+def _propose(options: ImportOptions) -> NoReturn:
+    from cell.lab.report.look_page import look_page
+    from cell.lab.report.preview import preview_of
+    from cell.records.recording.form import BEGUN
+    from cell.study.imports.mapping import FILE
+    from cell.study.imports.mcap_file import metadata_names
+    from cell.study.imports.proposal import mapping_text
+
+    with refusing(), working("import") as progress:
+        out = _folder(options)
+        mapping_file, preview = out / FILE, out / PREVIEW
+        own = [f for f in options.files if f.suffix == ".mcap" and BEGUN in metadata_names(f)]
+        if own and len(own) < len(options.files):
+            raise ValueError(
+                f"{own[0]}: is a recording of `cell run`; import these apart from others"
+            )
+        if own:
+            recordings_study(_recorded(options), own)
+        check_new_study(out, force=options.force)
+        if mapping_file.exists() and not options.force:
+            raise ValueError(
+                f"{mapping_file}: is there already, perhaps edited; write the study of it with "
+                f"`cell import {mapping_file}`, or give --force to propose it anew"
+            )
+        check_output(preview, force=options.force)
+        files, understood = _understood(options, out, progress)
+        look = preview_of(files, understood, mapping_file)
+        command = f"cell import {mapping_file}"
+        text = mapping_text(understood.mapping, understood.findings, command)
+    data = _proposal_json(understood.findings, look, mapping_file, preview, command)
+
+    def printed() -> None:
+        if print_result(data, options.as_json):
+            show(*_proposal_lines(look), *_next(mapping_file, preview, command))
+
+    from functools import partial
+
+    from cell.files.atomic import write_whole
+    from cell.files.page import write_page
+
+    deliver(
+        printed,
+        (mapping_file, lambda path: write_whole(path, text)),
+        (preview, partial(write_page, look_page(look))),
+        *json_files(data, options.as_json),
+    )
+    if options.look:
+        typer.launch(str(preview))
+    raise typer.Exit(NOT_ALL_DONE if look.wrong else ALL_DONE)
+
+
+def _folder(options: ImportOptions) -> Path:
+    """Where the study is to be.  Raises ValueError: it is not said, or hands are not as many."""
+    if options.out is None:
+        raise ValueError("--out is missing: name the folder of the new study, as -o my_study")
+    hands = options.hand or []
+    if hands and len(hands) != len(options.files):
+        raise ValueError(
+            f"--hand names {len(hands)} files for {len(options.files)} trials; give one for each, "
+            "in their order"
+        )
+    return options.out
+
+
+def _understood(
+    options: ImportOptions, out: Path, progress: ProgressLine
+) -> tuple[list[Files], Understanding]:
+    from cell.study.imports.read import read_capture
+    from cell.study.imports.understand import Files, Stated, trial_names, understand
+
+    hands: list[Path | None] = [*(options.hand or []), *[None] * len(options.files)]
+    names = trial_names(options.files)
+    files = []
+    for i, (name, file, hand) in enumerate(zip(names, options.files, hands, strict=False)):
+        progress(f"reading {file.name}", i, len(names))
+        files.append(
+            Files(
+                name,
+                _relative(file, out),
+                read_capture(file),
+                None if hand is None else _relative(hand, out),
+                None if hand is None else read_capture(hand),
+            )
+        )
+    progress("what the data show")
+    stated = Stated(
+        out.name,
+        options.free_length,
+        options.line_density,
+        options.width,
+        options.thickness,
+        options.diameter,
+        options.rate,
+    )
+    return files, understand(files, stated)
+
+
+def _relative(file: Path, folder: Path) -> str:
+    """A file's name as the mapping in a folder says it."""
+    return Path(os.path.relpath(file.resolve(), folder.resolve())).as_posix()
+
+
+def _proposal_json(
+    findings: tuple[Finding, ...], look: Look, mapping: Path, preview: Path, command: str
+) -> dict[str, Any]:
+    return {
+        "format": "cable-proposal/1",
+        "mapping": str(mapping),
+        "preview": str(preview),
+        "findings": [f.to_json() for f in findings],
+        "wrong": list(look.wrong),
+        "odd": list(look.odd),
+        "trials": [f.to_json() for f in look.facts],
+        "next": command,
+    }
+
+
+def _proposal_lines(look: Look) -> list[str]:
+    """What was understood, the most certain first, and what is odd or wrong."""
+    groups = dict(list(look.says.items())[::-1]) | {"Odd:": look.odd, "To be mended:": look.wrong}
+    return [
+        line
+        for head, found in groups.items()
+        if found
+        for line in (head, *(f"  {s}" for s in found))
+    ]
+
+
+def _next(mapping: Path, preview: Path, command: str) -> list[str]:
+    return [f"{preview}: look at it", f"{mapping}: check and edit it, then: {command}"]
+
+
+def _write(options: ImportOptions) -> NoReturn:
+    from cell.study.imports.convert import read_captures, study_of
+    from cell.study.imports.mapping import read_mapping
+    from cell.study.imports.quality import slips
+    from cell.study.imports.write import write_imported
+
+    with refusing(), working("import") as progress:
+        if len(options.files) > 1 or options.hand:
+            raise ValueError("a mapping names its files itself: give it alone")
+        mapping = options.files[0]
+        folder = mapping.parent if options.out is None else options.out
+        check_new_study(folder, force=options.force)
+        read = read_mapping(mapping)
+        progress("reading the files")
+        imported = study_of(read, read_captures(read))
+        notes = [*imported.notes, *slips(imported.study)]
+        progress("writing the study, and reading it back")
+        study = write_imported(imported.study, folder)
+    trials = [
+        {"name": t.name, "role": t.role, "start": t.start, "frames": len(t.markers.t_s)}
+        for t in study.trials
+    ]
+    data = {"format": "cable-imported/1", "study": str(folder), "trials": trials, "notes": notes}
+
+    def printed() -> None:
+        if print_result(data, options.as_json):
+            tell_notes(notes)
+            frames = sum(len(t.markers.t_s) for t in study.trials)
+            print(
+                f"{folder}: {len(study.trials)} trials, {frames} frames, verified by reading back"
+            )
+            print(f"look at it: cell look {folder}; then: cell diagnose {folder}")
+
+    deliver(printed, *json_files(data, options.as_json))
+    raise typer.Exit(ALL_DONE)

@@ -1,0 +1,89 @@
+"""Limits of the lab for accepting an effect and for calling a model complete."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from cell.lab.data.noise_floor import KNOWN_WITHIN
+
+#: Probability of calling something an effect, a law, a disagreement that is none, for all tests of
+#: a question together.
+SIGNIFICANCE = 0.01
+
+
+@dataclass(frozen=True)
+class Rules:
+    """Limits at which an effect is accepted and a model called complete, and how far a search goes.
+
+    Probabilities:
+    significance         family-wise, over the library (Holm), on the fit trials
+    misfit_significance  of what a model leaves; of less than a tenth of it `significance`
+    half_seen            at which the trials must be able to show half of an effect's smooth part,
+                         or else it is not told from effects of no library
+
+    Likelihoods:
+    heldout_gain     ln of how much likelier the held-out trials must become
+    least_visible    ln of how much likelier the effect itself, all else as fitted, must make them:
+                     below, they cannot see it, and what they gain comes by other parameters
+    tie_delta_chi2   sets of effects are tied if their χ² over all trials differs by less
+    vuong_z          where no set of effects leaves noise, one that leaves less by fewer standard
+                     deviations than this is tied with what leaves more.  Beside white noise 1.5 is
+                     Δχ² = 9; with covariances over a quarter of the frames that becomes 2
+                     (Kiefer and Vogelsang 2005, Econometric Theory 21, 1130)
+
+    Errors, rms over noise; a smooth part matters above the same share of the noise's mean square:
+    misfit           up to which a model's own error explains it
+    gross_misfit     from which an error is more than noise whatever it was before
+    below_stated     a stated noise of which a model leaves less than this share bounds what the
+                     measurement can be trusted for: below it nothing more is claimed
+    noise_known_within   largest mean square over the noise's that the rest may allow
+
+    Shares.  Below the first three lie the errors of models, ours included, whatever their
+    significance:
+    first_share        of the noise's mean square, by which the first effect must lower the held-out
+    slight_share       the same of further effects; and of the baseline's excess, that a claimed
+                       effect may leave in a smooth part that is not noise
+    negligible_share   of the baseline's excess, by which further effects must lower the held-out;
+                       and that a wider law or another effect may explain beside what was found
+    small_share        a small part: of the baseline's excess, that a known effect may leave below
+                       `gross_misfit`, and above which no third effect is sought; of the χ² that an
+                       effect explains, below which held-out trials cannot show it
+    most_share         most: of an error that a partial effect removes; that is left where of two
+                       effects none is exchanged, because one alone explains half
+
+    Numbers:
+    most_named       effects added one after another, tied, or told as nearest: more than three
+                     cannot be tested
+    least_heldout    held-out trials that confirm an effect
+    max_prior_driven effects that only an earlier cable's model asks for
+    first_effects    after so many a search that leaves more than a small part is ended
+    max_refits       of the screen that are refitted, besides all that are not smooth
+    max_simulated_s  after so many seconds of motion simulated no further effect is sought; some
+                     twenty seconds on two cores, and as much again for what was begun
+    """
+
+    significance: float = SIGNIFICANCE
+    misfit_significance: float = 1e-3
+    half_seen: float = 0.05
+    heldout_gain: float = 3.0
+    least_visible: float = 1.0
+    tie_delta_chi2: float = 9.0
+    vuong_z: float = 2.0
+    misfit: float = 1.04
+    gross_misfit: float = 1.10
+    below_stated: float = 0.8
+    noise_known_within: float = KNOWN_WITHIN
+    first_share: float = 0.003
+    slight_share: float = 0.01
+    negligible_share: float = 1e-3
+    small_share: float = 0.1
+    most_share: float = 0.5
+    most_named: int = 3
+    least_heldout: int = 1
+    max_prior_driven: int = 0
+    first_effects: int = 2
+    max_refits: int = 6
+    max_simulated_s: float = 40_000.0
+
+
+DEFAULT_RULES = Rules()

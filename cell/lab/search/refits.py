@@ -1,0 +1,105 @@
+"""A model refitted with one effect more, for several effects side by side on all cores."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cell.cable.effects.base import Effect
+from cell.identify.gauss_newton import Options
+from cell.lab.data.progress import Progress
+from cell.lab.data.side_by_side import side_by_side
+from cell.lab.fit.sensitivity import shapes_of
+from cell.lab.search.extension import Extension, polished
+from cell.lab.search.fitted_model import POLISH, REFIT, FittedModel
+from cell.lab.search.screen import ScreenedEffect
+
+#: So many of the first refits are taken to convergence.
+POLISHED = 3
+#: A first refit is given up if after some passes its objective is so many times that of the best of
+#: the first few effects, the likeliest by the screen.
+FAR_ABOVE, ENOUGH_PASSES, FIRST = 10.0, 5, 2
+
+
+@dataclass(frozen=True)
+class _Refit:
+    """An effect with which a model is to be fitted."""
+
+    effect: type[Effect]
+    options: Options = REFIT
+
+
+@dataclass(frozen=True, eq=False)
+class Refits:
+    """Refits of a model with one effect more.
+
+    screens   by effect
+    offered   effects that what is fitted may have
+    models    by their effects' names: what is known; results are added to it
+    polished  those that gain nothing by being taken on; added to, too
+    """
+
+    extension: Extension
+    screens: Mapping[str, Sequence[ScreenedEffect]]
+    offered: Sequence[type[Effect]]
+    models: dict[frozenset[str], FittedModel]
+    polished: set[frozenset[str]]
+    progress: Progress
+
+    def with_each(self, effects: Sequence[type[Effect]]) -> list[FittedModel]:
+        """The model with each of the effects that it can be simulated with from some start."""
+        prepared, models = self.extension.prepared, self.models
+        unknown = [e for e in effects if self._key(e) not in models]
+        done = itertools.count(len(effects) - len(unknown) + 1)
+
+        def refitted(job: _Refit) -> FittedModel | None:
+            return self.extension.by(job.effect, self.screens[job.effect.name], job.options)
+
+        def taken_on(model: FittedModel) -> FittedModel:
+            return polished(prepared, model)
+
+        def was_fitted(job: _Refit, model: FittedModel | None) -> None:
+            if model is not None:
+                models[model.names] = model
+            self.progress(f"refitted with {job.effect.name}", next(done), len(effects))
+
+        def was_taken_on(_: FittedModel, model: FittedModel) -> None:
+            models[model.names] = model
+            if model.fit.solution.passes < POLISH.most_passes:  # it gained no more
+                self.polished.add(model.names)
+
+        self.progress("refitting with one effect more", 0, len(effects))
+        functions = (refitted, taken_on)
+        with side_by_side(prepared.work, functions, self.offered, len(unknown)) as beside:
+            first = [_Refit(e) for e in unknown if e in effects[:FIRST]]
+            beside.map(refitted, first, was_fitted)
+            above = (FAR_ABOVE * self._least(effects[:FIRST]), ENOUGH_PASSES)
+            hurried = replace(REFIT, above=above)
+            # those with most shapes take longest, and so begin first
+            rest = [_Refit(e, hurried) for e in unknown if e not in effects[:FIRST]]
+            beside.map(refitted, sorted(rest, key=lambda j: -shapes_of(j.effect)), was_fitted)
+            found = self._fitted(effects)
+            far = FAR_ABOVE * self._least(effects)
+            likely = sorted(found, key=lambda c: -c.evidence)[:POLISHED]
+            beside.map(taken_on, [c for c in likely if self._unpolished(c, far)], was_taken_on)
+        return [models[c.names] for c in found]
+
+    def _key(self, effect: type[Effect]) -> frozenset[str]:
+        return frozenset({*self.extension.base.names, effect.name})
+
+    def _fitted(self, effects: Sequence[type[Effect]]) -> list[FittedModel]:
+        """What is known with these effects."""
+        return [c for e in effects if (c := self.models.get(self._key(e))) is not None]
+
+    def _least(self, effects: Sequence[type[Effect]]) -> float:
+        """Smallest objective with these effects."""
+        return min((c.fit.objective for c in self._fitted(effects)), default=np.inf)
+
+    def _unpolished(self, model: FittedModel, far: float) -> bool:
+        """Whether a model is worth to be taken to convergence, and never was."""
+        if model.fit.solution.settled or model.names in self.polished:
+            return False
+        return model.fit.objective <= far

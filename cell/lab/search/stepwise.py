@@ -1,0 +1,105 @@
+"""The search for the effects that a model lacks: sets of effects, one effect more at a time.
+
+Three things are kept apart, and the search knows none of them.  A *space* fits sets of effects: to
+one study, to many cables, or beside a model's own error.  It offers the sets with one effect more,
+and with one less.  A *criterion* says which of these is kept.
+
+source  forward and backward selection with exchange: Miller 2002, Subset Selection in Regression;
+        the parts kept apart as in PEtab Select (Pathirana et al. 2025)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Protocol, TypeVar
+
+from cell.lab.search.fitted_model import FittedModel
+from cell.lab.statistics.score import holm
+
+State = TypeVar("State")
+Option = TypeVar("Option")
+
+
+class Space(Protocol[State]):
+    """Sets of effects, fitted."""
+
+    def extended(self, model: State) -> Sequence[State]:
+        """The model with one effect more, for every effect that is worth a fit."""
+        ...
+
+    def reduced(self, model: State) -> Iterable[State]:
+        """The model without one of the effects that were found, for each of them."""
+        ...
+
+
+def holm_among(p_values: Sequence[float], library: int) -> list[float]:
+    """p-values adjusted for choosing among a library, of which the rest was no better than chance.
+
+    p_values  of those that were fitted
+    library   number of effects to choose from (Holm's correction)
+    """
+    return holm([*p_values, *[1.0] * (library - len(p_values))])[: len(p_values)]
+
+
+def levels(
+    start: State,
+    extended: Callable[[State], Sequence[Option]],
+    kept: Callable[[State, Sequence[Option]], Sequence[State]],
+) -> Iterator[Sequence[State]]:
+    """The start, then what is kept of it with one effect more, and so on until nothing is kept.
+
+    A forward search keeps one set of effects of a level, an exhaustive one keeps them all, each
+    once.  The next level is fitted when it is asked for.
+    """
+    level: Sequence[State] = [start]
+    while level:
+        yield level
+        found = [chosen for state in level for chosen in kept(state, extended(state))]
+        level = list({id(state): state for state in found}.values())
+
+
+def exchanged(
+    space: Space[FittedModel],
+    model: FittedModel,
+    better: Callable[[FittedModel, Sequence[FittedModel], FittedModel], FittedModel | None],
+    allowed: Callable[[], bool],
+) -> FittedModel:
+    """The model with effects exchanged, one at a time, for others while that is better.
+
+    An effect that was found first was found without the others, and may have stood in for one.
+
+    better   of the model without an effect, that with others in its place, and the model itself
+    allowed  whether there is time for another round
+    """
+    tried: set[frozenset[str]] = set()
+    improved = True
+    while improved and allowed():
+        improved = False
+        for rest in space.reduced(model):
+            if rest.names in tried:
+                continue
+            tried.add(rest.names)
+            best = better(rest, space.extended(rest), model)
+            if best is not None:
+                model, improved = best, True
+                break
+    return model
+
+
+def pruned(space: Space[State], model: State, needed: Callable[[State, State], bool]) -> State:
+    """The model without effects that the others have made unnecessary.
+
+    needed  whether an effect is, by the model without it and the model
+    """
+    for rest in space.reduced(model):
+        if not needed(rest, model):
+            return pruned(space, rest, needed)
+    return model
+
+
+def in_order(space: Space[State], model: State, score: Callable[[State], float]) -> list[State]:
+    """From the start to the model, each time without the effect that the rest needs least."""
+    steps = [model]
+    while smaller := list(space.reduced(steps[0])):
+        steps.insert(0, max(smaller, key=score))
+    return steps

@@ -1,0 +1,117 @@
+"""What the description of a study may say: mistaken units, entries that contradict each other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from cell.cable.geometry import Cable
+from cell.files.yaml_document import Key
+
+#: Beyond these a number is taken for a mistaken unit.
+MAX_LENGTH_M = 10.0
+MIN_GRAVITY_M_PER_S2, MAX_GRAVITY_M_PER_S2 = 0.01, 100.0
+MAX_NOISE_FRACTION = 0.2
+
+#: Where in the description a complaint belongs, and what it says.
+Complaint = tuple[Key, str]
+
+
+def datasheet_of(cable: Mapping[str, float]) -> Cable | None:
+    """A round cable as a strip as wide that has the same section; None: neither or both given.
+
+    cable  entries that are given
+    """
+    across = cable.get("width_m"), cable.get("thickness_m")
+    diameter_m = cable.get("diameter_m")
+    if diameter_m is not None and across == (None, None):
+        across = diameter_m, np.pi / 4.0 * diameter_m
+    elif diameter_m is not None:
+        return None
+    width_m, thickness_m = across
+    if width_m is None or thickness_m is None:
+        return None
+    return Cable(cable["free_length_m"], cable["line_density_kg_per_m"], width_m, thickness_m)
+
+
+def implausible_entries(
+    cable: Mapping[str, float],
+    datasheet: Cable | None,
+    gravity_m_per_s2: tuple[float, float],
+    arc_length_m: Sequence[float],
+    noise_std_m: float | None,
+) -> list[Complaint]:
+    """What a schema cannot say.
+
+    cable         entries that are given
+    datasheet     of these; None = they are not one cable's
+    arc_length_m  in the order in which they are given
+    """
+    found = _of_cable(cable, datasheet) + _of_gravity(gravity_m_per_s2)
+    length_m = cable["free_length_m"]
+    for i, arc in enumerate(arc_length_m):
+        if not 0.0 <= arc <= length_m * (1 + 1e-9):
+            found.append((
+                ("markers", "arc_length_m", i),
+                f"{arc:g} m is not on the cable, 0 … {length_m:g} m; "
+                "count from the gripping point, in metres",
+            ))  # fmt: skip
+    sign = np.sign(np.diff(arc_length_m))
+    for i in map(int, np.flatnonzero((sign != sign[:1]) | (sign == 0.0))):
+        found.append((
+            ("markers", "arc_length_m", i + 1),
+            f"{arc_length_m[i + 1]:g} m after {arc_length_m[i]:g} m: markers cross or coincide; "
+            "order them along the cable",
+        ))  # fmt: skip
+    if noise_std_m and noise_std_m > MAX_NOISE_FRACTION * length_m:
+        found.append((
+            ("noise_std_m",),
+            f"{noise_std_m:g} m is beyond {MAX_NOISE_FRACTION:g} of the free length; "
+            "give metres, not millimetres",
+        ))  # fmt: skip
+    return found
+
+
+def _of_cable(cable: Mapping[str, float], datasheet: Cable | None) -> list[Complaint]:
+    found: list[Complaint] = []
+    for name in ("free_length_m", "width_m", "thickness_m", "diameter_m"):
+        value = cable.get(name)
+        if value is not None and value > MAX_LENGTH_M:
+            found.append((
+                ("cable", name),
+                f"{value:g} m is beyond {MAX_LENGTH_M:g} m; give metres, not millimetres",
+            ))  # fmt: skip
+    if datasheet is None:
+        given = [n for n in ("width_m", "thickness_m", "diameter_m") if cable.get(n)]
+        found.append((
+            ("cable",),
+            f"{' and '.join(given) or 'no section'} given; a flat cable has width_m and "
+            "thickness_m, a round one diameter_m alone",
+        ))  # fmt: skip
+    implausible = datasheet.implausible() if datasheet else None
+    if implausible and not found:
+        found.append((("cable", "line_density_kg_per_m"), implausible))
+    return found
+
+
+def _of_gravity(gravity_m_per_s2: tuple[float, float]) -> list[Complaint]:
+    size = np.hypot(*gravity_m_per_s2)
+    key, given = ("gravity_m_per_s2",), list(gravity_m_per_s2)
+    if size < MIN_GRAVITY_M_PER_S2:
+        return [(
+            key,
+            f"{given} is below {MIN_GRAVITY_M_PER_S2:g} m/s²: only beside "
+            "its weight is a cable's rigidity known; give [0.0, -9.81]",
+        )]  # fmt: skip
+    if size > MAX_GRAVITY_M_PER_S2:
+        return [(
+            key,
+            f"{given} is beyond {MAX_GRAVITY_M_PER_S2:g} m/s²; give m/s², not mm/s²",
+        )]  # fmt: skip
+    if gravity_m_per_s2[1] > 0.0:
+        return [(
+            key,
+            f"{given} points up, for y is up; give [0.0, -9.81], and all y upwards",
+        )]  # fmt: skip
+    return []

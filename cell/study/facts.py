@@ -1,0 +1,210 @@
+"""What a trial shows before any model: rest, stroke, swing, rate, noise, what was seen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable.still import ROUGHLY_STILL, moves_from_s
+from cell.study.data import Trial
+
+FloatArray = NDArray[np.float64]
+
+#: A frequency is told of at least so many swings and frames after the hand has stopped.
+FEWEST_SWINGS, FEWEST_FRAMES = 1.5, 16
+#: Spectra are drawn on a grid this much finer than their resolution.
+_FINER = 8
+#: Frequencies are told whose amplitude is this share of the largest, at most so many, and so many
+#: resolutions apart: nearer ones are side lobes of one.
+_SHARE, MOST_FREQUENCIES, _APART = 0.1, 3, 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """Amplitude of the tip's motion after the hand has stopped: (n,) Hz, (n,) m.
+
+    resolution_hz  frequencies nearer than this are not told apart
+    """
+
+    frequency_hz: FloatArray
+    amplitude_m: FloatArray
+    peaks_hz: tuple[float, ...]
+    resolution_hz: float
+
+
+@dataclass(frozen=True, eq=False)
+class TrialFacts:
+    """What a trial shows.  Times in s, lengths in m.
+
+    rate_hz       frames a second, by the usual step; irregular: share of steps 20 % off it
+    hand_m        how far apart the hand's places are, and hand_rad how far it turns
+    moves_s       when the hand begins to move and when it has stopped; None = it never moves
+    rest_frames   frames before anything moves
+    noise_m       of one coordinate in one frame, by frames at rest; nan = too few
+    tip           number of the marker farthest from the hand that is seen
+    tip_m         how far apart the tip's places are
+    seen          share of values that were seen, of the coordinates that are seen at all
+    spectrum      of the tip; None = too short
+    """
+
+    name: str
+    role: str
+    start: str
+    frames: int
+    from_s: float
+    to_s: float
+    rate_hz: float
+    irregular: float
+    hand_m: float
+    hand_rad: float
+    moves_s: tuple[float, float] | None
+    rest_frames: int
+    noise_m: float
+    tip: int
+    tip_m: float
+    seen: float
+    spectrum: Spectrum | None
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data; the spectrum by its frequencies."""
+        data = {k: v for k, v in vars(self).items() if k != "spectrum"}
+        return data | {"frequencies_hz": [] if self.spectrum is None else self.spectrum.peaks_hz}
+
+
+def trial_facts(trial: Trial, arc_length_m: FloatArray) -> TrialFacts:
+    """What a trial shows.
+
+    arc_length_m  (markers,) from the gripping point; nan = unknown, then they stand tip first
+    """
+    markers, grip = trial.markers, trial.grip
+    t_s, xy_m = markers.t_s, markers.xy_m
+    steps = np.diff(t_s)
+    step_s = float(np.median(steps))
+    moves = _moves_s(trial)
+    rest = int(np.searchsorted(t_s, min(moves[0] if moves else np.inf, _let_go(trial))))
+    rest = 0 if trial.start == "moving" else rest
+    tip = _tip(xy_m, arc_length_m)
+    return TrialFacts(
+        trial.name,
+        trial.role,
+        trial.start,
+        len(t_s),
+        float(t_s[0]),
+        float(t_s[-1]),
+        1.0 / step_s,
+        float(np.mean(np.abs(steps / step_s - 1.0) > 0.2)),
+        _reach(np.column_stack([grip.x_m, grip.y_m])),
+        float(np.ptp(grip.angle_rad)),
+        moves,
+        rest,
+        noise_m(xy_m[:rest]),
+        tip,
+        _reach(xy_m[:, tip]),
+        _seen(xy_m),
+        swing_spectrum(t_s, xy_m[:, tip], max(moves[1] if moves else -np.inf, _swings_from(trial))),
+    )
+
+
+def facts_of(trials: Sequence[Trial], arc_length_m: FloatArray) -> tuple[TrialFacts, ...]:
+    """The same of several trials."""
+    return tuple(trial_facts(trial, arc_length_m) for trial in trials)
+
+
+def noise_m(still_m: FloatArray) -> float:
+    """Noise of one coordinate in one frame (T, …) at rest, by second differences; nan = too few.
+
+    Slow errors do not show in it.
+    """
+    bends = np.abs(np.diff(still_m, 2, axis=0)) / np.sqrt(6.0)
+    if len(bends) < 3 or not np.isfinite(bends).any():
+        return float("nan")
+    return 1.4826 * float(np.nanmedian(bends))
+
+
+def swing_spectrum(t_s: FloatArray, tip_m: FloatArray, from_s: float) -> Spectrum | None:
+    """Spectrum of a point's free swing along its main direction; None if it is too short.
+
+    tip_m  (T, 2), nan = not seen
+    """
+    seen = np.isfinite(tip_m).any(axis=0)
+    good = (t_s >= from_s) & np.isfinite(tip_m[:, seen]).all(axis=1)
+    if np.count_nonzero(good) < FEWEST_FRAMES or not seen.any():
+        return None
+    at_s, at_m = t_s[good], tip_m[good][:, seen]
+    at_m = at_m - at_m.mean(axis=0)
+    along = at_m @ np.linalg.svd(at_m, full_matrices=False)[2][0]
+    count = len(at_s)
+    even_s = np.linspace(at_s[0], at_s[-1], count)
+    series = np.interp(even_s, at_s, along)
+    series = series - np.polyval(np.polyfit(even_s - even_s[0], series, 1), even_s - even_s[0])
+    window = np.hanning(count)
+    raw = np.fft.rfft(series * window, _FINER * count)
+    amplitude = 2.0 * np.abs(raw) / window.sum()
+    step_s = (at_s[-1] - at_s[0]) / (count - 1)
+    frequency = np.fft.rfftfreq(_FINER * count, step_s)
+    resolution = 1.0 / float(at_s[-1] - at_s[0])
+    peaks = _peaks(frequency, amplitude, FEWEST_SWINGS * resolution)
+    return Spectrum(frequency, amplitude, peaks, resolution)
+
+
+def _peaks(frequency: FloatArray, amplitude: FloatArray, lowest_hz: float) -> tuple[float, ...]:
+    """Frequencies of the largest peaks, the largest first."""
+    inner = amplitude[1:-1]
+    tops = np.flatnonzero((inner > amplitude[:-2]) & (inner >= amplitude[2:])) + 1
+    tops = tops[frequency[tops] >= lowest_hz]
+    if not len(tops):
+        return ()
+    order = tops[np.argsort(-amplitude[tops])]
+    resolution = _FINER * frequency[1]
+    found: list[float] = []
+    for top in order[amplitude[order] >= _SHARE * amplitude[order[0]]]:
+        if all(abs(frequency[top] - f) > _APART * resolution for f in found):
+            found.append(float(frequency[top]))
+    return tuple(found[:MOST_FREQUENCIES])
+
+
+def _moves_s(trial: Trial) -> tuple[float, float] | None:
+    """When the hand begins to move and when it has stopped."""
+    grip = trial.grip
+    begins = moves_from_s(grip, ROUGHLY_STILL)
+    if not np.isfinite(begins):
+        return None
+    away = np.zeros(len(grip.t_s), dtype=bool)
+    for name, limit in ROUGHLY_STILL.by_axis().items():
+        value = getattr(grip, name)
+        away |= np.abs(value - np.median(value[-10:])) > limit
+    last = int(np.flatnonzero(away)[-1])
+    return begins, float(grip.t_s[min(last + 1, len(grip.t_s) - 1)])
+
+
+def _let_go(trial: Trial) -> float:
+    return np.inf if trial.release_s is None else trial.release_s
+
+
+def _swings_from(trial: Trial) -> float:
+    """From when on the cable swings without the fingers that held it."""
+    return -np.inf if trial.release_s is None else trial.release_s
+
+
+def _seen(xy_m: FloatArray) -> float:
+    measured = np.isfinite(xy_m).any(axis=0)
+    return float(np.isfinite(xy_m[:, measured]).mean()) if measured.any() else 0.0
+
+
+def _tip(xy_m: FloatArray, arc_length_m: FloatArray) -> int:
+    seen = np.isfinite(xy_m).any(axis=(0, 2))
+    if not np.isfinite(arc_length_m).all():
+        return int(np.argmax(seen))
+    return int(np.argmax(np.where(seen, arc_length_m, -1.0)))
+
+
+def _reach(xy_m: FloatArray) -> float:
+    """How far apart places (T, 2) are, whatever of them was seen."""
+    seen = np.isfinite(xy_m).any(axis=0)
+    if not seen.any():
+        return float("nan")
+    return float(np.linalg.norm(np.nanmax(xy_m[:, seen], 0) - np.nanmin(xy_m[:, seen], 0)))

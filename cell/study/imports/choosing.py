@@ -1,0 +1,225 @@
+"""Which points of a file are of the cable, in what order, and which is the gripping point."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.files.input_error import InputError
+from cell.study.imports.capture import Capture
+from cell.study.imports.contents import Contents, Point
+from cell.study.imports.finding import Finding, Sure
+from cell.study.imports.shape import chain, middle, rest_rows
+
+FloatArray = NDArray[np.float64]
+
+#: A point stays if it moves by less than this share of what the farthest moves.
+STAYS = 1e-3
+#: Values that programs write into all coordinates of what was not seen.
+LOST = (0.0, -9999.0, 9999.0, -999.0, 999.0, -1.0)
+#: Share of the record in which a hand rests and a cable still swings.
+_LATE = 0.3
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """Points of a cable from the hand to the tip.
+
+    hand       the gripping point, in the same file; None = it is in another one
+    second     another point of the hand
+    of_root    whether the gripping point is the cable's own first marker
+    """
+
+    markers: tuple[Point, ...]
+    hand: Point | None
+    second: Point | None
+    of_root: bool
+    lost: tuple[float, ...]
+
+
+def choose(
+    capture: Capture, inside: Contents, hand_elsewhere: bool
+) -> tuple[Chosen, list[Finding]]:
+    """The cable's points in order, and the hand's.  Raises InputError: there are no points."""
+    points = _same_dimension(capture, inside)
+    lost = _lost(capture, points)
+    raw = {p.name: seen_places(capture, p.columns, lost) for p in points}
+    _check_apart(capture, points, raw)
+    findings = [_lost_finding(v) for v in lost]
+    named = [p for p in points if p.of_hand]
+    cable = [p for p in points if not p.of_hand]
+    if not cable and len(named) > 1:  # a cable all of whose points are called after the hand
+        named, cable = named[:1], named[1:]
+    cable, still, told = _moving(cable, raw)
+    findings += told
+    if not cable:
+        raise capture.error(
+            0, "shows no point that moves beside the hand; give the cable's markers"
+        )
+    if hand_elsewhere:
+        order = _from_end(cable, raw)
+        findings.append(_order_finding(order))
+        return Chosen(tuple(order), None, None, False, lost), findings
+    hand, second = _hand(named, cable, raw, inside)
+    if hand is not None:
+        findings.append(
+            Finding("hand", f"{hand.name!r} is the gripping point, by its name", Sure.GUESSED)
+        )
+    elif still is not None:
+        hand = still
+        sentence = f"{hand.name!r} does not move: it is taken as the gripping point, held still"
+        findings.append(Finding("hand", sentence, Sure.GUESSED))
+    if hand is not None:
+        order = _ordered([hand, *cable], raw, 0)[1:]
+        findings.append(_order_finding(order))
+        return Chosen(tuple(order), hand, second, False, lost), findings
+    if len(cable) < 2:
+        message = (
+            "shows one point and no hand; give the hand's place in columns such as hand_x and "
+        )
+        raise capture.error(0, f"{message}hand_y, or in a file of its own with --hand")
+    order = _from_end(cable, raw)
+    sentence = f"no point is named after a hand: {order[0].name!r}, the end of the chain that "
+    findings.append(Finding("hand", f"{sentence}rests first, is the gripping point", Sure.GUESSED))
+    findings.append(_order_finding(order[1:]))
+    return Chosen(tuple(order[1:]), order[0], None, True, lost), findings
+
+
+def _check_apart(capture: Capture, points: Sequence[Point], raw: dict[str, FloatArray]) -> None:
+    """Raise InputError where two points have the same places in all rows: they are one."""
+    for i, first in enumerate(points):
+        for second in points[i + 1 :]:
+            both = np.isfinite(raw[first.name] + raw[second.name]).all(axis=1)
+            count = int(both.sum())
+            if count > 1 and np.array_equal(raw[first.name][both], raw[second.name][both]):
+                raise capture.error(
+                    int(np.argmax(both)),
+                    f"{first.name!r} and {second.name!r} have the same places in all {count} rows "
+                    "that show both: it is one marker; remove the columns of one",
+                )
+
+
+def seen_places(capture: Capture, columns: Sequence[str], lost: Sequence[float]) -> FloatArray:
+    """(rows, 2 or 3) in the file's unit and axes, nan where the point was not seen."""
+    raw = capture.at(list(columns)).copy()
+    for value in lost:
+        raw[np.all(raw == value, axis=1)] = np.nan
+    return raw
+
+
+def _same_dimension(capture: Capture, inside: Contents) -> list[Point]:
+    """Points with as many coordinates as most have.  Raises InputError: there are none."""
+    if not inside.points:
+        raise InputError([
+            capture.problem(
+                0, "names no points: no two columns are the x and y of one; name them as tip_x and "
+                f"tip_y. Columns: {', '.join(capture.names[:12])}"
+            )
+        ])  # fmt: skip
+    sizes = [len(p.columns) for p in inside.points]
+    usual = max(set(sizes), key=sizes.count)
+    return [p for p in inside.points if len(p.columns) == usual]
+
+
+def _lost(capture: Capture, points: Sequence[Point]) -> tuple[float, ...]:
+    """Values that stand in all coordinates of a point in some rows, and in no other way."""
+    found = []
+    for value in LOST:
+        for point in points:
+            raw = capture.at(list(point.columns))
+            there = np.all(raw == value, axis=1)
+            rest = raw[~there & np.isfinite(raw).all(axis=1)]
+            if not there.any() or len(rest) < 3:
+                continue
+            span = np.ptp(rest, axis=0).max()
+            if np.linalg.norm(rest - value, axis=1).min() > 0.5 * span:
+                found.append(value)
+                break
+    return tuple(found)
+
+
+def _lost_finding(value: float) -> Finding:
+    sentence = f"{value:g} in all coordinates means that a marker was not seen"
+    return Finding("lost", sentence, Sure.SEEN)
+
+
+def _moving(
+    cable: Sequence[Point], raw: dict[str, FloatArray]
+) -> tuple[list[Point], Point | None, list[Finding]]:
+    """Points that move; the one that stays and is an end of the chain; what is left out."""
+    reach = {p.name: _reach(raw[p.name]) for p in cable}
+    most = max(reach.values(), default=0.0)
+    stay = [p for p in cable if reach[p.name] <= STAYS * most or not np.isfinite(reach[p.name])]
+    moving = [p for p in cable if p not in stay]
+    held = stay[0] if len(stay) == 1 and np.isfinite(reach[stay[0].name]) else None
+    left_out = [] if held is not None else stay
+    findings = [
+        Finding("markers", f"{p.name!r} never moves or is never seen: it is left out", Sure.SEEN)
+        for p in left_out
+    ]
+    return moving, held, findings
+
+
+def _reach(places: FloatArray) -> float:
+    seen = places[np.isfinite(places).all(axis=1)]
+    return float(np.linalg.norm(np.ptp(seen, axis=0))) if len(seen) else float("nan")
+
+
+def _hand(
+    named: Sequence[Point],
+    cable: Sequence[Point],
+    raw: dict[str, FloatArray],
+    inside: Contents,
+) -> tuple[Point | None, Point | None]:
+    """The hand's point nearest to the cable, and another one if its angle is not told otherwise."""
+    if not named:
+        return None, None
+    groups = {group for group, _ in inside.quaternions} | {m.group for _, m in inside.angles}
+    with_angle = [p for p in named if p.name in groups]
+
+    def apart(p: Point) -> float:
+        away = middle(
+            np.stack([np.linalg.norm(raw[p.name] - raw[c.name], axis=1) for c in cable], 1)
+        )
+        return float(np.min(away, initial=np.inf, where=np.isfinite(away)))
+
+    hand = min(with_angle or named, key=apart)
+    others = [p for p in named if p is not hand]
+    return hand, others[0] if others and not with_angle else None
+
+
+def _ordered(points: Sequence[Point], raw: dict[str, FloatArray], start: int) -> list[Point]:
+    """Points in the order in which a cable passes through them at rest."""
+    places = _typical(points, raw)
+    return [points[i] for i in chain(places, start)]
+
+
+def _from_end(cable: Sequence[Point], raw: dict[str, FloatArray]) -> list[Point]:
+    """The same from the end that rests first: there the hand is."""
+    places = _typical(cable, raw)
+    orders = [chain(places, start) for start in range(len(cable))]
+    order = min(
+        orders, key=lambda o: float(np.linalg.norm(np.diff(places[o], axis=0), axis=1).sum())
+    )
+    late = slice(int((1.0 - _LATE) * len(raw[cable[0].name])), None)
+    first, last = (_reach(raw[cable[i].name][late]) for i in (order[0], order[-1]))
+    return [cable[i] for i in (order if not first > last else order[::-1])]
+
+
+def _typical(points: Sequence[Point], raw: dict[str, FloatArray]) -> FloatArray:
+    """(points, d) at rest, else a row in the middle that shows them all."""
+    places = np.stack([raw[p.name] for p in points], axis=1)
+    rest = places[rest_rows(places)]
+    if len(rest) and np.isfinite(rest).all(axis=2).any(axis=0).all():
+        return middle(rest)
+    whole = places[np.isfinite(places).all(axis=(1, 2))]
+    return whole[len(whole) // 2] if len(whole) else middle(places)
+
+
+def _order_finding(order: Sequence[Point]) -> Finding:
+    names = " → ".join(p.name for p in order)
+    sentence = f"from the hand to the tip the markers are {names}, each nearest to the one before"
+    return Finding("markers", sentence, Sure.SEEN)

@@ -1,0 +1,123 @@
+"""What the name of a column says it is: time, a coordinate of a point, an angle, or another."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from enum import Enum
+
+from cell.study.imports.capture import Column
+from cell.study.imports.units import RADIANS, SECONDS, split_unit
+
+
+class Kind(Enum):
+    """What a column holds."""
+
+    TIME = "time"
+    FRAME = "frame"
+    COORDINATE = "coordinate"
+    ANGLE = "angle"
+    QUATERNION = "quaternion"
+    OTHER = "other"
+
+
+@dataclass(frozen=True)
+class Meaning:
+    """What a name says.
+
+    group  name of the point or body, in small letters; empty = none
+    axis   x, y, z of a coordinate or of the axis of an angle, and w of a quaternion; empty = none
+    unit   that is stated; empty = none
+    """
+
+    kind: Kind
+    group: str
+    axis: str
+    unit: str
+
+
+_TIME = frozenset(
+    ("t", "time", "times", "zeit", "temps", "tiempo", "tempo", "timestamp", "stamp", "elapsed")
+)
+_FRAME = frozenset(
+    ("frame", "frames", "bild", "image", "sample", "field", "nr", "no", "row", "pic", "picture",
+     "index", "idx", "counter", "step")
+)  # fmt: skip
+_ANGLE = frozenset(
+    ("angle", "theta", "winkel", "angulo", "rotation", "rot", "roll", "pitch", "yaw", "orientation",
+     "tilt", "heading", "alpha", "phi", "attitude", "neigung")
+)  # fmt: skip
+_OF_KIND = {Kind.TIME: _TIME, Kind.FRAME: _FRAME}
+#: Quantities that are no place.
+_OTHER = frozenset(
+    ("velocity", "speed", "vel", "acceleration", "acc", "force", "torque", "moment", "residual",
+     "residuals", "error", "likelihood", "confidence", "quality", "probability", "visible",
+     "valid", "status", "std", "cov", "temperature", "current", "voltage", "cameras")
+)  # fmt: skip
+#: Words that say what kind of number a coordinate is, not of which point.
+_FILLER = frozenset(
+    ("pos", "position", "coord", "coordinate", "coordinates", "trans", "translation", "location",
+     "place", "value", "data", "in", "col", "koordinate", "pose", "point", "markers")
+)  # fmt: skip
+#: Words with their axis grown onto them.
+_GROWN = re.compile(r"(pos|p|t|coord|q|quat|rot|r)([xyzw])")
+_VELOCITY = re.compile(r"(v|vel|a|acc|f|w|omega)[xyz]")
+_ORDER_OF_ROTATION = {"roll": "x", "pitch": "y", "yaw": "z"}
+
+
+def meaning(column: Column) -> Meaning:
+    """What a column's name, and the unit stated beside it, say."""
+    bare, within = split_unit(column.name)
+    unit = column.unit or within
+    words = _words(bare)
+    axis, rest = "", []
+    rotation = False
+    for word in words:
+        grown = _GROWN.fullmatch(word)
+        if word in ("x", "y", "z", "w") and not axis:
+            axis = word
+        elif grown and not axis:
+            axis = grown[2]
+            rest += {"q": ["quat"], "quat": ["quat"]}.get(grown[1], [])
+            rotation = rotation or grown[1] in ("r", "rot")
+        else:
+            rest.append(word)
+    kind = _kind(rest, axis, unit, rotation)
+    if kind is Kind.ANGLE and not axis:
+        axis = next((_ORDER_OF_ROTATION[w] for w in rest if w in _ORDER_OF_ROTATION), "")
+    dropped = _FILLER | _ANGLE | {"quat", "quaternion"} | _OF_KIND.get(kind, frozenset())
+    dropped = frozenset() if kind is Kind.OTHER else dropped
+    return Meaning(kind, " ".join(w for w in rest if w not in dropped), axis, unit)
+
+
+def _kind(rest: list[str], axis: str, unit: str, rotation: bool) -> Kind:
+    words = set(rest)
+    if words & _OTHER or any(_VELOCITY.fullmatch(w) for w in rest):
+        return Kind.OTHER
+    if words & {"quat", "quaternion"}:
+        return Kind.QUATERNION
+    if rotation or words & _ANGLE or unit in RADIANS:
+        return Kind.ANGLE
+    if axis in ("x", "y", "z"):
+        return Kind.COORDINATE
+    if words & _TIME or unit in SECONDS or rest in (["s"], ["ms"], ["sec"], ["seconds"]):
+        return Kind.TIME
+    return Kind.FRAME if words & _FRAME else Kind.OTHER
+
+
+def _words(name: str) -> list[str]:
+    """Words of a name in small letters: at blanks, signs, changes of case, and an axis at a number.
+
+    `tipX`, `tip_x`, `X tip`, `TIP:X` are tip and x; `x0` and `M1X` are x and 0, m1 and x.
+    """
+    found: list[str] = []
+    for piece in re.split(r"[^\w]+|_", name):
+        for word in re.sub(r"(?<=[a-zäöü0-9])(?=[A-Z])", " ", piece).split():
+            small = word.lower()
+            if (match := re.fullmatch(r"([xyz])(\d+)", small)) or (
+                match := re.fullmatch(r"(.*\d)([xyz])", small)
+            ):
+                found += [match[1], match[2]]
+            else:
+                found.append(small)
+    return found

@@ -1,0 +1,122 @@
+"""What a file seems to hold, by the names of its columns: time, points, angles, quaternions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.study.imports.capture import Capture
+from cell.study.imports.column_names import Kind, Meaning, meaning
+
+FloatArray = NDArray[np.float64]
+
+#: Words for what holds a cable.
+HAND = frozenset(
+    ("hand", "grip", "gripper", "gripping", "clamp", "tcp", "tool", "robot", "flange", "ee",
+     "effector", "base", "root", "mount", "greifer", "holder", "wrist", "shaker", "cart", "fixture",
+     "chuck", "jaw", "jaws", "hub", "motor", "eef")
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Point:
+    """A point with two or three coordinates in columns of one file."""
+
+    name: str
+    columns: tuple[str, ...]
+    unit: str
+
+    @property
+    def of_hand(self) -> bool:
+        """Whether its name says that it is on what holds the cable."""
+        return bool(HAND.intersection(self.name.split()))
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What the columns of a file seem to be.
+
+    time         name of the column of times, else of numbers of frames; None = there is none
+    counts       whether these are numbers of frames
+    angles       columns of angles, with what their names say
+    quaternions  x, y, z, w of bodies, by name
+    unused       columns that are nothing of these
+    """
+
+    time: str | None
+    time_unit: str
+    counts: bool
+    points: tuple[Point, ...]
+    angles: tuple[tuple[str, Meaning], ...]
+    quaternions: tuple[tuple[str, tuple[str, str, str, str]], ...]
+    unused: tuple[str, ...]
+
+    def point(self, name: str) -> Point | None:
+        """The point of a name."""
+        return next((p for p in self.points if p.name == name), None)
+
+
+def contents(capture: Capture) -> Contents:
+    """Sort the columns of a file by what their names and units say."""
+    said = [(c.name, meaning(c)) for c in capture.columns]
+    times = [(n, m) for n, m in said if m.kind is Kind.TIME]
+    frames = [(n, m) for n, m in said if m.kind is Kind.FRAME]
+    rising = [(n, m) for n, m in times if _rises(capture, n)]
+    chosen = (rising or times or frames)[:1]
+    points, others = _points(capture, said)
+    quaternions = _quaternions(said)
+    of_quaternions = {n for _, four in quaternions for n in four}
+    angles = tuple((n, m) for n, m in said if m.kind is Kind.ANGLE and n not in of_quaternions)
+    used = {n for p in points for n in p.columns} | {n for n, _ in chosen} | {n for n, _ in angles}
+    used |= of_quaternions | {n for n, _ in times + frames}
+    return Contents(
+        chosen[0][0] if chosen else None,
+        chosen[0][1].unit if chosen else "",
+        bool(chosen) and chosen[0][1].kind is Kind.FRAME,
+        points,
+        angles,
+        quaternions,
+        tuple(n for n, _ in said if n not in used) + tuple(others),
+    )
+
+
+def _rises(capture: Capture, name: str) -> bool:
+    values = capture.column(name)
+    return bool(np.isfinite(values).all() and len(values) > 1 and values[-1] > values[0])
+
+
+def _points(
+    capture: Capture, said: list[tuple[str, Meaning]]
+) -> tuple[tuple[Point, ...], list[str]]:
+    """Points with all their coordinates, and columns that have no other coordinate beside them."""
+    groups: dict[str, dict[str, tuple[str, str]]] = {}
+    for name, m in said:
+        if m.kind is Kind.COORDINATE:
+            groups.setdefault(m.group, {}).setdefault(m.axis, (name, m.unit))
+    points, alone = [], []
+    for group, axes in groups.items():
+        if len(axes) < 2:
+            alone += [name for name, _ in axes.values()]
+            continue
+        columns = tuple(axes[a][0] for a in "xyz" if a in axes)
+        unit = next((u for _, u in axes.values() if u), capture.unit)
+        name = f"marker {group}" if group.isdecimal() else group or "point"
+        points.append(Point(name, columns, unit))
+    return tuple(points), alone
+
+
+def _quaternions(
+    said: list[tuple[str, Meaning]],
+) -> tuple[tuple[str, tuple[str, str, str, str]], ...]:
+    """Bodies whose orientation has four numbers; some programs call these a rotation."""
+    groups: dict[str, dict[str, str]] = {}
+    for name, m in said:
+        if m.kind in (Kind.QUATERNION, Kind.ANGLE) and m.axis:
+            groups.setdefault(m.group, {}).setdefault(m.axis, name)
+    return tuple(
+        (group, (axes["x"], axes["y"], axes["z"], axes["w"]))
+        for group, axes in groups.items()
+        if set(axes) >= set("xyzw")
+    )

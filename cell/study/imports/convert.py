@@ -1,0 +1,262 @@
+"""Files and a mapping → a study; every complaint names file, line and column as given."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping as Dictionary
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable.geometry import Cable, Motion
+from cell.files.input_error import InputError, Problem
+from cell.files.yaml_document import Key
+from cell.study.data import Markers, Source, Study, Trial
+from cell.study.entries import MAX_LENGTH_M, datasheet_of, implausible_entries
+from cell.study.imports.capture import Capture, TextForm
+from cell.study.imports.mapping import ReadMapping, TextSection, TimeSection, TrialEntry
+from cell.study.imports.places import angle_towards, clamp_angle_rad, out_of_plane_m, places_m
+from cell.study.imports.quality import Measured, examined
+from cell.study.imports.read import read_capture
+from cell.study.imports.scales import WRONG_UNIT
+from cell.study.judged import judged
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Imported:
+    """A study made of files, and what was odd in them, one sentence each."""
+
+    study: Study
+    notes: tuple[str, ...]
+
+
+def read_captures(read: ReadMapping) -> dict[str, Capture]:
+    """All files that a mapping names, each read once.  Raises InputError."""
+    mapping = read.mapping
+    forms = {t.file: mapping.text for t in mapping.trials}
+    forms |= {t.hand_file: mapping.hand.text for t in mapping.trials if t.hand_file is not None}
+    return {name: read_capture(read.file(name), _form(form)) for name, form in forms.items()}
+
+
+def study_of(read: ReadMapping, captures: Dictionary[str, Capture]) -> Imported:
+    """The study that a mapping makes of files.
+
+    captures  by the name that the mapping gives them
+    raises    InputError: a file is wrong, or the mapping contradicts what is in it
+    """
+    mapping = read.mapping
+    arcs = np.array([m.arc_length_m for m in mapping.markers], dtype=np.float64)
+    order = np.argsort(-arcs, kind="stable")
+    cable = _cable(read)
+    problems: list[Problem] = []
+    notes = [note for capture in captures.values() for note in capture.notes]
+    trials: list[Trial] = []
+    for i, entry in enumerate(mapping.trials):
+        try:
+            measured = _measured(read, entry, captures, order)
+            _check_unit(read, measured, arcs[order])
+        except InputError as error:
+            problems += error.problems
+            continue
+        found, told = examined(measured, cable, arcs[order])
+        if not found:
+            found, more = judged(measured.trial, cable, arcs[order], mapping.gravity_m_per_s2)
+            told = [*told, *more]
+        problems += found
+        notes += told
+        trials.append(measured.trial)
+        if entry.start in ("straight", "held") and entry.release_s is None:
+            message = f"is missing; `start: {entry.start}` needs the time of letting go"
+            problems.append(read.document.problem(("trials", i, "release_s"), message))
+    if problems:
+        raise InputError(problems)
+    study = Study(
+        mapping.name,
+        cable,
+        arcs[order],
+        tuple(trials),
+        mapping.gravity_m_per_s2,
+        mapping.noise_std_m,
+    )
+    return Imported(study, tuple(notes))
+
+
+def trials_of(
+    read: ReadMapping, captures: Dictionary[str, Capture]
+) -> tuple[list[Trial], list[Problem]]:
+    """Trials as far as they can be shown, though the mapping lacks entries, and what is wrong.
+
+    Lengths are in the file's unit where the mapping lacks metres_per_unit, and times likewise.
+    """
+    order = np.arange(len(read.mapping.markers))[
+        ::-1
+    ]  # a proposal has the marker at the hand first
+    trials: list[Trial] = []
+    problems: list[Problem] = []
+    for entry in read.mapping.trials:
+        try:
+            trials.append(_measured(read, entry, captures, order).trial)
+        except InputError as error:
+            problems += error.problems
+    return trials, problems
+
+
+def _form(section: TextSection | None) -> TextForm | None:
+    return None if section is None else TextForm(section.separator, section.decimal)
+
+
+def _cable(read: ReadMapping) -> Cable:
+    """The datasheet.  Raises InputError: entries of the mapping that no study may have."""
+    mapping = read.mapping
+    arcs = [m.arc_length_m for m in mapping.markers if m.arc_length_m is not None]
+    given = mapping.cable.model_dump(exclude_none=True)
+    datasheet = datasheet_of(given)
+    problems = [
+        read.document.problem(_key_of(read, key), message)
+        for key, message in implausible_entries(
+            given, datasheet, mapping.gravity_m_per_s2, sorted(arcs, reverse=True),
+            mapping.noise_std_m,
+        )
+    ]  # fmt: skip
+    if problems or datasheet is None:
+        raise InputError(problems)
+    return datasheet
+
+
+def _key_of(read: ReadMapping, key: Key) -> Key:
+    """Where the mapping says what a study says elsewhere: arc lengths beside their markers."""
+    if key[:2] != ("markers", "arc_length_m"):
+        return key
+    arcs = [m.arc_length_m or 0.0 for m in read.mapping.markers]
+    number = sorted(range(len(arcs)), key=lambda i: -arcs[i])[int(key[2])]
+    return "markers", number, "arc_length_m"
+
+
+def _measured(
+    read: ReadMapping,
+    entry: TrialEntry,
+    captures: Dictionary[str, Capture],
+    order: NDArray[np.intp],
+) -> Measured:
+    """One trial, with the lines and names of its file."""
+    mapping = read.mapping
+    capture = captures[entry.file]
+    t_s = times_s(capture, mapping.time)
+    zero_s = float(t_s[0]) if mapping.time.starts_at_zero else 0.0
+    scale = mapping.metres_per_unit or 1.0
+    entries = [mapping.markers[int(i)] for i in order]
+    xy_m = np.stack(
+        [places_m(capture, m.columns, mapping.axes, scale, mapping.lost) for m in entries], axis=1
+    )
+    across = [out_of_plane_m(capture, m.columns, mapping.axes, scale) for m in entries]
+    seen: NDArray[np.bool_] = np.asarray(np.isfinite(xy_m).any(axis=(1, 2)))
+    if np.count_nonzero(seen) < 2:
+        names = ", ".join(m.name for m in entries)
+        raise capture.error(0, f"shows {names} in fewer than 2 rows; give columns with numbers")
+    source = Source(capture.path, capture.lines[seen], order, tuple(m.name for m in entries))
+    markers = Markers(t_s[seen] - zero_s, xy_m[seen], source)
+    motion = _motion(read, entry, captures, zero_s, markers)
+    trial = Trial(entry.name, entry.role, entry.start, motion, markers, entry.release_s)
+    known = [a[seen] for a in across if a is not None]
+    deep = np.stack(known, axis=1) if len(known) == len(across) else None
+    return Measured(trial, capture, seen, deep)
+
+
+def times_s(capture: Capture, section: TimeSection) -> FloatArray:
+    """(rows,) times.  Raises InputError: one is missing, repeated or before the one above it."""
+    raw = capture.column(section.column)
+    if len(raw) < 2:
+        raise capture.error(0, f"has {len(raw)} rows, needs at least 2")
+    if not np.isfinite(raw).all():
+        row = int(np.argmin(np.isfinite(raw)))
+        raise capture.error(row, "is empty; every row needs its time", section.column)
+    back = np.flatnonzero(np.diff(raw) <= 0.0) + 1
+    if len(back):
+        row = int(back[0])
+        word = "repeats" if raw[row] == raw[row - 1] else "comes after"
+        more = f", as in {len(back) - 1} more rows" if len(back) > 1 else ""
+        raise capture.error(
+            row,
+            f"{raw[row]:.12g} {word} {raw[row - 1]:.12g} of the row before{more}; times must rise: "
+            "remove what is there twice, and sort the rows",
+            section.column,
+        )
+    return np.asarray(raw * (section.seconds_per_unit or 1.0))
+
+
+def _motion(
+    read: ReadMapping,
+    entry: TrialEntry,
+    captures: Dictionary[str, Capture],
+    zero_s: float,
+    markers: Markers,
+) -> Motion:
+    """Pose of the gripping point.  Raises InputError: it is missing somewhere, or on no clock."""
+    mapping, hand = read.mapping, read.mapping.hand
+    capture = captures[entry.hand_file or entry.file]
+    axes = hand.axes or mapping.axes
+    scale = hand.metres_per_unit or mapping.metres_per_unit or 1.0
+    t_s = times_s(capture, hand.time or mapping.time) - zero_s + entry.clock_offset_s
+    if hand.columns is not None:
+        xy_m = places_m(capture, hand.columns, axes, scale, mapping.lost) + hand.origin_m
+    else:
+        xy_m = np.broadcast_to(np.array(hand.fixed_m, dtype=np.float64), (len(t_s), 2))
+    angle_rad = clamp_angle_rad(capture, hand.angle, axes)
+    if angle_rad is None:
+        towards = places_m(capture, hand.angle.towards or (), axes, scale, mapping.lost)
+        angle_rad = angle_towards(xy_m, towards + hand.origin_m, hand.angle.offset_rad)
+    known = np.isfinite(xy_m).all(axis=1) & np.isfinite(angle_rad)
+    if np.count_nonzero(known) < 2:
+        raise capture.error(0, "tells the hand's place and angle in fewer than 2 rows", "hand")
+    rows = np.flatnonzero(known)
+    if np.abs(angle_rad[known]).max() > 2.0 * np.pi:
+        row = int(rows[np.argmax(np.abs(angle_rad[known]))])
+        raise capture.error(
+            row,
+            f"is {angle_rad[row]:.4g} rad, limit ±2π; give radians_per_unit: 0.0174533 for degrees",
+            hand.angle.column or "hand.angle",
+        )
+    span, seen = t_s[known], markers.t_s
+    if seen[-1] < span[0] or seen[0] > span[-1]:
+        raise capture.error(
+            int(rows[0]),
+            f"the hand is known from {span[0]:.6g} to {span[-1]:.6g} s, the markers from "
+            f"{seen[0]:.6g} to {seen[-1]:.6g} s; give clock_offset_s of the trial",
+        )
+    return Motion(
+        np.ascontiguousarray(span),
+        np.ascontiguousarray(xy_m[known, 0]),
+        np.ascontiguousarray(xy_m[known, 1]),
+        np.ascontiguousarray(angle_rad[known]),
+    )
+
+
+def _check_unit(read: ReadMapping, measured: Measured, arcs: FloatArray) -> None:
+    """Raise InputError where the chain of markers is by far longer or shorter than the cable."""
+    trial, mapping = measured.trial, read.mapping
+    grip = trial.grip
+    at_m = np.column_stack(
+        [np.interp(trial.markers.t_s, grip.t_s, v) for v in (grip.x_m, grip.y_m)]
+    )
+    chain = np.concatenate([trial.markers.xy_m, at_m[:, None]], axis=1)
+    if mapping.hand.origin_m != (0.0, 0.0) or mapping.hand.axes is not None:
+        chain = chain[:, :-1]
+    steps = np.linalg.norm(np.diff(chain, axis=1), axis=2)
+    good = np.isfinite(steps).any(axis=0)
+    if not good.any():
+        return
+    long_m = float(np.nanmedian(steps[:, good], axis=0).sum())
+    cable_m = float(np.abs(np.diff(np.append(arcs, 0.0)))[: steps.shape[1]][good].sum())
+    scale = mapping.metres_per_unit or 1.0
+    if long_m <= 0.0 or cable_m <= 0.0 or 1.0 / WRONG_UNIT < long_m / cable_m < WRONG_UNIT:
+        return
+    fitting = scale * cable_m / long_m
+    nearest = min((1.0, 0.1, 0.01, 0.001, 1e-6, 0.0254), key=lambda u: abs(np.log(u / fitting)))
+    beyond = f" (no cable may be longer than {MAX_LENGTH_M:g} m)" if long_m > MAX_LENGTH_M else ""
+    raise read.error(
+        ("metres_per_unit",),
+        f"{scale:g} makes the markers of {trial.name} {long_m:.4g} m from end to end{beyond}, yet "
+        f"their arc lengths span {cable_m:.4g} m; give {nearest:g}, or correct arc_length_m",
+    )

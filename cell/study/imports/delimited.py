@@ -1,0 +1,212 @@
+"""Text tables of unknown form: finds separator, decimal mark, header, units and the rows."""
+
+from __future__ import annotations
+
+import csv
+import re
+import reprlib
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from cell.files.input_error import InputError
+from cell.files.text_file import read_text
+from cell.study.imports.capture import Capture, Column, TextForm
+from cell.study.imports.cells import NOT_SEEN, Decimal, is_number, number
+from cell.study.imports.header import Header, read_header
+from cell.study.imports.long_form import pivoted
+from cell.study.table import MAX_BYTES, MAX_ROWS
+
+#: In the order in which they are preferred; a blank stands for any number of blanks.
+SEPARATORS = (",", ";", "\t", "|", " ")
+DECIMALS: tuple[Decimal, ...] = (".", ",")
+#: Lines from which the form of a text is told.
+_SAMPLE = 400
+#: Headers of motion capture have a dozen lines; what begins later is no table.
+_MOST_HEADER = 200
+
+
+@dataclass(frozen=True)
+class Row:
+    """A line's number, counted from 1, and its cells."""
+
+    line: int
+    cells: tuple[str, ...]
+
+    @property
+    def blank(self) -> bool:
+        """Whether nothing stands there."""
+        return not any(cell.strip() for cell in self.cells)
+
+
+def read_delimited(path: Path, form: TextForm | None = None) -> Capture:
+    """Read a table, wide (a row per time) or long (a row per time and marker).
+
+    form    separator and decimal mark; None = found from the text
+    raises  InputError: it holds no table of numbers, or a line is wrong, with line and remedy
+    """
+    text = read_text(path, MAX_BYTES)
+    if text.count("\n") > MAX_ROWS + _MOST_HEADER:
+        message = f"has {text.count(chr(10))} lines, limit {MAX_ROWS}; cut it to the motion"
+        raise InputError.at(path, message, line=MAX_ROWS)
+    form = form or text_form(text)
+    rows = _rows(path, text, form.separator)
+    first, last = _block(path, rows, form)
+    header = read_header(path, [(r.line, r.cells) for r in rows[:first]], len(rows[first].cells))
+    table = rows[first:last]
+    numeric = _numeric_columns(table, form.decimal)
+    values = _values(path, table, header, numeric, form.decimal)
+    labels = {
+        header.columns[c].name: [row.cells[c].strip() for row in table]
+        for c in range(len(header.columns))
+        if not numeric[c]
+    }
+    columns = [c for c, is_one in zip(header.columns, numeric, strict=True) if is_one]
+    lines = np.array([row.line for row in table], dtype=np.intp)
+    rest = [row.line for row in rows[last:] if not row.blank]
+    notes = [f"{path}:{rest[0]}: another table begins here; it is not read"] if rest else []
+    made = Capture(
+        path, tuple(columns), values, lines, header.rate_hz, header.unit, form, tuple(notes)
+    )
+    return pivoted(made, labels)
+
+
+def text_form(text: str) -> TextForm:
+    """Separator and decimal mark under which most of a text is numbers in rows of equal width."""
+    lines = text.splitlines()[:_SAMPLE]
+    best, most = TextForm(",", "."), -1
+    for separator in SEPARATORS:
+        rows = [_split(line, separator) for line in lines]
+        for decimal in DECIMALS:
+            counts: Counter[int] = Counter()
+            for cells in rows:
+                if len(cells) < 2 or not _is_data(cells, decimal):
+                    continue
+                good = sum(is_number(c, decimal) for c in cells)
+                bad = sum(number(c, decimal) is None for c in cells)
+                counts[len(cells)] += good - bad
+            score = max(counts.values(), default=0)
+            if score > most:
+                best, most = TextForm(separator, decimal), score
+    return best
+
+
+def _split(line: str, separator: str) -> list[str]:
+    if separator == " ":
+        return line.split()
+    try:
+        return next(csv.reader([line], delimiter=separator), [])
+    except csv.Error:
+        return []
+
+
+def _rows(path: Path, text: str, separator: str) -> list[Row]:
+    lines = text.splitlines()
+    if separator == " ":
+        return [Row(i, tuple(line.split())) for i, line in enumerate(lines, 1)]
+    reader = csv.reader(lines, delimiter=separator)
+    try:
+        return [Row(reader.line_num, tuple(cells)) for cells in reader]
+    except csv.Error as error:
+        message = f"is no table: {error}; write plain numbers between {separator!r}"
+        raise InputError.at(path, message, line=reader.line_num) from error
+
+
+def _is_data(cells: Sequence[str], decimal: Decimal) -> bool:
+    """Whether a row holds a number, and at least as many numbers as other words."""
+    filled = [c for c in cells if c.strip().lower() not in NOT_SEEN]
+    return bool(filled) and 2 * sum(is_number(c, decimal) for c in filled) >= len(filled)
+
+
+def _block(path: Path, rows: Sequence[Row], form: TextForm) -> tuple[int, int]:
+    """First row of the table, and the row after its last.
+
+    raises  InputError: there is none, or a row in it is something else
+    """
+    data = [len(r.cells) >= 2 and _is_data(r.cells, form.decimal) for r in rows]
+    widths = Counter(len(r.cells) for r, is_one in zip(rows, data, strict=True) if is_one)
+    if not widths:
+        raise InputError.at(
+            path, "holds no rows of numbers; give a table with a line of names and numbers below it"
+        )
+    width = widths.most_common(1)[0][0]
+    for i in range(1, len(rows) - 1):
+        around = (rows[i - 1], rows[i + 1])
+        within = data[i - 1] and data[i + 1] and all(len(r.cells) == width for r in around)
+        if within and not data[i] and not rows[i].blank:
+            raise _no_row(path, rows[i])
+    first = next(i for i, r in enumerate(rows) if data[i] and len(r.cells) == width)
+    last, blank = first, False
+    for i in range(first, len(rows)):
+        if rows[i].blank:
+            blank = True
+        elif data[i] and (len(rows[i].cells) == width or not blank):
+            last = i + 1
+        elif blank:
+            break
+        else:
+            raise _no_row(path, rows[i])
+    return first, _checked_width(path, rows, first, last, form)
+
+
+def _checked_width(path: Path, rows: Sequence[Row], first: int, last: int, form: TextForm) -> int:
+    """`last`.  Raises InputError: a row has another number of cells than the first one."""
+    width = len(rows[first].cells)
+    for row in rows[first:last]:
+        if row.blank:
+            message = "is empty within the table; remove the line"
+            raise InputError.at(path, message, line=row.line)
+        if len(row.cells) != width:
+            raise InputError.at(
+                path,
+                f"has {len(row.cells)} cells between {form.separator!r}, the rows before {width}; "
+                "give one for each column, and no separator within a number",
+                line=row.line,
+            )
+    return last
+
+
+def _no_row(path: Path, row: Row) -> InputError:
+    shown = reprlib.repr(" ".join(row.cells).strip())
+    message = f"{shown} is no row of numbers like those around it; mend it or remove the line"
+    return InputError.at(path, message, line=row.line)
+
+
+def _numeric_columns(table: Sequence[Row], decimal: Decimal) -> list[bool]:
+    """Whether the cells of a column are numbers: at least half of those that are filled."""
+    found = []
+    for cells in zip(*(row.cells for row in table), strict=True):
+        filled = [c for c in cells if c.strip().lower() not in NOT_SEEN]
+        good = sum(number(c, decimal) is not None for c in filled)
+        found.append(2 * good >= len(filled))
+    return found
+
+
+def _values(
+    path: Path, table: Sequence[Row], header: Header, numeric: Sequence[bool], decimal: Decimal
+) -> np.ndarray:
+    """(rows, numeric columns).  Raises InputError: a cell is no number."""
+    chosen = [c for c, is_one in enumerate(numeric) if is_one]
+    values = np.empty((len(table), len(chosen)))
+    for i, row in enumerate(table):
+        for k, c in enumerate(chosen):
+            value = number(row.cells[c], decimal)
+            if value is None:
+                raise _no_number(path, row, header.columns[c], row.cells[c], decimal)
+            values[i, k] = value
+    return values
+
+
+def _no_number(path: Path, row: Row, column: Column, cell: str, decimal: Decimal) -> InputError:
+    hint = "give one, or nothing where nothing was seen"
+    if re.fullmatch(r"\s*[-+]?\d{1,3}([.,]\d{3})+[.,]?\d*\s*", cell):
+        hint = "write numbers without separators of thousands"
+    elif "," in cell or "." in cell:
+        hint = f"the decimal mark of this file is {decimal!r}; use one mark throughout"
+    elif re.fullmatch(r"\s*[-+]?[0-9.,]+\s*[^\d\s.,]+\s*", cell):
+        hint = "write the number alone, and its unit in the column's name"
+    message = f"{reprlib.repr(cell.strip())} is not a number; {hint}"
+    return InputError.at(path, message, line=row.line, key=column.name)

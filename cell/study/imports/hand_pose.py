@@ -1,0 +1,180 @@
+"""The clamp angle that a file tells: which column, unit and sign, or the shape of the cable."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.study.imports.capture import Capture
+from cell.study.imports.contents import HAND, Contents, Point
+from cell.study.imports.finding import Finding, Sure
+from cell.study.imports.mapping import BODY_AXES, AngleSection, AxesSection
+from cell.study.imports.places import body_axis
+from cell.study.imports.units import RADIANS
+
+FloatArray = NDArray[np.float64]
+
+#: An angle that turns by more tells its sign by how the cable's root turns with it, rad.
+_TURNS = 0.05
+#: What makes another reading of a column less likely, in radians of disagreement: a negative sign,
+#: a quarter turn, a unit that is not stated.
+_SIGN, _QUARTER, _UNIT = 0.02, 0.3, 0.05
+#: The cable's root and a right reading agree at rest within this, rad; else an offset is needed.
+_AGREES = 0.35
+
+
+@dataclass(frozen=True)
+class Root:
+    """The clamp angle that the cable shows at its root.
+
+    angle_rad  (rows,) of the markers' file, rough while it moves
+    rest_rad   at rest
+    """
+
+    angle_rad: FloatArray
+    rest_rad: float
+
+
+def clamp_angle(
+    capture: Capture,
+    inside: Contents,
+    axes: AxesSection,
+    root: Root,
+    second: tuple[Point, float] | None,
+    hand: str,
+) -> tuple[AngleSection, list[Finding]]:
+    """How the clamp angle is told.
+
+    capture  with the hand
+    second   another point of the hand, and the angle of the line to it at rest; None = none
+    hand     name of the gripping point, by which its columns are known
+    """
+    if (column := _column(inside, axes, hand)) is not None:
+        return _of_column(capture, *column, root)
+    four = next((q for group, q in inside.quaternions if group == hand), None)
+    if four is None and len(inside.quaternions) == 1:
+        four = inside.quaternions[0][1]
+    if four is not None:
+        return _of_body(capture, four, axes, root)
+    if second is not None:
+        return _of_line(*second, root, hand)
+    angle = round(root.rest_rad, 4) + 0.0
+    sentence = (
+        f"no angle of the hand is in the file: it is taken as constant, {np.degrees(angle):.2f}°, "
+        "as the markers show at rest"
+    )
+    return AngleSection(constant_rad=angle), [Finding("hand.angle", sentence, Sure.GUESSED)]
+
+
+def _of_line(
+    second: Point, shown_rad: float, root: Root, hand: str
+) -> tuple[AngleSection, list[Finding]]:
+    """The line between two points of the hand, along the cable or against it."""
+    offset = _wrapped(root.rest_rad - shown_rad)
+    offset = 0.0 if abs(offset) < _AGREES else offset
+    if abs(abs(offset) - np.pi) < _AGREES:
+        offset = float(np.pi)
+    sentence = f"the clamp angle is that of the line between {hand!r} and {second.name!r}"
+    if offset:
+        sentence += f", turned by {np.degrees(offset):.0f}° as the cable shows at rest"
+    section = AngleSection(towards=list(second.columns), offset_rad=round(offset, 10))
+    return section, [Finding("hand.angle", sentence, Sure.GUESSED)]
+
+
+def _column(inside: Contents, axes: AxesSection, hand: str) -> tuple[str, str] | None:
+    """The column of the clamp angle and its unit: the hand's, about the normal of the plane."""
+    of_hand = [
+        (n, m) for n, m in inside.angles if m.group == hand or HAND.intersection(m.group.split())
+    ]
+    chosen = of_hand or [(n, m) for n, m in inside.angles if not m.group]
+    if not chosen:
+        return None
+    if len(axes.up) == 3 and len(chosen) > 1:
+        normal = np.abs(np.cross(axes.right, axes.up))
+        letter = "xyz"[int(np.argmax(normal))]
+        chosen = [(n, m) for n, m in chosen if m.axis == letter] or chosen
+    name, said = chosen[0]
+    return name, said.unit
+
+
+def _of_column(
+    capture: Capture, name: str, unit: str, root: Root
+) -> tuple[AngleSection, list[Finding]]:
+    """Unit, sign and zero of a column of angles, by what the cable's root shows."""
+    values = capture.column(name)
+    rest = float(np.nanmedian(values[: max(1, len(values) // 20)]))
+    sign = _sign(values, root)
+    options = []
+    for word in [unit] if unit in RADIANS else ["rad", "deg"]:
+        if word == "rad" and unit not in RADIANS and np.nanmax(np.abs(values)) > 2.0 * np.pi:
+            continue
+        for s in (1.0, -1.0) if sign == 0.0 else (sign,):
+            for quarters in (0, 1, -1, 2):
+                offset = quarters * np.pi / 2.0
+                off = abs(_wrapped(s * RADIANS[word] * rest + offset - root.rest_rad))
+                cost = (
+                    off + _SIGN * (s < 0.0) + _QUARTER * (quarters != 0) + _UNIT * (word == "deg")
+                )
+                options.append((cost, off, word, s, offset))
+    _, off, word, s, offset = min(options)
+    findings = []
+    if off > _AGREES:
+        offset = float(round(_wrapped(root.rest_rad - s * RADIANS[word] * rest), 4))
+        sentence = f"{name!r} is {np.degrees(off):.0f}° from what the cable shows at rest: "
+        findings.append(
+            Finding("hand.angle.offset_rad", f"{sentence}an offset is added", Sure.GUESSED)
+        )
+    stated = unit in RADIANS
+    matters = float(np.nanmax(np.abs(values))) * RADIANS[word] > 1e-3
+    which = "positive = down" if s > 0 else "positive = up, turned round"
+    why = "the cable turns with it" if sign else "the cable's root at rest agrees best"
+    if not matters:
+        why = "it is 0 throughout"
+    sure = Sure.SEEN if sign or not matters else Sure.GUESSED
+    sentence = (
+        f"the clamp angle is column {name!r} in {word}{', as the file says' if stated else ''}"
+    )
+    findings.insert(0, Finding("hand.angle", f"{sentence}; {which}: {why}", sure))
+    factor = round(s * RADIANS[word], 12)
+    section = AngleSection(column=name, radians_per_unit=factor, offset_rad=round(offset, 10) + 0.0)
+    return section, findings
+
+
+def _sign(values: FloatArray, root: Root) -> float:
+    """Whether the cable's root turns with a column of angles or against it; 0 = it hardly turns."""
+    if len(values) != len(root.angle_rad):
+        return 0.0
+    good = np.isfinite(values) & np.isfinite(root.angle_rad)
+    turned, shown = values[good] - np.mean(values[good]), root.angle_rad[good]
+    if not len(turned) or min(np.ptp(turned), np.ptp(shown)) < _TURNS:
+        return 0.0
+    slope = float(turned @ (shown - shown.mean()))
+    size = float(np.linalg.norm(turned) * np.linalg.norm(shown - shown.mean()))
+    return float(np.sign(slope)) if abs(slope) > 0.5 * size else 0.0
+
+
+def _of_body(
+    capture: Capture, four: Sequence[str], axes: AxesSection, root: Root
+) -> tuple[AngleSection, list[Finding]]:
+    """The axis of a body that is nearest to the direction in which the cable leaves it."""
+    quaternion = capture.at(list(four))
+    right, up = (np.append(v, 0.0)[:3] for v in (np.array(axes.right), np.array(axes.up)))
+    leaving = -np.cos(root.rest_rad) * right - np.sin(root.rest_rad) * up
+    rows = quaternion[np.isfinite(quaternion).all(axis=1)][:1]
+    along = {n: float(body_axis(rows, n)[0] @ leaving) if len(rows) else 0.0 for n in BODY_AXES}
+    best = max(BODY_AXES, key=lambda n: along[n])
+    seen = body_axis(rows, best)[0] if len(rows) else leaving
+    shown = float(np.arctan2(-(seen @ up), -(seen @ right)))
+    offset = _wrapped(root.rest_rad - shown)
+    offset = float(round(offset, 4)) if abs(offset) > _AGREES else 0.0
+    sentence = f"the hand turns as {four[0]!r} … say; the cable leaves along its axis {best}"
+    section = AngleSection(quaternion=list(four), body_axis=best, offset_rad=offset)
+    return section, [Finding("hand.angle", sentence, Sure.GUESSED)]
+
+
+def _wrapped(angle_rad: float) -> float:
+    """The same angle between −π and π."""
+    return float((angle_rad + np.pi) % (2.0 * np.pi) - np.pi)

@@ -1,0 +1,161 @@
+"""What stands above a table: names of columns over one or more lines, units, rate, remarks."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+from cell.files.input_error import InputError
+from cell.study.imports.capture import Column
+from cell.study.imports.cells import number
+from cell.study.imports.units import METRES, unit_of
+
+Lines = Sequence[tuple[int, tuple[str, ...]]]
+
+#: Words that begin a remark.
+_REMARK = ("#", "%", "//")
+#: Rows of a header that say what kind of thing a column is or who its parent is, not its name.
+_NO_NAMES = frozenset(("type", "id", "parent"))
+_RATE = re.compile(r"(?:export |data |camera |capture )?(?:frame ?rate|rate|frequency|freq|fps)\b")
+_UNIT_KEY = re.compile(r"(?:length )?units?\b")
+_MARKER_NAMES = re.compile(r"marker_?names")
+
+
+@dataclass(frozen=True)
+class Header:
+    """Columns, and what is said of all of them."""
+
+    columns: tuple[Column, ...]
+    rate_hz: float | None
+    unit: str
+
+
+def read_header(path: Path, lines: Lines, width: int) -> Header:
+    """Read the lines above a table of so many columns.
+
+    lines   number and cells of each
+    raises  InputError: there are no names, not as many as columns, or one is given twice
+    """
+    rows = [(line, _without_remark(cells)) for line, cells in lines]
+    rows = [(line, cells) for line, cells in rows if any(c.strip() for c in cells)]
+    rate_hz, unit = _said(rows)
+    units = [""] * width
+    naming = list(rows)
+    if naming and (found := _units_row(naming[-1][1], width)) is not None:
+        units = found
+        naming.pop()
+    names, line = _names(path, naming, width)
+    twice = next((n for n in names if names.count(n) > 1), None)
+    if twice is not None:
+        both = [str(i + 1) for i, n in enumerate(names) if n == twice]
+        raise InputError.at(
+            path, f"{twice!r} names columns {' and '.join(both)}; give each marker and each column "
+            "a name of its own", line=line,
+        )  # fmt: skip
+    return Header(tuple(Column(n, u) for n, u in zip(names, units, strict=True)), rate_hz, unit)
+
+
+def _without_remark(cells: tuple[str, ...]) -> tuple[str, ...]:
+    for mark in _REMARK:
+        if cells and cells[0].lstrip().startswith(mark):
+            first = cells[0].lstrip()[len(mark) :].strip()
+            return (first, *cells[1:]) if first or len(cells) < 2 else cells[1:]
+    return cells
+
+
+def _units_row(cells: Sequence[str], width: int) -> list[str] | None:
+    """Units of the columns, where a row holds nothing else."""
+    fitted = _fitted(cells, width)
+    if fitted is None:
+        return None
+    filled = [c for c in fitted if c.strip() and c.strip() != "-"]
+    found = [unit_of(c) for c in fitted]
+    return found if filled and all(unit_of(c) for c in filled) else None
+
+
+def _names(path: Path, rows: Lines, width: int) -> tuple[list[str], int]:
+    """Names of columns, joined from as few of the lowest lines as tell them apart."""
+    last = rows[-1][0] if rows else 1
+    parts: list[list[str]] = []
+    for line, cells in reversed(rows[-8:]):
+        if _MARKER_NAMES.match(cells[0].strip().lower().replace(" ", "_")) and not parts:
+            return _of_markers(path, line, cells, width), line
+        fitted = _fitted(cells, width)
+        if fitted is None or (not parts and len(cells) < width):
+            break
+        words = [c.strip() for c in fitted]
+        if any(w.lower() in _NO_NAMES for w in words[:2]):
+            continue
+        if parts:
+            words = _carried(words)
+        parts.insert(0, words)
+        names = _joined(parts)
+        if all(parts[-1]) and len(set(names)) == width:
+            break
+    if parts:
+        return _joined(parts), last
+    if rows and len(rows[-1][1]) > 1:
+        raise InputError.at(
+            path, f"names {len(rows[-1][1])} columns, the rows below have {width} cells; give one "
+            "name for each, and quote decimal commas or separate columns by semicolons", line=last,
+        )  # fmt: skip
+    raise InputError.at(
+        path, f"has no names above its {width} columns; put a line of names there, such as "
+        "time_s, tip_x_mm, tip_y_mm", line=last,
+    )  # fmt: skip
+
+
+def _of_markers(path: Path, line: int, cells: Sequence[str], width: int) -> list[str]:
+    """Columns of a table that only names its markers, three coordinates each."""
+    markers = [c.strip() for c in cells[1:] if c.strip()]
+    before = {0: [], 1: ["Time"], 2: ["Frame", "Time"]}.get(width - 3 * len(markers))
+    if before is None:
+        message = f"names {len(markers)} markers, the rows below have {width} cells, not 3 for each"
+        raise InputError.at(path, f"{message}; name those that are there", line=line)
+    return [*before, *(f"{m} {axis}" for m in markers for axis in "XYZ")]
+
+
+def _fitted(cells: Sequence[str], width: int) -> list[str] | None:
+    """Cells of a line as many as there are columns; None if it names more or far fewer."""
+    filled = list(cells)
+    while filled and not filled[-1].strip() and len(filled) > width:
+        filled.pop()
+    if len(filled) > width or (len(filled) < width and len(filled) < 3):
+        return None
+    # A line of groups may leave out what would be empty at its end: two columns of its last marker.
+    if width - len(filled) > 2:
+        return None
+    return filled + [""] * (width - len(filled))
+
+
+def _carried(words: Sequence[str]) -> list[str]:
+    """A group's name stands over its first column only: carried on to the others."""
+    carried, last = [], ""
+    for word in words:
+        last = word or last
+        carried.append(last)
+    return carried
+
+
+def _joined(parts: Sequence[Sequence[str]]) -> list[str]:
+    names = [" ".join(w for w in words if w) for words in zip(*parts, strict=True)]
+    return [name or f"column {i}" for i, name in enumerate(names, 1)]
+
+
+def _said(rows: Lines) -> tuple[float | None, str]:
+    """Rate and unit of length that remarks state."""
+    rate_hz, unit = None, ""
+    for _, cells in rows:
+        words = [w.strip() for cell in cells for w in re.split(r"[:=]", cell)]
+        for key, value in pairwise(words):
+            said = number(value.split()[0], ".") if value.split() else None
+            if rate_hz is None and _RATE.match(key.lower()) and said is not None and said > 0.0:
+                rate_hz = said
+            if not unit and _UNIT_KEY.match(key.lower()) and unit_of(value) in METRES:
+                unit = unit_of(value)
+    if rate_hz is None and len(rows) > 1 and rows[0][1][0].strip().lower() == "trajectories":
+        rate_hz = number(rows[1][1][0], ".")  # as Vicon writes it, alone in its line
+    return rate_hz, unit

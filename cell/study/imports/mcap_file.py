@@ -1,0 +1,204 @@
+"""MCAP recordings of any program: numbers in JSON, ROS 2 and protobuf messages, by topic."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
+
+from cell.files.input_error import InputError
+from cell.study.imports.capture import Capture, Column
+from cell.study.table import MAX_ROWS
+
+#: Entries of a list of a message that are read, and columns in all: a picture is no measurement.
+_MOST_ENTRIES, _MOST_COLUMNS = 200, 2000
+_MOST_DEPTH = 8
+#: What its readers raise for a file that is torn or is something else.
+_UNREADABLE = (
+    McapError, ValueError, EOFError, LookupError, MemoryError, struct.error,
+    OSError,  # it seeks before the beginning of a short file
+)  # fmt: skip
+#: Where a message says when it was measured.
+_STAMPS = ("timestamp", "stamp", "time")
+#: Fields that are no measurement.
+_NO_NUMBERS = frozenset(("covariance", "header", "seq", "color", "scale", "lifetime", *_STAMPS))
+
+
+@dataclass(frozen=True)
+class _Message:
+    topic: str
+    log_s: float
+    content: Any
+
+
+@dataclass
+class _Table:
+    """Rows being gathered: numbers by column, at their times."""
+
+    rows: dict[float, dict[str, float]] = field(default_factory=dict)
+    columns: dict[str, None] = field(default_factory=dict)
+
+    def add(self, t_s: float, name: str, value: float) -> None:
+        self.columns.setdefault(name)
+        self.rows.setdefault(t_s, {})[name] = value
+
+
+def read_mcap(path: Path) -> Capture:
+    """Read all numbers of all topics: one row per time, columns named topic and field.
+
+    raises  InputError: it is no MCAP file, or no message can be decoded
+    """
+    table, undecoded = _Table(), set[str]()
+    for message in _messages(path, undecoded):
+        t_s = _stamp(message.content)
+        numbers = dict(_numbers(message.content, 0))
+        if not numbers:
+            continue
+        for name, value in numbers.items():
+            table.add(message.log_s if t_s is None else t_s, f"{message.topic} {name}", value)
+        if len(table.rows) > MAX_ROWS or len(table.columns) > _MOST_COLUMNS:
+            raise InputError.at(
+                path,
+                f"has more than {MAX_ROWS} times or {_MOST_COLUMNS} numbers; keep the topics with "
+                "markers and hand, and cut it to the motion",
+            )
+    if not table.rows:
+        why = f": {', '.join(sorted(undecoded))} cannot be decoded" if undecoded else ""
+        remedy = "pip install 'cable-cell[import]' decodes ROS 2 and protobuf"
+        raise InputError.at(path, f"holds no messages with numbers{why}; {remedy}")
+    names = list(table.columns)
+    times = sorted(table.rows)
+    values = [[t, *(table.rows[t].get(n, np.nan) for n in names)] for t in times]
+    columns = (Column("time", "s"), *(Column(n) for n in names))
+    notes = [f"{path}: {t} cannot be decoded; it is not read" for t in sorted(undecoded)]
+    return Capture(
+        path, columns, np.array(values), np.arange(1, len(times) + 1), notes=tuple(notes),
+        counted="time",
+    )  # fmt: skip
+
+
+def metadata_names(path: Path) -> frozenset[str]:
+    """Names of the records of metadata; none where the file cannot be read."""
+    try:
+        with path.open("rb") as file:
+            return frozenset(m.name for m in make_reader(file).iter_metadata())
+    except _UNREADABLE:
+        return frozenset()
+
+
+def _messages(path: Path, undecoded: set[str]) -> Iterator[_Message]:
+    try:
+        with path.open("rb") as file:
+            reader = make_reader(file, decoder_factories=_factories())
+            decoders: dict[int, Any] = {}
+            for schema, channel, message in reader.iter_messages():
+                if channel.id not in decoders:
+                    decoders[channel.id] = _decoder(reader, channel, schema)
+                decode = decoders[channel.id]
+                if decode is None:
+                    undecoded.add(f"topic {channel.topic} ({channel.message_encoding})")
+                    continue
+                yield _Message(channel.topic, message.log_time * 1e-9, decode(message.data))
+    except FileNotFoundError as error:
+        raise InputError.at(path, "cannot be read: no such file; check the name") from error
+    except _UNREADABLE as error:
+        if isinstance(error, InputError):
+            raise
+        message_text = f"is torn or is no MCAP file ({error}); record it again, or mend it"
+        raise InputError.at(path, message_text) from error
+
+
+def _factories() -> list[Any]:
+    """Decoders that are installed."""
+    found: list[Any] = []
+    try:
+        from mcap_ros2.decoder import DecoderFactory as Ros2
+
+        found.append(Ros2())
+    except ImportError:
+        pass
+    try:
+        from mcap_protobuf.decoder import DecoderFactory as Protobuf
+
+        found.append(Protobuf())
+    except ImportError:
+        pass
+    return found
+
+
+def _decoder(reader: Any, channel: Any, schema: Any) -> Any:
+    if channel.message_encoding == "json":
+        return json.loads
+    for factory in _factories():
+        if (decode := factory.decoder_for(channel.message_encoding, schema)) is not None:
+            return decode
+    return None
+
+
+def _fields(content: Any) -> dict[str, Any]:
+    """Names and contents of a message's fields, however it was decoded."""
+    if isinstance(content, dict):
+        return content
+    if hasattr(content, "DESCRIPTOR"):  # protobuf
+        return {f.name: getattr(content, f.name) for f in content.DESCRIPTOR.fields}
+    names = getattr(content, "__slots__", None) or vars(content)
+    return {name: getattr(content, name) for name in names}
+
+
+def _numbers(content: Any, depth: int, name: str = "") -> Iterator[tuple[str, float]]:
+    """Every number of a message, named after its fields."""
+    match content:
+        case bool() | str() | bytes() | None:
+            return
+        case int() | float():
+            yield name.strip(), float(content)
+            return
+    if depth > _MOST_DEPTH:
+        return
+    if isinstance(content, list | tuple) or (
+        hasattr(content, "__getitem__") and not isinstance(content, dict)
+    ):
+        if len(content) <= _MOST_ENTRIES:
+            for i, item in enumerate(content):
+                yield from _numbers(item, depth + 1, f"{name} {_label(item, i)}")
+        return
+    for key, item in _fields(content).items():
+        if key not in _NO_NUMBERS:
+            yield from _numbers(item, depth + 1, f"{name} {key}")
+
+
+def _label(item: Any, number: int) -> str:
+    """What an entry of a list calls itself, else its number."""
+    if isinstance(item, int | float | str | bytes):
+        return str(number)
+    fields = _fields(item)
+    for key in ("name", "label", "marker_name", "ns", "id"):
+        said = fields.get(key)
+        if isinstance(said, str) and said:
+            return said
+    return str(number)
+
+
+def _stamp(content: Any) -> float | None:
+    """When a message says that it was measured, s; None if it does not."""
+    fields = _fields(content)
+    if "header" in fields:
+        fields = _fields(fields["header"])
+    for key in _STAMPS:
+        if (said := fields.get(key)) is None:
+            continue
+        if isinstance(said, int | float) and not isinstance(said, bool):
+            return float(said)
+        parts = {} if isinstance(said, str) else _fields(said)
+        seconds = parts.get("sec", parts.get("seconds"))
+        nanoseconds = parts.get("nanosec", parts.get("nsec", parts.get("nanos", 0)))
+        if isinstance(seconds, int | float) and (seconds or nanoseconds):
+            return float(seconds) + 1e-9 * float(nanoseconds)
+    return None

@@ -1,0 +1,106 @@
+"""Columns of a file as places in the study's plane, metres, and as clamp angles, radians."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from cell.study.imports.capture import Capture
+from cell.study.imports.mapping import AngleSection, AxesSection
+
+FloatArray = NDArray[np.float64]
+
+
+def places_m(
+    capture: Capture,
+    columns: Sequence[str | None],
+    axes: AxesSection,
+    metres_per_unit: float,
+    lost: Sequence[float] = (),
+) -> FloatArray:
+    """(rows, 2) x (right) and y (up) of a point, nan where it is not seen.
+
+    columns  null = this coordinate was not measured
+    lost     values that all coordinates have where the point is not seen
+    raises   InputError: there is no such column
+    """
+    raw = np.full((len(capture.values), len(columns)), np.nan)
+    for k, name in enumerate(columns):
+        if name is not None:
+            raw[:, k] = capture.column(name)
+    given = [k for k, name in enumerate(columns) if name is not None]
+    for value in lost:
+        raw[np.all(raw[:, given] == value, axis=1)] = np.nan
+    return np.column_stack([_along(raw, axis) for axis in _square(axes)]) * metres_per_unit
+
+
+def out_of_plane_m(
+    capture: Capture, columns: Sequence[str | None], axes: AxesSection, metres_per_unit: float
+) -> FloatArray | None:
+    """(rows,) coordinate across the plane; None where a point has two columns."""
+    if len(columns) < 3 or None in columns:
+        return None
+    right, up = _square(axes)
+    names = [name for name in columns if name is not None]
+    across: FloatArray = capture.at(names) @ np.cross(right, up) * metres_per_unit
+    return across
+
+
+def clamp_angle_rad(capture: Capture, angle: AngleSection, axes: AxesSection) -> FloatArray | None:
+    """(rows,) clamp angle; None where it is the line to another point of the hand.
+
+    0 = level, positive = pointing down; the cable leaves along (−cos, −sin).
+    raises  InputError: there is no such column
+    """
+    if angle.constant_rad is not None:
+        return np.full(len(capture.values), angle.constant_rad + angle.offset_rad)
+    if angle.column is not None and angle.radians_per_unit is not None:
+        turned: FloatArray = capture.column(angle.column) * angle.radians_per_unit
+        return turned + angle.offset_rad
+    if angle.quaternion is not None and angle.body_axis is not None:
+        leaving = body_axis(capture.at(angle.quaternion), angle.body_axis)
+        right, up = (np.resize(v, 3) if len(v) == 3 else np.append(v, 0.0) for v in _square(axes))
+        return _angle(leaving @ right, leaving @ up) + angle.offset_rad
+    return None
+
+
+def angle_towards(from_m: FloatArray, to_m: FloatArray, offset_rad: float = 0.0) -> FloatArray:
+    """Clamp angle of a hand whose cable leaves from one point (rows, 2) towards another."""
+    direction = to_m - from_m
+    return _angle(direction[:, 0], direction[:, 1]) + offset_rad
+
+
+def body_axis(quaternion: FloatArray, name: str) -> FloatArray:
+    """(rows, 3) direction of a body's axis, such as `-x`; quaternions (rows, 4) x, y, z, w."""
+    length = np.linalg.norm(quaternion, axis=1)
+    good = np.isfinite(length) & (length > 0.5)
+    found = np.full((len(quaternion), 3), np.nan)
+    axis = np.zeros(3)
+    axis["xyz".index(name[1])] = -1.0 if name[0] == "-" else 1.0
+    if good.any():
+        found[good] = Rotation.from_quat(quaternion[good]).apply(axis)
+    return found
+
+
+def _angle(x: FloatArray, y: FloatArray) -> FloatArray:
+    """Clamp angle of a direction in which a cable leaves, without jumps from −π to π."""
+    angle = np.arctan2(-y, -x)
+    good = np.isfinite(angle)
+    angle[good] = np.unwrap(angle[good])
+    return angle
+
+
+def _square(axes: AxesSection) -> tuple[FloatArray, FloatArray]:
+    """Both directions with length 1 and at a right angle, up kept."""
+    up = np.array(axes.up) / np.linalg.norm(axes.up)
+    right = np.array(axes.right) - (np.array(axes.right) @ up) * up
+    return right / np.linalg.norm(right), up
+
+
+def _along(raw: FloatArray, axis: FloatArray) -> FloatArray:
+    """Component along an axis; a column across it may be missing."""
+    used = np.abs(axis) > 0.0
+    return np.asarray(raw[:, used] @ axis[used], dtype=np.float64)

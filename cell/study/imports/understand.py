@@ -1,0 +1,331 @@
+"""What files of one kind say and show: a mapping proposed from the first of them, and how sure."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.study.imports.capture import Capture
+from cell.study.imports.choosing import Chosen, choose, seen_places
+from cell.study.imports.contents import Contents, Point, contents
+from cell.study.imports.convert import times_s
+from cell.study.imports.directions import find_axes
+from cell.study.imports.finding import Finding, Sure
+from cell.study.imports.hand_pose import Root, clamp_angle
+from cell.study.imports.mapping import (
+    FORMAT,
+    AxesSection,
+    CableSection,
+    HandSection,
+    Mapping,
+    MarkerEntry,
+    TextSection,
+    TrialEntry,
+)
+from cell.study.imports.scales import metres_per_unit, time_section
+from cell.study.imports.shape import arc_lengths, middle, rest_rows, root_direction
+from cell.study.imports.start import start_of
+
+FloatArray = NDArray[np.float64]
+
+#: A proposed arc length this much longer than the stated cable is its tip.
+_TIP = 0.02
+
+
+@dataclass(frozen=True)
+class Files:
+    """A trial's files as the mapping names them, and what they hold."""
+
+    name: str
+    file: str
+    capture: Capture
+    hand_file: str | None = None
+    hand: Capture | None = None
+
+
+@dataclass(frozen=True)
+class Stated:
+    """What somebody says of cable and files; None = nothing."""
+
+    name: str
+    free_length_m: float | None = None
+    line_density_kg_per_m: float | None = None
+    width_m: float | None = None
+    thickness_m: float | None = None
+    diameter_m: float | None = None
+    rate_hz: float | None = None
+
+
+@dataclass(frozen=True)
+class Understanding:
+    """A mapping that is proposed, and why."""
+
+    mapping: Mapping
+    findings: tuple[Finding, ...]
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """The chain of points in the study's plane.
+
+    xy_m   (rows, points, 2), the gripping point first where it is in the same file
+    arcs   (markers,) from the gripping point, m
+    shape  (points, 2) at rest
+    """
+
+    xy_m: FloatArray
+    arcs: FloatArray
+    shape: FloatArray
+
+
+def understand(trials: Sequence[Files], stated: Stated) -> Understanding:
+    """Propose a mapping.  Raises InputError: a file has no points or no hand, or is disordered."""
+    first = trials[0]
+    inside = contents(first.capture)
+    chosen, findings = choose(first.capture, inside, hand_elsewhere=first.hand is not None)
+    time, told = time_section(first.capture, inside, stated.rate_hz)
+    findings = [*told, *findings]
+    times_s(first.capture, time)  # in disorder nothing below means anything
+    points = [*([chosen.hand] if chosen.hand else []), *chosen.markers]
+    raw = np.stack([seen_places(first.capture, p.columns, chosen.lost) for p in points], axis=1)
+    shape = _shape(raw)
+    extent = float(np.linalg.norm(np.diff(shape, axis=0), axis=1).sum())
+    scale, finding = metres_per_unit({p.unit for p in points}, extent, stated.free_length_m)
+    axes, told = find_axes(raw, shape)
+    findings += [finding, *told]
+    scene = _scene(raw, axes, scale or 1.0, chosen)
+    arcs, told = _arcs(scene, chosen, stated, known=scale is not None)
+    findings += told
+    hand, told = _hand(first, inside, chosen, axes, scene, scale)
+    findings += told
+    mapping = Mapping(
+        format=FORMAT,
+        name=stated.name,
+        cable=_cable(stated, arcs),
+        text=_text(first.capture),
+        time=time,
+        metres_per_unit=scale,
+        lost=list(chosen.lost),
+        axes=axes,
+        hand=hand,
+        markers=[
+            MarkerEntry(name=p.name, columns=list(p.columns), arc_length_m=arc)
+            for p, arc in zip(chosen.markers, arcs, strict=True)
+        ],
+        trials=[TrialEntry(name=t.name, file=t.file, hand_file=t.hand_file) for t in trials],
+    )
+    entries, told = _trials(trials, mapping)
+    findings += [*told, *_wanted(mapping), *_unused(inside, chosen, first.capture)]
+    return Understanding(mapping.model_copy(update={"trials": entries}), tuple(findings))
+
+
+def trial_names(files: Sequence[Path]) -> list[str]:
+    """Names of trials by those of their files, each once."""
+    names: list[str] = []
+    for file in files:
+        name = re.sub(r"[^A-Za-z0-9_.-]+", "_", file.stem).strip("_.-") or "trial"
+        number = 2
+        unique = name
+        while unique in names:
+            unique, number = f"{name}_{number}", number + 1
+        names.append(unique)
+    return names
+
+
+def _shape(raw: FloatArray) -> FloatArray:
+    """(points, d) at rest, else a mean of what is seen."""
+    rest = raw[rest_rows(raw)]
+    some = rest if len(rest) and np.isfinite(rest).all(axis=2).any(axis=0).all() else raw
+    return middle(some)
+
+
+def _scene(raw: FloatArray, axes: AxesSection, scale: float, chosen: Chosen) -> _Scene:
+    directions = np.array([axes.right, axes.up])
+    xy_m = raw @ directions.T * scale
+    shape = _shape(xy_m)
+    # Of the mean shape at rest: noise lengthens the curve through points of a single row.
+    at_rest = len(xy_m[rest_rows(xy_m)]) > 0 and np.isfinite(shape).all()
+    lengths = arc_lengths(shape[None] if at_rest else xy_m)
+    if chosen.hand is None:  # the first marker is at an unknown distance from the hand
+        return _Scene(xy_m, lengths, shape)
+    return _Scene(xy_m, lengths[1:], shape)
+
+
+def _arcs(
+    scene: _Scene, chosen: Chosen, stated: Stated, known: bool
+) -> tuple[list[float | None], list[Finding]]:
+    """Where the markers are along the cable, to 10 µm; None where nothing tells it."""
+    if not known:
+        sentence = "where the markers are along the cable is known with the unit of length"
+        return [None] * len(chosen.markers), [Finding("markers", sentence, Sure.WANTED)]
+    lengths, length_m = scene.arcs, stated.free_length_m
+    if chosen.hand is None:
+        if length_m is None:
+            sentence = "where the markers are along the cable needs --free-length"
+            return [None] * len(lengths), [Finding("markers", sentence, Sure.WANTED)]
+        lengths = lengths + length_m - lengths[-1]
+    arcs = [round(float(s), 5) for s in lengths]
+    if length_m is not None and 0.0 < arcs[-1] - length_m <= _TIP * length_m:
+        arcs[-1] = length_m
+    sentence = (
+        f"arc lengths are those of a curve through the markers, {arcs[0]:g} … {arcs[-1]:g} m; "
+        "measured ones are better"
+    )
+    findings = [Finding("markers", sentence, Sure.GUESSED)]
+    if length_m is not None and arcs[-1] > length_m:
+        sentence = (
+            f"the markers span {arcs[-1]:g} m from the hand, the cable {length_m:g} m: is the "
+        )
+        sentence += "hand's place, a unit or --free-length wrong?"
+        findings.append(Finding("markers", sentence, Sure.GUESSED))
+    if length_m is None:
+        sentence = f"the cable ends at its last marker: {arcs[-1]:g} m long; give --free-length"
+        findings.append(Finding("cable.free_length_m", sentence, Sure.GUESSED))
+    return list(arcs), findings
+
+
+def _cable(stated: Stated, arcs: Sequence[float | None]) -> CableSection:
+    return CableSection(
+        free_length_m=stated.free_length_m or arcs[-1],
+        line_density_kg_per_m=stated.line_density_kg_per_m,
+        width_m=stated.width_m,
+        thickness_m=stated.thickness_m,
+        diameter_m=stated.diameter_m,
+    )
+
+
+def _text(capture: Capture) -> TextSection | None:
+    if capture.form is None:
+        return None
+    return TextSection(separator=capture.form.separator, decimal=capture.form.decimal)
+
+
+def _hand(
+    first: Files,
+    inside: Contents,
+    chosen: Chosen,
+    axes: AxesSection,
+    scene: _Scene,
+    scale: float | None,
+) -> tuple[HandSection, list[Finding]]:
+    """The gripping point and the clamp angle, from the same file or another one."""
+    if first.hand is not None:
+        return _hand_elsewhere(first.hand, axes, scene, scale)
+    hand = chosen.hand
+    assert hand is not None
+    root = _root(scene)
+    second = None
+    if chosen.second is not None:
+        rest = _shape(
+            np.stack(
+                [seen_places(first.capture, p.columns, chosen.lost) for p in (hand, chosen.second)],
+                axis=1,
+            )
+        )
+        line = np.array([axes.right, axes.up]) @ (rest[1] - rest[0])
+        second = chosen.second, _angle_of(line)
+    angle, findings = clamp_angle(first.capture, inside, axes, root, second, hand.name)
+    return HandSection(columns=list(hand.columns), angle=angle), findings
+
+
+def _hand_elsewhere(
+    capture: Capture, axes: AxesSection, scene: _Scene, scale: float | None
+) -> tuple[HandSection, list[Finding]]:
+    inside = contents(capture)
+    named = [p for p in inside.points if p.of_hand] or list(inside.points)
+    if not named:
+        message = "has no x and y of the hand; name two columns as hand_x and hand_y. Columns: "
+        raise capture.error(0, f"{message}{', '.join(capture.names[:12])}")
+    hand: Point = named[0]
+    findings = [
+        Finding("hand", f"{hand.name!r} of {capture.path.name} is the gripping point", Sure.GUESSED)
+    ]
+    time, told = time_section(capture, inside, None)
+    same = len(hand.columns) == len(axes.up)
+    own = None if same else AxesSection(right=[1.0, 0.0], up=[0.0, 1.0])
+    if not same:
+        sentence = "the hand's file has its own axes: right and up are its first and second"
+        findings.append(Finding("hand.axes", sentence, Sure.GUESSED))
+    at = seen_places(capture, hand.columns, ())
+    extent = float(np.nanmax(np.abs(at)))
+    unit, finding = metres_per_unit({hand.unit}, extent, None) if hand.unit else (scale, None)
+    findings += [*told, *([finding] if finding else [])]
+    shape = scene.shape
+    root = Root(np.full(1, np.nan), _angle_of(root_direction(shape)) if len(shape) > 1 else 0.0)
+    angle, told = clamp_angle(capture, inside, axes, root, None, hand.name)
+    section = HandSection(
+        columns=list(hand.columns),
+        angle=angle,
+        text=_text(capture),
+        time=time,
+        metres_per_unit=unit,
+        axes=own,
+    )
+    return section, [*findings, *told]
+
+
+def _root(scene: _Scene) -> Root:
+    """The clamp angle as the cable's root shows it, row by row and at rest."""
+    angle = np.full(len(scene.xy_m), np.nan)
+    whole = np.isfinite(scene.xy_m).all(axis=(1, 2))
+    directions = [root_direction(shape) for shape in scene.xy_m[whole]]
+    angle[whole] = np.unwrap([_angle_of(d) for d in directions])
+    return Root(angle, _angle_of(root_direction(scene.shape)))
+
+
+def _angle_of(direction: FloatArray) -> float:
+    """Clamp angle of a direction in which a cable leaves."""
+    return float(np.arctan2(-direction[1], -direction[0]))
+
+
+def _trials(trials: Sequence[Files], mapping: Mapping) -> tuple[list[TrialEntry], list[Finding]]:
+    """Start, role and clock of every trial."""
+    entries: list[TrialEntry] = []
+    findings: list[Finding] = []
+    for number, (files, entry) in enumerate(zip(trials, mapping.trials, strict=True)):
+        role = "validate" if len(trials) > 1 and number == len(trials) - 1 else "fit"
+        entry = entry.model_copy(update={"role": role})
+        if mapping.time.seconds_per_unit is None or mapping.metres_per_unit is None:
+            entries.append(entry)
+            continue
+        begun, told = start_of(files.name, files.capture, files.hand, mapping)
+        entry = entry.model_copy(update=begun)
+        entries.append(entry)
+        findings += told
+    if len(trials) > 1:
+        sentence = (
+            f"{trials[-1].name} is kept for comparison (role validate), the others are fitted"
+        )
+        findings.append(Finding("trials", sentence, Sure.GUESSED))
+    return entries, findings
+
+
+def _wanted(mapping: Mapping) -> list[Finding]:
+    """What a file of places cannot tell of a cable."""
+    found = []
+    if mapping.cable.line_density_kg_per_m is None:
+        sentence = "give cable.line_density_kg_per_m: the mass of a piece divided by its length"
+        found.append(Finding("cable.line_density_kg_per_m", sentence, Sure.WANTED))
+    across = mapping.cable.width_m is None or mapping.cable.thickness_m is None
+    if across and mapping.cable.diameter_m is None:
+        sentence = "give cable.width_m and thickness_m of a flat cable, diameter_m of a round one"
+        found.append(Finding("cable", sentence, Sure.WANTED))
+    return found
+
+
+def _unused(inside: Contents, chosen: Chosen, capture: Capture) -> list[Finding]:
+    """Columns that nothing is made of."""
+    used = {n for p in chosen.markers for n in p.columns}
+    points = [*([chosen.hand] if chosen.hand else []), *([chosen.second] if chosen.second else [])]
+    used |= {n for p in points for n in p.columns}
+    rest = [n for p in inside.points for n in p.columns if n not in used] + list(inside.unused)
+    if not rest:
+        return []
+    more = f" and {len(rest) - 8} more" if len(rest) > 8 else ""
+    sentence = f"not used of {capture.path.name}: columns {', '.join(rest[:8])}{more}"
+    return [Finding("unused", sentence, Sure.SEEN)]

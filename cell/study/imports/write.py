@@ -1,0 +1,142 @@
+"""Writes an imported study, verified by reading it back; and a study as wide tables."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.files.atomic import write_all
+from cell.files.input_error import InputError
+from cell.study.data import Study, Trial
+from cell.study.folder import read_study, thinned, write_study
+from cell.study.imports.mapping import (
+    FILE,
+    FORMAT,
+    AngleSection,
+    AxesSection,
+    CableSection,
+    HandSection,
+    Mapping,
+    MarkerEntry,
+    TextSection,
+    TimeSection,
+    TrialEntry,
+)
+from cell.study.imports.proposal import mapping_text
+from cell.study.table import table_text
+
+FloatArray = NDArray[np.float64]
+
+_POSE = ("t_s", "x_m", "y_m", "angle_rad")
+
+
+class NotReadBackError(RuntimeError):
+    """A study reads back as another than was written: a mistake of this program."""
+
+
+def write_imported(study: Study, folder: Path) -> Study:
+    """Write a study and return it as it reads back, which is the same to the last bit.
+
+    It is written elsewhere first: what cannot be read back leaves nothing in `folder`.
+
+    raises  InputError: no command could read it, with places in the files it would have; OSError
+    """
+    with TemporaryDirectory(prefix="cell-import-") as somewhere:
+        there = Path(somewhere) / folder.name
+        write_study(study, there)
+        try:
+            back = read_study(there)
+        except InputError as error:
+            problems = [replace(p, path=folder / p.path.relative_to(there)) for p in error.problems]
+            raise InputError(problems) from error
+        _check_same(study, back)
+    write_study(study, folder)
+    return read_study(folder)
+
+
+def _check_same(study: Study, back: Study) -> None:
+    pairs: list[tuple[FloatArray, FloatArray]] = [(study.arc_length_m, back.arc_length_m)]
+    for written, read in zip(study.trials, back.trials, strict=True):
+        thin, _ = thinned(written)
+        pairs += [
+            *((getattr(thin.grip, k), getattr(read.grip, k)) for k in _POSE),
+            (thin.markers.t_s, read.markers.t_s),
+            (thin.markers.xy_m, read.markers.xy_m),
+        ]
+    if not all(np.array_equal(a, b, equal_nan=True) for a, b in pairs):
+        raise NotReadBackError(f"{study.name} does not read back as it was written")
+
+
+def write_wide(study: Study, folder: Path) -> list[Path]:
+    """Write every trial as one wide table, and a mapping that imports them to the same study.
+
+    A row for every time of hand or markers; empty where nothing was measured at it.
+
+    raises  OSError: it cannot be written; nothing has changed
+    """
+    names = _marker_names(len(study.arc_length_m))
+    files: dict[Path, str | bytes] = {
+        folder / f"{trial.name}.csv": table_text(_columns(names), _rows(trial))
+        for trial in study.trials
+    }
+    mapping = _mapping_of(study, names)
+    files[folder / FILE] = mapping_text(mapping, (), f"cell import {FILE}")
+    write_all(files)
+    return list(files)
+
+
+def _marker_names(count: int) -> list[str]:
+    """Tip first, as a study has them."""
+    return ["tip", *(f"m{i}" for i in range(1, count))]
+
+
+def _columns(names: Sequence[str]) -> list[str]:
+    places = [f"{name}_{axis}_m" for name in names for axis in "xy"]
+    return ["time_s", "hand_x_m", "hand_y_m", "hand_angle_rad", *places]
+
+
+def _rows(trial: Trial) -> FloatArray:
+    grip, markers = trial.grip, trial.markers
+    times = np.union1d(grip.t_s, markers.t_s)
+    rows = np.full((len(times), 4 + 2 * markers.xy_m.shape[1]), np.nan)
+    rows[:, 0] = times
+    poses = np.column_stack([grip.x_m, grip.y_m, grip.angle_rad])
+    rows[np.searchsorted(times, grip.t_s), 1:4] = poses
+    seen = markers.xy_m.reshape(len(markers.t_s), -1)
+    rows[np.searchsorted(times, markers.t_s), 4:] = seen
+    return rows
+
+
+def _mapping_of(study: Study, names: Sequence[str]) -> Mapping:
+    """The mapping of what `write_wide` writes."""
+    return Mapping(
+        format=FORMAT,
+        name=study.name,
+        cable=CableSection(**{k: float(v) for k, v in vars(study.cable).items()}),
+        gravity_m_per_s2=study.gravity_m_per_s2,
+        noise_std_m=study.noise_std_m,
+        text=TextSection(separator=",", decimal="."),
+        time=TimeSection(column="time_s", seconds_per_unit=1.0),
+        metres_per_unit=1.0,
+        axes=AxesSection(right=[1.0, 0.0], up=[0.0, 1.0]),
+        hand=HandSection(
+            columns=["hand_x_m", "hand_y_m"],
+            angle=AngleSection(column="hand_angle_rad", radians_per_unit=1.0),
+        ),
+        markers=[
+            MarkerEntry(name=n, columns=[f"{n}_x_m", f"{n}_y_m"], arc_length_m=float(s))
+            for n, s in zip(names, study.arc_length_m, strict=True)
+        ],
+        trials=[
+            TrialEntry(
+                name=t.name, file=f"{t.name}.csv", role=t.role, start=t.start,
+                release_s=t.release_s,
+            )
+            for t in study.trials
+        ],
+    )  # fmt: skip

@@ -1,0 +1,96 @@
+"""`cell look` shows a study, a refused one too, and draws what was measured."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from cell.cable.geometry import Cable, Motion
+from cell.cli import app
+from cell.lab.report.look_figures import courses, film_strip, swing_figure
+from cell.study.data import Markers, Study, Trial
+from cell.study.facts import trial_facts
+from cell.study.folder import write_study
+from tests.cell.study.imports.made import ARCS_M, made
+
+
+@pytest.fixture
+def study() -> Study:
+    m = made()
+    grip = Motion(m.t_s, *(np.ascontiguousarray(v) for v in m.hand_m.T), m.angle_rad)
+    trials = [
+        Trial(name, "fit", "equilibrium", grip, Markers(m.t_s, m.markers_m[:, ::-1]))
+        for name in ("one", "two")
+    ]
+    return Study("swings", Cable(0.1, 0.0074, 0.016, 1e-4), ARCS_M[::-1], tuple(trials))
+
+
+def test_a_study_is_shown_with_all_its_trials(study: Study, tmp_path: Path) -> None:
+    write_study(study, tmp_path / "s")
+    page = tmp_path / "look.html"
+    done = CliRunner().invoke(app, ["look", str(tmp_path / "s"), "-o", str(page)])
+    assert done.exit_code == 0, done.output
+    assert "Nothing is odd." in done.output
+    text = page.read_text()
+    assert text.count('class="trial"') == 2
+    assert text.count("film strip</h2>") == 2
+
+
+def test_json_says_what_the_table_says(study: Study, tmp_path: Path) -> None:
+    write_study(study, tmp_path / "s")
+    done = CliRunner().invoke(app, ["look", str(tmp_path / "s"), "--json"])
+    data = json.loads(done.stdout)
+    assert (data["format"], data["wrong"], data["odd"]) == ("cable-look/1", [], [])
+    assert [t["name"] for t in data["trials"]] == ["one", "two"]
+    assert data["trials"][0]["frequencies_hz"][0] == pytest.approx(4.0, abs=0.15)
+
+
+def test_a_refused_study_is_shown_with_the_reason(study: Study, tmp_path: Path) -> None:
+    write_study(study, tmp_path / "s")
+    table = tmp_path / "s" / "two" / "markers.csv"
+    rows = [line.split(",") for line in table.read_text().splitlines()]
+    for row in rows[150:]:
+        row[1:3], row[3:5] = row[3:5], row[1:3]
+    table.write_text("\n".join(",".join(row) for row in rows) + "\n")
+    page = tmp_path / "look.html"
+    done = CliRunner().invoke(app, ["look", str(tmp_path / "s"), "-o", str(page)])
+    assert done.exit_code == 1, done.output
+    assert f"{table}:151" in done.output
+    assert "exchange the columns" in page.read_text()
+
+
+def test_a_folder_without_a_study_is_refused(tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, ["look", str(tmp_path)])
+    assert done.exit_code == 2
+    assert "study.yaml" in done.output
+
+
+def test_a_film_strip_shows_shapes_as_they_were_to_one_scale(study: Study) -> None:
+    trial = study.trials[0]
+    figure = film_strip(trial, trial_facts(trial, study.arc_length_m))
+    shapes = [t for t in figure.data if t.name == "cable"]
+    assert len(shapes) == 10
+    times = [float(a.text.removesuffix(" s")) for a in figure.layout.annotations]
+    for shape, time in zip(shapes, times, strict=True):
+        row = int(np.argmin(np.abs(trial.markers.t_s - time)))
+        near = range(max(row - 2, 0), min(row + 3, len(trial.markers.t_s)))
+        drawn = np.column_stack([shape.x, shape.y]).astype(float)
+        drawn -= drawn[0]
+        hand = np.column_stack([trial.grip.x_m, trial.grip.y_m])
+        seen = [(trial.markers.xy_m[k, ::-1] - hand[k]) * 1e3 for k in near]
+        # Labels have two decimals: one of the rows beside the time is the one drawn.
+        assert min(np.abs(drawn[1:] - s).max() for s in seen) < 0.02
+
+
+def test_courses_and_spectrum_have_the_tip_s_numbers(study: Study) -> None:
+    trial = study.trials[0]
+    facts = trial_facts(trial, study.arc_length_m)
+    x = next(t for t in courses(trial, facts).data if t.name == "x (right)")
+    np.testing.assert_allclose(x.y, trial.markers.xy_m[:, 0, 0] * 1e3, atol=1e-3)
+    swing = swing_figure(facts)
+    assert swing is not None
+    assert float(swing.layout.annotations[0].text.split()[0]) == pytest.approx(4.0, abs=0.15)

@@ -1,0 +1,57 @@
+"""Pages escape what they are given, need no network, and hold pictures and figures as data."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import plotly.graph_objects as go
+import pytest
+from jinja2 import UndefinedError
+
+from cell.files.figure_style import laid_out
+from cell.files.page import Picture, Plot, code, page
+from cell.files.table import TableData
+
+TEMPLATE = """{% extends "page.html" %}{% from "parts.html" import table, plot, pictures %}
+{% block content %}{{ table(rows) }}{{ plot(figure) }}{{ pictures(shown, 100) }}{% endblock %}"""
+EVIL = "<script>alert('&')</script>"
+
+
+def made(tmp_path: Path, **given: object) -> str:
+    (tmp_path / "t.html").write_text(TEMPLATE, encoding="utf-8")
+    figure = laid_out(go.Figure().add_scatter(x=[1], y=[2], name="</script>"), 300)
+    content = {
+        "rows": TableData("", ["a", EVIL], [["1", EVIL]], (0,)),
+        "figure": Plot.of(figure),
+        "shown": [Picture.of(np.zeros((10, 20, 3), np.uint8), 10, "one_two")],
+    }
+    return page(tmp_path, "t.html", EVIL, **(content | given))
+
+
+def test_text_is_escaped_wherever_it_stands(tmp_path: Path) -> None:
+    text = made(tmp_path)
+    assert EVIL not in text
+    assert text.count("&lt;script&gt;alert(&#39;&amp;&#39;)&lt;/script&gt;") == 4
+
+
+def test_the_data_of_a_figure_ends_no_script(tmp_path: Path) -> None:
+    data = made(tmp_path).partition('<script type="application/json">')[2]
+    figure = json.loads(data[: data.index("</script>")])
+    assert figure["data"][0]["name"] == "</script>"
+
+
+def test_columns_of_numbers_stand_to_the_right_and_pictures_are_embedded(tmp_path: Path) -> None:
+    text = made(tmp_path)
+    assert "<td class='number'>1</td>" in text
+    assert "alt='one two'" in text
+    assert "src='data:image/jpeg;base64," in text
+
+
+def test_what_a_template_lacks_is_an_error(tmp_path: Path) -> None:
+    (tmp_path / "t.html").write_text("{{ nothing }}", encoding="utf-8")
+    with pytest.raises(UndefinedError):
+        page(tmp_path, "t.html", "title")
+
+
+def test_what_stands_between_backticks_is_code_and_is_escaped() -> None:
+    assert code("a `b<c` d<e") == "a <code>b&lt;c</code> d&lt;e"

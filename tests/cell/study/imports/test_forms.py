@@ -1,0 +1,142 @@
+"""Twelve programs' files of one trial are one study; a study goes out as tables and comes back."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from cell.cli import app
+from cell.study.data import Study
+from cell.study.folder import read_study
+from tests.cell.study.imports.made import ARCS_M, CABLE, FORMS, LENGTH_M, Made, made, text
+
+#: Of numbers with 7 decimals of a millimetre, of 32 bits in C3D, and of a plane fitted to noise.
+ROUNDING_M, ROUNDING_RAD = 1e-7, 2e-6
+#: Arc lengths are proposed from shapes whose noise is 50 µm: right to 0.05 % of the cable.
+ARC_M = 5e-5
+
+
+def imported(arguments: list[str], folder: Path) -> Study:
+    """The study of the two commands."""
+    runner = CliRunner()
+    proposed = runner.invoke(app, ["import", *arguments, "-o", str(folder), *CABLE])
+    assert proposed.exit_code == 0, proposed.output
+    assert not (folder / "study.yaml").exists()
+    assert (folder / "preview.html").exists()
+    written = runner.invoke(app, ["import", str(folder / "import.yaml")])
+    assert written.exit_code == 0, written.output
+    return read_study(folder)
+
+
+@pytest.mark.parametrize("form", FORMS, ids=lambda f: f.__name__)
+def test_a_program_s_file_of_the_trial_is_the_same_study(
+    form: Callable[[Made, Path], list[str]], tmp_path: Path
+) -> None:
+    m = made()
+    study = imported(form(m, tmp_path), tmp_path / "study")
+    (trial,) = study.trials
+    assert (trial.role, trial.start, study.cable.free_length_m) == ("fit", "equilibrium", LENGTH_M)
+    np.testing.assert_allclose(study.arc_length_m, ARCS_M[::-1], atol=ARC_M)
+    # Where a file's origin is, is its own affair.
+    origin = [trial.grip.x_m[0], trial.grip.y_m[0]]
+    np.testing.assert_allclose(trial.markers.t_s, m.t_s, atol=2e-6)
+    np.testing.assert_allclose(
+        trial.markers.xy_m - origin, m.markers_m[:, ::-1] - m.hand_m[0], atol=ROUNDING_M
+    )
+    np.testing.assert_allclose(trial.grip.t_s, m.t_s, atol=2e-6)
+    hand = np.column_stack([trial.grip.x_m, trial.grip.y_m])
+    np.testing.assert_allclose(hand - origin, m.hand_m - m.hand_m[0], atol=ROUNDING_M)
+    np.testing.assert_allclose(trial.grip.angle_rad, m.angle_rad, atol=ROUNDING_RAD)
+
+
+def test_a_newcomer_s_table_is_a_study_in_two_commands(tmp_path: Path) -> None:
+    """Millimetres, names of one's own, a frame counter, zeros where a marker was lost."""
+    m = made()
+    values = np.concatenate([m.hand_m[:, None], m.markers_m], axis=1) * 1e3 + 300.0
+    values[100:104, 3] = 0.0
+    flat = values.reshape(len(m.t_s), -1)
+    names = ["pic", *(f"{n} {a}" for n in ("pinch", "A", "B", "C", "D", "end") for a in "xy")]
+    table = tmp_path / "monday 3.csv"
+    table.write_text(text([names, *([k, *row] for k, row in enumerate(flat.tolist()))]))
+    runner = CliRunner()
+    command = ["import", str(table), "-o", str(tmp_path / "my_study"), *CABLE, "--rate", "200"]
+    proposed = runner.invoke(app, [*command, "--json"])
+    assert proposed.exit_code == 0, proposed.output
+    found = {f["entry"]: f for f in json.loads(proposed.stdout)["findings"]}
+    assert found["metres_per_unit"]["sentence"].startswith("lengths are in mm")
+    assert "'pinch'" in found["hand"]["sentence"]
+    assert found["hand"]["sure"] == found["hand.angle"]["sure"] == "guessed"
+    written = runner.invoke(app, ["import", str(tmp_path / "my_study" / "import.yaml")])
+    assert written.exit_code == 0, written.output
+    (trial,) = read_study(tmp_path / "my_study").trials
+    assert trial.name == "monday_3"
+    lost = np.isnan(trial.markers.xy_m[:, 2]).all(axis=1)
+    np.testing.assert_array_equal(np.flatnonzero(lost), [100, 101, 102, 103])
+    # The angle is taken from the shape at rest: known to what the noise of 50 µm allows.
+    assert trial.grip.angle_rad[0] == pytest.approx(m.angle_rad[0], abs=0.05)
+
+
+def test_several_files_are_several_trials(tmp_path: Path) -> None:
+    files = []
+    for number in range(3):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        files += FORMS[0](made(seed=number), folder)
+    study = imported(files, tmp_path / "study")
+    assert [t.name for t in study.trials] == ["trial", "trial_2", "trial_3"]
+    assert [t.role for t in study.trials] == ["fit", "fit", "validate"]
+
+
+def test_a_study_goes_out_as_wide_tables_and_comes_back_to_the_last_bit(tmp_path: Path) -> None:
+    study = imported(FORMS[0](made(), tmp_path), tmp_path / "study")
+    runner = CliRunner()
+    out = runner.invoke(app, ["study", str(tmp_path / "study"), "--csv", str(tmp_path / "tables")])
+    assert out.exit_code == 0, out.output
+    back = runner.invoke(
+        app, ["import", str(tmp_path / "tables" / "import.yaml"), "-o", str(tmp_path / "again")]
+    )
+    assert back.exit_code == 0, back.output
+    again = read_study(tmp_path / "again")
+    assert (again.name, again.cable) == (study.name, study.cable)
+    np.testing.assert_array_equal(again.arc_length_m, study.arc_length_m)
+    for left, right in zip(study.trials, again.trials, strict=True):
+        assert (left.name, left.role, left.start) == (right.name, right.role, right.start)
+        for field in ("t_s", "x_m", "y_m", "angle_rad"):
+            np.testing.assert_array_equal(getattr(left.grip, field), getattr(right.grip, field))
+        np.testing.assert_array_equal(left.markers.t_s, right.markers.t_s)
+        np.testing.assert_array_equal(left.markers.xy_m, right.markers.xy_m)
+
+
+def test_nothing_is_overwritten_unasked(tmp_path: Path) -> None:
+    arguments = FORMS[0](made(), tmp_path)
+    imported(arguments, tmp_path / "study")
+    runner = CliRunner()
+    mapping = tmp_path / "study" / "import.yaml"
+    edited = mapping.read_text() + "# mine\n"
+    mapping.write_text(edited)
+    for command in (
+        ["import", *arguments, "-o", str(tmp_path / "study")],
+        ["import", str(mapping)],
+    ):
+        again = runner.invoke(app, command)
+        assert again.exit_code == 2
+        assert "--force" in again.output
+    assert mapping.read_text() == edited
+    forced = runner.invoke(app, ["import", str(mapping), "--force"])
+    assert forced.exit_code == 0, forced.output
+
+
+def test_the_hand_s_clock_is_proposed_from_the_motion(tmp_path: Path) -> None:
+    m = made()
+    late = Made(m.t_s + 0.25, m.hand_m, m.angle_rad, m.markers_m)
+    arguments = FORMS[-1](m, tmp_path)
+    hand = FORMS[-1](late, tmp_path / "late") if (tmp_path / "late").mkdir() is None else []
+    arguments[2] = hand[2]
+    study = imported(arguments, tmp_path / "study")
+    # A marker 20 mm from the hand moves as the hand does but for what the cable bends.
+    assert study.trials[0].grip.t_s[0] == pytest.approx(0.0, abs=0.01)

@@ -1,0 +1,174 @@
+"""Parsers of numbers, tables and names give back what was written, or say where it is wrong."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from cell.files.input_error import InputError
+from cell.study.imports.capture import Column
+from cell.study.imports.cells import NOT_SEEN, number
+from cell.study.imports.column_names import Kind, meaning
+from cell.study.imports.delimited import read_delimited
+from cell.study.imports.read import read_capture
+from cell.study.imports.units import METRES, RADIANS, SECONDS, split_unit
+
+NUMBERS = st.floats(-1e6, 1e6, allow_nan=False).map(lambda v: round(v, 6))
+
+
+def read(content: str, name: str = "t.csv") -> np.ndarray:
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / name
+        file.write_bytes(content.encode())
+        return read_delimited(file).values
+
+
+@given(NUMBERS, st.sampled_from([".", ","]))
+def test_a_number_is_read_as_it_was_written(value: float, decimal: str) -> None:
+    text = repr(value).replace(".", decimal)
+    assert number(f" {text} ", decimal) == value  # type: ignore[arg-type]
+
+
+@given(st.text(max_size=12), st.sampled_from([".", ","]))
+def test_a_cell_is_a_number_nothing_or_neither(text: str, decimal: str) -> None:
+    value = number(text, decimal)  # type: ignore[arg-type]
+    assert value is None or np.isfinite(value) or text.strip().lower() in NOT_SEEN
+
+
+@pytest.mark.parametrize("text", ["1_000", "0x1f", "inf", "1,2,3", "1.234.5", "12 mm", "1e999"])
+def test_what_python_would_take_for_a_number_and_no_table_means_is_none(text: str) -> None:
+    assert number(text, ".") is None
+
+
+def test_times_of_day_and_dates_become_seconds() -> None:
+    assert number("01:02:03.5", ".") == 3723.5
+    first, second = (number(f"2024-05-01T12:00:0{k}Z", ".") for k in (1, 2))
+    assert first is not None and second is not None
+    assert second - first == 1.0
+
+
+@settings(max_examples=60)
+@given(
+    hnp.arrays(float, st.tuples(st.integers(3, 12), st.integers(3, 6)), elements=NUMBERS),
+    st.sampled_from([(",", "."), (";", "."), (";", ","), ("\t", "."), ("\t", ","), ("|", "."),
+                     (" ", "."), (" ", ",")]),
+    st.booleans(),
+    st.sets(st.tuples(st.integers(0, 11), st.integers(1, 5)), max_size=3),
+)  # fmt: skip
+def test_a_table_is_read_whatever_its_separators(
+    values: np.ndarray, form: tuple[str, str], remark: bool, lost: set[tuple[int, int]]
+) -> None:
+    separator, decimal = form
+    values = values.copy()
+    values[:, 0] = np.arange(len(values)) + 0.5
+    for row, column in lost:
+        if row < values.shape[0] and column < values.shape[1] - 1:
+            values[row, column] = np.nan
+    names = ["time", *(f"p{k}_{a}" for k in range(4) for a in "xy")][: values.shape[1]]
+    lines = ["# made on a Monday"] if remark else []
+    lines.append(separator.join(names))
+    lines += [
+        separator.join("nan" if v != v else repr(float(v)).replace(".", decimal) for v in row)
+        for row in values
+    ]
+    np.testing.assert_array_equal(read("\n".join(lines) + "\n"), values)
+
+
+@given(hnp.arrays(float, st.tuples(st.integers(3, 8), st.just(3)), elements=NUMBERS))
+def test_decimal_commas_within_quotes_are_read(values: np.ndarray) -> None:
+    stream = io.StringIO()
+    writer = csv.writer(stream, quoting=csv.QUOTE_ALL)
+    writer.writerow(["time", "tip_x", "tip_y"])
+    values = values + 0.25
+    writer.writerows([[repr(float(v)).replace(".", ",") for v in row] for row in values])
+    np.testing.assert_allclose(read(stream.getvalue()), values, rtol=1e-12)
+
+
+@settings(max_examples=150)
+@given(st.binary(max_size=300), st.sampled_from([".csv", ".txt", ".trc", ".mcap", ".c3d", ".tsv"]))
+def test_any_bytes_are_read_or_refused(content: bytes, ending: str) -> None:
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / f"t{ending}"
+        file.write_bytes(content)
+        try:
+            read_capture(file)
+        except InputError as error:
+            assert str(file) in str(error)
+
+
+@settings(max_examples=150)
+@given(st.lists(st.lists(st.sampled_from(["1", "2,5", "x", "", "tip", "nan", "time", "3.5", "mm",
+                                          '"', "#", "X"]), max_size=6), max_size=12),
+       st.sampled_from([",", ";", "\t", " "]))  # fmt: skip
+def test_any_table_of_words_and_numbers_is_read_or_refused(
+    rows: list[list[str]], separator: str
+) -> None:
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "t.csv"
+        file.write_text("\n".join(separator.join(row) for row in rows))
+        try:
+            capture = read_capture(file)
+        except InputError as error:
+            assert f"{file}:" in str(error)
+        else:
+            assert capture.values.shape == (len(capture.lines), len(capture.columns))
+            assert len(set(capture.names)) == len(capture.names)
+
+
+@pytest.mark.parametrize("unit", [*METRES, *SECONDS, *RADIANS])
+@pytest.mark.parametrize("form", ["{} [{}]", "{} ({})", "{}_{}", "{} {}", "{}/{}"])
+def test_a_unit_is_taken_off_a_name(unit: str, form: str) -> None:
+    assert split_unit(form.format("tip_x", unit)) == ("tip_x", unit)
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "group", "axis"),
+    [
+        ("t_s", Kind.TIME, "", ""),
+        ("Time (Seconds)", Kind.TIME, "", ""),
+        ("timestamp", Kind.TIME, "", ""),
+        ("Zeit [ms]", Kind.TIME, "", ""),
+        ("Frame#", Kind.FRAME, "", ""),
+        ("Sub Frame", Kind.FRAME, "sub", ""),
+        ("tip_x_mm", Kind.COORDINATE, "tip", "x"),
+        ("Tip X [mm]", Kind.COORDINATE, "tip", "x"),
+        ("tipX", Kind.COORDINATE, "tip", "x"),
+        ("x_tip", Kind.COORDINATE, "tip", "x"),
+        ("X1", Kind.COORDINATE, "1", "x"),
+        ("x0_m", Kind.COORDINATE, "0", "x"),
+        ("M1Z", Kind.COORDINATE, "m1", "z"),
+        ("rig:LED 3 Y", Kind.COORDINATE, "rig led 3", "y"),
+        ("/mocap/tip pose position z", Kind.COORDINATE, "mocap tip", "z"),
+        ("pos_y", Kind.COORDINATE, "", "y"),
+        ("posx", Kind.COORDINATE, "", "x"),
+        ("Hand Rotation W", Kind.ANGLE, "hand", "w"),
+        ("hand_qx", Kind.QUATERNION, "hand", "x"),
+        ("clamp_angle_deg", Kind.ANGLE, "clamp", ""),
+        ("theta", Kind.ANGLE, "", ""),
+        ("tip_vx", Kind.OTHER, "tip vx", ""),
+        ("tip x velocity", Kind.OTHER, "tip velocity", "x"),
+        ("force_y", Kind.OTHER, "force", "y"),
+        ("notes", Kind.OTHER, "notes", ""),
+    ],
+)
+def test_the_meaning_of_names_that_programs_give(
+    name: str, kind: Kind, group: str, axis: str
+) -> None:
+    found = meaning(Column(name))
+    assert (found.kind, found.group, found.axis) == (kind, group, axis)
+
+
+def test_a_second_table_below_the_first_is_told(tmp_path: Path) -> None:
+    file = tmp_path / "t.csv"
+    file.write_text("time,tip_x,tip_y\n0,1,2\n1,2,3\n2,3,4\n\nDevices\n100\nForce\n1\n")
+    capture = read_delimited(file)
+    assert capture.values.shape == (3, 3)
+    assert capture.notes == (f"{file}:6: another table begins here; it is not read",)
