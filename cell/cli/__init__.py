@@ -18,7 +18,8 @@ from cell.cli import (
     acknowledge,
     bundle,
     calibrate,
-    exchange,
+    export,
+    fit,
     imports,
     lab,
     ledger,
@@ -48,7 +49,7 @@ app = typer.Typer(
 )
 for group in (
     *(run, settings, records, ledger, acknowledge, bundle, recordings, store),
-    *(lab, studies, imports, exchange, line),
+    *(fit, lab, studies, imports, export, line),
 ):
     app.add_typer(group.app)
 app.add_typer(calibrate.app)

@@ -1,11 +1,11 @@
-"""Commands of the model lab: fit, compare, diagnose, effects, discover, suggest."""
+"""Commands of the model lab: compare, diagnose, effects, discover, suggest."""
 
 from __future__ import annotations
 
 import gc
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -22,11 +22,9 @@ from cell.files.rescue import no_room, remedy
 if TYPE_CHECKING:
     from cell.files.table import TableData
     from cell.lab.data.progress import Progress
-    from cell.lab.data.results import Agreement, Doubt
     from cell.lab.data.selection import EffectSelection
     from cell.lab.search.fit_cache import FitCache
     from cell.lab.strength.compare import Comparison
-    from cell.lab.strength.profiles import ParameterProfile
     from cell.terminal.progress import ProgressLine
 
 app = group()
@@ -85,84 +83,6 @@ ReportFile = Annotated[
 Force = Annotated[
     bool, typer.Option("--force", help="Overwrite files that this program did not write.")
 ]
-
-
-@app.command(cls=JsonCommand)
-def fit(
-    study: StudyFolder,
-    out: Annotated[
-        Path | None, typer.Option("-o", "--out", help="Write the model to this file.")
-    ] = None,
-    effect: InModel = None,
-    prior: PriorFile = None,
-    config: LineModel = None,
-    profile: Annotated[
-        Path | None,
-        typer.Option(
-            "--profile",
-            help="Write profile-likelihood intervals to this HTML page: each parameter is held at "
-            "values near its best one, and all others are refitted.",
-        ),
-    ] = None,
-    as_json: Json = None,
-    force: Force = False,
-) -> None:
-    """Fit the cable's parameters, and those of effects, to the study's `fit` trials."""
-    from cell.lab.data.results import agreement_json
-    from cell.lab.data.selection import select_effects
-    from cell.lab.report.model_tables import errors_line, model_table
-    from cell.lab.report.tables import agreement_table, warning_lines
-    from cell.lab.report.wording import agreement_sentence
-    from cell.lab.strength.fitted_study import fit_study
-    from cell.lab.strength.trial_agreement import agreement
-    from cell.lab.verdict.doubts import fit_doubts, interrupted_doubt, lacking_doubt
-
-    found: list[ParameterProfile] = []
-    said: list[str] = []
-    with (
-        refusing(out, as_json, profile, force=force),
-        working("fit") as progress,
-        answering() as interrupted,
-    ):
-        selection = select_effects(effect or [])
-        fits = _explorer(study, selection, prior, progress, config)
-        model, candidate, fitted_to = fit_study(fits)
-        warnings: tuple[Doubt, ...] = lacking_doubt(model.lacks)
-        trials: Sequence[Agreement] = ()
-        with suppress(KeyboardInterrupt):
-            warnings = (*fit_doubts(fits, candidate), *warnings)
-            trials = agreement(fitted_to, candidate.fit, progress)
-            if profile is not None:
-                from cell.lab.strength.profiles import each_profile, profile_sentences
-
-                for one in each_profile(fitted_to, candidate.fit, model, progress):
-                    found.append(one)
-                    said = [f"{sentence}." for sentence in profile_sentences(found)]
-        if interrupted:
-            what = "the computations after the fit are missing or incomplete"
-            warnings = (interrupted_doubt(what), *warnings)
-    written = model.to_dict() | {
-        "warnings": [vars(w) for w in warnings],
-        "agreement": agreement_json(trials),
-    }
-    if profile is not None:
-        written["profiles"] = [p.to_json() for p in found]
-
-    def printed() -> None:
-        if print_result(written, out, as_json):
-            errors = errors_line(fits.prepared, candidate.errors)
-            apart = (agreement_sentence(trials), agreement_table(trials)) if trials else ()
-            show(*warning_lines(warnings), errors, model_table(model), *apart, *said)
-
-    def page(path: Path) -> None:
-        from cell.files.page import write_page
-        from cell.lab.report.report import profile_page
-
-        write_page(profile_page(fits.prepared.study.name, found), path)
-
-    deliver(printed, *json_files(written, out, as_json), (profile if found else None, page))
-    if interrupted:
-        raise typer.Exit(interrupted.code)
 
 
 @app.command(cls=JsonCommand)
@@ -250,7 +170,7 @@ def diagnose(
 
     with refusing(*results or [], report, force=force), working("diagnose") as progress:
         selection = select_for_diagnosis(effect or [], known or [])
-        fits = _explorer(study, selection, prior, progress, config)
+        fits = explorer(study, selection, prior, progress, config)
         gc.freeze()  # what is loaded stays: not looked through for garbage again and again
         with stoppable(fits.work.stop) as interrupted:
             examination = with_agreement(with_limits(diagnose_study(fits)))
@@ -331,7 +251,7 @@ def discover(
     with refusing(out, as_json, force=force), working("discover") as progress:
         effect_name(out)
         selection = select_effects(effect or [])
-        fits = _explorer(study, selection, prior, progress)
+        fits = explorer(study, selection, prior, progress)
         with stoppable(fits.work.stop) as interrupted:
             try:
                 discovery = discover_effect(fits, out)
@@ -388,7 +308,7 @@ def suggest(
     with refusing(out, as_json, force=force), working("suggest") as progress:
         surroundings = Surroundings.read(config)
         selection = select_for_diagnosis(effect or [], known or [])
-        fits = _explorer(study, selection, prior, progress, config)
+        fits = explorer(study, selection, prior, progress, config)
         with stoppable(fits.work.stop) as interrupted:
             diagnosed = diagnose_study(fits)
         if interrupted:
@@ -435,7 +355,7 @@ def refusing(*outputs: Path | None, force: bool = False) -> Iterator[None]:
         raise typer.Exit(BAD_INPUT) from error
 
 
-def _explorer(
+def explorer(
     folder: Path,
     selection: EffectSelection,
     prior: Path | None,

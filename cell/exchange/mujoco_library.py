@@ -20,12 +20,12 @@ def mujoco_library() -> Any:
         import mujoco
     except ImportError as error:
         raise NoMujocoError(
-            'MuJoCo is not installed; install it with: pip install "cable-cell[mujoco]"'
+            "MuJoCo is needed for this: pip install 'cable-cell[mujoco]'"
         ) from error
     if not hasattr(mujoco.MjModel, "jnt_stiffnesspoly"):
         raise NoMujocoError(
-            f"MuJoCo {mujoco.__version__} has no polynomial springs; install a newer one with: "
-            'pip install -U "cable-cell[mujoco]"'
+            f"MuJoCo {mujoco.__version__} has no polynomial springs; a newer one is needed: "
+            "pip install -U 'cable-cell[mujoco]'"
         )
     return mujoco
 

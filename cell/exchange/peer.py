@@ -16,6 +16,7 @@ from cell.exchange.chain import Chain, resting_bends
 from cell.exchange.mjcf import mjcf, resting_qpos
 from cell.exchange.mujoco_library import mujoco_library, without_log
 from cell.plan.measuring import quintic
+from cell.study.data import Study
 
 FloatArray = NDArray[np.float64]
 
@@ -59,6 +60,17 @@ def stroke() -> Trial:
     t = np.arange(0.0, end + 1e-9, 0.002)
     down = -STROKE_M * quintic(np.clip((t - STILL_S) / STROKE_S, 0.0, 1.0))
     return Trial("50 mm stroke", Motion(t, np.zeros_like(t), down, np.zeros_like(t)), 0.0, end)
+
+
+def trials_of(study: Study) -> tuple[tuple[Trial, ...], tuple[str, ...]]:
+    """The motions of a study, and the names of its trials that begin bent: they are left out."""
+    trials = []
+    for t in study.trials:
+        if not t.bent:
+            first = min(t.grip.t_s[0], t.markers.t_s[0]) if t.release_s is None else t.release_s
+            last = float(t.markers.t_s[-1])
+            trials.append(Trial(t.name, t.grip, float(first), last, t.release_s))
+    return tuple(trials), tuple(t.name for t in study.trials if t.bent)
 
 
 def engine_tip(model: CableModel, trial: Trial, times_s: FloatArray) -> FloatArray:
@@ -139,7 +151,7 @@ class Reference:
     def of(cls, model: CableModel, trial: Trial) -> Reference:
         """By the project's engine on its fine mesh.  Raises `simulate`'s errors."""
         count = int((trial.end_s - trial.start_s) / COMPARED_S + 1e-9)
-        times = trial.start_s + COMPARED_S * np.arange(count + 1)
+        times = np.asarray(trial.start_s + COMPARED_S * np.arange(count + 1.0))
         return cls(trial, times, engine_tip(model, trial, times))
 
 

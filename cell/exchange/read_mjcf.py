@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.exchange.hinge_chain import HingeChain, Spring
 from cell.exchange.mjcf import CURVATURE_LENGTH
 from cell.exchange.mujoco_library import mujoco_library, without_log
 from cell.exchange.xml_lines import element_lines, line_in
@@ -24,57 +24,10 @@ MAX_BYTES = 20_000_000
 FEWEST = 4
 #: What a chain may differ from one straight, even line: share of its length, and of its density.
 STRAIGHT, EVEN = 0.01, 0.02
-
-
-@dataclass(frozen=True, eq=False)
-class Spring:
-    """Of one hinge: a D + b D² + c D³ beyond a dead band, D in rad from it; moments in N·m.
-
-    low_rad, high_rad  ends of the dead band, from the bend free of load
-    """
-
-    low_rad: float
-    high_rad: float
-    coefficients: tuple[float, float, float]
-
-    def __call__(self, angle_rad: FloatArray) -> FloatArray:
-        """Moment that turns the hinge back, N·m, at bends from that free of load, rad."""
-        d = np.where(
-            angle_rad > self.high_rad,
-            angle_rad - self.high_rad,
-            np.minimum(angle_rad - self.low_rad, 0.0),
-        )
-        a, b, c = self.coefficients
-        return np.asarray(d * (a + d * (b + d * c)))
-
-
-@dataclass(frozen=True, eq=False)
-class HingeChain:
-    """What a file says of a chain of n hinges.  SI units; arc lengths from the clamp.
-
-    length_m            of the cable
-    arc_length_m        (n,) of the hinges
-    curvature_length_m  (n,) bend over curvature
-    springs             of every hinge
-    rest_rad            (n,) bends free of load
-    damping_n_m_s       (n,)
-    density_kg_per_m    that has weight
-    lines               (n,) where the hinges stand in the file
-    notes               what of the file is not read
-    """
-
-    length_m: float
-    arc_length_m: FloatArray
-    curvature_length_m: FloatArray
-    springs: tuple[tuple[Spring, ...], ...]
-    rest_rad: FloatArray
-    damping_n_m_s: FloatArray
-    density_kg_per_m: float
-    width_m: float
-    thickness_m: float
-    gravity_m_per_s2: float
-    lines: tuple[int, ...]
-    notes: tuple[str, ...]
+#: Hinges are as far apart as this share of the length, or coincide.
+NEAR = 1e-6
+#: No hinge of a cable is damped so much.
+MOST_DAMPING_N_M_S = 1e6
 
 
 def read_chain(path: Path) -> HingeChain:
@@ -87,20 +40,22 @@ def read_chain(path: Path) -> HingeChain:
     try:
         with without_log():
             model = mujoco.MjModel.from_xml_path(str(path))
+            data = mujoco.MjData(model)
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         said = " ".join(str(error).split())
         message = f"MuJoCo cannot read it: {said}; mend that, or export the chain again"
         raise InputError.at(path, message, line=line_in(said)) from error
-    return _Reading(path, model, element_lines(text)).chain()
+    return _Reading(path, model, data, element_lines(text)).chain()
 
 
 class _Reading:
     """One file, compiled by MuJoCo at its initial configuration."""
 
-    def __init__(self, path: Path, model: Any, lines: dict[tuple[str, str], int]) -> None:
+    def __init__(
+        self, path: Path, model: Any, data: Any, lines: dict[tuple[str, str], int]
+    ) -> None:
         self.mujoco = mujoco_library()
-        self.path, self.model, self.lines = path, model, lines
-        self.data = self.mujoco.MjData(model)
+        self.path, self.model, self.data, self.lines = path, model, data, lines
         self.data.qpos[:] = model.qpos0
         self.mujoco.mj_kinematics(model, self.data)
         self.notes: list[str] = []
@@ -123,14 +78,22 @@ class _Reading:
         dofs = m.jnt_dofadr[joints]
         if np.any(m.dof_dampingpoly[dofs]):
             self.notes.append("damping beyond the linear is not read")
-        self._tell_what_is_not_read()
+        damping = np.array(m.dof_damping[dofs])
+        for j, one in zip(joints, damping, strict=True):
+            if not 0.0 <= one < MOST_DAMPING_N_M_S:
+                self._refuse(
+                    j,
+                    f"has damping {one:g} N·m·s/rad, must be 0 … {MOST_DAMPING_N_M_S:g}",
+                    "mind the units",
+                )
+        self._tell_what_is_not_read(int(m.jnt_bodyid[joints[-1]]))
         return HingeChain(
             length,
             arc,
             self._curvature_length(len(joints), arc, length),
             tuple(self._springs(j) for j in joints),
             np.array(m.qpos_spring[m.jnt_qposadr[joints]] - m.qpos0[m.jnt_qposadr[joints]]),
-            np.array(m.dof_damping[dofs]),
+            damping,
             self._density(joints, arc, length),
             width,
             thickness,
@@ -197,8 +160,11 @@ class _Reading:
         along /= length
         arc = (points - clamp) @ along
         off = np.linalg.norm(points - clamp - arc[:, None] * along, axis=1)
-        for j, beside, step in zip(joints, off[1:], np.diff(arc), strict=False):
-            if beside > STRAIGHT * length or step < 0.0:
+        after = np.diff(arc)[1:]  # of every hinge: to the next, or to the tip
+        for j, beside, step in zip(joints, off[1:], after, strict=False):
+            if not step > NEAR * length:
+                self._refuse(j, "is no nearer to the clamp than what follows", "give links lengths")
+            if beside > STRAIGHT * length:
                 self._refuse(
                     j,
                     f"is {beside * 1e3:.3g} mm beside the line from the clamp to the tip",
@@ -281,11 +247,14 @@ class _Reading:
     def _section(
         self, joints: Sequence[int], axis: FloatArray, along: FloatArray
     ) -> tuple[float, float]:
-        """Width, along the hinges' axis, and thickness: of the first link that has a shape."""
+        """Width, along the hinges' axis, and thickness: of the first link that has a shape.
+
+        A round one is a strip as wide that has the same section.
+        """
         m, kinds = self.model, self.mujoco.mjtGeom
         bodies = m.jnt_bodyid[joints]
-        round_kinds = (kinds.mjGEOM_CAPSULE, kinds.mjGEOM_CYLINDER)
-        shapes = np.isin(m.geom_type, (kinds.mjGEOM_BOX, *round_kinds))
+        round_kinds = (int(kinds.mjGEOM_CAPSULE), int(kinds.mjGEOM_CYLINDER))
+        shapes = np.isin(m.geom_type, (int(kinds.mjGEOM_BOX), *round_kinds))
         found = np.flatnonzero(shapes & np.isin(m.geom_bodyid, bodies))
         if not found.size:
             self._refuse(
@@ -296,16 +265,21 @@ class _Reading:
         g = int(found[0])
         size, turn = m.geom_size[g], self.data.geom_xmat[g].reshape(3, 3)
         if m.geom_type[g] in round_kinds:
-            return 2.0 * float(size[0]), 2.0 * float(size[0])
+            return 2.0 * float(size[0]), 0.5 * np.pi * float(size[0])
         across = np.cross(axis, along)
         return (
             float(2.0 * np.abs(axis @ turn) @ size),
             float(2.0 * np.abs(across @ turn) @ size),
         )
 
-    def _tell_what_is_not_read(self) -> None:
-        """Notes of what the file has beside EI, N, viscosity and the datasheet."""
+    def _tell_what_is_not_read(self, last: int) -> None:
+        """Notes of what the file has beside EI, N, viscosity and the datasheet.
+
+        last  body of the last link
+        """
         m = self.model
+        if m.body_subtreemass[last] > m.body_mass[last]:
+            self.notes.append("bodies beyond the chain, as a mass at the tip, are not read")
         if m.opt.density or m.opt.viscosity or np.any(m.opt.wind):
             self.notes.append("air (option density, viscosity, wind) is not read")
         if any(m.tendon_num[t] > 1 for t in range(m.ntendon)):

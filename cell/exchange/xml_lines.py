@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from xml.parsers import expat
 
 #: Elements that are joints.
@@ -13,7 +14,7 @@ def element_lines(text: str) -> dict[tuple[str, str], int]:
     """Lines, from 1, by element and name ('' without one); joints of bodies also by number.
 
     A joint's number is that in document order, as MuJoCo numbers them: ('#joint', '0').  What
-    cannot be parsed has no lines.
+    stands after a mistake has no lines.
     """
     found: dict[tuple[str, str], int] = {}
     open_elements: list[str] = []
@@ -36,14 +37,12 @@ def element_lines(text: str) -> dict[tuple[str, str], int]:
     parser = expat.ParserCreate()
     parser.StartElementHandler = start
     parser.EndElementHandler = end
-    try:
+    with suppress(expat.ExpatError):
         parser.Parse(text, True)
-    except expat.ExpatError:
-        return {}
     return found
 
 
 def line_in(message: str) -> int:
     """The line that a message of MuJoCo's names; 1 if it names none."""
-    named = re.search(r"\bline[ :=]+(\d+)", message)
+    named = re.search(r"\bline(?: number)?[ :=]+(\d+)", message, re.IGNORECASE)
     return int(named[1]) if named else 1

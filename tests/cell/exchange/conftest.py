@@ -7,6 +7,8 @@ import pytest
 
 from cell.cable.effects import library
 from cell.cable.geometry import Cable
+from cell.exchange.chain import chain_of, resting_bends
+from cell.exchange.mjcf import mjcf
 from cell.identify.identified import Identified
 from cell.identify.noise import Noise
 from cell.identify.parameters import ParameterSpace
@@ -37,3 +39,17 @@ def flat_model():
         )  # fmt: skip
 
     return make
+
+
+@pytest.fixture
+def chain_xml(tmp_path):
+    """The file of a model as a chain of so many links, without a comparison."""
+
+    def write(identified: Identified, links: int, name: str = "cable.xml"):
+        chain = chain_of(identified.model, links)
+        rest = resting_bends(identified.model, links, 0.0)
+        path = tmp_path / name
+        path.write_text(mjcf(chain, 1e-3, rest, ["A cable"]), encoding="utf-8")
+        return path
+
+    return write

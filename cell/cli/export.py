@@ -1,4 +1,4 @@
-"""Commands that bring a cable's model to other programs, and back: export, import-mujoco."""
+"""Command that writes a cable's model for other programs; `cell fit --from` is the way back."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cell.cli.delivery import deliver, json_files
-from cell.cli.given import folder_of
-from cell.cli.lab import refusing, show, working
+from cell.cli.given import folder_of, maybe_folder_of
+from cell.cli.lab import Force, refusing, show, working
 from cell.cli.result_json import Json, JsonCommand, print_result
 from cell.cli.shared import BAD_INPUT, NOT_ALL_DONE, group, tell_notes
 
@@ -30,20 +30,20 @@ class Target(Enum):
     JSON = "json"
 
 
-def _maybe_folder_of(ctx: typer.Context, given: Path | None) -> Path | None:
-    return None if given is None else folder_of(ctx, given)
-
-
-Force = Annotated[
-    bool, typer.Option("--force", help="Overwrite a file that this program did not write.")
-]
+def _model_file(ctx: typer.Context, given: Path) -> Path:
+    """The file itself, or that of a cycle's folder or recording."""
+    found = folder_of(ctx, given)
+    return found / "model.json" if found.is_dir() else found
 
 
 @app.command(cls=JsonCommand)
 def export(
     model: Annotated[
         Path,
-        typer.Argument(help="Model by `cell fit -o` or `cell identify`, or a cycle's model.json."),
+        typer.Argument(
+            help="Model by `cell fit -o` or `cell identify -o`; or a cycle's folder or recording.",
+            callback=_model_file,
+        ),
     ],
     to: Annotated[Target, typer.Option("--to", help="MuJoCo's XML, or a plain description.")],
     out: Annotated[Path, typer.Option("-o", "--out", help="Write it to this file.")],
@@ -61,7 +61,7 @@ def export(
         typer.Option(
             "--study",
             help="Compare in this study's or cycle's own motions too.",
-            callback=_maybe_folder_of,
+            callback=maybe_folder_of,
         ),
     ] = None,
     effect: Annotated[
@@ -111,14 +111,20 @@ def _to_mujoco(
     as_json: Path | None,
 ) -> None:
     """Write the XML and say how far the tips are apart; ends with 1 beyond the bar."""
+    from cell.cable.solver import LanesError
     from cell.exchange.export import export_to_mujoco
     from cell.exchange.report import export_parts
     from cell.files.atomic import write_whole
+    from cell.files.input_error import InputError
 
     with refusing(), working("export") as progress:
-        trials = [] if study is None else _trials(study, model, identified)
-        progress("comparing with MuJoCo", 0, 1)
-        done = export_to_mujoco(identified.model, model.name, links, trials)
+        trials = () if study is None else _motions(study, model, identified)
+        progress("comparing with MuJoCo")
+        try:
+            done = export_to_mujoco(identified.model, model.name, links, trials)
+        except LanesError as error:
+            message = f"cannot be simulated: {error}; fit the model again"
+            raise InputError.at(model, message) from error
     data = done.to_json()
 
     def printed() -> None:
@@ -130,50 +136,15 @@ def _to_mujoco(
         raise typer.Exit(NOT_ALL_DONE)
 
 
-def _trials(study: Path, model: Path, identified: Identified) -> list[Trial]:
-    """The motions of a study of the same kind of cable; those that begin bent are left out."""
-    from cell.exchange.peer import Trial
+def _motions(study: Path, model: Path, identified: Identified) -> tuple[Trial, ...]:
+    """The motions of a study of the same kind of cable; those that begin bent are told."""
+    from cell.exchange.peer import trials_of
     from cell.lab.fit.individual_model import check_same_kind
     from cell.study.folder import read_study, study_folder
 
     measured = read_study(study_folder(study))
     check_same_kind(model, identified, measured.cable)
-    bent = [t.name for t in measured.trials if t.bent]
+    trials, bent = trials_of(measured)
     if bent:
         tell_notes([f"not compared, because they begin bent: {', '.join(bent)}"])
-    return [
-        Trial(
-            t.name,
-            t.grip,
-            float(min(t.grip.t_s[0], t.markers.t_s[0]) if t.release_s is None else t.release_s),
-            float(t.markers.t_s[-1]),
-            t.release_s,
-        )
-        for t in measured.trials
-        if not t.bent
-    ]
-
-
-@app.command("import-mujoco", cls=JsonCommand)
-def import_mujoco(
-    xml: Annotated[Path, typer.Argument(help="MJCF with one chain of hinges that have springs.")],
-    out: Annotated[Path, typer.Option("-o", "--out", help="Write the model to this file.")],
-    as_json: Json = None,
-    force: Force = False,
-) -> None:
-    """Read EI(s), exponent and viscosity of a MuJoCo chain, and write them as a model."""
-    from cell.exchange.imported import import_mujoco as imported_from
-    from cell.lab.report.model_tables import model_table
-
-    with refusing(out, as_json, force=force):
-        found = imported_from(xml)
-    tell_notes(found.notes)
-    data = found.model.to_dict()
-
-    def printed() -> None:
-        if print_result(data, as_json):
-            show(
-                model_table(found.model), "Nothing was measured: the intervals are a weak prior's."
-            )
-
-    deliver(printed, *json_files(data, out, as_json))
+    return trials

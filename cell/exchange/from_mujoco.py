@@ -1,4 +1,4 @@
-"""A chain of hinges as a model: EI(s), N and viscosity that its springs and dampers have."""
+"""A model fitted to a chain of hinges: EI(s), N and viscosity of its springs and dampers."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from scipy.optimize import minimize_scalar
 
 from cell.cable.geometry import Cable
 from cell.cable.model import knot_basis
-from cell.exchange.read_mjcf import HingeChain, read_chain
+from cell.exchange.hinge_chain import HingeChain
+from cell.exchange.read_mjcf import read_chain
 from cell.exchange.springs import law
 from cell.files.input_error import InputError
 from cell.identify.identified import Identified
@@ -24,6 +25,9 @@ FloatArray = NDArray[np.float64]
 _EXPONENTS = (0.3, 3.0)
 #: Curvatures up to half a circle at which springs are read.
 _SAMPLES = 120
+#: Moments that no hinge of a cable takes, N·m: below those of a hair of a millimetre, beyond those
+#: of a steel rope as thick as an arm.
+_MOMENTS_N_M = (1e-15, 1e6)
 #: What the model may not show of springs and dampers before it is told, as shares.
 _TOLD = 0.01
 #: A file has no camera.  The noise that a model must state only scales its residual, which is 0.
@@ -31,15 +35,17 @@ _NOISE_M = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
-class Imported:
-    """A model read from a file, and what of the file it does not have."""
+class FittedChain:
+    """A model of the chain in a file, and what of the file it does not have."""
 
     model: Identified
     notes: tuple[str, ...]
 
 
-def import_mujoco(path: Path) -> Imported:
-    """The model in an MJCF file: no measurement, so its uncertainty is that of the weak prior.
+def model_from_mujoco(path: Path) -> FittedChain:
+    """The model of the chain in an MJCF file.
+
+    Nothing is measured: the uncertainty is that of the weak prior.  Its frame has y up.
 
     raises  NoMujocoError; InputError: no chain, or a value that no cable has
     """
@@ -48,7 +54,7 @@ def import_mujoco(path: Path) -> Imported:
     cable = Cable(chain.length_m, chain.density_kg_per_m, chain.width_m, chain.thickness_m)
     if (why := cable.implausible()) is not None:
         raise InputError.at(path, f"line_density_kg_per_m: {why}", line=chain.lines[0])
-    exponent, rigidity, misfit = _bending(chain)
+    exponent, rigidity, misfit = _bending(path, chain)
     if not rigidity.min() > 0.0:
         weak = int(np.argmin(rigidity))
         message = (
@@ -67,7 +73,7 @@ def import_mujoco(path: Path) -> Imported:
     log_viscosity = float(np.log(viscosity)) if viscosity > 0.0 else float(space.low[-1])
     q = np.array([*log_rigidity, exponent, log_viscosity])
     _check_bounds(path, chain, space, q)
-    return Imported(_unmeasured(space, q), tuple(notes))
+    return FittedChain(_unmeasured(space, q), tuple(notes))
 
 
 def _at_knots(chain: HingeChain, rigidity: FloatArray, notes: list[str]) -> FloatArray:
@@ -111,16 +117,33 @@ def _unmeasured(space: ParameterSpace, q: FloatArray) -> Identified:
     )
 
 
-def _bending(chain: HingeChain) -> tuple[float, FloatArray, float]:
+def _moments(path: Path, chain: HingeChain, k: FloatArray) -> FloatArray:
+    """(n, …) moments of the hinges' springs at curvatures (…), 1/m; N·m.
+
+    raises  InputError: some are beyond what numbers can hold, or what any cable has
+    """
+    low, high = _MOMENTS_N_M
+    found = np.empty((len(chain.springs), len(k)))
+    for i, (springs, length) in enumerate(
+        zip(chain.springs, chain.curvature_length_m, strict=True)
+    ):
+        with np.errstate(over="ignore", invalid="ignore"):
+            found[i] = sum(spring(k * length) for spring in springs)
+        most = float(np.abs(found[i]).max())
+        if not low < most < high:
+            message = (
+                f"hinge {i + 1} bent to its part of half a circle takes {most:.3g} N·m, must be "
+                f"{low:g} … {high:g} N·m; mind the units of stiffness, N·m/rad"
+            )
+            raise InputError.at(path, message, line=chain.lines[i])
+    return found
+
+
+def _bending(path: Path, chain: HingeChain) -> tuple[float, FloatArray, float]:
     """N, EI at the hinges, N·m², and what they miss of the moments, root mean square share."""
     reach = np.pi / chain.length_m
     k = np.linspace(-reach, reach, _SAMPLES)
-    moments = np.array(
-        [
-            sum(spring(k * length) for spring in springs)
-            for springs, length in zip(chain.springs, chain.curvature_length_m, strict=True)
-        ]
-    )
+    moments = _moments(path, chain, k)
 
     def fitted(exponent: float) -> tuple[FloatArray, float]:
         """EI of the hinges, each by least squares, and the share that is missed."""
