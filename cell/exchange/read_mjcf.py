@@ -108,10 +108,13 @@ class _Reading:
         sprung = (m.jnt_stiffness != 0.0) | np.any(m.jnt_stiffnesspoly != 0.0, axis=1)
         joints = [int(j) for j in np.flatnonzero(sprung)]
         if len(joints) < FEWEST:
+            hinges = m.jnt_type == self.mujoco.mjtJoint.mjJNT_HINGE
+            without = [int(j) for j in np.flatnonzero(hinges & ~sprung)]
             raise InputError.at(
                 self.path,
                 f"has {len(joints)} joints with stiffness; a chain needs at least {FEWEST} hinges "
                 "with a spring each: export a cable, or give the joints `stiffness`",
+                line=self._joint_line(without[0]) if without else 1,
             )
         before = -1
         for j in joints:

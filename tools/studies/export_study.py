@@ -20,7 +20,7 @@ import numpy as np
 
 from cell.exchange.export import export_to_mujoco
 from cell.exchange.from_mujoco import model_from_mujoco
-from cell.exchange.peer import Trial, trials_of
+from cell.exchange.peer import Difference, Trial, trials_of
 from cell.identify.identified import Identified
 from cell.lab.data.opened_study import open_study
 from cell.lab.data.selection import select_effects
@@ -45,6 +45,7 @@ class Exported:
     stroke_mm    difference of the tips in the 50 mm stroke, root mean square
     most_mm      the largest there
     motions, own_mm   the study's own motions, and the root mean square of the worst of them
+    left_out_mm  how far the tip is moved by the effects that are left out, in the worst motion
     rigidity_back_percent, exponent_back, viscosity_back_percent   largest change on the way back
     """
 
@@ -58,6 +59,7 @@ class Exported:
     most_mm: str
     motions: int
     own_mm: str
+    left_out_mm: str
     rigidity_back_percent: str
     exponent_back: str
     viscosity_back_percent: str
@@ -100,12 +102,17 @@ def exported(name: str, model: Identified, trials: Sequence[Trial]) -> Exported:
         f"{stroke.rms_m * 1e3:.3f}",
         f"{stroke.most_m * 1e3:.3f}",
         len(own),
-        f"{max(d.rms_m for d in own) * 1e3:.3f}" if own else "–",
-        f"{100.0 * np.abs(changed[:k]).max():.2f}",
-        f"{abs(back[k] - model.values[k]):.4f}",
-        f"{100.0 * abs(changed[k + 1]):.3f}",
+        _worst_mm(own),
+        _worst_mm(done.missing),
+        f"{100.0 * np.abs(changed[:k]).max():.4f}",
+        f"{abs(back[k] - model.values[k]):.6f}",
+        f"{100.0 * abs(changed[k + 1]):.4f}",
         f"{cpu_s:.1f}",
     )
+
+
+def _worst_mm(differences: Sequence[Difference]) -> str:
+    return f"{max(d.rms_m for d in differences) * 1e3:.3f}" if differences else "–"
 
 
 def main() -> None:
