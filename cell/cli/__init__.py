@@ -18,6 +18,8 @@ from cell.cli import (
     acknowledge,
     bundle,
     calibrate,
+    export,
+    fit,
     imports,
     lab,
     ledger,
@@ -36,7 +38,7 @@ from cell.terminal.logs import about, to_file, to_terminal
 #: Commands that run a user's own effects; another process watches that they end.
 WATCHED = (
     *("fit", "compare", "diagnose", "discover", "suggest", "identify", "learn"),
-    *("check", "effects", "promote"),
+    *("check", "effects", "promote", "export"),
 )
 
 app = typer.Typer(
@@ -47,7 +49,7 @@ app = typer.Typer(
 )
 for group in (
     *(run, settings, records, ledger, acknowledge, bundle, recordings, store),
-    *(lab, studies, imports, line),
+    *(fit, lab, studies, imports, export, line),
 ):
     app.add_typer(group.app)
 app.add_typer(calibrate.app)

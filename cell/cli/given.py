@@ -20,6 +20,11 @@ def folder_of(ctx: typer.Context, given: Path) -> Path:
     return folder_in(ctx.with_resource, given)
 
 
+def maybe_folder_of(ctx: typer.Context, given: Path | None) -> Path | None:
+    """The same of what may be left out."""
+    return None if given is None else folder_of(ctx, given)
+
+
 def folders_of(ctx: typer.Context, given: Sequence[Path]) -> list[Path]:
     """The same for several."""
     return [folder_of(ctx, path) for path in given]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from cell.files.table import TableData
     from cell.lab.data.progress import Progress
     from cell.lab.strength.compare import Comparison
-    from cell.lab.strength.profiles import ParameterProfile
     from cell.terminal.progress import ProgressLine
 
 app = group()
@@ -91,67 +90,6 @@ ReportFile = Annotated[
 Force = Annotated[
     bool, typer.Option("--force", help="Overwrite files that this program did not write.")
 ]
-
-
-@app.command(cls=JsonCommand)
-def fit(
-    study: StudyFolder,
-    out: Annotated[
-        Path | None, typer.Option("-o", "--out", help="Write the model to this file.")
-    ] = None,
-    effect: InModel = None,
-    prior: PriorFile = None,
-    config: LineModel = None,
-    profile: Annotated[
-        Path | None,
-        typer.Option(
-            "--profile",
-            help="Write profile-likelihood intervals to this HTML page: each parameter is held at "
-            "values near its best one, and all others are refitted.",
-        ),
-    ] = None,
-    as_json: Json = None,
-    force: Force = False,
-) -> None:
-    """Fit the cable's parameters, and those of effects, to the study's `fit` trials."""
-    from cell.api.lab import fitted, set_up
-    from cell.lab.data.selection import select_effects
-
-    found: list[ParameterProfile] = []
-    said: list[str] = []
-    with (
-        refusing(out, as_json, profile, force=force),
-        working("fit") as progress,
-        answering() as interrupted,
-    ):
-        selection = select_effects(effect or [])
-        result = fitted(set_up(study, selection, prior, config, progress, tell_notes))
-        with suppress(KeyboardInterrupt):
-            if profile is not None and not interrupted:
-                from cell.lab.strength.profiles import each_profile, profile_sentences
-
-                at = result.weighed, result.candidate.fit, result.model
-                for one in each_profile(*at, progress):
-                    found.append(one)
-                    said = [f"{sentence}." for sentence in profile_sentences(found)]
-        result = result.interrupted() if interrupted else result
-    written = result.to_json()
-    if profile is not None:
-        written["profiles"] = [p.to_json() for p in found]
-
-    def printed() -> None:
-        if print_result(written, out, as_json):
-            show(*result.parts(), *said)
-
-    def page(path: Path) -> None:
-        from cell.files.page import write_page
-        from cell.lab.report.report import profile_page
-
-        write_page(profile_page(result.prepared.study.name, found), path)
-
-    deliver(printed, *json_files(written, out, as_json), (profile if found else None, page))
-    if interrupted:
-        raise typer.Exit(interrupted.code)
 
 
 @app.command(cls=JsonCommand)

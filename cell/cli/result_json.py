@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -37,19 +38,22 @@ class JsonCommand(TyperCommand):
             following = args[i + 1] if i + 1 < len(args) else "--"
             if word == "--json" and (
                 (following.startswith("-") and following != str(STDOUT))
-                or self._lacks_argument(ctx, [*args[:i], *args[i + 2 :]])
+                or not self.is_complete(self._given(ctx, [*args[:i], *args[i + 2 :]]))
             ):
                 args = [*args[: i + 1], str(STDOUT), *args[i + 1 :]]
         return super().parse_args(ctx, args)
 
-    def _lacks_argument(self, ctx: Any, args: list[str]) -> bool:
-        """Whether these words leave a required argument without a value."""
-        given, _, _ = self.make_parser(ctx).parse_args(list(args))
-        return any(
-            parameter.required and not isinstance(given.get(parameter.name), str | tuple | list)
+    def is_complete(self, given: Mapping[str, Any]) -> bool:
+        """Whether every required argument has a value; `given` has the words by parameter."""
+        return all(
+            isinstance(given.get(str(parameter.name)), str | tuple | list)
             for parameter in self.params
-            if parameter.param_type_name == "argument"
+            if parameter.param_type_name == "argument" and parameter.required
         )
+
+    def _given(self, ctx: Any, args: list[str]) -> Mapping[str, Any]:
+        given: Mapping[str, Any] = self.make_parser(ctx).parse_args(list(args))[0]
+        return given
 
 
 def print_result(data: dict[str, Any], *places: Path | None) -> bool:

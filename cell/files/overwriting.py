@@ -12,6 +12,7 @@ _OWN = re.compile(
     rb'\s*\{\s*"format": "(?:cable-|cell-|identified-)[a-z]+/\d+"'
     rb"|format: cell-(?:motion|candidate)/\d+\b"
     rb'|<!doctype html>\s*<html lang="en"><head><meta name="generator" content="cable-cell">'
+    rb'|<mujoco model="cable">\s*<!--\s*A cable as \d+ hinges, exported from '
     rb'|"""Law inferred from the residuals of study '
 )
 

@@ -35,7 +35,7 @@ class Identified:
     inflation       variance factor for residuals larger or more coloured than the noise; ≥ 1
     frames_used, frames_total   frames with at least one marker seen, and all
     passes          batches of simulations it took
-    method          "map" or "paper"
+    method          "map" or "paper"; "imported" if nothing was measured
     hand_covariance (p, p) share of the hand's errors, and of the simulation's, in `covariance`
     model_error_m   what the model misses at the tip beyond the noise, root mean square, m
     converged       False: the nearest model that was found, not a minimum
@@ -51,7 +51,7 @@ class Identified:
     frames_used: int
     frames_total: int
     passes: int
-    method: Literal["map", "paper"]
+    method: Literal["map", "paper", "imported"]
     hand_covariance: FloatArray
     model_error_m: float = 0.0
     converged: bool = True

@@ -48,6 +48,26 @@ def recorded(quick, tmp_path_factory) -> Path:
     return Path(result.folder)
 
 
+def test_its_model_goes_to_mujoco_and_comes_back(recorded, tmp_path):
+    """From the folder, from the recording alone, and identified again from the folder."""
+    xml, back, again = (tmp_path / name for name in ("cable.xml", "back.json", "again.json"))
+    assert run("export", recorded, "--to", "mujoco", "-o", xml).returncode == 0
+    assert run("fit", "--from", xml, "-o", back).returncode == 0
+    assert run("identify", recorded, "-o", again).returncode == 0
+    models = {}
+    for model in (recorded / form.FILE, again):
+        plain = tmp_path / "plain.json"
+        assert run("export", model, "--to", "json", "-o", plain).returncode == 0
+        models[model] = json.loads(plain.read_text())["bending"]
+    of_recording, of_identify = models.values()
+    assert of_recording["rigidity_n_m2"] == pytest.approx(of_identify["rigidity_n_m2"])
+    found = {p["name"]: p["value"] for p in json.loads(back.read_text())["parameters"]}
+    for i, rigidity in enumerate(of_recording["rigidity_n_m2"]):
+        assert found[f"rigidity_{i}"] == pytest.approx(rigidity, rel=1e-4)
+    assert found["exponent"] == pytest.approx(of_recording["exponent"], abs=1e-4)
+    assert found["viscosity"] == pytest.approx(of_recording["viscosity_n_m2_s"], rel=1e-6)
+
+
 def test_everything_is_in_it(recorded):
     recording = read_recording(recorded)
     result = json.loads((recorded / "result.json").read_text())

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import cell.cli.fit
 import cell.cli.lab
 from cell.cable.effects import library
 from cell.cli import app
@@ -117,7 +118,8 @@ class Interrupting:
 
 def interrupted(monkeypatch, during, number, *given):
     """A command during whose work somebody wants it to end, when it says that it is doing that."""
-    monkeypatch.setattr(cell.cli.lab, "working", lambda command: Interrupting(during, number))
+    for module in (cell.cli.lab, cell.cli.fit):
+        monkeypatch.setattr(module, "working", lambda command: Interrupting(during, number))
     before = {s: signal.getsignal(s) for s in (signal.SIGINT, signal.SIGTERM)}
     try:
         return CliRunner().invoke(app, [str(word) for word in given])

@@ -1,0 +1,150 @@
+"""Command that writes a cable's model for other programs; `cell fit --from` is the way back."""
+
+from __future__ import annotations
+
+import sys
+from enum import Enum
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cell.cli.delivery import deliver, json_files
+from cell.cli.given import folder_of, maybe_folder_of
+from cell.cli.lab import Force, refusing, show, working
+from cell.cli.result_json import Json, JsonCommand, print_result
+from cell.cli.shared import BAD_INPUT, NOT_ALL_DONE, group, tell_notes
+
+if TYPE_CHECKING:
+    from cell.exchange.peer import Trial
+    from cell.identify.identified import Identified
+
+app = group()
+
+
+class Target(Enum):
+    """What a model is exported to."""
+
+    MUJOCO = "mujoco"
+    JSON = "json"
+
+
+def _model_file(ctx: typer.Context, given: Path) -> Path:
+    """The file itself, or that of a cycle's folder or recording."""
+    found = folder_of(ctx, given)
+    return found / "model.json" if found.is_dir() else found
+
+
+@app.command(cls=JsonCommand)
+def export(
+    model: Annotated[
+        Path,
+        typer.Argument(
+            help="Model by `cell fit -o` or `cell identify -o`; or a cycle's folder or recording.",
+            callback=_model_file,
+        ),
+    ],
+    to: Annotated[Target, typer.Option("--to", help="MuJoCo's XML, or a plain description.")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="Write it to this file.")],
+    links: Annotated[
+        int | None,
+        typer.Option(
+            "--links",
+            min=4,
+            max=200,
+            help="Links of the MuJoCo chain. Without: as few as keep the tip within 0.03 mm rms.",
+        ),
+    ] = None,
+    study: Annotated[
+        Path | None,
+        typer.Option(
+            "--study",
+            help="Compare in this study's or cycle's own motions too.",
+            callback=maybe_folder_of,
+        ),
+    ] = None,
+    effect: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--effect", help="The file.py of an effect in the model, if the file was moved."
+        ),
+    ] = None,
+    as_json: Json = None,
+    force: Force = False,
+) -> None:
+    """Write a cable's model for another program, and say how far MuJoCo is from the model."""
+    from cell.lab.data.selection import select_effects
+    from cell.lab.fit.individual_model import read_model
+
+    with refusing(out, as_json, force=force):
+        own = {n: e for name in effect or [] for n, e in select_effects([name]).own.items()}
+        identified = read_model(model, own)
+    if to is Target.JSON:
+        if links is not None or study is not None:
+            print("--links and --study are for --to mujoco; leave them out", file=sys.stderr)
+            raise typer.Exit(BAD_INPUT)
+        _describe(identified, out, as_json)
+    else:
+        _to_mujoco(identified, model, out, links, study, as_json)
+
+
+def _describe(identified: Identified, out: Path, as_json: Path | None) -> None:
+    """Write the description; it is also the result that `--json` prints."""
+    from cell.exchange.description import description
+
+    data = description(identified)
+
+    def printed() -> None:
+        if print_result(data, as_json):
+            show(f"written to {out}: {data['format']}")
+
+    deliver(printed, *json_files(data, out, as_json))
+
+
+def _to_mujoco(
+    identified: Identified,
+    model: Path,
+    out: Path,
+    links: int | None,
+    study: Path | None,
+    as_json: Path | None,
+) -> None:
+    """Write the XML and say how far the tips are apart; ends with 1 beyond the bar."""
+    from cell.cable.solver import LanesError
+    from cell.exchange.export import export_to_mujoco
+    from cell.exchange.report import export_parts
+    from cell.files.atomic import write_whole
+    from cell.files.input_error import InputError
+
+    with refusing(), working("export") as progress:
+        trials = () if study is None else _motions(study, model, identified)
+        progress("comparing with MuJoCo")
+        try:
+            done = export_to_mujoco(identified.model, model.name, links, trials)
+        except LanesError as error:
+            message = f"cannot be simulated: {error}; fit the model again"
+            raise InputError.at(model, message) from error
+    data = done.to_json()
+
+    def printed() -> None:
+        if print_result(data, as_json):
+            show(*export_parts(done, out))
+
+    deliver(printed, (out, partial(write_whole, content=done.xml)), *json_files(data, as_json))
+    if not done.within_bar:
+        raise typer.Exit(NOT_ALL_DONE)
+
+
+def _motions(study: Path, model: Path, identified: Identified) -> tuple[Trial, ...]:
+    """The motions of a study of the same kind of cable; those that begin bent are told."""
+    from cell.exchange.peer import trials_of
+    from cell.lab.fit.individual_model import check_same_kind
+    from cell.study.folder import read_study, study_folder
+
+    measured = read_study(study_folder(study))
+    check_same_kind(model, identified, measured.cable)
+    trials, bent = trials_of(measured)
+    if bent:
+        tell_notes([f"not compared, because they begin bent: {', '.join(bent)}"])
+    return trials

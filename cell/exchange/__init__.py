@@ -1,0 +1,1 @@
+"""Models for other programs, and back: MuJoCo's XML, and a plain description as JSON."""

@@ -1,0 +1,108 @@
+"""A cable's model as rigid links and hinges: the mesh of the project's own engine, as numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable import layout as at
+from cell.cable.assembly import assemble
+from cell.cable.effects.air import AIR_DENSITY_KG_PER_M3, AirDrag
+from cell.cable.effects.bending import StressRelaxation
+from cell.cable.effects.grip import GripAngle
+from cell.cable.geometry import Cable
+from cell.cable.model import CableModel
+from cell.cable.statics import settle
+from cell.exchange.expressible import value
+from cell.exchange.springs import Springs, springs_for
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """Links from the clamp to the tip; link 0 is half a link, held; so is the last, free.
+
+    link_m             (n + 1,) lengths
+    mass_kg            (n + 1,) that resists motion, without the point mass
+    weight_kg          (n + 1,) that has weight
+    tip_kg             point mass at the tip
+    curvature_length_m (n,) arc length that each hinge stands for: bend over curvature
+    rigidity_n_m2      (n,) EI at the hinges
+    rest_rad           (n,) bends free of load
+    damping_n_m_s      (n,) of the hinges, per rad
+    grip               stiffness, N·m/rad, and damping, N·m·s/rad, of a compliant grip, or None
+    grip_angle_rad     how far the cable is askew between the jaws
+    air_kg_per_m3      density of a fluid with drag coefficient 1 that drags as the air does
+    springs            the law of bending
+    relaxation         share of EI, and time, s, of a Maxwell branch beside every hinge, or None
+    """
+
+    cable: Cable
+    gravity_m_per_s2: tuple[float, float]
+    link_m: FloatArray
+    mass_kg: FloatArray
+    weight_kg: FloatArray
+    tip_kg: float
+    curvature_length_m: FloatArray
+    rigidity_n_m2: FloatArray
+    rest_rad: FloatArray
+    damping_n_m_s: FloatArray
+    grip: tuple[float, float] | None
+    grip_angle_rad: float
+    air_kg_per_m3: float
+    springs: Springs
+    relaxation: tuple[float, float] | None = None
+
+    @property
+    def links(self) -> int:
+        """Number of hinges that bend."""
+        return len(self.rigidity_n_m2)
+
+
+def chain_of(model: CableModel, links: int) -> Chain:
+    """The chain of a model that has only effects which a chain can have.
+
+    raises  ValueError: fewer than 4 links; effects leave less than a tenth of the cable
+    """
+    (block,) = assemble([model], links, 0.0)
+    field = block.state.reshape(links + 1, at.FIELDS, at.LANES)[:, :, 0]
+    length, per_length = field[:, at.LENGTH], field[1:, at.PER_LENGTH]
+    weight, mass = field[:, at.WEIGHT].copy(), field[:, at.MASS].copy()
+    tip = float(weight[-1] - model.cable.line_density_kg_per_m * length[-1])
+    weight[-1] -= tip
+    mass[-1] -= tip
+    share = value(model, StressRelaxation, "fraction")
+    compliant = field[0, at.FREE] > 0.0
+    return Chain(
+        model.cable,
+        model.gravity_m_per_s2,
+        length.copy(),
+        mass,
+        weight,
+        tip if tip > 1e-9 * weight.sum() else 0.0,  # rounding of the difference
+        1.0 / per_length,
+        field[1:, at.RIGIDITY].copy(),
+        field[1:, at.REST] / per_length,
+        field[1:, at.VISCOSITY] * per_length,
+        (float(field[0, at.SPRING]), float(field[0, at.VISCOSITY])) if compliant else None,
+        value(model, GripAngle, "angle_rad"),
+        AIR_DENSITY_KG_PER_M3 * value(model, AirDrag, "drag_coefficient"),
+        springs_for(model.exponent, float(length.sum())),
+        (share, value(model, StressRelaxation, "time_s")) if share else None,
+    )
+
+
+def resting_bends(model: CableModel, links: int, clamp_rad: float) -> FloatArray:
+    """(links + 1,) bends of the grip and of the hinges at rest under a clamp angle, rad.
+
+    raises  statics.UnsettledError
+    """
+    (block,) = assemble([model], links, 0.0)
+    base = at.vectors(1, at.BASE_FIELDS)
+    base[0, at.BASE_ANGLE] = clamp_rad + value(model, GripAngle, "angle_rad")
+    settle(block, base.ravel())
+    bends = block.state.reshape(links + 1, at.FIELDS, at.LANES)[:, at.BEND, 0].copy()
+    return np.asarray(bends)

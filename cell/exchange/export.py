@@ -1,0 +1,148 @@
+"""A model for MuJoCo: what is in it, what is not, and how far it is from the model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cell.cable.model import CableModel
+from cell.exchange.chain import Chain, chain_of, resting_bends
+from cell.exchange.expressible import LeftOut, expressible, unseen
+from cell.exchange.mjcf import mjcf
+from cell.exchange.peer import (
+    BAR_M,
+    REFERENCE,
+    Difference,
+    Reference,
+    Trial,
+    compare,
+    difference,
+    engine_tip,
+    stroke,
+)
+
+#: Steps and numbers of links that are tried, the cheapest first.
+STEPS_S = (1e-3, 5e-4, 2.5e-4, 1e-4)
+LINKS = (14, 20, 28, 40, 56)
+#: Share of the bar that the stroke may take: other motions may be worse.
+SHARE = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Export:
+    """A model as MuJoCo's XML, and the comparison with the project's engine.
+
+    step_s       of MuJoCo's integrator
+    differences  to the model with the effects that MuJoCo can have, motion by motion
+    missing      to the whole model, for what is left out; empty if nothing of the cable's is
+    """
+
+    xml: str
+    chain: Chain
+    step_s: float
+    effects: tuple[str, ...]
+    left_out: tuple[LeftOut, ...]
+    differences: tuple[Difference, ...]
+    missing: tuple[Difference, ...]
+
+    @property
+    def within_bar(self) -> bool:
+        """Whether the tip stays within `BAR_M` in every motion."""
+        return all(d.rms_m <= BAR_M for d in self.differences)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data; lengths in m."""
+        return {
+            "format": "cable-export/1",
+            "links": self.chain.links,
+            "step_s": self.step_s,
+            "effects": list(self.effects),
+            "left_out": [vars(one) for one in self.left_out],
+            "bar_rms_m": BAR_M,
+            "within_bar": self.within_bar,
+            "differences": [_plain(d) for d in self.differences],
+            "missing": [_plain(d) for d in self.missing],
+        }
+
+
+def _plain(one: Difference) -> dict[str, Any]:
+    """Numbers that JSON can have: null where MuJoCo diverged."""
+    return {n: None if v == np.inf else v for n, v in vars(one).items()}
+
+
+def export_to_mujoco(
+    model: CableModel,
+    origin: str,
+    links: int | None = None,
+    trials: Sequence[Trial] = (),
+) -> Export:
+    """The XML of a model, compared with the engine by the stroke and in these trials.
+
+    origin  where the model is from, for the comment in the file
+    links   None = the fewest that keep the stroke within that share of the bar
+    raises  NoMujocoError; `simulate`'s errors; ValueError: fewer than 4 links
+    """
+    kept, left = expressible(model)
+    references = [Reference.of(kept, trial) for trial in (stroke(), *trials)]
+    chain, step_s, first = _cheapest(kept, references[0], LINKS if links is None else (links,))
+    differences = (first, *(compare(kept, chain, step_s, r) for r in references[1:]))
+    missing: list[Difference] = []
+    whole = unseen(model)
+    if len(whole.effects) > len(kept.effects):
+        for r in references:
+            tip = engine_tip(whole, r.trial, r.times_s)
+            missing.append(difference(r.trial.name, tip, r.tip_m))
+    names = tuple(active.effect.name for active in kept.effects)
+    notes = _notes(model, origin, chain, names, left, differences)
+    xml = mjcf(chain, step_s, resting_bends(kept, chain.links, 0.0), notes)
+    return Export(xml, chain, step_s, names, left, differences, tuple(missing))
+
+
+def _cheapest(
+    model: CableModel, reference: Reference, links: Sequence[int]
+) -> tuple[Chain, float, Difference]:
+    """The first chain and step that keep the stroke within the share of the bar, else the best."""
+    tried: list[tuple[Chain, float, Difference]] = []
+    for step_s in STEPS_S:
+        least = np.inf
+        for number in links:
+            chain = chain_of(model, number)
+            found = compare(model, chain, step_s, reference)
+            tried.append((chain, step_s, found))
+            if found.rms_m <= SHARE * BAR_M:
+                return tried[-1]
+            if found.rms_m >= least or found.rms_m == np.inf:
+                break  # what is left is the step's, or shorter links diverge as these do
+            least = found.rms_m
+    return min(tried, key=lambda one: one[2].rms_m)
+
+
+def _notes(
+    model: CableModel,
+    origin: str,
+    chain: Chain,
+    effects: Sequence[str],
+    left: Sequence[LeftOut],
+    differences: Sequence[Difference],
+) -> list[str]:
+    """The comment at the head of the file."""
+    notes = [
+        f"A cable as {chain.links} hinges, exported from {origin}. SI units.",
+        f"Exponent N {model.exponent:.4g}, viscosity {model.viscosity_n_m2_s:.4g} N·m²·s.",
+        "World x is the cell's x, world z its y; the cable begins along −x.",
+        "The controls are the hand's acceleration: m/s², m/s², rad/s².",
+        f"Effects in it: {', '.join(effects) or 'none'}.",
+        *(f"Left out: {one.name}: {one.reason}." for one in left),
+    ]
+    if chain.air_kg_per_m3:
+        notes.append("option/density is the air's times the drag coefficient, for all bodies.")
+    reference = f"{REFERENCE.segments} segments, {REFERENCE.step_s * 1e3:g} ms"
+    for one in differences:
+        notes.append(
+            f"Tip in {one.name!r}: {one.rms_m * 1e3:.3f} mm rms, {one.most_m * 1e3:.3f} mm at "
+            f"most, from the engine it was identified with ({reference})."
+        )
+    return notes

@@ -1,0 +1,311 @@
+"""A cable's model read from MuJoCo's XML: a chain of hinges with springs, ours or another's."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.exchange.hinge_chain import HingeChain, Spring
+from cell.exchange.mjcf import CURVATURE_LENGTH
+from cell.exchange.mujoco_library import mujoco_library, without_log
+from cell.exchange.xml_lines import element_lines, line_in
+from cell.files.input_error import InputError
+from cell.files.text_file import read_text
+
+FloatArray = NDArray[np.float64]
+
+#: A chain of 1000 links in our own words has less.
+MAX_BYTES = 20_000_000
+#: Fewest hinges from which EI(s) is read: a cubic has four coefficients.
+FEWEST = 4
+#: What a chain may differ from one straight, even line: share of its length, and of its density.
+STRAIGHT, EVEN = 0.01, 0.02
+#: Hinges are as far apart as this share of the length, or coincide.
+NEAR = 1e-6
+#: No hinge of a cable is damped so much.
+MOST_DAMPING_N_M_S = 1e6
+
+
+def read_chain(path: Path) -> HingeChain:
+    """The chain in a file.
+
+    raises  NoMujocoError; InputError: no MJCF, or no chain that may be a cable
+    """
+    text = read_text(path, MAX_BYTES)
+    mujoco = mujoco_library()
+    try:
+        with without_log():
+            model = mujoco.MjModel.from_xml_path(str(path))
+            data = mujoco.MjData(model)
+    except (ValueError, RuntimeError, mujoco.FatalError) as error:
+        said = " ".join(str(error).split())
+        message = f"MuJoCo cannot read it: {said}; mend that, or export the chain again"
+        raise InputError.at(path, message, line=line_in(said)) from error
+    return _Reading(path, model, data, element_lines(text)).chain()
+
+
+class _Reading:
+    """One file, compiled by MuJoCo at its initial configuration."""
+
+    def __init__(
+        self, path: Path, model: Any, data: Any, lines: dict[tuple[str, str], int]
+    ) -> None:
+        self.mujoco = mujoco_library()
+        self.path, self.model, self.data, self.lines = path, model, data, lines
+        self.data.qpos[:] = model.qpos0
+        self.mujoco.mj_kinematics(model, self.data)
+        self.notes: list[str] = []
+
+    def chain(self) -> HingeChain:
+        """The chain, checked."""
+        m = self.model
+        joints = self._without_grip(self._hinges())
+        axis = self.data.xaxis[joints[0]]
+        for j in joints:
+            if abs(float(self.data.xaxis[j] @ axis)) < 1.0 - 1e-6:
+                self._refuse(j, "turns about another axis than the first", "make axes parallel")
+        arc, length, along = self._line(joints)
+        gravity = np.array(m.opt.gravity)
+        in_plane = float(np.linalg.norm(gravity - (gravity @ axis) * axis))
+        if in_plane == 0.0:
+            message = "option/gravity has nothing in the cable's plane; a cable needs its weight"
+            raise InputError.at(self.path, f"{message}: set it", line=self._line_of("option", ""))
+        width, thickness = self._section(joints, axis, along)
+        dofs = m.jnt_dofadr[joints]
+        if np.any(m.dof_dampingpoly[dofs]):
+            self.notes.append("damping beyond the linear is not read")
+        damping = np.array(m.dof_damping[dofs])
+        for j, one in zip(joints, damping, strict=True):
+            if not 0.0 <= one < MOST_DAMPING_N_M_S:
+                self._refuse(
+                    j,
+                    f"has damping {one:g} N·m·s/rad, must be 0 … {MOST_DAMPING_N_M_S:g}",
+                    "mind the units",
+                )
+        self._tell_what_is_not_read(int(m.jnt_bodyid[joints[-1]]))
+        return HingeChain(
+            length,
+            arc,
+            self._curvature_length(len(joints), arc, length),
+            tuple(self._springs(j) for j in joints),
+            np.array(m.qpos_spring[m.jnt_qposadr[joints]] - m.qpos0[m.jnt_qposadr[joints]]),
+            damping,
+            self._density(joints, arc, length),
+            width,
+            thickness,
+            in_plane,
+            tuple(self._joint_line(j) for j in joints),
+            tuple(self.notes),
+        )
+
+    def _hinges(self) -> list[int]:
+        """The joints with springs, from the clamp out, each on the body of the one before."""
+        m = self.model
+        sprung = (m.jnt_stiffness != 0.0) | np.any(m.jnt_stiffnesspoly != 0.0, axis=1)
+        joints = [int(j) for j in np.flatnonzero(sprung)]
+        if len(joints) < FEWEST:
+            hinges = m.jnt_type == self.mujoco.mjtJoint.mjJNT_HINGE
+            without = [int(j) for j in np.flatnonzero(hinges & ~sprung)]
+            raise InputError.at(
+                self.path,
+                f"has {len(joints)} joints with stiffness; a chain needs at least {FEWEST} hinges "
+                "with a spring each: export a cable, or give the joints `stiffness`",
+                line=self._joint_line(without[0]) if without else 1,
+            )
+        before = -1
+        for j in joints:
+            if m.jnt_type[j] != self.mujoco.mjtJoint.mjJNT_HINGE:
+                self._refuse(j, "is no hinge", "make it one: a cable bends in a plane")
+            if not m.jnt_stiffness[j] > 0.0:
+                self._refuse(j, f"has stiffness {m.jnt_stiffness[j]:g}", "give it more than 0")
+            body = int(m.jnt_bodyid[j])
+            if m.body_jntnum[body] != 1:
+                self._refuse(j, "shares its body with another joint", "give it a link of its own")
+            if before >= 0 and not self._hangs_on(body, before):
+                self._refuse(
+                    j, "does not hang on the hinge before it", "leave one chain without branches"
+                )
+            before = body
+        return joints
+
+    def _hangs_on(self, body: int, other: int) -> bool:
+        """Whether a body is the other's child, with none but fixed bodies between them."""
+        parent = int(self.model.body_parentid[body])
+        while parent not in (0, other) and self.model.body_jntnum[parent] == 0:
+            parent = int(self.model.body_parentid[parent])
+        return parent == other
+
+    def _without_grip(self, joints: list[int]) -> list[int]:
+        """The hinges that bend: a compliant grip is one more, before those that lengths are of."""
+        stated = self._stated_length()
+        if stated is None or len(stated) != len(joints) - 1 or len(stated) < FEWEST:
+            return joints
+        self.notes.append("the compliance of the grip is not read")
+        return joints[1:]
+
+    def _line(self, joints: Sequence[int]) -> tuple[FloatArray, float, FloatArray]:
+        """Arc lengths of the hinges, the cable's length, and the direction from the clamp out."""
+        m, data = self.model, self.data
+        anchors = np.array(data.xanchor[joints])
+        last = int(m.jnt_bodyid[joints[-1]])
+        centre = data.xpos[last] + data.xmat[last].reshape(3, 3) @ m.body_ipos[last]
+        tip = anchors[-1] + 2.0 * (centre - anchors[-1])
+        clamp = self._clamp(joints, anchors)
+        points = np.vstack([clamp, anchors, tip])
+        along = tip - clamp
+        length = float(np.linalg.norm(along))
+        if not length > 0.0:
+            self._refuse(joints[-1], "has no link beyond it", "give its body a mass at a distance")
+        along /= length
+        arc = (points - clamp) @ along
+        off = np.linalg.norm(points - clamp - arc[:, None] * along, axis=1)
+        after = np.diff(arc)[1:]  # of every hinge: to the next, or to the tip
+        for j, beside, step in zip(joints, off[1:], after, strict=False):
+            if not step > NEAR * length:
+                self._refuse(j, "is no nearer to the clamp than what follows", "give links lengths")
+            if beside > STRAIGHT * length:
+                self._refuse(
+                    j,
+                    f"is {beside * 1e3:.3g} mm beside the line from the clamp to the tip",
+                    "draw the chain straight; bends free of load are `springref`",
+                )
+        return np.asarray(arc[1:-1]), length, along
+
+    def _clamp(self, joints: Sequence[int], anchors: FloatArray) -> FloatArray:
+        """Where the cable is held: the origin of the body that the first hinge hangs on.
+
+        A chain that begins with a hinge is held there.
+        """
+        parent = int(self.model.body_parentid[self.model.jnt_bodyid[joints[0]]])
+        place = np.array(self.data.xpos[parent])
+        spacing = float(np.linalg.norm(anchors[1] - anchors[0]))
+        beside = float(np.linalg.norm(anchors[0] - place))
+        # half a link is held; anything longer is the hand or the world
+        return place if parent and beside <= 0.75 * spacing else anchors[0]
+
+    def _stated_length(self) -> FloatArray | None:
+        """What the file says that its hinges stand for."""
+        m, kind = self.model, self.mujoco.mjtObj.mjOBJ_NUMERIC
+        i = self.mujoco.mj_name2id(m, kind, CURVATURE_LENGTH)
+        if i < 0:
+            return None
+        start, size = int(m.numeric_adr[i]), int(m.numeric_size[i])
+        return np.array(m.numeric_data[start : start + size])
+
+    def _curvature_length(self, n: int, arc: FloatArray, length: float) -> FloatArray:
+        """As the file states, else from half-way to the hinge before to half-way to the next."""
+        stated = self._stated_length()
+        if stated is None:
+            middle = 0.5 * (arc[1:] + arc[:-1])
+            ends = np.concatenate([[0.0], middle, [min(length, arc[-1] + arc[-1] - middle[-1])]])
+            return np.asarray(np.diff(ends))
+        if len(stated) != n or not np.all(stated > 0.0):
+            message = (
+                f"{CURVATURE_LENGTH} has {len(stated)} numbers, the least {stated.min():g}, for "
+                f"{n} hinges; give one above 0 for each, or leave it out"
+            )
+            line = self._line_of("numeric", CURVATURE_LENGTH)
+            raise InputError.at(self.path, message, line=line)
+        return stated
+
+    def _springs(self, joint: int) -> tuple[Spring, ...]:
+        """All springs of one hinge, its own and those of tendons that have only this joint."""
+        m = self.model
+        rest = float(m.qpos_spring[m.jnt_qposadr[joint]])
+        own = (float(m.jnt_stiffness[joint]), *map(float, m.jnt_stiffnesspoly[joint]))
+        found = [Spring(0.0, 0.0, own)]  # type: ignore[arg-type]
+        for t in range(m.ntendon):
+            start, wraps = int(m.tendon_adr[t]), int(m.tendon_num[t])
+            if wraps != 1 or int(m.wrap_objid[start]) != joint:
+                continue
+            if m.wrap_type[start] != self.mujoco.mjtWrap.mjWRAP_JOINT or m.wrap_prm[start] != 1.0:
+                continue
+            low, high = (float(end) - rest for end in m.tendon_lengthspring[t])
+            stiff = (float(m.tendon_stiffness[t]), *map(float, m.tendon_stiffnesspoly[t]))
+            found.append(Spring(low, high, stiff))  # type: ignore[arg-type]
+        return tuple(found)
+
+    def _density(self, joints: Sequence[int], arc: FloatArray, length: float) -> float:
+        """Mass with weight per metre, of all links alike."""
+        m = self.model
+        bodies = m.jnt_bodyid[joints]
+        mass = np.array(m.body_mass[bodies] * (1.0 - m.body_gravcomp[bodies]))
+        density = mass / np.diff(np.append(arc, length))
+        middle = float(np.median(density))
+        for j, one in zip(joints, density, strict=True):
+            if not (one > 0.0 and abs(one - middle) <= EVEN * middle):
+                self._refuse(
+                    j,
+                    f"moves a link of {one:.4g} kg/m, the chain has {middle:.4g} kg/m",
+                    "give all links one mass per length; a mass at the tip is a body of its own",
+                )
+        if np.any(m.body_gravcomp[bodies]):
+            self.notes.append("mass without weight (gravcomp) is not read")
+        return float(mass.sum() / (length - arc[0]))
+
+    def _section(
+        self, joints: Sequence[int], axis: FloatArray, along: FloatArray
+    ) -> tuple[float, float]:
+        """Width, along the hinges' axis, and thickness: of the first link that has a shape.
+
+        A round one is a strip as wide that has the same section.
+        """
+        m, kinds = self.model, self.mujoco.mjtGeom
+        bodies = m.jnt_bodyid[joints]
+        round_kinds = (int(kinds.mjGEOM_CAPSULE), int(kinds.mjGEOM_CYLINDER))
+        shapes = np.isin(m.geom_type, (int(kinds.mjGEOM_BOX), *round_kinds))
+        found = np.flatnonzero(shapes & np.isin(m.geom_bodyid, bodies))
+        if not found.size:
+            self._refuse(
+                joints[0],
+                "moves a link without a box, capsule or cylinder",
+                "add one to say how wide and thick the cable is",
+            )
+        g = int(found[0])
+        size, turn = m.geom_size[g], self.data.geom_xmat[g].reshape(3, 3)
+        if m.geom_type[g] in round_kinds:
+            return 2.0 * float(size[0]), 0.5 * np.pi * float(size[0])
+        across = np.cross(axis, along)
+        return (
+            float(2.0 * np.abs(axis @ turn) @ size),
+            float(2.0 * np.abs(across @ turn) @ size),
+        )
+
+    def _tell_what_is_not_read(self, last: int) -> None:
+        """Notes of what the file has beside EI, N, viscosity and the datasheet.
+
+        last  body of the last link
+        """
+        m = self.model
+        if m.body_subtreemass[last] > m.body_mass[last]:
+            self.notes.append("bodies beyond the chain, as a mass at the tip, are not read")
+        if m.opt.density or m.opt.viscosity or np.any(m.opt.wind):
+            self.notes.append("air (option density, viscosity, wind) is not read")
+        if any(m.tendon_num[t] > 1 for t in range(m.ntendon)):
+            self.notes.append("springs between several joints are not read")
+        if np.any(m.dof_frictionloss):
+            self.notes.append("dry friction (frictionloss) is not read")
+        if np.any(m.jnt_springyield) or np.any(m.tendon_springyield):
+            self.notes.append("springs that yield (springyield) are read as elastic")
+
+    def _refuse(self, joint: int, what: str, remedy: str) -> NoReturn:
+        line = self._joint_line(joint)
+        name = self._name(joint)
+        raise InputError.at(self.path, f"joint {name!r} {what}; {remedy}", line=line)
+
+    def _name(self, joint: int) -> str:
+        kind = self.mujoco.mjtObj.mjOBJ_JOINT
+        return self.mujoco.mj_id2name(self.model, kind, joint) or f"number {joint}"
+
+    def _joint_line(self, joint: int) -> int:
+        """Line of a joint: by its name, or as the joint of that number in the file."""
+        name = self._name(joint)
+        numbered = self.lines.get(("#joint", str(joint)), 1)
+        return self.lines.get(("joint", name), numbered)
+
+    def _line_of(self, element: str, name: str) -> int:
+        return self.lines.get((element, name), 1)
