@@ -159,7 +159,7 @@ class PreparedStudy:
 
     def initial_state(self, trial: Trial) -> InitialState:
         """What is unknown of how a trial begins."""
-        return initial_state_of(trial, self.study.cable, self.study.gravity_m_per_s2)
+        return initial_state_of(trial, self.study.cable, self.study.scale_m_per_s2)
 
     def predict(
         self, trial: Trial, models: Sequence[CableModel], initial_states: FloatArray | None = None

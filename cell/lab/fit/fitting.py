@@ -275,6 +275,7 @@ def space_with(space: ParameterSpace, effects: Sequence[type[Effect]]) -> Parame
         effects=tuple(effects),
         prior=Prior(knots=space.knots),
         exact={n: v for n, v in space.exact if n.startswith(of_effects)},
+        pull_m_per_s2=space.pull_m_per_s2,
     )
     kept = [n for n in new.names if n in space.names]
     to = [new.names.index(n) for n in kept]

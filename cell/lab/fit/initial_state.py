@@ -72,8 +72,7 @@ def _early(prepared: PreparedStudy, trial: Trial) -> Trial:
         count = int(np.searchsorted(t_s, trial.release_s, "right"))
         keep = slice(0, count) if count else slice(0, 1)
     else:
-        gravity_m_per_s2 = float(np.hypot(*study.gravity_m_per_s2))
-        swing_s = 2.0 * np.pi * np.sqrt(study.cable.free_length_m / gravity_m_per_s2)
+        swing_s = 2.0 * np.pi * np.sqrt(study.cable.free_length_m / study.scale_m_per_s2)
         count = int(np.searchsorted(t_s, t_s[0] + SHARE_OF_SWING * swing_s))
         keep = slice(0, max(count, FEWEST_FRAMES))
     return replace(trial, markers=Markers(t_s[keep], trial.markers.xy_m[keep]))

@@ -48,7 +48,11 @@ def prior_driven_effects(evidence: Evidence, explains: Explains) -> tuple[str, .
 def _without_prior(fits: FitCache) -> FitCache:
     """The same study, as of a cable of which nothing is known."""
     prepared, space = fits.prepared, fits.space
-    free = ParameterSpace.of(space.cable, gravity_m_per_s2=space.gravity_m_per_s2)
+    free = ParameterSpace.of(
+        space.cable,
+        gravity_m_per_s2=space.gravity_m_per_s2,
+        pull_m_per_s2=space.pull_m_per_s2,
+    )
     return FitCache(
         PreparedStudy.of(prepared.measured, solver=prepared.solver, work=prepared.work),
         space_with(free, space.effects),
