@@ -34,6 +34,8 @@ FEWEST_STILL = 10
 #: swings.  What moves must do so by a share of the cable, for what hardly moves shows nothing.  The
 #: marker must be in the outer half, and seen in so many rows.
 HELD_STAYS, HELD_MOVES, OUTER, HELD_ROWS = 0.02, 0.1, 0.5, 20
+#: Of the earth.
+GRAVITY_M_PER_S2 = 9.81
 #: A cable that hangs swings about like a rod of its length, in 5.1 √(L/g), or as a bead at the end
 #: of a thread in 6.3 √(L/g); bending makes it faster.
 SLOWEST = 2.0 * np.pi
@@ -127,7 +129,11 @@ def _both_ends_held(trial: Trial, arc_length_m: FloatArray, free_length_m: float
     axes = np.isfinite(xy_m[:, tip]).any(axis=0)  # those in which the tip is not seen say nothing
     spread = np.array([_spread_m(xy_m[:, m, axes]) for m in range(xy_m.shape[1])])
     seen = np.isfinite(spread)
-    hand_m = _spread_m(np.column_stack([grip.x_m, grip.y_m])[:, axes])
+    # a free tip follows within a quarter of a swing: what the hand does later says nothing
+    follows_s = 0.25 * SLOWEST * np.sqrt(free_length_m / GRAVITY_M_PER_S2)
+    t_s = trial.markers.t_s
+    told = (grip.t_s >= t_s[0]) & (grip.t_s <= t_s[-1] - follows_s)
+    hand_m = _spread_m(np.column_stack([grip.x_m, grip.y_m])[told][:, axes])
     inner_m = float(np.max(spread[seen], initial=0.0))
     most_m = max(np.nan_to_num(hand_m), inner_m)
     if arc_length_m[tip] < OUTER * free_length_m or most_m < HELD_MOVES * free_length_m:

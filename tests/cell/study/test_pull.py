@@ -145,3 +145,11 @@ def test_clocks_that_differ_are_seen_without_gravity(
 def test_no_free_cable_is_taken_for_one_that_is_held_twice(level: Study) -> None:
     for trial in level.trials:
         assert impossible(trial, CABLE, ARCS, (0.0, 0.0)) is None
+
+
+def test_a_record_that_ends_before_the_hand_moves_says_nothing_of_the_tip(level: Study) -> None:
+    """It was once refused as one of a cable whose both ends are held."""
+    trial = level.trials[0]
+    early = trial.markers.t_s < 0.42  # the hand moves from 0.4 to 0.6 s
+    short = replace(trial, markers=Markers(trial.markers.t_s[early], trial.markers.xy_m[early]))
+    assert impossible(short, CABLE, ARCS, (0.0, 0.0)) is None
