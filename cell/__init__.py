@@ -1,7 +1,7 @@
 """A robot cell that identifies each cable it holds and inserts it.
 
 From Python it offers what the lab's commands do: `cell.read_study`, `cell.fit`, `cell.compare`,
-`cell.diagnose`, `cell.suggest`.  Lengths are in m, times in s, angles in rad.
+`cell.diagnose`, `cell.suggest`, `cell.learn`.  Lengths are in m, times in s, angles in rad.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from cell.api.lab import compare, diagnose, fit, read_study, suggest
+    from cell.api.line import LearnResult, learn
     from cell.api.results import CompareResult, DiagnoseResult, FitResult, SuggestResult
     from cell.cable.geometry import Cable, Motion
     from cell.study.data import Markers, Study, Trial
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 #: Public names, and where each is: it is imported when it is first used.
 _PLACES = {
     **dict.fromkeys(("compare", "diagnose", "fit", "read_study", "suggest"), "cell.api.lab"),
+    **dict.fromkeys(("LearnResult", "learn"), "cell.api.line"),
     **dict.fromkeys(
         ("CompareResult", "DiagnoseResult", "FitResult", "SuggestResult"), "cell.api.results"
     ),
@@ -32,6 +34,7 @@ __all__ = [
     "CompareResult",
     "DiagnoseResult",
     "FitResult",
+    "LearnResult",
     "Markers",
     "Motion",
     "Study",
@@ -40,6 +43,7 @@ __all__ = [
     "compare",
     "diagnose",
     "fit",
+    "learn",
     "read_study",
     "suggest",
     "write_study",

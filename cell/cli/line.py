@@ -22,7 +22,6 @@ from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, Config, Interruption, answer
 
 if TYPE_CHECKING:
     from cell.lab.data.progress import Progress
-    from cell.lab.line.gates import Judgement
     from cell.lab.line.learn import LearningResult
     from cell.settings.model import Settings
 
@@ -66,10 +65,10 @@ def learn(
     cables show it.  Exit codes: 0 if a candidate passed every gate or nothing is missing; 1 if a
     candidate did not pass; 2 if the input is wrong.
     """
+    from cell.api.line import judged
     from cell.lab.data.cycles import read_cycles
     from cell.lab.data.selection import select_effects
-    from cell.lab.line.candidate import lines_of, write_candidate
-    from cell.lab.line.gates import best_judged
+    from cell.lab.line.candidate import lines_of
     from cell.lab.line.learn import learn as learn_from
     from cell.lab.next.discover import Laws, laws_in
     from cell.settings import load_settings
@@ -95,44 +94,33 @@ def learn(
             more = laws_in(
                 laws, [c.study for c in cycles], (*options.kind.effects, *library.values())
             )
-        result = learn_from(cycles, cable, options, library | more.effects, progress, known.append)
-        result, judgement = best_judged(result, settings)
+        found = learn_from(cycles, cable, options, library | more.effects, progress, known.append)
+        learned = judged(found, settings, left_out)
+        result = learned.learned
         kept = more.keep(result.best.effects if result.best else ())
         again = _again(asked.words(), config, out, effect or [], laws)
         todo, motion = _asking(result, config, out, again, progress)
-    missed = [f"left out: {line}" for line in (*left_out, *result.left_out)]
+    missed = [f"left out: {line}" for line in learned.left_out]
     for line in (*missed, *other_lines(lines, settings)):
         print(line, file=sys.stderr)
 
     def printed() -> None:
-        _print(result, judgement, [*(f"the law is written to {path}" for path in kept), *todo])
-
-    def candidate(path: Path) -> None:
-        write_candidate(path, result, judgement, settings.model, lines)
+        for part in learned.parts():
+            print(part) if isinstance(part, str) else show(part)
+        for line in (*(f"the law is written to {path}" for path in kept), *todo):
+            print(line)
 
     if result.best is None:
         deliver(printed)
         raise typer.Exit(ALL_DONE)
-    deliver(printed, (out, candidate), *motion)
-    if judgement.fit_for_line:
+    deliver(printed, (out, learned.write), *motion)
+    if learned.fit_for_line:
         print(f"written to {out}; use it with: cell promote {out} --config {config}")
         raise typer.Exit(ALL_DONE)
-    failed = ", ".join(judgement.failed)
+    failed = ", ".join(learned.judgement.failed)
     more_laws = "" if laws else f", or with --laws {out.with_suffix('.laws')}"
     print(f"{out} is not fit for the line: {failed}; record more cycles and learn again{more_laws}")
     raise typer.Exit(NOT_ALL_DONE)
-
-
-def _print(result: LearningResult, judgement: Judgement, more: Sequence[str]) -> None:
-    """What was learned, what speaks for it, and more lines."""
-    from cell.lab.report.learning_tables import common_error_line, learning_lines, learning_parts
-
-    for line in learning_lines(result):
-        print(line)
-    show(*learning_parts(result, judgement.gates))
-    common = common_error_line(judgement.paired)
-    for line in (*([common] if common else []), *more):
-        print(line)
 
 
 @contextmanager

@@ -13,6 +13,7 @@ from pathlib import Path
 import pyarrow.parquet
 import pytest
 
+import cell
 from cell.build import build_cell
 from cell.records.ledger.entry import Entry
 from cell.records.ledger.ledger import Ledger, Wanted
@@ -195,6 +196,10 @@ def test_learning_finds_the_lines_cycles_in_the_ledger(
     assert by_ledger.returncode == by_folder.returncode
     assert by_ledger.stdout == by_folder.stdout
     assert by_ledger.stdout.startswith("3 cables: ")
+    by_function = cell.learn([runs], quick_config)
+    assert by_folder.stdout.startswith(str(by_function.parts()[0]))
+    assert "3 cables: " in by_function._repr_html_()
+    assert not by_function.fit_for_line
     done = run(*words, "--ledger", runs, "--since", "2100-01-01")
     assert done.returncode == 2
     assert "since 2100-01-01 is listed whose folder is there" in done.stderr

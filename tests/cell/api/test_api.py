@@ -34,6 +34,9 @@ SIGNATURES = {
     "checks: 'Sequence[Path | str]' = (), prior: 'Path | str | None' = None, "
     "config: 'Path | str | None' = None, progress: 'Progress' = <function no_progress>) "
     "-> 'DiagnoseResult'",
+    "learn": "(runs: 'Sequence[Path | str]', config: 'Path | str', *, "
+    "effects: 'Sequence[str]' = (), progress: 'Progress' = <function no_progress>) "
+    "-> 'LearnResult'",
     "suggest": "(study: 'StudyOrFolder', *, effects: 'Sequence[str]' = (), "
     "known: 'Sequence[str]' = (), prior: 'Path | str | None' = None, "
     "config: 'Path | str | None' = None, progress: 'Progress' = <function no_progress>) "
@@ -49,6 +52,7 @@ CLASSES = {
     "CompareResult": ("comparisons",),
     "DiagnoseResult": ("diagnosis", "comparisons", "todo", "examination"),
     "SuggestResult": ("suggestion",),
+    "LearnResult": ("learned", "judgement", "settings", "left_out"),
 }
 
 

@@ -581,7 +581,7 @@ def test_after_two_motions_nothing_more_is_asked_for(
     monkeypatch.setattr(
         "cell.lab.line.learn.learn", lambda *_: replace(tied, cycles=(*measured, *tied.cycles))
     )
-    monkeypatch.setattr("cell.lab.line.gates.best_judged", lambda result, _: (result, Judgement()))
+    monkeypatch.setattr("cell.api.line.best_judged", lambda result, _: (result, Judgement()))
     folders = [str(tmp_path / c.name) for c in tied.cycles]
     words = ["learn", *folders, "--config", str(CONFIG), "-o", str(tmp_path / "c.yaml")]
     found = CliRunner().invoke(app, words)

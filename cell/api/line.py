@@ -1,0 +1,89 @@
+"""What the cables of a line have in common, as a function: learn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from cell.api.shown import Row, Shown
+from cell.files.table import TableData
+from cell.lab.data.cycles import read_cycles
+from cell.lab.data.progress import Progress, no_progress
+from cell.lab.data.selection import select_effects
+from cell.lab.line.candidate import lines_of, write_candidate
+from cell.lab.line.gates import Judgement, best_judged
+from cell.lab.line.learn import LearningResult
+from cell.lab.line.learn import learn as learn_from
+from cell.lab.report.learning_tables import common_error_line, learning_lines, learning_parts
+from cell.settings import Settings, load_settings
+from cell.settings.translate import cable_of, identification_of
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LearnResult(Shown):
+    """The effect that a line's model lacks, by `cell.learn`.
+
+    learned    the missing effects with their parameters, or that none is missing
+    judgement  the conditions of a candidate, with their statistics and limits
+    settings   of the line
+    left_out   cycles that could not be used, and why
+    """
+
+    learned: LearningResult
+    judgement: Judgement
+    settings: Settings
+    left_out: tuple[str, ...]
+
+    @property
+    def fit_for_line(self) -> bool:
+        """Whether there is a candidate that meets every condition."""
+        return self.learned.best is not None and self.judgement.fit_for_line
+
+    def parts(self) -> Sequence[str | TableData]:
+        """What was learned, what speaks for it, and the mean error of the forecasts."""
+        common = common_error_line(self.judgement.paired)
+        return (
+            *learning_lines(self.learned),
+            *learning_parts(self.learned, self.judgement.gates),
+            *([common] if common else []),
+        )
+
+    def rows(self) -> list[Row]:
+        """A row per cycle: how it speaks for the effect, and its own value of it, SI units."""
+        return [asdict(one) for one in self.learned.cycle_evidence]
+
+    def write(self, path: Path | str) -> None:
+        """Write the candidate for `cell promote`.  Raises ValueError: nothing is missing."""
+        if self.learned.best is None:
+            raise ValueError(f"{path}: nothing is missing, so there is no candidate to write")
+        lines = lines_of(self.learned.cycles, self.settings)
+        write_candidate(Path(path), self.learned, self.judgement, self.settings.model, lines)
+
+
+def learn(
+    runs: Sequence[Path | str],
+    config: Path | str,
+    *,
+    effects: Sequence[str] = (),
+    progress: Progress = no_progress,
+) -> LearnResult:
+    """Find the effect that the line's model lacks, from recorded cycles of many cables.
+
+    runs     folders of cycles, or folders of such folders
+    config   settings of the line
+    effects  files of your own effects, tried beside the library
+    raises   InputError, ValueError: no cycle can be used, or settings or effects are wrong
+    """
+    settings = load_settings(Path(config))
+    cable, options = cable_of(settings), identification_of(settings)
+    cycles, left_out = read_cycles([Path(run) for run in runs], cable)
+    library = select_effects([], effects).candidates
+    result = learn_from(cycles, cable, options, library, progress)
+    return judged(result, settings, left_out)
+
+
+def judged(result: LearningResult, settings: Settings, left_out: Sequence[str]) -> LearnResult:
+    """What was learned, held against the conditions of the line."""
+    result, judgement = best_judged(result, settings)
+    return LearnResult(result, judgement, settings, (*left_out, *result.left_out))
