@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from cell.api.lab import compare, diagnose, fit, read_study, suggest
     from cell.api.line import LearnResult, learn
     from cell.api.results import CompareResult, DiagnoseResult, FitResult, SuggestResult
+    from cell.api.several import TogetherResult, diagnose_together
     from cell.cable.geometry import Cable, Motion
     from cell.study.data import Markers, Study, Trial
     from cell.study.folder import write_study
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 _PLACES = {
     **dict.fromkeys(("compare", "diagnose", "fit", "read_study", "suggest"), "cell.api.lab"),
     **dict.fromkeys(("LearnResult", "learn"), "cell.api.line"),
+    **dict.fromkeys(("TogetherResult", "diagnose_together"), "cell.api.several"),
     **dict.fromkeys(
         ("CompareResult", "DiagnoseResult", "FitResult", "SuggestResult"), "cell.api.results"
     ),
@@ -39,9 +41,11 @@ __all__ = [
     "Motion",
     "Study",
     "SuggestResult",
+    "TogetherResult",
     "Trial",
     "compare",
     "diagnose",
+    "diagnose_together",
     "fit",
     "learn",
     "read_study",

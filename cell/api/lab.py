@@ -82,7 +82,7 @@ def compare(
     names   under which they are shown; without: their effects
     raises  InputError, ValueError: a model is of another kind of cable, or cannot be read
     """
-    opened = _opened(study, _silent)
+    opened = _opened(study, silent)
     shown = [_model(m, opened) for m in models]
     pairs = zip(models, shown, strict=True)
     titles = [_title(g, m) for g, m in pairs] if names is None else list(names)
@@ -145,7 +145,7 @@ def suggest(
     return SuggestResult(suggest_motion(examine(fits), around))
 
 
-def _silent(_: Sequence[str]) -> None:
+def silent(_: Sequence[str]) -> None:
     """A result's study has the notes."""
 
 
@@ -155,7 +155,7 @@ def set_up(
     prior: Path | str | None = None,
     config: Path | str | None = None,
     progress: Progress = no_progress,
-    tell: Tell = _silent,
+    tell: Tell = silent,
 ) -> FitCache:
     """A study made ready to be fitted, with the files of models and settings that are named."""
     fits = fit_cache_of(

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cell.cli.delivery import deliver, json_files
-from cell.cli.given import folder_of
+from cell.cli.given import folder_of, folders_of
 from cell.cli.options import taking
 from cell.cli.result_json import STDOUT, Json, JsonCommand, print_result
 from cell.cli.shared import BAD_INPUT, answering, group, stoppable, tell_notes
@@ -152,11 +152,10 @@ def compare(
     deliver(printed, *json_files(data, *results or []), (report, page))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class _Sought:
-    """A study, and what is tried in it."""
+    """What is tried in a study."""
 
-    study: StudyFolder
     effect: EffectOption = None
     candidates: Candidates = None
     known: Known = None
@@ -173,10 +172,18 @@ class _Sought:
         return [*(self.effect or []), *good]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class _Diagnose(_Sought):
     """Options of `cell diagnose`."""
 
+    studies: Annotated[
+        list[Path],
+        typer.Argument(
+            help="A study: a folder with study.yaml, a recorded cycle's folder, or its recording. "
+            "Several: of cables that may lack the same.",
+            callback=folders_of,
+        ),
+    ]
     config: LineModel = None
     check: Annotated[
         list[str] | None,
@@ -192,7 +199,14 @@ class _Diagnose(_Sought):
 @app.command(cls=JsonCommand)
 @taking(_Diagnose)
 def diagnose(given: _Diagnose) -> None:
-    """Find the physical effect that the model lacks, if it lacks one."""
+    """Find the physical effect that the model lacks, if it lacks one.
+
+    Of several studies, each with a cable of its own, one answer is given, or why there is none.
+    """
+    if len(given.studies) > 1:
+        _diagnose_together(given)
+        return
+    (study,) = given.studies
     from cell.api.lab import diagnosed, examined, rules_with, set_up
     from cell.lab.data.selection import select_for_diagnosis
 
@@ -202,11 +216,11 @@ def diagnose(given: _Diagnose) -> None:
     ):
         selection = select_for_diagnosis(given.effects(progress), given.known or [])
         rules = rules_with(given.check or [])
-        fits = set_up(given.study, selection, given.prior, given.config, progress, tell_notes)
+        fits = set_up(study, selection, given.prior, given.config, progress, tell_notes)
         gc.freeze()  # what is loaded stays: not looked through for garbage again and again
         with stoppable(fits.work.stop) as interrupted:
             examination = examined(fits, rules)
-        result = diagnosed(examination, given.study, every_step=given.report is not None)
+        result = diagnosed(examination, study, every_step=given.report is not None)
     data = result.to_json()
 
     def printed() -> None:
@@ -216,6 +230,28 @@ def diagnose(given: _Diagnose) -> None:
     deliver(printed, *json_files(data, *given.results or []), (given.report, result.write_report))
     if interrupted:
         raise typer.Exit(interrupted.code)
+
+
+def _diagnose_together(given: _Diagnose) -> None:
+    """One answer of several studies."""
+    from cell.api.lab import rules_with
+    from cell.api.several import found_together
+    from cell.lab.data.selection import select_for_diagnosis
+
+    outputs = (*(given.results or []), given.report)
+    with refusing(*outputs, force=given.force), working("diagnose") as progress:
+        if given.prior is not None:
+            raise ValueError("--prior is of one cable; leave it out with several studies")
+        selection = select_for_diagnosis(given.effects(progress), given.known or [])
+        rules = rules_with(given.check or [])
+        result = found_together(given.studies, selection, given.config, progress, tell_notes, rules)
+    data = result.to_json()
+
+    def printed() -> None:
+        if print_result(data, *given.results or []):
+            show(*result.parts())
+
+    deliver(printed, *json_files(data, *given.results or []), (given.report, result.write_report))
 
 
 @app.command(cls=JsonCommand)
@@ -293,10 +329,11 @@ def discover(
         raise typer.Exit(interrupted.code)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class _Suggest(_Sought):
     """Options of `cell suggest`."""
 
+    study: StudyFolder
     out: Annotated[
         Path | None,
         typer.Option("-o", "--out", help="Write the motion to this file, for `cell run --motion`."),

@@ -11,6 +11,7 @@ from scipy.special import ndtri as normal_quantile
 
 from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import UNSIMULATED
+from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import Interval
 from cell.lab.fit.all_trials_fit import of_all_trials
@@ -50,13 +51,10 @@ class Estimate:
     def intervals(self, effect: type[Effect]) -> dict[str, Interval]:
         """Values and 95 % intervals of an effect's parameters."""
         space, q = self.fit.space, self.fit.q
-        systematic = np.zeros(len(q))
         index = {p.name: space.names.index(f"{effect.name}.{p.name}") for p in effect.parameters}
+        systematic = np.zeros(len(q))
         for p in effect.parameters:
-            i = index[p.name]
-            off = (np.log(p.default) if space.logarithmic[i] else p.default) if p.amplitude else 0.0
-            relative = space.logarithmic[i] and not p.amplitude
-            systematic[i] = MODEL_ERROR * (1.0 if relative else abs(q[i] - off))
+            systematic[index[p.name]] = model_error(space, effect, p.name, q[index[p.name]])
         spread = np.sqrt(np.diag(self.covariance) + systematic**2)
         reach = float(normal_quantile(0.975)) * spread
         low = space.natural(np.clip(q - reach, space.low, space.high))
@@ -72,6 +70,18 @@ class Estimate:
             for p in effect.parameters
             if p.fitted
         }
+
+
+def model_error(space: ParameterSpace, effect: type[Effect], parameter: str, value: float) -> float:
+    """Standard deviation of a parameter's coordinate by the simulation's own error.
+
+    value  of the coordinate
+    """
+    i = space.names.index(f"{effect.name}.{parameter}")
+    p = next(p for p in effect.parameters if p.name == parameter)
+    off = (np.log(p.default) if space.logarithmic[i] else p.default) if p.amplitude else 0.0
+    relative = space.logarithmic[i] and not p.amplitude
+    return MODEL_ERROR * (1.0 if relative else float(abs(value - off)))
 
 
 def estimate(prepared: PreparedStudy, fit: Fit, effects: Iterable[type[Effect]] = ()) -> Estimate:

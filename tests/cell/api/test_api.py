@@ -34,6 +34,10 @@ SIGNATURES = {
     "checks: 'Sequence[Path | str]' = (), prior: 'Path | str | None' = None, "
     "config: 'Path | str | None' = None, progress: 'Progress' = <function no_progress>) "
     "-> 'DiagnoseResult'",
+    "diagnose_together": "(studies: 'Sequence[StudyOrFolder]', *, "
+    "effects: 'Sequence[str]' = (), known: 'Sequence[str]' = (), "
+    "checks: 'Sequence[Path | str]' = (), config: 'Path | str | None' = None, "
+    "progress: 'Progress' = <function no_progress>) -> 'TogetherResult'",
     "learn": "(runs: 'Sequence[Path | str]', config: 'Path | str', *, "
     "effects: 'Sequence[str]' = (), progress: 'Progress' = <function no_progress>) "
     "-> 'LearnResult'",
@@ -52,6 +56,7 @@ CLASSES = {
     "CompareResult": ("comparisons",),
     "DiagnoseResult": ("diagnosis", "comparisons", "todo", "examination"),
     "SuggestResult": ("suggestion",),
+    "TogetherResult": ("together",),
     "LearnResult": ("learned", "judgement", "settings", "left_out"),
 }
 

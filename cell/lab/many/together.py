@@ -1,0 +1,330 @@
+"""Several studies diagnosed together: one answer, or why there is none.
+
+Each study keeps its own cable, noise and parameters.  Every set of effects that one study finds, or
+that all together suggest, is fitted to each study; their likelihoods add up.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc as chi2_sf
+
+from cell.cable.effects.base import Effect
+from cell.lab.data.results import Verdict
+from cell.lab.data.thresholds import DEFAULT_RULES, Rules
+from cell.lab.many.pooling import pool
+from cell.lab.many.results import (
+    Consistency,
+    Hypothesis,
+    Says,
+    StudyPart,
+    StudyValue,
+    Together,
+)
+from cell.lab.search.fit_cache import FitCache
+from cell.lab.search.fitted_model import FittedModel
+from cell.lab.strength.estimate import Estimate, estimate, model_error
+from cell.lab.verdict.checks import explains
+from cell.lab.verdict.diagnose import Examination
+from cell.lab.verdict.evidence import Evidence
+
+FloatArray = NDArray[np.float64]
+
+#: Sets of effects that are fitted to all studies, and how many of them by the sum of the screens.
+MOST_SETS, BY_SCREENS = 8, 2
+#: Of a normal distribution, for 95 %.
+REACH = 1.959964
+
+Names = tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Examined:
+    """A study and its diagnosis alone."""
+
+    name: str
+    examination: Examination
+
+    @property
+    def fits(self) -> FitCache:
+        """Its models."""
+        return self.examination.fits
+
+    @property
+    def base(self) -> FittedModel:
+        """Its model without further effects."""
+        return self.fits.baseline()
+
+    def with_effects(self, names: Names) -> FittedModel | None:
+        """Its model with these effects; None if that cannot be simulated."""
+        model = self.base
+        for effect in (self._effect(n) for n in names if n not in self.base.names):
+            found = self.fits.fit_extended(model, [effect])
+            if not found:
+                return None
+            model = found[0]
+        return model
+
+    def _effect(self, name: str) -> type[Effect]:
+        return self.fits.library[name]
+
+
+def together(studies: Sequence[Examined], rules: Rules = DEFAULT_RULES) -> Together:
+    """The answer of several studies of cables that may lack the same effects.
+
+    raises  ValueError: of fewer than two studies, or of two of one name
+    """
+    names = [s.name for s in studies]
+    if len(names) < 2 or len(set(names)) < len(names):
+        raise ValueError(
+            f"{', '.join(names)}: several studies of different names are needed; rename folders"
+        )
+    fitted = {h: [s.with_effects(h) for s in studies] for h in _hypotheses(studies)}
+    scored = [
+        (names, [m for m in models if m is not None])
+        for names, models in fitted.items()
+        if all(models)
+    ]
+    ranked = sorted((_hypothesis(studies, n, models) for n, models in scored),
+                    key=lambda h: -h.evidence)  # fmt: skip
+    models_of = dict(scored)
+    best = _simplest(ranked, studies, models_of, rules)
+    # one limit for the residuals of all studies together: each has its share of it
+    rules = replace(rules, misfit_significance=rules.misfit_significance / len(studies))
+    tied = tuple(
+        h.effects
+        for h in ranked
+        if best.effects
+        and h.effects != best.effects
+        and len(h.effects) == len(best.effects)
+        and h.delta_chi2 > best.delta_chi2 - rules.tie_delta_chi2
+    )
+    parts, consistency = _parts(studies, best, models_of[best.effects], rules)
+    verdict, why = _verdict(best, tied, parts, rules)
+    return Together(verdict, why, best.effects, tied, parts, consistency, tuple(ranked))
+
+
+def _hypotheses(studies: Sequence[Examined]) -> list[Names]:
+    """No effect; the sets that studies find, and what is tied; effects that all screens suggest."""
+    votes: Counter[Names] = Counter()
+    for study in studies:
+        votes.update(_found(study.examination))
+    found = [names for names, _ in votes.most_common(MOST_SETS - BY_SCREENS)]
+    scores = dict[str, float]()
+    for study in studies:
+        for screened in study.fits.screened(study.base):
+            name = screened.effect.name
+            scores[name] = scores.get(name, 0.0) + screened.score.statistic
+    likely = sorted(scores, key=lambda name: -scores[name])
+    suggested = [(name,) for name in likely[:BY_SCREENS]]
+    return list(dict.fromkeys([(), *found, *suggested]))
+
+
+def _found(examination: Examination) -> Iterator[Names]:
+    """The set of effects that a study finds, and the same with each effect tied with one of it."""
+    diagnosis = examination.diagnosis
+    listed = diagnosis.missing or diagnosis.partial
+    names = tuple(sorted(one.effect for one in listed))
+    if not names:
+        added = examination.fits.added(examination.accepted)
+        names = tuple(sorted(e.name for e in added))
+    if names:
+        yield names
+    for one in listed:
+        for other in one.tied_with:
+            if other not in names:
+                yield tuple(sorted({*names, other} - {one.effect}))
+
+
+def _hypothesis(
+    studies: Sequence[Examined], names: Names, models: Sequence[FittedModel]
+) -> Hypothesis:
+    pairs = list(zip(studies, models, strict=True))
+    return Hypothesis(
+        names,
+        sum(m.evidence - s.base.evidence for s, m in pairs),
+        sum(s.base.chi2 - m.chi2 for s, m in pairs),
+    )
+
+
+def _simplest(
+    ranked: Sequence[Hypothesis],
+    studies: Sequence[Examined],
+    models_of: dict[Names, list[FittedModel]],
+    rules: Rules,
+) -> Hypothesis:
+    """The likeliest set, if it is significant; no effect where that leaves noise as well."""
+    none = next(h for h in ranked if not h.effects)
+    best = ranked[0]
+    if not best.effects:
+        return none
+    count = sum(p.fitted for m in models_of[best.effects] for e in m.effects for p in e.parameters)
+    count -= sum(p.fitted for s in studies for e in s.base.effects for p in e.parameters)
+    library = max(len(s.fits.library) for s in studies)
+    p_value = library * float(chi2_sf(max(count, 1), max(best.delta_chi2, 0.0)))
+    return best if p_value < rules.significance else none
+
+
+def _parts(
+    studies: Sequence[Examined],
+    best: Hypothesis,
+    models: Sequence[FittedModel],
+    rules: Rules,
+) -> tuple[tuple[StudyPart, ...], tuple[Consistency, ...]]:
+    """Each study's part, and the parameters over those that do not exclude the effects."""
+    estimates = [
+        estimate(s.fits.prepared, m.fit, s.fits.library.values())
+        for s, m in zip(studies, models, strict=True)
+    ]
+    shows = [_shows(s, m, best, rules) for s, m in zip(studies, models, strict=True)]
+    says: list[Says | Literal[""]] = ["" for _ in studies]
+    if best.effects:
+        says = _says(estimates, best, shows)
+    parts = tuple(
+        StudyPart(
+            study.name,
+            study.examination.diagnosis.verdict,
+            tuple((m.effect, *m.tied_with) for m in study.examination.diagnosis.missing),
+            study.base.chi2 - model.chi2,
+            _explained(study, model, said, rules),
+            said,
+        )
+        for study, model, said in zip(studies, models, says, strict=True)
+    )
+    kept = [i for i, said in enumerate(says) if said != "excludes"]
+    if not best.effects or not kept:
+        return parts, ()
+    some = [(studies[i].name, estimates[i]) for i in kept]
+    found = [_consistency(some, name) for name in _parameters(estimates[0], best)]
+    return parts, tuple(found)
+
+
+def _explained(study: Examined, model: FittedModel, said: str, rules: Rules) -> bool:
+    """Whether a study's model leaves noise; without the effects where it does not show them."""
+    models = [model] if said == "shows" else [study.base, model]
+    return any(explains(Evidence(study.fits, study.base, m, rules)) for m in models)
+
+
+def _shows(study: Examined, model: FittedModel, best: Hypothesis, rules: Rules) -> bool:
+    """Whether every effect is significant in a study by itself."""
+    for effect in (e for e in model.effects if e.name in best.effects):
+        rest = study.fits.fit_reduced(model, effect)
+        if study.fits.gain(rest, model).p_value >= rules.significance:
+            return False
+    return True
+
+
+def _says(
+    estimates: Sequence[Estimate], best: Hypothesis, shows: Sequence[bool]
+) -> list[Says | Literal[""]]:
+    """Of each study; one excludes the effects if its amplitude is far from that of the others."""
+    said: list[Says | Literal[""]] = ["shows" if s else "cannot tell" for s in shows]
+    if not any(shows):
+        return said
+    those = np.array(shows)
+    for name in _parameters(estimates[0], best, amplitudes=True):
+        q, std = _coordinates(estimates, name)
+        mean = pool(q[those], std[those])
+        for i in np.flatnonzero(~those):
+            apart = abs(q[i] - mean.mean)
+            if apart > 3.0 * np.hypot(std[i], mean.reach / REACH):
+                said[i] = "excludes"
+    return said
+
+
+def _parameters(one: Estimate, best: Hypothesis, *, amplitudes: bool = False) -> list[str]:
+    """Names of the fitted parameters of the effects found."""
+    return [
+        f"{e.name}.{p.name}"
+        for e in one.fit.space.effects
+        if e.name in best.effects
+        for p in e.parameters
+        if p.fitted and (p.amplitude or not amplitudes)
+    ]
+
+
+def _coordinates(estimates: Sequence[Estimate], name: str) -> tuple[FloatArray, FloatArray]:
+    """(n,) a parameter in the fit's coordinate, and its standard deviation."""
+    at = [e.fit.space.names.index(name) for e in estimates]
+    q = np.array([e.fit.q[i] for e, i in zip(estimates, at, strict=True)])
+    variance = [e.covariance[i, i] for e, i in zip(estimates, at, strict=True)]
+    return q, np.sqrt(np.maximum(variance, 1e-300))
+
+
+def _consistency(studies: Sequence[tuple[str, Estimate]], name: str) -> Consistency:
+    """One parameter over several studies."""
+    estimates = [e for _, e in studies]
+    q, std = _coordinates(estimates, name)
+    found = pool(q, std)
+    space = estimates[0].fit.space
+    i, (owner, _, parameter) = space.names.index(name), name.partition(".")
+    effect = next(e for e in space.effects if e.name == owner)
+    reach = np.hypot(found.reach, REACH * model_error(space, effect, parameter, found.mean))
+
+    def natural(value: float) -> float:
+        point = estimates[0].fit.q.copy()
+        point[i] = np.clip(value, space.low[i], space.high[i])
+        return float(space.natural(point)[i])
+
+    return Consistency(
+        name,
+        space.units[i],
+        bool(space.logarithmic[i]),
+        natural(found.mean),
+        natural(found.mean - reach),
+        natural(found.mean + reach),
+        found.spread.tau,
+        found.spread.p_value,
+        natural(float(found.without.min())),
+        natural(float(found.without.max())),
+        tuple(
+            StudyValue(n, natural(v), natural(v - REACH * s), natural(v + REACH * s))
+            for (n, _), v, s in zip(studies, q, std, strict=True)
+        ),
+    )
+
+
+def _verdict(
+    best: Hypothesis, tied: Sequence[Names], parts: Sequence[StudyPart], rules: Rules
+) -> tuple[Verdict, str]:
+    """The verdict of all studies, and why."""
+    names = " and ".join(best.effects)
+    left = [p.study for p in parts if not p.explained]
+    if left:
+        with_it = f" with {names}" if best.effects else ""
+        rest = len(parts) - len(left)
+        return "unexplained", (
+            f"the model{with_it} leaves more than noise in {_listed(left)}"
+            f"{f', and noise in the {rest} others' if rest else ''}"
+        )
+    if not best.effects:
+        unsure = [p.study for p in parts if p.alone == "cannot_tell"]
+        if len(unsure) == len(parts):
+            return "cannot_tell", "the model leaves noise in all studies, but none can tell"
+        return "complete", f"the model leaves noise in all {len(parts)} studies"
+    if len(tied) + 1 > rules.most_named:
+        others = ", ".join(" and ".join(t) for t in tied)
+        return "cannot_tell", f"{names} explains all studies, but so do {others}"
+    shows = [p.study for p in parts if p.says == "shows"]
+    excludes = [p.study for p in parts if p.says == "excludes"]
+    confirmed = len(shows) > 1 or any(p.alone == "missing" for p in parts)
+    if not confirmed:
+        return "cannot_tell", f"only {_listed(shows) or 'all together'} shows {names}"
+    if excludes:
+        return "missing", (
+            f"{names} is missing in {len(shows)} of {len(parts)} studies, {_listed(shows)}; "
+            f"{_listed(excludes)} exclude it at that size: the cables are not alike"
+        )
+    silent = len(parts) - len(shows)
+    also = f"; {silent} cannot tell and agree" if silent else ""
+    return "missing", f"{len(shows)} of {len(parts)} studies show {names}{also}"
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names)

@@ -1,0 +1,102 @@
+"""Several studies give one answer, or say why they do not."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import cell
+from cell.cable.effects import ActiveEffect, library
+from cell.cli import app
+from cell.study.data import Markers, Study
+from cell.study.folder import write_study
+from tests.cell.lab.conftest import STROKES
+
+GRAMS = library()["tip_mass"].active(mass_kg=2.5e-5)
+FEW = (STROKES[0], STROKES[1], STROKES[3])
+
+
+@pytest.fixture
+def batch(make_study):
+    def make(each: Sequence[Sequence[ActiveEffect]], seed: int = 40) -> list[Study]:
+        studies = [make_study(e, seed=seed + i, strokes=FEW) for i, e in enumerate(each)]
+        return [replace(s, name=f"cable_{i}") for i, s in enumerate(studies)]
+
+    return make
+
+
+def test_cables_that_are_alike_give_one_effect_and_its_mean(batch, tmp_path: Path) -> None:
+    folders = [tmp_path / s.name for s in batch([[GRAMS]] * 3)]
+    for folder, study in zip(folders, batch([[GRAMS]] * 3), strict=True):
+        write_study(study, folder)
+    out, page = tmp_path / "together.json", tmp_path / "together.html"
+    asked = ["diagnose", *map(str, folders), "-o", str(out), "--report", str(page)]
+    done = CliRunner().invoke(app, asked)
+    assert done.exit_code == 0, done.output
+    found = json.loads(out.read_text())
+    assert (found["format"], found["verdict"], found["effects"]) == (
+        "cable-together/1",
+        "missing",
+        ["tip_mass"],
+    )
+    assert [p["says"] for p in found["studies"]] == ["shows"] * 3
+    (mass,) = found["consistency"]
+    assert mass["low"] < 2.5e-5 < mass["high"]
+    assert mass["q_p_value"] > 0.01
+    assert mass["without_low"] <= mass["value"] <= mass["without_high"]
+    assert "3 of 3 studies show tip_mass" in done.output
+    assert "tip_mass.mass_kg" in page.read_text()
+
+
+def test_complete_cables_are_complete_together(batch) -> None:
+    found = cell.diagnose_together(batch([[]] * 3))
+    assert found.together.verdict == "complete"
+    assert found.together.effects == ()
+    assert list(found.to_frame().says) == [""] * 3
+    assert "the model leaves noise in all 3 studies" in repr(found)
+
+
+def test_two_cables_of_four_that_have_an_effect_are_named(batch) -> None:
+    found = cell.diagnose_together(batch([[GRAMS], [], [GRAMS], []])).together
+    assert (found.verdict, found.effects) == ("missing", ("tip_mass",))
+    assert [p.says for p in found.studies] == ["shows", "excludes", "shows", "excludes"]
+    assert "missing in 2 of 4 studies, cable_0, cable_2" in found.why
+    assert "cable_1, cable_3 exclude it at that size: the cables are not alike" in found.why
+    (mass,) = found.consistency
+    assert [v.study for v in mass.by_study] == ["cable_0", "cable_2"]
+
+
+def test_what_one_study_leaves_unexplained_is_told(batch) -> None:
+    """One cable is moved by what no effect does: a wave of 0.4 mm that runs along its middle."""
+    plain, odd = batch([[GRAMS], [GRAMS]])
+    trials = []
+    for trial in odd.trials:
+        t_s, share = trial.markers.t_s, odd.arc_length_m / odd.arc_length_m.max()
+        wave_m = np.sin(2 * np.pi * (3.3 * t_s[:, None] - 2.0 * share)) * np.sin(np.pi * share)
+        wave_m *= 4e-4 * (t_s[:, None] > 0.25)  # not at rest: there it would be noise
+        xy_m = trial.markers.xy_m + wave_m[:, :, None]
+        trials.append(replace(trial, markers=Markers(t_s, xy_m)))
+    found = cell.diagnose_together([plain, replace(odd, trials=tuple(trials))]).together
+    assert found.verdict == "unexplained"
+    assert [p.explained for p in found.studies] == [True, False]
+    assert found.why.startswith("the model with tip_mass leaves more than noise in cable_1")
+
+
+def test_bad_input_is_refused(batch, tmp_path: Path) -> None:
+    (study,) = batch([[]])
+    write_study(study, tmp_path / "one")
+    one = str(tmp_path / "one")
+    done = CliRunner().invoke(app, ["diagnose", one, one])
+    assert (done.exit_code, "is given twice; give each study once" in done.stderr) == (2, True)
+    done = CliRunner().invoke(app, ["diagnose", one, str(tmp_path / "none")])
+    assert done.exit_code == 2
+    done = CliRunner().invoke(app, ["diagnose", one, one, "--prior", "model.json"])
+    assert "--prior is of one cable" in done.stderr
+    with pytest.raises(ValueError, match="several studies of different names"):
+        cell.diagnose_together([study])
