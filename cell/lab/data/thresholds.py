@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from cell.lab.data.noise_model import KNOWN_WITHIN
+from cell.lab.data.prepared import ERRS
 
 #: Probability of calling something an effect, a law, a disagreement that is none, for all tests of
 #: a question together.
@@ -32,8 +33,8 @@ class Rules:
                      (Kiefer and Vogelsang 2005, Econometric Theory 21, 1130)
 
     Errors, rms over noise; a smooth part matters above the same share of the noise's mean square:
-    misfit           up to which a model's own error explains it
-    gross_misfit     from which an error is more than noise whatever it was before
+    misfit           up to which a model's own error explains it: converged simulators of one cable
+                     differ by less
     below_stated     a stated noise of which a model leaves less than this share bounds what the
                      measurement can be trusted for: below it nothing more is claimed
     noise_known_within   largest mean square over the noise's that the rest may allow
@@ -45,9 +46,9 @@ class Rules:
                        effect may leave in a smooth part that is not noise
     negligible_share   of the baseline's excess, by which further effects must lower the held-out;
                        and that a wider law or another effect may explain beside what was found
-    small_share        a small part: of the baseline's excess, that a known effect may leave below
-                       `gross_misfit`, and above which no third effect is sought; of the χ² that an
-                       effect explains, below which held-out trials cannot show it
+    small_share        a small part: of the baseline's excess, above which a smooth part that is
+                       left counts at `significance`, and no third effect is sought; of the χ² that
+                       an effect explains, below which held-out trials cannot show it
     most_share         most: of an error that a partial effect removes; that is left where of two
                        effects none is exchanged, because one alone explains half
 
@@ -67,8 +68,7 @@ class Rules:
     least_visible: float = 1.0
     tie_delta_chi2: float = 9.0
     vuong_z: float = 2.0
-    misfit: float = 1.04
-    gross_misfit: float = 1.10
+    misfit: float = ERRS
     below_stated: float = 0.8
     noise_known_within: float = KNOWN_WITHIN
     first_share: float = 0.003
