@@ -23,9 +23,9 @@ class Rules:
     misfit_significance  of what a model leaves; of less than a tenth of it `significance`
 
     Likelihoods:
-    heldout_gain     ln of how much likelier the held-out trials must become
-    least_visible    ln of how much likelier the effect itself, all else as fitted, must make them:
-                     below, they cannot see it, and what they gain comes by other parameters
+    heldout_gain     ln of how much likelier an effect must make the held-out trials: in all, and by
+                     itself, all else as fitted.  If by itself it makes them less so, they cannot
+                     see it, and what they gain comes by other parameters
     tie_delta_chi2   sets of effects are tied if their χ² over all trials differs by less
     vuong_z          where no set of effects leaves noise, one that leaves less by fewer standard
                      deviations than this is tied with what leaves more.  Beside white noise 1.5 is
@@ -65,7 +65,6 @@ class Rules:
     significance: float = SIGNIFICANCE
     misfit_significance: float = 1e-3
     heldout_gain: float = 3.0
-    least_visible: float = 1.0
     tie_delta_chi2: float = 9.0
     vuong_z: float = 2.0
     misfit: float = ERRS

@@ -127,7 +127,7 @@ MAY_BE_CLAIMED: tuple[Check[Evidence], ...] = (
         "ln LR",
         questions.least_visible,
         ">=",
-        "least_visible",
+        "heldout_gain",
         "cannot_tell",
         "The held-out trials cannot show it: it is not confirmed.",
         "ln of the ratio of the likelihoods with and without the effect",

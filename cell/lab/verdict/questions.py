@@ -115,7 +115,7 @@ def least_visible(evidence: Evidence) -> Reading | None:
     if evidence.final.heldout is None or not evidence.added:
         return None
     seen = {e.name: evidence.fits.heldout_log_lr(evidence.final, e) for e in evidence.added}
-    unseen = tuple(name for name, ln in seen.items() if ln < evidence.rules.least_visible)
+    unseen = tuple(name for name, ln in seen.items() if ln < evidence.rules.heldout_gain)
     return Reading(min(seen.values()), unseen)
 
 
