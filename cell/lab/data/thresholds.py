@@ -39,13 +39,14 @@ class Rules:
                      measurement can be trusted for: below it nothing more is claimed
     noise_known_within   largest mean square over the noise's that the rest may allow
 
-    Shares.  Below the first three lie the errors of models, ours included, whatever their
+    Shares.  Below the first two lie the errors of models, ours included, whatever their
     significance:
-    first_share        of the noise's mean square, by which the first effect must lower the held-out
-    slight_share       the same of further effects; and of the baseline's excess, that a claimed
-                       effect may leave in a smooth part that is not noise
-    negligible_share   of the baseline's excess, by which further effects must lower the held-out;
-                       and that a wider law or another effect may explain beside what was found
+    negligible_share   by which an effect must lower the held-out mean square: the first, of the
+                       noise's; further ones, of the baseline's excess; and of that excess, what a
+                       wider law or another effect may explain beside what was found
+    slight_share       of the noise's mean square, by which further effects must lower the held-out;
+                       and of the baseline's excess, that a claimed effect may leave in a smooth
+                       part that is not noise
     small_share        a small part: of the baseline's excess, above which a smooth part that is
                        left counts at `significance`, and no third effect is sought; of the χ² that
                        an effect explains, below which held-out trials cannot show it
@@ -70,7 +71,6 @@ class Rules:
     misfit: float = ERRS
     below_stated: float = 0.8
     noise_known_within: float = KNOWN_WITHIN
-    first_share: float = 0.003
     slight_share: float = 0.01
     negligible_share: float = 1e-3
     small_share: float = 0.1
