@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from cell.lab.data.noise_model import KNOWN_WITHIN
 from cell.lab.data.own_check import OwnCheck
+from cell.lab.data.prepared import ERRS
 
 #: Probability of calling something an effect, a law, a disagreement that is none, for all tests of
 #: a question together.
@@ -23,9 +24,9 @@ class Rules:
     misfit_significance  of what a model leaves; of less than a tenth of it `significance`
 
     Likelihoods:
-    heldout_gain     ln of how much likelier the held-out trials must become
-    least_visible    ln of how much likelier the effect itself, all else as fitted, must make them:
-                     below, they cannot see it, and what they gain comes by other parameters
+    heldout_gain     ln of how much likelier an effect must make the held-out trials: in all, and by
+                     itself, all else as fitted.  If by itself it makes them less so, they cannot
+                     see it, and what they gain comes by other parameters
     tie_delta_chi2   sets of effects are tied if their χ² over all trials differs by less
     vuong_z          where no set of effects leaves noise, one that leaves less by fewer standard
                      deviations than this is tied with what leaves more.  Beside white noise 1.5 is
@@ -33,22 +34,23 @@ class Rules:
                      (Kiefer and Vogelsang 2005, Econometric Theory 21, 1130)
 
     Errors, rms over noise; a smooth part matters above the same share of the noise's mean square:
-    misfit           up to which a model's own error explains it
-    gross_misfit     from which an error is more than noise whatever it was before
+    misfit           up to which a model's own error explains it: converged simulators of one cable
+                     differ by less
     below_stated     a stated noise of which a model leaves less than this share bounds what the
                      measurement can be trusted for: below it nothing more is claimed
     noise_known_within   largest mean square over the noise's that the rest may allow
 
-    Shares.  Below the first three lie the errors of models, ours included, whatever their
+    Shares.  Below the first two lie the errors of models, ours included, whatever their
     significance:
-    first_share        of the noise's mean square, by which the first effect must lower the held-out
-    slight_share       the same of further effects; and of the baseline's excess, that a claimed
-                       effect may leave in a smooth part that is not noise
-    negligible_share   of the baseline's excess, by which further effects must lower the held-out;
-                       and that a wider law or another effect may explain beside what was found
-    small_share        a small part: of the baseline's excess, that a known effect may leave below
-                       `gross_misfit`, and above which no third effect is sought; of the χ² that an
-                       effect explains, below which held-out trials cannot show it
+    negligible_share   by which an effect must lower the held-out mean square: the first, of the
+                       noise's; further ones, of the baseline's excess; and of that excess, what a
+                       wider law or another effect may explain beside what was found
+    slight_share       of the noise's mean square, by which further effects must lower the held-out;
+                       and of the baseline's excess, that a claimed effect may leave in a smooth
+                       part that is not noise
+    small_share        a small part: of the baseline's excess, above which a smooth part that is
+                       left counts at `significance`, and no third effect is sought; of the χ² that
+                       an effect explains, below which held-out trials cannot show it
     most_share         most: of an error that a partial effect removes; that is left where of two
                        effects none is exchanged, because one alone explains half
 
@@ -67,14 +69,11 @@ class Rules:
     significance: float = SIGNIFICANCE
     misfit_significance: float = 1e-3
     heldout_gain: float = 3.0
-    least_visible: float = 1.0
     tie_delta_chi2: float = 9.0
     vuong_z: float = 2.0
-    misfit: float = 1.04
-    gross_misfit: float = 1.10
+    misfit: float = ERRS
     below_stated: float = 0.8
     noise_known_within: float = KNOWN_WITHIN
-    first_share: float = 0.003
     slight_share: float = 0.01
     negligible_share: float = 1e-3
     small_share: float = 0.1

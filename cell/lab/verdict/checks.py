@@ -25,7 +25,7 @@ LEAVES_NOISE: tuple[Check[Evidence], ...] = (
         "misfit_significance",
         "unexplained",
         "It misses more than the measurement's stated error.",
-        "the p-value of χ² of independent values; up to 4 % above it is a model's own error",
+        "the p-value of χ² of independent values; up to 10 % above it is a model's own error",
     ),
     Check(
         "fitted_error",
@@ -33,7 +33,7 @@ LEAVES_NOISE: tuple[Check[Evidence], ...] = (
         "error / noise",
         questions.fitted_ratio,
         "<=",
-        "gross_misfit",
+        "misfit",
         "unexplained",
         "It misses more than noise on the trials that it was fitted to.",
         "the ratio of error and noise; converged simulators of one cable differ by less than 10 %",
@@ -150,7 +150,7 @@ MAY_BE_CLAIMED: tuple[Check[Evidence], ...] = (
         "ln LR",
         questions.least_visible,
         ">=",
-        "least_visible",
+        "heldout_gain",
         "cannot_tell",
         "The held-out trials cannot show it: it is not confirmed.",
         "ln of the ratio of the likelihoods with and without the effect",
@@ -227,7 +227,7 @@ def answers(evidence: Evidence) -> Iterator[Answer[Evidence]]:
     """
     explained = True
     for check in _of_noise(evidence):
-        if not explained and evidence.over_noise >= evidence.rules.gross_misfit:
+        if not explained and evidence.over_noise >= evidence.rules.misfit:
             return
         answer = check.ask(evidence)
         explained &= answer.passed is not False

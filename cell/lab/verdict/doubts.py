@@ -257,7 +257,7 @@ def noise_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
 
 def weak_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
     """Warnings of effects with a signal too weak to identify their cause."""
-    least = evidence.rules.least_visible
+    least = evidence.rules.heldout_gain
     seen = [e for e in evidence.added if e.name in reading.effects]
     if evidence.final.heldout is not None:
         seen = [e for e in seen if evidence.fits.heldout_log_lr(evidence.final, e) >= least]

@@ -46,7 +46,7 @@ class Confirmation:
     def is_given(self, rules: Rules) -> bool:
         """Whether they bear the effect out, by enough to matter."""
         matters = self.gain > rules.heldout_gain and self.fall_m2 > self.least_m2
-        return matters and self.log_lr() > rules.least_visible
+        return matters and self.log_lr() > rules.heldout_gain
 
     def is_impossible(self, rules: Rules) -> bool:
         """Whether they cannot show an effect that the other trials show plainly."""
@@ -54,7 +54,7 @@ class Confirmation:
             return False
         seen = self.log_lr()
         plain = 2.0 * seen < rules.small_share * self.delta_chi2
-        return seen < rules.least_visible and plain
+        return seen < rules.heldout_gain and plain
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +104,7 @@ class ConfirmedEffects:
         if small.heldout is None or large.heldout is None or base is None:
             return None
         noise_m2, gain = fits.prepared.expected.std_m**2, fits.gain(small, large)
-        least_m2 = rules.first_share * noise_m2
+        least_m2 = rules.negligible_share * noise_m2
         if fits.added(small):
             excess_m2 = max(base.rms_m**2 - noise_m2, 0.0)
             least_m2 = max(rules.slight_share * noise_m2, rules.negligible_share * excess_m2)

@@ -73,21 +73,18 @@ def residual_level(evidence: Evidence) -> Reading | None:
     """p-value of the whole error, 1 where it is so little above noise that a model errs as much."""
     if not _judged_by_rest(evidence):
         return None
-    prepared, base, final, rules = evidence.prepared, evidence.base, evidence.final, evidence.rules
-    noise_m = prepared.expected.std_m
-    if final.heldout is not None and base.heldout is not None:
+    prepared, final = evidence.prepared, evidence.final
+    if final.heldout is not None:
         chi2, count, rms_m = final.heldout.chi2, final.heldout.count, final.heldout.rms_m
-        before_m = base.heldout.rms_m
         by_hand = evidence.fits.hand().square(prepared.study.role("validate"))
     else:
         count = prepared.count(fit_trials(prepared)) - len(final.fit.q)
-        chi2, rms_m, before_m = final.fit.chi2, final.fit.rms_m, base.fit.rms_m
+        chi2, rms_m = final.fit.chi2, final.fit.rms_m
         by_hand = evidence.fits.hand().square_left(fit_trials(prepared), final.fit)
     expected = 1.0 + by_hand / count
     chi2, rms_m = chi2 / expected, rms_m / float(np.sqrt(expected))
-    ratio = max(rms_m / noise_m, float(np.sqrt(chi2 / count)))
-    left = (rms_m**2 - noise_m**2) / max(before_m**2 - noise_m**2, 1e-30)
-    if ratio < rules.misfit or (ratio < rules.gross_misfit and left < rules.small_share):
+    ratio = max(rms_m / prepared.expected.std_m, float(np.sqrt(chi2 / count)))
+    if ratio < evidence.rules.misfit:
         return Reading(1.0)
     return Reading(_p_value(chi2, count, prepared.noise_model.dof))
 
@@ -97,7 +94,7 @@ def explained_of_earlier(evidence: Evidence) -> Reading | None:
     prepared = evidence.prepared
     if prepared.noise_is_measured:
         return None
-    if evidence.over_noise < evidence.rules.gross_misfit:
+    if evidence.over_noise < evidence.rules.misfit:
         return Reading(1.0)
     if evidence.is_base:
         return Reading(0.0)
@@ -118,7 +115,7 @@ def least_visible(evidence: Evidence) -> Reading | None:
     if evidence.final.heldout is None or not evidence.added:
         return None
     seen = {e.name: evidence.fits.heldout_log_lr(evidence.final, e) for e in evidence.added}
-    unseen = tuple(name for name, ln in seen.items() if ln < evidence.rules.least_visible)
+    unseen = tuple(name for name, ln in seen.items() if ln < evidence.rules.heldout_gain)
     return Reading(min(seen.values()), unseen)
 
 
@@ -206,7 +203,7 @@ def _of_part(evidence: Evidence, left: SmoothPart | None) -> Reading | None:
     least = 1.0
     for share, significance in shares:
         too_much = left.excess_of_all > share * before.excess_of_all
-        if too_much or left.excess_of_all > rules.gross_misfit**2 - 1.0:
+        if too_much or left.excess_of_all > rules.misfit**2 - 1.0:
             least = min(least, left.p_value * rules.misfit_significance / significance)
     return Reading(least)
 

@@ -69,7 +69,7 @@ def near_singles(
     """
     prepared = fits.prepared
     left = {c.names: residual_summary(prepared, c).mean_square_m2 for c in singles}
-    if left[final.names] < (rules.gross_misfit * prepared.noise_model.noise.std_m) ** 2:
+    if left[final.names] < (rules.misfit * prepared.noise_model.noise.std_m) ** 2:
         return []
     by_left = sorted(singles, key=lambda c: left[c.names])[: rules.most_named]
     return [c for c in by_left if c.names != final.names]

@@ -94,7 +94,7 @@ def fake(**given):
     [
         (1.00e-4, 1000.0, True),
         (1.03e-4, 1061.0, True),  # below the margin: models err by as much
-        (1.08e-4, 1166.0, True),  # little of what the baseline misses
+        (1.08e-4, 1166.0, True),
         (1.15e-4, 1322.0, False),
     ],
 )

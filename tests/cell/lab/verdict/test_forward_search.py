@@ -13,7 +13,7 @@ GIVEN = Confirmation(
     fall_m2=2e-12,
     least_m2=1e-12,
     delta_chi2=1000.0,
-    log_lr=lambda: RULES.least_visible + 1.0,
+    log_lr=lambda: RULES.heldout_gain + 1.0,
 )
 
 
@@ -23,7 +23,7 @@ GIVEN = Confirmation(
         ({}, True),
         ({"gain": RULES.heldout_gain}, False),
         ({"fall_m2": 1e-12}, False),
-        ({"log_lr": lambda: RULES.least_visible}, False),
+        ({"log_lr": lambda: RULES.heldout_gain}, False),
     ],
 )
 def test_an_effect_is_confirmed_by_likelihood_by_error_and_by_itself(change, given):
