@@ -22,6 +22,7 @@ from cell.cli import (
     lab,
     ledger,
     line,
+    power,
     recordings,
     records,
     run,
@@ -35,7 +36,7 @@ from cell.terminal.logs import about, to_file, to_terminal
 
 #: Commands that run a user's own effects; another process watches that they end.
 WATCHED = (
-    *("fit", "compare", "diagnose", "discover", "suggest", "identify", "learn"),
+    *("fit", "compare", "diagnose", "discover", "suggest", "power", "identify", "learn"),
     *("check", "effects", "promote"),
 )
 
@@ -47,7 +48,7 @@ app = typer.Typer(
 )
 for group in (
     *(run, settings, records, ledger, acknowledge, bundle, recordings, store),
-    *(lab, studies, imports, line),
+    *(lab, power, studies, imports, line),
 ):
     app.add_typer(group.app)
 app.add_typer(calibrate.app)

@@ -125,7 +125,7 @@ def fit(
         answering() as interrupted,
     ):
         selection = select_effects(effect or [])
-        fits = _explorer(study, selection, prior, progress, config)
+        fits = explorer(study, selection, prior, progress, config)
         model, candidate, fitted_to = fit_study(fits)
         warnings: tuple[Doubt, ...] = lacking_doubt(model.lacks)
         trials: Sequence[Agreement] = ()
@@ -250,7 +250,7 @@ def diagnose(
 
     with refusing(*results or [], report, force=force), working("diagnose") as progress:
         selection = select_for_diagnosis(effect or [], known or [])
-        fits = _explorer(study, selection, prior, progress, config)
+        fits = explorer(study, selection, prior, progress, config)
         gc.freeze()  # what is loaded stays: not looked through for garbage again and again
         with stoppable(fits.work.stop) as interrupted:
             examination = with_agreement(with_limits(diagnose_study(fits)))
@@ -331,7 +331,7 @@ def discover(
     with refusing(out, as_json, force=force), working("discover") as progress:
         effect_name(out)
         selection = select_effects(effect or [])
-        fits = _explorer(study, selection, prior, progress)
+        fits = explorer(study, selection, prior, progress)
         with stoppable(fits.work.stop) as interrupted:
             try:
                 discovery = discover_effect(fits, out)
@@ -388,7 +388,7 @@ def suggest(
     with refusing(out, as_json, force=force), working("suggest") as progress:
         surroundings = Surroundings.read(config)
         selection = select_for_diagnosis(effect or [], known or [])
-        fits = _explorer(study, selection, prior, progress, config)
+        fits = explorer(study, selection, prior, progress, config)
         with stoppable(fits.work.stop) as interrupted:
             diagnosed = diagnose_study(fits)
         if interrupted:
@@ -435,7 +435,7 @@ def refusing(*outputs: Path | None, force: bool = False) -> Iterator[None]:
         raise typer.Exit(BAD_INPUT) from error
 
 
-def _explorer(
+def explorer(
     folder: Path,
     selection: EffectSelection,
     prior: Path | None,

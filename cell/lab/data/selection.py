@@ -36,7 +36,7 @@ def select_effects(in_model: Sequence[str], candidates: Sequence[str] = ()) -> E
     """
     effects: dict[str, type[Effect]] = {}
     for given in (*in_model, *candidates):
-        effect = _effect(given)
+        effect = effect_named(given)
         if effect.name in effects:
             raise ValueError(
                 f"--effect {given}: another effect {effect.name!r} is given too; leave one out, "
@@ -59,7 +59,11 @@ def select_for_diagnosis(effects: Sequence[str], known: Sequence[str]) -> Effect
     return select_effects(in_model, [e for e in effects if e not in tried_anyway])
 
 
-def _effect(given: str) -> type[Effect]:
+def effect_named(given: str) -> type[Effect]:
+    """The effect of a name, or of a user's own file.
+
+    raises  as `select_effects`
+    """
     known = known_effects()
     if given.endswith(".py"):
         effect = effect_from(given)
