@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -49,6 +50,14 @@ def power(
             max=10_000,
         ),
     ] = 0,
+    motion: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--motion",
+            help="A motion, as `cell suggest` writes it, as if it had been recorded too and held "
+            "out.  Repeat the option for more.",
+        ),
+    ] = None,
     known: Known = None,
     config: LineModel = None,
     results: Results = None,
@@ -59,13 +68,20 @@ def power(
     The study's own motions, markers and noise count.  A few seconds tell the probability, the
     smallest size that is found with 95 %, and the effect that it is most like.
     """
+    from cell.lab.next.motion_file import hand_motion
     from cell.lab.power.asked import select_asked
+    from cell.lab.power.planned import with_motions
     from cell.lab.power.study_power import power_of
 
     with refusing(*results or [], force=force), working("power") as progress:
         asked, selection = select_asked(effect, known or [])
         fits = explorer(study, selection, None, progress, config)
+        first = fits.given.study.trials[0].grip
+        home = float(first.x_m[0]), float(first.y_m[0])
+        planned = [hand_motion(path, home) for path in motion or []]
         with stoppable(fits.work.stop) as interrupted:
+            if planned:
+                fits = with_motions(fits, planned)
             found = power_of(fits, asked, verify, progress=progress)
     data = found.to_json()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -41,19 +42,27 @@ class World:
     channels: FloatArray | None
 
     @staticmethod
-    def of(prepared: PreparedStudy, fit: Fit, hidden: ActiveEffect | None) -> World:
-        """The model of a fit and an effect, on the study's own motions.
+    def of(
+        prepared: PreparedStudy,
+        fit: Fit,
+        hidden: ActiveEffect | None,
+        trials: Sequence[Trial] | None = None,
+    ) -> World:
+        """The model of a fit and an effect, on the study's own motions or on other trials'.
 
         raises  UnsimulatedError: it cannot be simulated
         """
-        model, trials = _with(fit.model, hidden), prepared.study.trials
+        model = _with(fit.model, hidden)
+        trials = prepared.study.trials if trials is None else tuple(trials)
         states = {t.name: _beginning(prepared, fit, t)[None] for t in trials}
         places = finer(prepared).predict_all(trials, [model], states)
         if not all(np.all(np.isfinite(points)) for points in places):
             name = "" if hidden is None else f" with {hidden.effect.name} {hidden.values}"
             raise UnsimulatedError(f"the cable{name} cannot be simulated; give a smaller size")
         clean = {t.name: points[0] for t, points in zip(trials, places, strict=True)}
-        return World(prepared.study, prepared, clean, _together(prepared, fit))
+        return World(
+            replace(prepared.study, trials=trials), prepared, clean, _together(prepared, fit)
+        )
 
     def copy(self, number: int) -> Study:
         """What would be measured once more; the same for the same number."""
@@ -130,7 +139,9 @@ def _ends(prepared: PreparedStudy, role: Literal["fit", "validate"]) -> NDArray[
 
 
 def _beginning(prepared: PreparedStudy, fit: Fit, trial: Trial) -> FloatArray:
-    """How a trial begins: as fitted, or as is likeliest of one held out."""
+    """How a trial begins: at rest, as fitted, or as is likeliest of one held out."""
+    if prepared.beginning(trial).count == 0:
+        return np.zeros(0)
     known = fit.initial_states.get(trial.name)
     return best_initial_state(prepared, fit.model, trial) if known is None else known
 

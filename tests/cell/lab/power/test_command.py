@@ -8,6 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from cell.cli import app
+from cell.lab.data.prepared import all_fitted
 from cell.study.folder import write_study
 
 run = CliRunner().invoke
@@ -55,6 +56,46 @@ def test_what_is_meant_wrongly_is_refused_and_nothing_is_written(folder, tmp_pat
     out = tmp_path / "power.json"
     done = run(app, ["power", str(folder), *words, "-o", str(out)])
     assert (done.exit_code, out.exists()) == (2, False)
+    assert says in done.stderr
+
+
+MOTION = """\
+format: cell-motion/1
+start: {x_m: 0.0, y_m: 0.0, angle_rad: 0.0}
+still_s: 0.2
+moves:
+- {x_m: 0.0, y_m: -0.08, angle_rad: 0.0, duration_s: 0.35}
+hold_s: 0.8
+"""
+
+
+def test_a_motion_counts_as_if_it_had_been_recorded_and_held_out(make_study, tmp_path):
+    write_study(all_fitted(make_study(seed=21)), tmp_path / "made")
+    (tmp_path / "deeper.yaml").write_text(MOTION)
+    asked = ["power", str(tmp_path / "made"), "--effect", "air_drag=0.5", "--json"]
+    before = json.loads(run(app, asked).stdout)
+    assert before["effects"][0]["forecast"]["found"] == 0.0
+    assert [w["code"] for w in before["warnings"]] == ["confirmation"]
+    done = run(app, [*asked, "--motion", str(tmp_path / "deeper.yaml")])
+    assert done.exit_code == 0, done.output
+    after = json.loads(done.stdout)
+    assert after["warnings"] == []
+    assert after["effects"][0]["forecast"]["found"] > 0.9
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "says"),
+    [
+        ("deep.yaml", MOTION, "there is a trial 'deep' already; rename the file"),
+        ("new.yaml", MOTION.replace("0.35", "-1"), "new.yaml:5:"),
+        ("new.yaml", MOTION.replace("moves", "move"), "new.yaml:"),
+    ],
+)
+def test_a_motion_that_cannot_be_meant_is_refused(folder, tmp_path, name, text, says):
+    (tmp_path / name).write_text(text)
+    given = ["power", str(folder), "--effect", "air_drag", "--motion", str(tmp_path / name)]
+    done = run(app, given)
+    assert done.exit_code == 2
     assert says in done.stderr
 
 
