@@ -24,6 +24,7 @@ from cell.cli import (
     lab,
     ledger,
     line,
+    power,
     recordings,
     records,
     run,
@@ -37,7 +38,7 @@ from cell.terminal.logs import about, to_file, to_terminal
 
 #: Commands that run a user's own effects; another process watches that they end.
 WATCHED = (
-    *("fit", "compare", "diagnose", "discover", "suggest", "identify", "learn"),
+    *("fit", "compare", "diagnose", "discover", "suggest", "power", "identify", "learn"),
     *("check", "effects", "promote", "export"),
 )
 
@@ -49,7 +50,7 @@ app = typer.Typer(
 )
 for group in (
     *(run, settings, records, ledger, acknowledge, bundle, recordings, store),
-    *(fit, lab, studies, imports, export, line),
+    *(fit, lab, power, studies, imports, export, line),
 ):
     app.add_typer(group.app)
 app.add_typer(calibrate.app)

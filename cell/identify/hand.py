@@ -50,10 +50,12 @@ class HandErrors:
     offset_rad: float = 0.0
 
 
-def likely_motions(motion: Motion, errors: HandErrors) -> list[Motion]:
+def likely_motions(motion: Motion, errors: HandErrors, first: int = 0) -> list[Motion]:
     """`errors.samples` motions as likely as the logged one.
 
     The noise is the same on the same samples of a log that goes on longer.
+
+    first   number of the first that is drawn: other numbers, other noise
     source  parametric bootstrap: the noise that the engine's splines find in the log and take out,
             drawn anew, for them to take out again, as much as in the log
     """
@@ -63,7 +65,7 @@ def likely_motions(motion: Motion, errors: HandErrors) -> list[Motion]:
     drawn = np.empty((errors.samples, len(splines), len(motion.t_s)))
     for sample in range(errors.samples):
         for axis, (value, spline, offset) in enumerate(zip(smooth, splines, offsets, strict=True)):
-            rng = np.random.default_rng([20260101, sample, axis])
+            rng = np.random.default_rng([20260101, first + sample, axis])
             constant = offset * rng.normal()
             noise = spline.noise_std * rng.normal(size=len(value))
             drawn[sample, axis] = value + constant + noise

@@ -116,7 +116,7 @@ def like(cable: Cable, unit: str) -> float:
     """By how much a quantity with this unit is larger in a like cable than in `CABLE`."""
     of_density, of_length = LIKE.get(unit, (0.0, 0.0))
     heavier = cable.line_density_kg_per_m / CABLE.line_density_kg_per_m
-    return heavier**of_density * (cable.free_length_m / CABLE.free_length_m) ** of_length
+    return float(heavier**of_density * (cable.free_length_m / CABLE.free_length_m) ** of_length)
 
 
 def hidden(effect: type[Effect], size: float, cable: Cable = CABLE) -> ActiveEffect:

@@ -39,7 +39,7 @@ def select_effects(in_model: Sequence[str], candidates: Sequence[str] = ()) -> E
     """
     effects: dict[str, type[Effect]] = {}
     for given in (*in_model, *candidates):
-        effect = _effect(given)
+        effect = effect_named(given)
         if effect.name in effects:
             raise ValueError(
                 f"--effect {given}: another effect {effect.name!r} is given too; leave one out, "
@@ -77,7 +77,7 @@ def candidates_in(folder: Path, progress: Progress = no_progress) -> tuple[list[
         progress("checking candidates", number, len(files))
         try:
             check_untrusted(file)
-            name = _effect(str(file)).name
+            name = effect_named(str(file)).name
         except ValueError as error:  # EffectError among them
             refused.append(f"left out: {error}")
             continue
@@ -89,7 +89,11 @@ def candidates_in(folder: Path, progress: Progress = no_progress) -> tuple[list[
     return good, refused
 
 
-def _effect(given: str) -> type[Effect]:
+def effect_named(given: str) -> type[Effect]:
+    """The effect of a name, or of a user's own file.
+
+    raises  as `select_effects`
+    """
     known = known_effects()
     if given.endswith(".py"):
         effect = effect_from(given)

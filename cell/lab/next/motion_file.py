@@ -9,11 +9,14 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from cell.cable.geometry import Motion
 from cell.files.input_error import InputError, Problem
 from cell.files.yaml_document import Document, read_yaml, validate
-from cell.plan.measuring import Measuring, Move, least_duration_s
+from cell.lab.next.strokes import RATE_HZ
+from cell.plan.measuring import Measuring, Move, least_duration_s, measuring_path
 from cell.settings import Settings
 from cell.settings.translate import arm_limits_of, pose_from_home
+from drivers.interfaces import Pose
 
 #: A pose may exceed its limit by so much, m or rad: a file has its numbers in micrometres.
 ROUNDING = 1e-6
@@ -81,6 +84,32 @@ def load_motion(path: Path, settings: Settings) -> Measuring:
         ),
         hold_s=motion.hold_s,
     )
+
+
+def hand_motion(path: Path, home: tuple[float, float]) -> tuple[str, Motion]:
+    """Name of the motion in a YAML file, and the hand's pose against time, in no cell's limits.
+
+    home    x and y from which the file's are given, m
+    raises  InputError: every mistake, each with file, line, column, key, value, limit, remedy
+    """
+    document = read_yaml(path)
+    motion = validate(document, MotionFile)
+    if problems := _name(document):
+        raise InputError(problems)
+    poses = [Pose(home[0] + p.x_m, home[1] + p.y_m, p.angle_rad) for p in (
+        motion.start, *motion.moves)]  # fmt: skip
+    moves = [Move(pose, m.duration_s) for pose, m in zip(poses[1:], motion.moves, strict=True)]
+    way = measuring_path(poses[0], moves, RATE_HZ)
+    step_s = 1.0 / RATE_HZ
+    before = np.arange(0.0, motion.still_s, step_s)
+    after = np.arange(step_s, motion.hold_s, step_s)
+    t_s = np.concatenate([before, before[-1] + step_s + way.t_s])
+    t_s = np.concatenate([t_s, t_s[-1] + after])
+    values = (
+        np.concatenate([np.full(len(before), v[0]), v, np.full(len(after), v[-1])])
+        for v in (way.x_m, way.y_m, way.angle_rad)
+    )
+    return path.stem, Motion(t_s, *values)
 
 
 def _name(document: Document) -> list[Problem]:

@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from cell.cli import app
 
-EVERYWHERE = ["fit", "compare", "diagnose", "effects", "discover", "suggest", "identify"]
+EVERYWHERE = ["fit", "compare", "diagnose", "effects", "discover", "suggest", "power", "identify"]
 
 
 @pytest.mark.parametrize("command", EVERYWHERE)

@@ -30,3 +30,11 @@ def test_likely_motions_differ_by_what_the_log_does_not_tell(log: Motion) -> Non
     assert spread == pytest.approx(error, rel=0.6)
     assert np.std([m.angle_rad[0] for m in others]) == pytest.approx(1e-3, rel=0.5)
     assert likely_motions(log, HandErrors(samples=0)) == []
+
+
+def test_later_motions_are_those_of_a_longer_list(log: Motion) -> None:
+    """Another number, other noise; the same number, the same."""
+    many = likely_motions(log, HandErrors(samples=5))
+    (last,) = likely_motions(log, HandErrors(samples=1), first=4)
+    np.testing.assert_array_equal(last.x_m, many[4].x_m)
+    assert not np.array_equal(last.x_m, many[3].x_m)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from cell.files.input_error import InputError
-from cell.lab.next.motion_file import load_motion
+from cell.lab.next.motion_file import hand_motion, load_motion
 from cell.settings import Settings, load_settings
 from cell.settings.model import HandPose
 from drivers.interfaces import Pose
@@ -96,3 +97,25 @@ def test_a_file_whose_name_cannot_name_a_trial_is_refused(
 def test_a_file_that_is_not_there_is_said(settings: Settings, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot be read"):
         load_motion(tmp_path / "absent.yaml", settings)
+
+
+def test_the_hand_rests_moves_as_the_file_says_and_is_held(tmp_path: Path) -> None:
+    path = tmp_path / "down.yaml"
+    path.write_text(
+        "format: cell-motion/1\n"
+        "start: {x_m: 0.01, y_m: 0.0, angle_rad: 0.1}\n"
+        "still_s: 0.2\n"
+        "moves:\n"
+        "- {x_m: 0.01, y_m: -0.05, angle_rad: 0.1, duration_s: 0.3}\n"
+        "- {x_m: 0.01, y_m: 0.0, angle_rad: 0.4, duration_s: 0.5}\n"
+        "hold_s: 0.4\n"
+    )
+    name, hand = hand_motion(path, (1.0, 2.0))
+    assert name == "down"
+    assert hand.t_s[-1] == pytest.approx(1.4, abs=0.01)
+    assert np.all(np.diff(hand.t_s) > 0.0)
+    np.testing.assert_allclose(hand.x_m, 1.01)
+    assert np.interp(0.2, hand.t_s, hand.y_m) == pytest.approx(2.0)
+    assert np.interp(0.35, hand.t_s, hand.y_m) == pytest.approx(1.975, abs=1e-3)
+    assert np.interp(0.5, hand.t_s, hand.y_m) == pytest.approx(1.95, abs=1e-4)
+    assert (hand.y_m[-1], hand.angle_rad[-1]) == (2.0, 0.4)

@@ -1,0 +1,107 @@
+"""Command of the model lab that tells what a study could show: power."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cell.cli.delivery import deliver, json_files
+from cell.cli.lab import (
+    Force,
+    Known,
+    LineModel,
+    Results,
+    StudyFolder,
+    refusing,
+    show,
+    working,
+)
+from cell.cli.result_json import JsonCommand, print_result
+from cell.cli.shared import group, stoppable, tell_notes
+
+if TYPE_CHECKING:
+    from cell.lab.power.study_power import StudyPower
+
+app = group()
+
+
+@app.command(cls=JsonCommand)
+def power(
+    study: StudyFolder,
+    effect: Annotated[
+        list[str],
+        typer.Option(
+            "--effect",
+            help="NAME, NAME=SIZE or NAME.PARAMETER=SIZE of an effect of the library or of a "
+            "file.py; SIZE in the parameter's unit.  Without SIZE: the smallest that is found.  "
+            "Repeat the option for more.",
+        ),
+    ],
+    verify: Annotated[
+        int,
+        typer.Option(
+            "--verify",
+            help="Hide the effect in so many copies of the study, diagnose each, and print what "
+            "was found beside the forecast.",
+            min=0,
+            max=10_000,
+        ),
+    ] = 0,
+    motion: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--motion",
+            help="A motion, as `cell suggest` writes it, as if it had been recorded too and held "
+            "out.  Repeat the option for more.",
+        ),
+    ] = None,
+    known: Known = None,
+    config: LineModel = None,
+    results: Results = None,
+    force: Force = False,
+) -> None:
+    """Forecast which effects a diagnosis of this study would find, and from which size on.
+
+    The study's own motions, markers and noise count.  A few seconds tell the probability, the
+    smallest size that is found with 95 %, and the effect that it is most like.
+    """
+    from cell.api.lab import set_up
+    from cell.lab.next.motion_file import hand_motion
+    from cell.lab.power.asked import select_asked
+    from cell.lab.power.planned import with_motions
+    from cell.lab.power.study_power import power_of
+
+    with refusing(*results or [], force=force), working("power") as progress:
+        asked, selection = select_asked(effect, known or [])
+        fits = set_up(study, selection, None, config, progress, tell_notes)
+        first = fits.given.study.trials[0].grip
+        home = float(first.x_m[0]), float(first.y_m[0])
+        planned = [hand_motion(path, home) for path in motion or []]
+        with stoppable(fits.work.stop) as interrupted:
+            if planned:
+                fits = with_motions(fits, planned)
+            found = power_of(fits, asked, verify, progress=progress)
+    data = found.to_json()
+
+    def printed() -> None:
+        if print_result(data, *results or []):
+            _show(found)
+
+    deliver(printed, *json_files(data, *results or []))
+    if interrupted:
+        raise typer.Exit(interrupted.code)
+
+
+def _show(found: StudyPower) -> None:
+    from cell.lab.report.power_tables import power_sentences, power_table, recovery_table
+    from cell.lab.report.tables import warning_lines
+
+    copies = recovery_table(found)
+    show(
+        *power_sentences(found),
+        *warning_lines(found.warnings),
+        power_table(found),
+        *([] if copies is None else [copies]),
+    )

@@ -1,0 +1,307 @@
+"""What a diagnosis would decide, for draws of the scores that it looks at."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri as chi2_quantile
+from scipy.special import fdtri as f_quantile
+from scipy.special import ndtri as normal_quantile
+
+from cell.cable.effects.base import Effect
+from cell.identify.gaussian import covariance_root
+from cell.lab.data.thresholds import Rules
+from cell.lab.fit.sensitivity import chances_of, one_sided
+from cell.lab.power.linear_study import LinearStudy, Slopes
+from cell.lab.statistics.score import boundary_p_value, delta_bic
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+#: Draws of the scores: a probability of 95 % is then known to half a per cent.
+DRAWS = 4000
+#: Checks of what a model leaves that is slow, which refuse a right model by chance: heldout_smooth
+#: and parameter_constancy.
+SLOW_CHECKS = 2
+
+
+@dataclass(frozen=True)
+class Circumstances:
+    """What the limits of a diagnosis depend on, beside its rules.
+
+    library     number of effects that are tried
+    fitted, heldout   values of the trials fitted to and held out
+    independent       values per value of coloured noise
+    noise_m           what a right model leaves
+    slow        slow values of the trials held out that are looked at; 0 = none
+    by_hand, by_hand_heldout   by which errors of the hand's log inflate a χ² of the effect
+    """
+
+    library: int
+    fitted: int
+    heldout: int
+    independent: float
+    noise_m: float
+    slow: float
+    by_hand: float
+    by_hand_heldout: float
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """(draws,) what a diagnosis says of one effect added to the baseline.
+
+    significant  on the trials fitted to, among the library
+    confirmed    by the trials held out
+    evidence     ln likelihood with its penalty, by which the best is chosen
+    chi2         of all trials, by which ties are told
+    """
+
+    significant: BoolArray
+    confirmed: BoolArray
+    evidence: FloatArray
+    chi2: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class EffectTest:
+    """The test of one effect: information of its amplitudes (k, k), and their mean scores.
+
+    inside     in the trials fitted to; outside: in those held out, what the fit leaves uncertain
+               allowed for
+    shown      the same of the effect alone, all else as fitted
+    raw_m2     square by which unit amplitudes change the held-out trials, m²
+    fitted, heldout   numbers of its scores among those that are drawn
+    """
+
+    effect: type[Effect]
+    inside: FloatArray
+    outside: FloatArray
+    shown: FloatArray
+    raw_m2: FloatArray
+    fitted: slice
+    heldout: slice
+
+    def judged(self, scores: FloatArray, given: Circumstances, rules: Rules) -> Judged:
+        """By scores (draws, all)."""
+        t, u = scores[:, self.fitted], scores[:, self.heldout]
+        size: FloatArray = np.asarray(np.linalg.solve(self.inside, t.T).T, dtype=np.float64)
+        if one_sided(self.effect):
+            size = np.asarray(np.maximum(size, 0.0))
+        fall = 2.0 * np.sum(size * t, axis=1) - _square(size, self.inside)
+        gain = self._gain(size, u) if given.heldout else np.zeros(len(t))
+        significant = fall > given.by_hand * self.least_fall(given, rules)
+        fitted = sum(p.fitted for p in self.effect.parameters)
+        penalty = -delta_bic(0.0, fitted, given.fitted, given.independent)
+        return Judged(
+            significant,
+            self._confirmed(size, u, gain, given, rules),
+            0.5 * (fall - penalty) + gain,
+            -fall - 2.0 * gain,
+        )
+
+    def least_fall(self, given: Circumstances, rules: Rules) -> float:
+        """Fall of χ² from which the effect is significant among the library, and pays by BIC."""
+        amplitudes = sum(p.amplitude for p in self.effect.parameters)
+        bounded, shapes = int(one_sided(self.effect)), chances_of(self.effect)
+        low, high = 0.0, 1e4
+        while high - low > 1e-3:
+            middle = 0.5 * (low + high)
+            p_value = boundary_p_value(middle, amplitudes, bounded, shapes)
+            low, high = (middle, high) if p_value * given.library > rules.significance else (
+                low, middle)  # fmt: skip
+        fitted = sum(p.fitted for p in self.effect.parameters)
+        return max(high, -delta_bic(0.0, fitted, given.fitted, given.independent))
+
+    def _gain(self, size: FloatArray, u: FloatArray) -> FloatArray:
+        """ln of how much likelier the effect makes the held-out trials, its size as fitted."""
+        rest = u - size @ self.outside
+        together = self.inside + self.outside
+        better = 2.0 * np.sum(size * u, axis=1) - _square(size, self.outside)
+        better += np.sum(rest * np.linalg.solve(together, rest.T).T, axis=1)
+        grown = np.linalg.slogdet(together)[1] - np.linalg.slogdet(self.inside)[1]
+        there = np.any(size != 0.0, axis=1)
+        return np.where(there, 0.5 * (better - grown), 0.0)
+
+    def _confirmed(
+        self,
+        size: FloatArray,
+        u: FloatArray,
+        gain: FloatArray,
+        given: Circumstances,
+        rules: Rules,
+    ) -> BoolArray:
+        """Whether held-out trials bear it out, as `Confirmation.is_given` has it."""
+        if not given.heldout:
+            return np.zeros(len(size), dtype=bool)
+        seen = np.linalg.solve(self.outside, u.T).T
+        fall_m2 = 2.0 * np.sum((size @ self.raw_m2) * seen, axis=1) - _square(size, self.raw_m2)
+        return np.asarray(
+            (gain / given.by_hand_heldout > rules.heldout_gain)
+            & (fall_m2 / given.heldout > rules.negligible_share * given.noise_m**2)
+            & (0.5 * _square(size, self.shown) > rules.heldout_gain)
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class HalfSeen:
+    """The check whether half of the effect would be detected.
+
+    scores  numbers of its scores among those that are drawn
+    least   χ² from which it would
+    """
+
+    scores: slice
+    least: float
+
+    def passes(self, scores: FloatArray) -> BoolArray:
+        """Of draws (draws, all)."""
+        return np.asarray(np.sum(scores[:, self.scores] ** 2, axis=1) > self.least)
+
+
+@dataclass(frozen=True)
+class Chances:
+    """Probabilities of what a diagnosis says of a hidden effect.
+
+    found        it is named, alone or tied with no more than two others, and claimed
+    confused     another effect is claimed in its place: names, probabilities, the likeliest first
+    significant, confirmed, identified, told_apart   what has to hold for that, each alone
+    """
+
+    found: float
+    confused: tuple[tuple[str, float], ...]
+    significant: float
+    confirmed: float
+    identified: float
+    told_apart: float
+
+    @property
+    def missed(self) -> float:
+        """Nothing is claimed."""
+        return max(0.0, 1.0 - self.found - sum(p for _, p in self.confused))
+
+
+@dataclass(frozen=True, eq=False)
+class Tests:
+    """All that a diagnosis looks at of a hidden effect.
+
+    effects   the hidden one first
+    functions (n, rows) of the residual; by_change: (n,) of them by the hidden change itself
+    noise     (draws, n) of the scores
+    """
+
+    effects: tuple[EffectTest, ...]
+    half_seen: tuple[HalfSeen, ...]
+    given: Circumstances
+    by_change: FloatArray
+    noise: FloatArray
+
+    @staticmethod
+    def of(
+        linear: LinearStudy,
+        hidden: FloatArray,
+        own: Slopes,
+        rivals: Sequence[Slopes],
+        given: Circumstances,
+        rules: Rules,
+    ) -> Tests:
+        """Of a hidden change (rows,), its own slopes and those of other effects."""
+        functions: list[FloatArray] = []
+        effects = tuple(_test_of(linear, s, functions) for s in (own, *rivals))
+        looks = (None, own.rows) if linear.sees_noise else ()
+        half_seen = tuple(_half_seen(linear, look, functions, rules) for look in looks)
+        every = np.concatenate(functions)
+        root = covariance_root(linear.covariance(every))
+        noise = np.random.default_rng(0).standard_normal((DRAWS, len(every))) @ root.T
+        return Tests(effects, half_seen, given, every @ hidden, noise)
+
+    def chances(self, times: float, rules: Rules) -> Chances:
+        """With the hidden change so many times as large."""
+        scores = self.noise + times * self.by_change
+        judged = [test.judged(scores, self.given, rules) for test in self.effects]
+        accepted = np.array([j.significant & j.confirmed for j in judged])
+        evidence = np.where(accepted, [j.evidence for j in judged], -np.inf)
+        best, any_is = np.argmax(evidence, axis=0), accepted.any(axis=0)
+        chi2 = np.array([j.chi2 for j in judged])
+        tied = chi2 < np.take_along_axis(chi2, best[None], axis=0) + rules.tie_delta_chi2
+        tied[best, np.arange(len(best))] = True
+        few = tied.sum(axis=0) <= rules.most_named
+        identified = np.ones(len(scores), dtype=bool)
+        if self.half_seen:
+            identified = np.any([look.passes(scores) for look in self.half_seen], axis=0)
+        claimed = any_is & few & identified
+        passes = self._right_passes(times, rules)
+        others = [
+            (test.effect.name, passes * float(np.mean(claimed & ~tied[0] & (best == i))))
+            for i, test in enumerate(self.effects)
+        ]
+        return Chances(
+            found=passes * float(np.mean(claimed & tied[0])),
+            confused=tuple(sorted((o for o in others if o[1] > 0.0), key=lambda o: -o[1])),
+            significant=float(np.mean(judged[0].significant)),
+            confirmed=float(np.mean(judged[0].confirmed)),
+            identified=float(np.mean(identified)),
+            told_apart=float(np.mean(few & tied[0])),
+        )
+
+    def _right_passes(self, times: float, rules: Rules) -> float:
+        """Probability that checks of slow errors let the right model pass.
+
+        They judge by `misfit_significance`, and by `significance` where more than a small share of
+        what the baseline leaves stays: beside a weak effect so much is there by chance.
+        """
+        if self.given.slow == 0.0:
+            return 1.0
+        hidden = self.effects[0]
+        score = times * self.by_change[hidden.heldout]
+        before = float(score @ np.linalg.solve(hidden.outside, score))
+        by_chance = -float(normal_quantile(rules.significance)) * np.sqrt(2.0 * self.given.slow)
+        weak = rules.small_share * before < by_chance
+        limit = rules.significance if weak else rules.misfit_significance
+        return float((1.0 - limit) ** SLOW_CHECKS)
+
+
+def _test_of(linear: LinearStudy, slopes: Slopes, functions: list[FloatArray]) -> EffectTest:
+    """An effect's test; the functions that it needs are added."""
+    rows = slopes.rows
+    inside = linear.unlike_fitted(rows)
+    held = linear.heldout(rows)
+    weighed = linear.weighed(held)
+    alone = np.where(linear.fitted, 0.0, rows)
+    raw = linear.raw_m(held)
+    begin = sum(map(len, functions))
+    functions += [inside, linear.heldout_scores(weighed)]
+    count = len(rows)
+    return EffectTest(
+        slopes.effect,
+        inside @ rows.T,
+        weighed @ held.T,
+        linear.weighed(alone) @ alone.T,
+        raw @ raw.T,
+        slice(begin, begin + count),
+        slice(begin + count, begin + 2 * count),
+    )
+
+
+def _half_seen(
+    linear: LinearStudy, beside: FloatArray | None, functions: list[FloatArray], rules: Rules
+) -> HalfSeen:
+    """The check by what single trials' own parameters explain; its functions are added."""
+    scores, count, by_errors, dof = linear.scores_of_trials(beside)
+    if np.isfinite(dof):
+        ratio = float(f_quantile(count, dof, 1.0 - rules.significance))
+    else:
+        ratio = float(chi2_quantile(count, rules.significance)) / count
+    excess = 2.0 * (ratio - 1.0)
+    begin = sum(map(len, functions))
+    functions.append(scores)
+    # χ² is compared per independent value, beside what hand and mesh add
+    return HalfSeen(slice(begin, begin + len(scores)), (1.0 + excess) * (count + by_errors))
+
+
+def _square(values: FloatArray, inner: FloatArray) -> FloatArray:
+    """(n,) of vectors (n, k) by (k, k)."""
+    return np.asarray(np.sum((values @ inner) * values, axis=1))

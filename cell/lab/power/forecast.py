@@ -1,0 +1,204 @@
+"""Probability that a diagnosis finds a hidden effect, and the smallest size that it finds.
+
+A hidden effect moves the whitened residual by what the fitted parameters cannot imitate of it.  One
+fit without noise tells that.  The scores of all effects move with it, and noise moves them
+linearly.  So the distribution of all that a diagnosis looks at is known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.identify.gauss_newton import UNSIMULATED
+from cell.lab.data.thresholds import DEFAULT_RULES, Rules
+from cell.lab.fit.fitting import fit_trials
+from cell.lab.fit.sensitivity import changes
+from cell.lab.power.asked import AskedEffect
+from cell.lab.power.decisions import Chances, Circumstances, Tests
+from cell.lab.power.hidden import left_of
+from cell.lab.power.linear_study import LinearStudy, Slopes, own_slopes, rivals_of
+from cell.lab.search.fit_cache import FitCache
+from cell.lab.verdict.smooth_part import smooth_part
+
+FloatArray = NDArray[np.float64]
+
+#: Power that the smallest size has.
+POWER = 0.95
+#: Rounds in which the size is simulated anew, and when it is settled: it moves by less than this.
+ROUNDS, NEARLY = 4, 0.02
+#: Steps of the search for a size, and how far it goes from where it begins.
+_HALVINGS, _FARTHEST = 30, 1e4
+#: Other effects that are told apart by draws: of the most collinear.
+_RIVALS = 8
+
+
+@dataclass(frozen=True)
+class Rival:
+    """An effect that looks like the hidden one.
+
+    correlation  of what both do to all trials, without what the parameters imitate
+    """
+
+    effect: str
+    correlation: float
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """Of an effect hidden in a study: what a diagnosis is likely to say.
+
+    size      of the amplitude asked; None = none within its bounds has the power
+    chances   with an effect of this size
+    smallest  that is found with `POWER`; None = none within its bounds
+    rivals    the most collinear effects, the nearest first
+    noncentrality   χ² that the effect adds to what the fitted model leaves of all trials
+    """
+
+    size: float | None
+    chances: Chances | None
+    smallest: float | None
+    rivals: tuple[Rival, ...]
+    noncentrality: float | None
+
+
+def forecast(
+    fits: FitCache, asked: AskedEffect, linear: LinearStudy, rules: Rules = DEFAULT_RULES
+) -> Forecast:
+    """What a diagnosis of a study with this effect would say, and from which size on it names it.
+
+    linear  the study near the baseline of `fits`
+    """
+    at = _At(fits, asked, linear, rules)
+    begin = asked.typical if asked.size is None else asked.size
+    smallest = at.smallest(begin)
+    size = smallest if asked.size is None else asked.size
+    found = at.tests(begin if size is None else size)
+    if found is None:
+        return Forecast(size, None, smallest, (), None)
+    tests, hidden, rivals = found
+    unlike = linear.unlike_all(hidden[None])[0]
+    return Forecast(
+        size,
+        None if size is None else tests.chances(1.0, rules),
+        smallest,
+        tuple(Rival(s.effect.name, s.collinear) for s in rivals),
+        None if size is None else float(unlike @ unlike),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _At:
+    """The tests of an effect at a size."""
+
+    fits: FitCache
+    asked: AskedEffect
+    linear: LinearStudy
+    rules: Rules
+
+    def tests(
+        self, size: float, *, refitted: bool = True
+    ) -> tuple[Tests, FloatArray, list[Slopes]] | None:
+        """With the change (rows,) that the effect makes, and its rivals; None if it shows nothing.
+
+        So too where it cannot be simulated so strong.
+        refitted  by what a fit leaves of the effect, and not by what slopes say that it leaves
+        """
+        linear, effect = self.linear, self.asked.effect
+        hidden = self._left(size) if refitted else self._change(size)
+        if hidden is None:
+            return None
+        amplitudes = [p for p in effect.parameters if p.amplitude]
+        own = own_slopes(linear, effect, amplitudes.index(self.asked.parameter), hidden)
+        if own is None:
+            return None
+        known = {effect.name, *(e.name for e in self.fits.space.effects)}
+        others = [e for name, e in self.fits.library.items() if name not in known]
+        rivals = rivals_of(linear, hidden, others)[:_RIVALS]
+        given = self._circumstances(hidden)
+        return Tests.of(linear, hidden, own, rivals, given, self.rules), hidden, rivals
+
+    def _change(self, size: float) -> FloatArray | None:
+        linear = self.linear
+        change = changes(linear.whole.prepared, linear.whole.fit, [self.asked.at(size)])[0]
+        return change if np.all(np.isfinite(change)) else None
+
+    def _left(self, size: float) -> FloatArray | None:
+        try:
+            return left_of(self.fits.prepared, self.fits.baseline().fit, self.asked.at(size))
+        except UNSIMULATED:
+            return None
+
+    def _circumstances(self, hidden: FloatArray) -> Circumstances:
+        prepared, linear = self.fits.prepared, self.linear
+        hand, names = self.fits.hand(), [t.name for t in prepared.study.trials]
+        errs = linear.whole.systematic_error
+        slow = smooth_part(prepared, self.fits.baseline().fit)
+
+        def inflated(change: FloatArray) -> float:
+            by_trial = errs.by_trial(change)
+            return hand.inflation(dict(zip(names, by_trial, strict=True)))
+
+        return Circumstances(
+            library=len(self.fits.screened(self.fits.baseline())),
+            fitted=prepared.count(fit_trials(prepared)),
+            heldout=prepared.count(prepared.study.role("validate")),
+            independent=prepared.noise_model.effective_fraction,
+            noise_m=prepared.expected.std_m,
+            slow=0.0 if slow is None else slow.count,
+            by_hand=inflated(linear.unlike_fitted(hidden[None])[0]),
+            by_hand_heldout=inflated(linear.heldout(hidden[None])[0]),
+        )
+
+    def smallest(self, begin: float) -> float | None:
+        """The size from which the effect is found with `POWER`, searched from another size.
+
+        By slopes first, which is quick, and then by fits.
+        """
+        size = self._searched(begin, refitted=False)
+        return None if size is None else self._searched(size, refitted=True)
+
+    def _searched(self, begin: float, *, refitted: bool) -> float | None:
+        parameter = self.asked.parameter
+        from_off = begin - parameter.default
+        limit = (parameter.high if from_off > 0.0 else parameter.low) - parameter.default
+        at_limit = False
+        for _ in range(ROUNDS):
+            found = self.tests(parameter.default + from_off, refitted=refitted)
+            times = None if found is None else _least_times(found[0], self.rules)
+            if times is None or (at_limit and times > 1.0):
+                return None
+            from_off *= times
+            at_limit = abs(from_off) > abs(limit)
+            from_off = limit if at_limit else from_off
+            if abs(np.log(times)) < NEARLY:
+                break
+        return float(parameter.default + from_off)
+
+
+def _least_times(tests: Tests, rules: Rules) -> float | None:
+    """By how much the hidden change is to be larger, or smaller, to be found with `POWER`."""
+
+    def enough(times: float) -> bool:
+        return tests.chances(times, rules).found >= POWER
+
+    low, high = 1.0, 1.0
+    while not enough(high):
+        low, high = high, 2.0 * high
+        if high > _FARTHEST:
+            return None
+    while enough(low) and low > 1.0 / _FARTHEST:
+        low, high = 0.5 * low, low
+    for _ in range(_HALVINGS):
+        middle = float(np.sqrt(low * high))
+        low, high = (low, middle) if enough(middle) else (middle, high)
+        if high / low < 1.0 + 0.1 * NEARLY:
+            break
+    return high
+
+
+def resized(asked: AskedEffect, size: float) -> AskedEffect:
+    """The same effect at another size."""
+    return replace(asked, size=size)

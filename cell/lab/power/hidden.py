@@ -1,0 +1,165 @@
+"""Copies of a study with an effect hidden: same motions, markers and frames, fresh noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable.effects.base import ActiveEffect
+from cell.cable.geometry import Motion
+from cell.cable.model import CableModel
+from cell.identify.gauss_newton import UnsimulatedError
+from cell.identify.gaussian import covariance_root
+from cell.identify.hand import HandErrors, likely_motions
+from cell.identify.noise import Whitener
+from cell.lab.data.prepared import PreparedStudy
+from cell.lab.fit.fitting import Fit, best_initial_state, errors_m, fit_model
+from cell.lab.fit.hand_error import MOTIONS
+from cell.lab.fit.heldout import heldout_rows
+from cell.lab.fit.mesh import finer
+from cell.lab.search.fitted_model import POLISH
+from cell.study.data import Markers, Study, Trial
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """A cable as fitted to a study, with an effect: what copies of the study are measured of.
+
+    clean_m   per trial (times, markers, 2), m, by a finer mesh than the fit's
+    channels  (channels, channels) root of how far coordinates of markers err together; None =
+              each alone
+    """
+
+    study: Study
+    prepared: PreparedStudy
+    clean_m: dict[str, FloatArray]
+    channels: FloatArray | None
+
+    @staticmethod
+    def of(
+        prepared: PreparedStudy,
+        fit: Fit,
+        hidden: ActiveEffect | None,
+        trials: Sequence[Trial] | None = None,
+    ) -> World:
+        """The model of a fit and an effect, on the study's own motions or on other trials'.
+
+        raises  UnsimulatedError: it cannot be simulated
+        """
+        model = _with(fit.model, hidden)
+        trials = prepared.study.trials if trials is None else tuple(trials)
+        states = {t.name: _beginning(prepared, fit, t)[None] for t in trials}
+        places = finer(prepared).predict_all(trials, [model], states)
+        if not all(np.all(np.isfinite(points)) for points in places):
+            name = "" if hidden is None else f" with {hidden.effect.name} {hidden.values}"
+            raise UnsimulatedError(f"the cable{name} cannot be simulated; give a smaller size")
+        clean = {t.name: points[0] for t, points in zip(trials, places, strict=True)}
+        return World(
+            replace(prepared.study, trials=trials), prepared, clean, _together(prepared, fit)
+        )
+
+    def copy(self, number: int) -> Study:
+        """What would be measured once more; the same for the same number."""
+        rng = np.random.default_rng([number, 20261125])
+        trials = tuple(self._measured(t, number, rng) for t in self.study.trials)
+        return replace(self.study, trials=trials)
+
+    def _measured(self, trial: Trial, number: int, rng: np.random.Generator) -> Trial:
+        clean_m, lost = self.clean_m[trial.name], ~np.isfinite(trial.markers.xy_m)
+        seen_m = clean_m + self._errors_m(rng, clean_m.shape)
+        step_m = self._rounded_to_m
+        if step_m > 0.0:
+            seen_m = np.round(seen_m / step_m) * step_m
+        seen_m[lost] = np.nan
+        return replace(
+            trial, grip=_logged(trial.grip, number), markers=Markers(trial.markers.t_s, seen_m)
+        )
+
+    @property
+    def _rounded_to_m(self) -> float:
+        rest = self.prepared.noise_model.rest
+        return 0.0 if rest is None else rest.resolution_m
+
+    def _errors_m(self, rng: np.random.Generator, shape: tuple[int, ...]) -> FloatArray:
+        """Errors of the study's level, colour and white share; rounding adds its own."""
+        noise, frames = self.prepared.noise_model.noise, shape[0]
+        coloured_m2, white_m2 = (1.0 - noise.white) * noise.std_m**2, noise.white * noise.std_m**2
+        of_rounding = self._rounded_to_m**2 / 12.0
+        if of_rounding > 0.0:  # what is white beside the coloured is the rounding itself
+            coloured_m2, white_m2 = max(min(coloured_m2, noise.std_m**2 - of_rounding), 0.0), 0.0
+        fresh = rng.standard_normal((frames, int(np.prod(shape[1:]))))
+        if self.channels is not None:
+            fresh = fresh @ self.channels.T
+        for k in range(1, frames):
+            fresh[k] = noise.ar1 * fresh[k - 1] + np.sqrt(1.0 - noise.ar1**2) * fresh[k]
+        white = rng.standard_normal(fresh.shape)
+        return np.asarray(np.sqrt(coloured_m2) * fresh + np.sqrt(white_m2) * white).reshape(shape)
+
+
+def left_of(prepared: PreparedStudy, fit: Fit, hidden: ActiveEffect) -> FloatArray:
+    """(rows,) whitened residual of all trials that a refit leaves of an effect, without noise.
+
+    fit     a model of the `fit` trials, to which it is refitted with the effect in them
+    raises  UnsimulatedError: it cannot be simulated
+    """
+    trials, model = prepared.study.trials, _with(fit.model, hidden)
+    states = {t.name: _beginning(prepared, fit, t)[None] for t in trials}
+    seen = []
+    for trial, points in zip(trials, prepared.predict_all(trials, [model], states), strict=True):
+        places = np.where(np.isfinite(trial.markers.xy_m), points[0], np.nan)
+        if not np.all(np.isfinite(points)):
+            raise UnsimulatedError(f"the cable cannot be simulated with {hidden.effect.name}")
+        seen.append(replace(trial, markers=replace(trial.markers, xy_m=places)))
+    quiet = replace(
+        prepared,
+        study=replace(prepared.study, trials=tuple(seen)),
+        whiteners={t.name: Whitener(t.markers.xy_m, prepared.noise) for t in seen},
+        mesh_m={},
+    )
+    space = replace(fit.space, mean=fit.q)  # the prior pulls whatever is hidden
+    found = fit_model(quiet, space, fit.q, fit.initial_states, options=POLISH)
+    of_fitted = iter(np.split(found.solution.residual, _ends(quiet, "fit")[:-1]))
+    held = quiet.study.role("validate")
+    rows = heldout_rows(quiet, found).residual if held else np.zeros(0)
+    of_held = iter(np.split(rows, _ends(quiet, "validate")[:-1]))
+    left = np.concatenate([next(of_fitted if t.role == "fit" else of_held) for t in seen])
+    if not np.all(np.isfinite(left)):
+        raise UnsimulatedError(f"the cable cannot be simulated beside {hidden.effect.name}")
+    return left
+
+
+def _ends(prepared: PreparedStudy, role: Literal["fit", "validate"]) -> NDArray[np.int_]:
+    return np.cumsum([prepared.whiteners[t.name].rows for t in prepared.study.role(role)])
+
+
+def _beginning(prepared: PreparedStudy, fit: Fit, trial: Trial) -> FloatArray:
+    """How a trial begins: at rest, as fitted, or as is likeliest of one held out."""
+    if prepared.initial_state(trial).count == 0:
+        return np.zeros(0)
+    known = fit.initial_states.get(trial.name)
+    return best_initial_state(prepared, fit.model, trial) if known is None else known
+
+
+def _with(model: CableModel, hidden: ActiveEffect | None) -> CableModel:
+    return model if hidden is None else replace(model, effects=(*model.effects, hidden))
+
+
+def _logged(grip: Motion, number: int) -> Motion:
+    """A log of the same motion with its noise drawn anew, another than a diagnosis draws."""
+    return likely_motions(grip, HandErrors(1), first=MOTIONS + number)[0]
+
+
+def _together(prepared: PreparedStudy, fit: Fit) -> FloatArray | None:
+    """Root of the correlations of channels, where the study's residuals err together."""
+    if prepared.noise_model.correlated_channels == 1.0:
+        return None
+    errors = [np.nan_to_num(e) for e in errors_m(prepared, fit)]
+    covariance = np.sum([e.T @ e for e in errors], axis=0)
+    there = np.diag(covariance) > 0.0
+    return covariance_root(covariance / np.mean(np.diag(covariance)[there]))

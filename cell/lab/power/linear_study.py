@@ -1,0 +1,224 @@
+"""The tests of a diagnosis as linear functions of a study's residual, near its fitted model.
+
+A diagnosis looks at a residual through few numbers: the score of each effect on the trials fitted
+to, its score on those held out, and what single trials would change in the parameters.  All are
+linear in the whitened residual.  So their distribution is known for any hidden effect.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable.effects.base import Effect
+from cell.lab.data.prepared import PreparedStudy
+from cell.lab.fit.all_trials_fit import AllTrialsFit, of_all_trials
+from cell.lab.fit.fitting import Fit
+from cell.lab.fit.hand_error import MOTIONS
+from cell.lab.fit.sensitivity import one_sided, prior_root
+from cell.lab.verdict.smooth_part import AllTrialsResidual, all_trials_residual, noise_was_seen
+from cell.lab.verdict.specification import LEAST_ASKED
+
+FloatArray = NDArray[np.float64]
+
+#: Less of a change than this share is not told from what the fitted parameters do.
+LEAST_LEFT = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Slopes:
+    """An effect in one shape: (amplitudes, rows) whitened change of all trials by each amplitude.
+
+    collinear  share of the hidden effect's change, of what no fitted parameter imitates, that
+               these imitate: a correlation, 0 … 1
+    """
+
+    effect: type[Effect]
+    rows: FloatArray
+    collinear: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class LinearStudy:
+    """A study near its baseline, fitted to all trials.
+
+    slopes  (rows, free) derivatives of the residual in the free coordinates
+    fitted  (rows,) whether a value is of a trial that the diagnosis fits to
+    inner, inner_all  (free, free) information on the coordinates, with the prior's, by the trials
+            fitted to, and by all
+    """
+
+    whole: AllTrialsFit
+    left: AllTrialsResidual
+    slopes: FloatArray
+    fitted: NDArray[np.bool_]
+    inner: FloatArray
+    inner_all: FloatArray
+
+    @staticmethod
+    def of(prepared: PreparedStudy, fit: Fit) -> LinearStudy:
+        """Near a baseline fitted to a study.
+
+        raises  ValueError: a trial cannot be simulated
+        """
+        left = all_trials_residual(prepared, fit)
+        if left is None:
+            raise ValueError(
+                f"study {prepared.study.name}: a trial cannot be simulated with the fitted model, "
+                "so its power cannot be told; leave the trial out"
+            )
+        whole = of_all_trials(prepared, fit)
+        solution = whole.fit.solution
+        slopes = solution.jacobian[:, solution.free]
+        ends = whole.systematic_error.ends
+        roles = [t.role == "fit" for t in prepared.study.trials]
+        fitted = np.repeat(roles, np.diff(np.concatenate([[0], ends])))
+        known = _prior(whole.fit)[np.ix_(solution.free, solution.free)]
+        of_fitted = slopes[fitted]
+        return LinearStudy(
+            whole,
+            left,
+            slopes,
+            fitted,
+            of_fitted.T @ of_fitted + known,
+            slopes.T @ slopes + known,
+        )
+
+    @property
+    def is_confirmed(self) -> bool:
+        """Whether trials are held out."""
+        return not bool(self.fitted.all())
+
+    def unlike_fitted(self, rows: FloatArray) -> FloatArray:
+        """(n, rows) without what the coordinates imitate in the trials fitted to; 0 elsewhere."""
+        inside = np.where(self.fitted, rows, 0.0)
+        return np.where(self.fitted, inside - self._answer(inside) @ self.slopes.T, 0.0)
+
+    def unlike_all(self, rows: FloatArray) -> FloatArray:
+        """(n, rows) without what the coordinates imitate in all trials."""
+        moved = np.linalg.solve(self.inner_all, self.slopes.T @ rows.T).T
+        return np.asarray(rows - moved @ self.slopes.T)
+
+    def heldout(self, rows: FloatArray) -> FloatArray:
+        """(n, rows) change of the held-out trials once the others were fitted; 0 elsewhere."""
+        inside = np.where(self.fitted, rows, 0.0)
+        return np.where(self.fitted, 0.0, rows - self._answer(inside) @ self.slopes.T)
+
+    def weighed(self, held: FloatArray) -> FloatArray:
+        """(n, rows) changes of held-out trials by the inverse of what is uncertain of them."""
+        slopes = np.where(self.fitted[:, None], 0.0, self.slopes)
+        moved = np.linalg.solve(self.inner + slopes.T @ slopes, slopes.T @ held.T).T
+        return np.asarray(held - moved @ slopes.T)
+
+    def heldout_scores(self, weighed: FloatArray) -> FloatArray:
+        """(n, rows) functions of the whole residual that are (n, rows) of the held-out one."""
+        answered = np.linalg.solve(self.inner, self.slopes.T @ weighed.T).T
+        return np.asarray(weighed - np.where(self.fitted, answered @ self.slopes.T, 0.0))
+
+    def raw_m(self, held: FloatArray) -> FloatArray:
+        """(n, values) of changes (n, rows), m, as they were before they were whitened."""
+        parts = self.whole.systematic_error.by_trial(held)
+        raw = [
+            np.stack([np.nan_to_num(whitener.error_m(row)).ravel() for row in part])
+            for whitener, part in zip(self.left.whiteners, parts, strict=True)
+        ]
+        return np.concatenate(raw, axis=1)
+
+    def _answer(self, inside: FloatArray) -> FloatArray:
+        """(n, free) by which the coordinates follow changes of the trials fitted to."""
+        return np.asarray(np.linalg.solve(self.inner, self.slopes.T @ inside.T).T)
+
+    def nearest_shape(self, effect: type[Effect], hidden: FloatArray) -> Slopes | None:
+        """An effect in the shape that imitates a hidden change (rows,) best; None if it cannot."""
+        (found,) = self.whole.sensitivities([effect])
+        unlike = self.unlike_all(hidden[None])[0]
+        best: Slopes | None = None
+        for amplitudes in found.rows[..., : len(hidden)]:
+            size = np.linalg.norm(amplitudes, axis=1)
+            usable = amplitudes[size > 0.0] / size[size > 0.0, None]
+            left = self.unlike_all(usable)
+            seen = np.linalg.norm(left, axis=1) > LEAST_LEFT
+            if not seen.any():
+                continue
+            answer = np.linalg.lstsq(left[seen].T, unlike, rcond=1e-8)[0]
+            imitated = answer @ left[seen]
+            if one_sided(effect) and answer[0] < 0.0:
+                imitated = np.zeros_like(unlike)
+            size_of = float(np.linalg.norm(imitated)) / max(float(np.linalg.norm(unlike)), 1e-300)
+            if best is None or size_of > best.collinear:
+                best = Slopes(effect, usable[seen], size_of)
+        return best
+
+    def scores_of_trials(self, beside: FloatArray | None) -> tuple[FloatArray, float, float, float]:
+        """Functions (n, rows) of the residual that single trials' own parameters would explain.
+
+        beside   (amplitudes, rows) of an effect whose own values are asked as well
+        returns  with the count of independent ones, what hand and mesh add to their χ², and the
+                 degrees of freedom behind the level of noise
+        """
+        asked = self.slopes if beside is None else np.column_stack([self.slopes, beside.T])
+        ends = self.whole.systematic_error.ends
+        units = []
+        for part in np.split(np.arange(ends[-1]), ends[:-1]):
+            unit, sizes, _ = np.linalg.svd(asked[part], full_matrices=False)
+            whole = np.zeros((int(np.sum(sizes > LEAST_ASKED * sizes[0])), ends[-1]))
+            whole[:, part] = unit[:, : len(whole)].T
+            units.append(whole)
+        directions = np.concatenate(units)
+        functions = self.unlike_all(directions)
+        imitated = float(np.sum(directions * (directions - functions)))
+        errors = self.left.every[1 : 1 + self.left.errors, : ends[-1]]
+        by_errors = float(np.sum((directions @ errors.T) ** 2))
+        return functions, len(directions) - imitated, by_errors, self.left.level[1]
+
+    @property
+    def sees_noise(self) -> bool:
+        """Whether the level of noise is that of still frames."""
+        return noise_was_seen(self.whole.prepared)
+
+    def covariance(self, functions: FloatArray) -> FloatArray:
+        """(n, n) of functions (n, rows) of the residual, by noise and the hand's log."""
+        found = functions @ functions.T
+        errs = self.whole.systematic_error
+        for hands, part in zip(errs.by_trial(errs.hands), errs.by_trial(functions), strict=True):
+            moved = part @ hands.T
+            found = found + moved @ moved.T / MOTIONS
+        return np.asarray(found)
+
+
+def _prior(fit: Fit) -> FloatArray:
+    """(q, q) information of the prior; of a trial's beginning that has none, its usual spread."""
+    root, p = prior_root(fit), len(fit.q)
+    known = root.T @ root
+    spread = np.concatenate([np.full(p, np.inf), fit.initial_state_std])
+    return np.asarray(known + np.diag(np.where(np.diag(known) > 0.0, 0.0, spread**-2.0)))
+
+
+def rivals_of(
+    linear: LinearStudy, hidden: FloatArray, effects: Iterable[type[Effect]]
+) -> list[Slopes]:
+    """Effects in the shapes nearest to a hidden change (rows,), the most collinear first."""
+    found = [s for e in effects if (s := linear.nearest_shape(e, hidden)) is not None]
+    return sorted(found, key=lambda s: -s.collinear)
+
+
+def own_slopes(
+    linear: LinearStudy, effect: type[Effect], which: int, hidden: FloatArray
+) -> Slopes | None:
+    """A hidden effect's own: its change (rows,) as it is, and slopes of its other amplitudes.
+
+    which  number of the amplitude that is hidden, among the effect's amplitudes
+    returns  None where nothing of it is left beside the parameters
+    """
+    (found,) = linear.whole.sensitivities([effect])
+    others = np.delete(found.rows[0][:, : len(hidden)], which, axis=0)
+    rows = np.vstack([hidden, others])
+    size = np.linalg.norm(rows, axis=1)
+    rows = rows[size > 0.0] / size[size > 0.0, None]
+    left = np.linalg.norm(linear.unlike_all(rows), axis=1)
+    if not size[0] > 0.0 or left[0] < LEAST_LEFT:
+        return None
+    return Slopes(effect, rows[left > LEAST_LEFT])

@@ -1,0 +1,34 @@
+"""A small study, and its baseline fitted once."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from cell.cable.effects import library
+from cell.identify.parameters import ParameterSpace
+from cell.lab.data.prepared import PreparedStudy
+from cell.lab.power.linear_study import LinearStudy
+from cell.lab.search.fit_cache import FitCache
+
+#: Few effects, so that a diagnosis is quick: alike, unlike and not smooth.
+NAMES = ("air_drag", "linear_air_drag", "tip_mass", "natural_curvature", "grip_angle")
+
+
+@pytest.fixture(scope="session")
+def fitted(make_study):
+    study = make_study(seed=21)
+    lost = study.trials[0].markers.xy_m.copy()
+    lost[40:44, 2] = float("nan")
+    first = replace(study.trials[0], markers=replace(study.trials[0].markers, xy_m=lost))
+    study = replace(study, trials=(first, *study.trials[1:]))
+    effects = {name: library()[name] for name in NAMES}
+    fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), effects)
+    fits.baseline()
+    return fits
+
+
+@pytest.fixture(scope="session")
+def linear(fitted):
+    return LinearStudy.of(fitted.prepared, fitted.baseline().fit)

@@ -1,0 +1,130 @@
+"""Forecast and recovery: sizes, probabilities, and that diagnoses of copies bear them out."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import pytest
+
+from cell.lab.data.prepared import PreparedStudy, all_fitted
+from cell.lab.data.results import Diagnosis, Errors, MissingEffect
+from cell.lab.power.asked import select_asked
+from cell.lab.power.forecast import POWER, forecast
+from cell.lab.power.recovery import Outcome, Recovery, judged, recover
+from cell.lab.power.study_power import power_of
+from cell.lab.report.power_tables import power_sentences, power_table, recovery_table
+from cell.lab.search.fit_cache import FitCache
+
+
+def asked(given):
+    return select_asked([given], [])[0][0]
+
+
+@pytest.fixture(scope="module")
+def smallest(fitted, linear):
+    found = forecast(fitted, asked("air_drag"), linear).smallest
+    assert found is not None
+    return found
+
+
+def test_the_smallest_size_has_its_power_wherever_the_search_begins(fitted, linear, smallest):
+    for begin in (0.2 * smallest, 5.0 * smallest):
+        said = forecast(fitted, asked(f"air_drag={begin!r}"), linear)
+        assert said.smallest == pytest.approx(smallest, rel=0.05)
+    said = forecast(fitted, asked(f"air_drag={smallest!r}"), linear)
+    assert said.chances.found == pytest.approx(POWER, abs=0.02)
+    assert said.rivals[0].effect == "linear_air_drag"
+
+
+def test_a_larger_effect_is_likelier_found_and_hardly_any_is_not(fitted, linear, smallest):
+    sizes = [k * smallest for k in (0.05, 0.5, 0.8, 1.0, 4.0)]
+    found = [forecast(fitted, asked(f"air_drag={s!r}"), linear).chances.found for s in sizes]
+    assert found == sorted(found)
+    assert found[0] < 0.01
+    assert found[-1] > 0.99
+
+
+def test_with_less_noise_a_smaller_one_is_found(fitted, linear, smallest, make_study):
+    quiet = FitCache(
+        PreparedStudy.of(make_study(seed=21, noise_m=3e-5)), fitted.space, fitted.library
+    )
+    (effect,) = power_of(quiet, [asked("air_drag")]).effects
+    assert effect.forecast.smallest == pytest.approx(0.3 * smallest, rel=0.25)
+
+
+def test_copies_bear_out_what_is_surely_found_and_what_is_surely_missed(fitted, linear, smallest):
+    drag = asked("air_drag")
+    strong = recover(fitted, drag.at(2.0 * smallest), 3)
+    assert strong.count("found") == 3
+    weak = recover(fitted, drag.at(0.1 * smallest), 3)
+    assert weak.count("missed", "undecided") == 3
+    assert weak.share[:2] == (0.0, 0.0)
+
+
+def test_of_a_copy_that_cannot_be_diagnosed_that_is_said(fitted, smallest, monkeypatch):
+    from cell.lab.power import recovery
+
+    def refused(*_):
+        raise recovery.NoiseUnknownError("no frames")
+
+    monkeypatch.setattr(recovery, "diagnose", refused)
+    found = recover(fitted, asked("air_drag").at(smallest), 1)
+    assert [o.said for o in found.outcomes] == ["failed"]
+
+
+def said(verdict, *named):
+    missing = tuple(MissingEffect(n[0], n[1:], 0.0, 1.0, {}, Errors(0.0, 0.0)) for n in named)
+    return Diagnosis(1e-4, Errors(0.0, 0.0), verdict, missing=missing)
+
+
+@pytest.mark.parametrize(
+    ("diagnosis", "expected"),
+    [
+        (said("missing", ("air_drag",)), Outcome("found", ("air_drag",))),
+        (said("missing", ("draught", "air_drag")), Outcome("found", ("draught or air_drag",))),
+        (said("missing", ("draught",)), Outcome("confused", ("draught",))),
+        (
+            said("missing", ("air_drag",), ("draught",)),
+            Outcome("confused", ("air_drag", "draught")),
+        ),
+        (said("cannot_tell", ("air_drag",)), Outcome("undecided", ("air_drag",))),
+        (said("complete"), Outcome("missed")),
+        (said("unexplained"), Outcome("unexplained")),
+    ],
+)
+def test_a_verdict_is_judged_beside_what_is_hidden(diagnosis, expected):
+    assert judged(diagnosis, "air_drag") == expected
+
+
+def test_the_result_is_json_and_tables_of_it_tell_the_same(fitted, smallest):
+    found = power_of(fitted, [asked("air_drag"), asked(f"tip_mass={1e-5}")])
+    copies = Recovery(4, (*[Outcome("found")] * 3, Outcome("confused", ("draught",))))
+    tried = replace(found, effects=(replace(found.effects[0], recovery=copies), found.effects[1]))
+    data = json.loads(json.dumps(tried.to_json(), allow_nan=False))
+    assert data["format"] == "cable-power/1"
+    first, second = data["effects"]
+    assert first["smallest"] == pytest.approx(smallest)
+    assert first["size"] == first["smallest"]
+    total = first["forecast"]["found"] + first["forecast"]["missed"]
+    total += math.fsum(first["forecast"]["confused"].values())
+    assert total == pytest.approx(1.0)
+    assert first["recovery"]["found"] == 3
+    assert first["recovery"]["confused"] == {"draught": 1}
+    assert first["recovery"]["low"] < 0.75 < first["recovery"]["high"]
+    assert second["recovery"] is None
+    assert power_table(tried).rows[0][0] == "air_drag"
+    assert "3 of 4" in recovery_table(tried).rows[0][3]
+    assert recovery_table(found) is None
+    assert any("taken for draught (1)" in s for s in power_sentences(tried))
+
+
+def test_without_a_held_out_trial_nothing_is_found_and_why_is_said(fitted):
+    study = all_fitted(fitted.prepared.study)
+    fits = FitCache(PreparedStudy.of(study), fitted.space, fitted.library)
+    found = power_of(fits, [asked("air_drag=0.5")])
+    assert found.effects[0].forecast.chances.found == 0.0
+    assert found.effects[0].forecast.smallest is None
+    assert [w.code for w in found.warnings] == ["confirmation"]
+    assert "`role: validate`" in found.warnings[0].message

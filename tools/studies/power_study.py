@@ -1,0 +1,172 @@
+"""Forecast and observed detection of effects hidden in copies of made studies.
+
+    python -m tools.studies.power_study docs/measured/power.csv [--rounds 4] [--copies 10]
+
+A case is an effect, its size and a set of motions.  Its study is made by a finer mesh, of a random
+cable and noise, without the effect.  `cell power` forecasts how often a diagnosis of a study with
+the effect finds it.  Then copies with the effect are diagnosed.  Every round adds copies to every
+case, and goes on with a file that is there.  The size is a share of the smallest that is found
+with 95 %, so that the forecasts spread.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+
+from cell.cable.solver import one_core
+from cell.identify.parameters import ParameterSpace
+from cell.lab.data.prepared import PreparedStudy
+from cell.lab.power.asked import select_asked
+from cell.lab.power.forecast import forecast, resized
+from cell.lab.power.linear_study import LinearStudy
+from cell.lab.power.recovery import recover
+from cell.lab.search.fit_cache import FitCache
+from cell.lab.statistics.proportion import wilson
+from cell.study.data import Study
+from tools.worlds.made_studies import make_study
+
+#: Trials of `made_studies.STROKES` by their numbers.
+MOTIONS = {"down": (0, 1, 3), "left": (0, 2, 4), "raised": (1, 2, 5)}
+#: Effect, share of the smallest size, motions.
+CASES = (
+    ("air_drag", 0.9, "down"),
+    ("tip_mass", 0.85, "left"),
+    ("natural_curvature", 0.8, "raised"),
+    ("bending_hysteresis", 0.9, "left"),
+    ("stress_relaxation", 0.8, "raised"),
+    ("grip_compliance", 0.9, "down"),
+    ("camera_latency", 0.75, "left"),
+    ("robot_ringing", 1.0, "down"),
+    ("draught", 0.7, "raised"),
+    ("grip_slip", 1.1, "left"),
+)
+
+
+@dataclass(frozen=True)
+class Row:
+    """A case and what was found; noise in m."""
+
+    case: int
+    effect: str
+    parameter: str
+    size: float
+    motions: str
+    noise_m: float
+    colour: float
+    forecast: float
+    copies: int = 0
+    found: int = 0
+    confused: int = 0
+    undecided: int = 0
+    missed: int = 0
+    unexplained: int = 0
+    seconds: float = 0.0
+
+    @property
+    def words(self) -> str:
+        """Forecast beside what was observed."""
+        low, high = wilson(self.found, self.copies)
+        share = self.found / max(self.copies, 1)
+        return (
+            f"{self.effect:20s} {self.size:10.3g}  {self.motions:7s} forecast {self.forecast:.2f}, "
+            f"found {self.found} of {self.copies} = {share:.2f} ({low:.2f} … {high:.2f}); confused "
+            f"{self.confused}, undecided {self.undecided}, missed {self.missed}, unexplained "
+            f"{self.unexplained}"
+        )
+
+
+def study_of(case: int) -> Study:
+    """The study of a case, with nothing hidden in it."""
+    study = make_study(3100 + case)
+    kept = tuple(study.trials[i] for i in MOTIONS[CASES[case][2]])
+    return replace(study, trials=kept)
+
+
+def one(case: int, before: Row | None, copies: int) -> Row:
+    """A case with so many more copies."""
+    began = time.process_time()
+    name, share, motions = CASES[case]
+    (asked,), selection = select_asked([name], [])
+    study = study_of(case)
+    fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), selection.candidates)
+    linear = LinearStudy.of(fits.prepared, fits.baseline().fit)
+    if before is None:
+        smallest = forecast(fits, asked, linear).smallest
+        if smallest is None:
+            raise ValueError(f"{name}: no size is found; choose another study")
+        size = asked.parameter.default + share * (smallest - asked.parameter.default)
+    else:
+        size = before.size
+    chances = forecast(fits, resized(asked, size), linear).chances
+    assert chances is not None
+    noise = fits.prepared.noise_model.noise
+    row = before or Row(
+        case, name, asked.parameter.name, size, motions, noise.std_m, noise.ar1, 0.0
+    )
+    found = recover(fits, asked.at(size), copies, first=row.copies)
+    return replace(
+        row,
+        forecast=chances.found,
+        copies=row.copies + len(found.outcomes),
+        found=row.found + found.count("found"),
+        confused=row.confused + found.count("confused"),
+        undecided=row.undecided + found.count("undecided", "failed"),
+        missed=row.missed + found.count("missed"),
+        unexplained=row.unexplained + found.count("unexplained"),
+        seconds=row.seconds + time.process_time() - began,
+    )
+
+
+def read_rows(path: Path) -> dict[int, Row]:
+    """Rows by case, of a file that is there."""
+    if not path.exists():
+        return {}
+    kinds = {f.name: {"int": int, "float": float, "str": str}[str(f.type)] for f in fields(Row)}
+    with path.open(newline="", encoding="utf-8") as file:
+        found = [Row(**{k: kinds[k](v) for k, v in line.items()}) for line in csv.DictReader(file)]
+    return {row.case: row for row in found}
+
+
+def write_rows(path: Path, rows: Sequence[Row]) -> None:
+    """All of them."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, [f.name for f in fields(Row)], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(asdict(row) for row in rows)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("file", type=Path)
+    parser.add_argument("--rounds", type=int, default=4)
+    parser.add_argument("--copies", type=int, default=10)
+    parser.add_argument("--alone", action="store_true", help="one core")
+    given = parser.parse_args(arguments)
+    rows = read_rows(given.file)
+    if given.alone:
+        with one_core():
+            return _rounds(given, rows)
+    return _rounds(given, rows)
+
+
+def _rounds(given: argparse.Namespace, rows: dict[int, Row]) -> int:
+    for _ in range(given.rounds):
+        for case in range(len(CASES)):
+            rows[case] = one(case, rows.get(case), given.copies)
+            write_rows(given.file, [rows[k] for k in sorted(rows)])
+            print(rows[case].words, flush=True)
+    count = sum(r.copies for r in rows.values())
+    expected = sum(r.forecast * r.copies for r in rows.values()) / max(count, 1)
+    found = sum(r.found for r in rows.values()) / max(count, 1)
+    print(f"\nall {count}: forecast {expected:.3f}, found {found:.3f}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
