@@ -270,7 +270,7 @@ def _test_of(linear: LinearStudy, slopes: Slopes, functions: list[FloatArray]) -
     inside = linear.unlike_fitted(rows)
     held = linear.heldout(rows)
     weighed = linear.weighed(held)
-    alone = np.where(linear.fitted, 0.0, rows)
+    alone = np.where(linear.fitted, 0.0, rows if slopes.alone is None else slopes.alone)
     raw = linear.raw_m(held)
     begin = sum(map(len, functions))
     functions += [inside, linear.heldout_scores(weighed)]

@@ -27,8 +27,9 @@ FloatArray = NDArray[np.float64]
 
 #: Power that the smallest size has.
 POWER = 0.95
-#: Rounds in which the size is simulated anew, and when it is settled: it moves by less than this.
-ROUNDS, NEARLY = 4, 0.02
+#: Rounds in which the size is simulated anew, by how many times it may change in one, and when it
+#: is settled: it changes by less than this share.
+ROUNDS, MOST_AT_ONCE, NEARLY = 8, 10.0, 0.02
 #: Steps of the search for a size, and how far it goes from where it begins.
 _HALVINGS, _FARTHEST = 30, 1e4
 #: Other effects that are told apart by draws: of the most collinear.
@@ -107,11 +108,13 @@ class _At:
         refitted  by what a fit leaves of the effect, and not by what slopes say that it leaves
         """
         linear, effect = self.linear, self.asked.effect
-        hidden = self._left(size) if refitted else self._change(size)
-        if hidden is None:
+        alone = self._change(size)
+        hidden = self._left(size) if refitted else alone
+        if alone is None or hidden is None:
             return None
         amplitudes = [p for p in effect.parameters if p.amplitude]
-        own = own_slopes(linear, effect, amplitudes.index(self.asked.parameter), hidden)
+        which = amplitudes.index(self.asked.parameter)
+        own = own_slopes(linear, effect, which, hidden, alone)
         if own is None:
             return None
         known = {effect.name, *(e.name for e in self.fits.space.effects)}
@@ -158,7 +161,7 @@ class _At:
         By slopes first, which is quick, and then by fits.
         """
         size = self._searched(begin, refitted=False)
-        return None if size is None else self._searched(size, refitted=True)
+        return self._searched(begin if size is None else size, refitted=True)
 
     def _searched(self, begin: float, *, refitted: bool) -> float | None:
         parameter = self.asked.parameter
@@ -170,7 +173,7 @@ class _At:
             times = None if found is None else _least_times(found[0], self.rules)
             if times is None or (at_limit and times > 1.0):
                 return None
-            from_off *= times
+            from_off *= float(np.clip(times, 1.0 / MOST_AT_ONCE, MOST_AT_ONCE))
             at_limit = abs(from_off) > abs(limit)
             from_off = limit if at_limit else from_off
             if abs(np.log(times)) < NEARLY:

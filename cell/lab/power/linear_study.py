@@ -32,6 +32,7 @@ LEAST_LEFT = 1e-4
 class Slopes:
     """An effect in one shape: (amplitudes, rows) whitened change of all trials by each amplitude.
 
+    alone      the same with nothing refitted; None = as `rows`
     collinear  share of the hidden effect's change, of what no fitted parameter imitates, that
                these imitate: a correlation, 0 … 1
     """
@@ -39,6 +40,7 @@ class Slopes:
     effect: type[Effect]
     rows: FloatArray
     collinear: float = 1.0
+    alone: FloatArray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,19 +208,20 @@ def rivals_of(
 
 
 def own_slopes(
-    linear: LinearStudy, effect: type[Effect], which: int, hidden: FloatArray
+    linear: LinearStudy, effect: type[Effect], which: int, hidden: FloatArray, alone: FloatArray
 ) -> Slopes | None:
     """A hidden effect's own: its change (rows,) as it is, and slopes of its other amplitudes.
 
-    which  number of the amplitude that is hidden, among the effect's amplitudes
+    which   number of the amplitude that is hidden, among the effect's amplitudes
+    hidden  what a refit leaves of the change; alone: the change itself
     returns  None where nothing of it is left beside the parameters
     """
     (found,) = linear.whole.sensitivities([effect])
     others = np.delete(found.rows[0][:, : len(hidden)], which, axis=0)
-    rows = np.vstack([hidden, others])
+    rows, direct = np.vstack([hidden, others]), np.vstack([alone, others])
     size = np.linalg.norm(rows, axis=1)
-    rows = rows[size > 0.0] / size[size > 0.0, None]
+    rows, direct = (r[size > 0.0] / size[size > 0.0, None] for r in (rows, direct))
     left = np.linalg.norm(linear.unlike_all(rows), axis=1)
     if not size[0] > 0.0 or left[0] < LEAST_LEFT:
         return None
-    return Slopes(effect, rows[left > LEAST_LEFT])
+    return Slopes(effect, rows[left > LEAST_LEFT], alone=direct[left > LEAST_LEFT])

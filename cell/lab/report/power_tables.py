@@ -18,6 +18,8 @@ _GATES = {
     "identified": "half of it would not be detected",
     "told_apart": "it is not told from other effects",
 }
+#: A probability below this is 0.00 as printed.
+_SHOWN = 0.005
 #: A gate that holds as surely as this limits nothing.
 _SURE = 0.99
 
@@ -82,7 +84,7 @@ def _sentences(effect: EffectPower) -> Iterator[str]:
     least = min(gates, key=lambda gate: gates[gate])
     if gates[least] < _SURE:
         yield f"If not, most often {_GATES[least]} ({1.0 - gates[least]:.2f})."
-    if said.chances.confused:
+    if said.chances.confused and said.chances.confused[0][1] >= _SHOWN:
         other, chance = said.chances.confused[0]
         yield f"It is taken for {other} with a probability of {chance:.2f}."
     if effect.recovery is not None and effect.recovery.confused_with:

@@ -98,7 +98,8 @@ def test_an_effect_of_one_sign_cannot_imitate_the_other(linear, hidden):
 
 def test_a_change_that_parameters_make_is_no_effect_of_its_own(linear):
     by_viscosity = linear.slopes[:, list(linear.whole.fit.space.names).index("viscosity")]
-    assert own_slopes(linear, library()["air_drag"], 0, 1e3 * by_viscosity) is None
+    hidden = 1e3 * by_viscosity
+    assert own_slopes(linear, library()["air_drag"], 0, hidden, hidden) is None
 
 
 def test_the_covariance_of_white_functions_is_theirs_and_the_hand_adds_to_it(linear, hidden):
