@@ -69,10 +69,9 @@ class Extension:
                 fits += self._fits_from(space, rest, options)
         if not fits:
             return None
-        # Of a force at a place, what follows the fitted motions best may do anything beyond them.
+        # From a wrong place a force may follow the fitted motions best, and none beyond them.
         tried = fits if placed else [min(fits, key=lambda f: f.objective)]
-        found = (weighed(self.prepared, effects, fit) for fit in tried)
-        return max(found, key=lambda c: c.evidence)
+        return min((weighed(self.prepared, effects, fit) for fit in tried), key=lambda c: c.chi2)
 
     def _starts(
         self,

@@ -28,7 +28,8 @@ POLISH = Options(tolerance=0.1, most_passes=40, least_gain=1e-3, updates=3)
 class FittedModel:
     """A set of effects, fitted and weighed.
 
-    evidence  ln of the fit trials' likelihood less BIC's penalty, plus that of the held-out trials
+    evidence  ln of the fit trials' likelihood less BIC's penalty; models are selected by it.  The
+              held-out trials are not in it: they only confirm
     """
 
     effects: tuple[type[Effect], ...]
@@ -68,8 +69,7 @@ def weighed(prepared: PreparedStudy, effects: tuple[type[Effect], ...], fit: Fit
     count = prepared.count(fit_trials(prepared))
     extra = sum(p.fitted for e in effects for p in e.parameters)
     penalty = -delta_bic(0.0, extra, count, prepared.noise_model.effective_fraction)
-    evidence = -0.5 * (fit.objective + penalty) + (held.log_likelihood if held else 0.0)
-    return FittedModel(effects, fit, held, evidence)
+    return FittedModel(effects, fit, held, evidence=-0.5 * (fit.objective + penalty))
 
 
 def residuals_m(prepared: PreparedStudy, candidate: FittedModel) -> dict[str, FloatArray]:

@@ -20,15 +20,15 @@ from cell.lab.next.terms import admissible
 from cell.lab.search import extension, fit_cache
 from cell.lab.search.extension import Extension, polished
 from cell.lab.search.fit_cache import FitCache, rebased
-from cell.lab.search.fitted_model import FittedModel
+from cell.lab.search.fitted_model import FittedModel, weighed
 from cell.lab.search.setup import fit_cache_of
 from cell.lab.verdict import diagnose as diagnosing
 from cell.lab.verdict.doubts import fit_doubts
 
 DOCS = Path(__file__).parents[4] / "docs"
 
-#: Objective on the fit trials → evidence, held-out trials included: the best fit forecasts badly.
-EVIDENCE = {100.0: -5000.0, 120.0: -70.0, 300.0: -160.0}
+#: Objective on the fit trials → ln likelihood of held-out trials: the best fit forecasts badly.
+HELD_OUT = {100.0: -5000.0, 120.0: -10.0, 300.0: -10.0}
 
 
 @pytest.mark.parametrize(("name", "kept"), [("point", 120.0), ("tip_mass", 100.0)])
@@ -43,7 +43,7 @@ def test_of_places_of_a_force_the_one_is_kept_that_holds_beyond_the_motions_fitt
     fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), {name: effect})
     base = fits.baseline()
     fits.screened(base)
-    objectives = iter([*EVIDENCE, *[400.0] * 100])
+    objectives = iter([*HELD_OUT, *[400.0] * 100])
     judged = []
 
     def fit_model(*args, **options):
@@ -51,15 +51,32 @@ def test_of_places_of_a_force_the_one_is_kept_that_holds_beyond_the_motions_fitt
 
     def weigh(prepared, effects, fit):
         judged.append(fit.objective)
-        return FittedModel(effects, fit, None, EVIDENCE[fit.objective])
+        held = SimpleNamespace(log_likelihood=HELD_OUT[fit.objective])
+        return FittedModel(effects, fit, held, -0.5 * fit.objective)
 
     monkeypatch.setattr(extension, "fit_model", fit_model)
-    monkeypatch.setattr(Extension, "_places", lambda *args: list(range(len(EVIDENCE))))
-    monkeypatch.setattr(Extension, "_least_misfit", lambda *args: list(range(len(EVIDENCE))))
+    monkeypatch.setattr(Extension, "_places", lambda *args: list(range(len(HELD_OUT))))
+    monkeypatch.setattr(Extension, "_least_misfit", lambda *args: list(range(len(HELD_OUT))))
     monkeypatch.setattr(extension, "weighed", weigh)
     (candidate,) = fits.fit_extended(base, [effect])
     assert candidate.fit.objective == kept
-    assert judged == (list(EVIDENCE) if name == "point" else [kept])
+    assert judged == (list(HELD_OUT) if name == "point" else [kept])
+
+
+def test_what_models_are_selected_by_does_not_depend_on_held_out_trials(make_study):
+    study = make_study(seed=2)
+    fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), {})
+    base = fits.baseline()
+    other = [
+        replace(t, markers=replace(t.markers, xy_m=t.markers.xy_m + 1e-3))
+        if t.role == "validate"
+        else t
+        for t in study.trials
+    ]
+    prepared = PreparedStudy.of(replace(study, trials=tuple(other)))
+    again = weighed(prepared, base.effects, base.fit)
+    assert again.heldout.log_likelihood < base.heldout.log_likelihood - 1e3
+    assert again.evidence == pytest.approx(base.evidence, rel=1e-9)
 
 
 @pytest.mark.parametrize(("passes", "count"), [(5, 1), (fit_cache.POLISH.most_passes, 3)])
