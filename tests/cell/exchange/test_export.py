@@ -1,5 +1,7 @@
 """Exported chains in MuJoCo beside the project's engine."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from cell.exchange.chain import chain_of, resting_bends
 from cell.exchange.export import SHARE, export_to_mujoco
 from cell.exchange.mjcf import HAND, mjcf
 from cell.exchange.peer import BAR_M, Reference, compare, difference, engine_tip, stroke
+from cell.exchange.report import export_parts
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -81,6 +84,20 @@ def test_a_chain_that_diverges_leaves_no_log_behind(flat_model, tmp_path, monkey
     found = compare(model, chain_of(model, 40), 1e-3, Reference.of(model, stroke()))
     assert found.rms_m == np.inf
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_model_that_diverges_in_mujoco_is_told_and_beyond_the_bar(flat_model, monkeypatch):
+    monkeypatch.setattr("cell.exchange.export.STEPS_S", (1e-3,))
+    identified = flat_model(7)
+    q = identified.mean.copy()
+    q[identified.space.knots + 1] -= 8.0
+    done = export_to_mujoco(identified.space.model(q), "model.json", links=40)
+    assert not done.within_bar
+    assert done.to_json()["differences"][0]["rms_m"] is None
+    assert "Tip in '50 mm stroke': it diverges" in done.xml
+    table, last = list(export_parts(done, Path("cable.xml")))[-2:]
+    assert table.rows == [["50 mm stroke", "diverges", "diverges"]]
+    assert "more --links" in last
 
 
 def test_the_file_rests_where_it_says_and_follows_the_hand(flat_model):
