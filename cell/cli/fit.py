@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -16,7 +16,6 @@ from cell.cli.lab import (
     InModel,
     LineModel,
     PriorFile,
-    explorer,
     refusing,
     show,
     working,
@@ -26,7 +25,6 @@ from cell.cli.result_json import Json, JsonCommand, print_result
 from cell.cli.shared import answering, group, tell_notes
 
 if TYPE_CHECKING:
-    from cell.lab.data.results import Agreement, Doubt
     from cell.lab.strength.profiles import ParameterProfile
 
 app = group()
@@ -128,14 +126,8 @@ def _fit_to_chain(options: FitOptions, chain: Path) -> None:
 
 def _fit_to_study(options: FitOptions, study: Path) -> None:
     """A model of a study, with what is doubtful about it, and profiles if they are wanted."""
-    from cell.lab.data.results import agreement_json
+    from cell.api.lab import fitted, set_up
     from cell.lab.data.selection import select_effects
-    from cell.lab.report.model_tables import errors_line, model_table
-    from cell.lab.report.tables import agreement_table, warning_lines
-    from cell.lab.report.wording import agreement_sentence
-    from cell.lab.strength.fitted_study import fit_study
-    from cell.lab.strength.trial_agreement import agreement
-    from cell.lab.verdict.doubts import fit_doubts, interrupted_doubt, lacking_doubt
 
     found: list[ParameterProfile] = []
     said: list[str] = []
@@ -146,40 +138,30 @@ def _fit_to_study(options: FitOptions, study: Path) -> None:
         answering() as interrupted,
     ):
         selection = select_effects(options.effect or [])
-        fits = explorer(study, selection, options.prior, progress, options.config)
-        model, candidate, fitted_to = fit_study(fits)
-        warnings: tuple[Doubt, ...] = lacking_doubt(model.lacks)
-        trials: Sequence[Agreement] = ()
+        given = selection, options.prior, options.config, progress, tell_notes
+        result = fitted(set_up(study, *given))
         with suppress(KeyboardInterrupt):
-            warnings = (*fit_doubts(fits, candidate), *warnings)
-            trials = agreement(fitted_to, candidate.fit, progress)
-            if profile is not None:
+            if profile is not None and not interrupted:
                 from cell.lab.strength.profiles import each_profile, profile_sentences
 
-                for one in each_profile(fitted_to, candidate.fit, model, progress):
+                at = result.weighed, result.candidate.fit, result.model
+                for one in each_profile(*at, progress):
                     found.append(one)
                     said = [f"{sentence}." for sentence in profile_sentences(found)]
-        if interrupted:
-            what = "the computations after the fit are missing or incomplete"
-            warnings = (interrupted_doubt(what), *warnings)
-    written = model.to_dict() | {
-        "warnings": [vars(w) for w in warnings],
-        "agreement": agreement_json(trials),
-    }
+        result = result.interrupted() if interrupted else result
+    written = result.to_json()
     if profile is not None:
         written["profiles"] = [p.to_json() for p in found]
 
     def printed() -> None:
         if print_result(written, out, as_json):
-            errors = errors_line(fits.prepared, candidate.errors)
-            apart = (agreement_sentence(trials), agreement_table(trials)) if trials else ()
-            show(*warning_lines(warnings), errors, model_table(model), *apart, *said)
+            show(*result.parts(), *said)
 
     def page(path: Path) -> None:
         from cell.files.page import write_page
         from cell.lab.report.report import profile_page
 
-        write_page(profile_page(fits.prepared.study.name, found), path)
+        write_page(profile_page(result.prepared.study.name, found), path)
 
     deliver(printed, *json_files(written, out, as_json), (profile if found else None, page))
     if interrupted:

@@ -1,4 +1,4 @@
-"""Commands of the model lab: compare, diagnose, effects, discover, suggest."""
+"""Commands of the model lab: fit, compare, diagnose, effects, discover, suggest."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import gc
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import partial
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,6 +14,7 @@ import typer
 
 from cell.cli.delivery import deliver, json_files
 from cell.cli.given import folder_of
+from cell.cli.options import taking
 from cell.cli.result_json import STDOUT, Json, JsonCommand, print_result
 from cell.cli.shared import BAD_INPUT, answering, group, stoppable, tell_notes
 from cell.files.overwriting import check_apart, check_output
@@ -22,8 +23,6 @@ from cell.files.rescue import no_room, remedy
 if TYPE_CHECKING:
     from cell.files.table import TableData
     from cell.lab.data.progress import Progress
-    from cell.lab.data.selection import EffectSelection
-    from cell.lab.search.fit_cache import FitCache
     from cell.lab.strength.compare import Comparison
     from cell.terminal.progress import ProgressLine
 
@@ -48,6 +47,14 @@ EffectOption = Annotated[
         "--effect",
         help="A file.py with an effect of your own: it is tried beside the library. A name that "
         "is tried anyway: it is part of the model.",
+    ),
+]
+Candidates = Annotated[
+    Path | None,
+    typer.Option(
+        "--candidates",
+        help="A folder of files with effects, written by people or programs; all are tried beside "
+        "the library. A file that could do more than compute is left out.",
     ),
 ]
 Known = Annotated[
@@ -98,6 +105,13 @@ def compare(
             "--effect", help="The file.py of an effect in the model, if the file was moved."
         ),
     ] = None,
+    residuals: Annotated[
+        Path | None,
+        typer.Option(
+            "--residuals",
+            help="Write measured − predicted, m, to this folder: MODEL/TRIAL.csv.",
+        ),
+    ] = None,
     results: Results = None,
     report: ReportFile = None,
     force: Force = False,
@@ -107,15 +121,10 @@ def compare(
     Give several models in the order in which they were made.  Their errors are shown side by side:
     how the error falls as effects are added, and maps before and after.
     """
+    from cell.api.results import CompareResult
     from cell.lab.data.opened_study import open_study
-    from cell.lab.report.model_tables import (
-        comparison_sentence,
-        comparison_table,
-        comparisons_table,
-        correlations_table,
-    )
     from cell.lab.search.setup import read_models
-    from cell.lab.strength.compare import compare_model, comparisons_json, model_names
+    from cell.lab.strength.compare import compare_model, model_names
 
     with refusing(*results or [], report, force=force), working("compare") as progress:
         opened = open_study(study)
@@ -125,18 +134,14 @@ def compare(
         for m, name in zip(individuals, model_names(model), strict=True):
             progress(f"comparing {name}", len(comparisons), len(individuals))
             comparisons.append(compare_model(opened, m.model, name))
-    data = comparisons_json(comparisons)
+        result = CompareResult(tuple(comparisons))
+        if residuals is not None:
+            result.write_residuals(residuals)
+    data = result.to_json()
 
     def printed() -> None:
         if print_result(data, *results or []):
-            last = comparisons[-1]
-            side_by_side = [comparisons_table(comparisons)] if len(comparisons) > 1 else []
-            show(
-                comparison_sentence(comparisons),
-                *side_by_side,
-                comparison_table(last),
-                correlations_table(last),
-            )
+            show(*result.parts())
 
     def page(path: Path) -> None:
         from cell.files.page import write_page
@@ -147,60 +152,68 @@ def compare(
     deliver(printed, *json_files(data, *results or []), (report, page))
 
 
-@app.command(cls=JsonCommand)
-def diagnose(
-    study: StudyFolder,
-    effect: EffectOption = None,
-    known: Known = None,
-    prior: PriorFile = None,
-    config: LineModel = None,
-    results: Results = None,
-    report: ReportFile = None,
-    force: Force = False,
-) -> None:
-    """Find the physical effect that the model lacks, if it lacks one."""
-    from cell.lab.data.results import to_json
-    from cell.lab.data.selection import select_for_diagnosis
-    from cell.lab.next.advice import Paths, advice
-    from cell.lab.report.tables import diagnosis_parts
-    from cell.lab.strength.compare import compare_model
-    from cell.lab.strength.kept_model import identified
-    from cell.lab.verdict.diagnose import diagnose as diagnose_study
-    from cell.lab.verdict.limits_and_agreement import with_agreement, with_limits
+@dataclass(frozen=True)
+class _Sought:
+    """A study, and what is tried in it."""
 
-    with refusing(*results or [], report, force=force), working("diagnose") as progress:
-        selection = select_for_diagnosis(effect or [], known or [])
-        fits = explorer(study, selection, prior, progress, config)
+    study: StudyFolder
+    effect: EffectOption = None
+    candidates: Candidates = None
+    known: Known = None
+    prior: PriorFile = None
+
+    def effects(self, progress: Progress) -> list[str]:
+        """Effects that are tried beside the library; those that cannot be are told."""
+        from cell.lab.data.selection import candidates_in
+
+        if self.candidates is None:
+            return self.effect or []
+        good, refused = candidates_in(self.candidates, progress)
+        tell_notes(refused)
+        return [*(self.effect or []), *good]
+
+
+@dataclass(frozen=True)
+class _Diagnose(_Sought):
+    """Options of `cell diagnose`."""
+
+    config: LineModel = None
+    check: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--check", help="A file.py with a question of your own to what the model leaves."
+        ),
+    ] = None
+    results: Results = None
+    report: ReportFile = None
+    force: Force = False
+
+
+@app.command(cls=JsonCommand)
+@taking(_Diagnose)
+def diagnose(given: _Diagnose) -> None:
+    """Find the physical effect that the model lacks, if it lacks one."""
+    from cell.api.lab import diagnosed, examined, rules_with, set_up
+    from cell.lab.data.selection import select_for_diagnosis
+
+    with (
+        refusing(*given.results or [], given.report, force=given.force),
+        working("diagnose") as progress,
+    ):
+        selection = select_for_diagnosis(given.effects(progress), given.known or [])
+        rules = rules_with(given.check or [])
+        fits = set_up(given.study, selection, given.prior, given.config, progress, tell_notes)
         gc.freeze()  # what is loaded stays: not looked through for garbage again and again
         with stoppable(fits.work.stop) as interrupted:
-            examination = with_agreement(with_limits(diagnose_study(fits)))
-        fits = examination.fits
-        steps = [fits.prior_candidate(), *examination.steps[1:]]
-        shown = steps if report else [steps[0], *steps[1:][-1:]]
-        comparisons = [compare_model(fits.prepared.study, c.fit.model) for c in shown]
-        in_model = fits.space.effects
-        todo = advice(
-            examination.diagnosis,
-            Paths.of(study, [*in_model, *fits.library.values()]),
-            known=tuple(e.name for e in in_model),
-            accepted=tuple(e.name for e in examination.accepted.effects if e not in in_model),
-        )
-    diagnosis = examination.diagnosis
-    data = to_json(diagnosis)
+            examination = examined(fits, rules)
+        result = diagnosed(examination, given.study, every_step=given.report is not None)
+    data = result.to_json()
 
     def printed() -> None:
-        if print_result(data, *results or []):
-            show(*diagnosis_parts(diagnosis, comparisons, todo))
+        if print_result(data, *given.results or []):
+            show(*result.parts())
 
-    def page(path: Path) -> None:
-        from cell.files.page import write_page
-        from cell.lab.report.report import diagnosis_page
-
-        fitted = examination.steps[-1].fit
-        model = identified(fits.prepared, fitted, fits.library.values())
-        write_page(diagnosis_page(diagnosis, comparisons, model, todo), path)
-
-    deliver(printed, *json_files(data, *results or []), (report, page))
+    deliver(printed, *json_files(data, *given.results or []), (given.report, result.write_report))
     if interrupted:
         raise typer.Exit(interrupted.code)
 
@@ -241,6 +254,7 @@ def discover(
     force: Force = False,
 ) -> None:
     """Infer the missing law from the residual and write it as a readable effect file."""
+    from cell.api.lab import set_up
     from cell.lab.data.selection import select_effects
     from cell.lab.next.advice import Paths, after_discovery
     from cell.lab.next.discover import NothingFoundError, effect_name
@@ -251,7 +265,7 @@ def discover(
     with refusing(out, as_json, force=force), working("discover") as progress:
         effect_name(out)
         selection = select_effects(effect or [])
-        fits = explorer(study, selection, prior, progress)
+        fits = set_up(study, selection, prior, progress=progress, tell=tell_notes)
         with stoppable(fits.work.stop) as interrupted:
             try:
                 discovery = discover_effect(fits, out)
@@ -279,52 +293,54 @@ def discover(
         raise typer.Exit(interrupted.code)
 
 
-@app.command(cls=JsonCommand)
-def suggest(
-    study: StudyFolder,
+@dataclass(frozen=True)
+class _Suggest(_Sought):
+    """Options of `cell suggest`."""
+
     out: Annotated[
         Path | None,
         typer.Option("-o", "--out", help="Write the motion to this file, for `cell run --motion`."),
-    ] = None,
+    ] = None
     config: Annotated[
         Path | None,
         typer.Option("--config", "-c", help="Settings of the cell: its limits and `model`."),
-    ] = None,
-    effect: EffectOption = None,
-    known: Known = None,
-    prior: PriorFile = None,
-    as_json: Json = None,
-    force: Force = False,
-) -> None:
+    ] = None
+    as_json: Json = None
+    force: Force = False
+
+
+@app.command(cls=JsonCommand)
+@taking(_Suggest)
+def suggest(given: _Suggest) -> None:
     """Suggest the safe motion that best distinguishes the remaining candidates, and its power."""
+    from cell.api.lab import set_up
+    from cell.api.results import SuggestResult
     from cell.lab.data.selection import select_for_diagnosis
     from cell.lab.next.suggest import suggest_motion
-    from cell.lab.next.suggestion import write_motion
-    from cell.lab.report.model_tables import suggestion_table
     from cell.lab.report.tables import verdict_line, warning_lines
     from cell.lab.verdict.diagnose import diagnose as diagnose_study
     from cell.settings.surroundings import Surroundings
 
-    with refusing(out, as_json, force=force), working("suggest") as progress:
-        surroundings = Surroundings.read(config)
-        selection = select_for_diagnosis(effect or [], known or [])
-        fits = explorer(study, selection, prior, progress, config)
+    with refusing(given.out, given.as_json, force=given.force), working("suggest") as progress:
+        surroundings = Surroundings.read(given.config)
+        selection = select_for_diagnosis(given.effects(progress), given.known or [])
+        fits = set_up(given.study, selection, given.prior, given.config, progress, tell_notes)
         with stoppable(fits.work.stop) as interrupted:
             diagnosed = diagnose_study(fits)
         if interrupted:
             show(verdict_line(diagnosed.diagnosis), *warning_lines(diagnosed.diagnosis.warnings))
             raise typer.Exit(interrupted.code)
         with answering() as interrupted:
-            suggestion = suggest_motion(diagnosed, surroundings)
+            result = SuggestResult(suggest_motion(diagnosed, surroundings))
         if interrupted:
             tell_notes(["interrupted: the result is the best of the motions evaluated so far"])
-    data = suggestion.to_json()
+    data = result.to_json()
 
     def printed() -> None:
-        if print_result(data, as_json):
-            show(suggestion_table(suggestion))
+        if print_result(data, given.as_json):
+            show(*result.parts())
 
-    deliver(printed, (out, partial(write_motion, suggestion)), *json_files(data, as_json))
+    deliver(printed, (given.out, result.write), *json_files(data, given.as_json))
     if interrupted:
         raise typer.Exit(interrupted.code)
 
@@ -353,35 +369,6 @@ def refusing(*outputs: Path | None, force: bool = False) -> Iterator[None]:
             raise
         print(f"{error.filename}: {error.strerror}; {remedy(error)}", file=sys.stderr)
         raise typer.Exit(BAD_INPUT) from error
-
-
-def explorer(
-    folder: Path,
-    selection: EffectSelection,
-    prior: Path | None,
-    progress: Progress,
-    config: Path | None = None,
-) -> FitCache:
-    """A study made ready, with the model files and settings that the command line names.
-
-    What is odd about the study is told.
-    """
-    from cell.lab.data.opened_study import open_study
-    from cell.lab.search.setup import fit_cache_of, read_kind, read_prior
-    from cell.lab.search.wrong_samples import without_wrong_samples
-
-    study = open_study(folder)
-    tell_notes(study.notes)
-    fits = fit_cache_of(
-        study,
-        selection,
-        read_prior(prior, selection.own),
-        progress,
-        read_kind(config),
-    )
-    fits, more = without_wrong_samples(fits)
-    tell_notes(more)
-    return fits
 
 
 def working(command: str) -> ProgressLine:

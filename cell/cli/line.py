@@ -95,22 +95,22 @@ def learn(
             more = laws_in(
                 laws, [c.study for c in cycles], (*options.kind.effects, *library.values())
             )
-        lesson = learn_from(cycles, cable, options, library | more.effects, progress, known.append)
-        lesson, judgement = best_judged(lesson, settings)
-        kept = more.keep(lesson.best.effects if lesson.best else ())
+        result = learn_from(cycles, cable, options, library | more.effects, progress, known.append)
+        result, judgement = best_judged(result, settings)
+        kept = more.keep(result.best.effects if result.best else ())
         again = _again(asked.words(), config, out, effect or [], laws)
-        todo, motion = _asking(lesson, config, out, again, progress)
-    missed = [f"left out: {line}" for line in (*left_out, *lesson.left_out)]
+        todo, motion = _asking(result, config, out, again, progress)
+    missed = [f"left out: {line}" for line in (*left_out, *result.left_out)]
     for line in (*missed, *other_lines(lines, settings)):
         print(line, file=sys.stderr)
 
     def printed() -> None:
-        _print(lesson, judgement, [*(f"the law is written to {path}" for path in kept), *todo])
+        _print(result, judgement, [*(f"the law is written to {path}" for path in kept), *todo])
 
     def candidate(path: Path) -> None:
-        write_candidate(path, lesson, judgement, settings.model, lines)
+        write_candidate(path, result, judgement, settings.model, lines)
 
-    if lesson.best is None:
+    if result.best is None:
         deliver(printed)
         raise typer.Exit(ALL_DONE)
     deliver(printed, (out, candidate), *motion)
@@ -123,13 +123,13 @@ def learn(
     raise typer.Exit(NOT_ALL_DONE)
 
 
-def _print(lesson: LearningResult, judgement: Judgement, more: Sequence[str]) -> None:
+def _print(result: LearningResult, judgement: Judgement, more: Sequence[str]) -> None:
     """What was learned, what speaks for it, and more lines."""
-    from cell.lab.report.lesson_tables import common_error_line, lesson_lines, lesson_parts
+    from cell.lab.report.learning_tables import common_error_line, learning_lines, learning_parts
 
-    for line in lesson_lines(lesson):
+    for line in learning_lines(result):
         print(line)
-    show(*lesson_parts(lesson, judgement.gates))
+    show(*learning_parts(result, judgement.gates))
     common = common_error_line(judgement.paired)
     for line in (*([common] if common else []), *more):
         print(line)
@@ -140,7 +140,7 @@ def _so_far(
     known: Sequence[LearningResult], interrupted: Interruption, tidy_up: Callable[[], object]
 ) -> Iterator[None]:
     """Interrupted, it prints the last of what is known by then, and ends the command."""
-    from cell.lab.report.lesson_tables import lesson_lines
+    from cell.lab.report.learning_tables import learning_lines
 
     try:
         yield
@@ -148,7 +148,7 @@ def _so_far(
         tidy_up()
         if not known:
             raise
-        for line in lesson_lines(known[-1], so_far=True):
+        for line in learning_lines(known[-1], so_far=True):
             print(line)
         raise typer.Exit(interrupted.code) from error
 
@@ -202,26 +202,26 @@ def _measured(out: Path) -> Path:
 
 
 def _asking(
-    lesson: LearningResult, config: Path, out: Path, again: str, progress: Progress
+    result: LearningResult, config: Path, out: Path, again: str, progress: Progress
 ) -> tuple[list[str], list[Delivery]]:
     """The motion that tells what these cycles cannot: the commands for it, and its file."""
     from cell.lab.line.next_cable import asked, open_to
-    from cell.lab.next.next_motion import MOST_ASKED, motion_that_tells, worth_it
+    from cell.lab.next.next_motion import MOST_ASKED, distinguishing_motion, worth_measuring
     from cell.lab.next.suggestion import write_motion
     from cell.settings.surroundings import Surroundings
 
-    if not lesson.tied:
+    if not result.tied:
         return [], []
-    if asked(lesson.cycles) >= MOST_ASKED:
+    if asked(result.cycles) >= MOST_ASKED:
         told = f"{MOST_ASKED} motions could not distinguish the tied effects on these cables"
         return [told], []
     try:
         around = Surroundings.read(config)
-        cable = lesson.baseline.cables[0]
-        suggestion = motion_that_tells(cable, open_to(lesson), around, progress)
+        cable = result.baseline.cables[0]
+        suggestion = distinguishing_motion(cable, open_to(result), around, progress)
     except ValueError as error:
         return [f"no motion distinguishes the tied effects: {error}"], []
-    best = None if suggestion is None else worth_it(suggestion)
+    best = None if suggestion is None else worth_measuring(suggestion)
     if suggestion is None or best is None:
         return ["no safe motion is likely to distinguish the tied effects on these cables"], []
     motion = _motion(out)

@@ -7,6 +7,7 @@ A template extends `page.html`.  It shows tables, figures and pictures by the ma
 from __future__ import annotations
 
 import base64
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from plotly.offline import get_plotlyjs
 
 from cell.files.atomic import write_whole
 from cell.files.figure_style import least_px
+from cell.files.table import TableData
 
 _SHARED = Path(__file__).parent / "templates"
 
@@ -69,16 +71,25 @@ def page(templates: Path, name: str, title: str, **content: object) -> str:
 
     templates  folder of the template
     """
+    template = _environment(templates).get_template(name)
+    return template.render(title=title, plotly=get_plotlyjs(), **content) + "\n"
+
+
+def fragment(parts: Sequence[str | TableData]) -> str:
+    """Sentences and tables as HTML that stands within somebody else's page."""
+    return _environment().get_template("fragment.html").render(parts=parts)
+
+
+def _environment(*templates: Path) -> Environment:
     environment = Environment(
-        loader=FileSystemLoader([templates, _SHARED]),
+        loader=FileSystemLoader([*templates, _SHARED]),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
     environment.filters["code"] = code
-    template = environment.get_template(name)
-    return template.render(title=title, plotly=get_plotlyjs(), **content) + "\n"
+    return environment
 
 
 def write_page(text: str, path: Path) -> None:

@@ -120,8 +120,14 @@ class Identified:
             "frames_used": self.frames_used,
             "frames_total": self.frames_total,
             "passes": self.passes,
+            **self._pull(),
             **({"lacks": list(self.lacks)} if self.lacks else {}),
         }
+
+    def _pull(self) -> dict[str, float]:
+        """What takes gravity's place where that is weak; nothing elsewhere."""
+        pull = self.space.pull_m_per_s2
+        return {} if pull is None else {"pull_m_per_s2": pull}
 
     def _effect_files(self) -> dict[str, dict[str, dict[str, str]]]:
         """Where a user's own effects are from; nothing if there are none."""
@@ -152,6 +158,7 @@ class Identified:
                 effects=[known[name] for name in data["effects"]],
                 prior=Prior(knots=int(data["knots"])),
                 exact=data.get("exact"),
+                pull_m_per_s2=data.get("pull_m_per_s2"),
             )
             names = tuple(p["name"] for p in data["parameters"])
             values = np.array([p["value"] for p in data["parameters"]], dtype=np.float64)

@@ -112,6 +112,7 @@ def identify(
     cable: Cable,
     *,
     gravity_m_per_s2: tuple[float, float] = GRAVITY_M_PER_S2,
+    pull_m_per_s2: float | None = None,
     previous: Identified | None = None,
     predicted: PredictedFrames | None = None,
     options: IdentifyOptions = IdentifyOptions(),
@@ -121,6 +122,8 @@ def identify(
     While a hold is still being filmed, call this with the frames so far; pass the result as
     `previous` to the next call, which then needs one or two passes instead of a search, and
     simulates nothing if `predict_frames` has done so.
+
+    pull_m_per_s2  in place of gravity where that is weak, see `ParameterSpace`
     raises  CableRejectedError
     """
     _accept_frames(trial, options.acceptance)
@@ -144,7 +147,7 @@ def identify(
                 options=options.fit,
             )
         else:
-            space = options.kind.space(cable, gravity_m_per_s2)
+            space = options.kind.space(cable, gravity_m_per_s2, pull_m_per_s2)
             identified = fit(
                 [free],
                 arc_length_m[hangs],

@@ -38,10 +38,14 @@ class ModelClass:
     weak: Prior = Prior()  # noqa: RUF009
 
     def space(
-        self, cable: Cable, gravity_m_per_s2: tuple[float, float] = GRAVITY_M_PER_S2
+        self,
+        cable: Cable,
+        gravity_m_per_s2: tuple[float, float] = GRAVITY_M_PER_S2,
+        pull_m_per_s2: float | None = None,
     ) -> ParameterSpace:
         """The parameters of one such cable, before it is seen.
 
+        pull_m_per_s2  see `ParameterSpace`; None = gravity
         raises  ValueError: a name is unknown or taken as exact, values outside their bounds, a
                 covariance that is none
         """
@@ -58,6 +62,7 @@ class ModelClass:
                 **{n: v for n, v in constants.items() if n not in self.names},
                 **dict(self.exact),
             },
+            pull_m_per_s2=pull_m_per_s2,
         )
         return with_prior(space, self.names, self.mean, self.covariance)
 

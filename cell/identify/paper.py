@@ -134,6 +134,8 @@ def fit_as_paper(
     n = len(arc_length_m) - 1
     if not np.allclose(arc_length_m, np.linspace(cable.free_length_m, 0.0, n + 1)):
         raise FitError("the paper's method needs nodes at equal distances from tip to grip")
+    if not np.any(gravity_m_per_s2):
+        raise FitError("the paper's method needs gravity in the plane")
     still = trial.markers.xy_m[still_frames(trial.markers.t_s, trial.grip)]
     still = still[np.isfinite(still).all((1, 2))]
     if len(still) == 0:

@@ -54,6 +54,8 @@ class ParameterSpace:
     low, high     (p,) bounds of q
     step          (p,) of finite differences
     exact         effects' parameters that are no coordinates: name → natural value
+    pull_m_per_s2  acceleration in place of gravity for the sizes that a fit supposes first; None =
+                  gravity
     """
 
     cable: Cable
@@ -69,6 +71,14 @@ class ParameterSpace:
     high: FloatArray
     step: FloatArray
     exact: tuple[tuple[str, float], ...] = ()
+    pull_m_per_s2: float | None = None
+
+    @property
+    def scale_m_per_s2(self) -> float:
+        """Acceleration whose pull on the cable is as its stiffness, m/s²."""
+        if self.pull_m_per_s2 is not None:
+            return self.pull_m_per_s2
+        return float(np.hypot(*self.gravity_m_per_s2))
 
     @classmethod
     def of(
@@ -79,18 +89,22 @@ class ParameterSpace:
         effects: Sequence[type[Effect]] = (),
         prior: Prior = Prior(),
         exact: Mapping[str, float] | None = None,
+        pull_m_per_s2: float | None = None,
     ) -> ParameterSpace:
         """Baseline plus `effects`, with a weak prior.
 
-        exact  natural values of effects' parameters that no fit may change, by `effect.parameter`
+        exact          natural values of effects' parameters that no fit may change, by
+                       `effect.parameter`
+        pull_m_per_s2  in place of gravity where that is weak, see the class
         """
         held = dict(exact or {})
         k = prior.knots
-        weight_n_per_m = cable.line_density_kg_per_m * float(np.hypot(*gravity_m_per_s2))
+        scale = float(np.hypot(*gravity_m_per_s2)) if pull_m_per_s2 is None else pull_m_per_s2
+        weight_n_per_m = cable.line_density_kg_per_m * scale
         if weight_n_per_m == 0.0:
-            raise ValueError("gravity is 0: a cable without weight cannot be identified")
+            raise ValueError("gravity is 0, and no swing tells what the cable is as stiff as")
         log_rigidity = float(np.log(0.4 * weight_n_per_m * cable.free_length_m**3))
-        time_s = 0.04 * float(np.sqrt(cable.free_length_m / np.hypot(*gravity_m_per_s2)))
+        time_s = 0.04 * float(np.sqrt(cable.free_length_m / scale))
         change = np.diff(np.eye(k), axis=0)
         walk = prior.rigidity_log_walk / np.sqrt(k - 1)
         rigidity_precision = change.T @ change / walk**2 + np.full(
@@ -136,6 +150,7 @@ class ParameterSpace:
             np.array(high),
             np.array(step),
             tuple(held.items()),
+            pull_m_per_s2,
         )
 
     def natural(self, q: FloatArray) -> FloatArray:

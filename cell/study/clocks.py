@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from cell.cable.geometry import Cable
 from cell.cable.still import ROUGHLY_STILL
 from cell.study.data import Trial
+from cell.study.facts import trial_facts
+from cell.study.pull import WEAK_M_PER_S2
 
 FloatArray = NDArray[np.float64]
 
@@ -75,12 +77,7 @@ def offset(trial: Trial, cable: Cable, gravity_m_per_s2: float) -> Offset | None
     series_m = trial.markers.xy_m.reshape(len(t_s), -1)
     halves = np.isfinite(series_m[: _REST // 2]), np.isfinite(series_m[_REST // 2 : _REST])
     series_m = series_m[:, halves[0].any(axis=0) & halves[1].any(axis=0)]
-    if (
-        trial.start != "equilibrium"
-        or gravity_m_per_s2 == 0.0
-        or len(t_s) < 2 * _REST
-        or not series_m.size
-    ):
+    if trial.start != "equilibrium" or len(t_s) < 2 * _REST or not series_m.size:
         return None
     beside_m = series_m - np.nanmedian(series_m[:_REST], axis=0)
     away_m = max(AWAY * cable.free_length_m, OF_NOISE * _noise_m(beside_m[:_REST]))
@@ -92,7 +89,10 @@ def offset(trial: Trial, cable: Cable, gravity_m_per_s2: float) -> Offset | None
     hand_s = _hand_begins(trial, away_m, -np.inf)
     if cable_s is None or hand_s is None or cable_s <= t_s[_REST - 1]:
         return None
-    within_s = max(WITHIN_S, WITHIN * float(np.sqrt(cable.free_length_m / gravity_m_per_s2)))
+    pace_s = _pace_s(trial, cable, gravity_m_per_s2)
+    if pace_s is None:
+        return None
+    within_s = max(WITHIN_S, WITHIN * pace_s)
     within_s += 2.0 * float(np.median(np.diff(t_s)))
     if hand_s < t_s[0] and cable_s - t_s[0] < within_s:
         return None  # the film begins in the swing after a stroke: a turning point is no rest
@@ -103,6 +103,20 @@ def offset(trial: Trial, cable: Cable, gravity_m_per_s2: float) -> Offset | None
     if any(rests_s - within_s <= begins <= cable_s + within_s for begins in strokes):
         return None
     return Offset(hand_s, cable_s)
+
+
+def _pace_s(trial: Trial, cable: Cable, gravity_m_per_s2: float) -> float | None:
+    """1/ω of the slowest swing: of a thread with a bead, or as seen where gravity is weak.
+
+    None where that is not seen either.
+    """
+    if gravity_m_per_s2 >= WEAK_M_PER_S2:
+        return float(np.sqrt(cable.free_length_m / gravity_m_per_s2))
+    unknown = np.full(trial.markers.xy_m.shape[1], np.nan)
+    spectrum = trial_facts(trial, unknown).spectrum
+    if spectrum is None or not spectrum.peaks_hz:
+        return None
+    return 1.0 / (2.0 * np.pi * min(spectrum.peaks_hz))
 
 
 def _noise_m(series_m: FloatArray) -> float:

@@ -85,6 +85,8 @@ class Study:
     notes         what whoever reads results should know of the measurements, one sentence each
     filmed        markers are places along a centre line that the cell filmed, and how far along it
                   they are is no measurement
+    pull_m_per_s2  acceleration as the cable's stiffness, where gravity in the plane is weak;
+                  None = gravity is.  See `cell.study.pull`
     """
 
     name: str
@@ -95,6 +97,14 @@ class Study:
     noise_std_m: float | None = None
     notes: tuple[str, ...] = ()
     filmed: bool = False
+    pull_m_per_s2: float | None = None
+
+    @property
+    def scale_m_per_s2(self) -> float:
+        """Acceleration that sets the pace of the cable's swing: gravity, or the pull."""
+        if self.pull_m_per_s2 is not None:
+            return self.pull_m_per_s2
+        return float(np.hypot(*self.gravity_m_per_s2))
 
     def role(self, role: Literal["fit", "validate"]) -> tuple[Trial, ...]:
         """Trials of a role, in order."""

@@ -11,7 +11,7 @@ from cell.files.yaml_document import Key
 
 #: Beyond these a number is taken for a mistaken unit.
 MAX_LENGTH_M = 10.0
-MIN_GRAVITY_M_PER_S2, MAX_GRAVITY_M_PER_S2 = 0.01, 100.0
+MAX_GRAVITY_M_PER_S2 = 100.0
 MAX_NOISE_FRACTION = 0.2
 
 #: Where in the description a complaint belongs, and what it says.
@@ -98,12 +98,6 @@ def _of_cable(cable: Mapping[str, float], datasheet: Cable | None) -> list[Compl
 def _of_gravity(gravity_m_per_s2: tuple[float, float]) -> list[Complaint]:
     size = np.hypot(*gravity_m_per_s2)
     key, given = ("gravity_m_per_s2",), list(gravity_m_per_s2)
-    if size < MIN_GRAVITY_M_PER_S2:
-        return [(
-            key,
-            f"{given} is below {MIN_GRAVITY_M_PER_S2:g} m/s²: only beside "
-            "its weight is a cable's rigidity known; give [0.0, -9.81]",
-        )]  # fmt: skip
     if size > MAX_GRAVITY_M_PER_S2:
         return [(
             key,

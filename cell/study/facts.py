@@ -159,6 +159,8 @@ def _peaks(frequency: FloatArray, amplitude: FloatArray, lowest_hz: float) -> tu
     if not len(tops):
         return ()
     order = tops[np.argsort(-amplitude[tops])]
+    if amplitude[frequency < lowest_hz].max(initial=0.0) > amplitude[order[0]]:
+        return ()  # most of the motion is slower than what the record can show
     resolution = _FINER * frequency[1]
     found: list[float] = []
     for top in order[amplitude[order] >= _SHARE * amplitude[order[0]]]:

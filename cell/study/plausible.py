@@ -15,6 +15,7 @@ from cell.cable.geometry import Cable
 from cell.cable.still import ROUGHLY_STILL, moves_from_s
 from cell.study.clocks import Offset, offset
 from cell.study.data import Trial
+from cell.study.pull import WEAK_M_PER_S2
 
 FloatArray = NDArray[np.float64]
 Gravity = tuple[float, float]
@@ -28,6 +29,13 @@ SIDEWAYS_RAD = np.pi / 3
 MOVES = 0.05
 MEDIAN_OF = 5
 FEWEST_STILL = 10
+#: Both ends are held if the farthest marker stays within this share of what the hand, or the cable
+#: between, moves: a bead on a thread follows by more, unless it is shaken seven times as fast as it
+#: swings.  What moves must do so by a share of the cable, for what hardly moves shows nothing.  The
+#: marker must be in the outer half, and seen in so many rows.
+HELD_STAYS, HELD_MOVES, OUTER, HELD_ROWS = 0.02, 0.1, 0.5, 20
+#: Of the earth.
+GRAVITY_M_PER_S2 = 9.81
 #: A cable that hangs swings about like a rod of its length, in 5.1 √(L/g), or as a bead at the end
 #: of a thread in 6.3 √(L/g); bending makes it faster.
 SLOWEST = 2.0 * np.pi
@@ -58,6 +66,8 @@ def impossible(
         return None
     arcs, from_grip = arc_length_m[seen], _from_grip(trial)[:, seen]
     length_m = cable.free_length_m
+    if held := _both_ends_held(trial, arc_length_m, length_m):
+        return Impossible(0, held)
     if found := _too_far(arcs, length_m, from_grip):
         return found if shifted is None else Impossible(_row(trial, shifted), _ahead(shifted))
     at_rest = from_grip[_at_rest(trial)]
@@ -91,7 +101,7 @@ def _rises(
     grip, size = trial.grip, float(np.hypot(*gravity_m_per_s2))
     still = _at_rest(trial)
     angle = grip.angle_rad[0]
-    if not still.any() or size == 0.0 or abs(np.cos(angle)) < np.cos(SIDEWAYS_RAD):
+    if not still.any() or size < WEAK_M_PER_S2 or abs(np.cos(angle)) < np.cos(SIDEWAYS_RAD):
         return None
     along = -arc_length_m[:, None] * np.array([np.cos(angle), np.sin(angle)])
     sag_m = (_from_grip(trial)[still] - along) @ (np.array(gravity_m_per_s2) / size)
@@ -107,6 +117,47 @@ def _rises(
         "gravity; unless it is naturally curved, check the signs of y_m (up), angle_rad "
         "(positive = pointing down) and gravity_m_per_s2"
     )
+
+
+def _both_ends_held(trial: Trial, arc_length_m: FloatArray, free_length_m: float) -> str | None:
+    """That the marker farthest from the hand stays in place while hand or cable move."""
+    xy_m, grip = trial.markers.xy_m, trial.grip
+    seen = np.array([np.isfinite(_spread_m(xy_m[:, m])) for m in range(xy_m.shape[1])])
+    if not seen.any():
+        return None
+    tip = int(np.argmax(np.where(seen, arc_length_m, -1.0)))
+    axes = np.isfinite(xy_m[:, tip]).any(axis=0)  # those in which the tip is not seen say nothing
+    spread = np.array([_spread_m(xy_m[:, m, axes]) for m in range(xy_m.shape[1])])
+    seen = np.isfinite(spread)
+    # a free tip follows within a quarter of a swing: what the hand does later says nothing
+    follows_s = 0.25 * SLOWEST * np.sqrt(free_length_m / GRAVITY_M_PER_S2)
+    t_s = trial.markers.t_s
+    told = (grip.t_s >= t_s[0]) & (grip.t_s <= t_s[-1] - follows_s)
+    hand_m = _spread_m(np.column_stack([grip.x_m, grip.y_m])[told][:, axes])
+    inner_m = float(np.max(spread[seen], initial=0.0))
+    most_m = max(np.nan_to_num(hand_m), inner_m)
+    if arc_length_m[tip] < OUTER * free_length_m or most_m < HELD_MOVES * free_length_m:
+        return None
+    if spread[tip] > HELD_STAYS * most_m:
+        return None
+    what = "the hand moves" if hand_m >= inner_m else "the cable between moves"
+    return (
+        f"the marker at arc length {arc_length_m[tip]:g} m stays within {spread[tip] * 1e3:.2g} mm "
+        f"while {what} by {most_m * 1e3:.3g} mm: both ends of this cable are held, and only a "
+        "cable with a free tip can be modelled; let the tip go"
+    )
+
+
+def _spread_m(xy_m: FloatArray) -> float:
+    """How far apart the middle 90 % of a point's places are: single wrong ones do not count.
+
+    nan where it is seen in fewer than `HELD_ROWS` rows.
+    """
+    good = xy_m[:, np.isfinite(xy_m).any(axis=0)]
+    if not good.size or np.isfinite(good).all(axis=1).sum() < HELD_ROWS:
+        return float("nan")
+    low, high = np.nanquantile(good, [0.05, 0.95], axis=0)
+    return float(np.linalg.norm(high - low))
 
 
 def _row(trial: Trial, found: Offset) -> int:
@@ -217,8 +268,8 @@ def _on_the_wrong_side(
 
 
 def _clock(free_length_m: float, gravity_m_per_s2: float, t_s: FloatArray) -> str | None:
-    if gravity_m_per_s2 == 0.0:
-        return None
+    if gravity_m_per_s2 < WEAK_M_PER_S2:
+        return None  # nothing tells beforehand how slowly the cable swings
     slowest_s = SLOWEST * np.sqrt(free_length_m / gravity_m_per_s2)
     step_s = float(np.median(np.diff(t_s)))
     if step_s <= 0.5 * slowest_s:

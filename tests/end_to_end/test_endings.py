@@ -94,10 +94,10 @@ def test_learn_uses_missed_cycles(windy: Run) -> None:
     assert [c.outcome for c in cycles] == [Outcome.REJECTED, Outcome.MISSED, Outcome.INSERTED]
     assert [c.executed is not None for c in cycles] == [False, True, True]
     tried = {"draught": library()["draught"]}
-    lesson = learn(cycles[1:], cable, identification_of(settings), tried, lambda text: None)
-    assert [c.outcome for c in lesson.cycles] == [Outcome.MISSED, Outcome.INSERTED]
-    assert lesson.best is not None and lesson.best.name == "draught"
-    missed, _ = lesson.votes
+    result = learn(cycles[1:], cable, identification_of(settings), tried, lambda text: None)
+    assert [c.outcome for c in result.cycles] == [Outcome.MISSED, Outcome.INSERTED]
+    assert result.best is not None and result.best.name == "draught"
+    missed, _ = result.cycle_evidence
     assert missed.cycle == cycles[1].name and missed.fall > 100.0, "and it speaks for the effect"
 
 

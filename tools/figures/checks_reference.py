@@ -13,8 +13,8 @@ from typing import Any
 
 from cell.lab.data.check import Check
 from cell.lab.data.thresholds import DEFAULT_RULES
-from cell.lab.line.lesson_checks import GATES, LESSON
-from cell.lab.line.lesson_questions import LineRules
+from cell.lab.line.learning_checks import GATES, LEARNING
+from cell.lab.line.learning_questions import LineRules
 from cell.lab.verdict.checks import CHECKS
 from cell.lab.verdict.doubts import MEANINGS
 
@@ -56,7 +56,7 @@ def of_diagnosis() -> str:
 
 def of_line() -> str:
     """The checks of what many cables teach, and the gates of a candidate."""
-    return "\n".join(table((*LESSON, *GATES), LineRules()))
+    return "\n".join(table((*LEARNING, *GATES), LineRules()))
 
 
 PAGES = {DOCS / "lab.md": of_diagnosis, DOCS / "learning.md": of_line}

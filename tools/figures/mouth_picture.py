@@ -1,14 +1,12 @@
-"""Insertion rate against the mouth's height, from the file of a mouth study.
+"""Insertion rate against the mouth's height, from counts of mouth and flight studies.
 
-`python -m tools.studies.mouth_study F.csv`, then
-`python -m tools.figures.mouth_picture F.csv [-o docs/images/mouths.png]`
+`python -m tools.figures.mouth_picture docs/measured/mouths.csv [-o docs/images/mouths.png]`
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
-from collections import defaultdict
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -19,17 +17,16 @@ NAMES = {
     "offsets": ("21 offsets, at once", "#9e9e9e", "o"),
     "and moment": ("any offset and moment", "#1565c0", "s"),
     "and pace": ("and pace", "#2e7d32", "^"),
+    "and feedback": ("and corrected in flight", "#c62828", "D"),
 }
 
 
 def rates(rows: list[dict[str, str]]) -> dict[tuple[str, float], tuple[int, int]]:
     """Inserted and all, by what may be chosen and half the mouth's height, mm."""
-    counted: dict[tuple[str, float], list[int]] = defaultdict(lambda: [0, 0])
-    for row in rows:
-        count = counted[row["freely"], float(row["half_mm"])]
-        count[0] += row["outcome"] == "inserted"
-        count[1] += 1
-    return {key: (inserted, total) for key, (inserted, total) in counted.items()}
+    return {
+        (row["freely"], float(row["half_mm"])): (int(row["inserted"]), int(row["cables"]))
+        for row in rows
+    }
 
 
 def main() -> None:
@@ -43,7 +40,7 @@ def main() -> None:
     heights = sorted({half_mm for _, half_mm in found}, reverse=True)
     for index, (name, (label, colour, marker)) in enumerate(NAMES.items()):
         known = [(place, found[name, h]) for place, h in enumerate(heights) if (name, h) in found]
-        places = [place + 0.06 * (index - 1) for place, _ in known]
+        places = [place + 0.06 * (index - 1.5) for place, _ in known]
         share = [100.0 * k / n for _, (k, n) in known]
         low = [s - 100.0 * beta.ppf(0.025, k, n - k + 1) if k else 0.0
                for s, (_, (k, n)) in zip(share, known, strict=True)]  # fmt: skip

@@ -2,7 +2,7 @@
 
     python -m tools.studies.ablation_study FILE.csv [--complete 200] [--one 100] [--outside 50]
                                             [--pairs 27] [--unknown 34] [--seed 2]
-    python -m tools.studies.ablation_study FILE.csv --table
+    python -m tools.studies.ablation_study FILE.csv --table [--limit CHECK=VALUE …]
 
 Of each study, all checks are asked of the model that the search ended at, whatever failed before,
 and their statistics are kept.  So the verdict without a check, or with another limit, is worked out
@@ -12,7 +12,8 @@ the smallest BIC of the models fitted, the smallest held-out error, and the larg
 effect alone (Holm, 1 %).
 
 The table says for each check how many false alarms of complete studies, wrong claims and right
-answers there are without it, and McNemar's p-value of the answers that change.
+answers there are without it, and McNemar's p-value of the answers that change; and the same of
+checks with another limit.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ import argparse
 import csv
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -36,7 +37,7 @@ from cell.cable.statics import UnsettledError
 from cell.files.input_error import InputError
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.check import COMPARE, Answer, Check, verdict_of
-from cell.lab.data.noise_floor import NoiseUnknownError
+from cell.lab.data.noise_model import NoiseUnknownError
 from cell.lab.data.opened_study import open_study
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.selection import EffectSelection
@@ -273,8 +274,11 @@ def answer(row: Row, said: str, named: str) -> str:
     return "no answer"
 
 
-def table(rows: list[Row]) -> str:
-    """In Markdown: answers by kind, with every check, without each, and of plain strategies."""
+def table(rows: list[Row], limits: Mapping[str, float]) -> str:
+    """In Markdown: answers by kind, with every check, without each, and of plain strategies.
+
+    limits  other limits of checks, by name; a line each
+    """
     seen = [r for r in rows if r.kind == "complete" or r.power >= SEEN]
     seen = [r for r in seen if r.verdict not in ("crash", "not made")]
     lines = ["| without | " + " | ".join(KINDS) + " | changed | p |", "|---" * 8 + "|"]
@@ -294,6 +298,11 @@ def table(rows: list[Row]) -> str:
     lines.append(line("– (all checks)", usual))
     for check in CHECKS:
         lines.append(line(check.name, lambda r, n=check.name: answer(r, verdict(r, n), r.named)))
+    for name, limit in limits.items():
+        other = {name: limit}
+        lines.append(
+            line(f"{name} {limit:g}", lambda r, o=other: answer(r, verdict(r, limits=o), r.named))
+        )
     for plain in PLAIN:
         lines.append(line(f"plain: {plain}", lambda r, n=plain: _of_plain(r, getattr(r, n))))
     return "\n".join(lines)
@@ -315,11 +324,13 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=2)
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--table", action="store_true")
+    parser.add_argument("--limit", nargs="*", default=[], metavar="CHECK=VALUE")
     given = parser.parse_args()
     if not given.table:
         run(given.file, [getattr(given, k) for k in KINDS], given.seed, given.workers)
     print("right / wrong of all, by kind; what changes in right answers; McNemar's p\n")
-    print(table(read(given.file)))
+    limits = {name: float(value) for name, _, value in (v.partition("=") for v in given.limit)}
+    print(table(read(given.file), limits))
     return 0
 
 

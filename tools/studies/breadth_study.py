@@ -37,7 +37,7 @@ from cell.cable.solver import DivergedError
 from cell.cable.statics import UnsettledError
 from cell.files.input_error import InputError
 from cell.identify.parameters import ParameterSpace
-from cell.lab.data.noise_floor import NoiseUnknownError
+from cell.lab.data.noise_model import NoiseUnknownError
 from cell.lab.data.opened_study import open_study
 from cell.lab.data.prepared import PreparedStudy, all_fitted
 from cell.lab.data.results import Diagnosis

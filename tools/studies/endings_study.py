@@ -58,10 +58,10 @@ class World:
     def row(self) -> str:
         """One row of the table, Markdown."""
         counts = " | ".join(str(self.ended.get(o.value, 0)) for o in _OUTCOMES)
-        lesson = (
+        result = (
             "" if self.learned is None else f"{self.learned}, {self.used_missed} of {self.used}"
         )
-        return f"| {self.effect} | {counts} | {self.missed_aside} | {lesson} |"
+        return f"| {self.effect} | {counts} | {self.missed_aside} | {result} |"
 
 
 _OUTCOMES = (Outcome.INSERTED, Outcome.MISSED, Outcome.REJECTED, Outcome.FAILED)
@@ -125,16 +125,16 @@ def _near(a_m: tuple[float, float], b_m: tuple[float, float]) -> bool:
     return all(abs(a - b) < AT_M for a, b in zip(a_m, b_m, strict=True))
 
 
-def with_lesson(found: World, settings: Settings, runs: Path) -> World:
+def with_learned(found: World, settings: Settings, runs: Path) -> World:
     """The world with what `learn` makes of its cycles."""
     cable = cable_of(settings)
     cycles, _ = read_cycles([runs], cable)
-    lesson = learn(cycles, cable, identification_of(settings), library(), lambda text: None)
-    learned = "nothing" if lesson.best is None else lesson.best.name
-    missed = sum(c.outcome is Outcome.MISSED for c in lesson.cycles)
+    result = learn(cycles, cable, identification_of(settings), library(), lambda text: None)
+    learned = "nothing" if result.best is None else result.best.name
+    missed = sum(c.outcome is Outcome.MISSED for c in result.cycles)
     values = asdict(found) | {
         "learned": learned,
-        "used": len(lesson.cycles),
+        "used": len(result.cycles),
         "used_missed": missed,
     }
     return World(**values)
@@ -146,14 +146,14 @@ def summary(worlds: Sequence[World]) -> list[str]:
     for w in worlds:
         total.update(w.ended)
     failures = [f"{w.effect}: {f}" for w in worlds for f in w.failures]
-    lessons = [w for w in worlds if w.learned is not None]
+    asked = [w for w in worlds if w.learned is not None]
     return [
         f"{total.total()} cables: " + ", ".join(f"{total[o.value]} {o.value}" for o in _OUTCOMES),
         f"of the missed put aside: {sum(w.missed_aside for w in worlds)}",
         *failures,
         *(
             f"learn in {w.effect}: {w.learned}; {w.used_missed} missed of {w.used} cycles used"
-            for w in lessons
+            for w in asked
         ),
     ]
 
@@ -179,7 +179,7 @@ def main() -> None:
             runs = (options.out or Path(folder)) / effect
             found = world(settings, effect, options.size, options.cables, options.seed, runs)
             if effect in options.learn:
-                found = with_lesson(found, settings, runs)
+                found = with_learned(found, settings, runs)
             worlds.append(found)
             print(found.row(), flush=True)
             if options.json:

@@ -31,7 +31,7 @@ from cell.lab.line.candidate import section
 from cell.lab.line.gates import best_judged
 from cell.lab.line.learn import LearningResult, learn
 from cell.lab.next.discover import laws_in
-from cell.lab.next.next_motion import MOST_ASKED, motion_that_tells, worth_it
+from cell.lab.next.next_motion import MOST_ASKED, distinguishing_motion, worth_measuring
 from cell.run.station import Task
 from cell.settings import Settings, load_settings
 from cell.settings.surroundings import Surroundings
@@ -144,23 +144,23 @@ def world(
     as_found = Cables.of(cycles, time.process_time() - begun_s)
     recorded = [recorded_cycle(task, k, c) for k, c in zip(first, cycles, strict=True)]
     begun_s = cpu_s()
-    lesson, asked = _learned(settings, task, recorded, seed, there, laws)
-    lesson, judgement = best_judged(lesson, settings)
+    result, asked = _learned(settings, task, recorded, seed, there, laws)
+    result, judgement = best_judged(result, settings)
     spent_s = cpu_s() - begun_s
     after, before, complete = None, as_found, as_found
-    promoted = lesson.best is not None and judgement.fit_for_line
+    promoted = result.best is not None and judgement.fit_for_line
     if parts or promoted:
         complete = _complete(settings, task, seed, cables)
         before = run(settings, task, seed, later, there) if parts else complete
     if promoted:
-        new = settings.model_copy(update={"model": section(lesson, settings.model)})
+        new = settings.model_copy(update={"model": section(result, settings.model)})
         after = run(new, cell_task(new), seed, later, there)
     return World(
         effect,
         size,
         seed,
-        tuple(e.name for e in lesson.best.effects) if lesson.best else (),
-        lesson.tied,
+        tuple(e.name for e in result.best.effects) if result.best else (),
+        result.tied,
         asked,
         promoted,
         tuple(f"{g.name} ({g.found})" for g in judgement.gates if not g.passed),
@@ -168,7 +168,7 @@ def world(
         after,
         complete,
         spent_s,
-        lesson.left_out,
+        result.left_out,
     )
 
 
@@ -180,29 +180,29 @@ def _learned(
     there: Sequence[ActiveEffect],
     laws: bool,
 ) -> tuple[LearningResult, int]:
-    """The lesson of these cables and those measured because of ties; how many these are."""
+    """What is learned of these cables and those measured because of ties; how many these are."""
     surroundings, tried = Surroundings.read(CONFIG), library()
     if laws or any(a.effect.name in LAWS for a in there):
         tried |= laws_in(
             Path(tempfile.mkdtemp(prefix="laws-")), [c.study for c in recorded]
         ).effects
-    lesson = learn(recorded, task.cable, task.identification, tried, _said())
+    result = learn(recorded, task.cable, task.identification, tried, _said())
     for done in range(MOST_ASKED):
         try:
-            suggestion = motion_that_tells(lesson, surroundings)
+            suggestion = distinguishing_motion(result, surroundings)
         except ValueError:
-            return lesson, done
-        best = None if suggestion is None else worth_it(suggestion)
+            return result, done
+        best = None if suggestion is None else worth_measuring(suggestion)
         if best is None:
-            return lesson, done
+            return result, done
         number, motion = 1000 + done, best.motion.motion()
         hidden = replace(hidden_cable(settings, seed, number), effects=tuple(there))
         trial = fast_measured(settings, seed, number, motion, task=task, hidden=hidden, errors=SEEN)
         study = Study(f"m{number}", task.cable, task.arc_length_m, (trial,))
         measured = RecordedCycle(study.name, Path(study.name), study, None, None, None)
         recorded = [*recorded, measured]
-        lesson = learn(recorded, task.cable, task.identification, tried, _said())
-    return lesson, MOST_ASKED
+        result = learn(recorded, task.cable, task.identification, tried, _said())
+    return result, MOST_ASKED
 
 
 def _said() -> Callable[[str], None]:

@@ -1,4 +1,4 @@
-"""How often cables are inserted through mouths of different heights: offsets alone, or freely.
+"""How often cables are inserted through mouths of different heights: by offsets, freely, corrected.
 
 Cells without pictures, whose model is complete: only the choice differs.
 
@@ -17,6 +17,7 @@ from cell.plan.choose import Freedom
 from cell.settings import Settings, load_settings
 from tools.studies.cable_rows import options, written
 from tools.worlds.fast_cell import fast_cycle
+from tools.worlds.fast_flight import Flown
 
 HALF_MM = (5.0, 2.0, 1.0, 0.5, 0.25)
 FREELY = {
@@ -24,6 +25,9 @@ FREELY = {
     "and moment": Freedom(0.25),
     "and pace": Freedom(0.25, (1.15, 1.3, 1.5, 1.8)),
 }
+#: The last of these, and corrected in flight.
+FEEDBACK = "and feedback"
+FREELY[FEEDBACK] = FREELY["and pace"]
 
 
 @dataclass(frozen=True)
@@ -60,7 +64,8 @@ def tried(settings: Settings, half_mm: float, freely: str, seed: int, cable: int
     narrow = with_mouth(settings, half_mm)
     task = cell_task(narrow)
     task = replace(task, choice=replace(task.choice, freely=FREELY[freely]))
-    cycle = fast_cycle(narrow, seed, cable, task=task, only_chosen=True)
+    flown = Flown(feedback=freely == FEEDBACK)
+    cycle = fast_cycle(narrow, seed, cable, task=task, only_chosen=True, flown=flown)
     best, coming = None if cycle.choice is None else cycle.choice.best, cycle.candidates
     if best is None or cycle.choice is None or coming is None:
         nan = float("nan")
@@ -82,14 +87,14 @@ def tried(settings: Settings, half_mm: float, freely: str, seed: int, cable: int
 
 def table(rows: list[Tried]) -> str:
     """Shares of cables inserted, in %, by the mouth's height."""
-    lines = ["mouth, ± mm  " + "".join(f"{name:>12}" for name in FREELY)]
+    lines = ["mouth, ± mm  " + "".join(f"{name:>14}" for name in FREELY)]
     for half_mm in sorted({r.half_mm for r in rows}, reverse=True):
         cells = []
         for name in FREELY:
             counts = Counter(r.outcome for r in rows if (r.half_mm, r.freely) == (half_mm, name))
             total = sum(counts.values())
             share = f"{100 * counts['inserted'] / total:.1f}" if total else ""
-            cells.append(f"{share + ('*' if counts['missed'] else ''):>12}")
+            cells.append(f"{share + ('*' if counts['missed'] else ''):>14}")
         lines.append(f"{half_mm:>11g}  " + "".join(cells))
     missed = sum(r.outcome == "missed" for r in rows)
     return "\n".join([*lines, f"{missed} of {len(rows)} missed (*); all others were put aside"])

@@ -39,7 +39,7 @@ from cell.cable.model import CableModel
 from cell.cable.modes import mode_curvature
 from cell.files.input_error import InputError
 from cell.identify.parameters import ParameterSpace
-from cell.lab.data.noise_floor import NoiseUnknownError
+from cell.lab.data.noise_model import NoiseUnknownError
 from cell.lab.data.opened_study import open_study
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import Diagnosis, Errors

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from cell.cable.geometry import Cable
 from cell.files.input_error import InputError, Problem
+from cell.lab.data.prepared import all_fitted
 from cell.records.folder import is_cycle, read_record
 from cell.records.result import Outcome
 from cell.study.data import Study, Trial
@@ -40,8 +41,7 @@ class RecordedCycle:
     @property
     def whole(self) -> Study:
         """The study with every trial to be fitted to."""
-        trials = tuple(replace(t, role="fit") for t in self.study.trials)
-        return replace(self.study, trials=trials)
+        return all_fitted(self.study)
 
 
 def read_cycles(runs: Sequence[Path], cable: Cable) -> tuple[list[RecordedCycle], list[str]]:
@@ -105,12 +105,6 @@ def _read(folder: Path) -> RecordedCycle | None:
         study, outcome = read_study(folder), None
     if study is None:
         return None
-    cycle = RecordedCycle(folder.resolve().name, folder, study, None, None, outcome)
-    return _with_study(cycle, study)
-
-
-def _with_study(cycle: RecordedCycle, study: Study) -> RecordedCycle:
-    """The cycle with these measurements."""
     trials = {t.name: t for t in study.trials}
     held, executed = trials.get("identify"), trials.get("execute")
-    return replace(cycle, study=study, held=held, executed=executed)
+    return RecordedCycle(folder.resolve().name, folder, study, held, executed, outcome)

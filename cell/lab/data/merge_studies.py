@@ -1,4 +1,4 @@
-"""Recorded cycles of one cable, gathered into one study."""
+"""Recorded cycles of one cable, merged into one study."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def merge_studies(runs: Sequence[Path], name: str) -> Study:
 
 
 def merge_into(folder: Path, runs: Sequence[Path]) -> tuple[Study, list[str]]:
-    """The studies of cycles gathered into one, written to a folder and named after it.
+    """The studies of cycles merged into one, written to a folder and named after it.
 
     returns  the study; and which cycles were left out because nothing was measured in them
     raises   InputError: as `merge_studies`, or nothing was measured in any
@@ -118,7 +118,9 @@ def _apart(first: _Cycle, other: _Cycle) -> Iterator[Problem]:
     for what, value in ours.items():
         shown = theirs[what]
         if value.shape != shown.shape or not np.allclose(value, shown, rtol=SAME):
-            message = f"is {_values(shown)}, but {_values(value)} in {first.folder}; gather apart"
+            message = (
+                f"is {_values(shown)}, but {_values(value)} in {first.folder}; merge them apart"
+            )
             yield Problem(header, 1, None, what, message)
     if first.settings is None or other.settings is None:
         return
@@ -128,7 +130,7 @@ def _apart(first: _Cycle, other: _Cycle) -> Iterator[Problem]:
             if were.get(leaf) != are.get(leaf):
                 message = (
                     f"is {are.get(leaf)}, but {were.get(leaf)} in {first.settings.path}: {mixed} "
-                    "do not make one study; gather them apart"
+                    "do not make one study; merge them apart"
                 )
                 yield other.settings.problem(leaf if leaf in are else key, message)
 
@@ -162,7 +164,7 @@ def _individuals(cycles: Sequence[_Cycle]) -> Iterator[Problem]:
                     message = (
                         f"the resting cable is {apart_m * 1e3:.1f} mm beside that of {where} at "
                         f"the same clamp angle (allowed {limit_m * 1e3:.1f} mm): another "
-                        "individual, or gripped elsewhere; gather only cycles of one cable"
+                        "individual, or gripped elsewhere; merge only cycles of one cable"
                     )
                     table = cycle.folder / trial.name / "markers.csv"
                     yield Problem(table, 2, None, "", message)

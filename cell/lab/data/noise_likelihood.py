@@ -21,12 +21,12 @@ MAX_AR1 = 0.98
 #: A change of level or of 1 − ρ below this share changes nothing that is said.
 UNCHANGED = 0.005
 #: The rest allows a noise whose likelihood ratio (−2 ln, to the likeliest) is below this: a 99.9 %
-#: confidence set of level, colour and white share (χ² of 3 degrees of freedom; Wilks 1938).
+#: confidence set of level, correlation and white share (χ² of 3 degrees of freedom; Wilks 1938).
 ALLOWED = 16.3
 #: The same of what is told of a level: a 95 % interval (χ² of 1 degree of freedom).
 TOLD = 3.84
-#: Colours that are compared, evenly in the logarithm of 1 − ρ, on which slow noise depends; and
-#: white shares beside them, of values that are rounded.
+#: AR(1) correlations that are compared, evenly in the logarithm of 1 − ρ, on which slow noise
+#: depends; and white shares beside them, of values that are rounded.
 AR1_GRID = 1.0 - (1.0 - MAX_AR1) ** np.linspace(0.0, 1.0, 121)
 WHITE_SHARES = (0.0, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 #: Rounding to less than this share of the noise adds nothing white that is seen.
@@ -37,7 +37,7 @@ ROUNDED = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Rest:
-    """Level and colour of the noise as estimated from still frames.
+    """Level and AR(1) correlation of the noise as estimated from still frames.
 
     degree        of the polynomials that are taken out of every series
     resolution_m  step to which values are rounded; 0 = not seen to be
@@ -51,7 +51,7 @@ class Rest:
     def of(blocks: Sequence[Block], resolution_m: float) -> Rest:
         """With polynomials of the degree that the blocks need, by BIC."""
         rests = [Rest(tuple(blocks), degree, resolution_m) for degree in range(3)]
-        return min(rests, key=lambda r: r._bic(r._colour()))
+        return min(rests, key=lambda r: r._bic(r._ar1()))
 
     @property
     def frames(self) -> int:
@@ -59,13 +59,13 @@ class Rest:
         return max(len(b.z_m) for b in self.blocks)
 
     def likeliest(self) -> tuple[Noise, float]:
-        """Level and colour, by the rest alone, and the degrees of freedom behind the level."""
-        colour = self._colour()
-        square, dof, _ = self.sums(colour)
+        """Level and correlation, by the rest alone, and the degrees of freedom behind the level."""
+        ar1 = self._ar1()
+        square, dof, _ = self.sums(ar1)
         std_m = max(float(np.sqrt(square / dof)), 1e-12)
         if self.is_hidden(std_m):
             return Noise(self.resolution_m / np.sqrt(12.0)), float(dof)
-        return Noise(std_m, colour), float(dof)
+        return Noise(std_m, ar1), float(dof)
 
     def is_hidden(self, std_m: float) -> bool:
         """Whether values are rounded so much that a cable at rest does not show their error."""
@@ -73,14 +73,14 @@ class Rest:
 
     @property
     def noises(self) -> list[tuple[float, float]]:
-        """Colours and white shares that are compared."""
+        """AR(1) correlations and white shares that are compared."""
         std_m = float(np.sqrt(self.sums(0.0)[0] / self.sums(0.0)[1]))
         whites = WHITE_SHARES if self.resolution_m > SEEN_ROUNDING * std_m else WHITE_SHARES[:1]
-        return [(float(colour), white) for white in whites for colour in AR1_GRID]
+        return [(float(ar1), white) for white in whites for ar1 in AR1_GRID]
 
     def allowed(self, noises: Sequence[tuple[float, float]]) -> Allowed:
-        """The levels that the rest allows with each of some colours and white shares."""
-        sums = np.array([self.sums(colour, white) for colour, white in noises])
+        """The levels that the rest allows with each of some correlations and white shares."""
+        sums = np.array([self.sums(ar1, white) for ar1, white in noises])
         square, dof, fixed = sums.T
         level = np.maximum(square / dof, 1e-24)
         if self.is_hidden(float(np.sqrt(level.min()))):
@@ -94,31 +94,31 @@ class Rest:
         unlikely = profile - profile.min()
         return Allowed(level, unlikely, square, fixed, float(dof[0]), self.resolution_m)
 
-    def sums(self, colour: float, white: float = 0.0) -> tuple[float, int, float]:
+    def sums(self, ar1: float, white: float = 0.0) -> tuple[float, int, float]:
         """Innovations' square, its degrees of freedom, and log determinants, for a noise."""
         square, dof, log_det = 0.0, 0, 0.0
         for block in self.blocks:
             frames, series = block.z_m.shape
             u = np.linspace(-1.0, 1.0, frames)
-            powers, _ = _white(np.vander(u, self.degree + 1), colour, white)
-            z, of_frames = _white(block.z_m, colour, white)
+            powers, _ = _white(np.vander(u, self.degree + 1), ar1, white)
+            z, of_frames = _white(block.z_m, ar1, white)
             q, r = np.linalg.qr(powers)
             square += float(np.sum((z - q @ (q.T @ z)) ** 2))
             dof += (frames - self.degree - 1) * series
             log_det += of_frames + 2.0 * series * float(np.log(np.abs(np.diag(r))).sum())
         return square, dof, log_det
 
-    def _restricted(self, colour: float) -> float:
-        square, dof, log_det = self.sums(colour)
+    def _restricted(self, ar1: float) -> float:
+        square, dof, log_det = self.sums(ar1)
         return dof * float(np.log(max(square, 1e-300))) + log_det
 
-    def _colour(self) -> float:
+    def _ar1(self) -> float:
         found = where_least(self._restricted, 0.0, MAX_AR1, within=1e-5)
         return min((0.0, found, MAX_AR1), key=self._restricted)
 
-    def _bic(self, colour: float) -> float:
-        square, _, _ = self.sums(colour)
-        log_det = sum(_white(b.z_m, colour, 0.0)[1] for b in self.blocks)
+    def _bic(self, ar1: float) -> float:
+        square, _, _ = self.sums(ar1)
+        log_det = sum(_white(b.z_m, ar1, 0.0)[1] for b in self.blocks)
         count = sum(b.z_m.size for b in self.blocks)
         fixed = (self.degree + 1) * sum(b.z_m.shape[1] for b in self.blocks)
         likelihood = count * float(np.log(max(square, 1e-300) / count)) + log_det
@@ -137,20 +137,20 @@ class Remainder:
     dof: float
 
     def sums(self, noises: Sequence[tuple[float, float]]) -> tuple[FloatArray, FloatArray]:
-        """Of colours and white shares the innovations' square, m², and their log determinant."""
+        """By correlation and white share: the innovations' square, m², and log determinant."""
         count = sum(int(np.isfinite(e).sum()) for e in self.errors_m)
         found = np.zeros((len(noises), 2))
         for error in self.errors_m:
             seen = np.isfinite(error)
             series = np.ascontiguousarray(np.where(seen, error, 0.0))
-            for i, (colour, white) in enumerate(noises):
-                found[i] += _innovation_sums(series, seen, colour, white)
+            for i, (ar1, white) in enumerate(noises):
+                found[i] += _innovation_sums(series, seen, ar1, white)
         return found[:, 0], found[:, 1] * self.dof / max(count, 1)
 
 
 @dataclass(frozen=True, eq=False)
 class Allowed:
-    """Levels that a rest allows, for each of some colours and white shares.
+    """Levels that a rest allows, for each of some correlations and white shares.
 
     level_m2   likeliest variance; −2 ln of its likelihood is `unlikely` above that of the best
     square_m2, fixed   −2 ln of the likelihood of a variance v is dof · ln v + square / v +
@@ -174,7 +174,7 @@ class Allowed:
     def within(self, limit: float) -> tuple[FloatArray, FloatArray]:
         """Least and largest variance with a likelihood ratio below a limit, m².
 
-        Of a colour and share that do not reach it the least is infinite.  Rounding errs by at
+        Of a correlation and share that do not reach it the least is infinite.  Rounding errs by at
         least as much as steps of that size do, and may add as much to what the rest has shown.
         source  Wilks 1938; u − ln u = 1 + k is solved by Lambert's W
         """
@@ -188,7 +188,7 @@ class Allowed:
 
     @property
     def range_m(self) -> tuple[float, float]:
-        """95 % interval of the level, whatever colour and share."""
+        """95 % interval of the level, whatever correlation and share."""
         least, largest = self.within(TOLD)
         there = least <= largest
         return float(np.sqrt(least[there].min())), float(np.sqrt(largest[there].max()))
@@ -207,8 +207,8 @@ def dof_of(log_level: FloatArray, cost: FloatArray, dof: float) -> float:
 def alike(one: Noise, other: Noise) -> bool:
     """Whether two noises differ only by a negligible amount."""
     level = abs(np.log(one.std_m / other.std_m))
-    colour = abs(np.log((1.0 - one.ar1) / (1.0 - other.ar1)))
-    return bool(max(level, colour) < UNCHANGED)
+    memory = abs(np.log((1.0 - one.ar1) / (1.0 - other.ar1)))
+    return bool(max(level, memory) < UNCHANGED)
 
 
 def resolution_m(study: Study) -> float:
@@ -226,14 +226,14 @@ def resolution_m(study: Study) -> float:
 
 
 @njit(cache=True)
-def _white(values: FloatArray, colour: float, white: float) -> tuple[FloatArray, float]:
+def _white(values: FloatArray, ar1: float, white: float) -> tuple[FloatArray, float]:
     """(frames, series) made white, of the variance that they had; and ln of the determinant."""
     frames, series = values.shape
     out = np.empty_like(values)
     expected = np.zeros(series)
     log_det = known = 0.0
     for t in range(frames):
-        memory = colour if t > 0 else 0.0
+        memory = ar1 if t > 0 else 0.0
         fresh = memory**2 * known + (1.0 - memory**2) * (1.0 - white)
         variance = fresh + white
         gain = fresh / variance
@@ -248,7 +248,7 @@ def _white(values: FloatArray, colour: float, white: float) -> tuple[FloatArray,
 
 @njit(cache=True)
 def _innovation_sums(
-    values: FloatArray, seen: NDArray[np.bool_], colour: float, white: float
+    values: FloatArray, seen: NDArray[np.bool_], ar1: float, white: float
 ) -> tuple[float, float]:
     """Of (frames, series) with gaps: sum of the squares when white, and ln of the determinant."""
     frames, series = values.shape
@@ -265,9 +265,9 @@ def _innovation_sums(
                 expected = memory * expected + gain * new
                 square += new * new / variance
                 log_det += np.log(variance)
-                memory = colour
+                memory = ar1
             else:
-                memory *= colour
+                memory *= ar1
     return square, log_det
 
 

@@ -11,8 +11,10 @@ from cell.cable.geometry import Motion
 from cell.files.input_error import InputError, Problem
 from cell.identify.noise import still_frames
 from cell.study.data import Study, Trial
+from cell.study.facts import trial_facts
 from cell.study.folder import read_study, study_folder
 from cell.study.left_out import without_wrong_samples
+from cell.study.pull import WEAK_M_PER_S2, with_pull
 
 #: A uniform clamped strip that droops by δ swings at ω² = 1.545 g/δ (β₁L = 1.8751).
 SWING = 1.545
@@ -39,6 +41,11 @@ def open_study(folder: Path) -> Study:
         for t in study.trials
         if (message := _stands(t) or _too_short(study, t))
     ]
+    try:
+        study = with_pull(study)
+    except ValueError as error:
+        key = "gravity_m_per_s2"
+        problems.append(Problem(folder / "study.yaml", 1, None, key, str(error)))
     if not study.role("fit"):
         message = "no trial has `role: fit`; mark at least one, the model is fitted to these"
         problems.append(Problem(folder / "study.yaml", 1, None, "trials", message))
@@ -80,6 +87,8 @@ def _stands(trial: Trial) -> str | None:
 
 
 def _too_short(study: Study, trial: Trial) -> str | None:
+    if (spectrum := trial_facts(trial, study.arc_length_m).spectrum) and spectrum.peaks_hz:
+        return None  # a swing is seen: nobody has to suppose how long one takes
     t_s = trial.markers.t_s
     still = still_frames(t_s, trial.grip, trial.rests_until_s)
     moving_s = float(t_s[-1] - t_s[min(still.stop, len(t_s) - 1)])
@@ -87,7 +96,7 @@ def _too_short(study: Study, trial: Trial) -> str | None:
     rest = markers[still] if trial.start == "equilibrium" else markers[len(markers) // 2 :]
     beside_m = rest[:, 1] - trial.grip.y_m[0]
     gravity_m_per_s2 = float(np.hypot(*study.gravity_m_per_s2))
-    if not np.isfinite(beside_m).any() or gravity_m_per_s2 == 0.0:
+    if not np.isfinite(beside_m).any() or gravity_m_per_s2 < WEAK_M_PER_S2:
         return None
     droop_m = abs(float(np.nanmean(beside_m)))
     period_s = 2.0 * np.pi * np.sqrt(droop_m / (SWING * gravity_m_per_s2))

@@ -14,11 +14,14 @@ from cell.cable.model import CableModel
 from cell.cable.solver import Solver
 from cell.identify.fit import Lane, predict_lanes
 from cell.identify.noise import Noise, Whitener, still_frames
-from cell.lab.data.noise_floor import NoiseModel, floor_of_residuals, noise_floor
+from cell.lab.data.noise_model import NoiseModel, noise_model_of, noise_model_of_residuals
 from cell.lab.data.unknown_start import InitialState, initial_state_of
 from cell.study.data import Study, Trial
 
 FloatArray = NDArray[np.float64]
+Number = TypeVar("Number", bound=np.generic)
+Given = ParamSpec("Given")
+Result = TypeVar("Result")
 
 #: Within 4 µm (rms over the markers of a swing) of a converged cable.
 SOLVER = Solver(segments=32, step_s=1e-3)
@@ -65,8 +68,8 @@ class PreparedStudy:
     """A study, its noise, and what whitens its trials.
 
     work   what has been simulated of it
-    noise  used for whitening: the floor's, or larger where an earlier individual's model is known
-           to err by more
+    noise  used for whitening: the measurement's, or larger where an earlier individual's model is
+           known to err by more
     slopes of which only differences of simulations are taken, where that is measured to do no harm
     counted   as which simulations count as work, if not as those of `solver`: how far a search goes
               must not depend on whether slopes may be coarser
@@ -101,7 +104,7 @@ class PreparedStudy:
         raises  NoiseUnknownError
         """
         study = placed(study)
-        noise_model = noise_floor(study)
+        noise_model = noise_model_of(study)
         noise = (
             misfit
             if misfit and misfit.std_m > ERRS * noise_model.noise.std_m
@@ -126,13 +129,13 @@ class PreparedStudy:
         errors  per trial (times, channels), m, nan where not seen
         """
         noise_model = (
-            floor_of_residuals(self.noise_model, errors)
+            noise_model_of_residuals(self.noise_model, errors)
             if self.noise_is_measured
             else self.noise_model
         )
-        return self if noise_model == self.noise_model else self.with_floor(noise_model)
+        return self if noise_model == self.noise_model else self.with_noise_model(noise_model)
 
-    def with_floor(self, noise_model: NoiseModel) -> PreparedStudy:
+    def with_noise_model(self, noise_model: NoiseModel) -> PreparedStudy:
         """The same, whitened for another noise of the measurement."""
         if noise_model.weighed == self.noise:
             return replace(self, noise_model=noise_model)
@@ -154,9 +157,9 @@ class PreparedStudy:
         ]
         return replace(self.study, trials=tuple(trials))
 
-    def beginning(self, trial: Trial) -> InitialState:
+    def initial_state(self, trial: Trial) -> InitialState:
         """What is unknown of how a trial begins."""
-        return initial_state_of(trial, self.study.cable, self.study.gravity_m_per_s2)
+        return initial_state_of(trial, self.study.cable, self.study.scale_m_per_s2)
 
     def predict(
         self, trial: Trial, models: Sequence[CableModel], initial_states: FloatArray | None = None
@@ -181,15 +184,13 @@ class PreparedStudy:
         """
         alike: dict[object, list[tuple[str, int, Lane]]] = {}
         for trial in trials:
-            t_s, beginning = trial.markers.t_s, self.beginning(trial)
+            t_s, state = trial.markers.t_s, self.initial_state(trial)
             self.work.add(len(models), float(t_s[-1] - t_s[0]), self.counted or self.solver)
-            unknown = (initial_states or {}).get(
-                trial.name, np.zeros((len(models), beginning.count))
-            )
-            late = beginning.delay_s(unknown)
+            unknown = (initial_states or {}).get(trial.name, np.zeros((len(models), state.count)))
+            late = state.delay_s(unknown)
             times = {float(d): t_s - d for d in np.unique(late)}
             for number, (model, d) in enumerate(zip(models, late, strict=True)):
-                modes = beginning.modes(unknown[number]) if beginning.bent else None
+                modes = state.modes(unknown[number]) if state.bent else None
                 lane = Lane(trial, model, times[float(d)], modes)
                 alike.setdefault(_begins(lane), []).append((trial.name, number, lane))
         out = {t.name: np.empty((len(models), *t.markers.xy_m.shape)) for t in trials}
@@ -237,13 +238,16 @@ class PreparedStudy:
                 return white
         return self.all_white(trials, models, initial_states)
 
+    def by_trial(
+        self, trials: Sequence[Trial], rows: NDArray[Number]
+    ) -> dict[str, NDArray[Number]]:
+        """Per trial its rows of whitened values (rows, …); the prior's rows, the last, left out."""
+        ends = np.cumsum([self.whiteners[t.name].rows for t in trials])
+        return dict(zip([t.name for t in trials], np.split(rows, ends), strict=False))
+
     def count(self, trials: Sequence[Trial]) -> int:
         """Coordinates seen in trials."""
         return sum(self.whiteners[t.name].count for t in trials)
-
-
-Given = ParamSpec("Given")
-Result = TypeVar("Result")
 
 
 def once_per_study(

@@ -5,9 +5,12 @@ from __future__ import annotations
 import difflib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from cell.cable.effects import Effect, library
+from cell.cable.effects.untrusted import check_untrusted
 from cell.identify.model_class import effect_from, known_effects
+from cell.lab.data.progress import Progress, no_progress
 
 
 @dataclass(frozen=True)
@@ -57,6 +60,33 @@ def select_for_diagnosis(effects: Sequence[str], known: Sequence[str]) -> Effect
     tried_anyway = library()
     in_model = [*known, *(e for e in effects if e in tried_anyway)]
     return select_effects(in_model, [e for e in effects if e not in tried_anyway])
+
+
+def candidates_in(folder: Path, progress: Progress = no_progress) -> tuple[list[str], list[str]]:
+    """Files of effects in a folder that can be tried, in order; why each of the others cannot.
+
+    A file that could do more than compute is not run.  The others are tried one after another, each
+    in a process of its own.
+    raises  ValueError: it is no folder, or holds no Python file
+    """
+    files = sorted(folder.glob("*.py"))
+    if not files:
+        raise ValueError(f"{folder}: holds no effect (*.py); give a folder with effect files")
+    good, refused, names = list[str](), list[str](), dict[str, Path]()
+    for number, file in enumerate(files):
+        progress("checking candidates", number, len(files))
+        try:
+            check_untrusted(file)
+            name = _effect(str(file)).name
+        except ValueError as error:  # EffectError among them
+            refused.append(f"left out: {error}")
+            continue
+        if name in names:
+            refused.append(f"left out: {file}: is called {name!r} as {names[name]} is; rename one")
+            continue
+        names[name] = file
+        good.append(str(file))
+    return good, refused
 
 
 def _effect(given: str) -> type[Effect]:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cell.lab.data.noise_floor import KNOWN_WITHIN
+from cell.lab.data.noise_model import KNOWN_WITHIN
+from cell.lab.data.own_check import OwnCheck
 
 #: Probability of calling something an effect, a law, a disagreement that is none, for all tests of
 #: a question together.
@@ -16,10 +17,10 @@ class Rules:
     """Limits at which an effect is accepted and a model called complete, and how far a search goes.
 
     Probabilities:
-    significance         family-wise, over the library (Holm), on the fit trials
+    significance         family-wise, over the library (Holm), on the fit trials; and at which the
+                         trials must show half of an effect's smooth part, or else it is not told
+                         from effects of no library
     misfit_significance  of what a model leaves; of less than a tenth of it `significance`
-    half_seen            at which the trials must be able to show half of an effect's smooth part,
-                         or else it is not told from effects of no library
 
     Likelihoods:
     heldout_gain     ln of how much likelier the held-out trials must become
@@ -53,18 +54,18 @@ class Rules:
 
     Numbers:
     most_named       effects added one after another, tied, or told as nearest: more than three
-                     cannot be tested
-    least_heldout    held-out trials that confirm an effect
-    max_prior_driven effects that only an earlier cable's model asks for
-    first_effects    after so many a search that leaves more than a small part is ended
+                     cannot be tested; the last is looked for only where a small part is left
+    max_unconfirmed  effects that no held-out trial confirms, or that only an earlier cable's model
+                     asks for
     max_refits       of the screen that are refitted, besides all that are not smooth
     max_simulated_s  after so many seconds of motion simulated no further effect is sought; some
                      twenty seconds on two cores, and as much again for what was begun
+
+    own              a user's own questions, asked beside those of the lab
     """
 
     significance: float = SIGNIFICANCE
     misfit_significance: float = 1e-3
-    half_seen: float = 0.05
     heldout_gain: float = 3.0
     least_visible: float = 1.0
     tie_delta_chi2: float = 9.0
@@ -79,11 +80,15 @@ class Rules:
     small_share: float = 0.1
     most_share: float = 0.5
     most_named: int = 3
-    least_heldout: int = 1
-    max_prior_driven: int = 0
-    first_effects: int = 2
+    max_unconfirmed: int = 0
     max_refits: int = 6
     max_simulated_s: float = 40_000.0
+    own: tuple[OwnCheck, ...] = ()
+
+    @property
+    def first_effects(self) -> int:
+        """Number of effects after which a search ends that leaves more than a small part."""
+        return self.most_named - 1
 
 
 DEFAULT_RULES = Rules()

@@ -37,7 +37,7 @@ _FARTHEST = 4.0
 
 @dataclass(frozen=True, eq=False)
 class InitialState:
-    """The unknowns of a trial's beginning, all 0 as noted: delay of a release, places, velocities.
+    """The unknowns of a trial's state, all 0 as noted: delay of a release, places, velocities.
 
     std, step, limit  (unknowns,) of the prior, of finite differences, largest magnitude
     """
@@ -70,15 +70,16 @@ class InitialState:
         return modes
 
 
-def initial_state_of(
-    trial: Trial, cable: Cable, gravity_m_per_s2: tuple[float, float]
-) -> InitialState:
-    """What is unknown of how a trial begins."""
+def initial_state_of(trial: Trial, cable: Cable, scale_m_per_s2: float) -> InitialState:
+    """What is unknown of how a trial begins.
+
+    scale_m_per_s2  acceleration that sets the pace of the cable, see `Study`
+    """
     delayed = trial.start in ("straight", "held")
     places = MODES if trial.bent else 0
     velocities = MODES if trial.start == "moving" else 0
     wave = ROOTS[0] / np.array(ROOTS[:MODES])
-    pace_per_s = PACE * np.sqrt(float(np.hypot(*gravity_m_per_s2)) / cable.free_length_m)
+    pace_per_s = PACE * np.sqrt(scale_m_per_s2 / cable.free_length_m)
     place = PLACE_STD * wave[:places] ** 2
     velocity = PLACE_STD * pace_per_s * wave[:velocities]
     of_delay = [RELEASE_STD_S] * delayed, [_DELAY_STEP_S] * delayed, [RELEASE_LIMIT_S] * delayed

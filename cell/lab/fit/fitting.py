@@ -26,7 +26,7 @@ class Fit:
     """A model fitted to the fit trials.
 
     q          (p,) coordinates of `space`
-    initial_states      unknowns of each fit trial's beginning, where it has any
+    initial_states      unknowns of each fit trial's initial state, where it has any
     solution   of the minimiser; its coordinates are q, then these unknowns
     chi2       whitened square residuals; objective adds the prior's
     rms_m      per coordinate
@@ -46,6 +46,11 @@ class Fit:
     def model(self) -> CableModel:
         """The fitted cable."""
         return self.space.model(self.q)
+
+    @property
+    def widening(self) -> float:
+        """Factor by which the residuals widen variances, at least 1."""
+        return max(1.0, self.chi2 / max(1, int(np.count_nonzero(self.solution.residual))))
 
     @property
     def covariance(self) -> FloatArray:
@@ -73,7 +78,7 @@ def fit_model(
     options: gauss_newton.Options = gauss_newton.Options(tolerance=0.03),  # noqa: B008
     from_far: bool = False,
 ) -> Fit:
-    """Fit near `start`, with what is unknown of the trials' beginnings as further unknowns.
+    """Fit near `start`, with what is unknown of the trials' initial states as further unknowns.
 
     initial_states   where to begin with these, as of an earlier fit
     trials  default: the `fit` trials
@@ -84,9 +89,9 @@ def fit_model(
     raises  UnsimulatedError: the model cannot be simulated at the start
     """
     trials = fit_trials(prepared) if trials is None else trials
-    p, std = len(space.names), _joined([prepared.beginning(t).std for t in trials])
+    p, std = len(space.names), _joined([prepared.initial_state(t).std for t in trials])
     problem = problem_of(prepared, space, trials, residual_scale)
-    begin = _nearer_beginning(prepared, space, trials, start, initial_states or {})
+    begin = _nearer_initial_states(prepared, space, trials, start, initial_states or {})
     solution = None
     if from_far and prepared.slopes is not None:
         coarse = problem_of(prepared.coarser(prepared.slopes), space, trials, residual_scale)
@@ -136,11 +141,11 @@ def problem_of(
     trials: Sequence[Trial],
     residual_scale: float = 1.0,
 ) -> gauss_newton.Problem:
-    """What a fit minimises: over the cable's coordinates, then the trials' beginnings.
+    """What a fit minimises: over the cable's coordinates, then the trials' initial states.
 
     residual_scale  residuals are divided by it
     """
-    unknown = [prepared.beginning(t) for t in trials]
+    unknown = [prepared.initial_state(t) for t in trials]
     p, std = len(space.names), _joined([b.std for b in unknown])
     limit = _joined([b.limit for b in unknown])
     precision = np.zeros((p + len(std), p + len(std)))
@@ -171,23 +176,23 @@ def _joined(parts: Sequence[FloatArray]) -> FloatArray:
 def by_trial(
     prepared: PreparedStudy, trials: Sequence[Trial], rows: FloatArray
 ) -> dict[str, FloatArray]:
-    """Unknowns of the trials' beginnings (lanes, all of them) by the trials that have any."""
+    """Unknowns of the trials' initial states (lanes, all of them) by the trials that have any."""
     found, begin = {}, 0
     for trial in trials:
-        if count := prepared.beginning(trial).count:
+        if count := prepared.initial_state(trial).count:
             found[trial.name] = rows[:, begin : begin + count]
             begin += count
     return found
 
 
-def _nearer_beginning(
+def _nearer_initial_states(
     prepared: PreparedStudy,
     space: ParameterSpace,
     trials: Sequence[Trial],
     start: FloatArray,
     known: Mapping[str, FloatArray],
 ) -> FloatArray:
-    """Coordinates of a fit's start: of beginnings known from another fit or newly estimated.
+    """Coordinates of a fit's start: of initial states known from another fit or newly estimated.
 
     Those of trials that begin bent belong to a model; the set that leaves less is taken.
     """
@@ -206,7 +211,7 @@ def residuals(
 ) -> FloatArray:
     """(lanes, rows) whitened residuals of all trials.
 
-    q  (lanes, p + unknowns of the trials' beginnings); (lanes, p) = as noted, or as the first
+    q  (lanes, p + unknowns of the trials' initial states); (lanes, p) = as noted, or as the first
        frames show it for each lane's model
     """
     p = len(space.names)
@@ -236,13 +241,12 @@ def _each_once(
 
 def errors_m(prepared: PreparedStudy, fit: Fit) -> list[FloatArray]:
     """Per trial fitted to (times, channels): measured − predicted, m, nan where not seen."""
-    found, begin = [], 0
-    for trial in fit_trials(prepared):
-        whitener = prepared.whiteners[trial.name]
-        white = fit.solution.residual[begin : begin + whitener.rows]
-        begin += whitener.rows
-        found.append(whitener.error_m(white).reshape(len(trial.markers.t_s), -1))
-    return found
+    trials = fit_trials(prepared)
+    white = prepared.by_trial(trials, fit.solution.residual)
+    return [
+        prepared.whiteners[t.name].error_m(white[t.name]).reshape(len(t.markers.t_s), -1)
+        for t in trials
+    ]
 
 
 def extended(
@@ -271,6 +275,7 @@ def space_with(space: ParameterSpace, effects: Sequence[type[Effect]]) -> Parame
         effects=tuple(effects),
         prior=Prior(knots=space.knots),
         exact={n: v for n, v in space.exact if n.startswith(of_effects)},
+        pull_m_per_s2=space.pull_m_per_s2,
     )
     kept = [n for n in new.names if n in space.names]
     to = [new.names.index(n) for n in kept]
@@ -300,20 +305,20 @@ def pinned(space: ParameterSpace, q: FloatArray) -> ParameterSpace:
 
 
 def best_initial_state(prepared: PreparedStudy, model: CableModel, trial: Trial) -> FloatArray:
-    """(unknowns,) of one trial's beginning, the model given; as noted if it cannot be simulated."""
-    beginning = prepared.beginning(trial)
+    """(unknowns,) likeliest initial state of one trial; as noted if it cannot be simulated."""
+    state = prepared.initial_state(trial)
     problem = gauss_newton.Problem(
         residuals=lambda q: prepared.white(trial, prepared.predict(trial, [model] * len(q), q)),
-        mean=np.zeros(beginning.count),
-        precision=np.diag(beginning.std**-2),
-        step=beginning.step,
-        low=-beginning.limit,
-        high=beginning.limit,
+        mean=np.zeros(state.count),
+        precision=np.diag(state.std**-2),
+        step=state.step,
+        low=-state.limit,
+        high=state.limit,
     )
-    if beginning.count == 0:
+    if state.count == 0:
         return np.zeros(0)
     start = estimate_initial_states(prepared, [trial], [model])[trial.name][0]
     try:
         return gauss_newton.minimise(problem, start).q
     except UNSIMULATED:
-        return np.zeros(beginning.count)
+        return np.zeros(state.count)

@@ -66,9 +66,8 @@ def hand_error(prepared: PreparedStudy, fit: Fit) -> HandError:
     trials = prepared.study.trials
     states = {name: values[None] for name, values in fit.initial_states.items()}
     here = prepared.all_white(trials, [fit.model], states)[0]
-    ends = np.cumsum([prepared.whiteners[t.name].rows for t in trials])
-    parts = zip(trials, np.split(here, ends[:-1]), strict=True)
-    changes = {t.name: by_other_hands(prepared, fit, t, part) for t, part in parts}
+    parts = prepared.by_trial(trials, here)
+    changes = {t.name: by_other_hands(prepared, fit, t, parts[t.name]) for t in trials}
     return HandError({name: np.nan_to_num(rows, nan=0.0) for name, rows in changes.items()})
 
 

@@ -25,7 +25,7 @@ FloatArray = NDArray[np.float64]
 class Heldout:
     """A fitted model on trials that it was not fitted to.
 
-    rms_m            per coordinate, over all of them; by_trial_m likewise each
+    rms_m            per coordinate, over all of them
     chi2             of the residuals, allowing for what the fit leaves uncertain: about `count`
                      if the model is right
     log_likelihood   of the trials given the fit (natural logarithm, without a common constant)
@@ -33,7 +33,6 @@ class Heldout:
     """
 
     rms_m: float
-    by_trial_m: dict[str, float]
     chi2: float
     count: int
     log_likelihood: float
@@ -68,11 +67,9 @@ def heldout(prepared: PreparedStudy, fit: Fit) -> Heldout | None:
     if not trials:
         return None
     rows = heldout_rows(prepared, fit)
-    errors = {t.name: t.markers.xy_m - rows.predicted_m[t.name] for t in trials}
     if not (np.all(np.isfinite(rows.residual)) and np.all(np.isfinite(rows.by_parameters))):
         return Heldout(
             rms_m=np.inf,
-            by_trial_m=dict.fromkeys(errors, np.inf),
             chi2=np.inf,
             count=prepared.count(trials),
             log_likelihood=-np.inf,
@@ -80,8 +77,7 @@ def heldout(prepared: PreparedStudy, fit: Fit) -> Heldout | None:
         )
     chi2, log_det = marginal_chi2(rows.residual, rows.spread)
     return Heldout(
-        rms_m=overall(list(errors.values())),
-        by_trial_m={name: overall([e]) for name, e in errors.items()},
+        rms_m=overall([t.markers.xy_m - rows.predicted_m[t.name] for t in trials]),
         chi2=chi2,
         count=prepared.count(trials),
         log_likelihood=-0.5 * (chi2 + log_det),
@@ -96,7 +92,7 @@ def heldout_rows(prepared: PreparedStudy, fit: Fit) -> HeldoutRows:
     space, p = fit.space, len(fit.q)
     steps = space.difference_steps(fit.q)
     lanes = [space.model(q) for q in difference_points(fit.q, steps)]
-    initial_states, more = _begun_and_moved(prepared, fit.model, trials, len(lanes))
+    initial_states, more = _initial_states_and_moved(prepared, fit.model, trials, len(lanes))
     lanes += [fit.model] * more
     here = prepared.predict_all(
         trials, lanes[:1], {n: rows[:1] for n, rows in initial_states.items()}
@@ -107,7 +103,7 @@ def heldout_rows(prepared: PreparedStudy, fit: Fit) -> HeldoutRows:
     sensitivity = np.asarray((near[1 : p + 1] - near[0]).T / steps)
     spread = sensitivity @ covariance_root(fit.covariance)
     if more:
-        moved = _spread_of_beginnings(prepared, trials, near[p + 1 :] - near[0])
+        moved = _spread_of_initial_states(prepared, trials, near[p + 1 :] - near[0])
         spread = np.hstack([spread, moved])
     ends = np.cumsum([len(r) for r in rows])
     return HeldoutRows(predicted, np.concatenate(rows), ends, sensitivity, spread)
@@ -126,7 +122,7 @@ def heldout_log_lr(prepared: PreparedStudy, fit: Fit, effect: type[Effect]) -> f
     rest = [i for i in range(p) if i not in own]
     off = extended(fit, space, effect, np.array([q.default for q in effect.parameters]))
     lanes = [space.model(q) for q in (*difference_points(fit.q, steps), off)]
-    initial_states, more = _begun_and_moved(prepared, fit.model, trials, len(lanes))
+    initial_states, more = _initial_states_and_moved(prepared, fit.model, trials, len(lanes))
     if not any(t.bent for t in trials):
         initial_states, more = (
             {name: rows[: len(lanes)] for name, rows in initial_states.items()},
@@ -144,46 +140,45 @@ def heldout_log_lr(prepared: PreparedStudy, fit: Fit, effect: type[Effect]) -> f
     slopes = ((white[1:-1] - white[0]).T / steps)[:, rest]
     spread = slopes @ covariance_root(uncertain)
     if more:
-        spread = np.hstack([spread, _spread_of_beginnings(prepared, trials, moved - white[0])])
+        spread = np.hstack([spread, _spread_of_initial_states(prepared, trials, moved - white[0])])
     chi2, _ = marginal_chi2(white[-1] - white[0], spread)
     return 0.5 * chi2
 
 
-def _begun_and_moved(
+def _initial_states_and_moved(
     prepared: PreparedStudy, model: CableModel, trials: Sequence[Trial], lanes: int
 ) -> tuple[dict[str, FloatArray], int]:
-    """Likeliest beginnings of trials for so many lanes, then with each of their unknowns moved.
+    """Likeliest initial states of trials for so many lanes, then with each of their unknowns moved.
 
     returns  by trial (lanes + moved, unknowns), and the number of lanes moved; the same lane moves
              one unknown of every trial
     """
-    beginnings = [(t, b) for t in trials if (b := prepared.beginning(t)).count]
-    more = max((b.count for _, b in beginnings), default=0)
+    states = [(t, b) for t in trials if (b := prepared.initial_state(t)).count]
+    more = max((b.count for _, b in states), default=0)
     initial_states = {}
-    for trial, beginning in beginnings:
+    for trial, state in states:
         rows = np.tile(best_initial_state(prepared, model, trial), (lanes + more, 1))
-        for i, step in enumerate(beginning.step):
+        for i, step in enumerate(state.step):
             rows[lanes + i, i] += step
         initial_states[trial.name] = rows
     return initial_states, more
 
 
-def _spread_of_beginning(prepared: PreparedStudy, trial: Trial, moved: FloatArray) -> FloatArray:
+def _spread_of_initial_state(
+    prepared: PreparedStudy, trial: Trial, moved: FloatArray
+) -> FloatArray:
     """(rows, unknowns) change of white values by a standard deviation of each unknown.
 
     moved  (lanes, rows) their change by a step of each
     """
-    beginning = prepared.beginning(trial)
-    return np.asarray(moved[: beginning.count].T / beginning.step * beginning.std)
+    state = prepared.initial_state(trial)
+    return np.asarray(moved[: state.count].T / state.step * state.std)
 
 
-def _spread_of_beginnings(
+def _spread_of_initial_states(
     prepared: PreparedStudy, trials: Sequence[Trial], moved: FloatArray
 ) -> FloatArray:
     """(rows of all trials, all unknowns) the same, each trial's own."""
-    splits = np.cumsum([prepared.whiteners[t.name].rows for t in trials])[:-1]
-    blocks = [
-        _spread_of_beginning(prepared, trial, part)
-        for trial, part in zip(trials, np.split(moved, splits, axis=1), strict=True)
-    ]
+    parts = prepared.by_trial(trials, moved.T)
+    blocks = [_spread_of_initial_state(prepared, t, parts[t.name].T) for t in trials]
     return np.asarray(block_diag(*blocks))

@@ -111,7 +111,11 @@ def check_same_kind(path: Path, model: Identified, cable: Cable) -> None:
 
 def prior_space(study: Study, model: Identified) -> ParameterSpace:
     """The study's parameters with an earlier individual's posterior as prior, its effects in."""
-    space = ParameterSpace.of(study.cable, gravity_m_per_s2=study.gravity_m_per_s2)
+    space = ParameterSpace.of(
+        study.cable,
+        gravity_m_per_s2=study.gravity_m_per_s2,
+        pull_m_per_s2=study.pull_m_per_s2,
+    )
     space = space_with(space, model.space.effects)
     precision = np.linalg.inv(model.covariance + 1e-12 * np.eye(len(model.mean)))
     return replace(space, mean=model.mean.copy(), precision=0.5 * (precision + precision.T))

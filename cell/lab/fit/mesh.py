@@ -32,7 +32,7 @@ def finer(prepared: PreparedStudy) -> PreparedStudy:
     )
 
 
-def as_its_mesh_shows(prepared: PreparedStudy, fit: Fit) -> PreparedStudy:
+def without_mesh_error(prepared: PreparedStudy, fit: Fit) -> PreparedStudy:
     """The study less what a converged mesh would show beside the solver's, by a fitted model.
 
     A mesh's error moves little with the parameters, so that one fit tells it for all: without it

@@ -34,14 +34,12 @@ def remainder(prepared: PreparedStudy, fit: Fit, effects: Sequence[type[Effect]]
         u, strength, _ = np.linalg.svd((directions[usable] / size[usable, None]).T, False)
         basis = u[:, strength > 1e-6]
         left, taken = left - basis @ (basis.T @ left), taken + basis.shape[1]
-    errors, begin, count, moving = [], 0, 0, 0
-    for trial in fit_trials(prepared):
-        whitener = prepared.whiteners[trial.name]
-        error = whitener.error_m(left[begin : begin + whitener.rows])
-        begin += whitener.rows
-        count += whitener.count
+    errors, trials = [], fit_trials(prepared)
+    for trial, white in zip(trials, prepared.by_trial(trials, left).values(), strict=True):
+        error = prepared.whiteners[trial.name].error_m(white)
         error = error.reshape(len(error), -1)
         error[still_frames(trial.markers.t_s, trial.grip, trial.rests_until_s)] = np.nan
-        moving += int(np.isfinite(error).sum())
         errors.append(error)
-    return Remainder(tuple(errors), moving * max(0.0, 1.0 - taken / max(count, 1)))
+    moving = sum(int(np.isfinite(e).sum()) for e in errors)
+    count = max(prepared.count(trials), 1)
+    return Remainder(tuple(errors), moving * max(0.0, 1.0 - taken / count))

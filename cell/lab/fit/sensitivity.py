@@ -18,12 +18,12 @@ from cell.lab.statistics.score import Nuisance
 
 FloatArray = NDArray[np.float64]
 
-#: Effects are nudged by this share of their typical size, so that a vanishing slope at zero shows.
-NUDGE = 0.05
+#: Amplitudes are perturbed by this share of their typical size: a slope may vanish at zero.
+PERTURBATION = 0.05
 
 
-#: A nudge that moves a marker by more than this many standard deviations of the noise, or that
-#: cannot be simulated, is made smaller, this often.
+#: A perturbation that moves a marker by more than this many standard deviations of the noise, or
+#: that cannot be simulated, is made smaller, so often at most.
 LARGEST_CHANGE = 300.0
 
 
@@ -62,7 +62,7 @@ def sensitivities(
                 guesses[i] = guesses[i].smaller()
     change[[not _usable(row) for row in change]] = 0.0
     priors = np.zeros((len(guesses), len(fit.solution.q)))
-    rows = np.hstack([change, priors]) / np.array([g.nudge for g in guesses])[:, None]
+    rows = np.hstack([change, priors]) / np.array([g.perturbation for g in guesses])[:, None]
     found = []
     for effect in effects:
         mine = [i for i, g in enumerate(guesses) if g.effect is effect]
@@ -83,24 +83,24 @@ def one_sided(effect: type[Effect]) -> bool:
 
 @dataclass(frozen=True)
 class _Guess:
-    """One simulation: one amplitude nudged, the other parameters as guessed."""
+    """One simulation: one amplitude perturbed, the other parameters as guessed."""
 
     effect: type[Effect]
     shape: int
     values: tuple[float, ...]
     which: int
-    nudge: float
+    perturbation: float
 
     def smaller(self) -> _Guess:
-        """A tenth of the nudge: this cable is more sensitive than the effect's typical one."""
+        """A tenth of the perturbation, for a cable that is more sensitive than a typical one."""
         default = self.effect.parameters[self.which].default
-        nudge = 0.1 * self.nudge
-        values = (*self.values[: self.which], default + nudge, *self.values[self.which + 1 :])
-        return _Guess(self.effect, self.shape, values, self.which, nudge)
+        smaller = 0.1 * self.perturbation
+        values = (*self.values[: self.which], default + smaller, *self.values[self.which + 1 :])
+        return _Guess(self.effect, self.shape, values, self.which, smaller)
 
 
 def _usable(change: FloatArray) -> bool:
-    """Whether a nudge's effect could be simulated, and is small enough to be a slope."""
+    """Whether a perturbation's effect could be simulated, and is small enough to be a slope."""
     return bool(np.all(np.isfinite(change)) and np.max(np.abs(change)) < LARGEST_CHANGE)
 
 
@@ -123,9 +123,9 @@ def _guesses(effect: type[Effect]) -> list[_Guess]:
     for shape, values in enumerate(_shapes(effect)):
         for i, p in enumerate(effect.parameters):
             if p.amplitude:
-                nudge = _nudge(p)
-                nudged = (*values[:i], p.default + nudge, *values[i + 1 :])
-                guesses.append(_Guess(effect, shape, nudged, i, nudge))
+                perturbation = _perturbation(p)
+                perturbed = (*values[:i], p.default + perturbation, *values[i + 1 :])
+                guesses.append(_Guess(effect, shape, perturbed, i, perturbation))
     return guesses
 
 
@@ -156,9 +156,9 @@ def is_shape(parameter: Parameter) -> bool:
     return parameter.fitted and not parameter.amplitude
 
 
-def _nudge(parameter: Parameter) -> float:
-    size = NUDGE * max(abs(s - parameter.default) for s in parameter.starts[:1])
-    size = size or NUDGE * (parameter.high - parameter.low)
+def _perturbation(parameter: Parameter) -> float:
+    size = PERTURBATION * max(abs(s - parameter.default) for s in parameter.starts[:1])
+    size = size or PERTURBATION * (parameter.high - parameter.low)
     return size if parameter.default + size <= parameter.high else -size
 
 
@@ -182,7 +182,7 @@ def nuisance_of(fit: Fit) -> Nuisance:
 
 
 def prior_root(fit: Fit) -> FloatArray:
-    """(rows, p) by which the prior's rows rise with the fit's coordinates, beginnings included."""
+    """(rows, p) rise of the prior's rows with the fit's coordinates, initial states included."""
     p, rows = len(fit.q), len(fit.solution.q)
     precision = np.zeros((rows, rows))
     precision[:p, :p] = fit.space.precision

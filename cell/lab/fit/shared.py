@@ -17,7 +17,7 @@ from cell.identify import gauss_newton
 from cell.identify.fit import variance_inflation
 from cell.identify.noise import Whitener, across
 from cell.identify.parameters import ParameterSpace
-from cell.lab.data.noise_floor import noise_floor
+from cell.lab.data.noise_model import noise_model_of
 from cell.lab.data.prepared import PreparedStudy, Work
 from cell.lab.fit.fitting import space_with
 from cell.study.data import Study, Trial
@@ -33,7 +33,7 @@ PASSES = gauss_newton.Options(tolerance=0.3, most_passes=10, least_gain=1e-3, up
 
 def prepared_cycle(study: Study, work: Work | None = None) -> PreparedStudy:
     """A cycle's study made ready, its simulations counted as `work`.  Raises NoiseUnknownError."""
-    noise_model = noise_floor(study)
+    noise_model = noise_model_of(study)
     noise = replace(noise_model.noise, bias_m=BIAS_M)
     whiteners = {t.name: Whitener(t.markers.xy_m, noise) for t in study.trials}
     return PreparedStudy(study, noise_model, noise, whiteners, SOLVER, work or Work())

@@ -74,10 +74,8 @@ def systematic_error(prepared: PreparedStudy, fit: Fit, trials: Sequence[Trial])
         taken = [points - error for points, error in zip(fine, known, strict=True)]
         mesh = np.nan_to_num(_rows(prepared, trials, taken) - here, nan=0.0)
     ends = np.cumsum([prepared.whiteners[t.name].rows for t in trials])
-    hands = [
-        by_other_hands(prepared, fit, trial, rows)
-        for trial, rows in zip(trials, np.split(here, ends[:-1]), strict=True)
-    ]
+    rows = prepared.by_trial(trials, here)
+    hands = [by_other_hands(prepared, fit, t, rows[t.name]) for t in trials]
     change = np.concatenate(hands, axis=1)
     doubt = np.nan_to_num(doubt, nan=0.0)
     mesh = mesh if prepared.mesh_m else doubt

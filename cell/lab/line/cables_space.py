@@ -16,6 +16,7 @@ from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import Fit
 from cell.lab.fit.sensitivity import shapes_of
 from cell.lab.fit.shared import PASSES, SharedFit, fit_shared, simulated_s
+from cell.lab.fit.starts import taken_from
 from cell.lab.line.effect_fit import (
     ALL_PASSES,
     NEAR,
@@ -26,11 +27,10 @@ from cell.lab.line.effect_fit import (
     is_tied,
     natural,
 )
-from cell.lab.line.lesson_starts import (
-    coordinates_of,
+from cell.lab.line.learning_starts import (
+    common_start,
     distinct,
     values_of,
-    where_all_show_it,
 )
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
@@ -90,7 +90,7 @@ class CablesSpace:
         """
         self.progress("screening the library")
         screens = [screen(p, as_fit(a), others) for p, a in zip(self.prepared, alone, strict=True)]
-        chosen = _worth_refitting(screens)
+        chosen = _shortlist(screens)
         own = self._own_solutions(alone, chosen, simpler)
         fits: list[tuple[type[Effect], SharedFit]] = []
         for effect in chosen:
@@ -108,7 +108,7 @@ class CablesSpace:
             return []
         best = min((fit for _, fit in fits), key=lambda f: f.chi2)
         fits = [
-            (e, self._to_its_end(fit, best) if fit.chi2 < NEAR * best.chi2 else fit)
+            (e, self._converged(fit, best) if fit.chi2 < NEAR * best.chi2 else fit)
             for e, fit in fits
         ]
         before = sum(a.chi2 for a in alone) if simpler is None else simpler.fit.chi2
@@ -193,7 +193,7 @@ class CablesSpace:
         more = (fit.chi2 - pair.fit.chi2) / pair.fit.inflation
         return single if more < max(TIE, SIMULATED**2 * fall) else None
 
-    def _to_its_end(self, fit: SharedFit, best: SharedFit) -> SharedFit:
+    def _converged(self, fit: SharedFit, best: SharedFit) -> SharedFit:
         """The fit converged: what is compared must not differ by where it was left.
 
         best  of another effect: what explains as much may do so with the same cables
@@ -233,20 +233,18 @@ class CablesSpace:
         begin = self.plausible.copy()
         for i, candidate in enumerate(own):
             if candidate is not None:
-                begin[i] = coordinates_of(candidate.fit, self.base.names)
+                begin[i] = taken_from(candidate.fit, self.base)
         for candidate in distinct(solved, effects):
             if not found or self.budget.allows(REFITS, f"other starts of {effect.name}"):
                 fitted(begin, values_of(candidate.fit, effects))
         if not found or self.budget.allows(REFITS, f"other starts of {effect.name}"):
             fitted(
-                *where_all_show_it(
-                    self.prepared, self.base, self.plausible, simpler, effect, screened
-                )
+                *common_start(self.prepared, self.base, self.plausible, simpler, effect, screened)
             )
         return min(found, key=lambda f: f.chi2, default=None)
 
 
-def _worth_refitting(screens: Sequence[Sequence[ScreenedEffect]]) -> list[type[Effect]]:
+def _shortlist(screens: Sequence[Sequence[ScreenedEffect]]) -> list[type[Effect]]:
     """The best of all cables' screens, and those that are not smooth, the likeliest first."""
     score: dict[str, float] = {}
     for screened in screens:

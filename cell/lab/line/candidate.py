@@ -16,7 +16,7 @@ from cell.identify.model_class import source_of
 from cell.lab.data.cycles import RecordedCycle
 from cell.lab.line.gates import Judgement
 from cell.lab.line.learn import LearningResult
-from cell.lab.line.lesson_checks import lesson_answers, lesson_verdict
+from cell.lab.line.learning_checks import learning_answers, learning_verdict
 from cell.settings import Settings, load_settings
 from cell.settings.line import distinct, line_of
 from cell.settings.model import Model
@@ -37,7 +37,7 @@ def lines_of(cycles: Sequence[RecordedCycle], settings: Settings) -> list[dict[s
 
 def write_candidate(
     path: Path,
-    lesson: LearningResult,
+    result: LearningResult,
     judgement: Judgement,
     present: Model,
     lines: Sequence[Mapping[str, Any]],
@@ -47,36 +47,36 @@ def write_candidate(
     present  the model beside which it was learned
     lines    on which the cycles were recorded, as `lines_of` has them
     """
-    found = lesson_answers(lesson)
+    found = learning_answers(result)
     content = {
         "format": FORMAT,
         "beside": model_hash(present),
-        "model": section(lesson, present).model_dump(mode="json", exclude_defaults=True),
-        "tied": list(lesson.tied),
-        "verdict": lesson_verdict(lesson, found),
+        "model": section(result, present).model_dump(mode="json", exclude_defaults=True),
+        "tied": list(result.tied),
+        "verdict": learning_verdict(result, found),
         "checks": [_plain(vars(answer.result)) for answer in found],
         "gates": [
             {"gate": g.name, "passed": g.passed, "found": g.found, **_plain(vars(g.result))}
             for g in judgement.gates
         ],
         "forecasts": [_plain(asdict(f)) for f in judgement.paired],
-        "votes": [_plain(asdict(v)) for v in lesson.votes],
-        "left_out": list(lesson.left_out),
+        "votes": [_plain(asdict(v)) for v in result.cycle_evidence],
+        "left_out": list(result.left_out),
         "lines": list(lines),
-        "cycles": [str(c.folder.resolve()) for c in lesson.cycles],
+        "cycles": [str(c.folder.resolve()) for c in result.cycles],
     }
     write_whole(path, yaml_text(content))
 
 
-def section(lesson: LearningResult, present: Model) -> Model:
+def section(result: LearningResult, present: Model) -> Model:
     """The present model with the effects that were learned.
 
     One parameter is written as `fixed` with its standard deviation, several as a prior, because
     they depend on each other.
     """
-    assert lesson.best is not None
-    tried, fit = lesson.best, lesson.best.fit
-    covariance = fit.covariance + np.diag(lesson.between)
+    assert result.best is not None
+    tried, fit = result.best, result.best.fit
+    covariance = fit.covariance + np.diag(result.between)
     q = fit.space.mean.copy()
     q[fit.common] = fit.theta
     natural = fit.space.natural(q)[fit.common]

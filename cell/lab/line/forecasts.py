@@ -59,17 +59,17 @@ class ForecastPair:
 
 
 def forecasts(
-    lesson: LearningResult,
+    result: LearningResult,
     cable: Cable,
     options: IdentifyOptions,
     destination: Destination,
     known: Sequence[ForecastPair] = (),
 ) -> list[ForecastPair]:
-    """Every recorded execution of the lesson, and holds without one, out of sample.
+    """Every recorded execution of the result, and holds without one, out of sample.
 
     known  as in `judge`
     """
-    assert lesson.best is not None
+    assert result.best is not None
     at_present = {
         pair.cycle: _Forecast(
             pair.present_m, pair.present_rms_m, pair.present_s, pair.present_above_m
@@ -77,10 +77,10 @@ def forecasts(
         for pair in known
     }
     found = []
-    for i, cycle in enumerate(lesson.cycles):
+    for i, cycle in enumerate(result.cycles):
         if cycle.held is None:
             continue
-        kind = with_effect(options.kind, lesson.best, lesson.best.fit.without(i), lesson)
+        kind = with_effect(options.kind, result.best, result.best.fit.without(i), result)
         before = at_present.get(cycle.name) or _forecast(cycle, cable, options, destination)
         after = _forecast(cycle, cable, replace(options, kind=kind), destination)
         of: Literal["execution", "rest of the hold"] = (
@@ -104,11 +104,11 @@ def forecasts(
 
 
 def with_effect(
-    kind: ModelClass, tried: EffectFit, theta: FloatArray, lesson: LearningResult
+    kind: ModelClass, tried: EffectFit, theta: FloatArray, result: LearningResult
 ) -> ModelClass:
     """The model class with an effect at theta: as uncertain as it is, and as cables differ."""
     covariance = tried.fit.covariance.copy()
-    covariance[np.diag_indices_from(covariance)] += lesson.between
+    covariance[np.diag_indices_from(covariance)] += result.between
     q = tried.fit.space.mean.copy()
     q[tried.fit.common] = theta
     natural = tried.fit.space.natural(q)

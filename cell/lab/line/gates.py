@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from cell.lab.data.check import Answer
 from cell.lab.line.forecasts import ForecastPair, forecasts
 from cell.lab.line.learn import LearningResult
-from cell.lab.line.lesson_checks import gate_answers
-from cell.lab.line.lesson_questions import LineEvidence, forecast_better
+from cell.lab.line.learning_checks import gate_answers
+from cell.lab.line.learning_questions import LineEvidence, forecast_better
 from cell.plan.destination import Destination
 from cell.settings import Settings
 from cell.settings.translate import cable_of, identification_of
@@ -34,49 +34,49 @@ class Judgement:
 
 
 def judge(
-    lesson: LearningResult, settings: Settings, known: Sequence[ForecastPair] = ()
+    result: LearningResult, settings: Settings, known: Sequence[ForecastPair] = ()
 ) -> Judgement:
-    """The lesson's candidate held against every condition, for the line of these settings.
+    """The candidate held against every condition, for the line of these settings.
 
     known   forecasts of the present model that were made already; of any candidate
     raises  as `identification_of`
     """
-    if lesson.best is None:
+    if result.best is None:
         return Judgement()
     destination = Destination(*settings.destination.x_m, *settings.destination.y_m)
     cable, options = cable_of(settings), identification_of(settings)
-    paired = forecasts(lesson, cable, options, destination, known)
-    return Judgement(tuple(gates(lesson, paired, destination)), tuple(paired))
+    paired = forecasts(result, cable, options, destination, known)
+    return Judgement(tuple(gates(result, paired, destination)), tuple(paired))
 
 
 def gates(
-    lesson: LearningResult, paired: Sequence[ForecastPair], destination: Destination
+    result: LearningResult, paired: Sequence[ForecastPair], destination: Destination
 ) -> list[Answer[LineEvidence]]:
     """All conditions that apply, each with what was found."""
-    return gate_answers(LineEvidence(lesson, paired, destination))
+    return gate_answers(LineEvidence(result, paired, destination))
 
 
 def best_judged(
-    lesson: LearningResult, settings: Settings, known: Sequence[ForecastPair] = ()
+    result: LearningResult, settings: Settings, known: Sequence[ForecastPair] = ()
 ) -> tuple[LearningResult, Judgement]:
-    """The lesson, or the simpler one in it if its last effect does not help; and its judgement.
+    """The result, or the simpler one in it if its last effect does not help; and its judgement.
 
     The last effect helps if with it unseen cables are forecast better than without, by the gate
     that a first effect must pass.
     known   as in `judge`
     """
-    judgement = judge(lesson, settings, known)
-    if lesson.simpler is None:
-        return lesson, judgement
-    simpler, without = best_judged(lesson.simpler, settings, judgement.paired)
+    judgement = judge(result, settings, known)
+    if result.simpler is None:
+        return result, judgement
+    simpler, without = best_judged(result.simpler, settings, judgement.paired)
     pairs = zip(without.paired, judgement.paired, strict=True)
     gained = [
         replace(after, present_m=before.candidate_m, present_rms_m=before.candidate_rms_m)
         for before, after in pairs
     ]
-    evidence = LineEvidence(lesson, gained)
+    evidence = LineEvidence(result, gained)
     rules = evidence.rules
     helps = len(gained) >= rules.fewest and forecast_better(evidence).value <= rules.significance
     if judgement.fit_for_line and helps:
-        return lesson, judgement
+        return result, judgement
     return simpler, without

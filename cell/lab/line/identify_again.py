@@ -20,6 +20,7 @@ from cell.settings.translate import identification_of
 from cell.study.data import Study
 from cell.study.folder import read_study, study_folder
 from cell.study.left_out import without_wrong_samples
+from cell.study.pull import with_pull
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +54,10 @@ def read_recorded(folder: Path, config: Path | None, effects: Sequence[str]) -> 
     if not study.role("fit"):
         message = "no trial has `role: fit`; mark the one to identify the cable from"
         raise InputError.at(folder, message, key="trials")
+    try:
+        study = with_pull(study)
+    except ValueError as error:
+        raise InputError.at(folder, str(error), key="gravity_m_per_s2") from error
     recorded = (folder / "state.json").exists()
     settings = config or (folder / "settings.yaml" if recorded else None)
     options = IdentifyOptions()
@@ -70,6 +75,7 @@ def identify_again(recorded: Recorded) -> Identified | Rejected:
             study.arc_length_m,
             study.cable,
             gravity_m_per_s2=study.gravity_m_per_s2,
+            pull_m_per_s2=study.pull_m_per_s2,
             options=recorded.options,
         )
     except CableRejectedError as error:

@@ -52,14 +52,14 @@ class CycleEvidence:
 class LearningResult:
     """The result of learning from many cables: the missing effects, or that none is missing.
 
-    cycles    that were learned from, as in `votes`
+    cycles    that were learned from, as in `cycle_evidence`
     baseline  the present model, fitted to them
     ranking   effects that were refitted beside those before, the likeliest first
     best      the likeliest, fitted to all of `cycles`; None = nothing significant is missing
     tied      effects that explain as much as the last of `best`
     spread    of the first parameter of each effect of `best` between cables
-    votes     for and against the last effect of `best`
-    simpler   the lesson without the last effect; None = there is one effect, or none
+    cycle_evidence   for and against the last effect of `best`
+    simpler   the result without the last effect; None = there is one effect, or none
     left_out  what the limit of work has left out
     """
 
@@ -69,7 +69,7 @@ class LearningResult:
     best: EffectFit | None
     tied: tuple[str, ...]
     spread: tuple[Spread, ...]
-    votes: tuple[CycleEvidence, ...]
+    cycle_evidence: tuple[CycleEvidence, ...]
     simpler: LearningResult | None = None
     left_out: tuple[str, ...] = ()
 
@@ -116,18 +116,18 @@ def learn(
     others = [e for e in library.values() if e not in base.effects]
     baseline = fit_shared(prepared, base, np.vstack([a.q for a in alone]))
     names = tuple(c for c, _ in chosen)
-    none = lesson = LearningResult(names, baseline, (), None, (), (), ())
+    none = result = LearningResult(names, baseline, (), None, (), (), ())
     known(none)
     if not negligible(baseline):
         search = CablesSpace(tuple(few), base, plausible[:TRIED_ON], len(others), budget, progress)
-        lessons = _Lessons(search, alone[:TRIED_ON], prepared, plausible, others)
-        for step, (lesson,) in enumerate(levels(none, lessons.extended, lessons.kept)):
-            enough = lesson.best is not None and negligible(lesson.best.fit)
+        space = _LearningSpace(search, alone[:TRIED_ON], prepared, plausible, others)
+        for step, (result,) in enumerate(levels(none, space.extended, space.kept)):
+            enough = result.best is not None and negligible(result.best.fit)
             if enough or step == min(MOST_EFFECTS, len(others)):
                 break
             if step:
-                known(lesson)
-    return replace(lesson, left_out=tuple(budget.left_out))
+                known(result)
+    return replace(result, left_out=tuple(budget.left_out))
 
 
 def _identified(
@@ -174,8 +174,8 @@ def _chosen(
 
 
 @dataclass(frozen=True, eq=False)
-class _Lessons:
-    """Lessons with one effect, and with one more, as a search takes them.
+class _LearningSpace:
+    """Results with one effect, and with one more, as a search takes them.
 
     search     on a few of the cables
     alone      the present model fitted to each of these
@@ -189,16 +189,16 @@ class _Lessons:
     plausible: FloatArray
     others: Sequence[type[Effect]]
 
-    def extended(self, lesson: LearningResult) -> list[EffectFit]:
-        """The effects of the lesson and one more, fitted to the few cables, the best first."""
-        best = lesson.best
+    def extended(self, result: LearningResult) -> list[EffectFit]:
+        """The effects of a result and one more, fitted to the few cables, the best first."""
+        best = result.best
         if best is None:
             return self.search.next(self.alone, self.others, None)
         if not self.search.budget.allows(SECOND, f"effects beside {best.effect.name}"):
             return []
         self.search.progress(f"looking for what {best.effect.name} leaves")
         rest = [e for e in self.others if e not in best.effects]
-        return self.search.next(self._each_with(best), rest, lesson.ranking[0])
+        return self.search.next(self._each_with(best), rest, result.ranking[0])
 
     def _each_with(self, best: EffectFit) -> list[SharedFit]:
         """The cables of the search, each fitted alone with effects that were found."""
@@ -210,25 +210,27 @@ class _Lessons:
         cables = enumerate(self.search.prepared)
         return [fit_shared([p], with_it, full[i : i + 1]) for i, p in cables]
 
-    def kept(self, lesson: LearningResult, tried: Sequence[EffectFit]) -> list[LearningResult]:
-        """The lesson with the best of these, fitted to all cables; none if that is chance.
+    def kept(self, result: LearningResult, tried: Sequence[EffectFit]) -> list[LearningResult]:
+        """The result with the best of these, fitted to all cables; none if that is chance.
 
         Where the last effect explains as much without the one before it, it is the only one.
         """
         if not tried or tried[0].p_value >= SIGNIFICANCE:
             return []
-        found = self._lesson(lesson, tried)
-        if lesson.best is None:
+        found = self._result(result, tried)
+        if result.best is None:
             return [found]
         single = self.search.last_alone(self.alone, tried[0])
         if single is None:
             return [found]
-        none = replace(lesson, best=None, ranking=(), tied=(), spread=(), votes=(), simpler=None)
+        none = replace(
+            result, best=None, ranking=(), tied=(), spread=(), cycle_evidence=(), simpler=None
+        )
         # what is as good as it beside the first is as good without
-        return [replace(self._lesson(none, [single]), tied=found.tied)]
+        return [replace(self._result(none, [single]), tied=found.tied)]
 
-    def _lesson(self, before: LearningResult, tried: Sequence[EffectFit]) -> LearningResult:
-        """The lesson with the best of these, fitted to all cables."""
+    def _result(self, before: LearningResult, tried: Sequence[EffectFit]) -> LearningResult:
+        """The result with the best of these, fitted to all cables."""
         search = self.search
         simpler = before.baseline if before.best is None else before.best.fit
         search.progress(f"fitting {tried[0].name} to {len(self.prepared)} cables")
@@ -237,7 +239,7 @@ class _Lessons:
         values, std = best.fit.by_cable
         falls = (simpler.chi2_by_cable - best.fit.chi2_by_cable) / best.fit.inflation
         last = best.firsts[-1]
-        votes = tuple(
+        evidence = tuple(
             CycleEvidence(cycle.name, float(fall), float(value), float(of_it))
             for cycle, fall, value, of_it in zip(
                 before.cycles, falls, values[:, last], std[:, last], strict=True
@@ -250,7 +252,7 @@ class _Lessons:
             best,
             tied,
             tuple(Spread.of(values[:, i], std[:, i]) for i in best.firsts),
-            votes,
+            evidence,
             None if before.best is None else before,
         )
 

@@ -17,12 +17,12 @@ def asked(cycles: Sequence[RecordedCycle]) -> int:
     return sum(c.held is None for c in cycles)
 
 
-def open_to(lesson: LearningResult) -> list[Rival]:
-    """The lesson's effect and those tied with it; none without ties."""
-    if not lesson.tied:
+def open_to(result: LearningResult) -> list[Rival]:
+    """The effect found and those tied with it; none without ties."""
+    if not result.tied:
         return []
-    likeliest, *others = lesson.ranking
-    tied = [t for t in others if t.effect.name in lesson.tied]
+    likeliest, *others = result.ranking
+    tied = [t for t in others if t.effect.name in result.tied]
     return [_of_the_next_cable(t) for t in (likeliest, *tied)]
 
 

@@ -93,7 +93,7 @@ def _shown(path: Path) -> Path:
     return path.relative_to(here) if path.is_relative_to(here) else path
 
 
-def see_the_fall(
+def comparison_steps(
     paths: Paths, effects: Iterable[str], known: Iterable[str] = ()
 ) -> tuple[Step, ...]:
     """Commands that fit a model without and with effects, and compare the two."""
@@ -132,13 +132,13 @@ def advice(
             return (Step("Nothing needs to be added."),)
         case "missing":
             tied = any(f.tied_with for f in diagnosis.missing)
-            return (*see_the_fall(paths, found, known), *([motion] if tied else []))
+            return (*comparison_steps(paths, found, known), *([motion] if tied else []))
         case "unexplained":
             accepted = tuple(f.effect for f in diagnosis.partial) or accepted
             there = [*known, *accepted]
             beside = f" beside {' and '.join(there)}" if there else ""
             look = paths.command("discover", there, f"-o {_new_law(there)}.py")
-            fall = see_the_fall(paths, accepted, known) if accepted else ()
+            fall = comparison_steps(paths, accepted, known) if accepted else ()
             return (*fall, Step(f"Search for an unknown law{beside}", look))
         case _:
             return (Step("Measure more. " + motion.why, motion.command),)
@@ -148,7 +148,7 @@ def after_discovery(
     effect: str, complete: bool, paths: Paths, known: tuple[str, ...] = ()
 ) -> tuple[Step, ...]:
     """What to do with a discovered law."""
-    steps = see_the_fall(paths, [effect], known)
+    steps = comparison_steps(paths, [effect], known)
     if complete:
         return steps
     there = [*known, effect]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.progress import Progress, no_progress
 from cell.lab.data.rival import Rival
-from cell.lab.next.suggest import MOST_CANDIDATES, telling_motions
+from cell.lab.next.suggest import MOST_CANDIDATES, distinguishing_motions
 from cell.lab.next.suggestion import Option, Suggestion
 from cell.settings.surroundings import Surroundings
 
@@ -17,7 +17,7 @@ MOST_ASKED = 2
 LEAST_POWER = 0.5
 
 
-def motion_that_tells(
+def distinguishing_motion(
     cable: PreparedStudy,
     open_to: Sequence[Rival],
     surroundings: Surroundings,
@@ -30,10 +30,10 @@ def motion_that_tells(
     """
     if not open_to:
         return None
-    return telling_motions(cable, open_to[:MOST_CANDIDATES], surroundings, progress)
+    return distinguishing_motions(cable, open_to[:MOST_CANDIDATES], surroundings, progress)
 
 
-def worth_it(suggestion: Suggestion) -> Option | None:
+def worth_measuring(suggestion: Suggestion) -> Option | None:
     """The motion to be asked for, unless none is likely to decide."""
     best = suggestion.options[0]
     return best if best.power >= LEAST_POWER else None

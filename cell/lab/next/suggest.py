@@ -56,7 +56,7 @@ def suggest_motion(examination: Examination, surroundings: Surroundings) -> Sugg
     open_to = [
         Rival(_label(c), c.fit.space, c.fit.q, c.fit.covariance) for c in rivals(examination)
     ]
-    found = telling_motions(fits.prepared, open_to, surroundings, fits.progress)
+    found = distinguishing_motions(fits.prepared, open_to, surroundings, fits.progress)
     if max(option.power for option in found.options) < LEAST_POWER:
         raise ValueError(_what_would_help(found, fits.prepared))
     return found
@@ -90,7 +90,7 @@ def _what_would_help(found: Suggestion, prepared: PreparedStudy) -> str:
     )
 
 
-def telling_motions(
+def distinguishing_motions(
     prepared: PreparedStudy,
     open_to: Sequence[Rival],
     surroundings: Surroundings,

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.parameters import ParameterSpace
-from cell.lab.data.noise_floor import floor_of_all_frames
+from cell.lab.data.noise_model import noise_model_of_all_frames
 from cell.lab.data.prepared import ERRS, PreparedStudy
 from cell.lab.data.progress import Progress, no_progress
 from cell.lab.fit.fitting import Fit, errors_m, fit_model, fit_trials, space_with
-from cell.lab.fit.mesh import as_its_mesh_shows
+from cell.lab.fit.mesh import without_mesh_error
 from cell.lab.fit.remainder import remainder
 from cell.lab.fit.sensitivity import is_shape
 from cell.lab.fit.slopes import with_slopes
@@ -75,7 +75,7 @@ class Baseline:
         space = self.space
         names = ", ".join(e.name for e in space.effects) or "no effects"
         self.progress(f"looking where to begin with {names}", 0, 3)
-        start = self._beginning(prepared)
+        start = self._start(prepared)
         self.progress(f"fitting the model with {names}", 1, 3)
         fit = fit_model(prepared, space, start, options=POLISH)
         judged = prepared.judged_by(errors_m(prepared, fit))
@@ -93,7 +93,7 @@ class Baseline:
         prepared, fit = with_slopes(found.prepared, found.fit)
         return replace(found, prepared=prepared, fit=fit)
 
-    def _beginning(self, prepared: PreparedStudy) -> FloatArray:
+    def _start(self, prepared: PreparedStudy) -> FloatArray:
         """Where the first fit begins."""
         if self.start is not None:
             return self.start
@@ -112,7 +112,7 @@ class Baseline:
             return found
         fit, prepared = found.fit, self._with_noise(found.prepared, found.fit)
         if fit.rms_m <= ERRS * prepared.expected.std_m:
-            prepared = as_its_mesh_shows(prepared, fit)
+            prepared = without_mesh_error(prepared, fit)
         try:
             again = fit_model(prepared, self.space, fit.q, fit.initial_states, options=POLISH)
         except UNSIMULATED:
@@ -124,7 +124,7 @@ class Baseline:
         if noise_model.rest is None or not prepared.noise_is_measured:
             return prepared
         left = remainder(prepared, fit, self.others)
-        return prepared.with_floor(floor_of_all_frames(noise_model, left))
+        return prepared.with_noise_model(noise_model_of_all_frames(noise_model, left))
 
     def _from_other_starts(self, found: BaselineFit, start: FloatArray, count: int) -> BaselineFit:
         """The best fit of a baseline that cannot fit from its first start; the next is kept, too.

@@ -18,7 +18,7 @@ from cell.lab.data.progress import Progress, no_progress
 from cell.lab.fit.fitting import Fit, fit_model, pinned, space_with
 from cell.lab.fit.hand_error import HandError, hand_error
 from cell.lab.fit.heldout import heldout_log_lr
-from cell.lab.fit.mesh import as_its_mesh_shows
+from cell.lab.fit.mesh import without_mesh_error
 from cell.lab.fit.starts import cold_start, taken_from
 from cell.lab.search.baseline import Baseline, BaselineFit
 from cell.lab.search.extension import Extension, by_effect
@@ -116,7 +116,7 @@ class FitCache:
         """
         if self.settled or not self.prepared.mesh_m:
             return None
-        settled = as_its_mesh_shows(self.prepared, found.fit)
+        settled = without_mesh_error(self.prepared, found.fit)
         return replace(self, given=settled, settled=True, _memory=_Memory())
 
     @property
@@ -192,7 +192,7 @@ class FitCache:
         An effect with which the cable cannot be simulated from any start is left out.
         """
         memory = self._memory
-        screens = by_effect([*self.screened(base), *_screened_elsewhere(self, base, effects)])
+        screens = by_effect([*self.screened(base), *_screened_from_other_fits(self, base, effects)])
         offered = (*self.library.values(), *base.effects, *effects)
         return Refits(
             _extension(self, base),
@@ -213,7 +213,7 @@ class FitCache:
     def fit_reduced(self, model: FittedModel, effect: type[Effect]) -> FittedModel:
         """The model with one effect taken out, refitted from where it was with it.
 
-        Where that set of effects is known from elsewhere, the likelier fit of the two: an effect
+        Where that set of effects was fitted before, the likelier fit of the two: an effect
         explains only what the same model without it does not, wherever its search began.
         """
         rest = tuple(e for e in model.effects if e is not effect)
@@ -252,7 +252,7 @@ def rebased(fits: FitCache, start: FloatArray, least: float) -> FitCache:
     return fits
 
 
-def _screened_elsewhere(
+def _screened_from_other_fits(
     fits: FitCache, base: FittedModel, effects: Sequence[type[Effect]]
 ) -> list[ScreenedEffect]:
     """The same from the tempered baseline and from what was believed of the cable.

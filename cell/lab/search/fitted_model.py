@@ -118,10 +118,7 @@ def _change_fitted(
 ) -> dict[str, FloatArray]:
     """Per fitted trial (rows,) by how much the residuals of two models differ."""
     change = small.fit.solution.residual - large.fit.solution.residual
-    trials = fit_trials(prepared)
-    ends = np.cumsum([prepared.whiteners[t.name].rows for t in trials])
-    parts = np.split(change, ends[:-1])
-    return {t.name: part for t, part in zip(trials, parts, strict=True)}
+    return prepared.by_trial(fit_trials(prepared), change)
 
 
 def _change_heldout(

@@ -34,7 +34,7 @@ def fit_cache_of(
     """
     if prior is None:
         prepared = PreparedStudy.of(study)
-        space = kind.space(study.cable, study.gravity_m_per_s2)
+        space = kind.space(study.cable, study.gravity_m_per_s2, study.pull_m_per_s2)
     else:
         path, model = prior
         check_same_kind(path, model, study.cable)

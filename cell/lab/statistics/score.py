@@ -60,7 +60,7 @@ class Score:
     """Result of a score test.
 
     statistic    χ² that the effect would explain
-    freedom      number of amplitudes
+    dof          number of amplitudes
     amplitude    (dof,) expected coefficients of the sensitivities
     std          (dof,) their standard deviations, the other amplitudes free
     shape        which of the shapes offered that is

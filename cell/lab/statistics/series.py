@@ -54,9 +54,9 @@ def spectrum(t_s: FloatArray, residual_m: FloatArray, noise: Noise) -> Spectrum:
         used += alike.shape[1]
     power *= 2.0 * float(np.median(np.diff(t_s))) / max(used, 1)
     frame_s = float(np.median(np.diff(t_s)))
-    colour = noise.ar1
-    shape = noise.white + (1.0 - noise.white) * (1.0 - colour**2) / (
-        1.0 - 2.0 * colour * np.cos(2.0 * np.pi * frequency * frame_s) + colour**2
+    ar1 = noise.ar1
+    shape = noise.white + (1.0 - noise.white) * (1.0 - ar1**2) / (
+        1.0 - 2.0 * ar1 * np.cos(2.0 * np.pi * frequency * frame_s) + ar1**2
     )
     return Spectrum(frequency, power, 2.0 * noise.std_m**2 * frame_s * shape)
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cell.cable.model import CableModel
 from cell.files.plain import plain
-from cell.lab.data.noise_floor import NoiseUnknownError, noise_floor
+from cell.lab.data.noise_model import NoiseUnknownError, noise_model_of
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import best_initial_state
 from cell.lab.statistics.series import overall
@@ -157,7 +157,7 @@ def _noise_at_rest_m(prepared: PreparedStudy) -> float:
     if prepared.study.noise_std_m is None:
         return prepared.noise_model.noise.std_m
     try:
-        return noise_floor(replace(prepared.study, noise_std_m=None)).noise.std_m
+        return noise_model_of(replace(prepared.study, noise_std_m=None)).noise.std_m
     except NoiseUnknownError:
         return float("nan")
 

@@ -103,13 +103,14 @@ def disagreement(prepared: PreparedStudy, whole: Fit) -> float:
     solution, p = whole.solution, len(whole.q)
     free = solution.free[:p]
     unit = np.linalg.cholesky(whole.covariance[np.ix_(free, free)])
-    square, dof, begin = 0.0, -float(np.count_nonzero(free)), 0
-    for trial in prepared.study.trials:
-        rows = slice(begin, begin + prepared.whiteners[trial.name].rows)
-        begin = rows.stop
-        jacobian = solution.jacobian[rows, :p][:, free] @ unit
+    trials = prepared.study.trials
+    slopes = prepared.by_trial(trials, solution.jacobian[:, :p])
+    left = prepared.by_trial(trials, solution.residual)
+    square, dof = 0.0, -float(np.count_nonzero(free))
+    for name, of_trial in slopes.items():
+        jacobian = of_trial[:, free] @ unit
         known, directions = np.linalg.eigh(jacobian.T @ jacobian)
-        asked = directions.T @ (jacobian.T @ solution.residual[rows])
+        asked = directions.T @ (jacobian.T @ left[name])
         kept = known > LEAST_KNOWN
         square += float(np.sum(asked[kept] ** 2 / known[kept]))
         dof += float(np.count_nonzero(kept))

@@ -49,7 +49,7 @@ class HeldEffect:
         return HeldEffect(prepared, fit, effect, amplitude, space)
 
     def answer(self, active: ActiveEffect, change: FloatArray, others: FloatArray) -> FloatArray:
-        """(p + unknowns of beginnings,) where everything else goes, were it linear.
+        """(p + unknowns of initial states,) where everything else goes, were it linear.
 
         change  (rows,) of what is seen by the effect alone
         others  (n, rows) the same per unit of each of its free amplitudes
@@ -104,7 +104,7 @@ def all_changes(held: Sequence[HeldEffect], q: Sequence[FloatArray]) -> list[Flo
     """(rows,) change from the fit to the model of each effect at its q, simulated together.
 
     held  beside the same fit
-    q     (p + unknowns of beginnings,) of each
+    q     (p + unknowns of initial states,) of each
     """
     if not held:
         return []

@@ -288,11 +288,7 @@ def _orthonormal(rows: FloatArray) -> FloatArray:
 def _tip_m(prepared: PreparedStudy, change: FloatArray) -> float:
     """Largest distance that a whitened change of the fit trials moves the outermost marker by."""
     tip = int(np.argmax(prepared.study.arc_length_m))
-    largest, begin = 0.0, 0
-    for trial in fit_trials(prepared):
-        whitener = prepared.whiteners[trial.name]
-        moved = whitener.error_m(change[begin : begin + whitener.rows])[:, tip]
-        begin += whitener.rows
-        distance = np.sqrt(np.nansum(moved**2, axis=-1))
-        largest = max(largest, float(distance.max(initial=0.0)))
-    return largest
+    by_trial = prepared.by_trial(fit_trials(prepared), change)
+    moved = [prepared.whiteners[name].error_m(rows)[:, tip] for name, rows in by_trial.items()]
+    distance = [np.sqrt(np.nansum(m**2, axis=-1)) for m in moved]
+    return max(float(d.max(initial=0.0)) for d in distance)

@@ -142,12 +142,11 @@ def _by_parts(prepared: PreparedStudy, fit: Fit, linear: Linear) -> FloatArray:
             may depend on anything
     """
     inside = np.linalg.inv(linear.triangle.T @ linear.triangle)
-    asked, begin = [], 0
-    for trial in fit_trials(prepared):
-        whitener = prepared.whiteners[trial.name]
-        rows = np.arange(begin, begin + whitener.rows).reshape(-1, whitener.frames)
-        begin += whitener.rows
-        for part in np.array_split(rows, PARTS, axis=1):
+    asked = []
+    rows = prepared.by_trial(fit_trials(prepared), np.arange(len(linear.left)))
+    for name, of_trial in rows.items():
+        in_frames = of_trial.reshape(-1, prepared.whiteners[name].frames)
+        for part in np.array_split(in_frames, PARTS, axis=1):
             slopes = fit.solution.jacobian[part.ravel()][:, fit.solution.free]
             asked.append(slopes.T @ linear.left[part.ravel()])
     by_part = np.array(asked) @ inside

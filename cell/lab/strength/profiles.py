@@ -100,7 +100,7 @@ def each_profile(
 def _natural(
     fit: Fit, of: Profile, i: int, best: float, wald: tuple[float, float]
 ) -> ParameterProfile:
-    """A profile of coordinate i in natural values; those of beginnings have no name."""
+    """A profile of coordinate i in natural values; those of initial states have no name."""
     space = fit.space
     logarithmic = bool(space.logarithmic[i])
 

@@ -79,7 +79,7 @@ def agreement(
 
     The trials are of one cable: its exponent, and its EI(s) but for the level, are those of all
     trials together.  Level, viscosity and effects are each trial's own.  What a trial leaves beyond
-    noise, with its colour, widens its intervals.  Nothing of a study of one trial.
+    noise, with its correlation, widens its intervals.  Nothing of a study of one trial.
     """
     trials = prepared.study.trials
     if len(trials) < 2:
@@ -175,7 +175,7 @@ def _alone(
         return None
     whitener = prepared.whiteners[trial.name]
     slopes = fit.solution.jacobian
-    if slopes.shape[1] > p:  # less what its unknown beginning can imitate
+    if slopes.shape[1] > p:  # less what its unknown initial state can imitate
         initial_states = np.vstack([slopes[:, p:], np.diag(1.0 / fit.initial_state_std)])
         padded = np.vstack([slopes[:, :p], np.zeros((len(fit.initial_state_std), p))])
         basis = np.linalg.qr(initial_states)[0]

@@ -8,11 +8,12 @@ the worst of these.  Text, page, JSON and the reference in docs print these rows
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 
 from cell.lab.data.check import Answer, Check, Reading
 from cell.lab.verdict import doubts, questions
 from cell.lab.verdict.evidence import Evidence
-from cell.lab.verdict.prior_check import asked_by_prior_only
+from cell.lab.verdict.prior_check import prior_driven_effects
 
 LEAVES_NOISE: tuple[Check[Evidence], ...] = (
     Check(
@@ -96,27 +97,49 @@ LEAVES_NOISE: tuple[Check[Evidence], ...] = (
 )
 
 
+def _of_noise(evidence: Evidence) -> Iterator[Check[Evidence]]:
+    """Whether the model leaves noise: the lab's questions, then a user's own."""
+    yield from LEAVES_NOISE
+    for own in evidence.rules.own:
+        yield Check(
+            own.name,
+            own.question,
+            "p",
+            partial(_own, name=own.name),
+            ">=",
+            "misfit_significance",
+            "unexplained",
+            f"What the model leaves is not what noise would leave: {own.question}",
+            f"the statistic of {own.file} beside its values for noise alone, Holm-corrected",
+        )
+
+
+def _own(evidence: Evidence, name: str) -> Reading | None:
+    found = evidence.own_p_values
+    return None if found is None else Reading(found[name])
+
+
 def explains(evidence: Evidence) -> bool:
     """Whether what the model leaves is noise, or of an earlier cable's error."""
-    return all(check.ask(evidence).passed is not False for check in LEAVES_NOISE)
+    return all(check.ask(evidence).passed is not False for check in _of_noise(evidence))
 
 
-def _asked_by_prior_only(evidence: Evidence) -> Reading | None:
+def _prior_driven(evidence: Evidence) -> Reading | None:
     """Number of effects that only an earlier cable's model asks for; which."""
     if evidence.fits.prior_q is None or evidence.is_base:
         return None
-    asked = asked_by_prior_only(evidence, explains)
+    asked = prior_driven_effects(evidence, explains)
     return Reading(float(len(asked)), asked)
 
 
 MAY_BE_CLAIMED: tuple[Check[Evidence], ...] = (
     Check(
         "confirmation",
-        "Is a trial held out to confirm what was found?",
-        "trials",
-        questions.heldout_trials,
-        ">=",
-        "least_heldout",
+        "How many effects were found without a held-out trial?",
+        "effects",
+        questions.without_heldout_trial,
+        "<=",
+        "max_unconfirmed",
         "cannot_tell",
         "No trial is held out: it is not confirmed.",
         "their number: an effect is confirmed only on a motion that was not fitted to",
@@ -150,19 +173,19 @@ MAY_BE_CLAIMED: tuple[Check[Evidence], ...] = (
         "p",
         questions.half_seen,
         "<",
-        "half_seen",
+        "significance",
         "cannot_tell",
         "So weak a signal cannot identify its cause.",
-        "power: the residual with half of the effect must fail the checks above at 5 %",
+        "power: the residual with half of the effect must fail the checks above at 1 %",
         doubts.weak_doubts,
     ),
     Check(
         "prior_driven",
         "How many effects are needed only because of the prior?",
         "effects",
-        _asked_by_prior_only,
+        _prior_driven,
         "<=",
-        "max_prior_driven",
+        "max_unconfirmed",
         "cannot_tell",
         "Without the prior the study does not confirm this.",
         "a diagnosis without the prior, as for another cable",
@@ -203,7 +226,7 @@ def answers(evidence: Evidence) -> Iterator[Answer[Evidence]]:
     may be claimed is asked only of a model that leaves noise.
     """
     explained = True
-    for check in LEAVES_NOISE:
+    for check in _of_noise(evidence):
         if not explained and evidence.over_noise >= evidence.rules.gross_misfit:
             return
         answer = check.ask(evidence)

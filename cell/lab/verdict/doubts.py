@@ -120,7 +120,7 @@ def _wrong_minimum(fits: FitCache, candidate: FittedModel) -> list[Doubt]:
 
 
 def _starts_disagree(fits: FitCache) -> list[Doubt]:
-    """Of a baseline that ends elsewhere from a second start, in EI or in its effects."""
+    """Of a baseline that a second start leads to another minimum, in EI or in its effects."""
     base, other = fits.baseline().fit, fits.second_start()
     if other is None:
         return []
@@ -147,16 +147,11 @@ def _effects_apart(base: Fit, other: Fit) -> list[str]:
     for i, name in enumerate(base.space.names):
         if "." not in name:
             continue
-        variance = sum(_widened(fit) * fit.covariance[i, i] for fit in (base, other))
+        variance = sum(fit.widening * fit.covariance[i, i] for fit in (base, other))
         if abs(other.q[i] - base.q[i]) > APART_STD * np.sqrt(variance):
             unit = "" if base.space.units[i] == "1" else f" {base.space.units[i]}"
             found.append(f"{name} {values[i]:.3g} and {others[i]:.3g}{unit}")
     return found
-
-
-def _widened(fit: Fit) -> float:
-    """By which what a fit leaves widens variances, at least 1."""
-    return max(1.0, fit.chi2 / max(1, int(np.count_nonzero(fit.solution.residual))))
 
 
 def lacking_doubt(lacks: Sequence[str]) -> tuple[Doubt, ...]:

@@ -7,11 +7,12 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 from cell.cable.effects.base import Effect
-from cell.lab.data.noise_floor import NoiseModel
+from cell.lab.data.noise_model import NoiseModel
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.thresholds import Rules
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
+from cell.lab.verdict.own_checks import p_values
 from cell.lab.verdict.smooth_part import SmoothPart, smooth_part
 
 
@@ -58,6 +59,12 @@ class Evidence:
     def over_noise(self) -> float:
         """Larger of the fitted and the held-out error, over the measurement's noise."""
         return above_noise(self.fits, self.final)
+
+    @cached_property
+    def own_p_values(self) -> dict[str, float] | None:
+        """Of a user's own checks by name; None where a trial cannot be simulated."""
+        limit = self.rules.misfit_significance
+        return p_values(self.prepared, self.final.fit, self.rules.own, limit)
 
     @property
     def below_stated(self) -> bool:

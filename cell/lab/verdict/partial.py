@@ -1,7 +1,7 @@
 """Partial explanations: effects that explain most of an error but not all, and their residuals.
 
 Where no set of effects leaves noise, the model's own error is what an answer could be wrong by.  So
-it is taken for the noise here, with its colour, and the model is fitted to all trials together:
+it is taken for the noise here, with its correlation.  The model is fitted to all trials together:
 which effect makes the largest difference to what is seen is asked, not what it would forecast.
 """
 
@@ -81,7 +81,7 @@ def explain_partly(
         if error.std_m > WEIGHED_ANEW * before.std_m:
             break
     steps = _added(whole, base, singles, library, rules)
-    steps = _borne_out(whole, steps, library, rules)
+    steps = _significant_steps(whole, steps, library, rules)
     if len(steps) == 2:
         for rival in near_singles(whole, steps[1], singles, rules):
             StudySpace(whole, rules.max_refits).extended(rival)
@@ -152,7 +152,7 @@ def _singles(whole: FitCache, library: int, rules: Rules) -> tuple[FitCache, lis
     return whole, singles
 
 
-def _borne_out(
+def _significant_steps(
     fits: FitCache, steps: Sequence[FittedModel], library: int, rules: Rules
 ) -> list[FittedModel]:
     """The steps up to the first whose effect explains nothing significant beside those before.

@@ -25,7 +25,7 @@ Explains = Callable[[Evidence], bool]
 ANOTHER = 1e-3
 
 
-def asked_by_prior_only(evidence: Evidence, explains: Explains) -> tuple[str, ...]:
+def prior_driven_effects(evidence: Evidence, explains: Explains) -> tuple[str, ...]:
     """Effects that are not needed, or explain nothing, if the cable is not that of the prior.
 
     The study is asked without the prior: the fewest of them that explain it to its noise are
@@ -41,14 +41,18 @@ def asked_by_prior_only(evidence: Evidence, explains: Explains) -> tuple[str, ..
     if len(evidence.added) <= spared:
         return ()
     alone = _without_prior(fits)
-    found = not_borne_out(alone, evidence.added, evidence.tied, rules, explains)
+    found = unconfirmed_without_prior(alone, evidence.added, evidence.tied, rules, explains)
     return found if len(found) > spared else ()
 
 
 def _without_prior(fits: FitCache) -> FitCache:
     """The same study, as of a cable of which nothing is known."""
     prepared, space = fits.prepared, fits.space
-    free = ParameterSpace.of(space.cable, gravity_m_per_s2=space.gravity_m_per_s2)
+    free = ParameterSpace.of(
+        space.cable,
+        gravity_m_per_s2=space.gravity_m_per_s2,
+        pull_m_per_s2=space.pull_m_per_s2,
+    )
     return FitCache(
         PreparedStudy.of(prepared.measured, solver=prepared.solver, work=prepared.work),
         space_with(free, space.effects),
@@ -57,7 +61,7 @@ def _without_prior(fits: FitCache) -> FitCache:
     )
 
 
-def not_borne_out(
+def unconfirmed_without_prior(
     alone: FitCache,
     effects: Sequence[type[Effect]],
     tied: Mapping[str, Sequence[str]],

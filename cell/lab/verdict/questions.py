@@ -106,12 +106,11 @@ def explained_of_earlier(evidence: Evidence) -> Reading | None:
     return Reading(removed_share(prepared.noise_model.noise.std_m, before, after))
 
 
-def heldout_trials(evidence: Evidence) -> Reading | None:
-    """Number of trials that confirm what was found; None where nothing was."""
+def without_heldout_trial(evidence: Evidence) -> Reading | None:
+    """Number of effects found that no trial is held out to confirm; None where none was found."""
     if evidence.is_base:
         return None
-    held = evidence.prepared.study.role("validate")
-    return Reading(float(len(held)) if evidence.final.heldout is not None else 0.0)
+    return Reading(float(len(evidence.added)) if evidence.final.heldout is None else 0.0)
 
 
 def least_visible(evidence: Evidence) -> Reading | None:
@@ -137,7 +136,7 @@ def half_seen(evidence: Evidence) -> Reading | None:
         return None
     without = {e.name: evidence.fits.fit_reduced(evidence.final, e).fit for e in evidence.added}
     chances = {name: _chance_of_half(evidence, fit) for name, fit in without.items()}
-    weak = tuple(name for name, p in chances.items() if p >= evidence.rules.half_seen)
+    weak = tuple(name for name, p in chances.items() if p >= evidence.rules.significance)
     return Reading(max(chances.values()), weak)
 
 
@@ -152,7 +151,7 @@ def _chance_of_half(evidence: Evidence, without: Fit) -> float:
     for look in looks:
         part = look()
         least = min(least, 0.0 if part is None else part.chance_of(0.5 * part.excess))
-        if least < evidence.rules.half_seen:
+        if least < evidence.rules.significance:
             break
     return least
 
@@ -213,7 +212,7 @@ def _of_part(evidence: Evidence, left: SmoothPart | None) -> Reading | None:
 
 
 def _p_value(chi2: float, count: int, dof: float) -> float:
-    """Of a χ² of `count` values whose unit is known from `freedom` others."""
+    """Of a χ² of `count` values whose unit is known from `dof` others."""
     if np.isfinite(dof):
         return float(f_sf(count, dof, chi2 / count))
     return float(chi2_sf(count, chi2))

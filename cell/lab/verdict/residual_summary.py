@@ -66,8 +66,8 @@ def independent_values(errors: Sequence[FloatArray]) -> float:
     power = sum(float(np.sum(e * e)) for e in filled)
     if count == 0 or power == 0.0:
         return 2.0
-    together = np.sum([e.T @ e for e in filled], axis=0)
-    channels = power**2 / float(np.sum(np.square(together)))
+    covariance = np.sum([e.T @ e for e in filled], axis=0)
+    channels = power**2 / float(np.sum(np.square(covariance)))
     frames = count / filled[0].shape[1]
     squares = 0.0
     for lag in range(1, min(MOST_LAGS, max(len(e) for e in filled) // LARGEST_LAG)):
@@ -94,7 +94,7 @@ def vuong_z(
 
     What they differ by is summed over channels and trials frame by frame, so that trials which
     repeat each other count as the one motion that they are, and its standard deviation is that of
-    a coloured series: an advantage of a single moment of the motion is worth little.
+    a correlated series: a gain at a single moment of the motion is worth little.
     lag_share  largest lag of the covariances, of the longest trial's frames
     source     Vuong 1989, Econometrica 57, 307; long-run variance after Newey and West 1987,
                Econometrica 55, 703

@@ -25,7 +25,7 @@ def close_rivals(
     """Rivals that explain as much as `final`, all trials together, the best first.
 
     By χ² where what remains is noise; where the model's own error remains, by that, with its
-    colour: it is what the answer could be wrong by.
+    correlation: it is what the answer could be wrong by.
     """
     close = {c.names for c in rivals if c.chi2 < final.chi2 + rules.tie_delta_chi2}
     if above_noise(fits, final) > rules.misfit:

@@ -14,8 +14,8 @@ from scipy.special import fdtrc as f_sf
 from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.gaussian import marginal_chi2
 from cell.identify.noise import Whitener
-from cell.lab.data.noise_floor import NoiseModel
 from cell.lab.data.noise_likelihood import MAX_AR1
+from cell.lab.data.noise_model import NoiseModel
 from cell.lab.data.prepared import PreparedStudy, once_per_study
 from cell.lab.fit.all_trials_fit import AllTrialsFit, of_all_trials
 from cell.lab.fit.fitting import Fit, best_initial_state, fit_trials
@@ -34,7 +34,7 @@ class SmoothPart:
 
     chi2     about `count` if the model is right; inf where the cable cannot be simulated
     rows     values of the whole residual
-    freedom  degrees of freedom behind the noise's level there
+    dof      degrees of freedom behind the noise's level there
     """
 
     chi2: float
@@ -217,8 +217,8 @@ class _Fast:
 def _slow_level(noise_model: NoiseModel, parts: Sequence[_Fast]) -> tuple[float, float]:
     """Mean square of the noise's smooth part once whitened, 1 if the noise is right; its dof.
 
-    Noise of another colour than it was whitened for keeps a correlation with the frame before, and
-    is by so much stronger where it is slow.
+    Noise of another correlation than it was whitened for stays correlated with the frame before,
+    and is by so much stronger where it is slow.
     """
     square, products, values, neighbours, pairs = (
         sum(getattr(p, f.name) for p in parts) for f in fields(_Fast)
@@ -226,11 +226,11 @@ def _slow_level(noise_model: NoiseModel, parts: Sequence[_Fast]) -> tuple[float,
     level = square / values
     off = (products - neighbours * level) / (level * pairs)
     alike = noise_model.effective_fraction
-    colour = (1.0 - alike) / (1.0 + alike)
-    slow = level * ((1.0 - colour) / (1.0 - min(colour + off, MAX_AR1))) ** 2
+    ar1 = (1.0 - alike) / (1.0 + alike)
+    slow = level * ((1.0 - ar1) / (1.0 - min(ar1 + off, MAX_AR1))) ** 2
     dof = values / (1.0 + 2.0 / noise_model.effective_fraction)
-    together = dof + noise_model.slow_dof
-    return (dof * slow + noise_model.slow_dof) / together, together
+    of_both = dof + noise_model.slow_dof
+    return (dof * slow + noise_model.slow_dof) / of_both, of_both
 
 
 def _followed(fit: Fit, changes: FloatArray) -> FloatArray:

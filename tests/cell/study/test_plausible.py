@@ -91,10 +91,6 @@ def only(marker: int, change: Change) -> Change:
             "study.yaml:8:1: gravity_m_per_s2: [0.0, 9.81] points up",
         ),
         (
-            lambda s: replace(s, gravity_m_per_s2=(0.0, 0.0)),
-            "study.yaml:8:1: gravity_m_per_s2: [0.0, 0.0] is below 0.01 m/s²",
-        ),
-        (
             lambda s: with_trial(
                 slower(24.0)(s), **{
                     "t_s": s.trials[0].markers.t_s[::60] * 24.0,

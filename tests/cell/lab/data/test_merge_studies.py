@@ -74,7 +74,7 @@ def test_other_settings_are_refused_at_their_line(record, old, new, says):
     line = next(i for i, t in enumerate(FAKE.read_text().splitlines(), 1) if old in t)
     assert f"second/settings.yaml:{line}:" in message
     assert says in message
-    assert "gather them apart" in message
+    assert "merge them apart" in message
 
 
 def test_another_data_sheet_is_refused(record, measured):

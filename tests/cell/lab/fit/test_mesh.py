@@ -12,7 +12,7 @@ from cell.cable.solver import Solver
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import fit_trials
-from cell.lab.fit.mesh import as_its_mesh_shows
+from cell.lab.fit.mesh import without_mesh_error
 from cell.lab.fit.systematic_error import systematic_error
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.verdict.diagnose import diagnose
@@ -58,7 +58,7 @@ def test_once_taken_out_little_of_it_is_left():
     trial, moved = raw.study.trials[0].markers, clean.study.trials[0].markers
     shift_m = float(np.sqrt(np.mean((trial.xy_m - moved.xy_m) ** 2)))
     assert 3e-5 < shift_m < 3e-3
-    again = as_its_mesh_shows(clean, fit).study.trials[0].markers
+    again = without_mesh_error(clean, fit).study.trials[0].markers
     assert np.sqrt(np.mean((again.xy_m - moved.xy_m) ** 2)) < 0.1 * shift_m
 
 

@@ -39,14 +39,14 @@ from cell.lab.line.effect_fit import TIE, Budget, EffectFit
 from cell.lab.line.forecasts import ForecastPair, forecasts
 from cell.lab.line.gates import Judgement, best_judged, gates, judge
 from cell.lab.line.learn import LearningResult, learn, negligible
-from cell.lab.line.lesson_checks import lesson_answers, lesson_verdict
-from cell.lab.line.lesson_questions import LineEvidence
+from cell.lab.line.learning_checks import learning_answers, learning_verdict
+from cell.lab.line.learning_questions import LineEvidence
 from cell.lab.line.next_cable import asked, open_to
 from cell.lab.next.discover import Laws, laws_in
 from cell.lab.next.motion_file import load_motion
-from cell.lab.next.next_motion import motion_that_tells, worth_it
+from cell.lab.next.next_motion import distinguishing_motion, worth_measuring
 from cell.lab.next.terms import admissible
-from cell.lab.report.lesson_tables import lesson_lines
+from cell.lab.report.learning_tables import learning_lines
 from cell.lab.search.setup import fit_cache_of, read_kind
 from cell.settings import load_settings
 from cell.settings.model import Model
@@ -88,26 +88,26 @@ def dragged() -> list[RecordedCycle]:
 
 
 @pytest.fixture(scope="module")
-def lesson(dragged: list[RecordedCycle]) -> LearningResult:
+def result(dragged: list[RecordedCycle]) -> LearningResult:
     task = cell_task(SETTINGS)
     return learn(dragged, task.cable, task.identification, TRIED)
 
 
-def test_the_effect_that_all_cables_share_is_named_with_its_size(lesson: LearningResult) -> None:
-    assert lesson.best is not None
-    assert lesson.best.effect.name == "air_drag"
-    assert lesson.best.fit.theta[0] == pytest.approx(2.0, abs=0.1)
-    assert lesson.tied == ()
-    assert all(v.fall > 100.0 for v in lesson.votes)
-    assert lesson.best.fit.rms_m < 1.05 * lesson.noise_m < lesson.baseline.rms_m
-    said = next(line for line in lesson_lines(lesson) if line.startswith("missing: air_drag"))
+def test_the_effect_that_all_cables_share_is_named_with_its_size(result: LearningResult) -> None:
+    assert result.best is not None
+    assert result.best.effect.name == "air_drag"
+    assert result.best.fit.theta[0] == pytest.approx(2.0, abs=0.1)
+    assert result.tied == ()
+    assert all(v.fall > 100.0 for v in result.cycle_evidence)
+    assert result.best.fit.rms_m < 1.05 * result.noise_m < result.baseline.rms_m
+    said = next(line for line in learning_lines(result) if line.startswith("missing: air_drag"))
     assert re.search(r"\(drag_coefficient (1\.9|2|2\.0)\d*\), p", said), "a ratio has no unit"
 
 
 def test_a_cable_left_out_is_forecast_better_and_the_candidate_passes(
-    lesson: LearningResult, tmp_path: Path
+    result: LearningResult, tmp_path: Path
 ) -> None:
-    judgement = judge(lesson, SETTINGS)
+    judgement = judge(result, SETTINGS)
     paired = judgement.paired
     assert len(paired) == 3
     present, found = (
@@ -117,26 +117,26 @@ def test_a_cable_left_out_is_forecast_better_and_the_candidate_passes(
     assert found < 0.6 * present
     assert judgement.fit_for_line, judgement.gates
     path = tmp_path / "candidate.yaml"
-    write_candidate(path, lesson, judgement, Model(), lines_of(lesson.cycles, SETTINGS))
+    write_candidate(path, result, judgement, Model(), lines_of(result.cycles, SETTINGS))
     back = read_candidate(path)
     assert back.failed == {}
-    assert back.model == section(lesson, Model())
+    assert back.model == section(result, Model())
     stated = back.model.effects[0].parameters["drag_coefficient"]
     assert not isinstance(stated, str)
     assert stated.fixed == pytest.approx(2.0, abs=3.0 * stated.std)
 
 
-def test_of_a_rejected_cable_the_rest_of_its_hold_is_forecast(lesson: LearningResult) -> None:
+def test_of_a_rejected_cable_the_rest_of_its_hold_is_forecast(result: LearningResult) -> None:
     task = cell_task(SETTINGS)
-    rejected = tuple(replace(c, executed=None) for c in lesson.cycles[:1])
-    one = replace(lesson, cycles=rejected)
+    rejected = tuple(replace(c, executed=None) for c in result.cycles[:1])
+    one = replace(result, cycles=rejected)
     (found,) = forecasts(one, task.cable, task.identification, task.destination)
     assert found.of == "rest of the hold"
     assert found.candidate_m < 0.7 * found.present_m
 
 
 def test_an_end_that_pictures_place_too_far_along_is_no_error_of_a_forecast(
-    lesson: LearningResult,
+    result: LearningResult,
 ) -> None:
     """60 µm of it hid what a model gains of that size; a millimetre is not the pictures'."""
     task = cell_task(SETTINGS)
@@ -151,7 +151,7 @@ def test_an_end_that_pictures_place_too_far_along_is_no_error_of_a_forecast(
             xy[:, 0] += beyond_m * along / np.linalg.norm(along, axis=1, keepdims=True)
             trials.append(replace(t, markers=replace(t.markers, xy_m=xy)))
         moved = replace(cycle, held=trials[0], executed=trials[1])
-        found = replace(lesson, cycles=(moved,))
+        found = replace(result, cycles=(moved,))
         (pair,) = forecasts(found, task.cable, task.identification, task.destination)
         return pair.candidate_m
 
@@ -159,12 +159,12 @@ def test_an_end_that_pictures_place_too_far_along_is_no_error_of_a_forecast(
     assert forecast_m(1e-3) > 8e-4
 
 
-def test_with_the_effect_learned_another_cable_is_followed(lesson: LearningResult) -> None:
+def test_with_the_effect_learned_another_cable_is_followed(result: LearningResult) -> None:
     """A cable that was not learned from: the model misses it by the noise alone."""
     task = cell_task(SETTINGS)
     (other,) = cycles_in({"air_drag": {"drag_coefficient": 2.0}}, 1, 6)
     assert other.held is not None
-    settings = SETTINGS.model_copy(update={"model": section(lesson, Model())})
+    settings = SETTINGS.model_copy(update={"model": section(result, Model())})
     found = [
         identify(other.held, task.arc_length_m, task.cable, options=options)
         for options in (task.identification, identification_of(settings))
@@ -173,28 +173,28 @@ def test_with_the_effect_learned_another_cable_is_followed(lesson: LearningResul
     assert found[1].model_error_m < 0.15 * found[0].model_error_m
 
 
-def test_the_lab_starts_from_the_lines_model(lesson: LearningResult, tmp_path: Path) -> None:
+def test_the_lab_starts_from_the_lines_model(result: LearningResult, tmp_path: Path) -> None:
     """With the effect in the settings, a study of such a cable is explained without a word more."""
-    section_text = yaml_text({"model": section(lesson, Model()).model_dump(exclude_defaults=True)})
+    section_text = yaml_text({"model": section(result, Model()).model_dump(exclude_defaults=True)})
     config = tmp_path / "cell.yaml"
     config.write_text((ROOT / "config/fake.yaml").read_text("utf-8") + section_text, "utf-8")
-    study = lesson.cycles[0].study
+    study = result.cycles[0].study
     rms_m = [
         fit_cache_of(study, select_effects([]), kind=read_kind(given)).baseline().fit.rms_m
         for given in (None, config)
     ]
     assert rms_m[1] < 0.8 * rms_m[0]
-    assert rms_m[1] < 1.2 * lesson.noise_m  # seen too far along the cable, too
+    assert rms_m[1] < 1.2 * result.noise_m  # seen too far along the cable, too
 
 
-def test_a_forecast_that_is_no_better_is_stopped_at_the_gate(lesson: LearningResult) -> None:
+def test_a_forecast_that_is_no_better_is_stopped_at_the_gate(result: LearningResult) -> None:
     task = cell_task(SETTINGS)
     same = [ForecastPair(str(i), 2e-4, 2e-4, 1.0, 1.0, 1e-4, 1e-4) for i in range(6)]
     worse = [*same[:5], ForecastPair("5", 2e-4, 4e-4, 1.0, 1.0, 1e-4, 2e-4)]
     few = [ForecastPair("0", 2e-4, 1e-4, 1.0, 1.0, 1e-4, 5e-5)]
 
     def failed(paired: list[ForecastPair]) -> set[str]:
-        return {g.name for g in gates(lesson, paired, task.destination) if not g.passed}
+        return {g.name for g in gates(result, paired, task.destination) if not g.passed}
 
     assert failed(same) == {"forecasts unseen cables better"}
     assert failed(worse) == {"forecasts unseen cables better", "worst case no worse"}
@@ -202,7 +202,7 @@ def test_a_forecast_that_is_no_better_is_stopped_at_the_gate(lesson: LearningRes
 
 
 def test_what_noise_hides_in_the_destination_is_sure_from_all_frames(
-    lesson: LearningResult,
+    result: LearningResult,
 ) -> None:
     """58 → 37 µm in the mouth was refused with p = 0.08: two of six cables had their noise there.
 
@@ -216,7 +216,7 @@ def test_what_noise_hides_in_the_destination_is_sure_from_all_frames(
             ForecastPair(str(i), 1e-6 * b, 1e-6 * a, 1.0, 1.0, 4e-5, 1e-6 * p)
             for i, (b, a, p) in enumerate(zip(before, mouth, path, strict=True))
         ]
-        found = gates(lesson, paired, destination)
+        found = gates(result, paired, destination)
         return next(g.passed for g in found if g.name == "forecasts unseen cables better")
 
     assert passes((22, 24, 21, 25, 23, 22))
@@ -225,7 +225,7 @@ def test_what_noise_hides_in_the_destination_is_sure_from_all_frames(
 
 
 def test_of_a_wind_from_above_the_wind_from_the_side_need_not_stay_whichever_cable_is_left_out(
-    lesson: LearningResult,
+    result: LearningResult,
 ) -> None:
     """What is none of an effect's strength may change its sign."""
     draught = library()["draught"]
@@ -243,7 +243,7 @@ def test_of_a_wind_from_above_the_wind_from_the_side_need_not_stay_whichever_cab
 
     def passes() -> bool:
         tried = EffectFit((draught,), fit, 100.0, 1e-6)
-        found = gates(replace(lesson, best=tried), [], cell_task(SETTINGS).destination)
+        found = gates(replace(result, best=tried), [], cell_task(SETTINGS).destination)
         return next(g.passed for g in found if g.name == "whichever cable is left out")
 
     fit.space.low, fit.space.high = np.full(2, -10.0), np.full(2, 10.0)
@@ -253,23 +253,23 @@ def test_of_a_wind_from_above_the_wind_from_the_side_need_not_stay_whichever_cab
 
 
 def test_an_effect_of_one_line_in_two_does_not_pass(
-    lesson: LearningResult, dragged: list[RecordedCycle]
+    result: LearningResult, dragged: list[RecordedCycle]
 ) -> None:
     """Draught "against" in 6 of 12 cycles, Q with p = 5e-28, passed all seven gates."""
     task = cell_task(SETTINGS)
     others = cycles_in({}, 2, 9)
-    base = lesson.baseline.space
+    base = result.baseline.space
     prepared = [prepared_cycle(c.whole) for c in (*dragged[:2], *others)]
-    begin = np.vstack([lesson.baseline.q[:2], lesson.baseline.q[:2]])
+    begin = np.vstack([result.baseline.q[:2], result.baseline.q[:2]])
     mixed = fit_shared(prepared, base, begin, (library()["air_drag"],), np.array([1.0]))
 
     def gate(fit: SharedFit) -> Answer[LineEvidence]:
-        tried = replace(lesson, best=EffectFit((library()["air_drag"],), fit, 1e3, 1e-9))
+        tried = replace(result, best=EffectFit((library()["air_drag"],), fit, 1e3, 1e-9))
         found = gates(tried, [], task.destination)
         return next(g for g in found if g.name == "all cables have it alike")
 
-    assert lesson.best is not None
-    assert gate(lesson.best.fit).passed
+    assert result.best is not None
+    assert gate(result.best.fit).passed
     refused = gate(mixed)
     assert not refused.passed
     assert re.search(r"Q [0-9.]+ of 3, p = \de-", refused.found), refused.found
@@ -293,10 +293,10 @@ def test_a_place_that_cables_together_miss_is_found_from_each_alone(
     made = cycles_of(SETTINGS, task, 41, numbers, [magnet])
     cycles = [recorded_cycle(task, n, c) for n, c in zip(numbers, made, strict=True)]
     laws = laws_in(tmp_path / "laws", [c.study for c in cycles]).effects
-    lesson = learn(cycles, task.cable, task.identification, {"point": laws["point"]})
-    assert lesson.best is not None
-    fit = lesson.best.fit
-    found = dict(zip(lesson.best.names, fit.theta, strict=True))
+    result = learn(cycles, task.cable, task.identification, {"point": laws["point"]})
+    assert result.best is not None
+    fit = result.best.fit
+    found = dict(zip(result.best.names, fit.theta, strict=True))
     assert found["point.point_x_m"] == pytest.approx(-0.11, abs=0.012)
     assert found["point.point_y_m"] == pytest.approx(-0.09, abs=0.012), "it was at −0.108"
     assert fit.rms_m < 5e-5, "it was 0.31 mm"
@@ -314,18 +314,18 @@ def test_learning_ends_at_its_limit_of_work_and_says_what_it_left_out(
 
     monkeypatch.setattr("cell.lab.line.learn.identify", but_one)
     task, budget = cell_task(SETTINGS), Budget(most_s=1.0)
-    lesson = learn(dragged, task.cable, task.identification, TRIED, budget=budget)
-    assert [c.name for c in lesson.cycles if c.name == dragged[1].name] == []
-    assert len(lesson.ranking) == 1
-    (untried,) = TRIED.keys() - {lesson.ranking[0].effect.name}
+    result = learn(dragged, task.cable, task.identification, TRIED, budget=budget)
+    assert [c.name for c in result.cycles if c.name == dragged[1].name] == []
+    assert len(result.ranking) == 1
+    (untried,) = TRIED.keys() - {result.ranking[0].effect.name}
     limit = "for the limit of 1 s of simulated motion"
     rejected = "it cannot be identified, unseen frames: it left the picture"
-    assert f"{dragged[1].name}: {rejected}" in lesson.left_out
-    assert f"a fit with {untried}, {limit}" in lesson.left_out
-    nothing = replace(lesson, best=None)
-    assert lesson_lines(nothing)[-1].endswith("some were not tried")
+    assert f"{dragged[1].name}: {rejected}" in result.left_out
+    assert f"a fit with {untried}, {limit}" in result.left_out
+    nothing = replace(result, best=None)
+    assert learning_lines(nothing)[-1].endswith("some were not tried")
     tried = replace(nothing, left_out=())
-    assert "misses more than noise: `cell learn --laws`" in lesson_lines(tried)[-1]
+    assert "misses more than noise: `cell learn --laws`" in learning_lines(tried)[-1]
     assert budget.work.simulated_s > budget.most_s, "what is simulated was counted"
 
 
@@ -336,35 +336,35 @@ def test_two_effects_that_all_cables_share_are_found_one_after_the_other(
     hidden = {"air_drag": {"drag_coefficient": 2.0}, "bending_hysteresis": {"moment_n_m": 8e-6}}
     task = cell_task(SETTINGS)
     tried = {name: library()[name] for name in hidden}
-    lesson = learn(cycles_in(hidden, 2, 5), task.cable, task.identification, tried)
-    assert lesson.best is not None
-    assert lesson.simpler is not None
-    assert lesson.simpler.best is not None
-    assert {e.name for e in lesson.best.effects} == set(hidden)
-    assert lesson.best.fit.rms_m < 1.05 * lesson.noise_m < 0.8 * lesson.simpler.best.fit.rms_m
-    values = dict(zip(lesson.best.names, lesson.best.fit.theta, strict=True))
+    result = learn(cycles_in(hidden, 2, 5), task.cable, task.identification, tried)
+    assert result.best is not None
+    assert result.simpler is not None
+    assert result.simpler.best is not None
+    assert {e.name for e in result.best.effects} == set(hidden)
+    assert result.best.fit.rms_m < 1.05 * result.noise_m < 0.8 * result.simpler.best.fit.rms_m
+    values = dict(zip(result.best.names, result.best.fit.theta, strict=True))
     assert values["air_drag.drag_coefficient"] == pytest.approx(2.0, rel=0.1)
-    model = section(lesson, Model())
-    assert [e.effect for e in model.effects] == [e.name for e in lesson.best.effects]
+    model = section(result, Model())
+    assert [e.effect for e in model.effects] == [e.name for e in result.best.effects]
     assert model.prior is not None
-    assert model.prior.names == list(lesson.best.names)
+    assert model.prior.names == list(result.best.names)
     identification_of(SETTINGS.model_copy(update={"model": model}))  # can be used as it is
 
 
-def test_a_second_effect_that_explains_all_does_not_keep_the_first(lesson: LearningResult) -> None:
+def test_a_second_effect_that_explains_all_does_not_keep_the_first(result: LearningResult) -> None:
     """The first was named because from none of the second no way led to it: a magnet was learned
     as a field that grows evenly and a magnet, which the gates refuse.
     """
     task = cell_task(SETTINGS)
-    base = task.identification.kind.space(task.cable, lesson.cycles[0].study.gravity_m_per_s2)
-    prepared = [prepared_cycle(c.whole) for c in lesson.cycles[:2]]
-    search = CablesSpace(tuple(prepared), base, lesson.baseline.q[:2], 2, Budget(), lambda _: None)
+    base = task.identification.kind.space(task.cable, result.cycles[0].study.gravity_m_per_s2)
+    prepared = [prepared_cycle(c.whole) for c in result.cycles[:2]]
+    search = CablesSpace(tuple(prepared), base, result.baseline.q[:2], 2, Budget(), lambda _: None)
     alone = [
-        fit_shared([p], base, q[None]) for p, q in zip(prepared, lesson.baseline.q, strict=False)
+        fit_shared([p], base, q[None]) for p, q in zip(prepared, result.baseline.q, strict=False)
     ]
     drag = {name: library()[name] for name in ("air_drag", "tip_mass")}
-    assert lesson.best is not None
-    settled = lesson.best.fit
+    assert result.best is not None
+    settled = result.best.fit
 
     def last_alone(first: str, last: str, *values: float) -> EffectFit | None:
         both = (drag[first], drag[last])
@@ -387,16 +387,16 @@ def test_a_cable_that_was_bent_to_imitate_an_effect_does_not_hide_it() -> None:
     cycles = cycles_in({"camera_latency": {"delay_s": 0.005}}, 1, 300, sharp=True)
     tried = {n: library()[n] for n in ("camera_latency", "robot_lag")}
     task = cell_task(SETTINGS)
-    lesson = learn(cycles, task.cable, task.identification, tried)
-    space = lesson.baseline.space
-    assert np.any(lesson.baseline.q[0] == space.low)
-    assert {e.name: e.fit.solution.converged for e in lesson.ranking} == dict.fromkeys(tried, True)
-    chi2 = {e.name: e.fit.chi2 for e in lesson.ranking}
+    result = learn(cycles, task.cable, task.identification, tried)
+    space = result.baseline.space
+    assert np.any(result.baseline.q[0] == space.low)
+    assert {e.name: e.fit.solution.converged for e in result.ranking} == dict.fromkeys(tried, True)
+    chi2 = {e.name: e.fit.chi2 for e in result.ranking}
     assert chi2["camera_latency"] < 1.001 * chi2["robot_lag"]
 
 
 def test_an_effect_that_does_not_help_unseen_cables_is_left_out(
-    lesson: LearningResult, monkeypatch: pytest.MonkeyPatch
+    result: LearningResult, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Here the second effect is the first again: every forecast stays as it was.
 
@@ -409,8 +409,8 @@ def test_an_effect_that_does_not_help_unseen_cables_is_left_out(
         return identify(*args, options=options)
 
     monkeypatch.setattr("cell.lab.line.forecasts.identify", counted)
-    kept, judgement = best_judged(replace(lesson, simpler=lesson), SETTINGS)
-    assert kept is lesson
+    kept, judgement = best_judged(replace(result, simpler=result), SETTINGS)
+    assert kept is result
     assert judgement.fit_for_line
     assert sorted(identified) == [0] * 3 + [1] * 6
 
@@ -418,9 +418,9 @@ def test_an_effect_that_does_not_help_unseen_cables_is_left_out(
 def test_a_complete_world_teaches_nothing_unless_all_ends_are_seen_elsewhere() -> None:
     """Half a millimetre of cable that slid out of the jaws hides in what one picture may err by."""
     task = cell_task(SETTINGS)
-    lesson = learn(cycles_in({}, 2, 9), task.cable, task.identification, TRIED)
-    assert lesson.best is None
-    complete, slid = lesson.baseline, []
+    result = learn(cycles_in({}, 2, 9), task.cable, task.identification, TRIED)
+    assert result.best is None
+    complete, slid = result.baseline, []
     assert np.abs(complete.end_seen_beyond_m).max() < 2.5e-4
     for cable in complete.cables:
         share = (cable.study.arc_length_m / task.cable.free_length_m)[:, None]
@@ -434,14 +434,14 @@ def test_a_complete_world_teaches_nothing_unless_all_ends_are_seen_elsewhere() -
     assert fit.end_seen_beyond_m == pytest.approx(complete.end_seen_beyond_m + 5e-4, abs=1e-4)
     assert fit.rms_m < 1.05 * complete.rms_m
     assert negligible(complete) and not negligible(fit)
-    answers = lesson_answers(lesson)
+    answers = learning_answers(result)
     assert [a.name for a in answers if a.passed is False] == []
-    assert lesson_verdict(lesson, answers) == "complete"
-    elsewhere = replace(lesson, baseline=fit)
-    answers = lesson_answers(elsewhere)
+    assert learning_verdict(result, answers) == "complete"
+    elsewhere = replace(result, baseline=fit)
+    answers = learning_answers(elsewhere)
     assert [a.name for a in answers if a.passed is False] == ["ends_beyond"]
-    assert lesson_verdict(elsewhere, answers) == "unexplained"
-    assert "ends are seen elsewhere" in lesson_lines(elsewhere)[-1], "it was called complete"
+    assert learning_verdict(elsewhere, answers) == "unexplained"
+    assert "ends are seen elsewhere" in learning_lines(elsewhere)[-1], "it was called complete"
 
 
 def test_the_spread_between_cables_is_that_of_restricted_maximum_likelihood() -> None:
@@ -479,23 +479,23 @@ def test_cycles_of_another_cable_or_none_are_refused(
 
 
 @pytest.fixture(scope="module")
-def tied(lesson: LearningResult) -> LearningResult:
+def tied(result: LearningResult) -> LearningResult:
     """As if a load at the tip explained the dragged cables as well."""
-    assert {t.effect.name for t in lesson.ranking} == set(TRIED)
-    return replace(lesson, tied=("tip_mass",))
+    assert {t.effect.name for t in result.ranking} == set(TRIED)
+    return replace(result, tied=("tip_mass",))
 
 
 def test_the_motion_tells_the_tied_effects_of_a_cable_not_seen_yet(tied: LearningResult) -> None:
     cable, around = tied.baseline.cables[0], Surroundings.read(CONFIG)
-    suggestion = motion_that_tells(cable, open_to(tied), around)
+    suggestion = distinguishing_motion(cable, open_to(tied), around)
     assert suggestion is not None
     assert suggestion.candidates == ("air_drag", "tip_mass")
-    best = worth_it(suggestion)
+    best = worth_measuring(suggestion)
     assert best is suggestion.options[0]
     assert best.power > 0.9
     weak = replace(suggestion, options=(replace(best, power=0.3),))
-    assert worth_it(weak) is None
-    assert motion_that_tells(cable, open_to(replace(tied, tied=())), around) is None
+    assert worth_measuring(weak) is None
+    assert distinguishing_motion(cable, open_to(replace(tied, tied=())), around) is None
 
 
 def test_the_next_cable_may_be_as_far_away_as_these_are_from_each_other(
@@ -513,7 +513,7 @@ def test_the_next_cable_may_be_as_far_away_as_these_are_from_each_other(
 def said(
     tied: LearningResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[tuple[Path, list[str]]]:
-    """Folder, and lines that `cell learn` prints of the tied lesson there."""
+    """Folder, and lines that `cell learn` prints of the tied result there."""
     for cycle in tied.cycles:
         write_study(cycle.study, tmp_path / "runs" / cycle.name)
     monkeypatch.chdir(tmp_path)
@@ -581,7 +581,7 @@ def test_after_two_motions_nothing_more_is_asked_for(
     monkeypatch.setattr(
         "cell.lab.line.learn.learn", lambda *_: replace(tied, cycles=(*measured, *tied.cycles))
     )
-    monkeypatch.setattr("cell.lab.line.gates.best_judged", lambda lesson, _: (lesson, Judgement()))
+    monkeypatch.setattr("cell.lab.line.gates.best_judged", lambda result, _: (result, Judgement()))
     folders = [str(tmp_path / c.name) for c in tied.cycles]
     words = ["learn", *folders, "--config", str(CONFIG), "-o", str(tmp_path / "c.yaml")]
     found = CliRunner().invoke(app, words)

@@ -139,7 +139,7 @@ def test_a_motion_that_tells_nothing_is_refused_and_it_is_said_what_would_help(t
     weak = Option(Stroke(0.0, 0.0, -0.05, 0.3), 0.25, "natural_curvature", 0.0)
     names = ("added_mass", "natural_curvature")
     found = Suggestion(names, (weak,), Surroundings(), {"picture": 12})
-    monkeypatch.setattr("cell.lab.next.suggest.telling_motions", lambda *_: found)
+    monkeypatch.setattr("cell.lab.next.suggest.distinguishing_motions", lambda *_: found)
     with pytest.raises(ValueError, match="no safe motion tells") as caught:
         suggest_motion(tied[1], Surroundings())
     said = str(caught.value)
@@ -149,7 +149,7 @@ def test_a_motion_that_tells_nothing_is_refused_and_it_is_said_what_would_help(t
     assert f"noise of {noise_mm / 6.0:.2g} mm instead of {noise_mm:.2g} mm" in said
     assert "room for the 12 motions that were refused, 12 for the picture" in said
     strong = replace(found, options=(replace(weak, power=0.3),))
-    monkeypatch.setattr("cell.lab.next.suggest.telling_motions", lambda *_: strong)
+    monkeypatch.setattr("cell.lab.next.suggest.distinguishing_motions", lambda *_: strong)
     assert suggest_motion(tied[1], Surroundings()) is strong
 
 

@@ -68,7 +68,7 @@ def test_at_its_limit_an_effect_costs_what_excludes_it(fitted, name):
     effect = KNOWN[name]
     (found,) = limits(AllTrialsFit(prepared, fit), [effect])
     finer = PreparedStudy.of(prepared.measured, solver=Solver(segments=64, step_s=5e-4))
-    prepared = finer.with_floor(prepared.noise_model)
+    prepared = finer.with_noise_model(prepared.noise_model)
     rise = misfit(prepared, fit, effect, found.high) - misfit(prepared, fit, effect)
     reach = 1.960 if name == "camera_scale" else 1.645
     assert np.sqrt(rise) == pytest.approx(reach, rel=0.15)

@@ -59,10 +59,8 @@ def test_what_does_not_apply_fails_nothing():
     [(1.0, "<=", True), (1.0, "<", False), (1.0, ">=", True), (1.0, ">", False)],
 )
 def test_a_limit_is_met_as_its_sign_says(value, passes, passed):
-    check = Check(
-        "n", "?", "", lambda _: Reading(value), passes, "least_heldout", "cannot_tell", "", ""
-    )
-    assert check.ask(SimpleNamespace(rules=DEFAULT_RULES)).passed is passed
+    check = Check("n", "?", "", lambda _: Reading(value), passes, "one", "cannot_tell", "", "")
+    assert check.ask(SimpleNamespace(rules=SimpleNamespace(one=1.0))).passed is passed
 
 
 def fake(**given):
@@ -123,6 +121,14 @@ def test_a_negligible_smooth_part_passes_whatever_its_chance(monkeypatch):
     assert questions.heldout_smooth(evidence).value == 1.0
     vars(evidence)["smooth_before"] = SmoothPart(500.0, 200.0, 100_000, np.inf)
     assert by_name("heldout_smooth").ask(evidence).passed is False
+
+
+def test_what_no_trial_is_held_out_for_is_not_confirmed():
+    evidence = fake(final=(1e-4, 1000.0, ["an effect"]))
+    assert by_name("confirmation").ask(evidence).passed is True
+    evidence.final.heldout = None
+    answer = by_name("confirmation").ask(evidence)
+    assert (answer.reading.value, answer.passed) == (1.0, False)
 
 
 def test_ties_count_the_effect_itself():

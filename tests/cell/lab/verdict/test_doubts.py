@@ -125,8 +125,8 @@ def test_a_fit_whose_second_start_ends_at_another_place_of_an_effect_says_so(loa
         natural[where] = mass_kg
         q = space.coordinates(natural)
         return SimpleNamespace(
-            space=space, q=q, model=space.model(q), rms_m=rms_m, chi2=200.0,
-            covariance=1e-14 * np.eye(count), solution=SimpleNamespace(residual=np.ones(100)),
+            space=space, q=q, model=space.model(q), rms_m=rms_m, widening=2.0,
+            covariance=1e-14 * np.eye(count),
         )  # fmt: skip
 
     def said(second, rms_m):

@@ -16,7 +16,7 @@ from cell.cli import app
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy, StoppedError
 from cell.lab.data.rival import Rival
-from cell.lab.next.suggest import telling_motions
+from cell.lab.next.suggest import distinguishing_motions
 from cell.lab.next.suggestion import Option
 from cell.lab.next.terms import admissible
 from cell.lab.report.tables import sentence, verdict_line
@@ -77,7 +77,7 @@ def test_stopped_before_the_second_search_has_begun_the_first_is_told(study, mon
 
     fits = replace(before, progress=progress)
     monkeypatch.setattr(
-        "cell.lab.search.fit_cache.as_its_mesh_shows", lambda prepared, fit: prepared
+        "cell.lab.search.fit_cache.without_mesh_error", lambda prepared, fit: prepared
     )
     found = diagnose(fits).diagnosis
     assert found.verdict == "cannot_tell"
@@ -194,9 +194,9 @@ def test_the_best_motion_so_far_is_suggested(study, monkeypatch):
     space = ParameterSpace.of(study.cable)
     rivals = [Rival(n, space, space.mean, np.eye(len(space.mean))) for n in "ab"]
     prepared = PreparedStudy.of(study)
-    found = telling_motions(prepared, rivals, Surroundings.read(None))
+    found = distinguishing_motions(prepared, rivals, Surroundings.read(None))
     assert [o.separation for o in found.options] == [3.0, 2.0]
     assert found.refused == {"view": 1}
     looked.extend([0.0] * 3)
     with pytest.raises(KeyboardInterrupt):
-        telling_motions(prepared, rivals, Surroundings.read(None))
+        distinguishing_motions(prepared, rivals, Surroundings.read(None))

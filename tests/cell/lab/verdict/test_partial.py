@@ -176,9 +176,9 @@ def test_of_effects_put_in_order_each_must_be_worth_something_beside_those_befor
         partial, "p_value_of", lambda _, small, large, n: chances[small.names, large.names]
     )
     steps = [base, first, second]
-    assert partial._borne_out(None, steps, 17, DEFAULT_RULES) == [base, first]
+    assert partial._significant_steps(None, steps, 17, DEFAULT_RULES) == [base, first]
     chances[first.names, second.names] = 1e-3
-    assert partial._borne_out(None, steps, 17, DEFAULT_RULES) == steps
+    assert partial._significant_steps(None, steps, 17, DEFAULT_RULES) == steps
 
 
 def test_what_was_not_fitted_to_the_fit_trials_alone_has_no_error_of_them(partly):

@@ -14,7 +14,7 @@ from cell.lab.strength.fitted_study import fit_study
 from cell.lab.verdict import prior_check
 from cell.lab.verdict.checks import explains
 from cell.lab.verdict.evidence import Evidence
-from cell.lab.verdict.prior_check import asked_by_prior_only, not_borne_out
+from cell.lab.verdict.prior_check import prior_driven_effects, unconfirmed_without_prior
 
 KNOWN = library()
 FEW = EffectSelection((), {n: KNOWN[n] for n in ("grip_angle", "tip_mass")})
@@ -35,7 +35,7 @@ def asked(study, model, effect):
     fits = fit_cache_of(study, FEW, (Path("model.json"), model))
     base = fits.baseline()
     (final,) = fits.fit_extended(base, [KNOWN[effect]])
-    return asked_by_prior_only(Evidence(fits, base, final, DEFAULT_RULES), explains)
+    return prior_driven_effects(Evidence(fits, base, final, DEFAULT_RULES), explains)
 
 
 def test_an_effect_that_only_another_cables_model_asks_for_is_told(make_study, model):
@@ -63,10 +63,10 @@ def test_of_several_effects_a_prior_may_ask_for_one_alone(monkeypatch, named, no
     """A mass, a curvature and a relaxation brought a complete study back to a threefold EI."""
     monkeypatch.setattr(prior_check, "_of_this_cable", lambda *_: True)
     monkeypatch.setattr(prior_check, "_without_prior", lambda fits: fits)
-    monkeypatch.setattr(prior_check, "not_borne_out", lambda *_: not_borne)
+    monkeypatch.setattr(prior_check, "unconfirmed_without_prior", lambda *_: not_borne)
     fits = SimpleNamespace(prior_q=[0.0], added=lambda found: found.effects)
     base, final = (SimpleNamespace(effects=tuple(KNOWN[n] for n in e)) for e in ((), named))
-    assert asked_by_prior_only(Evidence(fits, base, final, DEFAULT_RULES), explains) == told
+    assert prior_driven_effects(Evidence(fits, base, final, DEFAULT_RULES), explains) == told
 
 
 def test_an_effect_in_whose_place_another_explains_more_without_the_prior_is_told(monkeypatch):
@@ -96,8 +96,10 @@ def test_an_effect_in_whose_place_another_explains_more_without_the_prior_is_tol
         return evidence.final is not base
 
     named = [KNOWN["grip_compliance"]]
-    assert not_borne_out(alone, named, {}, DEFAULT_RULES, explained) == ("grip_compliance",)
+    assert unconfirmed_without_prior(alone, named, {}, DEFAULT_RULES, explained) == (
+        "grip_compliance",
+    )
     ties = {"grip_compliance": ("grip_angle",)}
-    assert not_borne_out(alone, named, ties, DEFAULT_RULES, explained) == ()
+    assert unconfirmed_without_prior(alone, named, ties, DEFAULT_RULES, explained) == ()
     angle.chi2 = 13250.0  # no tie
-    assert not_borne_out(alone, named, {}, DEFAULT_RULES, explained) == ()
+    assert unconfirmed_without_prior(alone, named, {}, DEFAULT_RULES, explained) == ()

@@ -9,7 +9,7 @@ from cell.cable.effects import library
 from cell.cable.solver import Solver
 from cell.identify.noise import Noise, Whitener
 from cell.identify.parameters import ParameterSpace
-from cell.lab.data.noise_floor import NoiseModel
+from cell.lab.data.noise_model import NoiseModel
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import fit_model
 from cell.lab.fit.heldout import heldout

@@ -1,6 +1,6 @@
 """The checks of what was learned from many cables, as two tables of the kind that a diagnosis has.
 
-`LESSON` asks what may be said of the model: the questions of a diagnosis that make sense for many
+`LEARNING` asks what may be said of the model: the questions of a diagnosis that make sense for many
 cables.  `GATES` asks what a candidate must meet before a line uses it: forecasts of unseen cables.
 A diagnosis asks per trial and in p-values of smooth residuals; vision of a line has errors of its
 own that are smooth, so that a line is judged by the size of an error and by forecasts.
@@ -12,11 +12,11 @@ from collections.abc import Sequence
 
 from cell.lab.data.check import Answer, Check, verdict_of
 from cell.lab.data.results import Verdict
-from cell.lab.line import lesson_questions as questions
+from cell.lab.line import learning_questions as questions
 from cell.lab.line.learn import LearningResult
-from cell.lab.line.lesson_questions import LineEvidence
+from cell.lab.line.learning_questions import LineEvidence
 
-LESSON: tuple[Check[LineEvidence], ...] = (
+LEARNING: tuple[Check[LineEvidence], ...] = (
     Check(
         "fitted_error",
         "Is the error on all cables that of noise?",
@@ -64,15 +64,15 @@ LESSON: tuple[Check[LineEvidence], ...] = (
 )
 
 
-def lesson_answers(lesson: LearningResult) -> list[Answer[LineEvidence]]:
+def learning_answers(result: LearningResult) -> list[Answer[LineEvidence]]:
     """Of every question that is asked of what was learned."""
-    return [check.ask(LineEvidence(lesson)) for check in LESSON]
+    return [check.ask(LineEvidence(result)) for check in LEARNING]
 
 
-def lesson_verdict(lesson: LearningResult, found: Sequence[Answer[LineEvidence]]) -> Verdict:
+def learning_verdict(result: LearningResult, found: Sequence[Answer[LineEvidence]]) -> Verdict:
     """Of what was learned; nothing is complete while effects were left out of the search."""
-    verdict = verdict_of(found, lesson.best is None)
-    return "cannot_tell" if verdict == "complete" and lesson.left_out else verdict
+    verdict = verdict_of(found, result.best is None)
+    return "cannot_tell" if verdict == "complete" and result.left_out else verdict
 
 
 GATES: tuple[Check[LineEvidence], ...] = (

@@ -1,4 +1,4 @@
-"""Noise of the camera, level and colour: a set from the rest, and the best in it by all frames."""
+"""Noise of the camera: levels and correlations that the rest allows, the best by all frames."""
 
 from __future__ import annotations
 
@@ -38,14 +38,15 @@ class NoiseUnknownError(ValueError):
 class NoiseModel:
     """The noise of the markers, and the uncertainty of its level.
 
-    dof   degrees of freedom behind the level; `inf` if the study states it
-    coloured  whether still frames have shown its colour
-    together  channels that err together, as of markers taken from a fitted shape: so many values
+    dof       degrees of freedom behind the level; `inf` if the study states it
+    coloured  whether still frames have shown its AR(1) correlation
+    correlated_channels  channels with one error, as of markers on a fitted shape: so many values
               tell as much as one
-    rest      what still frames tell of level and colour; None where the level is stated
+    rest      what still frames tell of level and correlation; None where the level is stated
     range_m   95 % interval of the level by the rest alone, m; None where that is not asked
     hidden    values are rounded so much that still frames do not show their error
-    slow      degrees of freedom behind the level of its slow part; None: as a known colour's
+    slow      degrees of freedom behind the level of its slow part; None: as of a known
+              correlation
     """
 
     noise: Noise
@@ -92,20 +93,20 @@ class NoiseModel:
 
     @property
     def slow_dof(self) -> float:
-        """Degrees of freedom behind the level of its slow part, which the colour decides.
+        """Degrees of freedom behind the level of its slow part, which the correlation decides.
 
         That level is the innovations' variance over (1 − ρ)²; the variance of ρ is (1 − ρ²) / n.
         """
         return self.slow or self.dof / (1.0 + 2.0 / self.effective_fraction)
 
 
-def floor_of_residuals(noise_model: NoiseModel, errors: Sequence[FloatArray]) -> NoiseModel:
-    """A stated floor with the correlations that a fitted model's residuals have.
+def noise_model_of_residuals(noise_model: NoiseModel, errors: Sequence[FloatArray]) -> NoiseModel:
+    """A stated noise with the correlations that a fitted model's residuals have.
 
     A study that states its error has it from elsewhere: from shapes fitted to pictures, say, which
     err along the whole cable at once and for several frames, and its few still frames say little of
     that.  What the model misses is slow and along the whole cable too, so that the residual is no
-    less correlated than the error: its colour bounds the error's.
+    less correlated than the error: its AR(1) correlation bounds the error's.
 
     errors  per trial (times, channels), m, nan where not seen
     source  (tr K)² / tr K² of the channels' correlations K, less what chance makes of it
@@ -117,25 +118,25 @@ def floor_of_residuals(noise_model: NoiseModel, errors: Sequence[FloatArray]) ->
     pairs = [np.isfinite(e[1:]) & np.isfinite(e[:-1]) for e in errors]
     products = sum(float(np.sum((e[1:] * e[:-1])[p])) for e, p in zip(filled, pairs, strict=True))
     count, neighbours = (sum(int(x.sum()) for x in y) for y in (map(np.isfinite, errors), pairs))
-    colour = float(np.clip(products / max(neighbours, 1) * count / power, 0.0, MAX_AR1))
+    ar1 = float(np.clip(products / max(neighbours, 1) * count / power, 0.0, MAX_AR1))
     if noise_model.coloured:
-        colour = min(colour, noise_model.noise.ar1)
+        ar1 = min(ar1, noise_model.noise.ar1)
     channels = np.sum([e.T @ e for e in filled], axis=0)
     there = int(np.count_nonzero(np.diag(channels)))
-    frames = count / there * (1.0 - colour**2) / (1.0 + colour**2)
+    frames = count / there * (1.0 - ar1**2) / (1.0 + ar1**2)
     alike = float(np.sum(channels**2)) / power**2 - 1.0 / frames
-    together = float(np.clip(there * alike, 1.0, there))
+    correlated = float(np.clip(there * alike, 1.0, there))
     return replace(
-        noise_model, noise=replace(noise_model.noise, ar1=colour), correlated_channels=together
+        noise_model, noise=replace(noise_model.noise, ar1=ar1), correlated_channels=correlated
     )
 
 
-def noise_floor(study: Study) -> NoiseModel:
-    """Noise floor of a study, from the frames before anything moves, all markers together.
+def noise_model_of(study: Study) -> NoiseModel:
+    """Noise of a study, from the frames before anything moves, all markers together.
 
     Restricted maximum likelihood of level and AR(1) correlation; each coordinate of each trial has
     its own mean, and its own slope or parabola where the cable is still settling (chosen by BIC).
-    A level stated in the study is kept and only its colour estimated.
+    A level stated in the study is kept and only its correlation estimated.
 
     raises  NoiseUnknownError: no still frames and no stated level
     """
@@ -162,13 +163,13 @@ def _still_blocks(trial: Trial) -> list[Block]:
     still = still_frames(trial.markers.t_s, trial.grip, trial.rests_until_s)
     series_m = trial.markers.xy_m[still]
     series_m = series_m.reshape(len(series_m), 2 * series_m.shape[1])
-    together: dict[tuple[int, int], list[int]] = {}
+    runs: dict[tuple[int, int], list[int]] = {}
     seen: NDArray[np.bool_] = np.isfinite(series_m)
     for series in range(series_m.shape[1]):
         begin, end = _longest_run(seen[:, series])
         if end - begin >= MIN_STILL_FRAMES:
-            together.setdefault((begin, end), []).append(series)
-    return [Block(series_m[begin:end, series]) for (begin, end), series in together.items()]
+            runs.setdefault((begin, end), []).append(series)
+    return [Block(series_m[begin:end, series]) for (begin, end), series in runs.items()]
 
 
 def _longest_run(seen: NDArray[np.bool_]) -> tuple[int, int]:
@@ -180,12 +181,12 @@ def _longest_run(seen: NDArray[np.bool_]) -> tuple[int, int]:
     return int(begin), int(end)
 
 
-def floor_of_all_frames(noise_model: NoiseModel, remainder: Remainder) -> NoiseModel:
+def noise_model_of_all_frames(noise_model: NoiseModel, remainder: Remainder) -> NoiseModel:
     """The noise of highest likelihood over rest and remainder, within what the rest allows.
 
-    Few still frames leave level and colour uncertain, and a noise taken for known that is not makes
-    misfits of it.  In motion there are more values, but a misfit may be in them: so they choose
-    within what the rest allows, and what goes beyond that is no noise.
+    Few still frames leave level and correlation uncertain, and a noise that is wrongly taken for
+    known makes misfits of it.  In motion there are more values, but a misfit may be in them: so
+    they choose within what the rest allows, and what goes beyond that is no noise.
     source  Berger and Boos 1994, J. Am. Stat. Assoc. 89, 1012: nuisances within a confidence set
     """
     if noise_model.rest is None:
@@ -200,8 +201,8 @@ def floor_of_all_frames(noise_model: NoiseModel, remainder: Remainder) -> NoiseM
     cost = dof * np.log(level) + square / level + rest.fixed + log_det
     cost = np.where(least <= largest, cost, np.inf)
     best = int(np.argmin(cost))
-    colour, white = noises[best]
-    noise = Noise(float(np.sqrt(level[best])), colour, white=white)
+    ar1, white = noises[best]
+    noise = Noise(float(np.sqrt(level[best])), ar1, white=white)
     if not least[best] <= wanted[best] <= largest[best]:
         dof = noise_model.dof
     slow = None

@@ -9,13 +9,13 @@ import pytest
 
 from cell.lab.data.check import Check
 from cell.lab.line.learn import LearningResult
-from cell.lab.line.lesson_checks import GATES, LESSON, lesson_answers, lesson_verdict
-from cell.lab.line.lesson_questions import LineEvidence, LineRules
-from cell.lab.report.lesson_tables import lesson_lines, lesson_parts
+from cell.lab.line.learning_checks import GATES, LEARNING, learning_answers, learning_verdict
+from cell.lab.line.learning_questions import LineEvidence, LineRules
+from cell.lab.report.learning_tables import learning_lines, learning_parts
 from cell.lab.verdict.checks import CHECKS
 
 
-@pytest.mark.parametrize("check", [*LESSON, *GATES], ids=lambda c: c.name)
+@pytest.mark.parametrize("check", [*LEARNING, *GATES], ids=lambda c: c.name)
 def test_a_row_has_a_question_a_limit_a_sentence_and_a_reason(check: Check[LineEvidence]) -> None:
     assert check.question.endswith("?") and len(check.question) <= 60
     assert check.unit
@@ -27,12 +27,12 @@ def test_a_row_has_a_question_a_limit_a_sentence_and_a_reason(check: Check[LineE
 
 def test_what_a_diagnosis_asks_too_has_the_same_name_and_means_the_same() -> None:
     diagnosis = {c.name: c.failing for c in CHECKS}
-    same = {c.name: c.failing for c in LESSON if c.name in diagnosis}
+    same = {c.name: c.failing for c in LEARNING if c.name in diagnosis}
     assert set(same) == {"fitted_error", "ties", "noise_unknown"}
     assert same == {name: diagnosis[name] for name in same}
 
 
-def lesson(rms_m: float = 1e-4, *, beyond_m: float = 0.0, allowed: float = 1.2) -> LearningResult:
+def result(rms_m: float = 1e-4, *, beyond_m: float = 0.0, allowed: float = 1.2) -> LearningResult:
     """Two cables without a missing effect, at a noise of 0.1 mm."""
     noise_model = SimpleNamespace(range_m=(9e-5, 1.1e-4), allowed_over_level=allowed)
     cable = SimpleNamespace(noise=SimpleNamespace(std_m=1e-4), noise_model=noise_model)
@@ -52,17 +52,17 @@ def lesson(rms_m: float = 1e-4, *, beyond_m: float = 0.0, allowed: float = 1.2) 
         ({"rms_m": 1.2e-4, "allowed": 2.5}, ["fitted_error", "noise_unknown"], "unexplained"),
     ],
 )
-def test_a_lesson_is_complete_only_if_every_question_is_answered_so(
+def test_a_result_is_complete_only_if_every_question_is_answered_so(
     given: dict[str, float], failed: list[str], verdict: str
 ) -> None:
-    found = lesson(**given)
-    answers = lesson_answers(found)
+    found = result(**given)
+    answers = learning_answers(found)
     assert [a.name for a in answers if a.passed is False] == failed
-    assert lesson_verdict(found, answers) == verdict
-    assert ("the model is complete" in lesson_lines(found)[-1]) == (verdict == "complete")
-    assert str(lesson_parts(found, [])[0]).startswith(f"Verdict {verdict}: ")
+    assert learning_verdict(found, answers) == verdict
+    assert ("the model is complete" in learning_lines(found)[-1]) == (verdict == "complete")
+    assert str(learning_parts(found, [])[0]).startswith(f"Verdict {verdict}: ")
 
 
 def test_nothing_is_complete_while_effects_were_left_out() -> None:
-    found = replace(lesson(), left_out=("a fit with draught, for the limit",))
-    assert lesson_verdict(found, lesson_answers(found)) == "cannot_tell"
+    found = replace(result(), left_out=("a fit with draught, for the limit",))
+    assert learning_verdict(found, learning_answers(found)) == "cannot_tell"

@@ -32,7 +32,7 @@ A_LITTLE = 0.05
 ALIKE = 3.0
 
 
-def where_all_show_it(
+def common_start(
     prepared: Sequence[PreparedStudy],
     base: ParameterSpace,
     plausible: FloatArray,
@@ -73,11 +73,6 @@ def where_all_show_it(
     return begin, values
 
 
-def coordinates_of(fit: Fit, names: Sequence[str]) -> FloatArray:
-    """Coordinates of these parameters in a fit."""
-    return np.array([fit.q[fit.space.names.index(name)] for name in names])
-
-
 def values_of(fit: Fit, effects: Sequence[type[Effect]]) -> FloatArray:
     """Natural values of all parameters of these effects in a fit."""
     values = fit.space.natural(fit.q)
@@ -97,8 +92,7 @@ def distinct(
         fit = candidate.fit
         names = [n for n in fit.space.names if n.startswith(tuple(f"{e.name}." for e in effects))]
         index = [fit.space.names.index(n) for n in names]
-        widened = max(1.0, fit.chi2 / max(1, int(np.count_nonzero(fit.solution.residual))))
-        q, variance = fit.q[index], widened * np.diag(fit.covariance)[index]
+        q, variance = fit.q[index], fit.widening * np.diag(fit.covariance)[index]
         apart = [(q - a) ** 2 > ALIKE**2 * (variance + b) for _, a, b in kept]
         if all(np.any(far) for far in apart):
             kept.append((candidate, q, variance))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cell.cable.effects.base import Effect
 from cell.lab.data.check import Reading
-from cell.lab.data.noise_floor import KNOWN_WITHIN
+from cell.lab.data.noise_model import KNOWN_WITHIN
 from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.fit.shared import BIAS_M, SharedFit, Spread
 from cell.lab.line.effect_fit import EffectFit
@@ -64,7 +64,7 @@ class LineRules:
 class LineEvidence:
     """What was learned, and forecasts of the recorded motions by the present model and with it."""
 
-    lesson: LearningResult
+    result: LearningResult
     paired: Sequence[ForecastPair] = ()
     destination: Destination | None = None
     rules: LineRules = LineRules()
@@ -72,13 +72,13 @@ class LineEvidence:
     @property
     def fit(self) -> SharedFit:
         """The model that is judged, fitted to all cables."""
-        return self.lesson.baseline if self.lesson.best is None else self.lesson.best.fit
+        return self.result.baseline if self.result.best is None else self.result.best.fit
 
     @property
     def best(self) -> EffectFit:
         """The effects of the candidate."""
-        assert self.lesson.best is not None
-        return self.lesson.best
+        assert self.result.best is not None
+        return self.result.best
 
     @property
     def errors_m(self) -> tuple[FloatArray, FloatArray]:
@@ -102,7 +102,7 @@ def ends_beyond(evidence: LineEvidence) -> Reading | None:
 
 def most_tied(evidence: LineEvidence) -> Reading | None:
     """Number of effects that explain as much as the one found, itself included."""
-    return None if evidence.lesson.best is None else Reading(1.0 + len(evidence.lesson.tied))
+    return None if evidence.result.best is None else Reading(1.0 + len(evidence.result.tied))
 
 
 def noise_range(evidence: LineEvidence) -> Reading | None:
@@ -110,7 +110,7 @@ def noise_range(evidence: LineEvidence) -> Reading | None:
     cables = evidence.fit.cables
     allowed = [c.noise_model.allowed_over_level for c in cables if c.noise_model.range_m]
     known = [a for a in allowed if a is not None]
-    if evidence.lesson.best is not None or not known:
+    if evidence.result.best is not None or not known:
         return None
     return Reading(min(known))
 
@@ -150,7 +150,7 @@ def forecast_better(evidence: LineEvidence) -> Reading:
         p = 1.0 if same else float(wilcoxon(path_before, path_after, alternative="greater").pvalue)
         how = f"p = {p:.2g}"
     else:
-        worse = int(np.sum(after > before + evidence.lesson.noise_m))
+        worse = int(np.sum(after > before + evidence.result.noise_m))
         p, how = float(worse > 0), f"{worse} of {len(before)} worse"
     gain = rms[0] - rms[1]
     enough = rms[1] < (1.0 - rules.least_gain) * rms[0] and gain > rules.least_gain_m

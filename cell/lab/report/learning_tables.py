@@ -12,8 +12,8 @@ from cell.lab.data.check import Answer
 from cell.lab.data.results import Verdict
 from cell.lab.line.forecasts import ForecastPair
 from cell.lab.line.learn import LearningResult
-from cell.lab.line.lesson_checks import lesson_answers, lesson_verdict
-from cell.lab.line.lesson_questions import LineEvidence
+from cell.lab.line.learning_checks import learning_answers, learning_verdict
+from cell.lab.line.learning_questions import LineEvidence
 from cell.lab.report.tables import checks_table
 from cell.lab.report.wording import check_rows
 from cell.records.mean_error import FEWEST, interval
@@ -21,8 +21,8 @@ from cell.records.mean_error import FEWEST, interval
 #: What helps where the library has no name for what is missing.
 LAWS = "`cell learn --laws` looks for a law that is not in the library"
 
-#: What the verdict of a lesson means.
-LESSON_VERDICTS: dict[Verdict, str] = {
+#: What the verdict of `cell learn` means.
+LEARNING_VERDICTS: dict[Verdict, str] = {
     "complete": "these cycles show no missing effect",
     "missing": "the effect named is missing in the model; the gates say whether it helps the line",
     "unexplained": "the model lacks an effect, and none that was tried explains the error",
@@ -32,22 +32,22 @@ LESSON_VERDICTS: dict[Verdict, str] = {
 FloatArray = NDArray[np.float64]
 
 
-def lesson_lines(lesson: LearningResult, *, so_far: bool = False) -> list[str]:
+def learning_lines(result: LearningResult, *, so_far: bool = False) -> list[str]:
     """What is missing, how much of the error it explains, and how sure that is.
 
     so_far  the search for effects was interrupted
     """
-    before_m, noise_m = lesson.baseline.rms_m, lesson.noise_m
+    before_m, noise_m = result.baseline.rms_m, result.noise_m
     first = (
-        f"{_cables(len(lesson.cycles))}: the model misses {before_m * 1e3:.3f} mm rms, "
+        f"{_cables(len(result.cycles))}: the model misses {before_m * 1e3:.3f} mm rms, "
         f"the noise is {noise_m * 1e3:.3f} mm"
     )
-    if lesson.best is None and so_far:
+    if result.best is None and so_far:
         return [first, "the missing effect is not identified yet; nothing was written"]
-    if lesson.best is None:
-        return [first, _nothing(lesson)]
-    best, lines = lesson.best, [first]
-    natural = best.fit.space.natural(_point(lesson))[best.fit.common]
+    if result.best is None:
+        return [first, _nothing(result)]
+    best, lines = result.best, [first]
+    natural = best.fit.space.natural(_point(result))[best.fit.common]
     values = ", ".join(
         f"{name.partition('.')[2]} {value:.4g} {best.fit.space.units[i]}".removesuffix(" 1")
         for name, value, i in zip(best.names, natural, best.fit.common, strict=True)
@@ -56,9 +56,9 @@ def lesson_lines(lesson: LearningResult, *, so_far: bool = False) -> list[str]:
         f"missing: {best.name} ({values}), {_chance(best.p_value)}; with it the model misses "
         f"{best.fit.rms_m * 1e3:.3f} mm"
     )
-    if lesson.tied:
-        lines.append(f"these cycles cannot distinguish it from: {', '.join(lesson.tied)}")
-    for i, s in zip(best.firsts, lesson.spread, strict=True):
+    if result.tied:
+        lines.append(f"these cycles cannot distinguish it from: {', '.join(result.tied)}")
+    for i, s in zip(best.firsts, result.spread, strict=True):
         if s.dof > 0:
             lines.append(
                 f"{best.names[i]} differs between cables by {s.tau:.3g} (standard deviation; "
@@ -69,14 +69,14 @@ def lesson_lines(lesson: LearningResult, *, so_far: bool = False) -> list[str]:
     return lines
 
 
-def _nothing(lesson: LearningResult) -> str:
+def _nothing(result: LearningResult) -> str:
     """What it means that no effect was found."""
-    if lesson.left_out:
+    if result.left_out:
         return "no effect that was tried explains more than chance; some were not tried"
     nothing = "no effect of the library explains more than chance"
-    found = lesson_answers(lesson)
+    found = learning_answers(result)
     why = " ".join(a.check.failed for a in found if a.passed is False)
-    verdict = lesson_verdict(lesson, found)
+    verdict = learning_verdict(result, found)
     if verdict == "complete":
         return f"{nothing}: the model is complete"
     if verdict == "unexplained":
@@ -84,32 +84,32 @@ def _nothing(lesson: LearningResult) -> str:
     return f"{nothing}. {why}"
 
 
-def lesson_parts(
-    lesson: LearningResult, judged: Sequence[Answer[LineEvidence]]
+def learning_parts(
+    result: LearningResult, judged: Sequence[Answer[LineEvidence]]
 ) -> list[str | TableData]:
-    """What the result rests on: the verdict, its checks, the votes of the cycles, the gates."""
-    found = lesson_answers(lesson)
-    verdict = lesson_verdict(lesson, found)
+    """What the result rests on: the verdict, its checks, the evidence of each cycle, the gates."""
+    found = learning_answers(result)
+    verdict = learning_verdict(result, found)
     parts: list[str | TableData] = [
-        f"Verdict {verdict}: {LESSON_VERDICTS[verdict]}.",
+        f"Verdict {verdict}: {LEARNING_VERDICTS[verdict]}.",
         checks_table([answer.result for answer in found]),
     ]
-    return parts if lesson.best is None else [*parts, votes_table(lesson), gates_table(judged)]
+    return parts if result.best is None else [*parts, cycle_table(result), gates_table(judged)]
 
 
 def _cables(count: int) -> str:
     return f"{count} cable" if count == 1 else f"{count} cables"
 
 
-def votes_table(lesson: LearningResult) -> TableData:
+def cycle_table(result: LearningResult) -> TableData:
     """Which cycles speak for the effect, and which against."""
-    assert lesson.best is not None
-    name = lesson.best.names[lesson.best.firsts[-1]].partition(".")[2]
+    assert result.best is not None
+    name = result.best.names[result.best.firsts[-1]].partition(".")[2]
     rows = []
-    for v in lesson.votes:
+    for v in result.cycle_evidence:
         speaks = "for" if v.fall > 2.0 else "against" if v.fall < -2.0 else "neither"
         rows.append([v.cycle, speaks, f"{v.fall:.1f}", f"{v.value:.4g}", f"{v.std:.2g}"])
-    title = f"cycles for and against {lesson.best.effect.name}"
+    title = f"cycles for and against {result.best.effect.name}"
     return TableData(title, ["cycle", "speaks", "fall of χ²", name, "±"], rows, (2, 3, 4))
 
 
@@ -128,10 +128,10 @@ def _chance(p_value: float) -> str:
     return f"p = {p_value:.2g}" if p_value > 1e-300 else "p < 1e-300"
 
 
-def _point(lesson: LearningResult) -> FloatArray:
-    assert lesson.best is not None
-    q = lesson.best.fit.space.mean.copy()
-    q[lesson.best.fit.common] = lesson.best.fit.theta
+def _point(result: LearningResult) -> FloatArray:
+    assert result.best is not None
+    q = result.best.fit.space.mean.copy()
+    q[result.best.fit.common] = result.best.fit.theta
     return q
 
 

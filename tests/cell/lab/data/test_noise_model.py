@@ -6,21 +6,21 @@ import numpy as np
 import pytest
 
 from cell.identify.noise import Noise
-from cell.lab.data.noise_floor import (
+from cell.lab.data.noise_likelihood import Remainder
+from cell.lab.data.noise_model import (
     KNOWN_WITHIN,
     NoiseModel,
     NoiseUnknownError,
-    floor_of_all_frames,
-    floor_of_residuals,
-    noise_floor,
+    noise_model_of,
+    noise_model_of_all_frames,
+    noise_model_of_residuals,
 )
-from cell.lab.data.noise_likelihood import Remainder
 from cell.study.data import Markers
 
 
 @pytest.mark.parametrize("colour", [0.0, 0.5, 0.9])
 def test_level_and_colour_are_recovered(make_study, colour):
-    found = [noise_floor(make_study(seed=s, ar1=colour, noise_m=2e-4)).noise for s in range(3)]
+    found = [noise_model_of(make_study(seed=s, ar1=colour, noise_m=2e-4)).noise for s in range(3)]
     assert np.mean([n.ar1 for n in found]) == pytest.approx(colour, abs=0.05)
     assert np.mean([n.std_m for n in found]) == pytest.approx(
         2e-4, rel=0.03 if colour < 0.6 else 0.1
@@ -35,7 +35,7 @@ def test_a_settling_cable_does_not_count_as_noise(make_study):
         drifting.append(
             replace(trial, markers=Markers(trial.markers.t_s, trial.markers.xy_m + sag))
         )
-    found = noise_floor(replace(study, trials=tuple(drifting))).noise
+    found = noise_model_of(replace(study, trials=tuple(drifting))).noise
     assert found.std_m == pytest.approx(1e-4, rel=0.1)
     assert found.ar1 < 0.2
 
@@ -50,14 +50,14 @@ def test_lost_frames_and_markers_cost_no_more_than_themselves(make_study):
         for marker in range(xy_m.shape[1]):
             xy_m[8 + marker % 3, marker] = np.nan
         gappy.append(replace(trial, markers=Markers(trial.markers.t_s, xy_m)))
-    noise_model, whole = noise_floor(replace(study, trials=tuple(gappy))), noise_floor(study)
+    noise_model, whole = noise_model_of(replace(study, trials=tuple(gappy))), noise_model_of(study)
     assert noise_model.noise.std_m == pytest.approx(2e-4, rel=0.05)
     assert noise_model.noise.ar1 == pytest.approx(0.5, abs=0.1)
     assert 0.5 * whole.dof < noise_model.dof < whole.dof
 
 
 def test_a_stated_level_is_kept(make_study):
-    assert noise_floor(replace(make_study(), noise_std_m=3e-4)).noise.std_m == 3e-4
+    assert noise_model_of(replace(make_study(), noise_std_m=3e-4)).noise.std_m == 3e-4
 
 
 def test_without_still_frames_the_level_must_be_given(make_study):
@@ -67,8 +67,8 @@ def test_without_still_frames_the_level_must_be_given(make_study):
     ]
     moving = replace(study, trials=tuple(late))
     with pytest.raises(NoiseUnknownError, match="noise_std_m"):
-        noise_floor(moving)
-    assert noise_floor(replace(moving, noise_std_m=1e-4)).noise.std_m == 1e-4
+        noise_model_of(moving)
+    assert noise_model_of(replace(moving, noise_std_m=1e-4)).noise.std_m == 1e-4
 
 
 def test_a_stated_error_is_as_correlated_as_what_a_model_leaves():
@@ -81,7 +81,7 @@ def test_a_stated_error_is_as_correlated_as_what_a_model_leaves():
         errors.append(1e-3 * np.einsum("tkc,mk->tmc", shapes, along).reshape(180, 12))
     errors[0][5:9, 3] = np.nan
     stated = NoiseModel(Noise(1e-3, 0.9), np.inf)
-    found = floor_of_residuals(stated, errors)
+    found = noise_model_of_residuals(stated, errors)
     assert found.noise.std_m == 1e-3
     assert found.noise.ar1 == pytest.approx(2.0 / 3.0, abs=0.06)
     assert 12.0 / found.correlated_channels == pytest.approx(
@@ -89,13 +89,13 @@ def test_a_stated_error_is_as_correlated_as_what_a_model_leaves():
     )  # of two shapes, two coordinates
     assert found.weighed.std_m == pytest.approx(1e-3 * np.sqrt(found.correlated_channels))
     white = [1e-3 * rng.normal(size=(180, 12)) for _ in range(3)]
-    alone = floor_of_residuals(replace(stated, coloured=False), white)
+    alone = noise_model_of_residuals(replace(stated, coloured=False), white)
     assert alone.correlated_channels == pytest.approx(1.0, abs=0.1)
     assert alone.noise.ar1 == pytest.approx(0.0, abs=0.05)
     bound = replace(stated, noise=Noise(1e-3, 0.3))
-    assert floor_of_residuals(bound, errors).noise.ar1 == 0.3
+    assert noise_model_of_residuals(bound, errors).noise.ar1 == 0.3
     seen = NoiseModel(Noise(1e-3, 0.9), 400.0)
-    assert floor_of_residuals(seen, errors) == seen
+    assert noise_model_of_residuals(seen, errors) == seen
 
 
 def cut(study, frames, markers):
@@ -123,8 +123,8 @@ def test_few_still_frames_are_helped_by_those_in_motion(make_study):
     """By 12 frames of one marker the level is right to 30 %, by all to 8 %; colour likewise."""
     alone, helped = [], []
     for seed in range(6):
-        noise_model = noise_floor(cut(make_study(seed=seed, ar1=0.6), 12, 1))
-        found = floor_of_all_frames(noise_model, moving(seed, 1e-4, 0.6))
+        noise_model = noise_model_of(cut(make_study(seed=seed, ar1=0.6), 12, 1))
+        found = noise_model_of_all_frames(noise_model, moving(seed, 1e-4, 0.6))
         alone.append([noise_model.noise.std_m / 1e-4, noise_model.noise.ar1])
         helped.append([found.noise.std_m / 1e-4, found.noise.ar1])
         assert found.dof > noise_model.dof
@@ -136,17 +136,17 @@ def test_few_still_frames_are_helped_by_those_in_motion(make_study):
 def test_what_the_rest_does_not_allow_is_no_noise(make_study):
     """A misfit of three times the noise stays one, beside a long rest and a short one."""
     for frames, most in ((38, 1.3), (12, 2.6)):
-        noise_model = noise_floor(cut(make_study(ar1=0.0), frames, 2))
-        found = floor_of_all_frames(noise_model, moving(0, 3e-4, 0.8))
+        noise_model = noise_model_of(cut(make_study(ar1=0.0), frames, 2))
+        found = noise_model_of_all_frames(noise_model, moving(0, 3e-4, 0.8))
         assert found.noise.std_m < most * 1e-4
         assert found.dof == noise_model.dof
 
 
 def test_a_known_level_and_a_long_rest_are_left_alone(make_study):
-    stated = noise_floor(replace(make_study(), noise_std_m=1e-4))
-    assert floor_of_all_frames(stated, moving(0, 3e-4, 0.8)) is stated
-    noise_model = noise_floor(make_study(ar1=0.3))
-    found = floor_of_all_frames(noise_model, moving(0, 1e-4, 0.3))
+    stated = noise_model_of(replace(make_study(), noise_std_m=1e-4))
+    assert noise_model_of_all_frames(stated, moving(0, 3e-4, 0.8)) is stated
+    noise_model = noise_model_of(make_study(ar1=0.3))
+    found = noise_model_of_all_frames(noise_model, moving(0, 1e-4, 0.3))
     assert found.noise.std_m == pytest.approx(noise_model.noise.std_m, rel=0.03)
     assert found.allowed_over_level < KNOWN_WITHIN
 
@@ -154,10 +154,10 @@ def test_a_known_level_and_a_long_rest_are_left_alone(make_study):
 def test_whether_the_rest_was_long_enough_is_told(make_study):
     """Twelve frames of a marker leave room for an error as large as the noise, forty do not."""
     study = make_study(seed=1, ar1=0.0)
-    short = floor_of_all_frames(noise_floor(cut(study, 10, 1)), moving(1, 1e-4, 0.0))
+    short = noise_model_of_all_frames(noise_model_of(cut(study, 10, 1)), moving(1, 1e-4, 0.0))
     assert short.allowed_over_level >= KNOWN_WITHIN
     assert short.frames_needed >= 20
-    long = floor_of_all_frames(noise_floor(cut(study, 38, 2)), moving(1, 1e-4, 0.0))
+    long = noise_model_of_all_frames(noise_model_of(cut(study, 38, 2)), moving(1, 1e-4, 0.0))
     assert long.allowed_over_level < KNOWN_WITHIN
     assert long.range_m[0] < 1e-4 < long.range_m[1]
 
@@ -173,20 +173,20 @@ def rounded(study, step_m):
 def test_values_rounded_to_more_than_they_vary_hide_their_error(make_study):
     """Steps of 0.4 mm, noise of 0.02 mm: at rest nearly nothing moves, in motion 0.115 mm err."""
     step_m = 4e-4
-    noise_model = noise_floor(rounded(make_study(noise_m=2e-5), step_m))
+    noise_model = noise_model_of(rounded(make_study(noise_m=2e-5), step_m))
     assert noise_model.noise.std_m == pytest.approx(step_m / np.sqrt(12.0), rel=1e-6)
-    found = floor_of_all_frames(noise_model, moving(0, 1.3e-4, 0.0))
+    found = noise_model_of_all_frames(noise_model, moving(0, 1.3e-4, 0.0))
     assert found.noise.std_m == pytest.approx(1.3e-4, rel=0.1)
-    gross = floor_of_all_frames(noise_model, moving(0, 6e-4, 0.0))
+    gross = noise_model_of_all_frames(noise_model, moving(0, 6e-4, 0.0))
     assert step_m / np.sqrt(12.0) < gross.noise.std_m < 0.5 * step_m
 
 
 def test_rounding_beside_coloured_noise_is_white(make_study):
     """The slow part is that of what is coloured: of one AR(1) for both it would be a half."""
     step_m, rng = 2e-4, np.random.default_rng(0)
-    noise_model = noise_floor(rounded(make_study(ar1=0.8), step_m))
+    noise_model = noise_model_of(rounded(make_study(ar1=0.8), step_m))
     errors = 1e-4 * coloured(rng, (400, 22), 0.8) + step_m * rng.uniform(-0.5, 0.5, (400, 22))
-    found = floor_of_all_frames(noise_model, Remainder((errors,), errors.size))
+    found = noise_model_of_all_frames(noise_model, Remainder((errors,), errors.size))
     assert found.noise.ar1 == pytest.approx(0.8, abs=0.04)
     assert found.noise.white == pytest.approx(0.25, abs=0.1)
     slow = found.noise.std_m**2 / found.effective_fraction

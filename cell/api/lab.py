@@ -1,0 +1,245 @@
+"""Commands of the lab as functions: fit, compare, diagnose, suggest."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cell.api.results import CompareResult, DiagnoseResult, FitResult, SuggestResult
+from cell.identify.identified import Identified
+from cell.lab.data.opened_study import open_study
+from cell.lab.data.own_check import read_own_checks
+from cell.lab.data.progress import Progress, no_progress
+from cell.lab.data.selection import (
+    EffectSelection,
+    candidates_in,
+    select_effects,
+    select_for_diagnosis,
+)
+from cell.lab.data.thresholds import DEFAULT_RULES, Rules
+from cell.lab.fit.individual_model import check_same_kind, read_model
+from cell.lab.next.advice import Paths, advice
+from cell.lab.search.setup import fit_cache_of, read_kind, read_prior
+from cell.lab.search.wrong_samples import without_wrong_samples
+from cell.lab.strength.compare import compare_model
+from cell.lab.strength.fitted_study import fit_study
+from cell.lab.strength.trial_agreement import agreement
+from cell.lab.verdict.checks import CHECKS
+from cell.lab.verdict.diagnose import diagnose as examine
+from cell.lab.verdict.doubts import fit_doubts, lacking_doubt
+from cell.lab.verdict.limits_and_agreement import with_agreement, with_limits
+from cell.study.data import Study
+
+if TYPE_CHECKING:
+    from cell.lab.search.fit_cache import FitCache
+    from cell.lab.verdict.diagnose import Examination
+
+#: A study, or the folder of one or of a recorded cycle.
+StudyOrFolder = Study | Path | str
+#: Told of what is odd about a study, one sentence each.
+Tell = Callable[[Sequence[str]], None]
+
+
+def read_study(folder: Path | str) -> Study:
+    """A study, by its folder or that of a recorded cycle; its notes say what is odd about it.
+
+    raises  InputError: file, line, what is wrong, and how to mend it
+    """
+    return open_study(Path(folder))
+
+
+def fit(
+    study: StudyOrFolder,
+    *,
+    effects: Sequence[str] = (),
+    prior: Path | str | None = None,
+    config: Path | str | None = None,
+    progress: Progress = no_progress,
+) -> FitResult:
+    """Fit the cable's parameters, and those of effects, to the trials of role `fit`.
+
+    effects  part of the model: names of the library, or files of your own (`effect.py`)
+    prior    model of an earlier cable, written by `FitResult.write`
+    config   settings of a cell, whose `model` is the model to start from
+    progress told what is computed, and how much of it is done
+    raises   InputError, ValueError: study, effect or model is wrong, and how to mend it
+    """
+    return fitted(set_up(study, select_effects(effects), prior, config, progress))
+
+
+def compare(
+    study: StudyOrFolder,
+    models: Sequence[FitResult | Identified | Path | str],
+    *,
+    names: Sequence[str] | None = None,
+) -> CompareResult:
+    """Compare models with every trial of a study.
+
+    models  in the order in which they were made
+    names   under which they are shown; without: their effects
+    raises  InputError, ValueError: a model is of another kind of cable, or cannot be read
+    """
+    opened = _opened(study, _silent)
+    shown = [_model(m, opened) for m in models]
+    pairs = zip(models, shown, strict=True)
+    titles = [_title(g, m) for g, m in pairs] if names is None else list(names)
+    if len(titles) != len(shown):
+        raise ValueError(f"names: {len(titles)} for {len(shown)} models; give one for each")
+    named = zip(shown, titles, strict=True)
+    return CompareResult(tuple(compare_model(opened, m.model, name) for m, name in named))
+
+
+def diagnose(
+    study: StudyOrFolder,
+    *,
+    effects: Sequence[str] = (),
+    candidates: Path | str | None = None,
+    known: Sequence[str] = (),
+    checks: Sequence[Path | str] = (),
+    prior: Path | str | None = None,
+    config: Path | str | None = None,
+    progress: Progress = no_progress,
+) -> DiagnoseResult:
+    """Find the physical effect that the model lacks, if it lacks one.
+
+    effects  files of your own effects, tried beside the library
+    candidates  a folder of such files, of which those that cannot be used are left out, with a
+             warning; one that could do more than compute is not run
+    known    effects that are part of the model
+    checks   files of your own questions, asked beside those of the lab
+    other arguments and errors as of `fit`
+    """
+    rules, tried = rules_with(checks), list(effects)
+    if candidates is not None:
+        good, refused = candidates_in(Path(candidates), progress)
+        tried += good
+        for why in refused:
+            warnings.warn(why, stacklevel=2)
+    selection = select_for_diagnosis(tried, known)
+    fits = set_up(study, selection, prior, config, progress)
+    return diagnosed(examined(fits, rules), _place(study))
+
+
+def suggest(
+    study: StudyOrFolder,
+    *,
+    effects: Sequence[str] = (),
+    known: Sequence[str] = (),
+    prior: Path | str | None = None,
+    config: Path | str | None = None,
+    progress: Progress = no_progress,
+) -> SuggestResult:
+    """Suggest the safe motion that best distinguishes the effects that may be missing.
+
+    config  settings of the cell, for its limits too; other arguments and errors as of `diagnose`
+    """
+    from cell.lab.next.suggest import suggest_motion  # settings: a fifth of a second
+    from cell.settings.surroundings import Surroundings
+
+    around = Surroundings.read(None if config is None else Path(config))
+    selection = select_for_diagnosis(effects, known)
+    fits = set_up(study, selection, prior, config, progress)
+    return SuggestResult(suggest_motion(examine(fits), around))
+
+
+def _silent(_: Sequence[str]) -> None:
+    """A result's study has the notes."""
+
+
+def set_up(
+    study: StudyOrFolder,
+    selection: EffectSelection,
+    prior: Path | str | None = None,
+    config: Path | str | None = None,
+    progress: Progress = no_progress,
+    tell: Tell = _silent,
+) -> FitCache:
+    """A study made ready to be fitted, with the files of models and settings that are named."""
+    fits = fit_cache_of(
+        _opened(study, tell),
+        selection,
+        read_prior(None if prior is None else Path(prior), selection.own),
+        progress,
+        read_kind(None if config is None else Path(config)),
+    )
+    fits, more = without_wrong_samples(fits)
+    tell(more)
+    return fits
+
+
+def fitted(fits: FitCache) -> FitResult:
+    """The model of a study that was made ready; interrupted, what is known by then."""
+    model, candidate, fitted_to = fit_study(fits)
+    lacking = lacking_doubt(model.lacks)
+    result = FitResult(fits.prepared, fitted_to, candidate, model, lacking, ())
+    try:
+        result = replace(result, warnings=(*fit_doubts(fits, candidate), *lacking))
+        return replace(result, agreement=agreement(fitted_to, candidate.fit, fits.progress))
+    except KeyboardInterrupt:
+        return result.interrupted()
+
+
+def rules_with(checks: Sequence[Path | str]) -> Rules:
+    """The lab's limits, and a user's own checks.  Raises InputError, FileNotFoundError."""
+    return replace(DEFAULT_RULES, own=tuple(read_own_checks(checks, [c.name for c in CHECKS])))
+
+
+def examined(fits: FitCache, rules: Rules = DEFAULT_RULES) -> Examination:
+    """A study that was made ready, with all that is asked of it; stopped, what is known by then."""
+    return with_agreement(with_limits(examine(fits, rules)))
+
+
+def diagnosed(examination: Examination, folder: Path, *, every_step: bool = True) -> DiagnoseResult:
+    """What a person wants to know of an examination.
+
+    folder      of the study, for the commands that it recommends
+    every_step  compare the models with each effect added too, not only the first and the last
+    """
+    fits = examination.fits
+    steps = [fits.prior_candidate(), *examination.steps[1:]]
+    shown = steps if every_step else [steps[0], *steps[1:][-1:]]
+    in_model = fits.space.effects
+    todo = advice(
+        examination.diagnosis,
+        Paths.of(folder, [*in_model, *fits.library.values()]),
+        known=tuple(e.name for e in in_model),
+        accepted=tuple(e.name for e in examination.accepted.effects if e not in in_model),
+    )
+    return DiagnoseResult(
+        examination.diagnosis,
+        tuple(compare_model(fits.prepared.study, c.fit.model) for c in shown),
+        todo,
+        examination,
+    )
+
+
+def _opened(study: StudyOrFolder, tell: Tell) -> Study:
+    opened = study if isinstance(study, Study) else read_study(study)
+    tell(opened.notes)
+    return opened
+
+
+def _place(study: StudyOrFolder) -> Path:
+    """As it stands in a command."""
+    return Path("STUDY") if isinstance(study, Study) else Path(study)
+
+
+def _model(given: FitResult | Identified | Path | str, study: Study) -> Identified:
+    if isinstance(given, FitResult):
+        given = given.model
+    if isinstance(given, Path | str):
+        path, model = Path(given), read_model(Path(given), {})
+    else:
+        path, model = Path("model"), given
+    check_same_kind(path, model, study.cable)
+    return model
+
+
+def _title(given: FitResult | Identified | Path | str, model: Identified) -> str:
+    """The name of a file without its ending; else the effects in it."""
+    if isinstance(given, Path | str):
+        return Path(given).stem
+    return " + ".join(e.name for e in model.space.effects) or "baseline"

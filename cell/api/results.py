@@ -1,0 +1,236 @@
+"""Results of the lab's commands: shown in a notebook, written as the commands write them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.api.shown import Row, Shown
+from cell.files.atomic import write_whole
+from cell.files.table import TableData
+from cell.identify.identified import Identified
+from cell.lab.data.results import (
+    Agreement,
+    Diagnosis,
+    Doubt,
+    agreement_json,
+    to_json,
+    write_json,
+)
+from cell.lab.report.model_tables import (
+    comparison_sentence,
+    comparison_table,
+    comparisons_table,
+    correlations_table,
+    errors_line,
+    model_table,
+    suggestion_table,
+)
+from cell.lab.report.tables import agreement_table, diagnosis_parts, warning_lines
+from cell.lab.report.wording import agreement_sentence, by_evidence
+from cell.lab.strength.compare import Comparison, comparisons_json
+from cell.lab.strength.kept_model import identified
+from cell.lab.verdict.doubts import interrupted_doubt
+
+if TYPE_CHECKING:
+    from cell.lab.data.prepared import PreparedStudy
+    from cell.lab.next.advice import Step
+    from cell.lab.next.suggestion import Suggestion
+    from cell.lab.search.fitted_model import FittedModel
+    from cell.lab.verdict.diagnose import Examination
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FitResult(Shown):
+    """A model fitted to a study, by `cell.fit`.
+
+    prepared   the study made ready
+    weighed    the same as it was fitted to in the end
+    candidate  the fit: its `errors` are root mean square per coordinate, fitted and held out, m
+    model      parameters with their 95 % intervals, in SI units
+    warnings   reasons to doubt it
+    agreement  estimates of the parameters per trial
+    """
+
+    prepared: PreparedStudy
+    weighed: PreparedStudy
+    candidate: FittedModel
+    model: Identified
+    warnings: tuple[Doubt, ...]
+    agreement: tuple[Agreement, ...]
+
+    def interrupted(self) -> FitResult:
+        """The same with the warning that not all was computed."""
+        doubt = interrupted_doubt("the computations after the fit are missing or incomplete")
+        others = (w for w in self.warnings if w.code != doubt.code)
+        return replace(self, warnings=(doubt, *others))
+
+    def parts(self) -> Sequence[str | TableData]:
+        """Warnings, the error, the parameters, and how the trials agree."""
+        apart: tuple[str | TableData, ...] = ()
+        if self.agreement:
+            apart = agreement_sentence(self.agreement), agreement_table(self.agreement)
+        error = errors_line(self.prepared, self.candidate.errors)
+        return (*warning_lines(self.warnings), error, model_table(self.model), *apart)
+
+    def to_json(self) -> dict[str, Any]:
+        """As `cell fit -o` writes it (identified-cable/1)."""
+        return self.model.to_dict() | {
+            "warnings": [vars(w) for w in self.warnings],
+            "agreement": agreement_json(self.agreement),
+        }
+
+    def rows(self) -> list[Row]:
+        """A row per parameter: name, value, low, high, unit."""
+        low, high = self.model.interval()
+        names = ("parameter", "value", "low", "high", "unit")
+        columns = (self.model.space.names, self.model.values, low, high, self.model.space.units)
+        return [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
+
+    def write(self, path: Path | str) -> None:
+        """Write the model as JSON, which `cell compare --model` and `--prior` read."""
+        write_json(self.to_json(), Path(path))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CompareResult(Shown):
+    """Models beside the measurements, by `cell.compare`; in the order in which they were given."""
+
+    comparisons: tuple[Comparison, ...]
+
+    def parts(self) -> Sequence[str | TableData]:
+        """What the models miss, then where the last one does."""
+        last = self.comparisons[-1]
+        several = len(self.comparisons) > 1
+        side_by_side = [comparisons_table(self.comparisons)] if several else []
+        tables = comparison_table(last), correlations_table(last)
+        return (comparison_sentence(self.comparisons), *side_by_side, *tables)
+
+    def to_json(self) -> dict[str, Any]:
+        """As `cell compare -o` writes it (cable-comparison/1)."""
+        return comparisons_json(self.comparisons)
+
+    def rows(self) -> list[Row]:
+        """A row per model and trial: rms error per coordinate, m, and p-value of whiteness."""
+        return [
+            {
+                "model": c.model,
+                "trial": trial.name,
+                "role": trial.role,
+                "rms_m": where.rms_m,
+                "whiteness_p_value": where.whiteness_p_value,
+            }
+            for c in self.comparisons
+            for trial, where in zip(c.study.trials, c.where, strict=True)
+        ]
+
+    def residuals_m(self, model: int = -1) -> dict[str, FloatArray]:
+        """Measured − predicted of one of the models by trial: (times, markers, 2), m.
+
+        nan where a marker was not seen
+        """
+        one = self.comparisons[model]
+        return {t.name: t.markers.xy_m - one.predicted_m[t.name] for t in one.study.trials}
+
+    def write_residuals(self, folder: Path | str) -> list[Path]:
+        """Write residuals as CSV, `MODEL/TRIAL.csv`: t_s, then dx and dy of each marker, m.
+
+        returns  the files written
+        """
+        written = []
+        for number, one in enumerate(self.comparisons):
+            for trial in one.study.trials:
+                count = trial.markers.xy_m.shape[1]
+                heads = ["t_s", *(f"d{axis}{m}_m" for m in range(count) for axis in "xy")]
+                left_m = self.residuals_m(number)[trial.name].reshape(-1, 2 * count)
+                rows = np.column_stack([trial.markers.t_s, left_m])
+                lines = [",".join(heads), *(_csv_row(row) for row in rows)]
+                path = Path(folder) / one.model.replace("/", "_") / f"{trial.name}.csv"
+                path.parent.mkdir(parents=True, exist_ok=True)
+                write_whole(path, "\n".join(lines) + "\n")
+                written.append(path)
+        return written
+
+
+def _csv_row(row: FloatArray) -> str:
+    """Numbers to the last bit; what was not seen stays empty."""
+    return ",".join("" if np.isnan(v) else repr(float(v)) for v in row)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DiagnoseResult(Shown):
+    """Which effect a model lacks, by `cell.diagnose`.
+
+    diagnosis    verdict, effects with intervals, every check with its statistic and limit
+    comparisons  of the model as it was, and last with everything found
+    todo         what to do next
+    examination  the fits behind it
+    """
+
+    diagnosis: Diagnosis
+    comparisons: tuple[Comparison, ...]
+    todo: tuple[Step, ...]
+    examination: Examination
+
+    @cached_property
+    def model(self) -> Identified:
+        """The model with everything found, and its parameters' intervals."""
+        fits = self.examination.fits
+        return identified(fits.prepared, self.examination.steps[-1].fit, fits.library.values())
+
+    def parts(self) -> Sequence[str | TableData]:
+        """The answer, then what it rests on."""
+        return diagnosis_parts(self.diagnosis, self.comparisons, self.todo)
+
+    def to_json(self) -> dict[str, Any]:
+        """As `cell diagnose -o` writes it (cable-diagnosis/1)."""
+        return to_json(self.diagnosis)
+
+    def rows(self) -> list[Row]:
+        """A row per effect that was tried, the likeliest first, and its place in the answer."""
+        diagnosis, places = self.diagnosis, dict[str, str]()
+        for place, found in (("partial", diagnosis.partial), ("missing", diagnosis.missing)):
+            for one in found:
+                places |= {one.effect: place} | dict.fromkeys(one.tied_with, f"tied: {place}")
+        return [{**asdict(r), "answer": places.get(r.effect, "")} for r in by_evidence(diagnosis)]
+
+    def write_report(self, path: Path | str) -> None:
+        """Write the HTML page of `cell diagnose --report`."""
+        from cell.files.page import write_page
+        from cell.lab.report.report import diagnosis_page
+
+        page = diagnosis_page(self.diagnosis, self.comparisons, self.model, self.todo)
+        write_page(page, Path(path))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SuggestResult(Shown):
+    """The motions that distinguish the candidates best, by `cell.suggest`."""
+
+    suggestion: Suggestion
+
+    def parts(self) -> Sequence[str | TableData]:
+        """The motions, the best first."""
+        return (suggestion_table(self.suggestion),)
+
+    def to_json(self) -> dict[str, Any]:
+        """As `cell suggest --json` prints it (cable-suggestion/1)."""
+        return self.suggestion.to_json()
+
+    def rows(self) -> list[Row]:
+        """A row per motion: places, m, angles, rad, durations, s, and its power."""
+        return [dict(option) for option in self.to_json()["options"]]
+
+    def write(self, path: Path | str) -> None:
+        """Write the best motion as a file for `cell run --motion`."""
+        from cell.lab.next.suggestion import write_motion  # settings: a fifth of a second
+
+        write_motion(self.suggestion, Path(path))

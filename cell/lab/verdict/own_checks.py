@@ -1,0 +1,76 @@
+"""p-values of a user's own checks, by residuals that noise alone would leave."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.lab.data.own_check import OwnCheck, Residual
+from cell.lab.data.prepared import PreparedStudy
+from cell.lab.fit.fitting import Fit, fit_trials
+from cell.lab.statistics.score import holm
+from cell.lab.verdict.smooth_part import AllTrialsResidual, all_trials_residual
+
+FloatArray = NDArray[np.float64]
+
+#: Draws end when so many exceed what was measured: p is then known to a third …
+EXCEEDING = 10
+#: … or when the smallest p that they can show is so small a share of the limit.
+FINEST = 0.5
+
+
+def p_values(
+    prepared: PreparedStudy, fit: Fit, checks: Sequence[OwnCheck], limit: float
+) -> dict[str, float] | None:
+    """Of each check by name, Holm-corrected; None where a trial cannot be simulated.
+
+    A draw is white noise, and what mesh and hand may be wrong by, less what the parameters imitate.
+
+    limit   below which they will be said to fail
+    raises  InputError: a statistic fails
+    source  posterior predictive checks: Gelman, Meng & Stern 1996, Statistica Sinica 6, 733; the
+            number of draws: Besag & Clifford 1991, Biometrika 78, 301
+    """
+    left = all_trials_residual(prepared, fit)
+    if left is None:
+        return None
+    most = round(len(checks) / (FINEST * limit))
+    found = [_p_value(left, check, most) for check in checks]
+    return dict(zip((c.name for c in checks), holm(found), strict=True))
+
+
+def _p_value(left: AllTrialsResidual, check: OwnCheck, most: int) -> float:
+    measured = check.of(_residuals(left, left.every[0]))
+    exceeding = 0
+    for number, drawn in enumerate(_draws(left, most), 1):
+        exceeding += check.of(_residuals(left, drawn)) >= measured
+        if exceeding == EXCEEDING:
+            return exceeding / number
+    return (exceeding + 1.0) / (most + 1.0)
+
+
+def _draws(left: AllTrialsResidual, count: int) -> Iterator[FloatArray]:
+    """(rows,) residuals of a complete model, always the same ones."""
+    rng = np.random.default_rng(20261125)
+    linear, errors = left.whole.linear, left.every[1 : 1 + left.errors]
+    seen = np.concatenate([w.seen.transpose(1, 2, 0).ravel() for w in left.whiteners])
+    seen = np.append(seen, np.zeros(left.every.shape[1] - len(seen), dtype=bool))
+    for _ in range(count):
+        noise = np.where(seen, rng.standard_normal(len(seen)), 0.0)
+        yield linear.seen(noise[None])[0] + rng.standard_normal(left.errors) @ errors
+
+
+def _residuals(left: AllTrialsResidual, rows: FloatArray) -> list[Residual]:
+    """Rows, by marker, channel and frame, as a check sees them; of unit size."""
+    prepared = left.whole.prepared
+    parts = left.whole.systematic_error.by_trial(rows)
+    seen = [np.moveaxis(w.seen, 0, -1) for w in left.whiteners]
+    white = [
+        np.where(s, part.reshape(s.shape), np.nan) for part, s in zip(parts, seen, strict=True)
+    ]
+    size = float(np.sqrt(np.nanmean(np.concatenate([w.ravel() for w in white]) ** 2)))
+    arcs = prepared.study.arc_length_m
+    trials = zip(fit_trials(prepared), white, strict=True)
+    return [Residual(t, arcs, np.moveaxis(w, -1, 0) / size) for t, w in trials]

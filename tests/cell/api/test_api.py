@@ -1,0 +1,156 @@
+"""From Python the same as by the commands; public names stay as they are."""
+
+from __future__ import annotations
+
+import csv
+import inspect
+import json
+import subprocess
+import sys
+from dataclasses import FrozenInstanceError
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import cell
+from cell.cable.effects import library
+from cell.cli import app
+from cell.files.input_error import InputError
+
+#: Public functions as users call them: a change here is a change of version.
+SIGNATURES = {
+    "read_study": "(folder: 'Path | str') -> 'Study'",
+    "write_study": "(study: 'Study', folder: 'Path') -> 'None'",
+    "fit": "(study: 'StudyOrFolder', *, effects: 'Sequence[str]' = (), "
+    "prior: 'Path | str | None' = None, config: 'Path | str | None' = None, "
+    "progress: 'Progress' = <function no_progress>) -> 'FitResult'",
+    "compare": "(study: 'StudyOrFolder', "
+    "models: 'Sequence[FitResult | Identified | Path | str]', *, "
+    "names: 'Sequence[str] | None' = None) -> 'CompareResult'",
+    "diagnose": "(study: 'StudyOrFolder', *, effects: 'Sequence[str]' = (), "
+    "candidates: 'Path | str | None' = None, known: 'Sequence[str]' = (), "
+    "checks: 'Sequence[Path | str]' = (), prior: 'Path | str | None' = None, "
+    "config: 'Path | str | None' = None, progress: 'Progress' = <function no_progress>) "
+    "-> 'DiagnoseResult'",
+    "suggest": "(study: 'StudyOrFolder', *, effects: 'Sequence[str]' = (), "
+    "known: 'Sequence[str]' = (), prior: 'Path | str | None' = None, "
+    "config: 'Path | str | None' = None, progress: 'Progress' = <function no_progress>) "
+    "-> 'SuggestResult'",
+}
+CLASSES = {
+    "Cable": ("free_length_m", "line_density_kg_per_m", "width_m", "thickness_m"),
+    "Motion": ("t_s", "x_m", "y_m", "angle_rad"),
+    "Markers": ("t_s", "xy_m"),
+    "Trial": ("name", "role", "start", "grip", "markers"),
+    "Study": ("name", "cable", "arc_length_m", "trials", "gravity_m_per_s2", "noise_std_m"),
+    "FitResult": ("model", "candidate", "warnings", "agreement"),
+    "CompareResult": ("comparisons",),
+    "DiagnoseResult": ("diagnosis", "comparisons", "todo", "examination"),
+    "SuggestResult": ("suggestion",),
+}
+
+
+def _signature(function: object) -> str:
+    """Without the place in memory of a default."""
+    text = str(inspect.signature(function))  # type: ignore[arg-type]
+    return text if " at 0x" not in text else text[: text.index(" at 0x")] + text[text.index(">") :]
+
+
+def test_public_names_are_listed_documented_and_stay_as_they_are() -> None:
+    assert set(cell.__all__) == set(SIGNATURES) | set(CLASSES)
+    assert set(cell.__all__) <= set(dir(cell))
+    for name, signature in SIGNATURES.items():
+        assert _signature(getattr(cell, name)) == signature, name
+    for name, fields in CLASSES.items():
+        assert set(fields) <= set(inspect.signature(getattr(cell, name)).parameters), name
+    for name in cell.__all__:
+        assert len(inspect.getdoc(getattr(cell, name)) or "") > 30, name
+    with pytest.raises(AttributeError, match="no attribute 'diagnos'"):
+        cell.diagnos  # noqa: B018
+
+
+def test_what_is_not_used_is_not_imported() -> None:
+    asked = "import cell, sys; print('numpy' in sys.modules, 'pandas' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", asked], capture_output=True, text=True, check=True)
+    assert done.stdout == "False False\n"
+
+
+@pytest.fixture(scope="module")
+def folder(make_study, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("study") / "made"
+    cell.write_study(make_study([library()["tip_mass"].active(mass_kg=2.5e-5)], seed=11), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def diagnosed(folder: Path) -> cell.DiagnoseResult:
+    return cell.diagnose(folder)
+
+
+def test_a_diagnosis_is_that_of_the_command(
+    folder: Path, diagnosed: cell.DiagnoseResult, tmp_path: Path
+) -> None:
+    out = tmp_path / "diagnosis.json"
+    done = CliRunner().invoke(app, ["diagnose", str(folder), "-o", str(out)])
+    assert done.exit_code == 0, done.output
+    assert diagnosed.to_json() == json.loads(out.read_text())
+    assert "tip mass" in repr(diagnosed)
+    assert "missing" in diagnosed._repr_html_()
+    frame = diagnosed.to_frame()
+    assert frame.effect[0] == "tip_mass"
+    assert frame.answer[0] == "missing"
+    assert diagnosed.todo[0].command.startswith(f"cell fit {folder}")
+    diagnosed.write_report(tmp_path / "report.html")
+    assert "tip_mass" in (tmp_path / "report.html").read_text()
+
+
+def test_the_error_falls_from_fit_to_fit(
+    folder: Path, diagnosed: cell.DiagnoseResult, tmp_path: Path
+) -> None:
+    study = cell.read_study(folder)
+    before = cell.fit(study)
+    before.write(tmp_path / "before.json")
+    compared = cell.compare(study, [tmp_path / "before.json", diagnosed.model])
+    assert [c.model for c in compared.comparisons] == ["before", "tip_mass"]
+    frame = compared.to_frame()
+    held = frame[frame.role == "validate"].groupby("model").rms_m.mean()
+    assert held["tip_mass"] < 0.8 * held["before"]
+    assert before.to_frame().set_index("parameter").unit["exponent"] == "1"
+    assert "0 trials agree" not in before._repr_html_()
+    with pytest.raises(FrozenInstanceError):
+        before.model = diagnosed.model  # type: ignore[misc]
+    with pytest.raises(ValueError, match="names: 1 for 2 models"):
+        cell.compare(study, [before, diagnosed.model], names=["one"])
+
+
+def test_residuals_are_arrays_and_tables(folder: Path, tmp_path: Path) -> None:
+    model = tmp_path / "model.json"
+    cell.fit(folder).write(model)
+    left = tmp_path / "left"
+    asked = ["compare", str(folder), "--model", str(model), "--residuals", str(left)]
+    done = CliRunner().invoke(app, asked)
+    assert done.exit_code == 0, done.output
+    residuals = cell.compare(folder, [model]).residuals_m()
+    for name, left_m in residuals.items():
+        with (left / "model" / f"{name}.csv").open() as file:
+            heads, *rows = csv.reader(file)
+        assert heads[:3] == ["t_s", "dx0_m", "dy0_m"]
+        values = np.array([[float(v or "nan") for v in row[1:]] for row in rows])
+        np.testing.assert_array_equal(values.reshape(left_m.shape), left_m)
+
+
+def test_without_pandas_it_says_how_to_get_it(
+    diagnosed: cell.DiagnoseResult, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(ImportError, match=r"pip install 'cable-cell\[notebook\]'"):
+        diagnosed.to_frame()
+
+
+def test_bad_input_is_refused_as_by_the_command(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"study\.yaml"):
+        cell.fit(tmp_path)
+    with pytest.raises(ValueError, match="did you mean 'tip_mass'"):
+        cell.fit(tmp_path, effects=["tip_mas"])
