@@ -1,11 +1,13 @@
 """Exported chains in MuJoCo beside the project's engine."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from cell.cable.effects.air import AIR_DENSITY_KG_PER_M3
+from cell.cable.geometry import Connector
 from cell.exchange.chain import chain_of, resting_bends
 from cell.exchange.export import SHARE, export_to_mujoco
 from cell.exchange.mjcf import HAND, mjcf
@@ -47,6 +49,24 @@ def test_an_effect_that_is_expressed_acts_as_in_the_engine(flat_model, name):
     without = engine_tip(flat_model(3, 0.93).model, stroke(), reference.times_s)
     does = difference("what it does", without, reference.tip_m)
     assert does.rms_m > 5.0 * found.rms_m
+
+
+def test_a_connector_moves_as_in_the_engine(flat_model):
+    """Another engine, and another description of the same body: the mass matrix is checked too."""
+    bare = flat_model(3, 0.93, tip_mass={"mass_kg": 5e-5}).model
+    cable = replace(bare.cable, connector=Connector(4e-4, 0.015, 2e-8))
+    model = replace(bare, cable=cable, rigidity_n_m2=3.0 * bare.rigidity_n_m2)
+    reference = Reference.of(model, stroke())
+    found = compare(model, chain_of(model, 40), 2.5e-4, reference)
+    assert found.rms_m < 0.04e-3
+    straight = np.linalg.norm(reference.tip_m[0])
+    assert straight < 0.115  # the connector's end is what is compared
+    rod = Connector.rod(4e-4, 0.015)
+    other = replace(model, cable=replace(cable, connector=rod))
+    moves = difference(
+        "its inertia", engine_tip(other, stroke(), reference.times_s), reference.tip_m
+    )
+    assert moves.rms_m > 5.0 * found.rms_m
 
 
 def test_all_of_them_at_once(flat_model):
