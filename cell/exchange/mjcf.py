@@ -116,7 +116,7 @@ _POINT = 1e-13
 
 
 def _connector(rigid: Connector, chain: Chain, pad: str) -> Iterator[str]:
-    """A body fixed to the last link; its shape is for looks, as wide and thick as the cable is wide.
+    """A body fixed to the last link; its shape, as thick as wide, is for looks.
 
     About its length it has a point's inertia: MuJoCo's fluid then drags it as little as the engine.
     """
