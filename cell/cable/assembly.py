@@ -184,10 +184,25 @@ def _put_masses(state: FloatArray, models: list[CableModel], body: FloatArray) -
     put(at.EXTRA_2, extra * body**3 / 3.0)
     put(at.WEIGHT, density * body)
     put(at.WEIGHT_1, density * body**2 / 2.0)
-    for order, field in enumerate((at.MASS, at.MASS_1, at.MASS_2)):
-        state[-1, field, :w] += tip * body[-1] ** order
-    state[-1, at.WEIGHT, :w] += tip
-    state[-1, at.WEIGHT_1, :w] += tip * body[-1]
+    last: FloatArray = body[-1]
+    for mass, centre, inertia in ((tip, last, 0.0 * last), _connectors(models, last)):
+        state[-1, at.MASS, :w] += mass
+        state[-1, at.MASS_1, :w] += mass * centre
+        state[-1, at.MASS_2, :w] += mass * centre**2 + inertia
+        state[-1, at.WEIGHT, :w] += mass
+        state[-1, at.WEIGHT_1, :w] += mass * centre
+
+
+def _connectors(
+    models: list[CableModel], last_m: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Mass, kg, place of its centre from the near end of the last body, m, and inertia, kg·m²."""
+    numbers = [m.cable.numbers for m in models]
+    mass, length, inertia = (
+        np.array([n[f"connector.{name}"] for n in numbers])
+        for name in ("mass_kg", "length_m", "inertia_kg_m2")
+    )
+    return mass, last_m + 0.5 * length, inertia
 
 
 def _sum(model: CableModel, hook: str) -> float:
@@ -234,19 +249,21 @@ def marker_weights(
 ) -> tuple[NDArray[np.int64], FloatArray]:
     """Cell of every marker and cubic Hermite weights of its two nodes and their tangents.
 
-    returns  (markers,) numbers of the cells, (markers, 4) weights
+    returns  (markers,) numbers of the cells, (markers, 5) weights, the last of which is how far
+             beyond the cable's end a marker is, on the connector, m
     raises   ValueError: marker beyond the cable or crossing another, or cables of different
              lengths
     """
-    lengths = {m.cable.free_length_m for m in models}
+    lengths = {(m.cable.free_length_m, m.cable.length_m) for m in models}
     if len(lengths) != 1:
-        raise ValueError(f"the models' cables have different lengths {sorted(lengths)} m")
-    (length,) = lengths
+        told = sorted({length for _, length in lengths})
+        raise ValueError(f"the models' cables have different lengths {told} m")
+    ((length, to_tip),) = lengths
     s = np.atleast_1d(np.asarray(arc_length_m, dtype=np.float64))
-    bad = ~((s >= 0.0) & (s <= length * (1.0 + 1e-9)))
+    bad = ~((s >= 0.0) & (s <= to_tip * (1.0 + 1e-9)))
     if s.ndim != 1 or bad.any():
         i = int(np.argmax(bad))
-        raise ValueError(f"arc_length_m[{i}] = {s.flat[i]} m: must be 0 … {length} m")
+        raise ValueError(f"arc_length_m[{i}] = {s.flat[i]} m: must be 0 … {to_tip} m")
     turn = np.sign(np.diff(s))
     if np.any(turn == 0.0) or np.any(turn != turn[:1]):
         i = 1 + int(np.argmax((turn == 0.0) | (turn != turn[:1])))
@@ -254,7 +271,8 @@ def marker_weights(
             f"arc_length_m[{i}] = {s[i]} m after {s[i - 1]} m: markers must run along the cable, "
             "each beyond the one before"
         )
-    place = s / length * segments
+    beyond = np.maximum(s - length, 0.0) if to_tip > length else np.zeros_like(s)
+    place = (s - beyond) / length * segments
     cell = np.minimum(place.astype(np.int64), segments - 1)
     u = place - cell
     weights = np.stack(
@@ -263,6 +281,7 @@ def marker_weights(
             u**2 * (3.0 - 2.0 * u),
             u * (1.0 - u) ** 2,
             u**2 * (u - 1.0),
+            beyond,
         ],
         axis=1,
     )

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,18 +28,77 @@ GRAVITY_M_PER_S2 = (0.0, -9.81)
 
 
 @dataclass(frozen=True)
+class Connector:
+    """A rigid body at the end of a cable, fixed in line with it; its centre of mass is its middle.
+
+    inertia_kg_m2  about its centre, for turns in the cell's plane
+    """
+
+    mass_kg: float
+    length_m: float
+    inertia_kg_m2: float
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not (np.isfinite(value) and value > 0.0):
+                raise ValueError(f"cable.connector.{name} = {value}: must be finite and > 0")
+
+    @staticmethod
+    def rod(mass_kg: float, length_m: float) -> Connector:
+        """One whose mass is spread evenly over its length."""
+        return Connector(mass_kg, length_m, mass_kg * length_m**2 / 12.0)
+
+
+@dataclass(frozen=True)
 class Cable:
-    """Datasheet of a cable: what is the same for all its individuals."""
+    """Datasheet of a cable: what is the same for all its individuals.
+
+    free_length_m  from the gripping point to the end, or to the connector: what bends
+    """
 
     free_length_m: float
     line_density_kg_per_m: float
     width_m: float
     thickness_m: float
+    connector: Connector | None = None
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if not (np.isfinite(value) and value > 0.0):
+            if name != "connector" and not (np.isfinite(value) and value > 0.0):
                 raise ValueError(f"cable.{name} = {value}: must be finite and > 0")
+
+    @property
+    def length_m(self) -> float:
+        """From the gripping point to the tip, which is the connector's end if there is one."""
+        return self.free_length_m + (self.connector.length_m if self.connector else 0.0)
+
+    @property
+    def loaded_density_kg_per_m(self) -> float:
+        """Mass per free length, the connector's included."""
+        carried = self.connector.mass_kg / self.free_length_m if self.connector else 0.0
+        return self.line_density_kg_per_m + carried
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """All that is stated, by its key in a study's description; a connector's are 0 without."""
+        found = {
+            f.name: float(getattr(self, f.name)) for f in fields(self) if f.name != "connector"
+        }
+        for f in fields(Connector):
+            found[f"connector.{f.name}"] = float(getattr(self.connector, f.name, 0.0))
+        return found
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data; `from_dict` reads it back."""
+        data = {f.name: float(getattr(self, f.name)) for f in fields(self) if f.name != "connector"}
+        return data | ({"connector": dict(vars(self.connector))} if self.connector else {})
+
+    @staticmethod
+    def from_dict(data: Mapping[str, Any]) -> Cable:
+        """Back from `to_dict`.  Raises TypeError, ValueError: an entry is missing, or no number."""
+        given = dict(data)
+        connector = given.pop("connector", None)
+        return Cable(**given, connector=None if connector is None else Connector(**connector))
 
     def implausible(self) -> str | None:
         """Why these numbers together cannot be a cable's, mostly a mistaken unit; None if they can.

@@ -250,7 +250,8 @@ def nodes(
     bends    (times · (n + 1) · LANES,) of `record`
     lengths  (LANES,) of a full segment, m
     clamp    (times · 3 · LANES,) x, y, angle of the gripping point
-    cell     (markers,) segment of each marker; weights (markers, 4) of its ends and end tangents
+    cell     (markers,) segment of each marker; weights (markers, 5) of its ends and end tangents,
+             and how far beyond its far end, along the tangent there, it is, m
     out      (lanes, times, markers, 2), of these lanes or of the first of them
     """
     widest_vectors()
@@ -283,10 +284,11 @@ def nodes(
                 R[k + 3 * LANES] = ty
         for m in range(cell.size):
             R = X[cell[m] * 4 * LANES :]
-            a, b, c0, c1 = weights[m, 0], weights[m, 1], weights[m, 2], weights[m, 3]
+            a, b, c0 = weights[m, 0], weights[m, 1], weights[m, 2]
             Q = P[m * 2 * LANES :]
             for w in range(lanes):
                 q = w + 4 * LANES
+                c1 = weights[m, 3] + weights[m, 4] / lengths[w]
                 Q[w] = a * R[w] + b * R[q] + c0 * R[w + 2 * LANES] + c1 * R[q + 2 * LANES]
                 Q[w + LANES] = (
                     a * R[w + LANES]

@@ -25,8 +25,9 @@ FloatArray = NDArray[np.float64]
 class Chain:
     """Links from the clamp to the tip; link 0 is half a link, held; so is the last, free.
 
+    cable              its datasheet; a connector is fixed to the last link
     link_m             (n + 1,) lengths
-    mass_kg            (n + 1,) that resists motion, without the point mass
+    mass_kg            (n + 1,) that resists motion, without point mass and connector
     weight_kg          (n + 1,) that has weight
     tip_kg             point mass at the tip
     curvature_length_m (n,) arc length that each hinge stands for: bend over curvature
@@ -71,9 +72,10 @@ def chain_of(model: CableModel, links: int) -> Chain:
     field = block.state.reshape(links + 1, at.FIELDS, at.LANES)[:, :, 0]
     length, per_length = field[:, at.LENGTH], field[1:, at.PER_LENGTH]
     weight, mass = field[:, at.WEIGHT].copy(), field[:, at.MASS].copy()
-    tip = float(weight[-1] - model.cable.line_density_kg_per_m * length[-1])
-    weight[-1] -= tip
-    mass[-1] -= tip
+    rigid = model.cable.connector.mass_kg if model.cable.connector else 0.0
+    tip = float(weight[-1] - model.cable.line_density_kg_per_m * length[-1]) - rigid
+    weight[-1] -= tip + rigid
+    mass[-1] -= tip + rigid
     share = value(model, StressRelaxation, "fraction")
     compliant = field[0, at.FREE] > 0.0
     return Chain(
@@ -82,7 +84,7 @@ def chain_of(model: CableModel, links: int) -> Chain:
         length.copy(),
         mass,
         weight,
-        tip if tip > 1e-9 * weight.sum() else 0.0,  # rounding of the difference
+        tip if tip > 1e-9 * (weight.sum() + rigid) else 0.0,  # rounding of the difference
         1.0 / per_length,
         field[1:, at.RIGIDITY].copy(),
         field[1:, at.REST] / per_length,

@@ -26,7 +26,7 @@ def description(model: Identified) -> dict[str, Any]:
     return {
         "format": FORMAT,
         "frame": _FRAME,
-        "cable": dict(vars(space.cable)),
+        "cable": space.cable.to_dict(),
         "gravity_m_per_s2": list(space.gravity_m_per_s2),
         "bending": {
             "law": _LAW,

@@ -141,8 +141,9 @@ def _notes(
         notes.append("option/density is the air's times the drag coefficient, for all bodies.")
     reference = f"{REFERENCE.segments} segments, {REFERENCE.step_s * 1e3:g} ms"
     for one in differences:
+        apart = f"{one.rms_m * 1e3:.3f} mm rms, {one.most_m * 1e3:.3f} mm at most"
+        far = "it diverges" if one.rms_m == np.inf else apart
         notes.append(
-            f"Tip in {one.name!r}: {one.rms_m * 1e3:.3f} mm rms, {one.most_m * 1e3:.3f} mm at "
-            f"most, from the engine it was identified with ({reference})."
+            f"Tip in {one.name!r}: {far}, from the engine it was identified with ({reference})."
         )
     return notes

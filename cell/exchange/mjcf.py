@@ -12,6 +12,7 @@ from xml.sax.saxutils import escape
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.cable.geometry import Connector
 from cell.exchange.chain import Chain
 
 FloatArray = NDArray[np.float64]
@@ -101,6 +102,9 @@ def _bodies(chain: Chain) -> Iterator[str]:
     if chain.tip_kg:
         yield f'{pad}  <body name="tip_mass" pos="{end} 0 0"><inertial pos="0 0 0" mass='
         yield f'{pad}    "{_n(chain.tip_kg)}" diaginertia="{_ns(np.full(3, _POINT))}"/></body>'
+    if (rigid := chain.cable.connector) is not None:
+        yield from _connector(rigid, chain, f"{pad}  ")
+        end = _n(-chain.link_m[-1] - rigid.length_m)
     yield f'{pad}  <site name="tip" pos="{end} 0 0"/>'
     for i in range(chain.links + 1, -1, -1):
         yield " " * (4 + 2 * i) + "</body>"
@@ -109,6 +113,21 @@ def _bodies(chain: Chain) -> Iterator[str]:
 _AXES = ("1 0 0", "0 0 1", "0 -1 0")
 #: Moment of inertia of a point: a hundred times the least that MuJoCo takes, kg·m².
 _POINT = 1e-13
+
+
+def _connector(rigid: Connector, chain: Chain, pad: str) -> Iterator[str]:
+    """A body fixed to the last link; its shape, as thick as wide, is for looks.
+
+    About its length it has a point's inertia: MuJoCo's fluid then drags it as little as the engine.
+    """
+    centre, half_m = _n(-0.5 * rigid.length_m), 0.5 * chain.cable.width_m
+    inertia = np.array([_POINT, rigid.inertia_kg_m2, rigid.inertia_kg_m2 + _POINT])
+    yield f'{pad}<body name="connector" pos="{_n(-chain.link_m[-1])} 0 0">'
+    yield f'{pad}  <inertial pos="{centre} 0 0" mass="{_n(rigid.mass_kg)}"'
+    yield f'{pad}    diaginertia="{_ns(inertia)}"/>'
+    yield f'{pad}  <geom type="box" pos="{centre} 0 0" contype="0" conaffinity="0"'
+    yield f'{pad}    size="{_ns((0.5 * rigid.length_m, half_m, half_m))}"/>'
+    yield f"{pad}</body>"
 
 
 def _link(chain: Chain, i: int, pad: str) -> Iterator[str]:

@@ -81,7 +81,7 @@ def engine_tip(model: CableModel, trial: Trial, times_s: FloatArray) -> FloatArr
             model,
             trial.motion,
             times_s,
-            np.array([model.cable.free_length_m]),
+            np.array([model.cable.length_m]),
             solver=REFERENCE,
             start="straight" if straight else "equilibrium",
             release_s=trial.straight_until_s,

@@ -348,7 +348,7 @@ def _cold_start(
     rough = replace(noise, std_m=max(noise.std_m, 0.01 * space.cable.free_length_m))
     whiteners = whiteners_of(beginning, rough)
     residuals = _residuals(beginning, arc_length_m, space, whiteners, options.solver)
-    weight = space.cable.line_density_kg_per_m * space.scale_m_per_s2
+    weight = space.cable.loaded_density_kg_per_m * space.scale_m_per_s2
     row = np.geomspace(*options.start_range, options.starts) * weight
     starts = np.array([space.start(r * space.cable.free_length_m**3) for r in row])
     cost = np.sum(residuals(starts) ** 2, axis=1)

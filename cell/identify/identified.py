@@ -98,7 +98,7 @@ class Identified:
         return {
             "format": FORMAT,
             "method": self.method,
-            "cable": dict(vars(self.space.cable)),
+            "cable": self.space.cable.to_dict(),
             "gravity_m_per_s2": list(self.space.gravity_m_per_s2),
             "knots": self.space.knots,
             "effects": [effect.name for effect in self.space.effects],
@@ -153,7 +153,7 @@ class Identified:
                 raise ValueError(f"model has unknown effects {unknown}; known: {sorted(known)}")
             gx, gy = data["gravity_m_per_s2"]
             space = ParameterSpace.of(
-                Cable(**data["cable"]),
+                Cable.from_dict(data["cable"]),
                 gravity_m_per_s2=(float(gx), float(gy)),
                 effects=[known[name] for name in data["effects"]],
                 prior=Prior(knots=int(data["knots"])),

@@ -100,7 +100,7 @@ class ParameterSpace:
         held = dict(exact or {})
         k = prior.knots
         scale = float(np.hypot(*gravity_m_per_s2)) if pull_m_per_s2 is None else pull_m_per_s2
-        weight_n_per_m = cable.line_density_kg_per_m * scale
+        weight_n_per_m = cable.loaded_density_kg_per_m * scale
         if weight_n_per_m == 0.0:
             raise ValueError("gravity is 0, and no swing tells what the cable is as stiff as")
         log_rigidity = float(np.log(0.4 * weight_n_per_m * cable.free_length_m**3))

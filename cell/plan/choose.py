@@ -165,7 +165,7 @@ def forecast(
     t_s = np.arange(0.0, end_s - begin_s + options.interval_s, options.interval_s)
     at_s = begin_s + t_s
     space, mean = identified.space, identified.mean
-    tip_at_m = np.array([space.cable.free_length_m])
+    tip_at_m = np.array([space.cable.length_m])
     lanes = difference_points(mean, space.difference_steps(mean))
     models = [space.model(q) for q in lanes]
     tip_m = simulate_branches(models[:1], motions, begin_s, at_s, tip_at_m, solver=solver)

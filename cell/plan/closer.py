@@ -185,7 +185,7 @@ def _tips(
     end_s = max(float(m.t_s[-1]) for m in motions)
     at_s = np.arange(begin_s, end_s + options.interval_s, options.interval_s)
     space = identified.space
-    tip_at_m = np.array([space.cable.free_length_m])
+    tip_at_m = np.array([space.cable.length_m])
     models = [space.model(identified.mean)]
     found = simulate_branches(models, motions, begin_s, at_s, tip_at_m, solver=coarsened(solver))
     return np.ascontiguousarray(found[:, 0, :, 0])

@@ -42,7 +42,7 @@ def time_to_rest_s(
         )
     )
     t_s = np.arange(end_s, until_s, _INTERVAL_S)
-    at_tip = np.array([identified.space.cable.free_length_m])
+    at_tip = np.array([identified.space.cable.length_m])
     tip_m = simulate(identified.model, still, t_s, at_tip, solver=coarsened(solver))[0, :, 0]
     away_m = np.linalg.norm(tip_m - tip_m[-1], axis=1)
     swinging = np.flatnonzero(away_m > within_m)

@@ -71,7 +71,7 @@ class Task:
     @property
     def arc_length_m(self) -> FloatArray:
         """(nodes,) where on the cable the camera measures, tip first."""
-        return node_arc_lengths(self.cable.free_length_m, self.vision.nodes)
+        return node_arc_lengths(self.cable.length_m, self.vision.nodes)
 
 
 @dataclass(frozen=True)

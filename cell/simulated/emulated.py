@@ -69,7 +69,7 @@ class EmulatedCable:
     def __init__(self, settings: Settings, seed: int, number: int) -> None:
         model = hidden_cable(settings, seed, number)
         segments = settings.world.segments
-        arc_length_m = np.linspace(model.cable.free_length_m, 0.0, segments + 1)
+        arc_length_m = np.linspace(model.cable.length_m, 0.0, segments + 1)
         self._cable = SwingingCable(model, arc_length_m, Solver(segments, _STEP_S))
 
     def advance(self, grip: Trajectory) -> FloatArray:

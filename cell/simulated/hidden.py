@@ -53,7 +53,7 @@ def hidden_cable(settings: Settings, seed: int, number: int) -> CableModel:
 
 def cable_shape(model: CableModel, segments: int) -> CableShape:
     """The simulated world's cable: shapes (Q, segments + 1, 2) at times, tip first."""
-    arc_length_m = np.linspace(model.cable.free_length_m, 0.0, segments + 1)
+    arc_length_m = np.linspace(model.cable.length_m, 0.0, segments + 1)
     solver = Solver(segments=segments)
 
     def shape(grip: Trajectory, query_s: FloatArray) -> FloatArray:

@@ -80,7 +80,7 @@ def offset(trial: Trial, cable: Cable, gravity_m_per_s2: float) -> Offset | None
     if trial.start != "equilibrium" or len(t_s) < 2 * _REST or not series_m.size:
         return None
     beside_m = series_m - np.nanmedian(series_m[:_REST], axis=0)
-    away_m = max(AWAY * cable.free_length_m, OF_NOISE * _noise_m(beside_m[:_REST]))
+    away_m = max(AWAY * cable.length_m, OF_NOISE * _noise_m(beside_m[:_REST]))
     halves_m = np.split(beside_m[:_REST], 2)
     moved_m = np.nanmedian(halves_m[1], axis=0) - np.nanmedian(halves_m[0], axis=0)
     if np.nan_to_num(np.abs(moved_m)).max() > away_m:
@@ -111,7 +111,7 @@ def _pace_s(trial: Trial, cable: Cable, gravity_m_per_s2: float) -> float | None
     None where that is not seen either.
     """
     if gravity_m_per_s2 >= WEAK_M_PER_S2:
-        return float(np.sqrt(cable.free_length_m / gravity_m_per_s2))
+        return float(np.sqrt(cable.length_m / gravity_m_per_s2))
     unknown = np.full(trial.markers.xy_m.shape[1], np.nan)
     spectrum = trial_facts(trial, unknown).spectrum
     if spectrum is None or not spectrum.peaks_hz:

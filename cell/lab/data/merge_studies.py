@@ -138,7 +138,7 @@ def _apart(first: _Cycle, other: _Cycle) -> Iterator[Problem]:
 def _sheet(study: Study) -> dict[str, FloatArray]:
     """What is stated of cable and markers."""
     return {
-        "cable": np.array(list(vars(study.cable).values())),
+        "cable": np.array(list(study.cable.numbers.values())),
         "markers.arc_length_m": study.arc_length_m,
         "gravity_m_per_s2": np.array(study.gravity_m_per_s2),
     }

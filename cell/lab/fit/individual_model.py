@@ -99,8 +99,8 @@ def _changed(
 
 def check_same_kind(path: Path, model: Identified, cable: Cable) -> None:
     """Raise InputError if a model is of another kind of cable than the datasheet's."""
-    for name, value in vars(cable).items():
-        theirs = getattr(model.space.cable, name)
+    for name, value in cable.numbers.items():
+        theirs = model.space.cable.numbers[name]
         if abs(theirs - value) > SAME_CABLE * value:
             raise InputError.at(
                 path,

@@ -156,7 +156,7 @@ def _forecast(
                 found.model,
                 trial.grip,
                 trial.markers.t_s,
-                np.array([cable.free_length_m]),
+                np.array([cable.length_m]),
                 solver=options.fit.solver,
             )[0, :, 0]
             for trial in (first, later)

@@ -279,7 +279,7 @@ def profiles(series: Sequence[Series]) -> go.Figure:
         )
         shown = [np.array(t.y, dtype=float) for t in figure.select_traces(row=1, col=column)]
         logarithmic(figure, [*shown, np.array([comparison.noise_m * 1e3])], row=1, col=column)
-    length = comparison.study.cable.free_length_m * 1e3
+    length = comparison.study.cable.length_m * 1e3
     reach = [-0.05 * length, 1.05 * length]
     figure.update_xaxes(title="from the grip, mm", range=reach, row=1, col=1)
     figure.update_xaxes(type="log", title="Hz", tickvals=[0.1, 1, 10, 100, 1000], row=1, col=3)

@@ -94,7 +94,7 @@ def _worst_place(comparison: Comparison) -> str:
         return ""
     by_marker = np.sqrt(np.mean(squares, axis=0))
     share = comparison.study.arc_length_m[int(np.nanargmax(by_marker))]
-    part = place_in_words(share / comparison.study.cable.free_length_m)
+    part = place_in_words(share / comparison.study.cable.length_m)
     phases = list(comparison.where[0].by_phase)
     by_phase = [
         np.mean([w.by_phase[p] ** 2 for w in comparison.where if np.isfinite(w.by_phase[p])] or [0])

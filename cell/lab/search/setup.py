@@ -9,6 +9,7 @@ from cell.cable.effects import Effect
 from cell.cable.geometry import Cable
 from cell.identify.identified import Identified
 from cell.identify.model_class import ModelClass
+from cell.identify.noise import Noise
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.progress import Progress, no_progress
@@ -38,9 +39,10 @@ def fit_cache_of(
         path, model = prior
         check_same_kind(path, model, study.cable)
         space = prior_space(study, model)
-        prepared = PreparedStudy.of(
-            study, misfit=misfit(model, _least_rms_m(study, space, model, selection.candidates))
-        )
+        seen: Noise | None = None  # of a model that was never compared with a measurement
+        if model.frames_used:
+            seen = misfit(model, _least_rms_m(study, space, model, selection.candidates))
+        prepared = PreparedStudy.of(study, misfit=seen)
     sought = tuple(e for e in selection.in_model if e not in space.effects)
     full = space_with(space, [*space.effects, *sought])
     prior_q = None if prior is None else full.mean

@@ -194,7 +194,7 @@ def everywhere(
     In metres; nan where they cannot be simulated.
     """
     study = prepared.study
-    drawn = np.linspace(study.cable.free_length_m, 0.0, DRAWN)
+    drawn = np.linspace(study.cable.length_m, 0.0, DRAWN)
     arcs = np.unique(np.concatenate([study.arc_length_m, drawn]))[::-1]
     t_s = trial.markers.t_s
     blank = replace(trial, markers=Markers(t_s, np.zeros((len(t_s), len(arcs), 2))))

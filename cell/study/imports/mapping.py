@@ -36,6 +36,14 @@ class Part(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
+class ConnectorSection(Part):
+    """A rigid body at the cable's end; without an inertia it is a rod's."""
+
+    mass_kg: _Positive
+    length_m: _Positive
+    inertia_kg_m2: _Positive | None = None
+
+
 class CableSection(Part):
     """The cable; null = to be filled in."""
 
@@ -44,6 +52,7 @@ class CableSection(Part):
     width_m: _Positive | None = None
     thickness_m: _Positive | None = None
     diameter_m: _Positive | None = None
+    connector: ConnectorSection | None = None
 
 
 class TextSection(Part):

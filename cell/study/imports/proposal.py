@@ -39,6 +39,8 @@ def _plain(mapping: Mapping) -> dict[str, Any]:
     """Entries that are given, and those that must be filled in."""
     data = mapping.model_dump(mode="json", exclude_defaults=True)
     cable = mapping.cable.model_dump(mode="json")
+    if mapping.cable.connector is None:
+        del cable["connector"]
     if mapping.cable.diameter_m is None:
         del cable["diameter_m"]
     else:

@@ -163,7 +163,7 @@ def _longer_than_cable(
 ) -> Problem | None:
     """Two markers that are farther apart than the cable between them is long."""
     markers, names = measured.trial.markers, measured.source.names
-    slack_m = SLACK * cable.free_length_m
+    slack_m = SLACK * cable.length_m
     worst: tuple[float, int, int, Flags] | None = None
     for first in range(len(names)):
         for second in range(first + 1, len(names)):
@@ -193,7 +193,7 @@ def _across(measured: Measured, cable: Cable) -> Problem | None:
     away_m = _out_of_plane_m(measured)
     if away_m is None:
         return None
-    limit_m = REFUSED_ACROSS * cable.free_length_m
+    limit_m = REFUSED_ACROSS * cable.length_m
     far = np.nan_to_num(away_m).max(axis=1) > limit_m
     if np.count_nonzero(far) <= MOST_SLIPS * len(far):
         return None
@@ -210,7 +210,7 @@ def _told_across(measured: Measured, cable: Cable) -> str:
     if away_m is None:
         return ""
     rms_m = float(np.sqrt(np.nanmean(away_m**2)))
-    if rms_m < TOLD_ACROSS * cable.free_length_m:
+    if rms_m < TOLD_ACROSS * cable.length_m:
         return ""
     return (
         f"{measured.capture.path}: the cable is {rms_m * 1e3:.3g} mm rms out of the plane; the "

@@ -117,7 +117,7 @@ def _mapping_of(study: Study, names: Sequence[str]) -> Mapping:
     return Mapping(
         format=FORMAT,
         name=study.name,
-        cable=CableSection(**{k: float(v) for k, v in vars(study.cable).items()}),
+        cable=CableSection(**study.cable.to_dict()),
         gravity_m_per_s2=study.gravity_m_per_s2,
         noise_std_m=study.noise_std_m,
         text=TextSection(separator=",", decimal="."),

@@ -1,13 +1,18 @@
 """Exported chains in MuJoCo beside the project's engine."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from cell.cable.effects.air import AIR_DENSITY_KG_PER_M3
+from cell.cable.geometry import Connector
 from cell.exchange.chain import chain_of, resting_bends
 from cell.exchange.export import SHARE, export_to_mujoco
 from cell.exchange.mjcf import HAND, mjcf
 from cell.exchange.peer import BAR_M, Reference, compare, difference, engine_tip, stroke
+from cell.exchange.report import export_parts
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -46,6 +51,24 @@ def test_an_effect_that_is_expressed_acts_as_in_the_engine(flat_model, name):
     assert does.rms_m > 5.0 * found.rms_m
 
 
+def test_a_connector_moves_as_in_the_engine(flat_model):
+    """Another engine, and another description of the same body: the mass matrix is checked too."""
+    bare = flat_model(3, 0.93, tip_mass={"mass_kg": 5e-5}).model
+    cable = replace(bare.cable, connector=Connector(4e-4, 0.015, 2e-8))
+    model = replace(bare, cable=cable, rigidity_n_m2=3.0 * bare.rigidity_n_m2)
+    reference = Reference.of(model, stroke())
+    found = compare(model, chain_of(model, 40), 2.5e-4, reference)
+    assert found.rms_m < 0.04e-3
+    straight = np.linalg.norm(reference.tip_m[0])
+    assert straight < 0.115  # the connector's end is what is compared
+    rod = Connector.rod(4e-4, 0.015)
+    other = replace(model, cable=replace(cable, connector=rod))
+    moves = difference(
+        "its inertia", engine_tip(other, stroke(), reference.times_s), reference.tip_m
+    )
+    assert moves.rms_m > 5.0 * found.rms_m
+
+
 def test_all_of_them_at_once(flat_model):
     done = export_to_mujoco(flat_model(4, 1.1, **EFFECTS).model, "model.json")
     assert done.within_bar
@@ -81,6 +104,20 @@ def test_a_chain_that_diverges_leaves_no_log_behind(flat_model, tmp_path, monkey
     found = compare(model, chain_of(model, 40), 1e-3, Reference.of(model, stroke()))
     assert found.rms_m == np.inf
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_model_that_diverges_in_mujoco_is_told_and_beyond_the_bar(flat_model, monkeypatch):
+    monkeypatch.setattr("cell.exchange.export.STEPS_S", (1e-3,))
+    identified = flat_model(7)
+    q = identified.mean.copy()
+    q[identified.space.knots + 1] -= 8.0
+    done = export_to_mujoco(identified.space.model(q), "model.json", links=40)
+    assert not done.within_bar
+    assert done.to_json()["differences"][0]["rms_m"] is None
+    assert "Tip in '50 mm stroke': it diverges" in done.xml
+    table, last = list(export_parts(done, Path("cable.xml")))[-2:]
+    assert table.rows == [["50 mm stroke", "diverges", "diverges"]]
+    assert "more --links" in last
 
 
 def test_the_file_rests_where_it_says_and_follows_the_hand(flat_model):

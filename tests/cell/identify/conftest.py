@@ -56,7 +56,8 @@ def measure(hold_motion: Motion) -> Measure:
     ) -> World:
         rng = np.random.default_rng(seed)
         t_s = np.arange(0.001, motion.t_s[-1], 0.005)
-        clean = simulate(model, motion, t_s, node_arc_lengths(0.1), solver=WORLD)[0]
+        arcs = node_arc_lengths(model.cable.length_m)
+        clean = simulate(model, motion, t_s, arcs, solver=WORLD)[0]
         error = rng.normal(0.0, 1.0, clean.shape)
         for i in range(1, len(error)):
             error[i] = ar1 * error[i - 1] + np.sqrt(1.0 - ar1**2) * error[i]

@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cell.cable.geometry import Cable, node_arc_lengths
+from cell.cable.geometry import Cable, Connector, node_arc_lengths
 from cell.cable.model import CableModel
 from cell.cable.solver import Solver
 from cell.identify.fit import FitError, FitOptions, fit, predict, still_noise
@@ -57,6 +57,27 @@ def test_parameters_of_a_finer_world_are_found(measure, flat_cable: Cable) -> No
     assert found.values[-1] == pytest.approx(truth.viscosity_n_m2_s, rel=0.02)
     assert found.residual_rms_m == pytest.approx(5e-5, rel=0.05)
     assert found.inflation < 1.5
+
+
+def test_a_cable_with_a_connector_is_found_where_it_is_stated_only(
+    measure, flat_cable: Cable
+) -> None:
+    """The connector is as heavy as the cable, and the outer two markers are on it."""
+    cable = replace(flat_cable, connector=Connector(7e-4, 0.02, 3e-8))
+    truth = replace(varied(flat_cable), cable=cable)
+    world = measure(truth, seed=6)
+    arcs_m = node_arc_lengths(cable.length_m)
+    assert np.count_nonzero(arcs_m > cable.free_length_m) == 2
+    found = fit([world.trial], arcs_m, ParameterSpace.of(cable))
+    bends = np.linspace(0.0, 0.06, 13)
+    error = np.log(found.model.rigidity_at(bends) / truth.rigidity_at(bends))
+    assert np.all(np.abs(error) < 4.0 * found.rigidity_log_std(bends))
+    assert found.residual_rms_m == pytest.approx(5e-5, rel=0.05)
+
+    bare = world.trial.markers.xy_m[:, arcs_m <= flat_cable.free_length_m]
+    trial = replace(world.trial, markers=Markers(world.trial.markers.t_s, bare))
+    unsaid = fit([trial], arcs_m[arcs_m <= 0.1], ParameterSpace.of(flat_cable))
+    assert unsaid.residual_rms_m > 2.0 * found.residual_rms_m
 
 
 def test_unseen_frames_and_markers_are_skipped(measure, flat_cable: Cable) -> None:

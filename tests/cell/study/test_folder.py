@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from cell.cable.geometry import Cable, Motion
+from cell.cable.geometry import Cable, Connector, Motion
 from cell.files.input_error import InputError
 from cell.study.data import Markers, Study, Trial
 from cell.study.folder import read_study, study_folder, write_study
@@ -62,6 +63,14 @@ def same(a: Study, b: Study) -> None:
 
 
 @st.composite
+def connectors(draw: st.DrawFn) -> Connector | None:
+    if draw(st.booleans()):
+        return None
+    rod = Connector.rod(draw(st.floats(1e-6, 1.0)), draw(st.floats(1e-3, 0.5)))
+    return replace(rod, inertia_kg_m2=rod.inertia_kg_m2 * draw(st.floats(0.1, 2.9)))
+
+
+@st.composite
 def studies(draw: st.DrawFn) -> Study:
     count = draw(st.integers(1, 4))
     free_length_m = draw(st.floats(0.02, 2.0))
@@ -101,7 +110,7 @@ def studies(draw: st.DrawFn) -> Study:
         )
     return Study(
         draw(st.text(st.characters(codec="utf-8", categories=("L", "N")), min_size=1)),
-        Cable(free_length_m, draw(st.floats(4e-5, 0.035)), 0.016, 1e-4),
+        Cable(free_length_m, draw(st.floats(4e-5, 0.035)), 0.016, 1e-4, draw(connectors())),
         fractions * free_length_m,
         tuple(trials),
         (draw(st.floats(-9.0, 9.0)), -9.81),
@@ -180,6 +189,22 @@ def test_a_round_cable_has_the_section_of_its_diameter(tmp_path: Path) -> None:
     assert cable.width_m * cable.thickness_m == pytest.approx(np.pi * 0.0006**2)
 
 
+def with_connector(entries: str) -> Edit:
+    return swap("width_m: 0.016", f"width_m: 0.016\n  connector: {{{entries}}}")
+
+
+def test_a_connector_without_an_inertia_is_a_rod(tmp_path: Path) -> None:
+    write_study(study(), tmp_path)
+    header = tmp_path / "study.yaml"
+    text = header.read_text(encoding="utf-8")
+    assert "connector" not in text
+    stated = with_connector("mass_kg: 0.002, length_m: 0.02")(text)
+    header.write_text(stated.replace("- 0.1\n", "- 0.11\n"), encoding="utf-8")  # on the connector
+    read = read_study(tmp_path)
+    assert read.cable.connector == Connector.rod(0.002, 0.02)
+    assert read.arc_length_m.max() == 0.11
+
+
 MISTAKES: list[tuple[str, Edit, str]] = [
     ("study.yaml", swap("0.1", "100"), "study.yaml:4:3: cable.free_length_m: 100 m is beyond"),
     ("study.yaml", swap("0.0074", "7.4"), "kg/m, not g/m"),
@@ -188,6 +213,23 @@ MISTAKES: list[tuple[str, Edit, str]] = [
     ("study.yaml", swap("role: fit", "rôle: fit"), "did you mean 'role'?"),
     ("study.yaml", swap("role: fit\n", "role: fit\n  role: fit\n"), "given twice, first in line"),
     ("study.yaml", swap("width_m", "width_mm"), "did you mean 'width_m'?"),
+    (
+        "study.yaml",
+        with_connector("mass_kg: 0.002, length_m: 20"),
+        "study.yaml:7:31: cable.connector.length_m: 20 m is beyond 1 m; give metres, not milli",
+    ),
+    (
+        "study.yaml",
+        with_connector("mass_kg: 20, length_m: 0.02"),
+        "cable.connector.mass_kg: 20 kg is beyond 10 kg; give kg, not g",
+    ),
+    (
+        "study.yaml",
+        with_connector("mass_kg: 0.002, length_m: 0.02, inertia_kg_m2: 1.0e-4"),
+        "inertia_kg_m2: 0.0001 kg·m² is beyond 2e-07 kg·m², all of its mass at its ends",
+    ),
+    ("study.yaml", with_connector("mass_kg: -1, length_m: 0.02"), "connector.mass_kg: input sh"),
+    ("study.yaml", with_connector("mass_kg: 0.002"), "cable.connector.length_m: "),
     ("study.yaml", swap("width_m: 0.016", ""), "study.yaml:3:1: cable: thickness_m given; a flat"),
     ("study.yaml", swap("width_m", "diameter_m"), "diameter_m alone"),
     ("study.yaml", swap("width_m: 0.016", "width_m: 16 mm"), "write the number alone"),
