@@ -129,11 +129,13 @@ def _both_ends_held(trial: Trial, arc_length_m: FloatArray, free_length_m: float
     axes = np.isfinite(xy_m[:, tip]).any(axis=0)  # those in which the tip is not seen say nothing
     spread = np.array([_spread_m(xy_m[:, m, axes]) for m in range(xy_m.shape[1])])
     seen = np.isfinite(spread)
-    # a free tip follows within a quarter of a swing: what the hand does later says nothing
+    # a free tip follows within a quarter of a swing: a frame tells of the hand before that
     follows_s = 0.25 * SLOWEST * np.sqrt(free_length_m / GRAVITY_M_PER_S2)
     t_s = trial.markers.t_s
-    told = (grip.t_s >= t_s[0]) & (grip.t_s <= t_s[-1] - follows_s)
-    hand_m = _spread_m(np.column_stack([grip.x_m, grip.y_m])[told][:, axes])
+    told_s = t_s[np.isfinite(xy_m[:, tip][:, axes]).all(axis=1)] - follows_s
+    told_s = told_s[told_s >= t_s[0]]
+    hand = np.column_stack([np.interp(told_s, grip.t_s, v) for v in (grip.x_m, grip.y_m)])
+    hand_m = _spread_m(hand[:, axes])
     inner_m = float(np.max(spread[seen], initial=0.0))
     most_m = max(np.nan_to_num(hand_m), inner_m)
     if arc_length_m[tip] < OUTER * free_length_m or most_m < HELD_MOVES * free_length_m:

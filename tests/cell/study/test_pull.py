@@ -153,3 +153,12 @@ def test_a_record_that_ends_before_the_hand_moves_says_nothing_of_the_tip(level:
     early = trial.markers.t_s < 0.42  # the hand moves from 0.4 to 0.6 s
     short = replace(trial, markers=Markers(trial.markers.t_s[early], trial.markers.xy_m[early]))
     assert impossible(short, CABLE, ARCS, (0.0, 0.0)) is None
+
+
+def test_a_tip_that_is_lost_before_the_hand_moves_says_nothing(level: Study) -> None:
+    """Rows without the tip were once counted as rows in which it stayed."""
+    trial = level.trials[0]
+    xy_m = trial.markers.xy_m.copy()
+    xy_m[trial.markers.t_s > 0.42] = np.nan
+    lost = replace(trial, markers=Markers(trial.markers.t_s, xy_m))
+    assert impossible(lost, CABLE, ARCS, (0.0, 0.0)) is None
