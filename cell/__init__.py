@@ -1,7 +1,8 @@
 """A robot cell that identifies each cable it holds and inserts it.
 
 From Python it offers what the lab's commands do: `cell.read_study`, `cell.fit`, `cell.compare`,
-`cell.diagnose`, `cell.suggest`, `cell.learn`.  Lengths are in m, times in s, angles in rad.
+`cell.diagnose`, `cell.suggest`, `cell.power`, `cell.learn`.  Lengths are in m, times in s, angles
+in rad.
 """
 
 from __future__ import annotations
@@ -10,9 +11,15 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from cell.api.lab import compare, diagnose, fit, read_study, suggest
+    from cell.api.lab import compare, diagnose, fit, power, read_study, suggest
     from cell.api.line import LearnResult, learn
-    from cell.api.results import CompareResult, DiagnoseResult, FitResult, SuggestResult
+    from cell.api.results import (
+        CompareResult,
+        DiagnoseResult,
+        FitResult,
+        PowerResult,
+        SuggestResult,
+    )
     from cell.api.several import TogetherResult, diagnose_together
     from cell.cable.geometry import Cable, Motion
     from cell.study.data import Markers, Study, Trial
@@ -20,15 +27,23 @@ if TYPE_CHECKING:
 
 #: Public names, and where each is: it is imported when it is first used.
 _PLACES = {
-    **dict.fromkeys(("compare", "diagnose", "fit", "read_study", "suggest"), "cell.api.lab"),
-    **dict.fromkeys(("LearnResult", "learn"), "cell.api.line"),
-    **dict.fromkeys(("TogetherResult", "diagnose_together"), "cell.api.several"),
-    **dict.fromkeys(
-        ("CompareResult", "DiagnoseResult", "FitResult", "SuggestResult"), "cell.api.results"
-    ),
-    **dict.fromkeys(("Cable", "Motion"), "cell.cable.geometry"),
-    **dict.fromkeys(("Markers", "Study", "Trial"), "cell.study.data"),
-    "write_study": "cell.study.folder",
+    name: place
+    for place, names in {
+        "cell.api.lab": ("compare", "diagnose", "fit", "power", "read_study", "suggest"),
+        "cell.api.line": ("LearnResult", "learn"),
+        "cell.api.results": (
+            "CompareResult",
+            "DiagnoseResult",
+            "FitResult",
+            "PowerResult",
+            "SuggestResult",
+        ),
+        "cell.api.several": ("TogetherResult", "diagnose_together"),
+        "cell.cable.geometry": ("Cable", "Motion"),
+        "cell.study.data": ("Markers", "Study", "Trial"),
+        "cell.study.folder": ("write_study",),
+    }.items()
+    for name in names
 }
 
 __all__ = [
@@ -39,6 +54,7 @@ __all__ = [
     "LearnResult",
     "Markers",
     "Motion",
+    "PowerResult",
     "Study",
     "SuggestResult",
     "TogetherResult",
@@ -48,6 +64,7 @@ __all__ = [
     "diagnose_together",
     "fit",
     "learn",
+    "power",
     "read_study",
     "suggest",
     "write_study",

@@ -1,4 +1,4 @@
-"""Commands of the lab as functions: fit, compare, diagnose, suggest."""
+"""Commands of the lab as functions: fit, compare, diagnose, suggest, power."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cell.api.results import CompareResult, DiagnoseResult, FitResult, SuggestResult
+from cell.api.results import CompareResult, DiagnoseResult, FitResult, PowerResult, SuggestResult
 from cell.identify.identified import Identified
 from cell.lab.data.opened_study import open_study
 from cell.lab.data.own_check import read_own_checks
@@ -22,6 +22,8 @@ from cell.lab.data.selection import (
 from cell.lab.data.thresholds import DEFAULT_RULES, Rules
 from cell.lab.fit.individual_model import check_same_kind, read_model
 from cell.lab.next.advice import Paths, advice
+from cell.lab.power.asked import select_asked
+from cell.lab.power.study_power import power_of
 from cell.lab.search.setup import fit_cache_of, read_kind, read_prior
 from cell.lab.search.wrong_samples import without_wrong_samples
 from cell.lab.strength.compare import compare_model
@@ -134,15 +136,57 @@ def suggest(
 ) -> SuggestResult:
     """Suggest the safe motion that best distinguishes the effects that may be missing.
 
-    config  settings of the cell, for its limits too; other arguments and errors as of `diagnose`
+    effects  files of your own effects, tried beside the library; or `NAME`, `NAME=SIZE` of effects
+             that the motion is to show, without a diagnosis
+    config   settings of the cell, for its limits too; other arguments and errors as of `diagnose`
     """
+    from cell.lab.next.showing import asked_and_tried, showing_motion
     from cell.lab.next.suggest import suggest_motion  # settings: a fifth of a second
     from cell.settings.surroundings import Surroundings
 
     around = Surroundings.read(None if config is None else Path(config))
-    selection = select_for_diagnosis(effects, known)
-    fits = set_up(study, selection, prior, config, progress)
+    names, tried = asked_and_tried(effects)
+    if names:
+        asked, selection = select_asked(names, known)
+        fits = set_up(study, selection, prior, config, progress)
+        return SuggestResult(showing_motion(fits, asked, around))
+    fits = set_up(study, select_for_diagnosis(tried, known), prior, config, progress)
     return SuggestResult(suggest_motion(examine(fits), around))
+
+
+def power(
+    study: StudyOrFolder,
+    effects: Sequence[str],
+    *,
+    verify: int = 0,
+    motions: Sequence[Path | str] = (),
+    known: Sequence[str] = (),
+    config: Path | str | None = None,
+    progress: Progress = no_progress,
+) -> PowerResult:
+    """Forecast which effects a diagnosis of a study like this would find, and from which size on.
+
+    effects  `NAME`, `NAME=SIZE` or `NAME.PARAMETER=SIZE`, SIZE in the parameter's unit; without it
+             the smallest that is found
+    verify   copies of the study, the effect hidden in each, that are diagnosed
+    motions  files of `cell suggest`, as if they had been recorded too and held out
+    other arguments and errors as of `diagnose`
+    """
+    asked, selection = select_asked(effects, known)
+    fits = set_up(study, selection, None, config, progress)
+    return PowerResult(power_of(planned(fits, motions), asked, verify, progress=progress))
+
+
+def planned(fits: FitCache, motions: Sequence[Path | str]) -> FitCache:
+    """The study with motions of `cell suggest`, from where its hand begins, held out."""
+    from cell.lab.next.motion_file import hand_motion
+    from cell.lab.power.planned import with_motions
+
+    if not motions:
+        return fits
+    first = fits.given.study.trials[0].grip
+    home = float(first.x_m[0]), float(first.y_m[0])
+    return with_motions(fits, [hand_motion(Path(file), home) for file in motions])
 
 
 def silent(_: Sequence[str]) -> None:

@@ -32,6 +32,7 @@ from cell.lab.report.model_tables import (
     model_table,
     suggestion_table,
 )
+from cell.lab.report.power_tables import power_sentences, power_table, recovery_table
 from cell.lab.report.tables import agreement_table, diagnosis_parts, warning_lines
 from cell.lab.report.wording import agreement_sentence, by_evidence
 from cell.lab.strength.compare import Comparison, comparisons_json
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
     from cell.lab.data.prepared import PreparedStudy
     from cell.lab.next.advice import Step
     from cell.lab.next.suggestion import Suggestion
+    from cell.lab.power.study_power import StudyPower
     from cell.lab.search.fitted_model import FittedModel
     from cell.lab.verdict.diagnose import Examination
 
@@ -209,6 +211,41 @@ class DiagnoseResult(Shown):
 
         page = diagnosis_page(self.diagnosis, self.comparisons, self.model, self.todo)
         write_page(page, Path(path))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PowerResult(Shown):
+    """What a diagnosis of a study would find, by `cell.power`."""
+
+    power: StudyPower
+
+    def parts(self) -> Sequence[str | TableData]:
+        """What would be found, the forecast, and what was found in copies if there are any."""
+        copies = recovery_table(self.power)
+        return (
+            *power_sentences(self.power),
+            *warning_lines(self.power.warnings),
+            power_table(self.power),
+            *([] if copies is None else [copies]),
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """As `cell power --json` prints it (cable-power/1)."""
+        return self.power.to_json()
+
+    def rows(self) -> list[Row]:
+        """A row per effect: its size, the probability that it is found, and the smallest size."""
+        return [
+            {
+                "effect": one.asked.effect.name,
+                "parameter": one.asked.parameter.name,
+                "size": one.forecast.size,
+                "unit": one.asked.parameter.unit,
+                "found": None if one.forecast.chances is None else one.forecast.chances.found,
+                "smallest": one.forecast.smallest,
+            }
+            for one in self.power.effects
+        ]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

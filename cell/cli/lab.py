@@ -334,6 +334,15 @@ class _Suggest(_Sought):
     """Options of `cell suggest`."""
 
     study: StudyFolder
+    effect: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--effect",
+            help="NAME or NAME=SIZE: suggest the motion that best shows this effect, whether or "
+            "not the study has it; SIZE in the unit of its first parameter, else a typical one. "
+            "A file.py: an effect of your own, tried beside the library.",
+        ),
+    ] = None
     out: Annotated[
         Path | None,
         typer.Option("-o", "--out", help="Write the motion to this file, for `cell run --motion`."),
@@ -349,26 +358,42 @@ class _Suggest(_Sought):
 @app.command(cls=JsonCommand)
 @taking(_Suggest)
 def suggest(given: _Suggest) -> None:
-    """Suggest the safe motion that best distinguishes the remaining candidates, and its power."""
+    """Suggest the safe motion that best distinguishes the remaining candidates, and its power.
+
+    With `--effect NAME`: the motion that best shows that effect.
+    """
     from cell.api.lab import set_up
     from cell.api.results import SuggestResult
     from cell.lab.data.selection import select_for_diagnosis
+    from cell.lab.next.showing import asked_and_tried, showing_motion
     from cell.lab.next.suggest import suggest_motion
+    from cell.lab.power.asked import select_asked
     from cell.lab.report.tables import verdict_line, warning_lines
     from cell.lab.verdict.diagnose import diagnose as diagnose_study
     from cell.settings.surroundings import Surroundings
 
     with refusing(given.out, given.as_json, force=given.force), working("suggest") as progress:
         surroundings = Surroundings.read(given.config)
-        selection = select_for_diagnosis(given.effects(progress), given.known or [])
+        names, tried = asked_and_tried(given.effects(progress))
+        known = given.known or []
+        asked, selection = (
+            select_asked(names, known) if names else ((), select_for_diagnosis(tried, known))
+        )
         fits = set_up(given.study, selection, given.prior, given.config, progress, tell_notes)
-        with stoppable(fits.work.stop) as interrupted:
-            diagnosed = diagnose_study(fits)
-        if interrupted:
-            show(verdict_line(diagnosed.diagnosis), *warning_lines(diagnosed.diagnosis.warnings))
-            raise typer.Exit(interrupted.code)
+        if not asked:
+            with stoppable(fits.work.stop) as interrupted:
+                diagnosed = diagnose_study(fits)
+            if interrupted:
+                doubts = diagnosed.diagnosis.warnings
+                show(verdict_line(diagnosed.diagnosis), *warning_lines(doubts))
+                raise typer.Exit(interrupted.code)
         with answering() as interrupted:
-            result = SuggestResult(suggest_motion(diagnosed, surroundings))
+            found = (
+                showing_motion(fits, asked, surroundings)
+                if asked
+                else suggest_motion(diagnosed, surroundings)
+            )
+        result = SuggestResult(found)
         if interrupted:
             tell_notes(["interrupted: the result is the best of the motions evaluated so far"])
     data = result.to_json()

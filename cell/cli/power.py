@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -20,9 +20,6 @@ from cell.cli.lab import (
 )
 from cell.cli.result_json import JsonCommand, print_result
 from cell.cli.shared import group, stoppable, tell_notes
-
-if TYPE_CHECKING:
-    from cell.lab.power.study_power import StudyPower
 
 app = group()
 
@@ -67,41 +64,23 @@ def power(
     The study's own motions, markers and noise count.  A few seconds tell the probability, the
     smallest size that is found with 95 %, and the effect that it is most like.
     """
-    from cell.api.lab import set_up
-    from cell.lab.next.motion_file import hand_motion
+    from cell.api.lab import planned, set_up
+    from cell.api.results import PowerResult
     from cell.lab.power.asked import select_asked
-    from cell.lab.power.planned import with_motions
     from cell.lab.power.study_power import power_of
 
     with refusing(*results or [], force=force), working("power") as progress:
         asked, selection = select_asked(effect, known or [])
         fits = set_up(study, selection, None, config, progress, tell_notes)
-        first = fits.given.study.trials[0].grip
-        home = float(first.x_m[0]), float(first.y_m[0])
-        planned = [hand_motion(path, home) for path in motion or []]
         with stoppable(fits.work.stop) as interrupted:
-            if planned:
-                fits = with_motions(fits, planned)
-            found = power_of(fits, asked, verify, progress=progress)
-    data = found.to_json()
+            found = power_of(planned(fits, motion or []), asked, verify, progress=progress)
+    result = PowerResult(found)
+    data = result.to_json()
 
     def printed() -> None:
         if print_result(data, *results or []):
-            _show(found)
+            show(*result.parts())
 
     deliver(printed, *json_files(data, *results or []))
     if interrupted:
         raise typer.Exit(interrupted.code)
-
-
-def _show(found: StudyPower) -> None:
-    from cell.lab.report.power_tables import power_sentences, power_table, recovery_table
-    from cell.lab.report.tables import warning_lines
-
-    copies = recovery_table(found)
-    show(
-        *power_sentences(found),
-        *warning_lines(found.warnings),
-        power_table(found),
-        *([] if copies is None else [copies]),
-    )

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from cell.cable.effects import Effect, EffectError, file_sha256
+from cell.cable.effects.base import after_number
 from cell.files.input_error import Problem, did_you_mean
 from cell.files.yaml_document import Document, Key
 from cell.identify.model_class import effect_from, known_effects
@@ -84,7 +85,7 @@ def _parameter_problems(
         elif isinstance(stated, KnownParameter):
             p = parameters[key]
             if not p.low <= stated.fixed <= p.high:
-                message = f"{stated.fixed:g}{_unit(p.unit)}: must be {p.low:g} … {p.high:g}"
+                message = f"{stated.fixed:g}{after_number(p.unit)}: must be {p.low:g} … {p.high:g}"
                 yield document.problem((*place, key, "fixed"), message)
         elif (stated == "prior") != (name in in_prior):
             message = (
@@ -105,8 +106,3 @@ def _is_known(model: Model, effect: str, parameter: str) -> bool:
         for entry in model.effects
         if effect_from(entry.effect).name == effect
     )
-
-
-def _unit(unit: str) -> str:
-    """A unit behind its number; nothing for a pure number."""
-    return "" if unit == "1" else f" {unit}"

@@ -14,6 +14,11 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 
 
+def after_number(unit: str) -> str:
+    """A unit as it stands behind its number; nothing for a pure number, whose unit is 1."""
+    return "" if unit == "1" else f" {unit}"
+
+
 @dataclass(frozen=True)
 class Parameter:
     """One number of an effect.
@@ -188,7 +193,7 @@ class ActiveEffect:
             )
         for parameter, value in zip(self.effect.parameters, self.values, strict=True):
             if not math.isfinite(value) or not parameter.low <= value <= parameter.high:
-                unit = "" if parameter.unit == "1" else f" {parameter.unit}"
+                unit = after_number(parameter.unit)
                 raise ValueError(
                     f"{name}.{parameter.name} = {value:g}{unit}: "
                     f"must be {parameter.low:g} … {parameter.high:g}{unit}"

@@ -57,8 +57,13 @@ def suggest_motion(examination: Examination, surroundings: Surroundings) -> Sugg
         Rival(_label(c), c.fit.space, c.fit.q, c.fit.covariance) for c in rivals(examination)
     ]
     found = distinguishing_motions(fits.prepared, open_to, surroundings, fits.progress)
+    return worth_a_cable(found, fits.prepared)
+
+
+def worth_a_cable(found: Suggestion, prepared: PreparedStudy) -> Suggestion:
+    """The same, if a motion may decide.  Raises ValueError: what would help."""
     if max(option.power for option in found.options) < LEAST_POWER:
-        raise ValueError(_what_would_help(found, fits.prepared))
+        raise ValueError(_what_would_help(found, prepared))
     return found
 
 

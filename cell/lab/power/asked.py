@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from cell.cable.effects.base import ActiveEffect, Effect, Parameter
+from cell.cable.effects.base import ActiveEffect, Effect, Parameter, after_number
 from cell.lab.data.selection import EffectSelection, effect_named, select_effects
 from cell.lab.fit.sensitivity import is_shape
 
@@ -83,21 +83,22 @@ def _amplitude(given: str, effect: type[Effect], which: str) -> Parameter:
 
 
 def _size(given: str, parameter: Parameter, text: str) -> float:
+    unit = after_number(parameter.unit)
     try:
         size = float(text)
     except ValueError:
         raise ValueError(
-            f"--effect {given}: the size {text!r} is no number; give {parameter.name} in "
-            f"{parameter.unit}"
+            f"--effect {given}: the size {text!r} is no number; give {parameter.name}"
+            f"{unit and f' in{unit}'}"
         ) from None
     if not parameter.low <= size <= parameter.high:
         raise ValueError(
-            f"--effect {given}: {parameter.name} = {size:g} {parameter.unit} is outside "
-            f"{parameter.low:g} … {parameter.high:g} {parameter.unit}; give a size within"
+            f"--effect {given}: {parameter.name} = {size:g}{unit} is outside "
+            f"{parameter.low:g} … {parameter.high:g}{unit}; give a size within"
         )
     if size == parameter.default:
         raise ValueError(
-            f"--effect {given}: {parameter.name} = {size:g} {parameter.unit} is none of the "
+            f"--effect {given}: {parameter.name} = {size:g}{unit} is none of the "
             f"effect; give another size, or leave it out for the smallest that is found"
         )
     return size

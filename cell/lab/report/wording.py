@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from cell.cable.effects.base import after_number
 from cell.lab.data.prepared import ERRS
 from cell.lab.data.results import (
     Agreement,
@@ -238,7 +239,7 @@ def agreement_sentence(found: Sequence[Agreement]) -> str:
 def _said_by_trials(agreement: Agreement) -> str:
     """The range of what trials say of a parameter alone, and how surely they differ."""
     values = [t.value for t in agreement.by_trial if t.value is not None]
-    unit = "" if agreement.unit == "1" else f" {agreement.unit}"
+    unit = after_number(agreement.unit)
     return (
         f"estimates per trial {digits(min(values), 3)} … {digits(max(values), 3)}{unit} "
         f"(p {chance(agreement.p_value, '= ')})"

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from cell.cable.effects.base import after_number
 from cell.lab.data.check import Reading
 from cell.lab.data.prepared import ERRS
 from cell.lab.data.results import Doubt
@@ -149,7 +150,7 @@ def _effects_apart(base: Fit, other: Fit) -> list[str]:
             continue
         variance = sum(fit.widening * fit.covariance[i, i] for fit in (base, other))
         if abs(other.q[i] - base.q[i]) > APART_STD * np.sqrt(variance):
-            unit = "" if base.space.units[i] == "1" else f" {base.space.units[i]}"
+            unit = after_number(base.space.units[i])
             found.append(f"{name} {values[i]:.3g} and {others[i]:.3g}{unit}")
     return found
 
