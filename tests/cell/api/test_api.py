@@ -41,6 +41,10 @@ SIGNATURES = {
     "learn": "(runs: 'Sequence[Path | str]', config: 'Path | str', *, "
     "effects: 'Sequence[str]' = (), progress: 'Progress' = <function no_progress>) "
     "-> 'LearnResult'",
+    "power": "(study: 'StudyOrFolder', effects: 'Sequence[str]', *, verify: 'int' = 0, "
+    "motions: 'Sequence[Path | str]' = (), known: 'Sequence[str]' = (), "
+    "config: 'Path | str | None' = None, progress: 'Progress' = <function no_progress>) "
+    "-> 'PowerResult'",
     "suggest": "(study: 'StudyOrFolder', *, effects: 'Sequence[str]' = (), "
     "known: 'Sequence[str]' = (), prior: 'Path | str | None' = None, "
     "config: 'Path | str | None' = None, progress: 'Progress' = <function no_progress>) "
@@ -55,6 +59,7 @@ CLASSES = {
     "FitResult": ("model", "candidate", "warnings", "agreement"),
     "CompareResult": ("comparisons",),
     "DiagnoseResult": ("diagnosis", "comparisons", "todo", "examination"),
+    "PowerResult": ("power",),
     "SuggestResult": ("suggestion",),
     "TogetherResult": ("together",),
     "LearnResult": ("learned", "judgement", "settings", "left_out"),
@@ -132,6 +137,18 @@ def test_the_error_falls_from_fit_to_fit(
         before.model = diagnosed.model  # type: ignore[misc]
     with pytest.raises(ValueError, match="names: 1 for 2 models"):
         cell.compare(study, [before, diagnosed.model], names=["one"])
+
+
+def test_power_is_told_as_by_the_command(folder: Path) -> None:
+    told = cell.power(folder, ["air_drag=0.3"], known=["tip_mass"])
+    words = ["power", str(folder), "--effect", "air_drag=0.3", "--known", "tip_mass", "--json"]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0, done.output
+    assert told.to_json() == json.loads(done.stdout)
+    frame = told.to_frame()
+    assert (frame.effect[0], frame["size"][0], frame.unit[0]) == ("air_drag", 0.3, "1")
+    assert 0.0 < frame.smallest[0] < 10.0
+    assert "air_drag" in told._repr_html_()
 
 
 def test_residuals_are_arrays_and_tables(folder: Path, tmp_path: Path) -> None:
