@@ -14,7 +14,7 @@ from cell.lab.data.progress import Progress, no_progress
 from cell.lab.data.selection import EffectSelection, select_for_diagnosis
 from cell.lab.data.thresholds import DEFAULT_RULES, Rules
 from cell.lab.many.results import Together
-from cell.lab.many.together import Examined, together
+from cell.lab.many.together import Examined, check_names, together
 from cell.lab.report.together_tables import together_page, together_parts
 from cell.study.data import Study
 
@@ -72,11 +72,12 @@ def found_together(
 ) -> TogetherResult:
     """Each study diagnosed alone, then all together."""
     names = _names(studies)
-    each = []
+    check_names(names)
+    ready = []  # all of them, before the first diagnosis: what is wrong with one is told at once
     for number, (study, name) in enumerate(zip(studies, names, strict=True), 1):
         told = _prefixed(progress, f"{name} ({number} of {len(names)})")
-        fits = set_up(study, selection, None, config, told, tell)
-        each.append(Examined(name, examined(fits, rules)))
+        ready.append(set_up(study, selection, None, config, told, tell))
+    each = [Examined(n, examined(fits, rules)) for n, fits in zip(names, ready, strict=True)]
     progress("comparing the studies")
     return TogetherResult(together(each, rules))
 

@@ -75,16 +75,20 @@ class Examined:
         return self.fits.library[name]
 
 
+def check_names(names: Sequence[str]) -> None:
+    """Raises ValueError: fewer than two studies, or two of one name."""
+    if len(names) < 2 or len(set(names)) < len(names):
+        raise ValueError(
+            f"{', '.join(names)}: several studies of different names are needed; rename folders"
+        )
+
+
 def together(studies: Sequence[Examined], rules: Rules = DEFAULT_RULES) -> Together:
     """The answer of several studies of cables that may lack the same effects.
 
     raises  ValueError: of fewer than two studies, or of two of one name
     """
-    names = [s.name for s in studies]
-    if len(names) < 2 or len(set(names)) < len(names):
-        raise ValueError(
-            f"{', '.join(names)}: several studies of different names are needed; rename folders"
-        )
+    check_names([s.name for s in studies])
     fitted = {h: [s.with_effects(h) for s in studies] for h in _hypotheses(studies)}
     scored = [
         (names, [m for m in models if m is not None])

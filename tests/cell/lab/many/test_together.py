@@ -12,14 +12,25 @@ import pytest
 from typer.testing import CliRunner
 
 import cell
+from cell.api.several import TogetherResult, found_together
 from cell.cable.effects import ActiveEffect, library
 from cell.cli import app
+from cell.files.input_error import InputError
+from cell.lab.data.progress import no_progress
+from cell.lab.data.selection import EffectSelection
 from cell.study.data import Markers, Study
 from cell.study.folder import write_study
 from tests.cell.lab.conftest import STROKES
 
 GRAMS = library()["tip_mass"].active(mass_kg=2.5e-5)
 FEW = (STROKES[0], STROKES[1], STROKES[3])
+#: Effects that are tried, so that a diagnosis is quick: alike, unlike and not smooth.
+TRIED = {n: library()[n] for n in ("tip_mass", "air_drag", "natural_curvature", "grip_angle")}
+
+
+def together(studies: Sequence[Study | Path]) -> TogetherResult:
+    """As `cell.diagnose_together`, with few effects tried."""
+    return found_together(studies, EffectSelection((), TRIED), None, no_progress)
 
 
 @pytest.fixture
@@ -32,8 +43,9 @@ def batch(make_study):
 
 
 def test_cables_that_are_alike_give_one_effect_and_its_mean(batch, tmp_path: Path) -> None:
-    folders = [tmp_path / s.name for s in batch([[GRAMS]] * 3)]
-    for folder, study in zip(folders, batch([[GRAMS]] * 3), strict=True):
+    studies = batch([[GRAMS]] * 3)
+    folders = [tmp_path / s.name for s in studies]
+    for folder, study in zip(folders, studies, strict=True):
         write_study(study, folder)
     out, page = tmp_path / "together.json", tmp_path / "together.html"
     asked = ["diagnose", *map(str, folders), "-o", str(out), "--report", str(page)]
@@ -55,7 +67,7 @@ def test_cables_that_are_alike_give_one_effect_and_its_mean(batch, tmp_path: Pat
 
 
 def test_complete_cables_are_complete_together(batch) -> None:
-    found = cell.diagnose_together(batch([[]] * 3))
+    found = together(batch([[]] * 3))
     assert found.together.verdict == "complete"
     assert found.together.effects == ()
     assert list(found.to_frame().says) == [""] * 3
@@ -63,7 +75,7 @@ def test_complete_cables_are_complete_together(batch) -> None:
 
 
 def test_two_cables_of_four_that_have_an_effect_are_named(batch) -> None:
-    found = cell.diagnose_together(batch([[GRAMS], [], [GRAMS], []])).together
+    found = together(batch([[GRAMS], [], [GRAMS], []])).together
     assert (found.verdict, found.effects) == ("missing", ("tip_mass",))
     assert [p.says for p in found.studies] == ["shows", "excludes", "shows", "excludes"]
     assert "missing in 2 of 4 studies, cable_0, cable_2" in found.why
@@ -82,7 +94,7 @@ def test_what_one_study_leaves_unexplained_is_told(batch) -> None:
         wave_m *= 4e-4 * (t_s[:, None] > 0.25)  # not at rest: there it would be noise
         xy_m = trial.markers.xy_m + wave_m[:, :, None]
         trials.append(replace(trial, markers=Markers(t_s, xy_m)))
-    found = cell.diagnose_together([plain, replace(odd, trials=tuple(trials))]).together
+    found = together([plain, replace(odd, trials=tuple(trials))]).together
     assert found.verdict == "unexplained"
     assert [p.explained for p in found.studies] == [True, False]
     assert found.why.startswith("the model with tip_mass leaves more than noise in cable_1")
@@ -100,3 +112,14 @@ def test_bad_input_is_refused(batch, tmp_path: Path) -> None:
     assert "--prior is of one cable" in done.stderr
     with pytest.raises(ValueError, match="several studies of different names"):
         cell.diagnose_together([study])
+
+
+def test_what_is_wrong_with_the_last_study_is_told_before_the_first_is_diagnosed(
+    batch, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for study in batch([[], []]):
+        write_study(study, tmp_path / study.name)
+    (tmp_path / "cable_1" / "study.yaml").write_text("format: cable-study/1\n")
+    monkeypatch.setattr("cell.api.several.examined", lambda *_: pytest.fail("a study is diagnosed"))
+    with pytest.raises(InputError, match=r"cable_1.study\.yaml:1"):
+        together([tmp_path / "cable_0", tmp_path / "cable_1"])
