@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 from collections.abc import Callable, Iterator
@@ -103,6 +104,12 @@ def pytest_configure(config: pytest.Config) -> None:
     _hear_signals()
     if config.getoption("--hardware") != (config.getoption("--config") is not None):
         raise pytest.UsageError("--hardware and --config FILE go together")
+
+
+def pytest_collection_finish() -> None:
+    """All tests stay to the end: they need not be looked through for garbage again and again."""
+    gc.collect()
+    gc.freeze()
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
