@@ -99,7 +99,7 @@ class EffectTest:
         return Judged(
             significant,
             self._confirmed(size, u, gain, given, rules),
-            0.5 * (fall - penalty) + gain,
+            0.5 * (fall - penalty),
             -fall - 2.0 * gain,
         )
 
@@ -226,20 +226,24 @@ class Tests:
         evidence = np.where(accepted, [j.evidence for j in judged], -np.inf)
         best, any_is = np.argmax(evidence, axis=0), accepted.any(axis=0)
         chi2 = np.array([j.chi2 for j in judged])
-        tied = chi2 < np.take_along_axis(chi2, best[None], axis=0) + rules.tie_delta_chi2
+        of_best = np.take_along_axis(chi2, best[None], axis=0)
+        tied = chi2 < of_best + rules.tie_delta_chi2
         tied[best, np.arange(len(best))] = True
         few = tied.sum(axis=0) <= rules.most_named
         identified = np.ones(len(scores), dtype=bool)
         if self.half_seen:
             identified = np.any([look.passes(scores) for look in self.half_seen], axis=0)
         claimed = any_is & few & identified
+        # a rival that explains less is exchanged for the effect, which is then judged by itself
+        exchanged = chi2[0] < of_best[0] - rules.tie_delta_chi2
+        right = tied[0] & (accepted[0] | ~exchanged)
         passes = self._right_passes(times, rules)
         others = [
             (test.effect.name, passes * float(np.mean(claimed & ~tied[0] & (best == i))))
             for i, test in enumerate(self.effects)
         ]
         return Chances(
-            found=passes * float(np.mean(claimed & tied[0])),
+            found=passes * float(np.mean(claimed & right)),
             confused=tuple(sorted((o for o in others if o[1] > 0.0), key=lambda o: -o[1])),
             significant=float(np.mean(judged[0].significant)),
             confirmed=float(np.mean(judged[0].confirmed)),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -12,6 +14,7 @@ from cell.cable.effects import library
 from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.fit.sensitivity import chances_of
 from cell.lab.power.decisions import Circumstances, EffectTest
+from cell.lab.power.decisions import Tests as DecisionTests
 from cell.lab.statistics.score import boundary_p_value
 
 GIVEN = Circumstances(25, 9000, 9000, 0.5, 1e-4, 0.0, 1.0, 1.0)
@@ -79,3 +82,26 @@ def test_without_held_out_trials_nothing_is_confirmed() -> None:
     judged = test.judged(np.array([[100.0, 0.0]]), none, DEFAULT_RULES)
     assert judged.significant[0]
     assert not judged.confirmed[0]
+
+
+def hidden_beside(rival: EffectTest, of_rival: tuple[float, float]) -> DecisionTests:
+    """An effect of χ² 900 that held-out trials cannot show, and a rival that they confirm."""
+    hidden = effect_test("air_drag", np.array([[1.0]]), np.array([[1e-3]]))
+    moved = replace(rival, fitted=slice(2, 3), heldout=slice(3, 4))
+    by_change = np.array([30.0, 0.03, *of_rival])
+    return DecisionTests((hidden, moved), (), GIVEN, by_change, np.zeros((1, 4)))
+
+
+def test_a_rival_that_explains_less_is_exchanged_for_what_cannot_be_confirmed() -> None:
+    """The effect was counted as found, because it explains at least as much as what is claimed."""
+    weaker = effect_test("tip_mass", np.array([[1.0]]), np.array([[1.0]]))
+    said = hidden_beside(weaker, (15.0, 15.0)).chances(1.0, DEFAULT_RULES)
+    assert (said.significant, said.confirmed) == (1.0, 0.0)
+    assert (said.found, said.confused, said.missed) == (0.0, (), 1.0)
+
+
+def test_an_effect_tied_with_a_rival_that_is_confirmed_is_found_with_it() -> None:
+    alike = effect_test("tip_mass", np.array([[1.0]]), np.array([[0.012]]))
+    alike = replace(alike, shown=np.array([[1.0]]), raw_m2=np.array([[1e-8]]))
+    said = hidden_beside(alike, (29.9, 0.36)).chances(1.0, DEFAULT_RULES)
+    assert (said.confirmed, said.found, said.confused) == (0.0, 1.0, ())
