@@ -7,8 +7,10 @@ memory than a few; and a job that ends its process is a result too.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Generator, Iterable
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import Any, Generic, TypeVar
 
 from cell.computer.forks import Fork, LostError
@@ -30,45 +32,45 @@ class ProcessLostError(RuntimeError):
 
 @dataclass
 class _Row(Generic[Given, Returned]):
-    """Jobs that wait, are under way, or are done and not yet taken."""
+    """Jobs that wait, are under way, or are done and not yet taken.
 
-    jobs: Iterator[tuple[int, Given]]
+    given, taken  how many jobs were begun or wait, and of how many the result was taken
+    """
+
     changed: threading.Condition = field(default_factory=threading.Condition)
-    again: list[tuple[int, Given]] = field(default_factory=list)
+    waiting: deque[tuple[int, Given]] = field(default_factory=deque)
     lost: dict[int, int] = field(default_factory=dict)
     done: dict[int, Returned | ProcessLostError] = field(default_factory=dict)
-    taken: int = 0
     given: int = 0
-    all_given: bool = False
+    taken: int = 0
     ended: bool = False
     error: BaseException | None = None
 
-    def next(self, ahead: int) -> tuple[int, Given] | None:
-        """The next job, once there is room for its result; None = there are no more."""
+    def give(self, job: Given) -> None:
+        """One more job waits."""
         with self.changed:
-            while not self.ended:
-                if self.again:
-                    return self.again.pop(0)
-                if self.given - self.taken < ahead and (job := self._from_jobs()) is not None:
-                    return job
-                if self.all_given and self.given == self.taken + len(self.done):
-                    break
-                self.changed.wait(_LOOK_S)
-            return None
+            self.waiting.append((self.given, job))
+            self.given += 1
+            self.changed.notify_all()
 
-    def _from_jobs(self) -> tuple[int, Given] | None:
-        if self.all_given:
-            return None
-        try:
-            job = next(self.jobs)
-        except StopIteration:
-            self.all_given = True
-            return None
-        except BaseException as error:  # of whoever makes the jobs
-            self.error, self.ended = error, True
-            return None
-        self.given += 1
-        return job
+    def next(self) -> tuple[int, Given] | None:
+        """The next job, once there is one; None = there will be no more."""
+        with self.changed:
+            while not self.waiting and not self.ended:
+                self.changed.wait()
+            return None if self.ended else self.waiting.popleft()
+
+    def take(self) -> tuple[Returned | ProcessLostError] | None:
+        """The next result in order; None = it is not there yet, after a while."""
+        with self.changed:
+            if self.error is not None:
+                raise self.error
+            if self.taken not in self.done:
+                self.changed.wait(_LOOK_S)
+            if self.taken not in self.done:
+                return None
+            self.taken += 1
+            return (self.done.pop(self.taken - 1),)
 
     def put(self, number: int, result: Returned | ProcessLostError) -> None:
         """A job is done."""
@@ -81,7 +83,7 @@ class _Row(Generic[Given, Returned]):
         with self.changed:
             self.lost[number] = self.lost.get(number, 0) + 1
             if self.lost[number] < _MOST_LOST:
-                self.again.append((number, job))
+                self.waiting.appendleft((number, job))
             else:
                 self.done[number] = ProcessLostError(
                     f"ended its process {_MOST_LOST} times; is there enough memory?"
@@ -94,7 +96,6 @@ def stream(
     jobs: Iterable[Given],
     copies: int,
     check: Callable[[], None] = lambda: None,
-    known: Sequence[object] = (),
 ) -> Generator[Returned | ProcessLostError]:
     """Results of jobs in their order, `copies` of them under way at a time.
 
@@ -103,19 +104,27 @@ def stream(
 
     function  called in copies of this process; it must not raise
     check     may raise while a result is waited for
-    known     objects that are not pickled, as of `forks`
     raises    OSError: this user may have no more processes; what `jobs` raises
     """
-    row = _Row[Given, Returned](iter(enumerate(jobs)))
-    slots = [_Slot(function, number, known) for number in range(copies)]
+    row, left = _Row[Given, Returned](), iter(jobs)
+    slots = [_Slot(function, number) for number in range(copies)]
     threads: list[threading.Thread] = []
     try:
         for slot in slots:
             slot.begin()
         for slot in slots:
-            threads.append(threading.Thread(target=_work, args=(slot, row, copies), daemon=True))
+            threads.append(threading.Thread(target=_work, args=(slot, row), daemon=True))
             threads[-1].start()
-        while (result := _next_result(row, slots, check)) is not None:
+        while True:
+            for job in islice(left, _AHEAD * copies - (row.given - row.taken)):
+                row.give(job)
+            if row.taken == row.given:
+                return
+            while (result := row.take()) is None:
+                check()
+                for slot in slots:
+                    slot.replace_if_lost()
+            check()
             yield result[0]
     finally:
         with row.changed:
@@ -125,47 +134,21 @@ def stream(
             slot.end()
         for thread in threads:
             thread.join()
-        for slot in slots:  # one that was begun meanwhile
-            slot.end()
-
-
-def _next_result(
-    row: _Row[Given, Returned], slots: Sequence[_Slot], check: Callable[[], None]
-) -> tuple[Returned | ProcessLostError] | None:
-    """The next in order, once it is there; None = there are no more."""
-    while True:
-        check()
-        for slot in slots:
-            slot.replace_if_lost()
-        with row.changed:
-            if row.error is not None:
-                raise row.error
-            if row.taken in row.done:
-                result = row.done.pop(row.taken)
-                row.taken += 1
-                row.changed.notify_all()
-                return (result,)
-            if row.all_given and row.taken == row.given:
-                return None
-            row.changed.wait(_LOOK_S)
 
 
 class _Slot:
     """Place of a copy, and of the one after it if it is killed."""
 
-    def __init__(
-        self, function: Callable[[Any], Any], number: int, known: Sequence[object]
-    ) -> None:
+    def __init__(self, function: Callable[[Any], Any], number: int) -> None:
         self._function = function
         self._number = number
-        self._known = known
         self._copy: Fork | None = None
         self._there = threading.Event()
         self._ended = False
 
     def begin(self) -> None:
         """Make the copy."""
-        self._copy = Fork(self._number, [self._function], self._known)
+        self._copy = Fork(self._number, [self._function], ())
         self._there.set()
 
     def replace_if_lost(self) -> None:
@@ -195,8 +178,8 @@ class _Slot:
             copy.end()
 
 
-def _work(slot: _Slot, row: _Row[Any, Any], copies: int) -> None:
-    while (job := row.next(_AHEAD * copies)) is not None:
+def _work(slot: _Slot, row: _Row[Any, Any]) -> None:
+    while (job := row.next()) is not None:
         try:
             row.put(job[0], slot.do(job[1]))
         except LostError:
