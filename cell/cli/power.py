@@ -20,6 +20,7 @@ from cell.cli.lab import (
 )
 from cell.cli.result_json import JsonCommand, print_result
 from cell.cli.shared import group, stoppable, tell_notes
+from cell.cli.workers import Workers, workers
 
 if TYPE_CHECKING:
     from cell.lab.power.study_power import StudyPower
@@ -61,6 +62,7 @@ def power(
     config: LineModel = None,
     results: Results = None,
     force: Force = False,
+    where: Workers = None,
 ) -> None:
     """Forecast which effects a diagnosis of this study would find, and from which size on.
 
@@ -82,7 +84,8 @@ def power(
         with stoppable(fits.work.stop) as interrupted:
             if planned:
                 fits = with_motions(fits, planned)
-            found = power_of(fits, asked, verify, progress=progress)
+            with workers(where, config) as executor:
+                found = power_of(fits, asked, verify, progress=progress, executor=executor)
     data = found.to_json()
 
     def printed() -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 import warnings
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 from uuid import uuid4
@@ -53,7 +53,7 @@ class Cluster:
         function: Callable[[Given], Returned],
         jobs: Iterable[Given],
         check: Callable[[], None] = lambda: None,
-    ) -> Iterator[JobResult[Returned]]:
+    ) -> Generator[JobResult[Returned]]:
         """See `Executor`."""
         know_own_effects()
         run, sent = f"cell-{uuid4().hex}", iter(enumerate(jobs))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
@@ -48,7 +48,7 @@ class Executor(Protocol):
         function: Callable[[Given], Returned],
         jobs: Iterable[Given],
         check: Callable[[], None] = lambda: None,
-    ) -> Iterator[JobResult[Returned]]:
+    ) -> Generator[JobResult[Returned]]:
         """Results in the order of the jobs, each as soon as it and those before it are there.
 
         Jobs are taken a few ahead of the results only.  An exception of a job is its result; the

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 from contextlib import closing
 
 from cell.cable.solver import one_core, threads
@@ -24,7 +24,7 @@ class OneAfterAnother:
         function: Callable[[Given], Returned],
         jobs: Iterable[Given],
         check: Callable[[], None] = lambda: None,
-    ) -> Iterator[JobResult[Returned]]:
+    ) -> Generator[JobResult[Returned]]:
         """See `Executor`."""
         know_own_effects()
         task = pack(function)
@@ -49,7 +49,7 @@ class LocalCores:
         function: Callable[[Given], Returned],
         jobs: Iterable[Given],
         check: Callable[[], None] = lambda: None,
-    ) -> Iterator[JobResult[Returned]]:
+    ) -> Generator[JobResult[Returned]]:
         """See `Executor`."""
         know_own_effects()
         task = pack(function)

@@ -111,7 +111,7 @@ def identify_all(
             yield packed
 
     progress("identifying", 0, len(recordings))
-    with closing(executor.map(identified_again, jobs(), check)) as results:  # type: ignore[type-var]
+    with closing(executor.map(identified_again, jobs(), check)) as results:
         for result in results:
             if result.error is None:
                 row = result.value
