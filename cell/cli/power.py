@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,6 +19,7 @@ from cell.cli.lab import (
     show,
     working,
 )
+from cell.cli.options import taking
 from cell.cli.result_json import JsonCommand, print_result
 from cell.cli.shared import group, stoppable, tell_notes
 from cell.cli.workers import Workers, workers
@@ -28,9 +30,11 @@ if TYPE_CHECKING:
 app = group()
 
 
-@app.command(cls=JsonCommand)
-def power(
-    study: StudyFolder,
+@dataclass(frozen=True, kw_only=True)
+class _Power:
+    """Options of `cell power`."""
+
+    study: StudyFolder
     effect: Annotated[
         list[str],
         typer.Option(
@@ -39,7 +43,7 @@ def power(
             "file.py; SIZE in the parameter's unit.  Without SIZE: the smallest that is found.  "
             "Repeat the option for more.",
         ),
-    ],
+    ]
     verify: Annotated[
         int,
         typer.Option(
@@ -49,7 +53,7 @@ def power(
             min=0,
             max=10_000,
         ),
-    ] = 0,
+    ] = 0
     motion: Annotated[
         list[Path] | None,
         typer.Option(
@@ -57,13 +61,17 @@ def power(
             help="A motion, as `cell suggest` writes it, as if it had been recorded too and held "
             "out.  Repeat the option for more.",
         ),
-    ] = None,
-    known: Known = None,
-    config: LineModel = None,
-    results: Results = None,
-    force: Force = False,
-    where: Workers = None,
-) -> None:
+    ] = None
+    known: Known = None
+    config: LineModel = None
+    results: Results = None
+    force: Force = False
+    workers: Workers = None
+
+
+@app.command(cls=JsonCommand)
+@taking(_Power)
+def power(given: _Power) -> None:
     """Forecast which effects a diagnosis of this study would find, and from which size on.
 
     The study's own motions, markers and noise count.  A few seconds tell the probability, the
@@ -75,24 +83,25 @@ def power(
     from cell.lab.power.planned import with_motions
     from cell.lab.power.study_power import power_of
 
-    with refusing(*results or [], force=force), working("power") as progress:
-        asked, selection = select_asked(effect, known or [])
-        fits = set_up(study, selection, None, config, progress, tell_notes)
+    with refusing(*given.results or [], force=given.force), working("power") as progress:
+        asked, selection = select_asked(given.effect, given.known or [])
+        fits = set_up(given.study, selection, None, given.config, progress, tell_notes)
         first = fits.given.study.trials[0].grip
         home = float(first.x_m[0]), float(first.y_m[0])
-        planned = [hand_motion(path, home) for path in motion or []]
+        planned = [hand_motion(path, home) for path in given.motion or []]
         with stoppable(fits.work.stop) as interrupted:
             if planned:
                 fits = with_motions(fits, planned)
-            with workers(where, config) as executor:
-                found = power_of(fits, asked, verify, progress=progress, executor=executor)
+            config = given.config if given.verify else None  # no cluster is asked for nothing
+            with workers(given.workers, config) as executor:
+                found = power_of(fits, asked, given.verify, progress=progress, executor=executor)
     data = found.to_json()
 
     def printed() -> None:
-        if print_result(data, *results or []):
+        if print_result(data, *given.results or []):
             _show(found)
 
-    deliver(printed, *json_files(data, *results or []))
+    deliver(printed, *json_files(data, *given.results or []))
     if interrupted:
         raise typer.Exit(interrupted.code)
 
