@@ -131,6 +131,9 @@ flights: $(VENV)/.dev   ## insertion rate with and without correction in flight,
 mouths: $(VENV)/.dev   ## insertion rate by the mouth's height, offsets alone and freely, ~30 min
 	$(BIN)/python -m tools.studies.mouth_study mouths.csv
 
+workers: $(VENV)/.dev   ## 1,000 recorded cycles identified by one and two workers: speed, memory, bits
+	$(BIN)/python -m tools.studies.workers_study --cycles 1000
+
 kills: $(VENV)/.dev   ## 100 cells killed at random moments: what `cell recover` gives back (~40 min)
 	$(BIN)/python -m tools.faults.kill_study $(or $(KILLS),kills.csv)
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from cell.api.lab import StudyOrFolder, Tell, examined, rules_with, set_up, silent
 from cell.api.shown import Row, Shown
+from cell.cable.solver import threads
 from cell.files.table import TableData
 from cell.lab.data.progress import Progress, no_progress
 from cell.lab.data.selection import EffectSelection, select_for_diagnosis
@@ -16,7 +18,10 @@ from cell.lab.data.thresholds import DEFAULT_RULES, Rules
 from cell.lab.many.results import Together
 from cell.lab.many.together import Examined, check_names, together
 from cell.lab.report.together_tables import together_page, together_parts
+from cell.lab.search.fit_cache import FitCache
 from cell.study.data import Study
+from cell.workers.executor import Executor
+from cell.workers.here import this_computer
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -69,24 +74,36 @@ def found_together(
     progress: Progress,
     tell: Tell = silent,
     rules: Rules = DEFAULT_RULES,
+    executor: Executor | None = None,
 ) -> TogetherResult:
-    """Each study diagnosed alone, then all together."""
+    """Each study diagnosed alone, then all together.
+
+    executor  who diagnoses; None = all cores of this computer
+    """
     names = _names(studies)
     check_names(names)
-    ready = []  # all of them, before the first diagnosis: what is wrong with one is told at once
-    for number, (study, name) in enumerate(zip(studies, names, strict=True), 1):
-        told = _prefixed(progress, f"{name} ({number} of {len(names)})")
-        ready.append(set_up(study, selection, None, config, told, tell))
-    each = [Examined(n, examined(fits, rules)) for n, fits in zip(names, ready, strict=True)]
+    made_ready = [set_up(study, selection, None, config, tell=tell) for study in studies]
+    executor = this_computer(min(threads(), len(names))) if executor is None else executor
+    each = []
+    progress("diagnosing each study", 0, len(names))
+    jobs = zip(names, made_ready, strict=True)
+    with closing(executor.map(_Diagnosed(rules), jobs)) as results:
+        for result in results:
+            each.append(result.value)
+            progress("diagnosing each study", len(each), len(names))
     progress("comparing the studies")
     return TogetherResult(together(each, rules))
 
 
-def _prefixed(progress: Progress, name: str) -> Progress:
-    def told(text: str, done: int = 0, total: int = 0) -> None:
-        progress(f"{name}: {text}", done, total)
+@dataclass(frozen=True)
+class _Diagnosed:
+    """A study's diagnosis alone, by its name and what is made ready of it."""
 
-    return told
+    rules: Rules
+
+    def __call__(self, named: tuple[str, FitCache]) -> Examined:
+        name, fits = named
+        return Examined(name, examined(fits, self.rules))
 
 
 def _names(studies: Sequence[StudyOrFolder]) -> list[str]:

@@ -20,6 +20,7 @@ from cell.cli import (
     calibrate,
     export,
     fit,
+    identify,
     imports,
     lab,
     ledger,
@@ -49,7 +50,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 for group in (
-    *(run, settings, records, ledger, acknowledge, bundle, recordings, store),
+    *(run, settings, records, identify, ledger, acknowledge, bundle, recordings, store),
     *(fit, lab, power, studies, imports, export, line),
 ):
     app.add_typer(group.app)

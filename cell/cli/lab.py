@@ -17,6 +17,7 @@ from cell.cli.given import folder_of, folders_of
 from cell.cli.options import taking
 from cell.cli.result_json import STDOUT, Json, JsonCommand, print_result
 from cell.cli.shared import BAD_INPUT, answering, group, stoppable, tell_notes
+from cell.cli.workers import Workers, workers
 from cell.files.overwriting import check_apart, check_output
 from cell.files.rescue import no_room, remedy
 
@@ -194,6 +195,7 @@ class _Diagnose(_Sought):
     results: Results = None
     report: ReportFile = None
     force: Force = False
+    workers: Workers = None
 
 
 @app.command(cls=JsonCommand)
@@ -214,6 +216,8 @@ def diagnose(given: _Diagnose) -> None:
         refusing(*given.results or [], given.report, force=given.force),
         working("diagnose") as progress,
     ):
+        if given.workers is not None:
+            raise ValueError("--workers is of several studies: one is diagnosed on this computer")
         selection = select_for_diagnosis(given.effects(progress), given.known or [])
         rules = rules_with(given.check or [])
         fits = set_up(study, selection, given.prior, given.config, progress, tell_notes)
@@ -244,7 +248,10 @@ def _diagnose_together(given: _Diagnose) -> None:
             raise ValueError("--prior is of one cable; leave it out with several studies")
         selection = select_for_diagnosis(given.effects(progress), given.known or [])
         rules = rules_with(given.check or [])
-        result = found_together(given.studies, selection, given.config, progress, tell_notes, rules)
+        with workers(given.workers, given.config) as executor:
+            result = found_together(
+                given.studies, selection, given.config, progress, tell_notes, rules, executor
+            )
     data = result.to_json()
 
     def printed() -> None:

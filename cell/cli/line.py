@@ -19,6 +19,7 @@ from cell.cli.given import folder_in
 from cell.cli.lab import refusing, show, working
 from cell.cli.ledger import LedgerPlace, Since, listed_cycles
 from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, Config, Interruption, answering, group
+from cell.cli.workers import Workers, workers
 
 if TYPE_CHECKING:
     from cell.lab.data.progress import Progress
@@ -32,6 +33,13 @@ OwnEffects = Annotated[
     list[str] | None,
     typer.Option("--effect", help="A file.py with an effect of your own; it is tried too."),
 ]
+Recorded = Annotated[
+    list[Path] | None,
+    typer.Argument(
+        help="Folders of recorded cycles, folders of such folders, or recordings.  Default: "
+        "the line's cycles in the ledger; with --since they are added.",
+    ),
+]
 LawsFolder = Annotated[
     Path | None,
     typer.Option(
@@ -43,13 +51,7 @@ LawsFolder = Annotated[
 @app.command()
 def learn(
     config: Config,
-    runs: Annotated[
-        list[Path] | None,
-        typer.Argument(
-            help="Folders of recorded cycles, folders of such folders, or recordings.  Default: "
-            "the line's cycles in the ledger; with --since they are added.",
-        ),
-    ] = None,
+    runs: Recorded = None,
     since: Since = None,
     ledger: LedgerPlace = None,
     out: Annotated[
@@ -57,6 +59,7 @@ def learn(
     ] = Path("candidate.yaml"),
     effect: OwnEffects = None,
     laws: LawsFolder = None,
+    where: Workers = None,
 ) -> None:
     """Find the effect that the line's model lacks, from recorded cycles of many cables.
 
@@ -94,7 +97,11 @@ def learn(
             more = laws_in(
                 laws, [c.study for c in cycles], (*options.kind.effects, *library.values())
             )
-        found = learn_from(cycles, cable, options, library | more.effects, progress, known.append)
+        with workers(where, config) as executor:
+            tried = library | more.effects
+            found = learn_from(
+                cycles, cable, options, tried, progress, known.append, executor=executor
+            )
         learned = judged(found, settings, left_out)
         result = learned.learned
         kept = more.keep(result.best.effects if result.best else ())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -18,15 +19,19 @@ from cell.cli.lab import (
     show,
     working,
 )
+from cell.cli.options import taking
 from cell.cli.result_json import JsonCommand, print_result
 from cell.cli.shared import group, stoppable, tell_notes
+from cell.cli.workers import Workers, workers
 
 app = group()
 
 
-@app.command(cls=JsonCommand)
-def power(
-    study: StudyFolder,
+@dataclass(frozen=True, kw_only=True)
+class _Power:
+    """Options of `cell power`."""
+
+    study: StudyFolder
     effect: Annotated[
         list[str],
         typer.Option(
@@ -35,7 +40,7 @@ def power(
             "file.py; SIZE in the parameter's unit.  Without SIZE: the smallest that is found.  "
             "Repeat the option for more.",
         ),
-    ],
+    ]
     verify: Annotated[
         int,
         typer.Option(
@@ -45,7 +50,7 @@ def power(
             min=0,
             max=10_000,
         ),
-    ] = 0,
+    ] = 0
     motion: Annotated[
         list[Path] | None,
         typer.Option(
@@ -53,12 +58,17 @@ def power(
             help="A motion, as `cell suggest` writes it, as if it had been recorded too and held "
             "out.  Repeat the option for more.",
         ),
-    ] = None,
-    known: Known = None,
-    config: LineModel = None,
-    results: Results = None,
-    force: Force = False,
-) -> None:
+    ] = None
+    known: Known = None
+    config: LineModel = None
+    results: Results = None
+    force: Force = False
+    workers: Workers = None
+
+
+@app.command(cls=JsonCommand)
+@taking(_Power)
+def power(given: _Power) -> None:
     """Forecast which effects a diagnosis of this study would find, and from which size on.
 
     The study's own motions, markers and noise count.  A few seconds tell the probability, the
@@ -69,18 +79,21 @@ def power(
     from cell.lab.power.asked import select_asked
     from cell.lab.power.study_power import power_of
 
-    with refusing(*results or [], force=force), working("power") as progress:
-        asked, selection = select_asked(effect, known or [])
-        fits = set_up(study, selection, None, config, progress, tell_notes)
+    with refusing(*given.results or [], force=given.force), working("power") as progress:
+        asked, selection = select_asked(given.effect, given.known or [])
+        fits = set_up(given.study, selection, None, given.config, progress, tell_notes)
         with stoppable(fits.work.stop) as interrupted:
-            found = power_of(planned(fits, motion or []), asked, verify, progress=progress)
+            fits = planned(fits, given.motion or [])
+            config = given.config if given.verify else None  # no cluster is asked for nothing
+            with workers(given.workers, config) as executor:
+                found = power_of(fits, asked, given.verify, progress=progress, executor=executor)
     result = PowerResult(found)
     data = result.to_json()
 
     def printed() -> None:
-        if print_result(data, *results or []):
+        if print_result(data, *given.results or []):
             show(*result.parts())
 
-    deliver(printed, *json_files(data, *results or []))
+    deliver(printed, *json_files(data, *given.results or []))
     if interrupted:
         raise typer.Exit(interrupted.code)

@@ -1,20 +1,18 @@
-"""Commands about what cycles left behind: list, show, identify."""
+"""Commands about what cycles left behind: list, show, report."""
 
 from __future__ import annotations
 
 import json
-import sys
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from cell.cli.delivery import deliver, json_files
+from cell.cli.delivery import deliver
 from cell.cli.given import folder_of
 from cell.cli.lab import Force, refusing, working
-from cell.cli.result_json import Json, JsonCommand, print_result
-from cell.cli.shared import NOT_ALL_DONE, AsJson, group, refuse, tell_notes
+from cell.cli.shared import AsJson, group, refuse
 
 app = group()
 
@@ -128,65 +126,3 @@ def report(
         progress("drawing")
         page = cycle_page(record, read_recording(film) if film.exists() else None)
     deliver(lambda: print(f"written to {out}"), (out, partial(write_page, page)))
-
-
-@app.command(cls=JsonCommand)
-def identify(
-    folder: Annotated[
-        Path,
-        typer.Argument(help="A cycle's folder or its recording, or any study.", callback=folder_of),
-    ],
-    config: Annotated[
-        Path | None,
-        typer.Option(
-            "--config", "-c", help="Settings whose `model` is used; default: those of the record."
-        ),
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option("-o", "--out", help="Write the model to this file, for --prior.")
-    ] = None,
-    as_json: Json = None,
-    force: Force = False,
-    effect: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--effect",
-            help="Part of the model: an effect's name, or a file.py with one of your own.",
-        ),
-    ] = None,
-) -> None:
-    """Identify a cable again, from its folder alone, with the model of its settings.
-
-    Exit codes: 0; 1 if the cable cannot be identified; 2 if the folder is wrong.
-    """
-    from rich.console import Console
-
-    from cell.lab.line.identify_again import Rejected, identify_again, read_recorded
-    from cell.terminal.console import parameters_table
-    from cell.terminal.fitting import show as print_parts
-
-    with refusing(out, as_json, force=force), working("identify") as progress:
-        recorded = read_recorded(folder, config, effect or [])
-        study = recorded.study
-        tell_notes(study.notes)
-        progress("fitting the model")
-        identified = identify_again(recorded)
-        if isinstance(identified, Rejected):
-            print(f"{folder}: cable rejected: {identified.reason}", file=sys.stderr)
-            raise typer.Exit(NOT_ALL_DONE)
-    model = identified.to_dict()
-    stated = ""
-    if study.noise_std_m is not None:
-        stated = f" (stated error of the measurement: {study.noise_std_m * 1e3:.3f} mm)"
-
-    def printed() -> None:
-        if not print_result(model, out, as_json):
-            return
-        print_parts(Console(), parameters_table(model))
-        print(
-            f"residual {identified.residual_rms_m * 1e3:.3f} mm rms, camera noise at rest "
-            f"{identified.noise.std_m * 1e3:.3f} mm{stated}, {identified.frames_used} of "
-            f"{identified.frames_total} frames"
-        )
-
-    deliver(printed, *json_files(model, out, as_json))

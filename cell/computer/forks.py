@@ -38,14 +38,14 @@ _PR_SET_PDEATHSIG = 1
 _PARENTS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
-class _LostError(Exception):
+class LostError(Exception):
     """A fork has ended, or could not do a job."""
 
 
 class Forks:
     """This process, and copies of it that do jobs beside it while `forks` is open."""
 
-    def __init__(self, workers: Sequence[_Fork]) -> None:
+    def __init__(self, workers: Sequence[Fork]) -> None:
         self._workers = workers
 
     def map(
@@ -76,13 +76,13 @@ class Forks:
                     return
                 try:
                     result = do(job)
-                except _LostError:
+                except LostError:
                     waiting.appendleft((number, job))
                     return
                 done(job, result)
                 results[number] = result
 
-        def work_in(copy: _Fork) -> None:
+        def work_in(copy: Fork) -> None:
             try:
                 work(partial(copy.do, function))
             except BaseException as error:  # of `done`
@@ -129,18 +129,18 @@ def forks(
     most   at most so many jobs at a time, those of this process included
     known  objects that are not pickled: a copy has them, and what it gives back has this process's
     """
-    workers: list[_Fork] = []
+    workers: list[Fork] = []
     try:
         for slot in range(min(most - 1, MOST_FORKS) if sys.platform == "linux" else 0):
             with contextlib.suppress(OSError):  # no memory, or no more processes for this user
-                workers.append(_Fork(slot, functions, list(known)))
+                workers.append(Fork(slot, functions, list(known)))
         yield Forks(workers)
     finally:
         for worker in workers:
             worker.end()
 
 
-class _Fork:
+class Fork:
     """A copy of this process that does one job at a time."""
 
     def __init__(
@@ -178,15 +178,15 @@ class _Fork:
         self._results = os.fdopen(here_reads, "rb")
 
     def do(self, function: Callable[[Given], Returned], job: Given) -> Returned:
-        """The function's result.  Raises _LostError: the copy has ended, or the function raised."""
+        """The function's result.  Raises LostError: the copy has ended, or the function raised."""
         try:
             _send(self._jobs, (self._functions.index(function), job), self._known)
             done, result = _received(self._results, self._known)
         except (OSError, EOFError, ValueError) as error:
             self.end()  # what it was doing is not under way any more
-            raise _LostError from error
+            raise LostError from error
         if not done:
-            raise _LostError
+            raise LostError
         return result  # type: ignore[no-any-return]
 
     def end(self) -> None:

@@ -39,11 +39,11 @@ ANSWERED = (signal.SIGINT, signal.SIGTERM)
 #: What the parent hands on to the child.
 _PASSED_ON = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
+#: Forks of the child that may be at work at a time, and the slots of each: the last ones.
+MOST_FORKS, _OF_FORK = 64, 16
 #: Calls under way at a time, each in a slot: 8 bytes of a number that is odd during a call and
 #: grows by one at its beginning and at its end, then UTF-8 of what is called.
-_SLOTS, _SLOT_BYTES, _NUMBER_BYTES = 256, 1024, 8
-#: Forks of the child that may be at work at a time, and the slots of each: the last ones.
-MOST_FORKS, _OF_FORK = 8, 16
+_SLOTS, _SLOT_BYTES, _NUMBER_BYTES = 128 + MOST_FORKS * _OF_FORK, 1024, 8
 
 _STUCK = 2
 

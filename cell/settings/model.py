@@ -32,6 +32,7 @@ from cell.settings.section import (
     Wait,
     increasing,
 )
+from cell.settings.workers import Workers
 from cell.settings.world import Emulated, World
 
 
@@ -367,6 +368,8 @@ class Settings(Section):
     """Null = only tables, JSON and a few pictures are left of a cycle, no frames."""
     ledger: Ledger | None = Ledger()
     """Null = cycles are not listed, and nothing is said of what has changed in them."""
+    workers: Workers | None = None
+    """Null = independent fits are done on all cores of this computer."""
     world: World = World()
     emulated: Emulated | None = None
     """Null = the devices are real."""

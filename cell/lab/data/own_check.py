@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import ast
-import importlib.util
 import traceback
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -46,6 +46,7 @@ class OwnCheck:
     name       of the file, without its ending
     question   first line of its docstring
     statistic  a number of the residuals of all trials: larger speaks against the model
+    source     text of the file
     """
 
     name: str
@@ -53,6 +54,11 @@ class OwnCheck:
     file: Path
     line: int
     statistic: Callable[[Sequence[Residual]], Any]
+    source: str = field(repr=False)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled with its source, so that another process has the same function."""
+        return _made, (self.name, self.question, self.file, self.line, self.source)
 
     def of(self, residuals: Sequence[Residual]) -> float:
         """The statistic.  Raises InputError: it fails, or is no number."""
@@ -96,7 +102,8 @@ def _read(path: Path) -> OwnCheck:
     if path.suffix != ".py" or path.stat().st_size > MAX_BYTES:
         _refuse(path, 1, "file", f"must be a Python file (.py) of up to {MAX_BYTES} bytes")
     try:
-        tree = ast.parse(path.read_text(encoding="utf-8"))
+        source = path.read_text(encoding="utf-8")
+        tree = ast.parse(source)
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         line = getattr(error, "lineno", None) or 1
         _refuse(path, line, "file", f"is not Python: {error}; mend that")
@@ -106,17 +113,20 @@ def _read(path: Path) -> OwnCheck:
         _refuse(path, 1, "docstring", 'must ask a question; begin the file with """Is …?"""')
     if len(defined) != 1:
         _refuse(path, 1, "statistic", "is missing; write a function `statistic(residuals)`")
-    return OwnCheck(path.stem, question[0], path, defined[0].lineno, _run(path).statistic)
+    return _made(path.stem, question[0], path, defined[0].lineno, source)
 
 
-def _run(path: Path) -> Any:
-    spec = importlib.util.spec_from_file_location(f"own_check_{path.stem}", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
+def _made(name: str, question: str, path: Path, line: int, source: str) -> OwnCheck:
+    """The check of a file with this source."""
+    return OwnCheck(name, question, path, line, _run(path, source).statistic, source)
+
+
+def _run(path: Path, source: str) -> Any:
+    module = ModuleType(f"own_check_{path.stem}")
+    module.__file__ = str(path)
     try:
         with must_end(f"{path}:1: its module"):
-            spec.loader.exec_module(module)
+            exec(compile(source, str(path), "exec"), vars(module))
     except (Exception, SystemExit) as error:
         lines = [f.lineno for f in traceback.extract_tb(error.__traceback__)
                  if Path(f.filename) == path]  # fmt: skip

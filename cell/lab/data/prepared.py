@@ -89,6 +89,10 @@ class PreparedStudy:
     mesh_m: Mapping[str, FloatArray] = field(default_factory=dict)
     memo: dict[tuple[object, ...], Any] = field(default_factory=dict, init=False, repr=False)
 
+    def __getstate__(self) -> dict[str, Any]:
+        """What another process needs; it works out the rest by itself."""
+        return {**vars(self), "memo": {}}
+
     @staticmethod
     def of(
         study: Study,

@@ -47,7 +47,17 @@ def read_recorded(folder: Path, config: Path | None, effects: Sequence[str]) -> 
     raises   InputError: it cannot be read, or no trial is to be fitted; ValueError as
              `select_effects`
     """
-    in_model = select_effects(effects).in_model
+    study = study_to_identify(folder)
+    recorded = (folder / "state.json").exists()
+    settings = config or (folder / "settings.yaml" if recorded else None)
+    return Recorded(folder, study, options_with(settings, effects))
+
+
+def study_to_identify(folder: Path) -> Study:
+    """The study of a cycle's folder, or any study, as a cable is identified from it.
+
+    raises  InputError: it cannot be read, or no trial is to be fitted
+    """
     study = read_study(study_folder(folder))
     if study_folder(folder) == folder:  # what the cell filmed is judged across the cable alone
         study = without_wrong_samples(study)
@@ -55,15 +65,21 @@ def read_recorded(folder: Path, config: Path | None, effects: Sequence[str]) -> 
         message = "no trial has `role: fit`; mark the one to identify the cable from"
         raise InputError.at(folder, message, key="trials")
     try:
-        study = with_pull(study)
+        return with_pull(study)
     except ValueError as error:
         raise InputError.at(folder, str(error), key="gravity_m_per_s2") from error
-    recorded = (folder / "state.json").exists()
-    settings = config or (folder / "settings.yaml" if recorded else None)
+
+
+def options_with(settings: Path | None, effects: Sequence[str]) -> IdentifyOptions:
+    """How a cable is identified by settings, with effects more in the model.
+
+    raises  InputError; ValueError as `select_effects`
+    """
+    in_model = select_effects(effects).in_model
     options = IdentifyOptions()
     if settings is not None:
         options = identification_of(load_settings(settings))
-    return Recorded(folder, study, with_effects(options, in_model))
+    return with_effects(options, in_model)
 
 
 def identify_again(recorded: Recorded) -> Identified | Rejected:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from cell.cable.effects.base import Effect
 from cell.cable.geometry import Cable
+from cell.cable.solver import threads
 from cell.identify.identified import Identified
 from cell.identify.individual import CableRejectedError, IdentifyOptions, identify
 from cell.lab.data.cycles import RecordedCycle
@@ -20,6 +22,8 @@ from cell.lab.fit.shared import BIAS_M, SharedFit, Spread, fit_shared, prepared_
 from cell.lab.line.cables_space import SECOND, CablesSpace, Progress, on_all
 from cell.lab.line.effect_fit import Budget, EffectFit, is_tied
 from cell.lab.search.stepwise import levels
+from cell.workers.executor import Executor
+from cell.workers.here import this_computer
 
 FloatArray = NDArray[np.float64]
 
@@ -96,17 +100,21 @@ def learn(
     progress: Progress = lambda _: None,
     known: Callable[[LearningResult], None] = lambda _: None,
     budget: Budget | None = None,
+    executor: Executor | None = None,
 ) -> LearningResult:
     """The effects that the model of `options` lacks, from all cycles together.
 
     One at first; a second if the first leaves more than the noise.
-    known   is told of what is certain before the end: what the present model misses, the first
-            effect
-    budget  of simulations, the usual one if none is given
+    known     is told of what is certain before the end: what the present model misses, the first
+              effect
+    budget    of simulations, the usual one if none is given
+    executor  who identifies the cables; None = all cores of this computer
     raises  ValueError: no cable can be identified; NoiseUnknownError
     """
     budget = Budget() if budget is None else budget
-    chosen = _chosen(_identified(cycles, cable, options, progress, budget), budget)
+    executor = this_computer(min(threads(), len(cycles))) if executor is None else executor
+    usable = _identified(cycles, cable, options, progress, budget, executor)
+    chosen = _chosen(usable, budget)
     prepared = [prepared_cycle(cycle.whole, budget.work) for cycle, _ in chosen]
     plausible = np.array([found.mean for _, found in chosen])
     base = options.kind.space(cable, chosen[0][0].study.gravity_m_per_s2)
@@ -130,24 +138,40 @@ def learn(
     return replace(result, left_out=tuple(budget.left_out))
 
 
+@dataclass(frozen=True)
+class _IdentifiedBy:
+    """A cycle's cable as its hold shows it, or why it cannot be identified."""
+
+    cable: Cable
+    options: IdentifyOptions
+
+    def __call__(self, cycle: RecordedCycle) -> Identified | str:
+        trial = cycle.held or cycle.study.trials[0]
+        try:
+            return identify(trial, cycle.study.arc_length_m, self.cable, options=self.options)
+        except CableRejectedError as error:
+            return str(error)
+
+
 def _identified(
     cycles: Sequence[RecordedCycle],
     cable: Cable,
     options: IdentifyOptions,
     progress: Progress,
     budget: Budget,
+    executor: Executor,
 ) -> list[tuple[RecordedCycle, Identified]]:
     """Cycles with what each says of its own cable; what says nothing is left out, and told."""
     usable = []
-    for cycle in cycles:
-        progress(f"identifying {cycle.name}")
-        trial = cycle.held or cycle.study.trials[0]
-        try:
-            found = identify(trial, cycle.study.arc_length_m, cable, options=options)
-        except CableRejectedError as error:
-            budget.left_out.append(f"{cycle.name}: it cannot be identified, {error}")
-            continue
-        usable.append((cycle, found))
+    progress(f"identifying {len(cycles)} cables")
+    with closing(executor.map(_IdentifiedBy(cable, options), cycles)) as results:
+        for cycle, result in zip(cycles, results, strict=True):
+            found = result.value
+            if isinstance(found, str):
+                budget.left_out.append(f"{cycle.name}: it cannot be identified, {found}")
+                continue
+            progress(f"identified {cycle.name}")
+            usable.append((cycle, found))
     if not usable:
         raise ValueError("none of these cables could be identified: nothing can be learned")
     return usable

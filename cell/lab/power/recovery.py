@@ -4,22 +4,26 @@ from __future__ import annotations
 
 import logging
 from collections import Counter
+from collections.abc import Mapping
+from contextlib import closing
 from dataclasses import dataclass
 from typing import Literal
 
-from cell.cable.effects.base import ActiveEffect
-from cell.cable.solver import one_core
+from cell.cable.effects.base import ActiveEffect, Effect
+from cell.cable.solver import Solver, threads
 from cell.identify.gauss_newton import UNSIMULATED
+from cell.identify.parameters import ParameterSpace
 from cell.lab.data.noise_model import NoiseUnknownError
-from cell.lab.data.prepared import PreparedStudy, StoppedError
+from cell.lab.data.prepared import PreparedStudy, StoppedError, Work
 from cell.lab.data.progress import Progress, no_progress
 from cell.lab.data.results import Diagnosis
-from cell.lab.data.side_by_side import side_by_side
 from cell.lab.data.thresholds import DEFAULT_RULES, Rules
 from cell.lab.power.hidden import World
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.statistics.proportion import wilson
 from cell.lab.verdict.diagnose import diagnose
+from cell.workers.executor import Executor
+from cell.workers.here import this_computer
 
 _LOG = logging.getLogger(__name__)
 
@@ -67,6 +71,31 @@ class Recovery:
         return tuple(Counter(names).most_common())
 
 
+@dataclass(frozen=True, eq=False)
+class _CopyDiagnosed:
+    """What the diagnosis of a copy of a study says, by the copy's number."""
+
+    world: World
+    space: ParameterSpace
+    library: Mapping[str, type[Effect]]
+    sought: tuple[type[Effect], ...]
+    solver: Solver
+    name: str
+    rules: Rules
+
+    def __call__(self, number: int) -> tuple[Outcome, float]:
+        """Also the seconds of motion that it has simulated."""
+        work = Work()
+        try:
+            prepared = PreparedStudy.of(self.world.copy(number), solver=self.solver, work=work)
+            copy = FitCache(prepared, self.space, self.library, sought=self.sought)
+            said = judged(diagnose(copy, self.rules).diagnosis, self.name)
+        except (*UNSIMULATED, NoiseUnknownError) as error:
+            _LOG.info("copy %d: %s", number, error)
+            said = Outcome("failed")
+        return said, work.simulated_s
+
+
 def recover(
     fits: FitCache,
     hidden: ActiveEffect,
@@ -74,47 +103,42 @@ def recover(
     rules: Rules = DEFAULT_RULES,
     progress: Progress = no_progress,
     first: int = 0,
+    executor: Executor | None = None,
 ) -> Recovery:
-    """What diagnoses say of copies of a study with an effect hidden in them, on all cores.
+    """What diagnoses say of copies of a study with an effect hidden in them.
 
     Interrupted, it has those that were diagnosed.
 
-    fits    the study with its baseline; copies are diagnosed with the same library
-    first   number of the first copy: other numbers, other noise
-    raises  UnsimulatedError: the cable cannot be simulated with the effect
+    fits      the study with its baseline; copies are diagnosed with the same library
+    first     number of the first copy: other numbers, other noise
+    executor  who diagnoses; None = all cores of this computer
+    raises    UnsimulatedError: the cable cannot be simulated with the effect
     """
-    world = World.of(fits.prepared, fits.baseline().fit, hidden)
-    known: dict[int, Outcome] = {}
     name = hidden.effect.name
-
-    def of_copy(number: int) -> Outcome:
-        with one_core():
-            return _outcome(fits, world, number, name, rules)
-
-    def was_diagnosed(number: int, outcome: Outcome) -> None:
-        known[number] = outcome
-        _LOG.info("copy %d: %s %s", number, outcome.said, ", ".join(outcome.named))
-        progress(f"diagnosing copies with {name}", len(known), copies)
-
+    of_copy = _CopyDiagnosed(
+        World.of(fits.prepared, fits.baseline().fit, hidden),
+        fits.space,
+        fits.library,
+        fits.sought,
+        fits.given.solver,
+        name,
+        rules,
+    )
+    outcomes: list[Outcome] = []
     progress(f"diagnosing copies with {name}", 0, copies)
-    effects = (*fits.library.values(), *fits.space.effects)
+    executor = this_computer(min(threads(), copies)) if executor is None else executor
+    numbers = range(first, first + copies)
     try:
-        with side_by_side(fits.work, [of_copy], effects, copies) as beside:
-            beside.map(of_copy, range(first, first + copies), was_diagnosed)
+        with closing(executor.map(of_copy, numbers, fits.work.check)) as results:
+            for number, result in zip(numbers, results, strict=True):
+                outcome, simulated_s = result.value
+                outcomes.append(outcome)
+                fits.work.simulated_s += simulated_s
+                _LOG.info("copy %d: %s %s", number, outcome.said, ", ".join(outcome.named))
+                progress(f"diagnosing copies with {name}", len(outcomes), copies)
     except StoppedError:
         fits.work.stopped = False
-    return Recovery(copies, tuple(known[number] for number in sorted(known)))
-
-
-def _outcome(fits: FitCache, world: World, number: int, name: str, rules: Rules) -> Outcome:
-    """What the diagnosis of a copy says."""
-    try:
-        prepared = PreparedStudy.of(world.copy(number), solver=fits.given.solver, work=fits.work)
-        copy = FitCache(prepared, fits.space, fits.library, sought=fits.sought)
-        return judged(diagnose(copy, rules).diagnosis, name)
-    except (*UNSIMULATED, NoiseUnknownError) as error:
-        _LOG.info("copy %d: %s", number, error)
-        return Outcome("failed")
+    return Recovery(copies, tuple(outcomes))
 
 
 def judged(diagnosis: Diagnosis, name: str) -> Outcome:

@@ -18,6 +18,7 @@ from cell.lab.power.linear_study import LinearStudy
 from cell.lab.power.recovery import Recovery, recover
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.verdict.doubts import is_no_model, no_model_doubt
+from cell.workers.executor import Executor
 
 FORMAT = "cable-power/1"
 
@@ -82,11 +83,13 @@ def power_of(
     copies: int = 0,
     rules: Rules = DEFAULT_RULES,
     progress: Progress = no_progress,
+    executor: Executor | None = None,
 ) -> StudyPower:
     """What a diagnosis would find of each effect, were it in a study.
 
-    copies  that are made and diagnosed with each, to compare with the forecast
-    raises  ValueError: the study cannot be fitted; UnsimulatedError: nor simulated
+    copies    that are made and diagnosed with each, to compare with the forecast
+    executor  who diagnoses them; None = all cores of this computer
+    raises    ValueError: the study cannot be fitted; UnsimulatedError: nor simulated
     """
     base = fits.baseline()
     if is_no_model(fits, base.fit):
@@ -98,18 +101,23 @@ def power_of(
         progress(f"what the trials show of {one.effect.name}", number, len(asked))
         found.append(EffectPower(one, forecast(fits, one, linear, rules)))
     if copies:
-        found = [_tried(fits, e, copies, rules, progress) for e in found]
+        found = [_tried(fits, e, copies, rules, progress, executor) for e in found]
     noise_m = fits.prepared.noise_model.noise.std_m
     return StudyPower(fits.prepared.study.name, noise_m, tuple(found), _doubts(fits), rules)
 
 
 def _tried(
-    fits: FitCache, effect: EffectPower, copies: int, rules: Rules, progress: Progress
+    fits: FitCache,
+    effect: EffectPower,
+    copies: int,
+    rules: Rules,
+    progress: Progress,
+    executor: Executor | None,
 ) -> EffectPower:
     size = effect.forecast.size
     if size is None:
         return effect
-    recovery = recover(fits, effect.asked.at(size), copies, rules, progress)
+    recovery = recover(fits, effect.asked.at(size), copies, rules, progress, executor=executor)
     return EffectPower(effect.asked, effect.forecast, recovery)
 
 

@@ -1,0 +1,173 @@
+"""Command that identifies recorded cables again: one, or all of a folder."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cell.cli.delivery import deliver, json_files
+from cell.cli.given import folder_of
+from cell.cli.lab import Force, refusing, show, working
+from cell.cli.options import taking
+from cell.cli.result_json import Json, JsonCommand, print_result
+from cell.cli.shared import NOT_ALL_DONE, group, stoppable, tell_notes
+from cell.cli.workers import Workers, workers
+
+if TYPE_CHECKING:
+    from cell.lab.line.identify_all import IdentifiedAll
+
+app = group()
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Identify:
+    """Options of `cell identify`."""
+
+    folder: Annotated[
+        Path,
+        typer.Argument(
+            help="A cycle's folder or its recording, or any study.  With --all: a folder of them.",
+            callback=folder_of,
+        ),
+    ]
+    every: Annotated[
+        bool,
+        typer.Option(
+            "--all",
+            help="Identify every cable that was recorded below FOLDER, each with the model of its "
+            "settings, and compare with what was identified then.",
+        ),
+    ] = False
+    csv: Annotated[
+        Path,
+        typer.Option(
+            "--csv",
+            help="With --all: the table of results.  It is written row by row; the same command "
+            "goes on with it after an interruption.",
+        ),
+    ] = Path("identified.csv")
+    config: Annotated[
+        Path | None,
+        typer.Option(
+            "--config", "-c", help="Settings whose `model` is used; default: those of the record."
+        ),
+    ] = None
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "-o", "--out", help="Write the model to this file, for --prior; with --all the summary."
+        ),
+    ] = None
+    as_json: Json = None
+    force: Force = False
+    effect: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--effect",
+            help="Part of the model: an effect's name, or a file.py with one of your own.",
+        ),
+    ] = None
+    workers: Workers = None
+
+
+@app.command(cls=JsonCommand)
+@taking(_Identify)
+def identify(given: _Identify) -> None:
+    """Identify a cable again, from its folder alone, with the model of its settings.
+
+    With --all every recording below a folder is identified, many at a time.
+
+    Exit codes: 0; 1 if a cable cannot be identified; 2 if the folder is wrong.
+    """
+    if given.every:
+        _all(given)
+    else:
+        _one(given)
+
+
+def _one(given: _Identify) -> None:
+    from cell.lab.line.identify_again import Rejected, identify_again, read_recorded
+    from cell.terminal.console import parameters_table
+    from cell.terminal.fitting import show as print_parts
+
+    with (
+        refusing(given.out, given.as_json, force=given.force),
+        working("identify") as progress,
+    ):
+        if given.workers is not None:
+            raise ValueError("--workers is of --all: one cable is identified on this computer")
+        recorded = read_recorded(given.folder, given.config, given.effect or [])
+        study = recorded.study
+        tell_notes(study.notes)
+        progress("fitting the model")
+        identified = identify_again(recorded)
+        if isinstance(identified, Rejected):
+            print(f"{given.folder}: cable rejected: {identified.reason}", file=sys.stderr)
+            raise typer.Exit(NOT_ALL_DONE)
+    model = identified.to_dict()
+    stated = ""
+    if study.noise_std_m is not None:
+        stated = f" (stated error of the measurement: {study.noise_std_m * 1e3:.3f} mm)"
+
+    def printed() -> None:
+        from rich.console import Console
+
+        if not print_result(model, given.out, given.as_json):
+            return
+        print_parts(Console(), parameters_table(model))
+        print(
+            f"residual {identified.residual_rms_m * 1e3:.3f} mm rms, camera noise at rest "
+            f"{identified.noise.std_m * 1e3:.3f} mm{stated}, {identified.frames_used} of "
+            f"{identified.frames_total} frames"
+        )
+
+    deliver(printed, *json_files(model, given.out, given.as_json))
+
+
+def _all(given: _Identify) -> None:
+    from cell.lab.data.prepared import StoppedError, Work
+    from cell.lab.line.identified_table import identified_table
+    from cell.lab.line.identify_all import IdentifiedAll, identify_all
+    from cell.lab.line.recordings import packer, recordings_in
+    from cell.lab.report.identified_tables import identified_parts
+
+    wanted = Work()
+    with (
+        refusing(given.out, given.as_json, force=given.force),
+        working("identify") as progress,
+    ):
+        recordings = recordings_in(given.folder)
+        pack = packer(given.folder, given.config, given.effect or [])
+        found = IdentifiedAll(len(recordings))
+        with (
+            identified_table(given.csv, afresh=given.force) as table,
+            workers(given.workers, given.config) as executor,
+            stoppable(wanted.stop) as interrupted,
+        ):
+            try:
+                for so_far in identify_all(
+                    recordings, pack, table, executor, progress, wanted.check
+                ):
+                    found = so_far
+            except StoppedError:
+                pass
+    data = {**found.to_json(), "table": str(given.csv)}
+
+    def printed() -> None:
+        if print_result(data, given.out, given.as_json):
+            show(*identified_parts(found, given.csv))
+
+    deliver(printed, *json_files(data, given.out, given.as_json))
+    if interrupted:
+        print(f"{_left(found)}; the same command goes on with {given.csv}", file=sys.stderr)
+        raise typer.Exit(interrupted.code)
+    if found.outcomes["identified"] < found.done:
+        raise typer.Exit(NOT_ALL_DONE)
+
+
+def _left(found: IdentifiedAll) -> str:
+    return f"{found.recordings - found.done} of {found.recordings} recordings are left"

@@ -1,0 +1,1 @@
+"""Independent jobs on the cores of this computer or of a cluster, with the same results."""

@@ -1,0 +1,76 @@
+"""Jobs done by this process, or on this computer's cores."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Generator, Iterable
+from contextlib import closing
+
+from cell.cable.solver import one_core, threads
+from cell.computer.fork_stream import ProcessLostError, stream
+from cell.computer.watched import MOST_FORKS
+from cell.workers.executor import Executor, Given, JobResult, Returned
+from cell.workers.job import done, result_of
+from cell.workers.shipping import know_own_effects, pack
+
+
+class OneAfterAnother:
+    """An executor that does every job itself, as another with one core would: to the last bit."""
+
+    workers = 1
+
+    def map(
+        self,
+        function: Callable[[Given], Returned],
+        jobs: Iterable[Given],
+        check: Callable[[], None] = lambda: None,
+    ) -> Generator[JobResult[Returned]]:
+        """See `Executor`."""
+        know_own_effects()
+        task = pack(function)
+        for number, job in enumerate(jobs):
+            check()
+            with one_core():
+                packed = done(task, pack(job))
+            yield result_of(number, packed)
+
+
+class LocalCores:
+    """An executor that does as many jobs at a time as it has cores, in copies of this process.
+
+    The copies end with this process, however it ends.
+    """
+
+    def __init__(self, cores: int) -> None:
+        self.workers = min(cores, MOST_FORKS)
+
+    def map(
+        self,
+        function: Callable[[Given], Returned],
+        jobs: Iterable[Given],
+        check: Callable[[], None] = lambda: None,
+    ) -> Generator[JobResult[Returned]]:
+        """See `Executor`."""
+        know_own_effects()
+        task = pack(function)
+
+        def do(packed: bytes) -> bytes:
+            with one_core():
+                return done(task, packed)
+
+        with closing(stream(do, (pack(job) for job in jobs), self.workers, check)) as results:
+            for number, packed in enumerate(results):
+                if isinstance(packed, ProcessLostError):
+                    yield JobResult(number, None, packed)
+                else:
+                    yield result_of(number, packed)
+
+
+def this_computer(cores: int | None = None) -> Executor:
+    """The executor of this computer.
+
+    cores  None = all that this process may use
+    """
+    if not sys.platform.startswith("linux"):  # only there a copy is what this process is
+        return OneAfterAnother()
+    return LocalCores(threads() if cores is None else cores)

@@ -1,0 +1,74 @@
+"""What a worker must have in common with whoever sends it jobs, so that results are the same."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import os
+import platform
+from dataclasses import dataclass, fields
+from functools import cache
+from pathlib import Path
+
+_SOURCES = ("calib", "cell", "drivers")
+_PACKAGES = ("numpy", "scipy", "numba", "llvmlite")
+
+
+@dataclass(frozen=True)
+class Identity:
+    """Versions of a process.
+
+    version    of this program
+    code       first digits of the hash of all its sources
+    python     major and minor version
+    packages   name and version of those that compute
+    blas       threads of linear algebra: with other numbers of them sums have other last bits
+    processor  linear algebra has other last bits on another kind
+    """
+
+    version: str
+    code: str
+    python: str
+    packages: tuple[tuple[str, str], ...]
+    blas: str
+    processor: str
+
+    def differences(self, other: Identity) -> list[str]:
+        """What another process has otherwise and must not, as `name theirs, here ours`."""
+        found = [
+            f"{f.name} {getattr(other, f.name)}, here {getattr(self, f.name)}"
+            for f in fields(self)
+            if f.name in ("version", "code", "python")
+            and getattr(other, f.name) != getattr(self, f.name)
+        ]
+        for (name, ours), (_, theirs) in zip(self.packages, other.packages, strict=True):
+            if ours != theirs:
+                found.append(f"{name} {theirs}, here {ours}")
+        return found
+
+
+@cache
+def identity() -> Identity:
+    """That of this process, as its code was when this was first asked."""
+    from llvmlite.binding import get_host_cpu_name
+
+    return Identity(
+        importlib.metadata.version("cable-cell"),
+        code_hash(),
+        ".".join(platform.python_version_tuple()[:2]),
+        tuple((name, importlib.metadata.version(name)) for name in _PACKAGES),
+        os.environ.get("OPENBLAS_NUM_THREADS", "not set"),
+        str(get_host_cpu_name()),
+    )
+
+
+@cache
+def code_hash() -> str:
+    """First digits of SHA-256 over the sources of `cell`, `calib` and `drivers`."""
+    digest = hashlib.sha256()
+    root = Path(__file__).parents[2]
+    for package in _SOURCES:
+        for file in sorted((root / package).rglob("*.py")):
+            digest.update(f"{file.relative_to(root).as_posix()}\0".encode())
+            digest.update(file.read_bytes())
+    return digest.hexdigest()[:16]

@@ -1,0 +1,111 @@
+"""What goes to a worker and comes back, as bytes: effects of a user's files go as their source.
+
+A worker loads an effect from its source, checked by its hash; what comes back names the class that
+this process has.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import pickle
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from cell.cable.effects import Effect, load_effect
+from cell.identify.model_class import ModelClass
+from cell.workers.executor import WorkersError
+
+#: Where this process keeps sources that it was sent; it is removed at the process's end.
+_folder: tempfile.TemporaryDirectory[str] | None = None
+#: Classes of users' effects by path at the client and hash, and what they are sent as.
+_classes: dict[tuple[str, str], type[Effect]] = {}
+_sources: dict[type[Effect], tuple[str, str, bytes]] = {}
+
+
+def pack(content: object) -> bytes:
+    """The content as bytes that `unpack` reads in this or another process.
+
+    raises  WorkersError: it cannot be pickled, or the file of an effect was changed meanwhile
+    """
+    packed = io.BytesIO()
+    try:
+        _Packer(packed, pickle.HIGHEST_PROTOCOL).dump(content)
+    except (pickle.PicklingError, TypeError, AttributeError) as error:
+        raise WorkersError(f"cannot be sent to a worker: {error}") from error
+    return packed.getvalue()
+
+
+def unpack(packed: bytes) -> Any:
+    """The content that was packed.
+
+    raises  WorkersError: an effect's source is not what it was; EffectError
+    """
+    return pickle.loads(packed)
+
+
+def know_own_effects() -> None:
+    """Let copies of this process name the effects of users' files that it has loaded."""
+    for effect in _all_of(Effect):
+        if effect.file is not None and effect not in _sources:
+            try:
+                _source_of(effect)
+            except (OSError, WorkersError):  # of a file that is gone; nobody has used it
+                continue
+
+
+class _Packer(pickle.Pickler):
+    def reducer_override(self, thing: Any) -> Any:
+        """Effects of users by their source, and kinds of cable by their effects."""
+        if isinstance(thing, type) and issubclass(thing, Effect) and thing.file is not None:
+            return _effect, _source_of(thing)
+        if type(thing) is ModelClass:
+            return ModelClass, tuple(getattr(thing, f) for f in ModelClass.__dataclass_fields__)
+        return NotImplemented
+
+
+def _source_of(effect: type[Effect]) -> tuple[str, str, bytes]:
+    """Path at the client, hash, source."""
+    if effect not in _sources:
+        assert effect.file is not None
+        path, sha256 = effect.file.path, effect.file.sha256
+        source = path.read_bytes()
+        if hashlib.sha256(source).hexdigest() != sha256:
+            raise WorkersError(f"{path}: was changed after it was read; run the command again")
+        _know(effect, (str(path), sha256, source))
+    return _sources[effect]
+
+
+def _know(effect: type[Effect], source: tuple[str, str, bytes]) -> None:
+    _sources[effect] = source
+    _classes[source[:2]] = effect
+
+
+def _effect(path: str, sha256: str, source: bytes) -> type[Effect]:
+    """The class of a source; the same of the same source."""
+    if (path, sha256) not in _classes:
+        if hashlib.sha256(source).hexdigest() != sha256:
+            raise WorkersError(f"{path}: its source does not arrive whole; run the command again")
+        # it was tried by the process that sends it, which refuses what does not come to an end
+        effect = load_effect(_written(Path(path).name, sha256, source), trusted=True)
+        _know(effect, (path, sha256, source))
+    return _classes[path, sha256]
+
+
+def _written(name: str, sha256: str, source: bytes) -> Path:
+    """File with a source, in a folder of this process."""
+    global _folder
+    if _folder is None:
+        _folder = tempfile.TemporaryDirectory(prefix="cell-effects-", ignore_cleanup_errors=True)
+    file = Path(_folder.name) / sha256 / name
+    file.parent.mkdir(exist_ok=True)
+    file.write_bytes(source)
+    return file
+
+
+def _all_of(kind: type[Effect]) -> Iterator[type[Effect]]:
+    for effect in kind.__subclasses__():
+        yield effect
+        yield from _all_of(effect)

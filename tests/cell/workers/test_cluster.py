@@ -1,0 +1,91 @@
+"""A real cluster: a worker is killed, others are refused, and what is missing is said."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import signal
+import sys
+
+import pytest
+
+from cell.workers.cluster import cluster
+from cell.workers.executor import WorkersError
+from cell.workers.identity import code_hash
+from cell.workers.opened import executor
+from cell.workers.place import place
+from tests.cell.workers import jobs
+from tests.cell.workers.conftest import ROOT, wait_until, when_both_are_there
+
+
+def test_what_a_killed_worker_was_doing_is_done_by_the_other(cluster_of_two, tmp_path):
+    with when_both_are_there(cluster_of_two) as found:
+        results, done = found.map(jobs.EndsOnce(tmp_path, 7), range(40)), []
+        done += [next(results).value for _ in range(3)]
+        done += [result.value for result in results]
+    assert done == [jobs.square(n) for n in range(40)]
+    assert len(list(tmp_path.iterdir())) == 3  # both, and the mark that one was killed
+    for name in ("a", "b"):
+        if cluster_of_two.processes[name].poll() is not None:
+            cluster_of_two.processes.pop(name)
+            cluster_of_two.start_worker(name)
+
+
+def test_a_worker_that_would_give_other_results_is_refused_by_name(cluster_of_two, tmp_path):
+    for package in ("cell", "calib", "drivers"):
+        shutil.copytree(ROOT / package, tmp_path / package)
+    with (tmp_path / "cell" / "replay.py").open("a") as file:
+        file.write("# another version\n")
+    cluster_of_two.start_worker("c", threads=2, OPENBLAS_NUM_THREADS="4", PYTHONPATH=str(tmp_path))
+    told: list[str] = []
+
+    def refused() -> bool:
+        try:
+            with cluster(cluster_of_two.address):
+                return False
+        except WorkersError as error:
+            told[:] = str(error).splitlines()
+            return len(told) == 3
+
+    try:
+        wait_until(refused, lambda: str(told))
+    finally:
+        cluster_of_two.end("c", signal.SIGKILL)
+    where = rf"--workers {cluster_of_two.address}: worker tcp://127.0.0.1:\d+ has "
+    code = rf"another code [0-9a-f]{{16}}, here {code_hash()}; install the same version of both"
+    assert re.match(where + code, told[0])
+    assert re.match(where + "OPENBLAS_NUM_THREADS 4; start it with OPENBLAS_NUM_THREADS=1", told[1])
+    assert re.match(where + "2 threads; start it with `--nthreads 1 --nworkers 2`", told[2])
+
+
+def test_where_nobody_answers_that_is_said(monkeypatch):
+    monkeypatch.setattr("cell.workers.cluster._CONNECT_S", 0.3)
+    told = "--workers tcp://127.0.0.1:9: no scheduler answers .*; start one with `dask scheduler`"
+    with pytest.raises(WorkersError, match=told), cluster("tcp://127.0.0.1:9"):
+        pass
+
+
+def test_without_its_package_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    told = re.escape('pip install "cable-cell[cluster]"')
+    with pytest.raises(WorkersError, match=told), executor("tcp://127.0.0.1:9"):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [("3", 3), ("tcp://host:8786", "tcp://host:8786"), ("tls://10.0.0.1:1", "tls://10.0.0.1:1")],
+)
+def test_a_place_is_an_address_or_a_number_of_cores(text, expected):
+    assert place(text) == expected
+
+
+@pytest.mark.parametrize("text", ["", "0", "-1", "host:8786", "tcp://host", "http://host:80", "x"])
+def test_what_is_no_place_is_refused(text):
+    with pytest.raises(WorkersError, match="give 2, or tcp://host:8786"):
+        place(text)
+
+
+def test_cores_of_this_computer_are_used_without_a_cluster():
+    with executor(2) as found:
+        assert [r.value for r in found.map(jobs.square, [1, 2])] == [jobs.square(1), jobs.square(2)]
