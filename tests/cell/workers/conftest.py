@@ -17,6 +17,9 @@ import pytest
 
 from cell.workers.cluster import cluster
 from cell.workers.here import LocalCores, OneAfterAnother
+from tests.cell.lab.conftest import make_study
+
+__all__ = ["make_study"]
 
 ROOT = Path(__file__).parents[3]
 #: On a busy computer a process of Dask needs many seconds to begin.

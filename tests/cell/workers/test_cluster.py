@@ -9,8 +9,13 @@ import sys
 
 import pytest
 
+from cell.lab.line.identified_table import identified_table
+from cell.lab.line.identify_all import identify_all
+from cell.lab.line.recordings import packer, recordings_in
+from cell.study.folder import write_study
 from cell.workers.cluster import cluster
 from cell.workers.executor import WorkersError
+from cell.workers.here import LocalCores, OneAfterAnother
 from cell.workers.identity import code_hash
 from cell.workers.opened import executor
 from cell.workers.place import place
@@ -29,6 +34,22 @@ def test_what_a_killed_worker_was_doing_is_done_by_the_other(cluster_of_two, tmp
         if cluster_of_two.processes[name].poll() is not None:
             cluster_of_two.processes.pop(name)
             cluster_of_two.start_worker(name)
+
+
+def test_recordings_are_identified_as_on_this_computer(cluster_of_two, make_study, tmp_path):
+    runs = tmp_path / "runs"
+    for number in range(4):
+        write_study(make_study(seed=40 + number), runs / f"cable_{number}")
+
+    def table_of(executor) -> bytes:
+        file = tmp_path / "identified.csv"
+        with identified_table(file, afresh=True) as table:
+            *_, found = identify_all(recordings_in(runs), packer(runs, None, []), table, executor)
+        assert found.outcomes == {"identified": 4}
+        return file.read_bytes()
+
+    with when_both_are_there(cluster_of_two) as found:
+        assert table_of(found) == table_of(LocalCores(2)) == table_of(OneAfterAnother())
 
 
 def test_a_worker_that_would_give_other_results_is_refused_by_name(cluster_of_two, tmp_path):

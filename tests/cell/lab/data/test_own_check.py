@@ -8,6 +8,7 @@ import pytest
 
 from cell.files.input_error import InputError
 from cell.lab.data.own_check import read_own_checks
+from cell.workers.shipping import pack, unpack
 
 CHECK = '''"""Is the tip as noisy as the rest?"""
 
@@ -33,6 +34,15 @@ def test_a_check_has_the_name_of_its_file_and_asks(tmp_path: Path) -> None:
         6,
     )
     assert check.of([]) == 0.0
+
+
+def test_a_check_goes_to_a_worker_without_its_file(tmp_path: Path) -> None:
+    (check,) = read_own_checks([written(tmp_path, CHECK)])
+    packed = pack(check)
+    check.file.unlink()
+    again = unpack(packed)
+    assert (again.name, again.question, again.line) == (check.name, check.question, check.line)
+    assert again.of([]) == 0.0
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import signal
 from itertools import islice
 from pathlib import Path
 
@@ -13,7 +15,7 @@ from typer.testing import CliRunner
 from cell.cli import app
 from cell.files.input_error import InputError
 from cell.lab.line.identified_again import IdentifiedAgain, identified_again
-from cell.lab.line.identified_table import identified_table, rows_of
+from cell.lab.line.identified_table import IdentifiedTable, identified_table, rows_of
 from cell.lab.line.identify_again import Recorded, identify_again, options_with, study_to_identify
 from cell.lab.line.identify_all import identify_all
 from cell.lab.line.recordings import packer, recordings_in
@@ -189,6 +191,27 @@ def test_the_command_tells_counts_and_ends_with_1_where_one_is_not_identified(
     assert "Not identified" in done.output
     done = CliRunner().invoke(app, [*command, "--json"])
     assert json.loads(done.stdout)["outcomes"] == {"failed": 1, "identified": 2}
+    assert table.read_bytes() == expected
+
+
+def test_interrupted_the_command_says_how_to_go_on(runs, table, expected, monkeypatch):
+    former = {s: signal.getsignal(s) for s in (signal.SIGINT, signal.SIGTERM)}
+    add = IdentifiedTable.add
+
+    def interrupted(self, row):
+        add(self, row)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    command = ["identify", "--all", str(runs), "--csv", str(table), "--workers", "1"]
+    with monkeypatch.context() as patched:
+        patched.setattr(IdentifiedTable, "add", interrupted)
+        done = CliRunner().invoke(app, command)
+    for number, handler in former.items():
+        signal.signal(number, handler)
+    assert done.exit_code == 128 + signal.SIGINT
+    assert f"recordings are left; the same command goes on with {table}" in done.output
+    assert "1 of 3 recordings" in done.output
+    assert CliRunner().invoke(app, command).exit_code == 1  # one cannot be read
     assert table.read_bytes() == expected
 
 
