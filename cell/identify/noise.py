@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from cell.cable.geometry import Motion
 from cell.cable.still import moves_from_s
+from cell.identify.innovations import coloured, innovations, whiten, whiten_constant
 
 FloatArray = NDArray[np.float64]
 
@@ -159,13 +159,14 @@ class Whitener:
         self.rows = markers * self.channels * self.frames
         self.count = int(self.seen.sum())
         series = self.seen.reshape(self.frames, -1)
+        white = innovations(series, noise.std_m, noise.ar1, noise.white)
         self._memory, self._weight, self._gain = (
-            v.reshape(markers, self.channels, self.frames) for v in _innovations(series, noise)
+            v.reshape(markers, self.channels, self.frames) for v in white
         )
         # what a constant looks like when white, and which part of a residual along it is taken out
         self._ones = self._weight.copy()
         if noise.white > 0.0:
-            _whiten_constant(self._memory, self._weight, self._gain, self._ones)
+            whiten_constant(self._memory, self._weight, self._gain, self._ones)
         else:
             self._ones[..., 1:] *= 1.0 - self._memory[..., 1:]
         size = np.sum(self._ones**2, axis=-1)
@@ -180,7 +181,7 @@ class Whitener:
         """
         out = np.empty((len(predicted_m), *self._memory.shape))
         pull = (1.0 - self._kept) / self._size
-        _whiten(
+        whiten(
             predicted_m,
             self.measured,
             self._axes,
@@ -209,7 +210,7 @@ class Whitener:
         back = (1.0 / self._kept - 1.0) / self._size
         fresh = fresh + (back * along)[..., None] * self._ones
         error = np.full(self.seen.shape, np.nan)
-        _colour(np.ascontiguousarray(fresh), self._memory, self._weight, self._gain, error)
+        coloured(np.ascontiguousarray(fresh), self._memory, self._weight, self._gain, error)
         return error
 
 
@@ -224,117 +225,3 @@ def _smooth_modes(seen: NDArray[np.bool_]) -> FloatArray:
     values, vectors = np.linalg.eigh(functions.T @ functions)
     good = values > 1e-9 * max(values[-1], 1e-300)
     return np.asarray(functions @ (vectors[:, good] / np.sqrt(values[good])))
-
-
-def _innovations(
-    seen: NDArray[np.bool_], noise: Noise
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(series, T) memory of the last frame's error, and 1/std of what is new, 1/m; 0 if unseen.
-
-    And the share of what is new that the next frames remember.
-    seen  (T, series)
-    """
-    frame = np.arange(len(seen))[:, None]
-    last_seen = np.maximum.accumulate(np.where(seen, frame, -1), axis=0)
-    gap = frame[1:] - last_seen[:-1]
-    memory = np.zeros(seen.shape)
-    memory[1:] = np.where(seen[1:] & (last_seen[:-1] >= 0), noise.ar1**gap, 0.0)
-    gain = np.ones(seen.shape)
-    if noise.white > 0.0:
-        variance = innovation_variances(seen, memory, noise.white, gain)
-    else:
-        variance = 1.0 - memory**2
-    weight = np.where(seen, 1.0 / (noise.std_m * np.sqrt(variance)), 0.0)
-    return tuple(np.ascontiguousarray(v.T) for v in (memory, weight, gain))  # type: ignore[return-value]
-
-
-@njit(cache=True)
-def innovation_variances(
-    seen: NDArray[np.bool_], memory: FloatArray, white: float, gain: FloatArray
-) -> FloatArray:
-    """(T, series) variance of what is new, of AR(1) noise and a white share that are 1 together.
-
-    memory  (T, series) of the last frame's AR(1) error: 0 where there is none
-    gain    (T, series) is filled with the share of it that the next frames remember
-    source  Kalman 1960, of a scalar state
-    """
-    frames, series = memory.shape
-    variance = np.ones((frames, series))
-    for i in range(series):
-        known = 0.0
-        for t in range(frames):
-            if seen[t, i]:
-                fresh = memory[t, i] ** 2 * known + (1.0 - memory[t, i] ** 2) * (1.0 - white)
-                variance[t, i] = fresh + white
-                gain[t, i] = fresh / variance[t, i]
-                known = (1.0 - gain[t, i]) * fresh
-    return variance
-
-
-@njit(cache=True)
-def _whiten_constant(
-    memory: FloatArray, weight: FloatArray, gain: FloatArray, ones: FloatArray
-) -> None:
-    markers, channels, frames = memory.shape
-    for marker in range(markers):
-        for channel in range(channels):
-            last = 0.0
-            for t in range(frames):
-                if weight[marker, channel, t] > 0.0:
-                    expected = memory[marker, channel, t] * last
-                    ones[marker, channel, t] = (1.0 - expected) * weight[marker, channel, t]
-                    last = expected + gain[marker, channel, t] * (1.0 - expected)
-
-
-@njit(cache=True, fastmath={"contract", "nsz"}, error_model="numpy")
-def _whiten(
-    predicted: FloatArray,
-    measured: FloatArray,
-    axes: FloatArray,
-    memory: FloatArray,
-    weight: FloatArray,
-    gain: FloatArray,
-    ones: FloatArray,
-    pull: FloatArray,
-    out: FloatArray,
-) -> None:
-    lanes, markers, channels, frames = out.shape
-    for lane in range(lanes):
-        for marker in range(markers):
-            for channel in range(channels):
-                row = out[lane, marker, channel]
-                fresh = weight[marker, channel]
-                last = 0.0
-                along = 0.0
-                for t in range(frames):
-                    if fresh[t] == 0.0:
-                        row[t] = 0.0
-                        continue
-                    dx = measured[t, marker, 0] - predicted[lane, t, marker, 0]
-                    dy = measured[t, marker, 1] - predicted[lane, t, marker, 1]
-                    error = axes[t, marker, channel, 0] * dx + axes[t, marker, channel, 1] * dy
-                    new = error - memory[marker, channel, t] * last
-                    row[t] = new * fresh[t]
-                    along += row[t] * ones[marker, channel, t]
-                    kept = gain[marker, channel, t]
-                    last = error if kept == 1.0 else error - (1.0 - kept) * new
-                along *= pull[marker, channel]
-                if along != 0.0:
-                    for t in range(frames):
-                        row[t] -= along * ones[marker, channel, t]
-
-
-@njit(cache=True)
-def _colour(
-    fresh: FloatArray, memory: FloatArray, weight: FloatArray, gain: FloatArray, error: FloatArray
-) -> None:
-    markers, channels, frames = fresh.shape
-    for marker in range(markers):
-        for channel in range(channels):
-            last = 0.0
-            for t in range(frames):
-                if weight[marker, channel, t] > 0.0:
-                    new = fresh[marker, channel, t] / weight[marker, channel, t]
-                    last = memory[marker, channel, t] * last + new
-                    error[t, marker, channel] = last
-                    last -= (1.0 - gain[marker, channel, t]) * new
