@@ -137,13 +137,19 @@ class Whitener:
 
     A channel (x or y of a marker, or its place across the cable) has an AR(1) error over the
     frames in which it was seen, a white one beside it (then its innovations are those of a Kalman
-    filter), plus a constant of known variance, which is integrated out.
+    filter), plus a constant of known variance, which is integrated out.  So is the place of a
+    marker along the cable, if that is uncertain.
 
     seen  (T, markers, channels) whether a channel was seen: a marker may show one coordinate only
     """
 
-    def __init__(self, markers_m: FloatArray, noise: Noise) -> None:
-        """`markers_m` (T, markers, 2) as measured, nan where not seen."""
+    def __init__(
+        self, markers_m: FloatArray, noise: Noise, shift_m: FloatArray | None = None
+    ) -> None:
+        """`markers_m` (T, markers, 2) as measured, nan where not seen.
+
+        shift_m  (T, markers, 2) by how much a standard deviation of its arc length moves a marker
+        """
         self.noise = noise
         finite = np.isfinite(markers_m)
         self.frames, markers = finite.shape[:2]
@@ -159,9 +165,9 @@ class Whitener:
         self.rows = markers * self.channels * self.frames
         self.count = int(self.seen.sum())
         series = self.seen.reshape(self.frames, -1)
-        white = innovations(series, noise.std_m, noise.ar1, noise.white)
         self._memory, self._weight, self._gain = (
-            v.reshape(markers, self.channels, self.frames) for v in white
+            v.reshape(markers, self.channels, self.frames)
+            for v in innovations(series, noise.std_m, noise.ar1, noise.white)
         )
         # what a constant looks like when white, and which part of a residual along it is taken out
         self._ones = self._weight.copy()
@@ -172,6 +178,10 @@ class Whitener:
         size = np.sum(self._ones**2, axis=-1)
         self._kept = 1.0 / np.sqrt(1.0 + noise.bias_m**2 * size)
         self._size = np.where(size > 0.0, size, 1.0)
+        self._shift_m, self._shift = shift_m, None
+        if shift_m is not None:
+            self._shift = self._white(-shift_m[None], np.zeros_like(self.measured))[0]
+            self._shift_size = np.maximum(np.sum(self._shift**2, axis=(1, 2)), 1e-300)
 
     def __call__(self, predicted_m: FloatArray) -> FloatArray:
         """White residuals (measured − predicted).
@@ -179,11 +189,16 @@ class Whitener:
         predicted_m  (lanes, T, markers, 2), m
         returns      (lanes, rows) ordered marker, channel, frame; 0 where not seen
         """
+        out = self._white(predicted_m, self.measured)
+        return self._unshifted(out).reshape(len(predicted_m), self.rows)
+
+    def _white(self, predicted_m: FloatArray, measured_m: FloatArray) -> FloatArray:
+        """(lanes, markers, channels, T) of markers whose arc lengths are certain."""
         out = np.empty((len(predicted_m), *self._memory.shape))
         pull = (1.0 - self._kept) / self._size
         whiten(
             predicted_m,
-            self.measured,
+            measured_m,
             self._axes,
             self._memory,
             self._weight,
@@ -192,7 +207,32 @@ class Whitener:
             pull,
             out,
         )
-        return out.reshape(len(predicted_m), self.rows)
+        return out
+
+    def _unshifted(self, white: FloatArray) -> FloatArray:
+        """Residuals (lanes, markers, channels, T) made white for uncertain arc lengths too.
+
+        Of a vector h of variance 1 beside white noise: (I + h hᵀ)^−½.  A second time it gives what
+        is left beside the likeliest arc lengths.
+        """
+        if self._shift is None:
+            return white
+        along = np.einsum("lmct,mct->lm", white, self._shift)
+        kept = 1.0 / np.sqrt(1.0 + self._shift_size)
+        pull = along * (1.0 - kept) / self._shift_size
+        return np.asarray(white - pull[..., None, None] * self._shift)
+
+    def beside_m(self, predicted_m: FloatArray) -> FloatArray:
+        """(T, markers, 2) measured − predicted, nan where not seen, m.
+
+        Where arc lengths are uncertain beside the likeliest ones.
+        """
+        error_m = np.where(self.seen, self.measured - predicted_m, np.nan)
+        if self._shift is None or self._shift_m is None:
+            return error_m
+        white = self._white(predicted_m[None], self.measured)[0]
+        moved = np.einsum("mct,mct->m", white, self._shift) / (1.0 + self._shift_size)
+        return np.asarray(error_m - moved[:, None] * self._shift_m)
 
     @cached_property
     def smooth_modes(self) -> tuple[FloatArray, ...]:
@@ -204,8 +244,11 @@ class Whitener:
         return tuple(_smooth_modes(self.seen[..., c]) for c in range(self.channels))
 
     def error_m(self, white: FloatArray) -> FloatArray:
-        """(T, markers, channels) errors behind white residuals (rows,), m; nan if unseen."""
-        fresh = white.reshape(self._memory.shape)
+        """(T, markers, channels) errors behind white residuals (rows,), m; nan if unseen.
+
+        Where arc lengths are uncertain beside the likeliest ones.
+        """
+        fresh = self._unshifted(white.reshape(1, *self._memory.shape))[0]
         along = np.sum(fresh * self._ones, axis=-1)
         back = (1.0 / self._kept - 1.0) / self._size
         fresh = fresh + (back * along)[..., None] * self._ones
