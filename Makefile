@@ -4,7 +4,7 @@ BIN := $(VENV)/bin
 PYTHON ?= $(firstword $(foreach p,python3.12 python3.11 python3.13 python3,$(shell $(p) -c "import sys; print('$(p)' if (3,11) <= sys.version_info[:2] < (3,14) else '')" 2>/dev/null)))
 CYCLES ?= 3
 
-.PHONY: run test lint types imports compiled compiled-cell compiled-arm compiled-effects compiled-tests tests hardware bench figures learn coverage practice false-alarms confusion rigs level connectors breadth checks fault-trials calibration-study malformed endurance kills mouths holds flights endings words clean help jaw-plate picture docs
+.PHONY: run test lint types imports compiled compiled-cell compiled-arm compiled-effects compiled-tests tests hardware bench figures learn coverage practice false-alarms confusion rigs level rig-kinds breadth checks fault-trials calibration-study malformed endurance kills mouths holds flights endings words clean help jaw-plate picture docs
 
 help:            ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
@@ -98,8 +98,8 @@ rigs: $(VENV)/.dev   ## what is named in 60 studies that imitate real rigs, one 
 level: $(VENV)/.dev   ## studies of a hand in a level plane with a load of known grams at the tip
 	$(BIN)/python -m tools.studies.level_study
 
-connectors: $(VENV)/.dev   ## 20 studies of cables with a connector, one effect hidden in each (long)
-	$(BIN)/python -m tools.studies.connector_study
+rig-kinds: $(VENV)/.dev   ## 20 studies of each kind of rig, one effect hidden in each (long)
+	for kind in connector laser long clocks; do $(BIN)/python -m tools.studies.rig_study --studies 20 --rig $$kind || exit 1; done
 
 breadth: $(VENV)/.dev   ## verdicts over the breadth of what users bring: 350 studies (long; BREADTH=file.csv goes on with a file)
 	$(BIN)/python -m tools.studies.breadth_study $(or $(BREADTH),breadth.csv)

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from cell.cable.geometry import Motion
 from cell.cable.still import moves_from_s
+from cell.identify.innovations import coloured, innovations, whiten, whiten_constant
 
 FloatArray = NDArray[np.float64]
 
@@ -137,13 +137,19 @@ class Whitener:
 
     A channel (x or y of a marker, or its place across the cable) has an AR(1) error over the
     frames in which it was seen, a white one beside it (then its innovations are those of a Kalman
-    filter), plus a constant of known variance, which is integrated out.
+    filter), plus a constant of known variance, which is integrated out.  So is the place of a
+    marker along the cable, if that is uncertain.
 
     seen  (T, markers, channels) whether a channel was seen: a marker may show one coordinate only
     """
 
-    def __init__(self, markers_m: FloatArray, noise: Noise) -> None:
-        """`markers_m` (T, markers, 2) as measured, nan where not seen."""
+    def __init__(
+        self, markers_m: FloatArray, noise: Noise, shift_m: FloatArray | None = None
+    ) -> None:
+        """`markers_m` (T, markers, 2) as measured, nan where not seen.
+
+        shift_m  (T, markers, 2) by how much a standard deviation of its arc length moves a marker
+        """
         self.noise = noise
         finite = np.isfinite(markers_m)
         self.frames, markers = finite.shape[:2]
@@ -160,17 +166,22 @@ class Whitener:
         self.count = int(self.seen.sum())
         series = self.seen.reshape(self.frames, -1)
         self._memory, self._weight, self._gain = (
-            v.reshape(markers, self.channels, self.frames) for v in _innovations(series, noise)
+            v.reshape(markers, self.channels, self.frames)
+            for v in innovations(series, noise.std_m, noise.ar1, noise.white)
         )
         # what a constant looks like when white, and which part of a residual along it is taken out
         self._ones = self._weight.copy()
         if noise.white > 0.0:
-            _whiten_constant(self._memory, self._weight, self._gain, self._ones)
+            whiten_constant(self._memory, self._weight, self._gain, self._ones)
         else:
             self._ones[..., 1:] *= 1.0 - self._memory[..., 1:]
         size = np.sum(self._ones**2, axis=-1)
         self._kept = 1.0 / np.sqrt(1.0 + noise.bias_m**2 * size)
         self._size = np.where(size > 0.0, size, 1.0)
+        self._shift_m, self._shift = shift_m, None
+        if shift_m is not None:
+            self._shift = self._white(-shift_m[None], np.zeros_like(self.measured))[0]
+            self._shift_size = np.maximum(np.sum(self._shift**2, axis=(1, 2)), 1e-300)
 
     def __call__(self, predicted_m: FloatArray) -> FloatArray:
         """White residuals (measured − predicted).
@@ -178,11 +189,16 @@ class Whitener:
         predicted_m  (lanes, T, markers, 2), m
         returns      (lanes, rows) ordered marker, channel, frame; 0 where not seen
         """
+        out = self._white(predicted_m, self.measured)
+        return self._unshifted(out).reshape(len(predicted_m), self.rows)
+
+    def _white(self, predicted_m: FloatArray, measured_m: FloatArray) -> FloatArray:
+        """(lanes, markers, channels, T) of markers whose arc lengths are certain."""
         out = np.empty((len(predicted_m), *self._memory.shape))
         pull = (1.0 - self._kept) / self._size
-        _whiten(
+        whiten(
             predicted_m,
-            self.measured,
+            measured_m,
             self._axes,
             self._memory,
             self._weight,
@@ -191,7 +207,32 @@ class Whitener:
             pull,
             out,
         )
-        return out.reshape(len(predicted_m), self.rows)
+        return out
+
+    def _unshifted(self, white: FloatArray) -> FloatArray:
+        """Residuals (lanes, markers, channels, T) made white for uncertain arc lengths too.
+
+        Of a vector h of variance 1 beside white noise: (I + h hᵀ)^−½.  A second time it gives what
+        is left beside the likeliest arc lengths.
+        """
+        if self._shift is None:
+            return white
+        along = np.einsum("lmct,mct->lm", white, self._shift)
+        kept = 1.0 / np.sqrt(1.0 + self._shift_size)
+        pull = along * (1.0 - kept) / self._shift_size
+        return np.asarray(white - pull[..., None, None] * self._shift)
+
+    def beside_m(self, predicted_m: FloatArray) -> FloatArray:
+        """(T, markers, 2) measured − predicted, nan where not seen, m.
+
+        Where arc lengths are uncertain beside the likeliest ones.
+        """
+        error_m = np.where(self.seen, self.measured - predicted_m, np.nan)
+        if self._shift is None or self._shift_m is None:
+            return error_m
+        white = self._white(predicted_m[None], self.measured)[0]
+        moved = np.einsum("mct,mct->m", white, self._shift) / (1.0 + self._shift_size)
+        return np.asarray(error_m - moved[:, None] * self._shift_m)
 
     @cached_property
     def smooth_modes(self) -> tuple[FloatArray, ...]:
@@ -203,13 +244,16 @@ class Whitener:
         return tuple(_smooth_modes(self.seen[..., c]) for c in range(self.channels))
 
     def error_m(self, white: FloatArray) -> FloatArray:
-        """(T, markers, channels) errors behind white residuals (rows,), m; nan if unseen."""
-        fresh = white.reshape(self._memory.shape)
+        """(T, markers, channels) errors behind white residuals (rows,), m; nan if unseen.
+
+        Where arc lengths are uncertain beside the likeliest ones.
+        """
+        fresh = self._unshifted(white.reshape(1, *self._memory.shape))[0]
         along = np.sum(fresh * self._ones, axis=-1)
         back = (1.0 / self._kept - 1.0) / self._size
         fresh = fresh + (back * along)[..., None] * self._ones
         error = np.full(self.seen.shape, np.nan)
-        _colour(np.ascontiguousarray(fresh), self._memory, self._weight, self._gain, error)
+        coloured(np.ascontiguousarray(fresh), self._memory, self._weight, self._gain, error)
         return error
 
 
@@ -224,117 +268,3 @@ def _smooth_modes(seen: NDArray[np.bool_]) -> FloatArray:
     values, vectors = np.linalg.eigh(functions.T @ functions)
     good = values > 1e-9 * max(values[-1], 1e-300)
     return np.asarray(functions @ (vectors[:, good] / np.sqrt(values[good])))
-
-
-def _innovations(
-    seen: NDArray[np.bool_], noise: Noise
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(series, T) memory of the last frame's error, and 1/std of what is new, 1/m; 0 if unseen.
-
-    And the share of what is new that the next frames remember.
-    seen  (T, series)
-    """
-    frame = np.arange(len(seen))[:, None]
-    last_seen = np.maximum.accumulate(np.where(seen, frame, -1), axis=0)
-    gap = frame[1:] - last_seen[:-1]
-    memory = np.zeros(seen.shape)
-    memory[1:] = np.where(seen[1:] & (last_seen[:-1] >= 0), noise.ar1**gap, 0.0)
-    gain = np.ones(seen.shape)
-    if noise.white > 0.0:
-        variance = innovation_variances(seen, memory, noise.white, gain)
-    else:
-        variance = 1.0 - memory**2
-    weight = np.where(seen, 1.0 / (noise.std_m * np.sqrt(variance)), 0.0)
-    return tuple(np.ascontiguousarray(v.T) for v in (memory, weight, gain))  # type: ignore[return-value]
-
-
-@njit(cache=True)
-def innovation_variances(
-    seen: NDArray[np.bool_], memory: FloatArray, white: float, gain: FloatArray
-) -> FloatArray:
-    """(T, series) variance of what is new, of AR(1) noise and a white share that are 1 together.
-
-    memory  (T, series) of the last frame's AR(1) error: 0 where there is none
-    gain    (T, series) is filled with the share of it that the next frames remember
-    source  Kalman 1960, of a scalar state
-    """
-    frames, series = memory.shape
-    variance = np.ones((frames, series))
-    for i in range(series):
-        known = 0.0
-        for t in range(frames):
-            if seen[t, i]:
-                fresh = memory[t, i] ** 2 * known + (1.0 - memory[t, i] ** 2) * (1.0 - white)
-                variance[t, i] = fresh + white
-                gain[t, i] = fresh / variance[t, i]
-                known = (1.0 - gain[t, i]) * fresh
-    return variance
-
-
-@njit(cache=True)
-def _whiten_constant(
-    memory: FloatArray, weight: FloatArray, gain: FloatArray, ones: FloatArray
-) -> None:
-    markers, channels, frames = memory.shape
-    for marker in range(markers):
-        for channel in range(channels):
-            last = 0.0
-            for t in range(frames):
-                if weight[marker, channel, t] > 0.0:
-                    expected = memory[marker, channel, t] * last
-                    ones[marker, channel, t] = (1.0 - expected) * weight[marker, channel, t]
-                    last = expected + gain[marker, channel, t] * (1.0 - expected)
-
-
-@njit(cache=True, fastmath={"contract", "nsz"}, error_model="numpy")
-def _whiten(
-    predicted: FloatArray,
-    measured: FloatArray,
-    axes: FloatArray,
-    memory: FloatArray,
-    weight: FloatArray,
-    gain: FloatArray,
-    ones: FloatArray,
-    pull: FloatArray,
-    out: FloatArray,
-) -> None:
-    lanes, markers, channels, frames = out.shape
-    for lane in range(lanes):
-        for marker in range(markers):
-            for channel in range(channels):
-                row = out[lane, marker, channel]
-                fresh = weight[marker, channel]
-                last = 0.0
-                along = 0.0
-                for t in range(frames):
-                    if fresh[t] == 0.0:
-                        row[t] = 0.0
-                        continue
-                    dx = measured[t, marker, 0] - predicted[lane, t, marker, 0]
-                    dy = measured[t, marker, 1] - predicted[lane, t, marker, 1]
-                    error = axes[t, marker, channel, 0] * dx + axes[t, marker, channel, 1] * dy
-                    new = error - memory[marker, channel, t] * last
-                    row[t] = new * fresh[t]
-                    along += row[t] * ones[marker, channel, t]
-                    kept = gain[marker, channel, t]
-                    last = error if kept == 1.0 else error - (1.0 - kept) * new
-                along *= pull[marker, channel]
-                if along != 0.0:
-                    for t in range(frames):
-                        row[t] -= along * ones[marker, channel, t]
-
-
-@njit(cache=True)
-def _colour(
-    fresh: FloatArray, memory: FloatArray, weight: FloatArray, gain: FloatArray, error: FloatArray
-) -> None:
-    markers, channels, frames = fresh.shape
-    for marker in range(markers):
-        for channel in range(channels):
-            last = 0.0
-            for t in range(frames):
-                if weight[marker, channel, t] > 0.0:
-                    new = fresh[marker, channel, t] / weight[marker, channel, t]
-                    last = memory[marker, channel, t] * last + new
-                    error[t, marker, channel] = last
-                    last -= (1.0 - gain[marker, channel, t]) * new

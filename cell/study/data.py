@@ -87,6 +87,7 @@ class Study:
                   they are is no measurement
     pull_m_per_s2  acceleration as the cable's stiffness, where gravity in the plane is weak;
                   None = gravity is.  See `cell.study.pull`
+    arc_length_std_m  (markers,) standard deviation of arc lengths; None = they are exact
     """
 
     name: str
@@ -98,6 +99,7 @@ class Study:
     notes: tuple[str, ...] = ()
     filmed: bool = False
     pull_m_per_s2: float | None = None
+    arc_length_std_m: FloatArray | None = None
 
     @property
     def scale_m_per_s2(self) -> float:

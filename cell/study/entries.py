@@ -15,6 +15,9 @@ MAX_LENGTH_M = 10.0
 MAX_CONNECTOR_M, MAX_CONNECTOR_KG = 1.0, 10.0
 MAX_GRAVITY_M_PER_S2 = 100.0
 MAX_NOISE_FRACTION = 0.2
+#: Farther along the cable is curved: a marker does not move along a straight line (0.02 mm on one
+#: of 0.1 m with a radius as long).
+MAX_ARC_STD_FRACTION = 0.02
 
 #: Where in the description a complaint belongs, and what it says.
 Complaint = tuple[Key, str]
@@ -53,12 +56,13 @@ def implausible_entries(
     gravity_m_per_s2: tuple[float, float],
     arc_length_m: Sequence[float],
     noise_std_m: float | None,
+    arc_length_std_m: Sequence[float] = (),
 ) -> list[Complaint]:
     """What a schema cannot say.
 
     cable         entries that are given
     datasheet     of these; None = they are not one cable's
-    arc_length_m  in the order in which they are given
+    arc_length_m  in the order in which they are given; arc_length_std_m likewise, or one for all
     """
     found = _of_cable(cable, datasheet) + _of_gravity(gravity_m_per_s2)
     length_m = datasheet.length_m if datasheet else cable["free_length_m"]
@@ -76,12 +80,34 @@ def implausible_entries(
             f"{arc_length_m[i + 1]:g} m after {arc_length_m[i]:g} m: markers cross or coincide; "
             "order them along the cable",
         ))  # fmt: skip
+    found += _of_arc_length_std(arc_length_std_m, len(arc_length_m), length_m)
     if noise_std_m and noise_std_m > MAX_NOISE_FRACTION * length_m:
         found.append((
             ("noise_std_m",),
             f"{noise_std_m:g} m is beyond {MAX_NOISE_FRACTION:g} of the free length; "
             "give metres, not millimetres",
         ))  # fmt: skip
+    return found
+
+
+def _of_arc_length_std(given: Sequence[float], markers: int, length_m: float) -> list[Complaint]:
+    """As many as markers, or one for all; none that is negative or far beyond its marker."""
+    key = ("markers", "arc_length_std_m")
+    if len(given) not in (0, 1, markers):
+        message = f"has {len(given)} values for {markers} markers; give one for each, or one number"
+        return [(key, message)]
+    found: list[Complaint] = []
+    limit_m = MAX_ARC_STD_FRACTION * length_m
+    for i, std_m in enumerate(given):
+        where: Key = (*key, i) if len(given) > 1 else key
+        if std_m < 0.0:
+            found.append((where, f"{std_m:g} m is negative; give 0 where the place is exact"))
+        elif std_m > limit_m:
+            found.append((
+                where,
+                f"{std_m:g} m is beyond {limit_m:g} m, {MAX_ARC_STD_FRACTION:g} of the cable; "
+                "measure where the marker is, in metres",
+            ))  # fmt: skip
     return found
 
 

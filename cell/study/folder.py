@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from cell.cable.geometry import Cable, Motion, Start
 from cell.files.atomic import write_all
@@ -39,6 +39,11 @@ _Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
+def _each(given: object) -> object:
+    """One number for all markers is a list of one."""
+    return [given] if isinstance(given, int | float | str) else given
+
+
 class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
@@ -60,6 +65,7 @@ class _Cable(_Strict):
 
 class _Markers(_Strict):
     arc_length_m: Annotated[list[_Finite], Field(min_length=1, max_length=MAX_MARKERS)]
+    arc_length_std_m: Annotated[list[_Finite], BeforeValidator(_each)] | None = None
 
 
 class _Trial(_Strict):
@@ -108,6 +114,7 @@ def study_as_it_is(folder: Path) -> tuple[Study, list[Problem]]:
 
     arc_length_m = np.array(header.markers.arc_length_m)
     order = np.argsort(-arc_length_m)
+    std_m = header.markers.arc_length_std_m
     trials: list[Trial] = []
     notes: list[str] = []
     for trial in header.trials:
@@ -137,6 +144,7 @@ def study_as_it_is(folder: Path) -> tuple[Study, list[Problem]]:
         gravity_m_per_s2=header.gravity_m_per_s2,
         noise_std_m=header.noise_std_m,
         notes=tuple(notes),
+        arc_length_std_m=None if std_m is None else np.broadcast_to(std_m, order.shape)[order],
     )
     return study, problems
 
@@ -184,7 +192,7 @@ def write_study(study: Study, folder: Path) -> None:
         "name": study.name,
         "cable": study.cable.to_dict(),
         "gravity_m_per_s2": [float(g) for g in study.gravity_m_per_s2],
-        "markers": {"arc_length_m": [float(s) for s in study.arc_length_m]},
+        "markers": _markers_entry(study),
     }
     if study.noise_std_m is not None:
         header["noise_std_m"] = float(study.noise_std_m)
@@ -195,6 +203,13 @@ def write_study(study: Study, folder: Path) -> None:
     ]
     files[folder / "study.yaml"] = yaml_text(header)
     write_all(files)
+
+
+def _markers_entry(study: Study) -> dict[str, list[float]]:
+    entry = {"arc_length_m": [float(s) for s in study.arc_length_m]}
+    if study.arc_length_std_m is not None:
+        entry["arc_length_std_m"] = [float(s) for s in study.arc_length_std_m]
+    return entry
 
 
 def _marker_columns(count: int) -> tuple[str, ...]:
@@ -214,6 +229,7 @@ def _implausible(document: Document, header: _Study, datasheet: Cable | None) ->
         header.gravity_m_per_s2,
         header.markers.arc_length_m,
         header.noise_std_m,
+        header.markers.arc_length_std_m or (),
     ):
         add(where, message)
     seen: dict[str, int] = {}

@@ -19,6 +19,9 @@ def study_to_plain(study: Study) -> dict[str, Any]:
         "arc_length_m": study.arc_length_m,
         "gravity_m_per_s2": list(study.gravity_m_per_s2),
         "noise_std_m": study.noise_std_m,
+        "arc_length_std_m": None
+        if study.arc_length_std_m is None
+        else [float(s) for s in study.arc_length_std_m],
         "trials": [
             {
                 "name": trial.name,
@@ -39,6 +42,7 @@ def study_from_plain(data: Mapping[str, Any]) -> Study:
     raises  KeyError, TypeError, ValueError: no study
     """
     x_m_per_s2, y_m_per_s2 = data["gravity_m_per_s2"]
+    std_m = data.get("arc_length_std_m")  # recordings of earlier versions have none
     return Study(
         data["name"],
         Cable.from_dict(data["cable"]),
@@ -56,6 +60,7 @@ def study_from_plain(data: Mapping[str, Any]) -> Study:
         ),
         (float(x_m_per_s2), float(y_m_per_s2)),
         data["noise_std_m"],
+        arc_length_std_m=None if std_m is None else _array(std_m),
     )
 
 

@@ -22,8 +22,9 @@ from pathlib import Path
 from cell.cable.effects import library
 from cell.study.folder import write_study
 from tools.studies.breadth_study import _hidden
-from tools.studies.rig_study import Rig, rig_study, that_shows
+from tools.studies.rig_study import that_shows
 from tools.worlds.breadth_world import World, hypercube
+from tools.worlds.rigs import Rig, rig_study
 
 #: Studies of each kind.
 COUNTS = {"complete": 15, "one": 23, "outside": 10}

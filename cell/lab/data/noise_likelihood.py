@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import lambertw
 
 from cell.identify.golden_section import where_least
+from cell.identify.innovations import frames_since
 from cell.identify.noise import Noise
 from cell.study.data import Study
 
@@ -143,8 +144,9 @@ class Remainder:
         for error in self.errors_m:
             seen = np.isfinite(error)
             series = np.ascontiguousarray(np.where(seen, error, 0.0))
+            since = frames_since(seen)
             for i, (ar1, white) in enumerate(noises):
-                found[i] += _innovation_sums(series, seen, ar1, white)
+                found[i] += _innovation_sums(series, seen, since, ar1, white)
         return found[:, 0], found[:, 1] * self.dof / max(count, 1)
 
 
@@ -248,15 +250,19 @@ def _white(values: FloatArray, ar1: float, white: float) -> tuple[FloatArray, fl
 
 @njit(cache=True)
 def _innovation_sums(
-    values: FloatArray, seen: NDArray[np.bool_], ar1: float, white: float
+    values: FloatArray, seen: NDArray[np.bool_], since: NDArray[np.int_], ar1: float, white: float
 ) -> tuple[float, float]:
-    """Of (frames, series) with gaps: sum of the squares when white, and ln of the determinant."""
+    """Of (frames, series) with gaps: sum of the squares when white, and ln of the determinant.
+
+    since  frames from the last one seen, 0 = none
+    """
     frames, series = values.shape
     square = log_det = 0.0
     for i in range(series):
-        known, expected, memory = 0.0, 0.0, 0.0
+        known, expected = 0.0, 0.0
         for t in range(frames):
             if seen[t, i]:
+                memory = ar1 ** since[t, i] if since[t, i] > 0 else 0.0
                 fresh = memory**2 * known + (1.0 - memory**2) * (1.0 - white)
                 variance = fresh + white
                 gain = fresh / variance
@@ -265,9 +271,6 @@ def _innovation_sums(
                 expected = memory * expected + gain * new
                 square += new * new / variance
                 log_det += np.log(variance)
-                memory = ar1
-            else:
-                memory *= ar1
     return square, log_det
 
 

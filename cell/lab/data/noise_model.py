@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.identify.innovations import frames_since
 from cell.identify.noise import Noise, still_frames
 from cell.lab.data.noise_likelihood import (
     ALLOWED,
@@ -163,22 +164,21 @@ def _still_blocks(trial: Trial) -> list[Block]:
     still = still_frames(trial.markers.t_s, trial.grip, trial.rests_until_s)
     series_m = trial.markers.xy_m[still]
     series_m = series_m.reshape(len(series_m), 2 * series_m.shape[1])
-    runs: dict[tuple[int, int], list[int]] = {}
     seen: NDArray[np.bool_] = np.isfinite(series_m)
+    since = frames_since(seen)
+    runs: dict[bytes, tuple[NDArray[np.intp], list[int]]] = {}
     for series in range(series_m.shape[1]):
-        begin, end = _longest_run(seen[:, series])
-        if end - begin >= MIN_STILL_FRAMES:
-            runs.setdefault((begin, end), []).append(series)
-    return [Block(series_m[begin:end, series]) for (begin, end), series in runs.items()]
+        rows = _longest_run(seen[:, series], since[:, series])
+        if len(rows) >= MIN_STILL_FRAMES:
+            runs.setdefault(rows.tobytes(), (rows, []))[1].append(series)
+    return [Block(series_m[np.ix_(rows, np.array(alike))]) for rows, alike in runs.values()]
 
 
-def _longest_run(seen: NDArray[np.bool_]) -> tuple[int, int]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], seen, [False]]).astype(np.int8)))
-    runs = edges.reshape(-1, 2)
-    if len(runs) == 0:
-        return 0, 0
-    begin, end = runs[np.argmax(runs[:, 1] - runs[:, 0])]
-    return int(begin), int(end)
+def _longest_run(seen: NDArray[np.bool_], since: NDArray[np.int_]) -> NDArray[np.intp]:
+    """Rows of the longest run of own frames in which a series is seen."""
+    rows = np.flatnonzero(seen)
+    runs = np.split(rows, np.flatnonzero(since[rows[1:]] > 1) + 1)
+    return max(runs, key=len)
 
 
 def noise_model_of_all_frames(noise_model: NoiseModel, remainder: Remainder) -> NoiseModel:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from cell.cable.model import CableModel
 from cell.cable.solver import Solver
 from cell.identify.fit import Lane, predict_lanes
+from cell.identify.marker_shift import slopes_along
 from cell.identify.noise import Noise, Whitener, still_frames
 from cell.lab.data.noise_model import NoiseModel, noise_model_of, noise_model_of_residuals
 from cell.lab.data.unknown_start import InitialState, initial_state_of
@@ -114,7 +115,7 @@ class PreparedStudy:
             if misfit and misfit.std_m > ERRS * noise_model.noise.std_m
             else noise_model.noise
         )
-        whiteners = {t.name: Whitener(t.markers.xy_m, noise) for t in study.trials}
+        whiteners = whiteners_of(study, noise)
         return PreparedStudy(study, noise_model, noise, whiteners, solver or SOLVER, work or Work())
 
     @property
@@ -143,9 +144,7 @@ class PreparedStudy:
         """The same, whitened for another noise of the measurement."""
         if noise_model.weighed == self.noise:
             return replace(self, noise_model=noise_model)
-        whiteners = {
-            t.name: Whitener(t.markers.xy_m, noise_model.weighed) for t in self.study.trials
-        }
+        whiteners = whiteners_of(self.study, noise_model.weighed)
         return replace(
             self, noise_model=noise_model, noise=noise_model.weighed, whiteners=whiteners
         )
@@ -214,6 +213,13 @@ class PreparedStudy:
         """(lanes, rows) whitened residuals of predictions (lanes, times, markers, 2)."""
         return self.whiteners[trial.name](predicted_m)
 
+    def error_m(self, trial: Trial, predicted_m: FloatArray) -> FloatArray:
+        """(times, markers, 2) measured − predicted of one model, m, nan where not seen.
+
+        Where arc lengths are uncertain beside the likeliest ones.
+        """
+        return self.whiteners[trial.name].beside_m(predicted_m)
+
     def all_white(
         self,
         trials: Sequence[Trial],
@@ -252,6 +258,24 @@ class PreparedStudy:
     def count(self, trials: Sequence[Trial]) -> int:
         """Coordinates seen in trials."""
         return sum(self.whiteners[t.name].count for t in trials)
+
+
+def whiteners_of(study: Study, noise: Noise) -> dict[str, Whitener]:
+    """What whitens each trial of a study.
+
+    The whitener of a trial knows nothing of the others, yet a marker's arc length is the same in
+    all n of them.  So each trial may have one of its own, of n times the variance: no combination
+    of trials is then believed more than it may, and what moves a marker alike in all of them as
+    much as one standard deviation allows.
+    """
+    std_m = study.arc_length_std_m
+    if std_m is None or not np.any(std_m > 0.0):
+        return {t.name: Whitener(t.markers.xy_m, noise) for t in study.trials}
+    each_m = np.sqrt(len(study.trials)) * std_m[:, None]
+    return {
+        t.name: Whitener(t.markers.xy_m, noise, each_m * slopes_along(t, study.arc_length_m))
+        for t in study.trials
+    }
 
 
 def once_per_study(

@@ -105,7 +105,7 @@ def fit_model(
     )
     q, found = solution.q[:p], by_trial(prepared, trials, solution.q[None, p:])
     predicted = prepared.predict_all(trials, [space.model(q)], found)
-    errors = [t.markers.xy_m - points[0] for t, points in zip(trials, predicted, strict=True)]
+    errors = [prepared.error_m(t, points[0]) for t, points in zip(trials, predicted, strict=True)]
     chi2 = float(solution.residual @ solution.residual)
     at_first = {name: rows[0] for name, rows in found.items()}
     return Fit(space, q, at_first, solution, chi2, solution.objective, overall(errors), std)

@@ -77,7 +77,7 @@ def heldout(prepared: PreparedStudy, fit: Fit) -> Heldout | None:
         )
     chi2, log_det = marginal_chi2(rows.residual, rows.spread)
     return Heldout(
-        rms_m=overall([t.markers.xy_m - rows.predicted_m[t.name] for t in trials]),
+        rms_m=overall([prepared.error_m(t, rows.predicted_m[t.name]) for t in trials]),
         chi2=chi2,
         count=prepared.count(trials),
         log_likelihood=-0.5 * (chi2 + log_det),

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable.solver import Solver
-from cell.identify.noise import Whitener
-from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.prepared import PreparedStudy, whiteners_of
 from cell.lab.fit.fitting import Fit, best_initial_state
 
 FloatArray = NDArray[np.float64]
@@ -55,5 +54,5 @@ def without_mesh_error(prepared: PreparedStudy, fit: Fit) -> PreparedStudy:
             trial = replace(trial, markers=replace(trial.markers, xy_m=seen))
         shown.append(trial)
     study = replace(prepared.study, trials=tuple(shown))
-    whiteners = {t.name: Whitener(t.markers.xy_m, prepared.noise) for t in study.trials}
+    whiteners = whiteners_of(study, prepared.noise)
     return replace(prepared, study=study, whiteners=whiteners, mesh_m=moved)

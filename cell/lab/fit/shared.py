@@ -15,10 +15,10 @@ from cell.cable.model import CableModel
 from cell.cable.solver import Solver
 from cell.identify import gauss_newton
 from cell.identify.fit import variance_inflation
-from cell.identify.noise import Whitener, across
+from cell.identify.noise import across
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.noise_model import noise_model_of
-from cell.lab.data.prepared import PreparedStudy, Work
+from cell.lab.data.prepared import PreparedStudy, Work, whiteners_of
 from cell.lab.fit.fitting import space_with
 from cell.study.data import Study, Trial
 
@@ -35,7 +35,7 @@ def prepared_cycle(study: Study, work: Work | None = None) -> PreparedStudy:
     """A cycle's study made ready, its simulations counted as `work`.  Raises NoiseUnknownError."""
     noise_model = noise_model_of(study)
     noise = replace(noise_model.noise, bias_m=BIAS_M)
-    whiteners = {t.name: Whitener(t.markers.xy_m, noise) for t in study.trials}
+    whiteners = whiteners_of(study, noise)
     return PreparedStudy(study, noise_model, noise, whiteners, SOLVER, work or Work())
 
 

@@ -15,8 +15,7 @@ from cell.cable.model import CableModel
 from cell.identify.gauss_newton import UnsimulatedError
 from cell.identify.gaussian import covariance_root
 from cell.identify.hand import HandErrors, likely_motions
-from cell.identify.noise import Whitener
-from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.prepared import PreparedStudy, whiteners_of
 from cell.lab.fit.fitting import Fit, best_initial_state, errors_m, fit_model
 from cell.lab.fit.hand_error import MOTIONS
 from cell.lab.fit.heldout import heldout_rows
@@ -116,12 +115,9 @@ def left_of(prepared: PreparedStudy, fit: Fit, hidden: ActiveEffect) -> FloatArr
         if not np.all(np.isfinite(points)):
             raise UnsimulatedError(f"the cable cannot be simulated with {hidden.effect.name}")
         seen.append(replace(trial, markers=replace(trial.markers, xy_m=places)))
-    quiet = replace(
-        prepared,
-        study=replace(prepared.study, trials=tuple(seen)),
-        whiteners={t.name: Whitener(t.markers.xy_m, prepared.noise) for t in seen},
-        mesh_m={},
-    )
+    study = replace(prepared.study, trials=tuple(seen))
+    whiteners = whiteners_of(study, prepared.noise)
+    quiet = replace(prepared, study=study, whiteners=whiteners, mesh_m={})
     space = replace(fit.space, mean=fit.q)  # the prior pulls whatever is hidden
     found = fit_model(quiet, space, fit.q, fit.initial_states, options=POLISH)
     of_fitted = iter(np.split(found.solution.residual, _ends(quiet, "fit")[:-1]))

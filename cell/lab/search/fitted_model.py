@@ -78,7 +78,7 @@ def residuals_m(prepared: PreparedStudy, candidate: FittedModel) -> dict[str, Fl
     found = dict(zip(names, errors_m(prepared, candidate.fit), strict=True))
     if candidate.heldout is not None:
         for trial in prepared.study.role("validate"):
-            error = trial.markers.xy_m - candidate.heldout.predicted_m[trial.name]
+            error = prepared.error_m(trial, candidate.heldout.predicted_m[trial.name])
             found[trial.name] = error.reshape(len(error), -1)
     return found
 

@@ -129,15 +129,15 @@ def compare_model(study: Study, model: CableModel, name: str = "model") -> Compa
         # rows are (markers, axes, times); unseen values are exactly zero there
         white = prepared.white(trial, points)[0].reshape(-1, 2, len(trial.markers.t_s))
         white = np.where(np.isfinite(trial.markers.xy_m), np.moveaxis(white, 2, 0), np.nan)
-        found.append(
-            trial_residual(trial, points[0], white, study.arc_length_m, prepared.noise_model.noise)
-        )
+        beside_m = prepared.error_m(trial, points[0])
+        noise = prepared.noise_model.noise
+        found.append(trial_residual(trial, points[0], beside_m, white, study.arc_length_m, noise))
 
     def error(role: str) -> float:
         chosen = [t for t in study.trials if t.role == role]
         if not all(np.isfinite(predicted[t.name]).all() for t in chosen):
             return float("inf")
-        return overall([t.markers.xy_m - predicted[t.name] for t in chosen])
+        return overall([prepared.error_m(t, predicted[t.name]) for t in chosen])
 
     return Comparison(
         study,

@@ -69,17 +69,17 @@ class TrialResidual:
 def trial_residual(
     trial: Trial,
     predicted_m: FloatArray,
+    residual: FloatArray,
     white: FloatArray,
     arc_length_m: FloatArray,
     noise: Noise,
 ) -> TrialResidual:
     """Residual statistics of a trial.
 
-    predicted_m  (times, markers, 2), m
+    predicted_m  (times, markers, 2), m; residual likewise, nan where not seen
     white        (times, markers, 2) whitened residual, nan where not seen
     """
     t_s = trial.markers.t_s
-    residual = trial.markers.xy_m - predicted_m
     edges = np.linspace(t_s[0], t_s[-1], min(TIME_BINS, len(t_s)) + 1)
     bins = np.clip(np.searchsorted(edges, t_s, "right") - 1, 0, len(edges) - 2)
     by_time = [rms(residual[bins == b]) for b in range(len(edges) - 1)]

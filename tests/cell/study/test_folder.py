@@ -48,6 +48,9 @@ def same(a: Study, b: Study) -> None:
         b.noise_std_m,
     )
     np.testing.assert_array_equal(a.arc_length_m, b.arc_length_m)
+    assert (a.arc_length_std_m is None) == (b.arc_length_std_m is None)
+    if a.arc_length_std_m is not None:
+        np.testing.assert_array_equal(a.arc_length_std_m, b.arc_length_std_m)
     assert len(a.trials) == len(b.trials)
     for left, right in zip(a.trials, b.trials, strict=True):
         assert (left.name, left.role, left.start, left.release_s) == (
@@ -115,6 +118,9 @@ def studies(draw: st.DrawFn) -> Study:
         tuple(trials),
         (draw(st.floats(-9.0, 9.0)), -9.81),
         draw(st.none() | st.floats(1e-6, 1e-3)),
+        arc_length_std_m=draw(
+            st.none() | hnp.arrays(float, count, elements=st.floats(0.0, 0.02 * free_length_m))
+        ),
     )
 
 
@@ -205,6 +211,20 @@ def test_a_connector_without_an_inertia_is_a_rod(tmp_path: Path) -> None:
     assert read.arc_length_m.max() == 0.11
 
 
+def with_std(entry: str) -> Edit:
+    return swap("markers:\n", f"markers:\n  arc_length_std_m: {entry}\n")
+
+
+def test_one_standard_deviation_of_arc_length_is_all_markers(tmp_path: Path) -> None:
+    header = tmp_path / "study.yaml"
+    for entry, std_m in (("0.0005", [5e-4] * 3), ("[0, 0.001, 0.0005]", [0.0, 1e-3, 5e-4])):
+        write_study(study(), tmp_path)
+        header.write_text(with_std(entry)(header.read_text(encoding="utf-8")), encoding="utf-8")
+        read = read_study(tmp_path).arc_length_std_m
+        assert read is not None
+        assert read.tolist() == std_m
+
+
 MISTAKES: list[tuple[str, Edit, str]] = [
     ("study.yaml", swap("0.1", "100"), "study.yaml:4:3: cable.free_length_m: 100 m is beyond"),
     ("study.yaml", swap("0.0074", "7.4"), "kg/m, not g/m"),
@@ -236,6 +256,10 @@ MISTAKES: list[tuple[str, Edit, str]] = [
     ("study.yaml", swap("- 0.05", "- 0.2"), "markers.arc_length_m[1]: 0.2 m is not on the cable"),
     ("study.yaml", swap("- 0.05", "- -0.05"), "-0.05 m is not on the cable, 0 … 0.1 m"),
     ("study.yaml", swap("- 0.05", "- 0.1"), "markers cross or coincide"),
+    ("study.yaml", with_std("5"), "arc_length_std_m: 5 m is beyond 0.002 m, 0.02 of the cable; me"),
+    ("study.yaml", with_std("[0, 0, -0.001]"), "arc_length_std_m[2]: -0.001 m is negative; give 0"),
+    ("study.yaml", with_std("[0.001, 0]"), "has 2 values for 3 markers; give one for each, or one"),
+    ("study.yaml", with_std("wide"), "study.yaml:12:3: markers.arc_length_std_m"),
     ("study.yaml", swap("-9.81", "-9810"), "give m/s², not mm/s²"),
     ("study.yaml", swap("start: equilibrium", "start: straight"), "needs the time of letting go"),
     ("study.yaml", swap("equilibrium", "equilibrium\n  release_s: 0.1"), "only for `start: str"),

@@ -16,7 +16,7 @@ from cell.lab.search.fit_cache import FitCache
 from cell.lab.verdict.checks import CHECKS
 from cell.lab.verdict.diagnose import diagnose
 from tools.studies import rig_study
-from tools.worlds import made_studies
+from tools.worlds import made_studies, rigs
 
 TIED = frozenset({"camera_latency", "robot_lag"})
 MASS, CURVE, DRAG = (frozenset({n}) for n in ("tip_mass", "natural_curvature", "air_drag"))
@@ -48,9 +48,9 @@ def test_it_is_judged_by_all_that_is_there(found, judged):
 
 @pytest.mark.parametrize("updates", [1, 3])
 def test_a_rig_errs_by_what_it_says(updates):
-    rig = replace(rig_study.Rig.drawn(0, "air_drag"), updates=updates, colour=0.5)
+    rig = replace(rigs.Rig.drawn(0, "air_drag"), updates=updates, colour=0.5)
     shape = (4000, len(rig.arc_length_m), 2)
-    errors = rig_study._erring(np.random.default_rng(0), rig, shape)
+    errors = rigs._erring(np.random.default_rng(0), rig, shape)
     assert errors.shape == shape
     assert np.sqrt(np.mean(errors**2)) == pytest.approx(1.0, rel=0.05)
     held = np.abs(np.diff(errors[:, 0, 0])) < 0.2 * errors[:, 0, 0].std()
@@ -74,9 +74,9 @@ def test_a_complete_model_of_a_rig_with_erring_shapes_is_called_complete(seed):
     """Errors of the whole cable for some frames at once were misfit: 6 of 8 were unexplained."""
     known = library()
     name = sorted(known)[seed % len(known)]
-    rig = rig_study.Rig.drawn(seed, name)
+    rig = rigs.Rig.drawn(seed, name)
     rig = replace(rig, known=(*rig.known, *rig.unsaid), unsaid=())
-    study = rig_study.rig_study(rig, known[name].active())
+    study = rigs.rig_study(rig, known[name].active())
     space = ParameterSpace.of(study.cable, effects=tuple(a.effect for a in rig.known))
     tried = {
         n: known[n]
@@ -97,8 +97,8 @@ def test_a_complete_model_of_a_rig_with_erring_shapes_is_called_complete(seed):
 def test_a_model_whose_trials_ask_for_an_effect_is_not_called_complete(seed, name, values):
     """The held-out trials were not likelier enough with it, and that was that."""
     known = library()
-    rig = rig_study.Rig.drawn(seed, name)
-    study = rig_study.rig_study(rig, known[name].active(**values))
+    rig = rigs.Rig.drawn(seed, name)
+    study = rigs.rig_study(rig, known[name].active(**values))
     tried = {n: known[n] for n in (name, "air_drag", "camera_roll")}
     fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), tried)
     found = diagnose(fits).diagnosis
@@ -112,9 +112,9 @@ def test_a_model_whose_trials_ask_for_an_effect_is_not_called_complete(seed, nam
 def test_a_known_ringing_is_fitted_at_its_own_frequency_by_a_slow_camera():
     """At 30 frames/s 19.7 Hz looks like 10.3 where the camera sees the hand, and was nearer."""
     ringing = library()["robot_ringing"]
-    rig = rig_study.Rig.drawn(64, "robot_ringing")
+    rig = rigs.Rig.drawn(64, "robot_ringing")
     hidden = ringing.active(amplitude_m=-4.01e-4, frequency_hz=10.21)
-    study = rig_study.rig_study(rig, hidden)
+    study = rigs.rig_study(rig, hidden)
     space = ParameterSpace.of(study.cable, effects=(ringing,))
     fit = FitCache(PreparedStudy.of(study), space, {}).baseline().fit
     assert fit.model.effects[0].named["frequency_hz"] == pytest.approx(10.21, abs=0.3)

@@ -191,3 +191,18 @@ def test_rounding_beside_coloured_noise_is_white(make_study):
     assert found.noise.white == pytest.approx(0.25, abs=0.1)
     slow = found.noise.std_m**2 / found.effective_fraction
     assert slow == pytest.approx(1e-8 * 9.0 + step_m**2 / 12.0, rel=0.2)
+
+
+def test_two_cameras_in_one_table_show_their_noise(make_study):
+    """No marker was seen in six rows one after the other, and the study was refused."""
+    study = make_study(seed=2, ar1=0.5, noise_m=2e-4)
+    trials = []
+    for trial in study.trials:
+        t_s, xy_m = trial.markers.t_s, trial.markers.xy_m
+        rows = np.full((2 * len(t_s), *xy_m.shape[1:]), np.nan)
+        rows[::2, ::2], rows[1::2, 1::2] = xy_m[:, ::2], xy_m[:, 1::2]
+        times_s = np.sort(np.concatenate([t_s, t_s + 1e-3]))
+        trials.append(replace(trial, markers=Markers(times_s, rows)))
+    apart, alone = noise_model_of(replace(study, trials=tuple(trials))), noise_model_of(study)
+    assert apart.noise.std_m == pytest.approx(alone.noise.std_m, rel=0.05)
+    assert apart.noise.ar1 == pytest.approx(alone.noise.ar1, abs=0.05)

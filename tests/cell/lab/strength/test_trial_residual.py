@@ -37,7 +37,9 @@ def test_a_late_error_at_the_tip_is_placed(make_study):
     late = phase_of(trial) == "late swing"
     predicted[late, 0, 1] += 1e-3
     white = (trial.markers.xy_m - predicted) / 1e-4
-    found = trial_residual(trial, predicted, white, study.arc_length_m, Noise(1e-4))
+    found = trial_residual(
+        trial, predicted, trial.markers.xy_m - predicted, white, study.arc_length_m, Noise(1e-4)
+    )
     assert max(found.by_phase, key=lambda p: found.by_phase[p]) == "late swing"
     assert int(np.argmax(found.by_arc_length.rms_m)) == 0
     assert found.by_phase["still"] == 0.0
@@ -59,7 +61,9 @@ def test_an_error_that_follows_the_tip_velocity_is_named(make_study):
     velocity = np.gradient(seen[:, 0], trial.markers.t_s, axis=0)
     white = np.random.default_rng(0).normal(size=seen.shape)
     white[:, 0] += 20.0 * velocity
-    found = trial_residual(trial, seen, white, study.arc_length_m, Noise(1e-4)).correlations
+    found = trial_residual(
+        trial, seen, trial.markers.xy_m - seen, white, study.arc_length_m, Noise(1e-4)
+    ).correlations
     assert {f.signal for f in found[:3]} >= {"tip velocity"}
     assert found[0].p_value < 1e-4
 

@@ -1,0 +1,112 @@
+"""Markers whose arc length is uncertain: how they move with it, and that residuals allow for it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cell.cable.dynamics import simulate
+from cell.cable.geometry import Cable, Motion
+from cell.cable.model import CableModel
+from cell.identify.marker_shift import slopes_along
+from cell.identify.noise import Noise, Whitener
+from cell.study.data import Markers, Trial
+
+CABLE = Cable(0.1, 0.0074, 0.016, 0.0001)
+ARCS_M = np.array([0.095, 0.07, 0.04, 0.0])
+STD_M = 5e-4
+
+
+@pytest.fixture(scope="module")
+def trial() -> Trial:
+    """A swing without noise."""
+    t = np.arange(0.0, 0.8, 0.002)
+    u = np.clip((t - 0.1) / 0.25, 0.0, 1.0)
+    hand = Motion(t, 0.0 * t, -0.05 * u**3 * (10 - 15 * u + 6 * u**2), np.full_like(t, 0.2))
+    t_s = np.arange(0.0, 0.8, 0.01)
+    points = simulate(MODEL, hand, t_s, ARCS_M)[0]
+    return Trial("swing", "fit", "equilibrium", hand, Markers(t_s, points))
+
+
+MODEL = CableModel(CABLE, np.full(4, 2.5e-5), 1.0, 1e-7)
+
+
+@pytest.mark.parametrize("lost", [None, "rows", "laser"])
+def test_slopes_are_those_of_the_cable(trial, lost):
+    farther_m = np.minimum(ARCS_M + 1e-4, CABLE.free_length_m)
+    moved = simulate(MODEL, trial.grip, trial.markers.t_s, farther_m)[0]
+    true = (moved - trial.markers.xy_m) / (farther_m - ARCS_M)[:, None]
+    seen = trial.markers.xy_m.copy()
+    if lost == "rows":
+        seen[10:12, 1] = np.nan
+    if lost == "laser":
+        seen[..., 0] = np.nan
+    shown = Trial("swing", "fit", "equilibrium", trial.grip, Markers(trial.markers.t_s, seen))
+    found = slopes_along(shown, ARCS_M)
+    axes = [1] if lost == "laser" else [0, 1]
+    assert np.sqrt(np.mean((found - true)[..., axes] ** 2)) < 0.02
+    assert np.max(np.abs((found - true)[..., axes])) < 0.15
+    if lost == "laser":
+        assert np.all(found[..., 0] == 0.0)
+
+
+def test_arc_lengths_that_are_wrong_do_not_spoil_the_slopes(trial):
+    """The spline through misplaced markers is stretched; no cable is."""
+    wrong_m = ARCS_M + np.array([-1e-3, 1e-3, -1e-3, 0.0])
+    right, found = slopes_along(trial, ARCS_M), slopes_along(trial, wrong_m)
+    assert np.linalg.norm(found, axis=2) == pytest.approx(1.0)
+    assert np.sqrt(np.mean((found - right) ** 2)) < 0.003
+
+
+def test_many_markers_show_the_slopes_though_the_hand_is_wrong(trial):
+    """A camera's scale or a wrong angle of the clamp kinked the spline beside the hand."""
+    arcs_m = np.array([0.095, 0.08, 0.065, 0.05, 0.035, 0.02])
+    markers = simulate(MODEL, trial.grip, trial.markers.t_s, arcs_m)[0]
+    right = Trial("swing", "fit", "equilibrium", trial.grip, Markers(trial.markers.t_s, markers))
+    turned = replace(trial.grip, angle_rad=trial.grip.angle_rad + 0.1)
+    wrong = replace(right, grip=turned, markers=replace(right.markers, xy_m=1.02 * markers))
+    found = slopes_along(wrong, arcs_m)
+    assert np.max(np.abs(found - slopes_along(right, arcs_m))) < 1e-3
+
+
+def whitener(trial: Trial, noise: Noise, std_m: float) -> Whitener:
+    return Whitener(trial.markers.xy_m, noise, std_m * slopes_along(trial, ARCS_M))
+
+
+@pytest.mark.parametrize(
+    "noise", [Noise(1e-4), Noise(1e-4, 0.5, 3e-5), Noise(1e-4, 0.6, white=0.3)]
+)
+def test_noise_and_shifts_of_markers_are_white_together(trial, noise):
+    """As by the inverse root of their covariance."""
+    plain, shifted = Whitener(trial.markers.xy_m, noise), whitener(trial, noise, STD_M)
+    slopes = STD_M * slopes_along(trial, ARCS_M)
+    error_m = 1e-4 * np.random.default_rng(0).normal(size=slopes.shape)
+    predicted_m = (trial.markers.xy_m - error_m)[None]
+    found = shifted(predicted_m)[0].reshape(4, -1)
+    before = plain(predicted_m)[0].reshape(4, -1)
+    moved = plain((trial.markers.xy_m - slopes)[None])[0].reshape(4, -1)
+    for row, was, h in zip(found, before, moved, strict=True):
+        covariance = np.eye(len(h)) + np.outer(h, h)
+        assert row @ row == pytest.approx(was @ np.linalg.solve(covariance, was), rel=1e-9)
+
+
+def test_a_shift_is_hardly_a_misfit_and_a_jump_is(trial):
+    noise, slopes = Noise(1e-5), slopes_along(trial, ARCS_M)
+    shift_m = STD_M * np.array([1.0, -1.5, 0.5, 1.0])[:, None] * slopes
+    free = whitener(trial, noise, STD_M)
+    along = free((trial.markers.xy_m + shift_m)[None])[0]
+    assert along @ along == pytest.approx(1.0 + 1.5**2 + 0.5**2 + 1.0, rel=0.01)
+    across = np.stack([-slopes[..., 1], slopes[..., 0]], axis=-1)
+    aside = free((trial.markers.xy_m + STD_M * across)[None])[0]
+    assert aside @ aside > 1e5
+
+
+def test_errors_are_told_beside_the_likeliest_shift(trial):
+    noise, rng = Noise(1e-5), np.random.default_rng(1)
+    slopes = slopes_along(trial, ARCS_M)
+    error_m = noise.std_m * rng.normal(size=slopes.shape)
+    predicted_m = trial.markers.xy_m - error_m - 1.3 * STD_M * slopes
+    free = whitener(trial, noise, STD_M)
+    beside_m = free.beside_m(predicted_m)
+    assert np.sqrt(np.mean(beside_m**2)) == pytest.approx(noise.std_m, rel=0.1)
+    assert free.error_m(free(predicted_m[None])[0]) == pytest.approx(beside_m, abs=1e-12)

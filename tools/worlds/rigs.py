@@ -1,0 +1,226 @@
+"""Studies that imitate real rigs: their cables, and what is wrong with their measurements.
+
+The mesh is finer than the model's and the law of bending of another family (`made_studies.py`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cell.cable.dynamics import simulate
+from cell.cable.effects import ActiveEffect, library
+from cell.cable.geometry import Cable, Motion, node_arc_lengths
+from cell.cable.model import CableModel
+from cell.cable.modes import mode_curvature
+from cell.study.data import Markers, Study, Trial
+from tools.worlds.made_studies import (
+    STROKES,
+    WORLD,
+    coloured,
+    hidden,
+    like,
+    logged,
+    random_model,
+    stroke,
+)
+
+#: How many rigs have a feature.
+SHARES = {"slow": 0.4, "shapes": 0.4, "connector": 0.3, "curved": 0.3, "glitches": 0.4,
+          "one coordinate": 0.2}  # fmt: skip
+STARTS = ("at rest", "at rest", "held", "moving")
+#: Features that are effects: sizes of their typical strength.
+AS_EFFECTS = {"connector": ("tip_mass", 1.0, 3.0), "curved": ("natural_curvature", 0.5, 2.0)}
+SLOW_FRAME_S = 1.0 / 30.0
+#: Shapes along the cable of what a fitted shape errs by.
+ERRING_SHAPES = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """A rig, its cable and what is wrong with its measurements.
+
+    features  besides those that are effects
+    updates   frames for which an erring shape stays the same
+    seen      axis of the one coordinate, or None: both
+    known     effects that the lab is told of; unsaid: those that are there as well
+    reach     of the strokes, over those of `STROKES` for a like cable
+    stiffer   rigidity, over that of a like cable
+    clocks    per trial the frames' and the log's steps, s; none = `frame_s`, and the log's own
+    arc_std_m  standard deviation of the markers' arc lengths, which the study states
+    parted    the outer half of the markers is seen by a second camera, of another rate and clock
+    """
+
+    seed: int
+    features: tuple[str, ...]
+    cable: Cable
+    arc_length_m: np.ndarray
+    frame_s: float
+    tilt_rad: float
+    noise_m: float
+    colour: float
+    updates: int
+    seen: int | None
+    start: str
+    known: tuple[ActiveEffect, ...]
+    unsaid: tuple[ActiveEffect, ...]
+    reach: float = 1.0
+    stiffer: float = 1.0
+    clocks: tuple[tuple[float, float], ...] = ()
+    parted: float = 0.0
+    arc_std_m: float = 0.0
+
+    @staticmethod
+    def drawn(seed: int, effect: str) -> Rig:
+        """A rig in which `effect` can be hidden."""
+        rng = np.random.default_rng([seed, 1])
+        has = [f for f, share in SHARES.items() if rng.uniform() < share]
+        if "one coordinate" in has and "shapes" in has:
+            has.remove("shapes")
+        has = has or ["slow"]
+        length, across = rng.uniform(0.5, 1.0), rng.uniform(0.005, 0.009)
+        cable = Cable(length, 1200.0 * np.pi / 4.0 * across**2, across, across)
+        if "shapes" not in has and rng.uniform() < 0.5:
+            cable = Cable(rng.uniform(0.08, 0.15), 0.0074, 0.016, 0.0001)
+        length, arcs = cable.free_length_m, node_arc_lengths(cable.free_length_m, 11)
+        noise_m, updates = length * float(np.exp(rng.uniform(np.log(5e-4), np.log(3e-3)))), 1
+        if "shapes" in has:
+            noise_m, updates = rng.uniform(2e-3, 7e-3), int(rng.integers(2, 5))
+            arcs = node_arc_lengths(length, int(rng.integers(3, 7)))[:-1]
+        tilt_rad = float(rng.choice([0.0, 0.6, 1.2]))
+        seen = None
+        if "one coordinate" in has:
+            arcs, seen = np.array([0.85 * length]), 0 if tilt_rad > 0.6 else 1
+        known, unsaid = [], []
+        for feature, (name, low, high) in AS_EFFECTS.items():
+            if feature in has and name != effect:
+                size = rng.uniform(low, high)
+                there = hidden(library()[name], size, cable)
+                (known if rng.uniform() < 0.5 else unsaid).append(there)
+        frame_s = SLOW_FRAME_S if "slow" in has else 0.005 * like(cable, "s")
+        kept = tuple(f for f in has if f not in AS_EFFECTS)
+        return Rig(seed, kept, cable, arcs, frame_s, tilt_rad, noise_m, rng.uniform(0.0, 0.6),
+                   updates, seen, str(rng.choice(STARTS)), tuple(known), tuple(unsaid))  # fmt: skip
+
+    @property
+    def independent(self) -> float:
+        """Independent values per value of its noise."""
+        in_time = (1.0 - self.colour) / (1.0 + self.colour) / self.updates
+        if self.updates == 1:
+            return in_time
+        return in_time * min(1.0, ERRING_SHAPES / len(self.arc_length_m))
+
+    @property
+    def words(self) -> str:
+        """Its cable, features and how trials begin."""
+        said = [f"{a.effect.name} known" for a in self.known]
+        said += [f"{a.effect.name} unsaid" for a in self.unsaid]
+        start = [] if self.start == "at rest" else [self.start]
+        return ", ".join([f"{self.cable.free_length_m:.2f} m", *self.features, *said, *start])
+
+
+def rig_study(rig: Rig, effect: ActiveEffect | None, *, quiet: bool = False) -> Study:
+    """The study of a rig with an effect hidden; `quiet`: nothing is wrong with its measurements."""
+    rng, errors = (np.random.default_rng([rig.seed, i]) for i in (2, 4))
+    there = (*rig.known, *rig.unsaid, *([effect] if effect else []))
+    model = random_model(rng, rig.cable, there)
+    model = replace(model, rigidity_n_m2=rig.stiffer * model.rigidity_n_m2)
+    arcs_m, trials = rig.arc_length_m, []
+    rig = rig if quiet else _misplaced(rig)
+    for number, (name, role, angle, way, seconds) in enumerate(STROKES[:5]):
+        slower, longer = like(rig.cable, "s"), rig.reach * like(rig.cable, "m")
+        frame_s, log_s = rig.clocks[number] if rig.clocks else (rig.frame_s, 0.0)
+        still_s = max(0.2 * slower, 10.0 * frame_s)
+        hand = stroke(angle + rig.tilt_rad, (longer * way[0], longer * way[1]), seconds * slower,
+                      still_s, 0.9 * slower)  # fmt: skip
+        bent = number % 2 == 0 and rig.start != "at rest"
+        start = rig.start if bent else "equilibrium"
+        if start == "held":
+            hand = replace(hand, x_m=0.0 * hand.x_m, y_m=0.0 * hand.y_m)
+        begin_s = rng.uniform(0.0, frame_s)
+        if start == "moving":
+            begin_s += still_s + rng.uniform(0.7, 1.2) * seconds * slower
+        t_s = np.arange(begin_s, hand.t_s[-1], frame_s)
+        of_second = np.arange(begin_s, hand.t_s[-1], rig.parted) if rig.parted else t_s
+        t_s = np.union1d(t_s, of_second)
+        seen = _simulated(rng, model, hand, t_s, rig, start, still_s)
+        hand = _at_steps(hand, log_s) if log_s else hand
+        second, outer = np.isin(t_s, of_second), len(rig.arc_length_m) // 2
+        views = [(second, slice(None, outer)), (~second, slice(outer, None))] if rig.parted else []
+        for (_, markers), (rows, _) in zip(views, reversed(views), strict=True):
+            seen[rows, markers] = np.nan
+        if not quiet:
+            for rows, markers in views or [(slice(None), slice(None))]:
+                clean = seen[rows, markers]
+                seen[rows, markers] += rig.noise_m * _erring(errors, rig, clean.shape)
+            hand = _logged(errors, rig, hand)
+        if rig.seen is not None:
+            seen[..., 1 - rig.seen] = np.nan
+        trials.append(Trial(name, "fit" if role == "fit" else "validate", start, hand,
+                            Markers(t_s, seen), still_s if start == "held" else None))  # fmt: skip
+    stated = quiet or {"shapes", "one coordinate"} & set(rig.features)
+    std_m = np.full(len(arcs_m), rig.arc_std_m) if rig.arc_std_m else None
+    return Study(f"rig_{rig.seed}", rig.cable, arcs_m, tuple(trials), arc_length_std_m=std_m,
+                 noise_std_m=rig.noise_m if stated else None)  # fmt: skip
+
+
+def _simulated(
+    rng: np.random.Generator,
+    model: CableModel,
+    hand: Motion,
+    t_s: np.ndarray,
+    rig: Rig,
+    start: str,
+    release_s: float,
+) -> np.ndarray:
+    """(times, markers, 2) of the world; fingers at the tip and inside the cable bend what is held.
+
+    The curvature that they add has a kink, and they let go some milliseconds beside the time noted.
+    """
+    if start != "held":
+        return simulate(model, hand, t_s, rig.arc_length_m, solver=WORLD)[0]
+    x = np.linspace(0.0, 1.0, 2001)[:-1]
+    at_tip, inside = rng.choice([-1.0, 1.0]) * rng.uniform(0.3, 0.7), rng.uniform(-0.3, 0.3)
+    added = at_tip * (1.0 - x) + inside * np.clip(0.6 - x, 0.0, None)
+    places = np.linalg.lstsq(mode_curvature(x, 6), added, rcond=None)[0]
+    late_s = 0.004 * rng.normal()
+    bent = [np.stack([places, 0.0 * places])]
+    return simulate(model, hand, t_s, rig.arc_length_m, solver=WORLD, start="held",
+                    release_s=release_s + late_s, bent=bent)[0]  # fmt: skip
+
+
+def _erring(rng: np.random.Generator, rig: Rig, shape: tuple[int, ...]) -> np.ndarray:
+    """(times, markers, 2) what the camera errs by, of rms 1."""
+    if rig.updates == 1:
+        return coloured(rng, shape, rig.colour)
+    times = shape[0]
+    updates = -(-times // rig.updates)
+    sizes = coloured(rng, (updates, ERRING_SHAPES, 2), rig.colour)
+    along = (rig.arc_length_m / rig.cable.free_length_m)[:, None] ** np.arange(1, ERRING_SHAPES + 1)
+    along /= np.sqrt(np.mean(np.sum(along**2, axis=1)))
+    smooth = np.einsum("tkc,mk->tmc", sizes, along)
+    return np.repeat(smooth, rig.updates, axis=0)[:times] + 0.02 * rng.normal(size=shape)
+
+
+def _misplaced(rig: Rig) -> Rig:
+    """The rig with its markers where they really are."""
+    errors = np.random.default_rng([rig.seed, 5]).normal(size=len(rig.arc_length_m))
+    places_m = np.clip(rig.arc_length_m + rig.arc_std_m * errors, 0.0, rig.cable.length_m)
+    return replace(rig, arc_length_m=np.sort(places_m)[::-1])
+
+
+def _at_steps(hand: Motion, step_s: float) -> Motion:
+    """A log at other times of its own."""
+    t_s = np.arange(hand.t_s[0], hand.t_s[-1], step_s)
+    return Motion(t_s, *(np.interp(t_s, hand.t_s, v) for v in (hand.x_m, hand.y_m, hand.angle_rad)))
+
+
+def _logged(rng: np.random.Generator, rig: Rig, hand: Motion) -> Motion:
+    if "glitches" not in rig.features:
+        return logged(rng, hand, 1e-5)
+    noisy = logged(rng, hand, 3e-5)
+    wrong = [0, *rng.integers(1, len(hand.t_s), 4)]
+    noisy.x_m[wrong] += rng.choice([-1.0, 1.0], 5) * rng.uniform(6e-5, 2e-4, 5)
+    noisy.y_m[wrong] += rng.choice([-1.0, 1.0], 5) * rng.uniform(6e-5, 2e-4, 5)
+    return noisy
