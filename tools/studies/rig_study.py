@@ -69,6 +69,8 @@ class RigOutcome(Outcome):
             return "WRONG"
         if self.partly_wrong:
             return "partial, wrong name"
+        if not self.hidden:
+            return "not called complete"
         if self.right:
             return "right"
         if self.partly_right:

@@ -15,8 +15,10 @@ from cell.lab.report.tables import sentence
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.verdict.checks import CHECKS
 from cell.lab.verdict.diagnose import diagnose
+from cell.study.folder import read_study, write_study
 from tools.studies import rig_study
 from tools.worlds import made_studies, rigs
+from tools.worlds.rig_kinds import KINDS
 
 TIED = frozenset({"camera_latency", "robot_lag"})
 MASS, CURVE, DRAG = (frozenset({n}) for n in ("tip_mass", "natural_curvature", "air_drag"))
@@ -44,6 +46,26 @@ def outcome(*named, verdict="missing", partial=(), beside=("natural_curvature",)
 )
 def test_it_is_judged_by_all_that_is_there(found, judged):
     assert found.judged == judged
+
+
+@pytest.mark.parametrize(
+    ("verdict", "named", "judged"),
+    [
+        ("complete", [], "right"),
+        ("cannot_tell", [], "not called complete"),
+        ("missing", [DRAG], "WRONG"),
+    ],
+)
+def test_a_study_in_which_nothing_is_hidden_is_right_if_called_complete(verdict, named, judged):
+    found = rig_study.RigOutcome("one", (), 0.0, verdict, tuple(named))
+    assert found.judged == judged
+
+
+@pytest.mark.parametrize("kind", sorted(KINDS))
+def test_a_rig_of_a_kind_is_a_study_that_is_read(kind, tmp_path):
+    study = rigs.rig_study(KINDS[kind](1), None)
+    write_study(study, tmp_path)
+    assert read_study(tmp_path).notes == ()
 
 
 @pytest.mark.parametrize("updates", [1, 3])
