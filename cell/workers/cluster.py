@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from uuid import uuid4
 
 from cell.cable.solver import one_core
+from cell.computer.memory import release_free_memory, use_one_arena
 from cell.workers.executor import Given, JobResult, Returned, WorkersError
 from cell.workers.identity import Identity, identity
 from cell.workers.job import done, result_of
@@ -29,6 +30,9 @@ _CONNECT_S = 10.0
 _LOOK_S = 0.1
 #: Jobs that are given for each worker before the result of the oldest is taken.
 _AHEAD = 4
+#: A recording is a megabyte, and Dask's thread frees its copies among what it still uses: memory is
+#: given back after so many jobs.
+_RELEASED = 16
 #: A worker that was lost is begun anew by its nanny in some seconds; with none for so long the
 #: jobs wait for nobody, s.
 _NOBODY_S = 60.0
@@ -74,6 +78,8 @@ class Cluster:
                     return
                 number, future = futures.popleft()
                 yield self._result(number, future, check)
+                if number % _RELEASED == 0:
+                    release_free_memory()
         finally:
             self._client.cancel([future for _, future in futures])
             task.release()
@@ -123,6 +129,7 @@ def cluster(address: str, tell: Callable[[str], None] = lambda note: None) -> It
             f"--workers {address}: the package `distributed` is missing; "
             'install it: pip install "cable-cell[cluster]"'
         ) from error
+    use_one_arena()  # of this process, as Dask's threads begin now
     try:
         client = Client(address, timeout=_CONNECT_S, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:

@@ -19,9 +19,13 @@ from cell.lab.search.screen import ScreenedEffect
 
 #: So many of the first refits are taken to convergence.
 POLISHED = 3
-#: A first refit is given up if after some passes its objective is so many times that of the best of
-#: the first few effects, the likeliest by the screen.
-FAR_ABOVE, ENOUGH_PASSES, FIRST = 10.0, 5, 2
+#: A first refit is given up if after some passes it is far above the best of the first few effects,
+#: the likeliest by the screen.
+ENOUGH_PASSES, FIRST = 5, 2
+#: Far above the best is an objective so many times as large, if so much of the fall is missing that
+#: the best effect brings.  A refit with a strong effect that misses a hundredth of the fall may be
+#: ten times above the best, and yet end as low when it is taken on.
+FAR_ABOVE, FAR_FROM_FALL = 10.0, 0.1
 
 
 @dataclass(frozen=True)
@@ -76,13 +80,13 @@ class Refits:
         with side_by_side(prepared.work, functions, self.offered, len(unknown)) as beside:
             first = [_Refit(e) for e in unknown if e in effects[:FIRST]]
             beside.map(refitted, first, was_fitted)
-            above = (FAR_ABOVE * self._least(effects[:FIRST]), ENOUGH_PASSES)
+            above = (self._far(effects[:FIRST]), ENOUGH_PASSES)
             hurried = replace(REFIT, above=above)
             # those with most shapes take longest, and so begin first
             rest = [_Refit(e, hurried) for e in unknown if e not in effects[:FIRST]]
             beside.map(refitted, sorted(rest, key=lambda j: -shapes_of(j.effect)), was_fitted)
             found = self._fitted(effects)
-            far = FAR_ABOVE * self._least(effects)
+            far = self._far(effects)
             likely = sorted(found, key=lambda c: -c.evidence)[:POLISHED]
             beside.map(taken_on, [c for c in likely if self._unpolished(c, far)], was_taken_on)
         return [models[c.names] for c in found]
@@ -94,9 +98,14 @@ class Refits:
         """What is known with these effects."""
         return [c for e in effects if (c := self.models.get(self._key(e))) is not None]
 
-    def _least(self, effects: Sequence[type[Effect]]) -> float:
-        """Smallest objective with these effects."""
-        return min((c.fit.objective for c in self._fitted(effects)), default=np.inf)
+    def _far(self, effects: Sequence[type[Effect]]) -> float:
+        """Objective from which a refit is far above the best with these effects."""
+        fitted = self._fitted(effects)
+        if not fitted:
+            return np.inf
+        best = min(c.fit.objective for c in fitted)
+        fall = self.extension.base.fit.objective - best
+        return max(FAR_ABOVE * best, best + FAR_FROM_FALL * fall)
 
     def _unpolished(self, model: FittedModel, far: float) -> bool:
         """Whether a model is worth to be taken to convergence, and never was."""

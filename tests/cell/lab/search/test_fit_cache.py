@@ -12,6 +12,7 @@ from cell.identify.gauss_newton import UnsimulatedError
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data import side_by_side
 from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.progress import no_progress
 from cell.lab.data.selection import select_effects
 from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.fit.fitting import space_with
@@ -21,6 +22,7 @@ from cell.lab.search import extension, fit_cache
 from cell.lab.search.extension import Extension, polished
 from cell.lab.search.fit_cache import FitCache, rebased
 from cell.lab.search.fitted_model import FittedModel, weighed
+from cell.lab.search.refits import Refits
 from cell.lab.search.setup import fit_cache_of
 from cell.lab.verdict import diagnose as diagnosing
 from cell.lab.verdict.doubts import fit_doubts
@@ -267,3 +269,15 @@ def test_a_fit_with_an_effect_looks_as_hard_for_it_as_a_diagnosis(make_study, tm
     assert fits.second is not None
     assert fits.second.rms_m > 2e-4, "where it ended from its typical place"
     assert not any(w.code == "starts_disagree" for w in fit_doubts(fits, fits.baseline()))
+
+
+@pytest.mark.parametrize(("before", "far"), [(1e6, 1e3 + 0.1 * 999e3), (2e3, 1e4)])
+def test_a_refit_is_far_above_the_best_if_it_misses_much_of_what_the_best_brings(before, far):
+    """Two effects did the same; one refit had ended ten times above the other, and was no tie."""
+    lag = library()["robot_lag"]
+    base = SimpleNamespace(names=frozenset(), fit=SimpleNamespace(objective=before))
+    best = SimpleNamespace(fit=SimpleNamespace(objective=1e3))
+    known = {frozenset({lag.name}): best}
+    refits = Refits(SimpleNamespace(base=base), {}, (), known, set(), no_progress)
+    assert refits._far([lag]) == pytest.approx(far)
+    assert refits._far([]) == np.inf
