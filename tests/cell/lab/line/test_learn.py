@@ -520,7 +520,7 @@ def said(
     for cycle in tied.cycles:
         write_study(cycle.study, tmp_path / "runs" / cycle.name)
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("cell.lab.line.learn.learn", lambda *_: tied)
+    monkeypatch.setattr("cell.lab.line.learn.learn", lambda *_, **__: tied)
     words = ["learn", *sorted(f"runs/{c.name}" for c in tied.cycles), "--config", str(CONFIG)]
     found = CliRunner().invoke(app, [*words, "-o", "drag law.yaml"])
     assert found.exception is None or isinstance(found.exception, SystemExit), found.output
@@ -531,7 +531,7 @@ def said(
 def test_interrupted_it_says_what_it_knows(
     tied: LearningResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, known: bool
 ) -> None:
-    def interrupted(*given: Any) -> None:
+    def interrupted(*given: Any, **_: Any) -> None:
         if known:
             given[-1](tied)
         os.kill(os.getpid(), signal.SIGTERM)
@@ -582,7 +582,8 @@ def test_after_two_motions_nothing_more_is_asked_for(
     for cycle in tied.cycles:
         write_study(cycle.study, tmp_path / cycle.name)
     monkeypatch.setattr(
-        "cell.lab.line.learn.learn", lambda *_: replace(tied, cycles=(*measured, *tied.cycles))
+        "cell.lab.line.learn.learn",
+        lambda *_, **__: replace(tied, cycles=(*measured, *tied.cycles)),
     )
     monkeypatch.setattr("cell.api.line.best_judged", lambda result, _: (result, Judgement()))
     folders = [str(tmp_path / c.name) for c in tied.cycles]
