@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -117,6 +119,22 @@ def test_frames_that_find_no_room_are_a_gap_and_are_told(recorder, tmp_path):
     assert "too slow" in recorder.notes[0]
 
 
+def on_disk(part, count):
+    """Wait until so many frames are in a file that is being written.
+
+    What was taken over waits for the next flush, on a busy computer for long.
+    """
+    deadline, found = time.monotonic() + 20.0, 0
+    while found < count:
+        assert time.monotonic() < deadline
+        copy = part.parent / "copied" / form.PART
+        copy.parent.mkdir(exist_ok=True)
+        with suppress(OSError, ValueError):  # nothing is in it yet
+            shutil.copyfile(part, copy)
+            found = recover_in_place(copy).messages.get(form.IMAGE, 0)
+        shutil.rmtree(copy.parent)
+
+
 def kill(recorder):
     """Kill its process, and wait until it is dead: on a busy computer it comes late to that."""
     os.kill(recorder.process_id, signal.SIGKILL)
@@ -127,7 +145,7 @@ def test_a_killed_recorder_is_told_of_and_costs_nothing_else(recorder, tmp_path)
     recorder.begin(tmp_path / form.FILE, {})
     for frame in frames(5):
         recorder.frame(frame)
-    written(recorder)
+    on_disk(tmp_path / form.PART, 5)
     kill(recorder)
     for frame in frames(5):
         recorder.frame(frame)
