@@ -184,7 +184,7 @@ class Recorder:
 
     @property
     def waiting_bytes(self) -> int:
-        """Bytes that are not written yet."""
+        """Bytes that the recorder's process has not taken over yet; it writes them after that."""
         return 0 if self._ring is None else self._ring.waiting_bytes
 
     @property
