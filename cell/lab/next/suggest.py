@@ -31,7 +31,7 @@ from cell.study.data import Markers, Trial
 
 FloatArray = NDArray[np.float64]
 
-#: χ² by which one candidate must beat the other to be believed; as `Rules.tie`.
+#: χ² by which one candidate must beat the other to be believed; as `Rules.tie_delta_chi2`.
 DECIDED = 9.0
 #: A motion that decides no oftener than this is not suggested: cable and time are better spent.
 LEAST_POWER = 0.05
