@@ -1,0 +1,15 @@
+"""What the settings say of the plant that a cell stands in."""
+
+from __future__ import annotations
+
+from cell.settings.plant.opcua import OpcUa
+from cell.settings.section import Section
+
+__all__ = ["OpcUa", "Plant"]
+
+
+class Plant(Section):
+    """Programs beside the cell by which other machines and a plant's systems talk to it."""
+
+    opcua: OpcUa | None = None
+    """Null = no OPC UA server."""
