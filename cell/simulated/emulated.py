@@ -29,7 +29,7 @@ from drivers.emulators.camera import CameraEmulatorOptions, EmulatedCamera
 from drivers.emulators.camera_live import ArmScene, LiveScene
 from drivers.emulators.gripper import GripperProcess
 from drivers.emulators.launch import EmulatedController, EmulatorError
-from drivers.emulators.ur_addresses import DASHBOARD_PORT, FAULT_PORT, RTDE_PORT, SCRIPT_PORT
+from drivers.ur_addresses import DASHBOARD_PORT, FAULT_PORT, RTDE_PORT, SCRIPT_PORT
 from drivers.emulators.ur_arm import HOME_RAD
 from drivers.interfaces import Pose, Trajectory
 from drivers.plane_mount import PlaneMount
