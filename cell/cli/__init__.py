@@ -25,6 +25,7 @@ from cell.cli import (
     lab,
     ledger,
     line,
+    plant,
     power,
     recordings,
     records,
@@ -50,7 +51,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 for group in (
-    *(run, settings, records, identify, ledger, acknowledge, bundle, recordings, store),
+    *(run, plant, settings, records, identify, ledger, acknowledge, bundle, recordings, store),
     *(fit, lab, power, studies, imports, export, line),
 ):
     app.add_typer(group.app)
