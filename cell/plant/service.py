@@ -267,10 +267,13 @@ class Service:
 
     def _tend(self) -> None:
         """Tell systemd that the service lives, and end a pause when the service is to end."""
-        every_s = min(1.0, (self._notifier.watchdog_s or 1.0) / 3.0)
-        while not self._over.wait(min(every_s, 0.2)):
-            state = self._cell.machine.state
-            if time.monotonic() < self._alive_until_s or state in _UNHURRIED:
+        watchdog_s = self._notifier.watchdog_s
+        due_s = time.monotonic()
+        while not self._over.wait(_LOOK_S):
+            state, now_s = self._cell.machine.state, time.monotonic()
+            lives = now_s < self._alive_until_s or state in _UNHURRIED
+            if watchdog_s is not None and lives and now_s >= due_s:
                 self._notifier.alive()
+                due_s = now_s + watchdog_s / 3.0
             if self._ending.is_set() and state in _UNHURRIED:
                 self._cell.command(Event.STOP, "the service ends")

@@ -7,6 +7,9 @@ import socket
 from collections.abc import Mapping
 from contextlib import suppress
 
+#: What must not be lost waits so long for a systemd that is busy, s; the rest does not wait.
+_IMPORTANT_S = 1.0
+
 
 class Notifier:
     """Tells systemd how a service does; without systemd it does nothing.
@@ -22,7 +25,7 @@ class Notifier:
 
     def ready(self) -> None:
         """The service takes requests."""
-        self._send("READY=1")
+        self._send("READY=1", _IMPORTANT_S)
 
     def status(self, words: str) -> None:
         """What `systemctl status` shows."""
@@ -34,12 +37,12 @@ class Notifier:
 
     def stopping(self) -> None:
         """The service is about to end."""
-        self._send("STOPPING=1")
+        self._send("STOPPING=1", _IMPORTANT_S)
 
-    def _send(self, text: str) -> None:
+    def _send(self, text: str, wait_s: float = 0.0) -> None:
         if not self._address:
             return
         address = "\0" + self._address[1:] if self._address[0] == "@" else self._address
         with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as to:
-            to.setblocking(False)
+            to.settimeout(wait_s)
             to.sendto(text.replace("\n", " ").encode(), address)
