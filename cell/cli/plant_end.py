@@ -17,9 +17,8 @@ from cell.plant.orders import LATCHED, latch, refusal
 from cell.plant.reporter import Reporter
 from cell.plant.service import Service
 from cell.plant.wire import LinkError
-from cell.records.result import Outcome, Result
+from cell.records.result import Result
 from cell.run.cycle import Cell
-from cell.run.machine import Event
 from cell.run.plans import Plan
 from cell.settings.model import Settings
 from cell.settings.referred import calibration_hash, line_of
@@ -70,19 +69,14 @@ class PlantEnd:
         """
         waiting: list[Service] = []
         link = self._link(lambda request: waiting[0].answer(request), COMMANDS)
-        stopped: list[Result] = []
+        stopped = False
 
         def tell(result: Result) -> None:
+            nonlocal stopped
             told(result)
-            if result.outcome is Outcome.FAILED and by_person(result):
+            if interrupted(result):
+                stopped = True
                 raise KeyboardInterrupt
-
-        def by_person(result: Result) -> bool:
-            fault = result.fault
-            if fault is None or fault.code != Event.STOP.value or not interrupted(result):
-                return False
-            stopped.append(result)
-            return True
 
         self._report_to(link)
         service = Service(self._cell, self.reporter, self._runs, plan=plan)
@@ -92,7 +86,7 @@ class PlantEnd:
             try:
                 service.run(tell)
             except KeyboardInterrupt:
-                return bool(stopped)
+                return stopped
         return False
 
     def _report_to(self, link: Link) -> None:

@@ -149,14 +149,7 @@ def run(options: RunOptions) -> None:
     from cell.terminal.console import RunProgress, troubles
     from cell.terminal.logs import to_file
 
-    if options.speed != 1.0 and not options.dry_run:
-        refuse(ValueError(f"--speed {options.speed:g}: {_NEVER_SLOW}"))
-    if options.forever and (options.dry_run or options.part_id is not None):
-        refuse(ValueError("--cycles forever: a dry run is one cycle, and ids come with starts"))
-    try:
-        part_ids(options.part_id)
-    except ValueError as error:
-        refuse(ValueError(f"--part-id {error}"))
+    _refuse_contradictions(options)
     results: list[Result] = []
     try:
         settings = load_settings(options.config)
@@ -214,6 +207,18 @@ def run(options: RunOptions) -> None:
         print(line, file=sys.stderr)
     reached = [r for r in results if r.outcome is plan.aim]
     raise typer.Exit(ALL_DONE if len(reached) == options.count else NOT_ALL_DONE)
+
+
+def _refuse_contradictions(options: RunOptions) -> None:
+    """End with 2 if options do not go together, or an id is none."""
+    if options.speed != 1.0 and not options.dry_run:
+        refuse(ValueError(f"--speed {options.speed:g}: {_NEVER_SLOW}"))
+    if options.forever and (options.dry_run or options.part_id is not None):
+        refuse(ValueError("--cycles forever: a dry run is one cycle, and ids come with starts"))
+    try:
+        part_ids(options.part_id)
+    except ValueError as error:
+        refuse(ValueError(f"--part-id {error}"))
 
 
 def _results(
