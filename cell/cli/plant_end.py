@@ -19,6 +19,7 @@ from cell.plant.service import Service
 from cell.plant.wire import LinkError
 from cell.records.result import Result
 from cell.run.cycle import Cell
+from cell.run.machine import Event
 from cell.run.plans import Plan
 from cell.settings.model import Settings
 from cell.settings.referred import calibration_hash, line_of

@@ -123,6 +123,11 @@ class RunOptions:
         """Number of cables, if there is one."""
         return 1 if self.forever else int(self.cycles)
 
+    @property
+    def laid_out(self) -> int | None:
+        """Number of simulated cables; None = there is always another."""
+        return None if self.forever else 0 if self.dry_run else self.count
+
 
 @app.command()
 @taking(RunOptions)
@@ -175,8 +180,7 @@ def run(options: RunOptions) -> None:
             made = partial(
                 build_cell, seed=options.seed, on_step=on_step, known=known, recorded=True
             )
-            laid_out = None if options.forever else 0 if options.dry_run else options.count
-            cell = made(settings, options.out, cycles=laid_out)
+            cell = made(settings, options.out, cycles=options.laid_out)
             plant = PlantEnd(cell, options.out, settings)
             try:
                 if options.forever:
@@ -195,10 +199,8 @@ def run(options: RunOptions) -> None:
     except (InputError, LinkError) as error:
         refuse(error)
     except RecordError as error:  # it cannot even be begun: nothing of this cycle has moved
-        print(
-            f"{error}; choose another folder with --out, or make it writable, with room",
-            file=sys.stderr,
-        )
+        remedy = "choose another folder with --out, or make it writable, with room"
+        print(f"{error}; {remedy}", file=sys.stderr)
         raise typer.Exit(NOT_ALL_DONE if results else BAD_INPUT) from error
     if not options.as_json:
         _show(results, plan.names, options.dry_run, known.notes)
