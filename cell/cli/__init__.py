@@ -25,6 +25,7 @@ from cell.cli import (
     lab,
     ledger,
     line,
+    mqtt,
     power,
     recordings,
     records,
@@ -51,7 +52,7 @@ app = typer.Typer(
 )
 for group in (
     *(run, settings, records, identify, ledger, acknowledge, bundle, recordings, store),
-    *(fit, lab, power, studies, imports, export, line),
+    *(fit, lab, power, studies, imports, export, line, mqtt),
 ):
     app.add_typer(group.app)
 app.add_typer(calibrate.app)

@@ -38,12 +38,6 @@ class Known:
     dropped: int
     time_s: float
 
-    def contains(self, notice: Notice) -> bool:
-        """Whether the status says already what a notice says, or is of a later process."""
-        if self.status is None:
-            return False
-        return notice.run != self.status.run or notice.sequence <= self.status.sequence
-
 
 class Form(Protocol):
     """A form of messages: plain JSON, or Sparkplug B.

@@ -100,7 +100,8 @@ class MqttOutbox:
         row = (notice.run, notice.sequence, notice.time_s, notice.kind.value, data)
         with self._writing():
             self._database.execute(
-                "INSERT INTO waiting (run, sequence, time_s, kind, data) VALUES (?, ?, ?, ?, ?)", row
+                "INSERT INTO waiting (run, sequence, time_s, kind, data) VALUES (?, ?, ?, ?, ?)",
+                row,
             )
             self._database.execute("INSERT OR REPLACE INTO taken VALUES (1, ?, ?)", row[:2])
             self._count += 1
@@ -132,6 +133,11 @@ class MqttOutbox:
         with self._reading():
             row = self._database.execute("SELECT run, sequence FROM taken").fetchone()
         return None if row is None else (row[0], row[1])
+
+    def begin_at(self, taken: tuple[str, int]) -> None:
+        """What came before this run and sequence is not to be had."""
+        with self._writing():
+            self._database.execute("INSERT OR REPLACE INTO taken VALUES (1, ?, ?)", taken)
 
     def count(self) -> int:
         """Number of notices that wait."""

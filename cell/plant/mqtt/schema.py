@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, TypedDict
+from dataclasses import dataclass
+from typing import Any, Literal
 
 from pydantic import TypeAdapter
 
@@ -12,7 +13,8 @@ from cell.records.result import Result
 from cell.run.machine import CellState
 
 
-class StateData(TypedDict):
+@dataclass(frozen=True)
+class StateData:
     """A state has begun; `since` is Unix time, s."""
 
     state: CellState
@@ -20,14 +22,16 @@ class StateData(TypedDict):
     since: float
 
 
-class StepData(TypedDict):
+@dataclass(frozen=True)
+class StepData:
     """A step of a cycle has begun."""
 
     step: str | None
     cycle: int
 
 
-class CycleData(TypedDict):
+@dataclass(frozen=True)
+class CycleData:
     """A cycle begins; null = without a part's id, without products."""
 
     cycle: int
@@ -35,20 +39,23 @@ class CycleData(TypedDict):
     product: str | None
 
 
-class AcknowledgedData(TypedDict):
+@dataclass(frozen=True)
+class AcknowledgedData:
     """A person has looked at a fault."""
 
     by: str
     note: str
 
 
-class ProductData(TypedDict):
+@dataclass(frozen=True)
+class ProductData:
     """What the next cycles make."""
 
     product: str | None
 
 
-class WaitingData(TypedDict):
+@dataclass(frozen=True)
+class WaitingData:
     """What the cell waits for; empty = for nothing."""
 
     waiting_for: list[str]
@@ -123,6 +130,5 @@ def _types(kinds: list[Any]) -> dict[str, Any]:
     ]
     made, found = TypeAdapter.json_schemas(inputs)
     types: dict[str, Any] = found["$defs"]
-    for (kind, _), reference in made.items():
-        assert reference["$ref"] == f"#/$defs/{kind.__name__}"
-    return types
+    named = {kind.__name__: made[kind, "serialization"] for kind in kinds}
+    return types | {name: s for name, s in named.items() if s.get("$ref") != f"#/$defs/{name}"}

@@ -14,7 +14,9 @@ from cell.settings.section import Host, Positive, Section
 _PLAIN, _ENCRYPTED = 1883, 8883
 
 #: Part of a topic: neither its separator nor its wildcards, and no `$` at the beginning.
-Level = Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[^/+#$\x00-\x1f][^/+#\x00]*$")]
+Level = Annotated[
+    str, Field(min_length=1, max_length=100, pattern=r"^[^/+#$\x00-\x1f][^/+#\x00]*$")
+]
 Levels = Annotated[str, Field(max_length=200, pattern=r"^[^/+#$\x00-\x1f][^+#\x00]*[^/+#\x00]$")]
 
 
