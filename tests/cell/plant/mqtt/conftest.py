@@ -51,7 +51,7 @@ class Broker:
         self._folder.mkdir(exist_ok=True)
         said = [
             f"listener {self.port} 127.0.0.1",
-            f"user {getpass.getuser()}",  # or, being root, it would become another that may not write
+            f"user {getpass.getuser()}",
             "persistence true",
             f"persistence_location {self._folder}/",
             "autosave_on_changes true",
