@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import json
 import signal
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cell.cli.lab import refusing
-from cell.cli.shared import BAD_INPUT, MaybeConfig, group
+from cell.cli.shared import MaybeConfig, group, refuse
 from cell.cli.streams import emit
 
 if TYPE_CHECKING:
@@ -56,9 +55,13 @@ def mqtt(
         try:
             outbox = MqttOutbox(outbox_of(runs), said.most_waiting)
             asyncio.run(_run(lambda: _adapter(settings, said, runs, outbox)))
-        except* (OutboxError, LinkError) as errors:
-            print(errors.exceptions[0], file=sys.stderr)
-            raise typer.Exit(BAD_INPUT) from errors
+        except (OutboxError, LinkError) as error:
+            refuse(error)
+        except ExceptionGroup as errors:  # of what ran at the same time
+            known = errors.subgroup((OutboxError, LinkError))
+            if known is None:
+                raise
+            refuse(known.exceptions[0])
 
 
 async def _run(make: Callable[[], MqttAdapter]) -> None:
