@@ -25,6 +25,7 @@ from cell.cli import (
     lab,
     ledger,
     line,
+    mqtt,
     plant,
     power,
     recordings,
@@ -52,7 +53,7 @@ app = typer.Typer(
 )
 for group in (
     *(run, plant, settings, records, identify, ledger, acknowledge, bundle, recordings, store),
-    *(fit, lab, power, studies, imports, export, line),
+    *(fit, lab, power, studies, imports, export, line, mqtt),
 ):
     app.add_typer(group.app)
 app.add_typer(calibrate.app)
