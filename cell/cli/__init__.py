@@ -31,6 +31,7 @@ from cell.cli import (
     recordings,
     records,
     run,
+    serve,
     settings,
     store,
     studies,
@@ -57,6 +58,7 @@ for group in (
 ):
     app.add_typer(group.app)
 app.add_typer(calibrate.app)
+app.add_typer(serve.app)
 
 
 def _version(wanted: bool) -> None:
