@@ -16,6 +16,7 @@ import pytest
 from cell.plant.client import Client
 from cell.plant.messages import Kind, Notice, Request, Status
 from cell.records.folder import read_record
+from cell.records.ledger.ledger import Ledger, Wanted
 from cell.run.machine import CellState, Event
 
 from .conftest import run
@@ -107,12 +108,12 @@ def test_after_a_kill_nothing_moves_until_a_person_says_so(start: Start, tmp_pat
     killed = start()
     client = Client(runs).connect(wait_s=60.0)
     until(client, waits_for("start"))
-    client.send(Request(Event.START, "plc"))
+    client.send(Request(Event.START, "plc", part="A-1"))
     until(client, in_step("hold_and_capture"))
     killed.kill()
     killed.wait()
 
-    start()
+    again = start()
     status = client.connect(wait_s=60.0).status()
     assert status.state is CellState.STOPPED
     assert status.waiting_for == ("acknowledgement",)
@@ -130,8 +131,26 @@ def test_after_a_kill_nothing_moves_until_a_person_says_so(start: Start, tmp_pat
     assert read_record(folder).state["acknowledged"] == {"by": "Ada", "note": "looked"}
     client.send(Request(Event.STOP, "plc"))
     until(client, waits_for("acknowledgement"))
+    [folder] = (f for f in runs.iterdir() if f.is_dir())
     assert client.send(Request(Event.RESET, "Ada")).accepted
     until(client, waits_for("start"))
+    client.send(Request(Event.START, "plc"))
+    until(client, in_step("lower"))
+    client.send(Request(Event.STOP, "plc", "guard opened"))
+    until(client, waits_for("acknowledgement"))
+    again.send_signal(signal.SIGTERM)
+    again.communicate(timeout=60)
+    assert again.returncode == 0
+    ledger = Ledger(runs)
+    killed_cycle, stopped_cycle = ledger.listed(Wanted())
+    ledger.close()
+    assert (killed_cycle.part, killed_cycle.acknowledged.by) == ("A-1", "Ada")
+    assert (stopped_cycle.cycle, stopped_cycle.fault.code) == (2, "stop")
+
+    start()  # a restart is no acknowledgement
+    status = client.connect(wait_s=60.0).status()
+    assert status.state is CellState.STOPPED
+    assert status.fault is not None and status.fault.cause == "guard opened by plc"
 
 
 def test_a_run_of_so_many_cycles_can_be_looked_at_and_takes_no_start(
