@@ -25,10 +25,13 @@ from cell.cli import (
     lab,
     ledger,
     line,
+    mqtt,
+    plant,
     power,
     recordings,
     records,
     run,
+    serve,
     settings,
     store,
     studies,
@@ -50,11 +53,12 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 for group in (
-    *(run, settings, records, identify, ledger, acknowledge, bundle, recordings, store),
-    *(fit, lab, power, studies, imports, export, line),
+    *(run, plant, settings, records, identify, ledger, acknowledge, bundle, recordings, store),
+    *(fit, lab, power, studies, imports, export, line, mqtt),
 ):
     app.add_typer(group.app)
 app.add_typer(calibrate.app)
+app.add_typer(serve.app)
 
 
 def _version(wanted: bool) -> None:
