@@ -132,3 +132,15 @@ def has_dashboard(version: Version) -> bool:
 def version_text(version: tuple[int, ...]) -> str:
     """A version as it is written: 5.26."""
     return ".".join(map(str, version))
+
+
+def read_version(text: str) -> tuple[int, int, int, int]:
+    """Major, minor, bugfix and build as from 5.12.2.1101534; what is left out is 0.
+
+    raises  ValueError: it is no version
+    """
+    parts = [int(part) for part in text.split(".")]
+    if not 2 <= len(parts) <= 4:
+        raise ValueError(f"{text!r} is no version; an example is 5.12.2.1101534")
+    major, minor, bugfix, build = (*parts, 0, 0)[:4]
+    return major, minor, bugfix, build

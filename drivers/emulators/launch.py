@@ -41,6 +41,7 @@ class EmulatedController:
         start_rad: FloatArray | None = None,
     ) -> None:
         self.host = host
+        self.version = version
         self._command = [sys.executable, "-m", "drivers.emulators.ur_server", "--host", host]
         self._command += ["--version", version, "--model", model, "--time-scale", str(time_scale)]
         if start_rad is not None:

@@ -26,7 +26,7 @@ from drivers.priority import run_in_real_time
 from drivers.rtde_wire import WireError
 from drivers.ur_addresses import DASHBOARD_PORT, FAULT_PORT, RTDE_PORT, SCRIPT_PORT
 from drivers.ur_kinematics import MODELS, load_code
-from drivers.ur_versions import has_dashboard
+from drivers.ur_versions import has_dashboard, read_version
 
 _RESYNC_S = 0.1
 
@@ -191,12 +191,6 @@ class UrServer:
             self._connections.remove(connection)
             self._selector.unregister(connection.sock)
             connection.sock.close()
-
-
-def read_version(text: str) -> tuple[int, int, int, int]:
-    """Major, minor, bugfix and build from 5.12.2.1101534.  Raises ValueError."""
-    major, minor, bugfix, build = (int(part) for part in text.split("."))
-    return major, minor, bugfix, build
 
 
 def main() -> None:
