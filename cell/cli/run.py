@@ -160,11 +160,8 @@ def run(options: RunOptions) -> None:
     try:
         settings = load_settings(options.config)
         known = calibrated(settings, options.config)
-        plan = (
-            INSERTING
-            if options.motion is None
-            else measuring(load_motion(options.motion, settings))
-        )
+        motion = options.motion
+        plan = INSERTING if motion is None else measuring(load_motion(motion, settings))
         to_file(options.out.with_name(f"{options.out.name}.log"))
         with (
             emulators_asked_for(settings, options.config, options.seed),
