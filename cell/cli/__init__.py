@@ -20,6 +20,7 @@ from cell.cli import (
     calibrate,
     export,
     fit,
+    handshake,
     identify,
     imports,
     lab,
@@ -54,7 +55,7 @@ app = typer.Typer(
 )
 for group in (
     *(run, plant, settings, records, identify, ledger, acknowledge, bundle, recordings, store),
-    *(fit, lab, power, studies, imports, export, line, mqtt),
+    *(fit, lab, power, studies, imports, export, line, mqtt, handshake),
 ):
     app.add_typer(group.app)
 app.add_typer(calibrate.app)

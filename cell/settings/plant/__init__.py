@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from cell.settings.plant.handshake import Handshake
 from cell.settings.plant.mqtt import Mqtt
 from cell.settings.plant.opcua import OpcUa
 from cell.settings.section import Section
 
-__all__ = ["Mqtt", "OpcUa", "Plant"]
+__all__ = ["Handshake", "Mqtt", "OpcUa", "Plant"]
 
 
 class Plant(Section):
@@ -16,3 +17,5 @@ class Plant(Section):
     """Null = no OPC UA server."""
     mqtt: Mqtt | None = None
     """Null = nothing is reported to an MQTT broker."""
+    handshake: Handshake | None = None
+    """Null = no PLC starts the cell with digital signals."""
