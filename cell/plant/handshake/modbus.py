@@ -62,7 +62,7 @@ class ModbusCarrier:
         self._thread.join(_END_S)
 
     def read(self) -> Inputs:
-        """What the PLC says now.  Raises CarrierError: it wrote nothing for too long, or not all."""
+        """What the PLC says now.  Raises CarrierError: it wrote not all, or too long ago."""
         with self._lock:
             silent_s = time.monotonic() - self._written_s
             if silent_s > self._said.silence_s:
