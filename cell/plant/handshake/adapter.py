@@ -17,8 +17,8 @@ _LOG = logging.getLogger(__name__)
 
 #: Bits and cell are looked at so often, and at once when something happens in the cell, s.
 _LOOK_S = 0.05
-#: A cell that does not answer for so long is lost, s.
-_ANSWER_S = 0.5
+#: A cell that does not answer for so long is lost, s; on a computer under load it may take 1 s.
+_ANSWER_S = 2.0
 
 
 class HandshakeAdapter:
