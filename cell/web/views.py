@@ -177,11 +177,15 @@ def error_chart(cycles: list[ListedCycle], seen: str, expected: str) -> dict[str
     band = {"type": "line", "symbol": "none", "lineStyle": {"type": "dashed", "color": "#8a94a3"}}
     return {
         "animation": False,
-        "grid": {"left": 55, "right": 15, "top": 40, "bottom": 30},
-        "legend": {"data": [seen, expected], "textStyle": {"color": "#8a94a3"}},
+        "grid": {"left": 75, "right": 15, "top": 40, "bottom": 30},
+        "legend": {"top": 0, "data": [seen, expected], "textStyle": {"color": "#8a94a3"}},
         "tooltip": {"trigger": "axis"},
         "xAxis": {"type": "category", "data": list(range(1, len(rows) + 1))},
-        "yAxis": {"type": "value", "name": "mm"},
+        "yAxis": {
+            "type": "value",
+            "axisLabel": {"formatter": "{value} mm"},
+            "splitLine": {"lineStyle": {"color": "#8a94a355"}},
+        },
         "series": [
             {
                 "name": seen,

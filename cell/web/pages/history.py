@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta
 
-from nicegui import events, run, ui
+from nicegui import run, ui
 
 from cell.records.chart import signals
 from cell.records.ledger.error import LedgerError
@@ -18,6 +18,13 @@ from cell.web.visit import Visit
 #: The newest cycles are shown, so many.
 MOST = 300
 _DAYS = (1, 7, 30, 0)
+
+#: The first cell of a row leads to the cycle's page.
+_LINK = """
+<q-td :props="props">
+  <a :href="`/cycle/${props.row.name}`" class="underline">{{ props.value }}</a>
+</q-td>
+"""
 
 Found = tuple[list[ListedCycle], list[str], str]
 
@@ -50,12 +57,12 @@ def build(visit: Visit) -> None:
         )
     ]
     table = ui.table(columns=columns, rows=[], row_key="name", pagination=20).classes("w-full")
-    table.props("wrap-cells data-test=cycles")
+    no_data = t("No such cycles")
+    table.props(
+        f'wrap-cells data-test=cycles no-data-label="{no_data}" rows-per-page-label="{t("Rows")}"'
+    )
 
-    def opened(event: events.GenericEventArguments) -> None:
-        ui.navigate.to(f"/cycle/{event.args[1]['name']}")
-
-    table.on("row-click", opened)
+    table.add_slot("body-cell-started", _LINK)
 
     async def refresh() -> None:
         since = datetime.now(UTC) - timedelta(days=days.value) if days.value else None
@@ -73,6 +80,7 @@ def build(visit: Visit) -> None:
         rows = [history_row(c) for c in reversed(cycles)]
         table.rows = [{**r, "outcome": t(WORDS.get(r["outcome"], r["outcome"]))} for r in rows]
         options = error_chart(cycles, t("Error of the forecast"), t("± 3 σ expected"))
+        chart.set_visibility(bool(options["xAxis"]["data"]))
         chart.options.clear()
         chart.options.update(options)
         said.text = error or "\n".join(changes) or t("Nothing has changed in the newest cycles.")

@@ -9,7 +9,8 @@ from typing import Any
 from nicegui import run, ui
 
 from cell.run.machine import Event
-from cell.web.theme import N_
+from cell.web.cycles import cycle_folder, newest_picture
+from cell.web.theme import AMBER, AWAY, BLUE, GREEN, N_, RED
 from cell.web.users import Role
 from cell.web.views import WORDS, LiveView, live_view
 from cell.web.visit import Visit
@@ -18,10 +19,10 @@ from cell.web.visit import Visit
 _EVERY_S = 0.4
 
 _BUTTONS = (
-    (Event.START, N_("Start"), "play_arrow", "positive"),
-    (Event.HOLD, N_("Hold"), "pause", "warning text-black"),
-    (Event.UNHOLD, N_("Continue"), "play_arrow", "positive"),
-    (Event.STOP, N_("Stop"), "stop", "negative"),
+    (Event.START, N_("Start"), "play_arrow", GREEN),
+    (Event.HOLD, N_("Hold"), "pause", AMBER),
+    (Event.UNHOLD, N_("Continue"), "play_arrow", GREEN),
+    (Event.STOP, N_("Stop"), "stop", RED),
 )
 
 
@@ -48,6 +49,8 @@ class _Live:
                 self._newest()
             with ui.column().classes("w-full gap-4"):
                 self._shift()
+        page, control = self._visit.page, self._visit.room.control
+        ui.context.client.on_delete(lambda: control.release(page))
         ui.timer(_EVERY_S, self._update)
         self._update()
 
@@ -73,6 +76,8 @@ class _Live:
             step.text = f"{self._t(view.step)}{seconds}" if view.step else view.note
             if waits and not view.step:
                 step.text = f"{self._t('Waits for')} {waits}"
+            if view.look is AWAY:
+                step.text = view.note or self._t("Start it with cell run --cycles forever.")
             named = [f"{self._t('Cable')} {view.cycle}"] if view.cycle else []
             named += [f"{self._t('Part')} {view.part}"] if view.part else []
             cycle.text = " · ".join([*named, *([view.product] if view.product else [])])
@@ -85,7 +90,7 @@ class _Live:
         with ui.card().classes("w-full"):
             with ui.row().classes("items-center w-full"):
                 who = ui.label().classes("text-lg").props("data-test=control")
-                take = ui.button(t("Take control"), on_click=lambda: self._take())
+                take = ui.button(t("Take control"), color=BLUE, on_click=lambda: self._take())
                 release = ui.button(
                     t("Release control"), on_click=lambda: visit.room.control.release(page)
                 ).props("outline")
@@ -93,7 +98,7 @@ class _Live:
             buttons: dict[Event, ui.button] = {}
             with ui.row().classes("gap-3 w-full"):
                 for event, word, icon, colour in _BUTTONS:
-                    button = ui.button(t(word), icon=icon, color=colour.split()[0])
+                    button = ui.button(t(word), icon=icon, color=colour)
                     button.classes("big-button").props(f"data-test={event.value}")
                     if event is Event.HOLD:
                         button.props("text-color=black")
@@ -111,7 +116,7 @@ class _Live:
                 if holder is None
                 else f"{holder.name} {t('has control.')}"
             )
-            take.set_visibility(holder is None)
+            take.set_visibility(not mine and (holder is None or holder.name == visit.name))
             release.set_visibility(mine)
             part.set_enabled(mine)
             for event, button in buttons.items():
@@ -168,7 +173,7 @@ class _Live:
                     if not refused:
                         note.value = ""
 
-                button = ui.button(t("Acknowledge and reset"), on_click=acknowledge)
+                button = ui.button(t("Acknowledge and reset"), color=BLUE, on_click=acknowledge)
                 button.classes("big-button").props("data-test=acknowledge")
 
         def update(view: LiveView) -> None:
@@ -190,7 +195,7 @@ class _Live:
 
     def _newest(self) -> None:
         t = self._t
-        with ui.card().classes("w-full"):
+        with ui.card().classes("w-full") as card:
             outcome = ui.label().classes("text-xl font-bold").props("data-test=outcome")
             figures = _Figures(t)
             picture = (
@@ -204,10 +209,12 @@ class _Live:
             figures.show(view.result)
             if view.folder != shown[0]:
                 shown[0] = view.folder
-                picture.set_source(f"/cycles/{view.folder}/newest.png")
+                folder = cycle_folder(self._visit.room.runs, view.folder)
+                there = folder is not None and newest_picture(folder) is not None
+                picture.set_visibility(there)
+                picture.set_source(f"/cycles/{view.folder}/newest.png" if there else "")
                 link.props(f'href="/cycle/{view.folder}"')
-            for element in (outcome, picture, link):
-                element.set_visibility(bool(view.folder))
+            card.set_visibility(bool(view.folder))
 
         self._updates.append(update)
 
