@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import socket
 import ssl
 import time
 from collections.abc import Callable, Sequence
@@ -123,6 +124,7 @@ class MqttAdapter:
                 will=aiomqtt.Will(will.topic, will.payload, will.qos, will.retain),
                 timeout=_ANSWER_S,
                 clean_session=True,
+                socket_options=[(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)],
             ) as client,
             asyncio.TaskGroup() as tasks,
         ):

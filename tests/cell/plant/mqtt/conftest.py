@@ -29,7 +29,7 @@ def wait_until(reached: Callable[[], bool]) -> None:
     until_s = time.monotonic() + 30.0
     while not reached():
         assert time.monotonic() < until_s
-        time.sleep(0.01)
+        time.sleep(0.05)
 
 
 def free_port() -> int:
@@ -180,6 +180,7 @@ def result(link: Link, cycle: int) -> None:
     """A cycle of the cell, as far as it is published."""
     from cell.records.result import Outcome, Result
 
+    link.publish(Kind.CYCLE, {"cycle": cycle, "part": None, "product": None})
     link.publish(Kind.STEP, {"step": "grasp", "cycle": cycle})
     ended = Result(cycle, Outcome.INSERTED, f"runs/{cycle}", margin_m=0.001)
     link.publish(Kind.RESULT, ended.to_json())
