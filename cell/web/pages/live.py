@@ -90,11 +90,16 @@ class _Live:
         with ui.card().classes("w-full"):
             with ui.row().classes("items-center w-full"):
                 who = ui.label().classes("text-lg").props("data-test=control")
-                take = ui.button(t("Take control"), color=BLUE, on_click=lambda: self._take())
+                take = ui.button(t("Take control"), color=BLUE, on_click=self._take)
+                take.props("data-test=take")
                 release = ui.button(
                     t("Release control"), on_click=lambda: visit.room.control.release(page)
                 ).props("outline")
-            part = ui.input(t("Part id, if it has one")).props("maxlength=100").classes("w-full")
+            part = (
+                ui.input(t("Part id, if it has one"))
+                .props("maxlength=200 data-test=part")
+                .classes("w-full")
+            )
             buttons: dict[Event, ui.button] = {}
             with ui.row().classes("gap-3 w-full"):
                 for event, word, icon, colour in _BUTTONS:
