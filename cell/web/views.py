@@ -52,12 +52,22 @@ WORDS = {
 
 
 @dataclass(frozen=True)
+class FaultView:
+    """A fault that waits for a person: where, why, and what can be done."""
+
+    device: str
+    step: str
+    cause: str
+    remedies: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class LiveView:
     """The live page at one moment; texts that are words of the source are still to be translated.
 
     buttons  commands that the present state accepts
     waiting  what the cell waits for; starts are asked for by the button itself
-    fault    heading, cause, remedies; None = there is none to acknowledge
+    fault    None = there is none to acknowledge
     result   of the newest cycle: heading of a figure → its text
     """
 
@@ -69,7 +79,7 @@ class LiveView:
     product: str
     waiting: tuple[str, ...]
     buttons: frozenset[Event]
-    fault: tuple[str, str, tuple[str, ...]] | None
+    fault: FaultView | None
     outcome: str
     result: Mapping[str, str]
     counts: Mapping[str, int]
@@ -90,8 +100,8 @@ def live_view(seen: Seen, now_s: float) -> LiveView:
     fault = None
     if status is not None and status.fault is not None:
         f = status.fault
-        heading = ": ".join(filter(None, (f.device, f.step.replace("_", " "))))
-        fault = (heading, f.cause, tuple(filter(None, (f.remedy, f.cable))))
+        where = STEPS.get(f.step, f.step.replace("_", " "))
+        fault = FaultView(f.device or "", where, f.cause, tuple(filter(None, (f.remedy, f.cable))))
     figures = seen.figures
     return LiveView(
         look=LOOKS[status.state] if status and there else AWAY,
@@ -116,9 +126,9 @@ def live_view(seen: Seen, now_s: float) -> LiveView:
 def result_figures(result: Mapping[str, Any]) -> dict[str, str]:
     """Figures of a cycle's result, as texts with units; what is not known is left out."""
     named = (
-        ("predicted_miss_m", N_("Tip predicted"), 1e3, "+.2f", "mm"),
-        ("measured_miss_m", N_("Tip seen"), 1e3, "+.2f", "mm"),
-        ("margin_m", N_("Margin"), 1e3, "+.2f", "mm"),
+        ("predicted_miss_m", N_("Tip predicted"), 1e3, "+z.2f", "mm"),
+        ("measured_miss_m", N_("Tip seen"), 1e3, "+z.2f", "mm"),
+        ("margin_m", N_("Margin"), 1e3, "+z.2f", "mm"),
         ("probability", N_("Probability"), 100.0, ".1f", "%"),
     )
     return {
@@ -147,7 +157,7 @@ def history_row(cycle: ListedCycle) -> dict[str, str]:
 
     def mm(key: str) -> str:
         value = cycle.numbers.get(key)
-        return "" if value is None else f"{value * 1e3:+.2f}"
+        return "" if value is None else f"{value * 1e3:+z.2f}"
 
     fault = cycle.fault
     why = cycle.reason or ("" if fault is None else f"{fault.code}: {fault.cause}")

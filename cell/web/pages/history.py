@@ -22,7 +22,7 @@ _DAYS = (1, 7, 30, 0)
 #: The first cell of a row leads to the cycle's page.
 _LINK = """
 <q-td :props="props">
-  <a :href="`/cycle/${props.row.name}`" class="underline">{{ props.value }}</a>
+  <a :href="`/cycle/${props.row.name}`" class="underline whitespace-nowrap">{{ props.value }}</a>
 </q-td>
 """
 

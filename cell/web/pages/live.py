@@ -91,7 +91,7 @@ class _Live:
             with ui.row().classes("items-center w-full"):
                 who = ui.label().classes("text-lg").props("data-test=control")
                 take = ui.button(t("Take control"), color=BLUE, on_click=self._take)
-                take.props("data-test=take")
+                take.props("text-color=white data-test=take")
                 release = ui.button(
                     t("Release control"), on_click=lambda: visit.room.control.release(page)
                 ).props("outline")
@@ -105,8 +105,7 @@ class _Live:
                 for event, word, icon, colour in _BUTTONS:
                     button = ui.button(t(word), icon=icon, color=colour)
                     button.classes("big-button").props(f"data-test={event.value}")
-                    if event is Event.HOLD:
-                        button.props("text-color=black")
+                    button.props(f"text-color={'black' if event is Event.HOLD else 'white'}")
                     button.on_click(self._given(event, part))
                     buttons[event] = button
             ui.label(t("Stop is not an emergency stop: that is the red button at the robot."))
@@ -179,16 +178,19 @@ class _Live:
                         note.value = ""
 
                 button = ui.button(t("Acknowledge and reset"), color=BLUE, on_click=acknowledge)
-                button.classes("big-button").props("data-test=acknowledge")
+                button.classes("big-button").props("text-color=white data-test=acknowledge")
 
         def update(view: LiveView) -> None:
             asked = Event.CLEAR in view.buttons or (
                 Event.RESET in view.buttons and view.look.word == "Stopped"
             )
             card.set_visibility(view.fault is not None or asked)
-            what, why, remedies = view.fault or ("", "", ())
-            heading.text = f"{t('Fault')}: {what}" if what else t("A person must look first.")
-            cause.text, remedy.text = why, "\n".join(remedies)
+            heading.text = t("A person must look first.")
+            cause.text = remedy.text = ""
+            if (fault := view.fault) is not None:
+                where = ", ".join(filter(None, (fault.device, t(fault.step))))
+                heading.text = f"{t('Fault')}: {where}"
+                cause.text, remedy.text = fault.cause, "\n".join(fault.remedies)
 
         self._updates.append(update)
 
@@ -204,7 +206,9 @@ class _Live:
             outcome = ui.label().classes("text-xl font-bold").props("data-test=outcome")
             figures = _Figures(t)
             picture = (
-                ui.image("").classes("w-full").props(f'alt="{t("Newest picture")}" no-spinner')
+                ui.image("")
+                .classes("w-full max-w-3xl")
+                .props(f'alt="{t("Newest picture")}" no-spinner')
             )
             link = ui.link(t("All of this cycle"), "/history")
         shown = [""]
