@@ -23,6 +23,7 @@ STEPS = {
     "grasp": N_("grasping the cable"),
     "lower": N_("lowering"),
     "hold_and_capture": N_("filming the swing"),
+    "check_clocks": N_("checking the clocks"),
     "identify": N_("identifying the cable"),
     "simulate": N_("simulating motions"),
     "choose": N_("choosing a motion"),
@@ -30,7 +31,6 @@ STEPS = {
     "verify": N_("verifying"),
     "bring_back": N_("bringing back"),
     "release": N_("releasing"),
-    "let_go": N_("letting go"),
 }
 #: Words of outcomes and of what is waited for.
 WORDS = {
