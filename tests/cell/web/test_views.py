@@ -45,6 +45,7 @@ def test_a_step_is_shown_with_its_time_until_the_state_changes() -> None:
     seen = seen_after(Seen(), IDLE)
     assert live_view(seen, 0.0).buttons == {Event.START, Event.STOP}
     seen = seen_after(seen, notice(Kind.STATE, state="execute", step=None, since=1.0))
+    seen = seen_after(seen, notice(Kind.CYCLE, cycle=3, part=None, product=None))
     seen = seen_after(seen, notice(Kind.STEP, 5.0, step="lower", cycle=3))
     view = live_view(seen, 7.5)
     assert (view.look.word, view.step, view.step_s, view.cycle) == ("Execute", "lowering", 2.5, 3)
