@@ -12,6 +12,7 @@ from cell.records.ledger.ledger import Ledger, ListedCycle, Wanted
 from cell.records.past_cycles import UNFINISHED
 from cell.records.result import Outcome
 from cell.settings.referred import line_of
+from cell.web.users import Role
 from cell.web.views import WORDS, error_chart, history_row
 from cell.web.visit import Visit
 
@@ -65,6 +66,9 @@ def build(visit: Visit) -> None:
     table.add_slot("body-cell-started", _LINK)
 
     async def refresh() -> None:
+        if not visit.may(Role.watch):
+            ui.navigate.to("/login")
+            return
         since = datetime.now(UTC) - timedelta(days=days.value) if days.value else None
         outcomes = (outcome.value,) if outcome.value else ()
         wanted = Wanted(
