@@ -25,6 +25,7 @@ from cell.cli import (
     lab,
     ledger,
     line,
+    opcua,
     power,
     recordings,
     records,
@@ -55,6 +56,7 @@ for group in (
 ):
     app.add_typer(group.app)
 app.add_typer(calibrate.app)
+app.add_typer(opcua.app)
 
 
 def _version(wanted: bool) -> None:
