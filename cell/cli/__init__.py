@@ -25,11 +25,14 @@ from cell.cli import (
     lab,
     ledger,
     line,
+    mqtt,
     opcua,
+    plant,
     power,
     recordings,
     records,
     run,
+    serve,
     settings,
     store,
     studies,
@@ -51,11 +54,12 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 for group in (
-    *(run, settings, records, identify, ledger, acknowledge, bundle, recordings, store),
-    *(fit, lab, power, studies, imports, export, line),
+    *(run, plant, settings, records, identify, ledger, acknowledge, bundle, recordings, store),
+    *(fit, lab, power, studies, imports, export, line, mqtt),
 ):
     app.add_typer(group.app)
 app.add_typer(calibrate.app)
+app.add_typer(serve.app)
 app.add_typer(opcua.app)
 
 

@@ -33,7 +33,7 @@ def status_after(status: Status, notice: Notice, obeyed: Collection[Event] = COM
                 possible=possible_in(state, obeyed),
             )
         case Kind.STEP:
-            return replace(status, step=data["step"], cycle=data["cycle"])
+            return replace(status, step=data["step"])
         case Kind.CYCLE:
             part, product = data["part"], data["product"]
             return replace(status, cycle=data["cycle"], part=part, product=product)

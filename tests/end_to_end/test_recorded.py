@@ -326,11 +326,9 @@ def test_an_insertion_that_begins_later_is_recorded_and_replayed(tmp_path, recor
         ],
     )
     runs = tmp_path / "runs"
-    done = run("run", "--config", config, "--seed", "7", "--cycles", "6", "--out", runs)
-    results = [json.loads(f.read_text()) for f in sorted(runs.glob("*/result.json"))]
-    assert [r["outcome"] for r in results].count("inserted") >= 5, done.stderr
-    later = [r for r in results if r["delay_s"]]
-    assert later
-    assert all(r["outcome"] == "inserted" for r in later)
-    again = run("replay", later[0]["folder"], "--json")
+    done = run("run", "--config", config, "--out", runs)
+    (result,) = [json.loads(f.read_text()) for f in runs.glob("*/result.json")]
+    assert result["outcome"] == "inserted", done.stderr
+    assert result["delay_s"] > 0.0
+    again = run("replay", result["folder"], "--json")
     assert json.loads(again.stdout)["identical"], again.stdout

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from cell.settings.plant.mqtt import Mqtt
 from cell.settings.plant.opcua import OpcUa
 from cell.settings.section import Section
 
-__all__ = ["OpcUa", "Plant"]
+__all__ = ["Mqtt", "OpcUa", "Plant"]
 
 
 class Plant(Section):
@@ -13,3 +14,5 @@ class Plant(Section):
 
     opcua: OpcUa | None = None
     """Null = no OPC UA server."""
+    mqtt: Mqtt | None = None
+    """Null = nothing is reported to an MQTT broker."""

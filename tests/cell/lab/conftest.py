@@ -57,6 +57,7 @@ def make_study() -> MakeStudy:
         noise_m: float = 1e-4,
         ar1: float = 0.3,
         strokes: Sequence[Stroke] = STROKES,
+        hold_s: float = 0.5,
     ) -> Study:
         rng = np.random.default_rng(seed)
         rigidity = 2.5e-5 * np.exp(rng.uniform(-0.2, 0.2, 4))
@@ -64,7 +65,7 @@ def make_study() -> MakeStudy:
         arcs = node_arc_lengths(0.1)
         motions, times_s = [], []
         for stroke in strokes:
-            t = np.arange(0.0, 0.2 + stroke.duration_s + 0.8, 0.002)
+            t = np.arange(0.0, 0.2 + stroke.duration_s + hold_s, 0.002)
             u = np.clip((t - 0.2) / stroke.duration_s, 0.0, 1.0)
             s = u**3 * (10 - 15 * u + 6 * u**2)
             motions.append(

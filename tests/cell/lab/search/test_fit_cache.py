@@ -260,7 +260,7 @@ def test_a_fit_with_an_effect_looks_as_hard_for_it_as_a_diagnosis(make_study, tm
     selection = select_effects([str(path)])
     (magnet,) = selection.in_model
     there = {"strength_n_m": 2.3e-5, "x_m": -0.11, "y_m": -0.09}
-    study = make_study([magnet.active(**there)], seed=1, noise_m=5e-5)
+    study = make_study([magnet.active(**there)], seed=1, noise_m=5e-5, hold_s=0.8)
     fits = fit_cache_of(replace(study, trials=study.trials[:2]), selection)
     fit = fits.baseline().fit
     found = dict(zip(fit.space.names, fit.space.natural(fit.q), strict=True))

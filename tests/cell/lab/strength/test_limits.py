@@ -35,7 +35,7 @@ def baseline(study):
 
 @pytest.fixture(scope="module")
 def fitted(make_study):
-    return baseline(make_study([], seed=21))
+    return baseline(make_study([], seed=21, hold_s=0.8))
 
 
 def _at_rest(trial):

@@ -47,7 +47,7 @@ def test_a_late_error_at_the_tip_is_placed(make_study):
 
 
 def test_phases_follow_the_hand(make_study):
-    trial = make_study().trials[0]
+    trial = make_study(hold_s=0.8).trials[0]
     names = phase_of(trial)
     assert [names[np.searchsorted(trial.markers.t_s, t)] for t in (0.1, 0.35, 0.6, 1.0)] == list(
         PHASES

@@ -25,7 +25,7 @@ run = CliRunner().invoke
 
 @pytest.fixture(scope="module")
 def loaded(make_study):
-    return make_study([library()["tip_mass"].active(mass_kg=2.5e-5)], seed=11)
+    return make_study([library()["tip_mass"].active(mass_kg=2.5e-5)], seed=11, hold_s=0.8)
 
 
 def fitted(folder, tmp_path, *more):

@@ -28,7 +28,7 @@ def partly(make_study):
         KNOWN["tip_mass"].active(mass_kg=6e-5),
         KNOWN["camera_scale"].active(factor=1.01),
     ]
-    study = make_study(hidden, seed=31)
+    study = make_study(hidden, seed=31, hold_s=0.8)
     names = ("camera_latency", "robot_lag", "tip_mass")
     space = ParameterSpace.of(study.cable)
     return diagnose(FitCache(PreparedStudy.of(study), space, {n: KNOWN[n] for n in names}))

@@ -184,7 +184,7 @@ def test_a_ringing_is_found_by_a_slow_camera(make_study):
 
 def test_an_effect_so_small_that_another_could_be_behind_it_is_not_claimed(make_study):
     joint = library()["grip_compliance"].active(rad_per_n_m=23.0)
-    study = make_study([joint], seed=1)
+    study = make_study([joint], seed=1, hold_s=0.8)
     told = diagnose(explore(study, ("grip_compliance", "air_drag"))).diagnosis
     assert told.verdict == "cannot_tell"
     assert [w.code for w in told.warnings] == ["weakly_identified"]
