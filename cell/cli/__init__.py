@@ -26,6 +26,7 @@ from cell.cli import (
     ledger,
     line,
     mqtt,
+    opcua,
     plant,
     power,
     recordings,
@@ -59,6 +60,7 @@ for group in (
     app.add_typer(group.app)
 app.add_typer(calibrate.app)
 app.add_typer(serve.app)
+app.add_typer(opcua.app)
 
 
 def _version(wanted: bool) -> None:
