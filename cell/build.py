@@ -267,7 +267,7 @@ def real_devices(settings: Settings, known: Calibrated | None = None) -> Devices
     assert isinstance(gripper, given.SerialGripper)
     mount = PlaneMount(arm.plane_origin_m, arm.plane_x_axis, arm.plane_y_axis)
     reached = arm.model_dump(include={"host", "model", "tcp", "rate_hz", *_UR_TUNING})
-    reached["lag_s"] = known.lag_s
+    reached |= {"lag_s": known.lag_s, "allow_version": arm.allowed_version}
     serial = gripper.model_dump(include={"port", "address", "baud", "reply_s"})
     return Devices(
         arm=UrArm(UrOptions(mount=mount, **reached)),

@@ -142,6 +142,7 @@ def run(options: RunOptions) -> None:
     what it holds.  Press u to continue.  A hold never clears a stop.  Ctrl-C stops the arm and
     closes the record.
     """
+    from cell.arm_version import check_arm_version, remember_dry_run
     from cell.build import build_cell, emulators_asked_for
     from cell.cli.plant_end import PlantEnd
     from cell.files.input_error import InputError
@@ -159,11 +160,8 @@ def run(options: RunOptions) -> None:
     try:
         settings = load_settings(options.config)
         known = calibrated(settings, options.config)
-        plan = (
-            INSERTING
-            if options.motion is None
-            else measuring(load_motion(options.motion, settings))
-        )
+        motion = options.motion
+        plan = INSERTING if motion is None else measuring(load_motion(motion, settings))
         to_file(options.out.with_name(f"{options.out.name}.log"))
         with (
             emulators_asked_for(settings, options.config, options.seed),
@@ -177,6 +175,8 @@ def run(options: RunOptions) -> None:
                 if not options.forever:
                     progress.step(number, step)
 
+            speed = options.speed if options.dry_run else None
+            check_arm_version(settings, options.config, options.out, speed)
             made = partial(
                 build_cell, seed=options.seed, on_step=on_step, known=known, recorded=True
             )
@@ -196,6 +196,7 @@ def run(options: RunOptions) -> None:
                         emit(json.dumps(result.to_json(), ensure_ascii=False))
             finally:
                 cell.close()
+            remember_dry_run(settings, options.out, results)
     except (InputError, LinkError) as error:
         refuse(error)
     except RecordError as error:  # it cannot even be begun: nothing of this cycle has moved
