@@ -81,7 +81,7 @@ class GuardedSession(InternalSession):  # type: ignore[misc]
     ) -> ua.ActivateSessionResult:
         """Let a client in.  Raises ServiceError: not encrypted, or its certificate is unknown."""
         if self.trusted is not None:
-            if peer_certificate is None:
+            if not peer_certificate:  # a channel without encryption
                 raise ServiceError(ua.StatusCodes.BadSecurityModeRejected)
             if not self.trusted.knows(peer_certificate):
                 raise ServiceError(ua.StatusCodes.BadCertificateUntrusted)

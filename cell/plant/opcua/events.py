@@ -51,7 +51,7 @@ class Transitions:
             ("ToState/Id", ids[target]),
             ("Transition/Id", None if known is None else self._space.node_id(known.id)),
         ):
-            event.add_property(field, value, ua.VariantType.NodeId)
+            setattr(event, field, ua.Variant(value))  # a field of any type is a variant in one
         event.Severity = _GRAVE if target in ("Aborting", "Stopping") else _USUAL
         message = f"{was.value} to {now.value}"
         await self._generators[level].trigger(datetime.fromtimestamp(at_s, UTC), message)

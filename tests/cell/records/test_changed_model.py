@@ -91,7 +91,7 @@ def test_the_line_goes_back_by_itself_only_if_the_settings_say_so(
     ledger = Ledger(runs, create=True)
     ledger.write([entry_of_folder(f, line) for f in sorted(runs.iterdir())], of_now=False)
     ledger.close()
-    lines = _changes(runs, found[-1:], config, settings)
+    lines = changes(runs, found[-1:], config, settings)
     assert any(line.startswith("since the model was changed forecasts err") for line in lines)
     if withdraw:
         assert model_hash(load_settings(config).model) == first

@@ -169,7 +169,6 @@ class Site:
     async def connected(
         self, user: str = "", certificate: Path | None = None
     ) -> AsyncIterator[Seen]:
-        """A client of the server, until the `with` ends."""
         client = Client(f"opc.tcp://127.0.0.1:{self.port}", timeout=20)
         if user:
             client.set_user(user)

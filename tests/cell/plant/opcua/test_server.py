@@ -62,9 +62,9 @@ def test_three_cycles_are_started_held_and_stopped_and_every_transition_is_seen(
             assert await seen.call(f"{EXECUTE}.Reset") == "Good"
         assert await seen.call(f"{MACHINE}.Stop") == "Good"
         await seen.until("Cell.State", "stopped")
-        until_s = time.monotonic() + 10.0
+        deadline_s = time.monotonic() + 30.0
         while len(changes.values) <= len(cell.states) or len(changes.events) < len(cell.states):
-            assert time.monotonic() < until_s, (changes.values, changes.events, cell.states)
+            assert time.monotonic() < deadline_s, (changes.values, len(changes.events))
             await asyncio.sleep(0.01)
         assert await seen.read("Cell.Counts.Inserted") >= 3
         assert await seen.read("Cell.LastResult.Outcome") == "inserted"
