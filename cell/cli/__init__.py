@@ -27,6 +27,7 @@ from cell.cli import (
     ledger,
     line,
     mqtt,
+    opcua,
     plant,
     power,
     recordings,
@@ -60,6 +61,7 @@ for group in (
     app.add_typer(group.app)
 app.add_typer(calibrate.app)
 app.add_typer(serve.app)
+app.add_typer(opcua.app)
 
 
 def _version(wanted: bool) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -75,6 +76,17 @@ def _unfinished(folder: Path, number: int, step: str) -> FaultNotice:
     )
 
 
+def _not_made_ready(number: int) -> FaultNotice:
+    return FaultNotice(
+        number,
+        "reset",
+        "the program or the computer ended while the cell was made ready",
+        time.time(),
+        remedy="look where the hand is and what the jaws hold, then reset",
+        code="unfinished",
+    )
+
+
 class Service:
     """Runs cycles on request until `end`; `answer` is the handler of its link.
 
@@ -106,6 +118,7 @@ class Service:
         self._part: str | None = None
         self._product: str | None = None
         self._wanted: str | None = None
+        self._resetting = runs.with_name(f"{runs.name}.resetting")
         earlier = earlier_cycle(runs)
         self._number = 1 if earlier is None else earlier.cycle + 1
         self._open: Path | None = None
@@ -114,6 +127,10 @@ class Service:
             cell.take_up(earlier.folder)
             reporter.state(CellState.STOPPED)
             reporter.fault(earlier.fault)
+        elif self._resetting.exists():
+            self._open = self._resetting
+            reporter.state(CellState.STOPPED)
+            reporter.fault(_not_made_ready(self._number))
         cell.machine.on_change = self._told
 
     # --- the link's threads -------------------------------------------------------------------
@@ -188,13 +205,23 @@ class Service:
                 state = self._cell.machine.state
                 if state in (CellState.STOPPED, CellState.ABORTED) and self._rests(state):
                     continue
-                result = self._cell.prepare(self._number, self._plan) or self._idle()
+                result = self._prepared() or self._idle()
                 if result is not None:
                     self._ended(result, told)
         finally:
             self._notifier.stopping()
             self._over.set()
             tending.join()
+
+    def _prepared(self) -> Result | None:
+        """Make the cell ready; a file says meanwhile that the hand may be moving."""
+        with suppress(OSError):  # a full disk is told when the record is begun
+            self._resetting.parent.mkdir(parents=True, exist_ok=True)
+            self._resetting.touch()
+        result = self._cell.prepare(self._number, self._plan)
+        with suppress(OSError):
+            self._resetting.unlink(missing_ok=True)
+        return result
 
     def _rests(self, state: CellState) -> bool:
         """Wait for a person if one has to say something; whether that was so."""

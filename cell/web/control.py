@@ -29,10 +29,10 @@ class Control:
         self._heard_s = 0.0
 
     def take(self, page: str, name: str) -> Holder:
-        """Take control if it is free; returns whoever has it then."""
+        """Take control if it is free, or from another page of one's own; whoever has it then."""
         with self._lock:
             holder = self._present()
-            if holder is None or holder.page == page:
+            if holder is None or holder.name == name:
                 self._holder, self._heard_s = Holder(page, name), self._now_s()
             assert self._holder is not None
             return self._holder

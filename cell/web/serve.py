@@ -108,7 +108,6 @@ def _framed(visit: Visit, request: Request) -> None:
     t = visit.t
     ui.add_css(CSS)
     ui.dark_mode(_THEMES.get(request.cookies.get("theme", "")))
-    # role and path of links are all that the frame knows of the pages
     ui.run_javascript(f"document.documentElement.lang = {visit.language!r}")
     with ui.header().classes("items-center gap-1 px-2 py-1 bg-slate-800"):
         for page in PAGES:

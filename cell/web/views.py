@@ -23,6 +23,7 @@ STEPS = {
     "grasp": N_("grasping the cable"),
     "lower": N_("lowering"),
     "hold_and_capture": N_("filming the swing"),
+    "check_clocks": N_("checking the clocks"),
     "identify": N_("identifying the cable"),
     "simulate": N_("simulating motions"),
     "choose": N_("choosing a motion"),
@@ -30,7 +31,6 @@ STEPS = {
     "verify": N_("verifying"),
     "bring_back": N_("bringing back"),
     "release": N_("releasing"),
-    "let_go": N_("letting go"),
 }
 #: Words of outcomes and of what is waited for.
 WORDS = {
@@ -52,12 +52,22 @@ WORDS = {
 
 
 @dataclass(frozen=True)
+class FaultView:
+    """A fault that waits for a person: where, why, and what can be done."""
+
+    device: str
+    step: str
+    cause: str
+    remedies: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class LiveView:
     """The live page at one moment; texts that are words of the source are still to be translated.
 
     buttons  commands that the present state accepts
     waiting  what the cell waits for; starts are asked for by the button itself
-    fault    heading, cause, remedies; None = there is none to acknowledge
+    fault    None = there is none to acknowledge
     result   of the newest cycle: heading of a figure → its text
     """
 
@@ -69,7 +79,7 @@ class LiveView:
     product: str
     waiting: tuple[str, ...]
     buttons: frozenset[Event]
-    fault: tuple[str, str, tuple[str, ...]] | None
+    fault: FaultView | None
     outcome: str
     result: Mapping[str, str]
     counts: Mapping[str, int]
@@ -90,8 +100,8 @@ def live_view(seen: Seen, now_s: float) -> LiveView:
     fault = None
     if status is not None and status.fault is not None:
         f = status.fault
-        heading = ": ".join(filter(None, (f.device, f.step.replace("_", " "))))
-        fault = (heading, f.cause, tuple(filter(None, (f.remedy, f.cable))))
+        where = STEPS.get(f.step, f.step.replace("_", " "))
+        fault = FaultView(f.device or "", where, f.cause, tuple(filter(None, (f.remedy, f.cable))))
     figures = seen.figures
     return LiveView(
         look=LOOKS[status.state] if status and there else AWAY,
@@ -116,9 +126,9 @@ def live_view(seen: Seen, now_s: float) -> LiveView:
 def result_figures(result: Mapping[str, Any]) -> dict[str, str]:
     """Figures of a cycle's result, as texts with units; what is not known is left out."""
     named = (
-        ("predicted_miss_m", N_("Tip predicted"), 1e3, "+.2f", "mm"),
-        ("measured_miss_m", N_("Tip seen"), 1e3, "+.2f", "mm"),
-        ("margin_m", N_("Margin"), 1e3, "+.2f", "mm"),
+        ("predicted_miss_m", N_("Tip predicted"), 1e3, "+z.2f", "mm"),
+        ("measured_miss_m", N_("Tip seen"), 1e3, "+z.2f", "mm"),
+        ("margin_m", N_("Margin"), 1e3, "+z.2f", "mm"),
         ("probability", N_("Probability"), 100.0, ".1f", "%"),
     )
     return {
@@ -147,7 +157,7 @@ def history_row(cycle: ListedCycle) -> dict[str, str]:
 
     def mm(key: str) -> str:
         value = cycle.numbers.get(key)
-        return "" if value is None else f"{value * 1e3:+.2f}"
+        return "" if value is None else f"{value * 1e3:+z.2f}"
 
     fault = cycle.fault
     why = cycle.reason or ("" if fault is None else f"{fault.code}: {fault.cause}")
@@ -177,11 +187,15 @@ def error_chart(cycles: list[ListedCycle], seen: str, expected: str) -> dict[str
     band = {"type": "line", "symbol": "none", "lineStyle": {"type": "dashed", "color": "#8a94a3"}}
     return {
         "animation": False,
-        "grid": {"left": 55, "right": 15, "top": 40, "bottom": 30},
-        "legend": {"data": [seen, expected], "textStyle": {"color": "#8a94a3"}},
+        "grid": {"left": 75, "right": 15, "top": 40, "bottom": 30},
+        "legend": {"top": 0, "data": [seen, expected], "textStyle": {"color": "#8a94a3"}},
         "tooltip": {"trigger": "axis"},
         "xAxis": {"type": "category", "data": list(range(1, len(rows) + 1))},
-        "yAxis": {"type": "value", "name": "mm"},
+        "yAxis": {
+            "type": "value",
+            "axisLabel": {"formatter": "{value} mm"},
+            "splitLine": {"lineStyle": {"color": "#8a94a355"}},
+        },
         "series": [
             {
                 "name": seen,

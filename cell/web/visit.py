@@ -20,6 +20,8 @@ from cell.web.wording import Translate
 
 #: Commands that need no control of the cell: whoever may operate may stop it.
 _ALWAYS = frozenset({Event.STOP})
+#: A longer part id is refused, characters: the ledger has no room for it.
+_LONGEST_PART = 200
 
 
 @dataclass(frozen=True)
@@ -88,6 +90,8 @@ class Visit:
             holder = self.room.control.heard(self.page)
             if event not in _ALWAYS and (holder is None or holder.page != self.page):
                 return "take control first: somebody else has it, or nobody"
+            if len(part) > _LONGEST_PART or not part.isprintable():
+                return f"a part id has at most {_LONGEST_PART} printable characters"
             who = f"web:{self.name}" + (f" ({by})" if by and by != self.name else "")
             try:
                 answer = self.room.client.send(Request(event, who, note, part or None))

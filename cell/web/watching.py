@@ -24,7 +24,7 @@ from cell.settings.referred import line_of
 _LOG = logging.getLogger(__name__)
 
 #: The ledger is asked again after so long, s: after a result, and in between.
-_ASK_S = 5.0
+_ASK_S = 2.0
 
 
 @dataclass(frozen=True)

@@ -153,6 +153,22 @@ def test_after_a_kill_nothing_moves_until_a_person_says_so(start: Start, tmp_pat
     assert status.fault is not None and status.fault.cause == "guard opened by plc"
 
 
+def test_after_a_kill_while_it_is_made_ready_nothing_moves(start: Start, tmp_path: Path) -> None:
+    """It reset by itself: a hand that was moving, or a cable in the jaws, nobody had looked at."""
+    killed = start()
+    client = Client(tmp_path / "runs").connect(wait_s=60.0)
+    until(client, in_step("warm_up"))
+    killed.kill()
+    killed.wait()
+    start()
+    status = client.connect(wait_s=60.0).status()
+    assert (status.state, status.waiting_for) == (CellState.STOPPED, ("acknowledgement",))
+    assert status.fault is not None and "while the cell was made ready" in status.fault.cause
+    assert client.send(Request(Event.RESET, "Ada", "jaws are empty")).accepted
+    until(client, waits_for("start"))
+    assert client.status().fault is None
+
+
 def test_a_run_of_so_many_cycles_can_be_looked_at_and_takes_no_start(
     start: Start, tmp_path: Path
 ) -> None:

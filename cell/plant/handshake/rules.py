@@ -164,14 +164,15 @@ def look(
     memory = _with_result(inputs, status, memory)
     now = Look(inputs, status, memory)
     ask = next((_ask(rule, now) for rule in RULES if rule.applies(now)), None)
+    busy = status.state in _BUSY
     outputs = Outputs(
         ready=now.may_start and not inputs.start,
-        busy=status.state in _BUSY,
-        done=memory.outcome in _DONE,
-        rejected=memory.outcome in _REJECTED,
+        busy=busy,
+        done=memory.outcome in _DONE and not busy,  # the result comes while Complete
+        rejected=memory.outcome in _REJECTED and not busy,
         fault=now.is_faulted,
     )
-    pause = memory.pause if status.state in _BUSY else None
+    pause = memory.pause if busy else None
     if ask is not None and ask.command in (Event.SUSPEND, Event.UNSUSPEND):
         pause = ask.command
     memory = replace(memory, before=inputs, ready=outputs.ready, pause=pause)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta
 
-from nicegui import events, run, ui
+from nicegui import run, ui
 
 from cell.records.chart import signals
 from cell.records.ledger.error import LedgerError
@@ -12,12 +12,20 @@ from cell.records.ledger.ledger import Ledger, ListedCycle, Wanted
 from cell.records.past_cycles import UNFINISHED
 from cell.records.result import Outcome
 from cell.settings.referred import line_of
+from cell.web.users import Role
 from cell.web.views import WORDS, error_chart, history_row
 from cell.web.visit import Visit
 
 #: The newest cycles are shown, so many.
 MOST = 300
 _DAYS = (1, 7, 30, 0)
+
+#: The first cell of a row leads to the cycle's page.
+_LINK = """
+<q-td :props="props">
+  <a :href="`/cycle/${props.row.name}`" class="underline whitespace-nowrap">{{ props.value }}</a>
+</q-td>
+"""
 
 Found = tuple[list[ListedCycle], list[str], str]
 
@@ -50,14 +58,17 @@ def build(visit: Visit) -> None:
         )
     ]
     table = ui.table(columns=columns, rows=[], row_key="name", pagination=20).classes("w-full")
-    table.props("wrap-cells data-test=cycles")
+    no_data = t("No such cycles")
+    table.props(
+        f'wrap-cells data-test=cycles no-data-label="{no_data}" rows-per-page-label="{t("Rows")}"'
+    )
 
-    def opened(event: events.GenericEventArguments) -> None:
-        ui.navigate.to(f"/cycle/{event.args[1]['name']}")
-
-    table.on("row-click", opened)
+    table.add_slot("body-cell-started", _LINK)
 
     async def refresh() -> None:
+        if not visit.may(Role.watch):
+            ui.navigate.to("/login")
+            return
         since = datetime.now(UTC) - timedelta(days=days.value) if days.value else None
         outcomes = (outcome.value,) if outcome.value else ()
         wanted = Wanted(
@@ -73,6 +84,7 @@ def build(visit: Visit) -> None:
         rows = [history_row(c) for c in reversed(cycles)]
         table.rows = [{**r, "outcome": t(WORDS.get(r["outcome"], r["outcome"]))} for r in rows]
         options = error_chart(cycles, t("Error of the forecast"), t("± 3 σ expected"))
+        chart.set_visibility(bool(options["xAxis"]["data"]))
         chart.options.clear()
         chart.options.update(options)
         said.text = error or "\n".join(changes) or t("Nothing has changed in the newest cycles.")

@@ -9,7 +9,8 @@ from typing import Any
 from nicegui import run, ui
 
 from cell.run.machine import Event
-from cell.web.theme import N_
+from cell.web.cycles import cycle_folder, newest_picture
+from cell.web.theme import AMBER, AWAY, BLUE, GREEN, N_, RED
 from cell.web.users import Role
 from cell.web.views import WORDS, LiveView, live_view
 from cell.web.visit import Visit
@@ -18,10 +19,10 @@ from cell.web.visit import Visit
 _EVERY_S = 0.4
 
 _BUTTONS = (
-    (Event.START, N_("Start"), "play_arrow", "positive"),
-    (Event.HOLD, N_("Hold"), "pause", "warning text-black"),
-    (Event.UNHOLD, N_("Continue"), "play_arrow", "positive"),
-    (Event.STOP, N_("Stop"), "stop", "negative"),
+    (Event.START, N_("Start"), "play_arrow", GREEN),
+    (Event.HOLD, N_("Hold"), "pause", AMBER),
+    (Event.UNHOLD, N_("Continue"), "play_arrow", GREEN),
+    (Event.STOP, N_("Stop"), "stop", RED),
 )
 
 
@@ -48,6 +49,8 @@ class _Live:
                 self._newest()
             with ui.column().classes("w-full gap-4"):
                 self._shift()
+        page, control = self._visit.page, self._visit.room.control
+        ui.context.client.on_delete(lambda: control.release(page))
         ui.timer(_EVERY_S, self._update)
         self._update()
 
@@ -73,6 +76,8 @@ class _Live:
             step.text = f"{self._t(view.step)}{seconds}" if view.step else view.note
             if waits and not view.step:
                 step.text = f"{self._t('Waits for')} {waits}"
+            if view.look is AWAY:
+                step.text = view.note or self._t("Start it with cell run --cycles forever.")
             named = [f"{self._t('Cable')} {view.cycle}"] if view.cycle else []
             named += [f"{self._t('Part')} {view.part}"] if view.part else []
             cycle.text = " · ".join([*named, *([view.product] if view.product else [])])
@@ -85,18 +90,22 @@ class _Live:
         with ui.card().classes("w-full"):
             with ui.row().classes("items-center w-full"):
                 who = ui.label().classes("text-lg").props("data-test=control")
-                take = ui.button(t("Take control"), on_click=lambda: self._take())
+                take = ui.button(t("Take control"), color=BLUE, on_click=self._take)
+                take.props("text-color=white data-test=take")
                 release = ui.button(
                     t("Release control"), on_click=lambda: visit.room.control.release(page)
                 ).props("outline")
-            part = ui.input(t("Part id, if it has one")).props("maxlength=100").classes("w-full")
+            part = (
+                ui.input(t("Part id, if it has one"))
+                .props("maxlength=200 data-test=part")
+                .classes("w-full")
+            )
             buttons: dict[Event, ui.button] = {}
             with ui.row().classes("gap-3 w-full"):
                 for event, word, icon, colour in _BUTTONS:
-                    button = ui.button(t(word), icon=icon, color=colour.split()[0])
+                    button = ui.button(t(word), icon=icon, color=colour)
                     button.classes("big-button").props(f"data-test={event.value}")
-                    if event is Event.HOLD:
-                        button.props("text-color=black")
+                    button.props(f"text-color={'black' if event is Event.HOLD else 'white'}")
                     button.on_click(self._given(event, part))
                     buttons[event] = button
             ui.label(t("Stop is not an emergency stop: that is the red button at the robot."))
@@ -111,7 +120,7 @@ class _Live:
                 if holder is None
                 else f"{holder.name} {t('has control.')}"
             )
-            take.set_visibility(holder is None)
+            take.set_visibility(not mine and (holder is None or holder.name == visit.name))
             release.set_visibility(mine)
             part.set_enabled(mine)
             for event, button in buttons.items():
@@ -168,17 +177,20 @@ class _Live:
                     if not refused:
                         note.value = ""
 
-                button = ui.button(t("Acknowledge and reset"), on_click=acknowledge)
-                button.classes("big-button").props("data-test=acknowledge")
+                button = ui.button(t("Acknowledge and reset"), color=BLUE, on_click=acknowledge)
+                button.classes("big-button").props("text-color=white data-test=acknowledge")
 
         def update(view: LiveView) -> None:
             asked = Event.CLEAR in view.buttons or (
                 Event.RESET in view.buttons and view.look.word == "Stopped"
             )
             card.set_visibility(view.fault is not None or asked)
-            what, why, remedies = view.fault or ("", "", ())
-            heading.text = f"{t('Fault')}: {what}" if what else t("A person must look first.")
-            cause.text, remedy.text = why, "\n".join(remedies)
+            heading.text = t("A person must look first.")
+            cause.text = remedy.text = ""
+            if (fault := view.fault) is not None:
+                where = ", ".join(filter(None, (fault.device, t(fault.step))))
+                heading.text = f"{t('Fault')}: {where}"
+                cause.text, remedy.text = fault.cause, "\n".join(fault.remedies)
 
         self._updates.append(update)
 
@@ -190,11 +202,13 @@ class _Live:
 
     def _newest(self) -> None:
         t = self._t
-        with ui.card().classes("w-full"):
+        with ui.card().classes("w-full") as card:
             outcome = ui.label().classes("text-xl font-bold").props("data-test=outcome")
             figures = _Figures(t)
             picture = (
-                ui.image("").classes("w-full").props(f'alt="{t("Newest picture")}" no-spinner')
+                ui.image("")
+                .classes("w-full max-w-3xl")
+                .props(f'alt="{t("Newest picture")}" no-spinner')
             )
             link = ui.link(t("All of this cycle"), "/history")
         shown = [""]
@@ -204,10 +218,12 @@ class _Live:
             figures.show(view.result)
             if view.folder != shown[0]:
                 shown[0] = view.folder
-                picture.set_source(f"/cycles/{view.folder}/newest.png")
+                folder = cycle_folder(self._visit.room.runs, view.folder)
+                there = folder is not None and newest_picture(folder) is not None
+                picture.set_visibility(there)
+                picture.set_source(f"/cycles/{view.folder}/newest.png" if there else "")
                 link.props(f'href="/cycle/{view.folder}"')
-            for element in (outcome, picture, link):
-                element.set_visibility(bool(view.folder))
+            card.set_visibility(bool(view.folder))
 
         self._updates.append(update)
 

@@ -6,6 +6,7 @@ from nicegui import ui
 
 from cell.files.input_error import InputError
 from cell.settings import load_settings
+from cell.settings.calibrated import calibrated
 from cell.settings.check import oddities
 from cell.web.visit import Visit
 
@@ -20,6 +21,11 @@ def build(visit: Visit) -> None:
         ui.label(t("The settings are right.") if good else t("The settings are wrong."))
         for line in said:
             ui.label(line).classes("whitespace-pre-wrap break-words")
+    good, said = calibration(visit)
+    with ui.card().classes("w-full"):
+        ui.label(t("The calibration is valid.") if good else t("There is no valid calibration."))
+        for line in said:
+            ui.label(line).classes("whitespace-pre-wrap break-words")
     ui.label(t("As in the file; to change it, edit the file and run cell check."))
     ui.code(text_of(visit), language="yaml").classes("w-full")
 
@@ -30,6 +36,16 @@ def checked(visit: Visit) -> tuple[bool, tuple[str, ...]]:
         return True, tuple(oddities(load_settings(visit.room.config)))
     except InputError as error:
         return False, tuple(str(error).splitlines())
+
+
+def calibration(visit: Visit) -> tuple[bool, tuple[str, ...]]:
+    """Whether the calibration may be used now, and how old and how good it is."""
+    try:
+        settings = load_settings(visit.room.config)
+        known = calibrated(settings, visit.room.config)
+    except InputError as error:
+        return False, tuple(str(error).splitlines())
+    return settings.calibration is not None, tuple(known.notes)
 
 
 def text_of(visit: Visit) -> str:

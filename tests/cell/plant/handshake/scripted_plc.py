@@ -19,6 +19,10 @@ OUTPUTS = ("ready", "busy", "done", "rejected", "fault")
 WATCHED_S = 0.2
 
 
+def has_ended(heard: dict[str, bool]) -> bool:
+    return not heard["busy"] and (heard["done"] or heard["rejected"] or heard["fault"])
+
+
 class Plc:
     """Signals by their names; every wait has a deadline."""
 
@@ -69,7 +73,7 @@ class Plc:
         self.wait(lambda heard: heard["ready"])
         self.say(start=True)
         self.wait(lambda heard: heard["busy"])
-        ended = self.wait(lambda heard: heard["done"] or heard["rejected"] or heard["fault"])
+        ended = self.wait(has_ended)
         return next(name for name in ("fault", "done", "rejected") if ended[name])
 
     def release(self) -> None:
@@ -127,7 +131,7 @@ def paused(plc: Plc) -> str:
     plc.say(downstream_ready=False)
     time.sleep(WATCHED_S)
     plc.say(downstream_ready=True)
-    ended = plc.wait(lambda heard: heard["done"] or heard["rejected"] or heard["fault"])
+    ended = plc.wait(has_ended)
     return next(name for name in ("fault", "done", "rejected") if ended[name])
 
 

@@ -50,7 +50,7 @@ def test_a_start_needs_an_edge_a_part_and_ready_and_no_fault(
         asks, outputs, memory = look(inputs, now, memory)
         assert len(asks) <= 1
         assert not (outputs.ready and (outputs.busy or outputs.fault))
-        assert not (outputs.done and outputs.rejected)
+        assert outputs.done + outputs.rejected + outputs.busy <= 1
         if Event.START in [ask.command for ask in asks]:
             assert ready_was and inputs.start and not start_was
             assert inputs.part_present and inputs.upstream_ready and inputs.downstream_ready
@@ -120,6 +120,9 @@ def test_the_outcome_is_told_until_start_changes() -> None:
         assert outputs == Outputs(busy=True)
         ended = {"counts": {outcome: 1}, "last": {"outcome": outcome}}
         resetting, idle = status(CellState.RESETTING, **ended), status(CellState.IDLE, **ended)
+        complete = status(CellState.COMPLETE, **ended)
+        _, outputs, memory = commands(held, complete, memory)
+        assert outputs == Outputs(busy=True)  # the result is known, and the cycle not over
         for now in (resetting, idle, idle):
             _, outputs, memory = commands(held, now, memory)
             assert outputs == wanted
