@@ -4,13 +4,19 @@ BIN := $(VENV)/bin
 PYTHON ?= $(firstword $(foreach p,python3.12 python3.11 python3.13 python3,$(shell $(p) -c "import sys; print('$(p)' if (3,11) <= sys.version_info[:2] < (3,14) else '')" 2>/dev/null)))
 CYCLES ?= 3
 
-.PHONY: run test lint types imports compiled compiled-cell compiled-arm compiled-effects compiled-tests tests hardware bench figures learn coverage practice false-alarms confusion rigs level rig-kinds breadth checks fault-trials calibration-study malformed endurance kills mouths holds flights endings words clean help jaw-plate picture docs
+.PHONY: run serve test lint types imports compiled compiled-cell compiled-arm compiled-effects compiled-tests tests hardware bench figures learn coverage practice false-alarms confusion rigs level rig-kinds breadth checks fault-trials calibration-study malformed endurance kills mouths holds flights endings words clean help jaw-plate picture docs
 
 help:            ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
 
 run: $(VENV)/.user   ## three simulated cables through the whole cycle
 	$(BIN)/cell run --config config/fake.yaml --cycles $(CYCLES)
+
+serve: $(VENV)/.web   ## the pages of a simulated cell at http://127.0.0.1:8080, until Ctrl-C
+	@folder=$$(mktemp -d) && sed 's/^world:.*/&\n  real_time_factor: 1.0/' config/fake.yaml > $$folder/cell.yaml \
+		&& trap 'kill $$cell 2> /dev/null; wait; rm -rf '$$folder EXIT && trap exit INT TERM \
+		&& { $(BIN)/cell run --config $$folder/cell.yaml --cycles forever & cell=$$!; } \
+		&& $(BIN)/cell serve --config $$folder/cell.yaml
 
 # Matrices are small: a second thread of linear algebra only spins.  Modules are compiled once for
 # all processes, whatever the shell says of bytecode.
@@ -147,6 +153,10 @@ $(VENV)/.user: pyproject.toml | $(VENV)/bin/python
 
 $(VENV)/.dev: pyproject.toml | $(VENV)/bin/python
 	$(BIN)/pip install --quiet --disable-pip-version-check --no-compile -e ".[dev]"  # of 10,000 modules few are used
+	@touch $(VENV)/.user $@
+
+$(VENV)/.web: pyproject.toml | $(VENV)/bin/python
+	$(BIN)/pip install --quiet --disable-pip-version-check -e ".[web]"
 	@touch $(VENV)/.user $@
 
 clean:           ## remove the environment and caches

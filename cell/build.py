@@ -77,7 +77,7 @@ def build_cell(
     runs: Path,
     *,
     seed: int,
-    cycles: int,
+    cycles: int | None,
     on_step: Callable[[int, str], None] = lambda number, step: None,
     known: Calibrated | None = None,
     recorded: bool = False,
@@ -86,7 +86,7 @@ def build_cell(
 
     recorded  record cycles and list them in a ledger, as the settings say; False = not at all
     seed    of the simulated cables and of their devices' noise
-    cycles  so many simulated cables are laid out
+    cycles  so many simulated cables are laid out; None = there is always another
     known   what is known of camera and clocks; None = as typed
     """
     if isinstance(settings.arm, given.SimulatedArm):
@@ -267,7 +267,7 @@ def real_devices(settings: Settings, known: Calibrated | None = None) -> Devices
     assert isinstance(gripper, given.SerialGripper)
     mount = PlaneMount(arm.plane_origin_m, arm.plane_x_axis, arm.plane_y_axis)
     reached = arm.model_dump(include={"host", "model", "tcp", "rate_hz", *_UR_TUNING})
-    reached["lag_s"] = known.lag_s
+    reached |= {"lag_s": known.lag_s, "allow_version": arm.allowed_version}
     serial = gripper.model_dump(include={"port", "address", "baud", "reply_s"})
     return Devices(
         arm=UrArm(UrOptions(mount=mount, **reached)),

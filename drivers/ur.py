@@ -37,6 +37,7 @@ from drivers.ur_process import ChildProcess, start_child
 from drivers.ur_reach import check_reach
 from drivers.ur_robot import RobotOptions
 from drivers.ur_shared import COLUMNS, Column, Slot
+from drivers.ur_versions import Version
 
 _LOST_REMEDY = ArmMode.LOST.remedy
 _RESET_S = 10.0
@@ -59,7 +60,8 @@ class UrOptions:
     stale_s         silence of the controller that counts as lost
     silent_s        silence of the child that counts as lost
     off_plane_m, tilt_rad   how far from the plane the tool may be when a motion starts
-    versions        lowest and highest PolyScope version, major and minor
+    allow_version   PolyScope version for which somebody takes responsibility though it is not
+                    proved, major and minor; None = proved ones only
     """
 
     host: str
@@ -77,7 +79,7 @@ class UrOptions:
     silent_s: float = 0.06
     off_plane_m: float = 0.002
     tilt_rad: float = 0.01
-    versions: tuple[tuple[int, int], tuple[int, int]] = ((5, 6), (5, 21))
+    allow_version: Version | None = None
 
     def __post_init__(self) -> None:
         if self.model not in MODELS:
@@ -240,7 +242,7 @@ class UrArm:
             tcp=o.tcp,
             period_s=1.0 / o.rate_hz,
             watchdog_hz=o.watchdog_hz,
-            versions=o.versions,
+            allow_version=o.allow_version,
         )
         options = ChildOptions(
             robot=robot,

@@ -11,6 +11,8 @@ import numpy as np
 from drivers.clock import sleep_until
 from drivers.interfaces import ArmMode
 from drivers.priority import Pollers, own_threads
+from drivers.ur_identity import identify
+from drivers.ur_versions import Version, has_dashboard, refusal
 
 _PLAYING = 2  # runtime state
 _RUNNING = 7  # robot mode: powered, brakes released
@@ -42,13 +44,13 @@ _NO_LIBRARY = (
 
 @dataclass(frozen=True)
 class RobotOptions:
-    """Address and versions of a robot; see `drivers.ur.UrOptions`."""
+    """Address of a robot and its allowed version; see `drivers.ur.UrOptions`."""
 
     host: str
     tcp: tuple[float, ...]
     period_s: float
     watchdog_hz: float
-    versions: tuple[tuple[int, int], tuple[int, int]]
+    allow_version: Version | None
 
 
 class RefusedError(Exception):
@@ -64,7 +66,8 @@ class Robot:
     """A connected controller.
 
     before_threads  called once everything is loaded, before the clients start their threads
-    raises          RefusedError: no ur-rtde, another version, or the robot cannot start
+    raises          RefusedError: no ur-rtde, no controller, a version that is not allowed, or the
+                    robot cannot start
     """
 
     def __init__(
@@ -81,9 +84,10 @@ class Robot:
         before = own_threads()
         self._options = options
         self._remote, self._remote_asked_s = True, -np.inf
-        self._dashboard = dashboard_client.DashboardClient(options.host)
-        self._dashboard.connect()
-        self._check_version()
+        self._dashboard = None
+        if has_dashboard(_allowed_version(options)):
+            self._dashboard = dashboard_client.DashboardClient(options.host)
+            self._dashboard.connect()
         self.receive = rtde_receive.RTDEReceiveInterface(
             options.host, 1.0 / options.period_s, _OUTPUTS
         )
@@ -124,9 +128,12 @@ class Robot:
         self._remote_asked_s = -np.inf
 
     def _is_remote(self) -> bool:
-        """Whether the pendant leaves control to us; the dashboard is not asked in every cycle."""
+        """Whether the pendant leaves control to us; the dashboard is not asked in every cycle.
+
+        Without a dashboard nobody tells: True, and what is not started says what may be the cause.
+        """
         now_s = time.monotonic()
-        if now_s > self._remote_asked_s + _REMOTE_EVERY_S:
+        if self._dashboard is not None and now_s > self._remote_asked_s + _REMOTE_EVERY_S:
             self._remote = bool(self._dashboard.isInRemoteControl())
             self._remote_asked_s = now_s
         return self._remote
@@ -137,9 +144,10 @@ class Robot:
         Raises RefusedError: it does not run, or the arm moves.
         """
         self.control.kickWatchdog()  # leaves "no command" in the register, see hardware trap 4
+        self._end_programs()
         self.control.reuploadScript()
         if not _within(_PROGRAM_S, lambda: self.receive.getRuntimeState() == _PLAYING):
-            raise RefusedError("the program does not start", "look at the pendant's log")
+            raise RefusedError("the program does not start", self._start_remedy())
         before = np.array(self.receive.getActualTCPPose()[:3])
         self._prepare()
         until_s = time.monotonic() + _STANDSTILL_S
@@ -158,21 +166,38 @@ class Robot:
         self.control.setTcp(list(self._options.tcp))
         self.control.setWatchdog(self._options.watchdog_hz)
 
-    def _check_version(self) -> None:
-        text = str(self._dashboard.polyscopeVersion())
-        major, minor = (int(part) for part in text.split(".")[:2])
-        low, high = self._options.versions
-        if not low <= (major, minor) <= high:
-            raise RefusedError(
-                f"the controller runs PolyScope {text}; this driver is proven with "
-                f"{low[0]}.{low[1]} to {high[0]}.{high[1]}",
-                "install such a version, or prove the driver with this one and widen the range",
-            )
+    def _end_programs(self) -> None:
+        """End what still runs where there is no dashboard: ur-rtde would crash asking it to."""
+        if self._dashboard is not None or not self.control.isProgramRunning():
+            return
+        self.control.stopScript()
+        if not _within(_PROGRAM_S, lambda: not self.control.isProgramRunning()):
+            raise RefusedError("another program runs", "stop it at the pendant, then reset")
+
+    def _start_remedy(self) -> str:
+        if self._dashboard is not None:
+            return "look at the pendant's log"
+        return (
+            "PolyScope X does not tell why: at the pendant, release the brakes, choose the control "
+            "mode in which other computers may start programs, allow RTDE and the real-time client "
+            "interface under Settings, Security, Services; then look at its log"
+        )
 
     def _check_can_start(self) -> None:
         mode = self.mode()
         if mode not in (ArmMode.READY, ArmMode.STOPPED, ArmMode.REDUCED_SPEED):
             raise RefusedError(f"the controller reports {mode.value}", mode.remedy)
+
+
+def _allowed_version(options: RobotOptions) -> Version:
+    """The controller's version, which is asked before ur-rtde can hang on it."""
+    try:
+        version = identify(options.host).release
+    except OSError as error:
+        raise RefusedError(str(error), ArmMode.LOST.remedy) from error
+    if (refused := refusal(version, options.allow_version)) is not None:
+        raise RefusedError(refused.cause, refused.remedy)
+    return version
 
 
 def _within(seconds: float, holds: Callable[[], bool]) -> bool:

@@ -20,15 +20,20 @@ from cell.cli import (
     calibrate,
     export,
     fit,
+    handshake,
     identify,
     imports,
     lab,
     ledger,
     line,
+    mqtt,
+    opcua,
+    plant,
     power,
     recordings,
     records,
     run,
+    serve,
     settings,
     store,
     studies,
@@ -50,11 +55,13 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 for group in (
-    *(run, settings, records, identify, ledger, acknowledge, bundle, recordings, store),
-    *(fit, lab, power, studies, imports, export, line),
+    *(run, plant, settings, records, identify, ledger, acknowledge, bundle, recordings, store),
+    *(fit, lab, power, studies, imports, export, line, mqtt, handshake),
 ):
     app.add_typer(group.app)
 app.add_typer(calibrate.app)
+app.add_typer(serve.app)
+app.add_typer(opcua.app)
 
 
 def _version(wanted: bool) -> None:

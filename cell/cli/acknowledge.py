@@ -44,11 +44,13 @@ def acknowledge(
 ) -> None:
     """Acknowledge that a fault was looked at: who, when, and what was done about it.
 
-    It is kept in the ledger beside the fault; `cell history --open` lists faults that nobody has
-    acknowledged.  An acknowledgement moves nothing: after a fault the next `cell run` begins anew.
+    It is kept in the ledger beside the fault, and in the cycle's folder; `cell history --open`
+    lists faults that nobody has acknowledged.  An acknowledgement moves nothing: after a fault the
+    next `cell run` begins anew.
 
     Exit codes: 0; 2 if there is no such fault, or the ledger cannot be used.
     """
+    from cell.records.folder import acknowledge_record
     from cell.records.ledger.entry import Acknowledgement
     from cell.records.ledger.ledger import Wanted
     from cell.settings import load_settings
@@ -71,6 +73,9 @@ def acknowledge(
                     raise ValueError(f"{name}: no cycle of this name was ended by a fault")
             if not chosen:
                 raise ValueError("no fault is open: every one was acknowledged, or there was none")
+            for cycle in chosen:
+                if cycle.folder.is_dir():  # records of other computers, and removed ones, are not
+                    acknowledge_record(cycle.folder, said.by, note)
             listed.acknowledge(chosen, said)
     data = [
         {"folder": str(c.folder), "fault": c.fault.code, "cause": c.fault.cause, **said.to_json()}

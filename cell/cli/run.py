@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cell.cli.changes import another_model
+from cell.cli.changes import changes as changes_in_line
 from cell.cli.options import taking
 from cell.cli.part_ids import SCANNED, part_ids
 from cell.cli.shared import (
@@ -30,6 +32,7 @@ from cell.cli.streams import emit
 from cell.cli.typed import TypedLines
 
 if TYPE_CHECKING:
+    from cell.cli.plant_end import PlantEnd
     from cell.records.result import Result
     from cell.run.cycle import Cell
     from cell.run.plans import Plan
@@ -73,12 +76,30 @@ MotionFile = Annotated[
 ]
 
 
+#: In place of a number of cycles.
+FOREVER = "forever"
+
+
+def _counted(said: str) -> str:
+    """A number of cycles, or `FOREVER`."""
+    if said != FOREVER and not (said.isdecimal() and int(said) >= 1):
+        raise typer.BadParameter(f"{said!r} is neither a whole number >= 1 nor {FOREVER}")
+    return said
+
+
 @dataclass(frozen=True)
 class RunOptions:
     """What `cell run` is told."""
 
     config: Config
-    cycles: Annotated[int, typer.Option(min=1, help="Number of cables.")] = 1
+    cycles: Annotated[
+        str,
+        typer.Option(
+            callback=_counted,
+            metavar="N|forever",
+            help="Number of cables; `forever` = one for every start, as a service (docs/plant.md).",
+        ),
+    ] = "1"
     seed: RunSeed = 1
     as_json: Annotated[
         bool, typer.Option("--json", help="Print one JSON object per cycle instead of tables.")
@@ -91,6 +112,21 @@ class RunOptions:
         float,
         typer.Option(min=0.01, max=1.0, help="Share of full speed; only with --dry-run."),
     ] = 1.0
+
+    @property
+    def forever(self) -> bool:
+        """Whether cables come on request, until the end of the service."""
+        return self.cycles == FOREVER
+
+    @property
+    def count(self) -> int:
+        """Number of cables, if there is one."""
+        return 1 if self.forever else int(self.cycles)
+
+    @property
+    def laid_out(self) -> int | None:
+        """Number of simulated cables; None = there is always another."""
+        return None if self.forever else 0 if self.dry_run else self.count
 
 
 @app.command()
@@ -106,9 +142,12 @@ def run(options: RunOptions) -> None:
     what it holds.  Press u to continue.  A hold never clears a stop.  Ctrl-C stops the arm and
     closes the record.
     """
+    from cell.arm_version import check_arm_version, remember_dry_run
     from cell.build import build_cell, emulators_asked_for
+    from cell.cli.plant_end import PlantEnd
     from cell.files.input_error import InputError
     from cell.lab.next.motion_file import load_motion
+    from cell.plant.wire import LinkError
     from cell.records.folder import RecordError
     from cell.run.plans import INSERTING, measuring
     from cell.settings import load_settings
@@ -116,21 +155,13 @@ def run(options: RunOptions) -> None:
     from cell.terminal.console import RunProgress, troubles
     from cell.terminal.logs import to_file
 
-    if options.speed != 1.0 and not options.dry_run:
-        refuse(ValueError(f"--speed {options.speed:g}: {_NEVER_SLOW}"))
-    try:
-        part_ids(options.part_id)
-    except ValueError as error:
-        refuse(ValueError(f"--part-id {error}"))
+    _refuse_contradictions(options)
     results: list[Result] = []
     try:
         settings = load_settings(options.config)
         known = calibrated(settings, options.config)
-        plan = (
-            INSERTING
-            if options.motion is None
-            else measuring(load_motion(options.motion, settings))
-        )
+        motion = options.motion
+        plan = INSERTING if motion is None else measuring(load_motion(motion, settings))
         to_file(options.out.with_name(f"{options.out.name}.log"))
         with (
             emulators_asked_for(settings, options.config, options.seed),
@@ -140,41 +171,66 @@ def run(options: RunOptions) -> None:
 
             def on_step(number: int, step: str) -> None:
                 not_lost()
-                progress.step(number, step)
+                plant.step(number, step)
+                if not options.forever:
+                    progress.step(number, step)
 
+            speed = options.speed if options.dry_run else None
+            check_arm_version(settings, options.config, options.out, speed)
             made = partial(
                 build_cell, seed=options.seed, on_step=on_step, known=known, recorded=True
             )
-            cell = made(settings, options.out, cycles=0 if options.dry_run else options.cycles)
+            cell = made(settings, options.out, cycles=options.laid_out)
+            plant = PlantEnd(cell, options.out, settings)
             try:
+                if options.forever:
+                    stopped = plant.serve(plan, partial(_tell, options.as_json))
+                    raise typer.Exit(NOT_ALL_DONE if stopped else ALL_DONE)
+                shown.enter_context(plant.reachable())
                 if options.dry_run:
                     plan = cell.rehearsal(plan, options.speed)
-                progress = shown.enter_context(RunProgress(options.cycles, plan.names))
-                for result in _results(cell, plan, progress, options, settings):
+                progress = shown.enter_context(RunProgress(options.count, plan.names))
+                for result in _results(cell, plant, plan, progress, options, settings):
                     results.append(result)
                     if options.as_json:
                         emit(json.dumps(result.to_json(), ensure_ascii=False))
             finally:
                 cell.close()
-    except InputError as error:
+            remember_dry_run(settings, options.out, results)
+    except (InputError, LinkError) as error:
         refuse(error)
     except RecordError as error:  # it cannot even be begun: nothing of this cycle has moved
-        print(
-            f"{error}; choose another folder with --out, or make it writable, with room",
-            file=sys.stderr,
-        )
+        remedy = "choose another folder with --out, or make it writable, with room"
+        print(f"{error}; {remedy}", file=sys.stderr)
         raise typer.Exit(NOT_ALL_DONE if results else BAD_INPUT) from error
     if not options.as_json:
         _show(results, plan.names, options.dry_run, known.notes)
-    changes = _changes(options.out, results, options.config, settings)
+    changes = changes_in_line(options.out, results, options.config, settings)
     for line in (*troubles(results), *cell.notes(), *changes):
         print(line, file=sys.stderr)
     reached = [r for r in results if r.outcome is plan.aim]
-    raise typer.Exit(ALL_DONE if len(reached) == options.cycles else NOT_ALL_DONE)
+    raise typer.Exit(ALL_DONE if len(reached) == options.count else NOT_ALL_DONE)
+
+
+def _refuse_contradictions(options: RunOptions) -> None:
+    """End with 2 if options do not go together, or an id is none."""
+    if options.speed != 1.0 and not options.dry_run:
+        refuse(ValueError(f"--speed {options.speed:g}: {_NEVER_SLOW}"))
+    if options.forever and (options.dry_run or options.part_id is not None):
+        refuse(ValueError("--cycles forever: a dry run is one cycle, and ids come with starts"))
+    try:
+        part_ids(options.part_id)
+    except ValueError as error:
+        refuse(ValueError(f"--part-id {error}"))
 
 
 def _results(
-    cell: Cell, plan: Plan, progress: RunProgress, options: RunOptions, begun: Settings
+    cell: Cell,
+    plant: PlantEnd,
+    plan: Plan,
+    progress: RunProgress,
+    options: RunOptions,
+    begun: Settings,
 ) -> Iterator[Result]:
     """Results of one cycle after another, up to the first that fails; keys hold and go on.
 
@@ -195,18 +251,30 @@ def _results(
     with ExitStack() as listening:
         if options.part_id != SCANNED and listening.enter_context(Keyboard(on_key)).listens:
             progress.hint(MAY_HOLD)
-        for number in range(1, options.cycles + 1):
+        for number in range(1, options.count + 1):
             try:
                 part = next(parts)
             except StopIteration:
                 progress.say("no more ids are typed: the run ends")
                 return
+            plant.reporter.cycle(number, part, None)
             result = cell.run_cycle(number, plan, part)
-            if not said and (said := _another_model(options.config, begun)):
+            plant.reporter.result(result)
+            if not said and (said := another_model(options.config, begun)):
                 progress.say(said)
             yield result
             if result.outcome is Outcome.FAILED:
                 return
+
+
+def _tell(as_json: bool, result: Result) -> None:
+    """One cycle of a service, in a line."""
+    from cell.terminal.console import troubles
+
+    if as_json:
+        emit(json.dumps(result.to_json(), ensure_ascii=False))
+    else:
+        emit("\n".join(troubles([result]) or [f"cable {result.cycle} {result.outcome.value}"]))
 
 
 def _show(
@@ -229,74 +297,6 @@ def _show(
     for result in results:
         what = "dry run" if dry_run else "cable"
         show(console, f"{what} {result.cycle}: {result.folder}")
-
-
-def _changes(out: Path, results: list[Result], config: Path, settings: Settings) -> list[str]:
-    """What has changed in the line's cycles, and what to do; also for a cable that was rejected
-    because the model misses it, and for a promoted model that does worse.
-    """
-    from cell.records.changed_model import worsenings
-    from cell.records.chart import signals
-    from cell.records.ledger.error import LedgerError
-    from cell.records.ledger.ledger import Ledger
-    from cell.records.mean_error import mean_error
-    from cell.settings.referred import line_of
-
-    if not results or results[-1].model is None or settings.ledger is None:
-        return []
-    try:
-        ledger = Ledger(settings.ledger.url or out)
-        history = ledger.results(line_of(settings))
-        ledger.close()
-    except LedgerError as error:
-        return [f"whether anything has changed cannot be said: {error}"]
-    of_model = [r for r in history if r.model == results[-1].model]
-    found, common = signals(of_model), mean_error(of_model)
-    lines = [*map(str, found), *([] if common is None else [str(common)])]
-    unforecast = common is not None or any(not s.of_cables for s in found)
-    if unforecast or any(r.model_misses for r in results):
-        lines.append(f"to learn what the model lacks: cell learn {out} --config {config}")
-    elif found:
-        lines.append(
-            "each cable is identified anew, so forecasts follow; to test whether the model lacks "
-            f"anything now: cell learn {out} --config {config}"
-        )
-    worse = worsenings(history)
-    if worse:
-        lines += [*map(str, worse), _taken_back(config, settings.promotion.withdraw)]
-    return lines
-
-
-def _another_model(config: Path, settings: Settings) -> str:
-    """That the settings' file has another model by now than this run was begun with; or ""."""
-    from cell.files.input_error import InputError
-    from cell.settings import load_settings
-    from cell.settings.translate import model_hash
-
-    try:
-        now, begun = model_hash(load_settings(config).model), model_hash(settings.model)
-    except InputError:  # it is being edited: whoever reads it next says what is wrong
-        return ""
-    if now == begun:
-        return ""
-    return (
-        f"{config} has another model by now, {now}: the cycles of this run still use {begun}, with "
-        "which it was begun; end it and run again to use the new one"
-    )
-
-
-def _taken_back(config: Path, withdraw: bool) -> str:
-    """Take a promoted model back if the settings say so; what was done, or can be."""
-    from cell.files.input_error import InputError
-    from cell.settings.promotion import undo
-
-    if not withdraw:
-        return f"to go back to the model before: cell promote --undo --config {config}"
-    try:
-        entry = undo(config)
-    except InputError as error:
-        return f"the model cannot be taken back: {error}"
-    return f"withdrawn, as promotion.withdraw says: {config} has again the model of {entry}"
 
 
 @app.command()

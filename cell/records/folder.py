@@ -118,6 +118,42 @@ class Record:
             raise RecordError(cause) from error
 
 
+class LaterRecord(Record):
+    """Record of a cycle that is prepared: its folder is made when the cycle begins.
+
+    Until then what becomes of it is only remembered; there are neither studies nor pictures yet.
+    """
+
+    def __init__(self, runs: Path, cycle: int) -> None:
+        self.folder = runs
+        self._cycle = cycle
+        self._state: dict[str, Any] = {}
+
+    def opened(self, started: datetime) -> Record:
+        """The record with its folder.  Raises RecordError."""
+        record = Record(self.folder, self._cycle, started)
+        if self._state:
+            record.state(**self._state)
+        return record
+
+    def use_reserve(self) -> None:
+        """There is none."""
+
+    def _write(self, name: str, content: str | bytes) -> None:
+        """Nothing has a place yet."""
+
+
+def acknowledge_record(folder: Path, by: str, note: str) -> None:
+    """Mark that a person has looked at how a cycle ended.  Raises RecordError; InputError."""
+    path = folder / "state.json"
+    state = (_read_json(path) if path.exists() else None) or {"format": FORMAT}
+    state["acknowledged"] = {"by": by, "note": note}
+    try:
+        write_whole(path, _json(state))
+    except OSError as error:
+        raise RecordError(f"the record cannot be written: {error.strerror}: {path}") from error
+
+
 @dataclass(frozen=True)
 class Recorded:
     """The content of a cycle's folder; None = the cycle did not come so far.

@@ -8,17 +8,18 @@ import traceback
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from cell.computer.memory import release_free_memory
-from cell.records.folder import Record, RecordError
-from cell.records.result import Fault, Outcome, Result
+from cell.records.folder import LaterRecord, RecordError
+from cell.records.result import Outcome, Result
 from cell.run import steps
 from cell.run.archive import Archive
-from cell.run.commands import INTERRUPTING, RESUMING, Commands, InterruptedByCommandError
+from cell.run.commands import INTERRUPTING, RESUMING, Commands
+from cell.run.endings import EXPECTED, UNREACHED, fault_of
 from cell.run.listed import CycleListing
 from cell.run.machine import CellState, Event, EventRefusedError, Machine
 from cell.run.movements import slowed
@@ -26,23 +27,25 @@ from cell.run.plans import AGAIN_WHEN_LOST, INSERTING, Plan, Repeat, Step, rehea
 from cell.run.progress import Progress
 from cell.run.recorded import CycleRecording
 from cell.run.station import Station, Task
-from drivers.interfaces import (
-    CameraError,
-    ConnectError,
-    DeviceError,
-    DeviceLostError,
-    Devices,
-    DeviceTimeoutError,
-)
-
-#: After these the devices are connected anew; after the others they are still there.
-UNREACHED = (ConnectError, DeviceLostError, DeviceTimeoutError, CameraError)
-
-#: What may end a cycle without being a mistake of the program.
-EXPECTED = (DeviceError, InterruptedByCommandError, KeyboardInterrupt, RecordError)
-
+from drivers.interfaces import DeviceError, Devices
 
 _LOG = logging.getLogger(__name__)
+
+
+@dataclass
+class _Cycle:
+    """A cycle from its preparation to its end.
+
+    before   time spent in each state before it, s
+    part     id of its cable
+    listing  None = the ledger does not know of it yet
+    """
+
+    plan: Plan
+    progress: Progress
+    before: Mapping[CellState, float]
+    part: str | None = None
+    listing: CycleListing | None = None
 
 
 class Cell:
@@ -81,6 +84,7 @@ class Cell:
         self._archive = Archive() if archive is None else archive
         self._done_once: set[str] = set()
         self._listing: CycleListing | None = None
+        self._prepared: _Cycle | None = None
 
     def now_s(self) -> float:
         """Time on the cell's clock."""
@@ -115,6 +119,11 @@ class Cell:
         if self._listing is not None:
             self._listing.acknowledge(by, note)
 
+    def take_up(self, folder: Path) -> None:
+        """The cycle of an earlier run to which `acknowledge` refers, by its folder."""
+        self._listing = CycleListing(self._archive.ledger)
+        self._listing.take_up(folder)
+
     def close(self) -> None:
         """Stop the arm and disconnect all devices."""
         steps.close(self._station.devices)
@@ -137,57 +146,157 @@ class Cell:
         """
         if not self.machine.can(Event.RESET):
             raise EventRefusedError(f"no cycle can begin while {self.machine.state.value}")
-        before = self.machine.seconds()
-        station = replace(self._station, task=slowed(self._station.task, plan.speed))
-        started = datetime.now()
-        record = Record(self._runs, number, started)
-        recording = CycleRecording(self._archive.recording)
-        meant = {"aim": plan.aim.value, "steps": plan.names, "speed": plan.speed}
-        recording.begin(record.folder, number, started, meant)
-        self._listing = listing = CycleListing(self._archive.ledger)
-        listing.begin(record.folder, number, started, plan.aim.value, part)
-        progress = Progress(number, record, recording, station, plan.given, plan.resetting[0].name)
+        cycle = self._cycle(number, plan)
+        self._open(cycle, part)
         try:
-            try:
-                record.settings(self._settings)
-                self._send(progress, Event.RESET)
-                self._carry_out(progress, plan.resetting)
-                self._send(progress, Event.DONE)
-                if self._watched:
-                    progress.watch.begin()
-                self._send(progress, Event.START)
-                self._carry_out(progress, plan.starting)
-                self._send(progress, Event.DONE)
-                self._carry_out(progress, plan.execute)
-                self._send(progress, Event.DONE)
-                self._carry_out(progress, plan.completing)
-                self._send(progress, Event.DONE)
-            finally:
-                progress.write()  # what was found before a step that failed
+            cycle.progress.record.settings(self._settings)
+            self._reset(cycle)
+            self._work(cycle)
         except BaseException as error:
-            self._end(progress, error)
-        progress.watch.end()
-        after = self.machine.seconds()
-        spent_s = {
-            state.value: after[state] - before[state]
-            for state in CellState
-            if after[state] > before[state]
-        }
-        result = replace(progress.result(spent_s), part=part)
+            self._end(cycle.progress, error)
+        result = self._conclude(cycle)
+        del cycle  # and its pictures
+        release_free_memory()
+        return result
+
+    def prepare(self, number: int, plan: Plan = INSERTING) -> Result | None:
+        """Make ready for a cycle and rest in Idle, where `run_prepared` goes on.
+
+        returns  None: it is ready, and nothing is recorded yet; or how cycle `number` failed
+        raises   EventRefusedError: the cell was stopped by a fault that nobody acknowledged
+        """
+        if self.machine.state is not CellState.RESETTING and not self.machine.can(Event.RESET):
+            raise EventRefusedError(f"no cycle can begin while {self.machine.state.value}")
+        cycle = self._cycle(number, plan)
         try:
-            record.close(result)
+            self._reset(cycle)
+        except BaseException as error:
+            return self._fail(cycle, error)
+        self._prepared = cycle
+        return None
+
+    def run_prepared(self, part: str | None = None) -> Result:
+        """The cycle that is prepared, as `run_cycle`; Start may have been sent already.
+
+        raises  EventRefusedError: none is prepared
+        """
+        cycle = self._taken()
+        try:
+            self._open(cycle, part)
+            cycle.progress.record.settings(self._settings)
+            self._work(cycle)
+        except BaseException as error:
+            self._end(cycle.progress, error)
+        result = self._conclude(cycle)
+        del cycle  # and its pictures
+        release_free_memory()
+        return result
+
+    def check(self) -> None:
+        """Whether the cell can rest in Idle.
+
+        raises  InterruptedByCommandError: a stop or an abort was given; DeviceError
+        """
+        self.commands.check()
+
+    def leave_idle(self, error: BaseException) -> Result:
+        """Come to rest in Stopped or Aborted because of what `check` has raised.
+
+        A fault of a device is recorded as the cycle that was prepared; a command is not.
+        raises  EventRefusedError: none is prepared
+        """
+        cycle = self._taken()
+        cycle.progress.step = CellState.IDLE.value
+        if isinstance(error, DeviceError):
+            return self._fail(cycle, error)
+        self._end(cycle.progress, error)
+        return self._conclude(cycle)
+
+    # --- from the beginning of a cycle to its end ---------------------------------------------
+
+    def _cycle(self, number: int, plan: Plan) -> _Cycle:
+        station = replace(self._station, task=slowed(self._station.task, plan.speed))
+        record, recording = LaterRecord(self._runs, number), CycleRecording(None)
+        first = plan.resetting[0].name
+        progress = Progress(number, record, recording, station, plan.given, first)
+        return _Cycle(plan, progress, self.machine.seconds())
+
+    def _taken(self) -> _Cycle:
+        cycle, self._prepared = self._prepared, None
+        if cycle is None:
+            raise EventRefusedError("no cycle is prepared")
+        return cycle
+
+    def _open(self, cycle: _Cycle, part: str | None = None, *, filmed: bool = True) -> None:
+        """Begin the record; `filmed` = with a recording.  Raises RecordError."""
+        progress, plan, started = cycle.progress, cycle.plan, datetime.now()
+        assert isinstance(progress.record, LaterRecord)
+        progress.record = record = progress.record.opened(started)
+        if filmed:
+            progress.recording = CycleRecording(self._archive.recording)
+            meant = {"aim": plan.aim.value, "steps": plan.names, "speed": plan.speed}
+            progress.recording.begin(record.folder, progress.number, started, meant)
+        cycle.part = part
+        self._listing = cycle.listing = CycleListing(self._archive.ledger)
+        cycle.listing.begin(record.folder, progress.number, started, plan.aim.value, part)
+
+    def _reset(self, cycle: _Cycle) -> None:
+        """Resetting, into Idle."""
+        if self.machine.state is not CellState.RESETTING:
+            self._send(cycle.progress, Event.RESET)
+        try:
+            self._carry_out(cycle.progress, cycle.plan.resetting)
+            self._send(cycle.progress, Event.DONE)
+        finally:
+            cycle.progress.write()
+        if self._watched:
+            cycle.progress.watch.begin()
+
+    def _work(self, cycle: _Cycle) -> None:
+        """From Idle, or Starting, into Complete."""
+        progress, plan = cycle.progress, cycle.plan
+        try:
+            if self.machine.state is not CellState.STARTING:
+                self._send(progress, Event.START)
+            for stages in (plan.starting, plan.execute, plan.completing):
+                self._carry_out(progress, stages)
+                self._send(progress, Event.DONE)
+        finally:
+            progress.write()  # what was found before a step that failed
+
+    def _fail(self, cycle: _Cycle, error: BaseException) -> Result:
+        """How a cycle failed that was not begun: it gets a record all the same."""
+        self._end(cycle.progress, error)
+        self._open(cycle, filmed=False)
+        return self._conclude(cycle)
+
+    def _conclude(self, cycle: _Cycle) -> Result:
+        """Result and records of a cycle that has come to rest."""
+        progress, after = cycle.progress, self.machine.seconds()
+        progress.watch.end()
+        spent_s = {
+            state.value: after[state] - cycle.before[state]
+            for state in CellState
+            if after[state] > cycle.before[state]
+        }
+        result = replace(progress.result(spent_s), part=cycle.part)
+        try:
+            progress.record.close(result)
         except RecordError as error:
             result = self._unrecorded(progress, result, error)
-        recording.end(result)
-        listing.end(result, progress.findings.identified)
-        _LOG.info("cycle %d: %s in %s", number, result.outcome.value, record.folder)
-        del progress  # and its pictures
-        release_free_memory()
+        progress.recording.end(result)
+        if cycle.listing is not None:
+            cycle.listing.end(result, progress.findings.identified)
+        if result.fault is None:
+            self._listing = None  # there is nothing to acknowledge
+        _LOG.info(
+            "cycle %d: %s in %s", progress.number, result.outcome.value, progress.record.folder
+        )
         return result
 
     def _end(self, progress: Progress, error: BaseException) -> None:
         """Stop, say why, and come to rest in Stopped (by command) or Aborted (by fault)."""
-        fault, event = _fault(progress.step, error)
+        fault, event = fault_of(progress.step, error)
         foreign = None if isinstance(error, EXPECTED) else error
         _LOG.error("step %s failed: %s", progress.step, error, exc_info=foreign)
         progress.watch.cease()
@@ -216,7 +325,7 @@ class Cell:
         """The result of a cycle whose record cannot be closed: it is only returned."""
         if result.fault is not None:
             return result
-        fault, _ = _fault(progress.step, error)
+        fault, _ = fault_of(progress.step, error)
         cable = steps.whereabouts_of_cable(self._station.devices)
         return replace(result, outcome=Outcome.FAILED, fault=replace(fault, cable=cable))
 
@@ -290,30 +399,13 @@ class Cell:
 
     def _pause(self, progress: Progress) -> bool:
         """Hold or suspend if that was asked for, until it is taken back; whether it was."""
-        pause = self.commands.pause
-        if pause is None:
-            return False
-        self._send(progress, pause)
-        self._send(progress, Event.DONE)
-        self._on_step(progress.number, self.machine.state.value)
-        self.commands.wait_until_resumed(pause)
-        self._send(progress, RESUMING[pause])
-        self._send(progress, Event.DONE)
-        return True
-
-
-def _fault(step: str, error: BaseException) -> tuple[Fault, Event]:
-    match error:
-        case InterruptedByCommandError():
-            event = error.event.value
-            return Fault(step, error.reason or event, code=event), error.event
-        case KeyboardInterrupt():
-            cause = str(error) or "interrupted by a person"
-            return Fault(step, cause, code=Event.STOP.value), Event.STOP
-        case DeviceError():
-            code = f"{error.device.replace(' ', '_')}.{error.code}"
-            return Fault(step, error.cause, error.device, error.remedy, code=code), Event.ABORT
-        case RecordError():
-            remedy = "make room there, or mend the disk"
-            return Fault(step, str(error), remedy=remedy, code="record"), Event.ABORT
-    return Fault(step, f"{type(error).__name__}: {error}", code="program"), Event.ABORT
+        paused = False
+        while (pause := self.commands.pause) is not None:  # one may be asked for in another
+            self._send(progress, pause)
+            self._send(progress, Event.DONE)
+            self._on_step(progress.number, self.machine.state.value)
+            self.commands.wait_until_resumed(pause)
+            self._send(progress, RESUMING[pause])
+            self._send(progress, Event.DONE)
+            paused = True
+        return paused

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Protocol
 
 from cell.identify.identified import Identified
-from cell.records.ledger.entry import Acknowledgement, Entry, estimates_of
+from cell.records.ledger.entry import Acknowledgement, Entry, entry_of_folder, estimates_of
 from cell.records.result import Result
 
 
@@ -66,6 +66,11 @@ class CycleListing:
             software=self._setup.software,
         )
         self._setup.ledger.put(self._entry)
+
+    def take_up(self, folder: Path) -> None:
+        """It is the cycle of an earlier run that left this folder, and was not concluded."""
+        if self._setup is not None:
+            self._entry = entry_of_folder(folder, self._setup.line)
 
     def acknowledge(self, by: str, note: str) -> None:
         """A person says that the cycle's fault was looked at."""

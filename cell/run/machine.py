@@ -114,14 +114,14 @@ class Machine:
     """State of one cell, safe to be sent events from any thread; it begins in Stopped.
 
     now_s      clock in which the time spent in each state is counted, s
-    on_change  told of every new state, in the thread that caused it
+    on_change  told of every new state, in the thread that caused it; may be set later
     """
 
     def __init__(
         self, now_s: Callable[[], float], on_change: Callable[[CellState], None] | None = None
     ) -> None:
         self._now_s = now_s
-        self._on_change = on_change
+        self.on_change = on_change
         self._lock = threading.RLock()
         self._since_s = now_s()
         self._seconds = dict.fromkeys(CellState, 0.0)
@@ -151,8 +151,8 @@ class Machine:
             self._seconds[before] += now_s - self._since_s
             self._since_s = now_s
             after = self.state
-        if self._on_change is not None:
-            self._on_change(after)
+        if self.on_change is not None:
+            self.on_change(after)
         return after
 
     def can(self, event: Event) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from cell.settings.section import Finite, Host, NotNegative, Positive, Range, Section
 
@@ -20,6 +20,16 @@ class SimulatedArm(Section):
     """How late it follows."""
     noise_m: NotNegative = 10e-6
     """Standard deviation of a measured coordinate."""
+
+
+def _in_quotes(given: object) -> object:
+    """The version as text.  Raises ValueError: as a number 5.20 would be 5.2."""
+    if isinstance(given, int | float):
+        raise ValueError(f'{given} is a number; write the version in quotes: "{given}"')
+    return given
+
+
+_ALLOWED = r"^[1-9]\d{0,1}\.\d{1,3}$"
 
 
 class UrArm(Section):
@@ -47,6 +57,19 @@ class UrArm(Section):
     """Direction of the plane's x axis (away from the destination), in the base frame."""
     plane_y_axis: tuple[Finite, Finite, Finite] = (0.0, 0.0, 1.0)
     """Direction of the plane's y axis (up), in the base frame."""
+    allow_version: Annotated[str, Field(pattern=_ALLOWED), BeforeValidator(_in_quotes)] | None = (
+        None
+    )
+    """Takes responsibility for a PolyScope version that is not proved, e.g. "5.26": after a dry run
+    at low speed the cell runs with it.  Null = proved versions only."""
+
+    @property
+    def allowed_version(self) -> tuple[int, int] | None:
+        """`allow_version` as numbers."""
+        if self.allow_version is None:
+            return None
+        major, minor = self.allow_version.split(".")
+        return int(major), int(minor)
 
 
 class View(Section):

@@ -17,6 +17,7 @@ from cell.settings.devices import (
     SimulatedGripper,
     UrArm,
 )
+from cell.settings.plant import Plant
 from cell.settings.records import Ledger, Recording
 from cell.settings.section import (
     Angle,
@@ -370,6 +371,8 @@ class Settings(Section):
     """Null = cycles are not listed, and nothing is said of what has changed in them."""
     workers: Workers | None = None
     """Null = independent fits are done on all cores of this computer."""
+    plant: Plant | None = None
+    """Null = the cell talks to no other machine and to no plant's systems."""
     world: World = World()
     emulated: Emulated | None = None
     """Null = the devices are real."""

@@ -75,6 +75,9 @@ class Emulated(Section):
     """Of the emulated camera."""
     readout_s: Annotated[float, Field(ge=0.008, le=0.1)] = 0.012
     """From the middle of an exposure until the picture leaves the emulated camera."""
+    polyscope: Annotated[str, Field(pattern=r"^[1-9]\d?(\.\d{1,9}){1,3}$")] = "5.12.2.1101534"
+    """Software version of the emulated controller: major, minor, bugfix, build.  From 10 on it is
+    PolyScope X, which has no dashboard server."""
     lens_blur_px: NotNegative = 0.6
     """Standard deviation of the blur by the lens."""
     read_noise: NotNegative = 1.0

@@ -29,12 +29,13 @@ from drivers.emulators.camera import CameraEmulatorOptions, EmulatedCamera
 from drivers.emulators.camera_live import ArmScene, LiveScene
 from drivers.emulators.gripper import GripperProcess
 from drivers.emulators.launch import EmulatedController, EmulatorError
-from drivers.emulators.ur_addresses import DASHBOARD_PORT, FAULT_PORT, RTDE_PORT, SCRIPT_PORT
 from drivers.emulators.ur_arm import HOME_RAD
 from drivers.interfaces import Pose, Trajectory
 from drivers.plane_mount import PlaneMount
+from drivers.ur_addresses import DASHBOARD_PORT, FAULT_PORT, RTDE_PORT, SCRIPT_PORT
 from drivers.ur_kinematics import MODELS, OutOfReachError
 from drivers.ur_pose import matrix_of
+from drivers.ur_versions import has_dashboard, read_version
 
 FloatArray = NDArray[np.float64]
 
@@ -116,8 +117,7 @@ class EmulatedCell:
         self._seed = seed
         self._end = threading.Event()
         self._watcher = threading.Thread(target=self._watch, name="emulated jaws", daemon=True)
-        arm = settings.arm
-        self.controller = EmulatedController(arm.host, model=arm.model, start_rad=_start(settings))
+        self.controller = _controller(settings)
         self.gripper = GripperProcess(Path(settings.gripper.port), settings.gripper.address)
         self.camera = EmulatedCamera(*_camera(settings, HiddenCableFactory(settings, seed, 1)))
         self.cables = 0
@@ -142,7 +142,9 @@ class EmulatedCell:
     def whereabouts(self) -> str:
         """Where they listen, and their processes."""
         arm = self.controller
-        ports = f"RTDE {RTDE_PORT}, script {SCRIPT_PORT}, dashboard {DASHBOARD_PORT}"
+        ports = f"RTDE {RTDE_PORT}, script {SCRIPT_PORT}"
+        if has_dashboard(read_version(arm.version)[:2]):
+            ports += f", dashboard {DASHBOARD_PORT}"
         return (
             f"arm      {arm.host}: {ports}; faults {FAULT_PORT} (process {arm.pid})\n"
             f"camera   {self.camera.url} (process {self.camera.pid})\n"
@@ -188,6 +190,14 @@ def runs_already(settings: Settings) -> bool:
 
 def _mount(arm: given.UrArm) -> PlaneMount:
     return PlaneMount(arm.plane_origin_m, arm.plane_x_axis, arm.plane_y_axis)
+
+
+def _controller(settings: Settings) -> EmulatedController:
+    """Raises EmulatorError."""
+    arm, emulated = settings.arm, settings.emulated
+    assert isinstance(arm, given.UrArm)
+    assert emulated is not None
+    return EmulatedController(arm.host, emulated.polyscope, arm.model, start_rad=_start(settings))
 
 
 def _start(settings: Settings) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import count
 
 import numpy as np
 
@@ -39,10 +40,11 @@ class Twins:
 
 
 def build_twins(
-    settings: Settings, seed: int, cycles: int, known: Calibrated | None = None
+    settings: Settings, seed: int, cycles: int | None, known: Calibrated | None = None
 ) -> Twins:
     """The simulated world with `cycles` cables laid out; for settings whose devices are `sim`.
 
+    cycles  None = there is always another cable
     known  what the devices' drivers are told of their delays; None = as typed
     """
     known = typed(settings) if known is None else known
@@ -50,8 +52,16 @@ def build_twins(
     assert isinstance(arm, given.SimulatedArm)
     clock = SimClock(real_time_factor=settings.world.real_time_factor)
     world = World(clock, pose_of(settings.motion.home))
-    for number in range(1, cycles + 1):
-        world.present(cable_shape(hidden_cable(settings, seed, number), settings.world.segments))
+    numbers = count(1) if cycles is None else range(1, cycles + 1)
+    cables = (
+        cable_shape(hidden_cable(settings, seed, number), settings.world.segments)
+        for number in numbers
+    )
+    if cycles is None:
+        world.supply(cables)
+    else:
+        for cable in cables:
+            world.present(cable)
     true_lag_s = settings.world.arm_lag_s
     options = ArmTwinOptions(
         lag_s=known.lag_s,

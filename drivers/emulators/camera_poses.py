@@ -14,11 +14,11 @@ from collections import deque
 
 import numpy as np
 
-from drivers.emulators.rtde_wire import Kind, Packet, Splitter
-from drivers.emulators.ur_addresses import RTDE_PORT
 from drivers.interfaces import FloatArray, Trajectory
 from drivers.plane_mount import PlaneMount
 from drivers.priority import run_in_real_time
+from drivers.rtde_wire import Kind, Packet, Splitter
+from drivers.ur_addresses import RTDE_PORT
 from drivers.ur_kinematics import UrModel
 
 #: Of everything in the camera's process: behind the arm, before ordinary programs.

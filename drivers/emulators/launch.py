@@ -15,8 +15,8 @@ from collections.abc import Callable
 from multiprocessing.connection import Connection
 from typing import Any, Self
 
-from drivers.emulators.ur_addresses import FAULT_PORT
 from drivers.interfaces import FloatArray
+from drivers.ur_addresses import FAULT_PORT
 
 _START_S = 120.0  # on a new computer the machine code is compiled first, a minute on a busy one
 _ANSWER_S = 5.0
@@ -41,6 +41,7 @@ class EmulatedController:
         start_rad: FloatArray | None = None,
     ) -> None:
         self.host = host
+        self.version = version
         self._command = [sys.executable, "-m", "drivers.emulators.ur_server", "--host", host]
         self._command += ["--version", version, "--model", model, "--time-scale", str(time_scale)]
         if start_rad is not None:

@@ -11,9 +11,9 @@ from enum import IntEnum, StrEnum
 
 import numpy as np
 
-from drivers.emulators.rtde_wire import OUTPUTS, REGISTERS, TYPES, Value
 from drivers.emulators.ur_arm import HOME_RAD, Decelerate, Joints
 from drivers.emulators.ur_script import ControlScript, Effects, Registers, ScriptError
+from drivers.rtde_wire import OUTPUTS, REGISTERS, TYPES, Value
 from drivers.ur_kinematics import UR5E, UrModel
 from drivers.ur_pose import pose_of
 
@@ -105,6 +105,8 @@ class Controller:
         self.remote_control = True
         self.speed_fraction = 1.0  # of the slider
         self.speed_scaling = 1.0  # of the controller's own limiter
+        self.digital_inputs = 0  # bits: 0 to 7 standard, 8 to 15 configurable
+        self.digital_outputs = 0  # the same; they keep their values when a client goes
         self.events: deque[Event] = deque(maxlen=1000)
         self.last_moved_s = 0.0  # monotonic time at which the arm was last seen moving
         self.servo_writes = 0
@@ -266,6 +268,15 @@ class Controller:
         fraction = values.get("speed_slider_fraction")
         if values.get("speed_slider_mask") and isinstance(fraction, float):
             self.speed_fraction = min(1.0, max(0.0, fraction))
+        for group, shift in _OUTPUT_GROUPS.items():
+            mask, bits = values.get(f"{group}_mask"), values.get(group)
+            if isinstance(mask, int) and isinstance(bits, int):
+                kept = self.digital_outputs & ~(mask << shift)
+                self.digital_outputs = kept | (bits & mask) << shift
+
+    def set_inputs(self, bits: int, mask: int = 0xFFFF) -> None:
+        """Voltage at digital inputs: 0 to 7 standard, 8 to 15 configurable; others stay."""
+        self.digital_inputs = self.digital_inputs & ~mask | bits & mask
 
     def _note_command(self, register: int, value: int) -> None:
         if self._watchdog is not None and self._watchdog.register == register:
@@ -366,6 +377,8 @@ class Controller:
 _INT_INPUTS = {f"input_int_register_{i}": i for i in range(REGISTERS)}
 _DOUBLE_INPUTS = {f"input_double_register_{i}": i for i in range(REGISTERS)}
 
+_OUTPUT_GROUPS = {"standard_digital_output": 0, "configurable_digital_output": 8}
+
 _Getter = Callable[[Controller], Value]
 
 
@@ -393,6 +406,8 @@ _GETTERS: Mapping[str, _Getter] = {
     "target_speed_fraction": lambda c: c.speed_fraction,
     "speed_scaling": lambda c: c.speed_scaling,
     "payload": lambda c: c.payload_kg,
+    "actual_digital_input_bits": lambda c: c.digital_inputs,
+    "actual_digital_output_bits": lambda c: c.digital_outputs,
     "joint_mode": lambda c: [253] * 6,
 }
 

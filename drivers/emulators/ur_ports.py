@@ -11,7 +11,8 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
-from drivers.emulators.rtde_wire import (
+from drivers.emulators.ur_controller import CYCLE_S, Controller
+from drivers.rtde_wire import (
     INPUTS,
     OUTPUTS,
     Kind,
@@ -21,8 +22,7 @@ from drivers.emulators.rtde_wire import (
     Value,
     names_in,
 )
-from drivers.emulators.ur_addresses import DASHBOARD_PORT, FAULT_PORT, RTDE_PORT, SCRIPT_PORT
-from drivers.emulators.ur_controller import CYCLE_S, Controller
+from drivers.ur_addresses import DASHBOARD_PORT, FAULT_PORT, RTDE_PORT, SCRIPT_PORT
 
 _RTDE_HZ = 1.0 / CYCLE_S
 _MAX_BACKLOG = 65536  # a slow reader loses packets rather than time
@@ -55,6 +55,10 @@ class Server(Protocol):
 
     def power_cycle(self, seconds: float) -> None:
         """Switch off, and on again after a while."""
+        ...
+
+    def become(self, version: str) -> None:
+        """Have other software from now on."""
         ...
 
 
@@ -229,6 +233,8 @@ class Faults(_Lines):
             "refuse": server.refuse,
             "garbage": server.send_garbage,
             "power_cycle": server.power_cycle,
+            "version": server.become,
+            "inputs": controller.set_inputs,
         }
         if op == "state":
             return _state_of(controller)
@@ -248,6 +254,7 @@ def _state_of(controller: Controller) -> dict[str, Any]:
         "speed": controller.joints.tool_speed().tolist(),
         "runtime": controller.runtime.name,
         "safety": controller.safety.value,
+        "digital_outputs": controller.digital_outputs,
         "last_moved_s": controller.last_moved_s,
         "servo_writes": controller.servo_writes,
         "dashboard_lines": controller.dashboard_lines,

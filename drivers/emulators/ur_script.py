@@ -14,7 +14,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from drivers.emulators.rtde_wire import REGISTERS
 from drivers.emulators.ur_arm import (
     Decelerate,
     Joints,
@@ -25,6 +24,7 @@ from drivers.emulators.ur_arm import (
     Speed,
 )
 from drivers.interfaces import FloatArray
+from drivers.rtde_wire import REGISTERS
 from drivers.ur_kinematics import OutOfReachError
 from drivers.ur_pose import matrix_of, pose_of
 

@@ -4,7 +4,7 @@
 
 Its own process, because ur-rtde holds the interpreter's lock while it waits for the controller.
 Several run side by side on different addresses 127.0.0.x.  It ends when its standard input does,
-so that it never outlives whoever started it.
+so that it never outlives whoever started it.  PolyScope X, from version 10 on, has no dashboard.
 
 Faults come as lines of JSON on port 39999, `{"op": "protective_stop"}`; see `ur_ports.Faults`.
 """
@@ -17,14 +17,16 @@ import selectors
 import socket
 import sys
 import time
+from dataclasses import replace
 
-from drivers.emulators.rtde_wire import WireError
-from drivers.emulators.ur_addresses import DASHBOARD_PORT, FAULT_PORT, RTDE_PORT, SCRIPT_PORT
 from drivers.emulators.ur_arm import HOME_RAD
 from drivers.emulators.ur_controller import CYCLE_S, Controller, ControllerOptions
 from drivers.emulators.ur_ports import PORTS, Connection, Faults, Rtde
 from drivers.priority import run_in_real_time
+from drivers.rtde_wire import WireError
+from drivers.ur_addresses import DASHBOARD_PORT, FAULT_PORT, RTDE_PORT, SCRIPT_PORT
 from drivers.ur_kinematics import MODELS, load_code
+from drivers.ur_versions import has_dashboard, read_version
 
 _RESYNC_S = 0.1
 
@@ -99,10 +101,21 @@ class UrServer:
         self.controller.power_off()
         self._listen_again_s = time.monotonic() + seconds
 
+    def become(self, version: str) -> None:
+        """Have other software from now on: major.minor.bugfix.build."""
+        options = self.controller.options
+        self.controller.options = replace(options, version=read_version(version))
+        self.drop()
+        self._stop_listening()
+        self._listen()
+
     # --- network ------------------------------------------------------------------------------
 
     def _listen(self) -> None:
+        version = self.controller.options.version
         for port in PORTS:
+            if port == DASHBOARD_PORT and not has_dashboard(version[:2]):
+                continue
             if port not in self._listeners:
                 listener = socket.create_server((self._host, port), backlog=16)
                 listener.setblocking(False)
@@ -191,10 +204,9 @@ def main() -> None:
     arguments = parser.parse_args()
     if not arguments.host.startswith("127."):
         parser.error("an emulator serves loopback addresses only")
-    major, minor, bugfix, build = (int(part) for part in arguments.version.split("."))
     start = arguments.start_rad
     options = ControllerOptions(
-        (major, minor, bugfix, build),
+        read_version(arguments.version),
         MODELS[arguments.model],
         arguments.time_scale,
         start_rad=HOME_RAD if start is None else tuple(float(q) for q in start.split(",")),

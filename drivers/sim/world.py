@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -78,6 +79,7 @@ class World:
         self._grid_hz = grid_hz
         self._ahead_s = ahead_s
         self._waiting: deque[CableShape] = deque()
+        self._further: Iterator[CableShape] = iter(())
         self._held: _Held | None = None
         self._last: tuple[_Held, float] | None = None  # the cable let go last, and when
 
@@ -126,6 +128,11 @@ class World:
         with self.lock:
             self._waiting.append(cable)
 
+    def supply(self, cables: Iterator[CableShape]) -> None:
+        """Where further cables come from when those laid out are taken."""
+        with self.lock:
+            self._further = cables
+
     @property
     def waiting(self) -> int:
         """Number of cables laid out."""
@@ -140,9 +147,10 @@ class World:
         """Close the jaws on the next cable laid out; False if there is none."""
         with self.lock:
             self.drop()
-            if not self._waiting:
+            shape = self._waiting.popleft() if self._waiting else next(self._further, None)
+            if shape is None:
                 return False
-            self._held = _Held(self._waiting.popleft(), self.clock.now_s())
+            self._held = _Held(shape, self.clock.now_s())
             return True
 
     def drop(self) -> None:

@@ -142,6 +142,8 @@ def not_there(text: str) -> list[str]:
         match re.findall(r"[^\s\[\]|]+", line.partition("#")[0].removeprefix(".venv/bin/")):
             case ["cell", name, *words]:
                 command = commands.commands.get(name)
+                while isinstance(command, TyperGroup) and words and words[0] in command.commands:
+                    command = command.commands[words.pop(0)]
                 known = [] if command is None else [o for p in command.params for o in p.opts]
                 options = [word for word in words if re.match(r"--?[a-z]", word)]
                 found += [f"{name} {o}" for o in options if o not in known]

@@ -16,7 +16,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.emulators.launch import EmulatedController
 from drivers.interfaces import (
     ArmMode,
     ConnectError,
@@ -336,15 +335,65 @@ def test_a_wrong_model_is_noticed(ur_options) -> None:
         replace(ur_options, model="UR5")
 
 
-def test_a_controller_of_another_version_is_refused(free_loopback, ur_options) -> None:
-    host = free_loopback()
-    other = UrArm(replace(ur_options, host=host))
-    named = r"PolyScope 5.22.*proven with 5.6 to 5.21; install"
-    with (
-        EmulatedController(host, version="5.22.0.1"),
-        pytest.raises(ConnectError, match=named),
-    ):
-        other.connect()
+@pytest.fixture
+def newer(ur_options, ur_emulator):
+    """The arm with a controller whose software is another one, as a function of the version."""
+
+    def make(version: str, allow_version: tuple[int, int] | None = None) -> UrArm:
+        ur_emulator.ask("version", version=version)
+        return UrArm(replace(ur_options, allow_version=allow_version))
+
+    yield make
+    ur_emulator.ask("version", version="5.12.2.1101534")
+
+
+def test_a_controller_of_another_version_is_refused(newer, ur_emulator) -> None:
+    named = r"PolyScope 5.22, unknown: .*issue 334.*; install PolyScope 5.6 to 5.21; or take"
+    with pytest.raises(ConnectError, match=named):
+        newer("5.22.0.1").connect()
+    assert ur_emulator.ask("state")["runtime"] == "STOPPED"
+
+
+@pytest.mark.parametrize(("version", "allowed"), [("5.26.0.1", (5, 26)), ("10.13.0.1", (10, 13))])
+def test_an_allowed_version_moves_stops_and_starts_again(
+    newer, ur_emulator, line, version, allowed
+) -> None:
+    """With the dashboard of PolyScope 5 and without one, as PolyScope X is."""
+    arm = newer(version, allowed)
+    arm.connect()
+    try:
+        asked = ur_emulator.ask("state")["dashboard_lines"]
+        arm.follow(line(dy_m=-0.01, start=arm.state().pose))
+        until(lambda: not arm.state().moving)
+        ur_emulator.ask("protective_stop")
+        until(lambda: arm.state().mode is ArmMode.PROTECTIVE_STOP)
+        with pytest.raises(StoppedError, match="find the cause, unlock at the pendant"):
+            arm.reset()
+        ur_emulator.ask("clear")
+        until(lambda: arm.state().mode is ArmMode.STOPPED)
+        arm.reset()
+        arm.follow(line(dy_m=0.01, start=arm.state().pose))
+        until(lambda: not arm.state().moving)
+        told = ur_emulator.ask("state")["dashboard_lines"] - asked
+        assert (told > 0) is version.startswith("5.")
+    finally:
+        arm.close()
+
+
+def test_what_polyscope_x_does_not_tell_is_said_to_a_person(newer, ur_emulator) -> None:
+    arm = newer("10.12.0.1", (10, 12))
+    arm.connect()
+    try:
+        ur_emulator.ask("end_program")
+        ur_emulator.ask("local", on=True)
+        until(lambda: arm.state().mode is ArmMode.STOPPED)  # whether it is local, nobody tells
+        with pytest.raises(StoppedError, match="program does not start; PolyScope X does not tell"):
+            arm.reset()
+        ur_emulator.ask("local", on=False)
+        arm.reset()
+        assert arm.state().mode is ArmMode.READY
+    finally:
+        arm.close()
 
 
 def test_a_stopped_controller_is_not_connected_to(ur_options, ur_emulator) -> None:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.emulators.ur_addresses import FAULT_PORT
+from drivers.ur_addresses import FAULT_PORT
 
 pytest.importorskip("rtde_control", reason="ur-rtde has no wheel for this machine")
 

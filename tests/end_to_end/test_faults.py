@@ -287,3 +287,22 @@ def test_a_second_process_that_cannot_begin_is_named_with_the_remedy(
     assert result.fault is not None
     assert (result.fault.device, result.fault.step) == ("computer", "warm_up")
     assert "free memory" in result.fault.remedy
+
+
+def test_a_hold_while_suspended_lasts_when_the_suspension_ends(live: Live) -> None:
+    """It was forgotten until the next motion had been made."""
+    states: list[CellState] = []
+    it = live({"grasp": lambda it: it.cell.command(Event.SUSPEND)})
+
+    def on_change(state: CellState) -> None:
+        states.append(state)
+        if state is CellState.SUSPENDED:
+            it.cell.command(Event.HOLD)
+            it.cell.command(Event.UNSUSPEND)
+        if state is CellState.HELD:
+            assert it.steps[-1] == "suspended"
+            it.cell.command(Event.UNHOLD)
+
+    it.cell.machine.on_change = on_change
+    assert it.cell.run_cycle(1).outcome is Outcome.INSERTED
+    assert CellState.HELD in states

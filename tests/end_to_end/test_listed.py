@@ -214,12 +214,15 @@ def test_a_person_acknowledges_a_fault_afterwards(tmp_path: Path) -> None:
         result = Result(number, Outcome.FAILED, str(folder), fault=fault)
         ledger.write([Entry("line3", number, folder, at, "inserted", ended=at, result=result)])
     ledger.close()
+    (tmp_path / "runs" / "cycle-3").mkdir(parents=True)  # the other records are elsewhere
     place = ("--ledger", tmp_path / "runs")
     assert run("history", *place).stdout.count("arm.stopped (open)") == 3
     done = run("acknowledge", *place, "--by", "Ada", "--note", "button released", "--json")
     (said,) = json.loads(done.stdout)
     assert (said["by"], said["note"], said["fault"]) == ("Ada", "button released", "arm.stopped")
     assert said["folder"].endswith("cycle-3")
+    state = json.loads((tmp_path / "runs" / "cycle-3" / "state.json").read_text())
+    assert state["acknowledged"] == {"by": "Ada", "note": "button released"}, "a service goes on"
     assert run("acknowledge", *place, tmp_path / "runs" / "cycle-1").returncode == 0
     opened = json.loads(run("history", *place, "--open", "--json").stdout)
     assert [Path(c["folder"]).name for c in opened] == ["cycle-2"]

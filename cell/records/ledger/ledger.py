@@ -343,11 +343,11 @@ def _write(connection: Connection, entry: Entry, of_now: bool) -> None:
     known = connection.execute(
         select(cycles.c.id, cycles.c.outcome, cycles.c.ordered).where(cycles.c.uid == entry.uid)
     ).first()
-    if known is not None and known.outcome is not None:
+    if known is not None and (known.outcome is not None or entry.result is None):
         if entry.acknowledged is not None:
             _acknowledge(connection, known.id, entry.acknowledged)
             return
-        if entry.result is None:
+        if known.outcome is not None and entry.result is None:
             return
     values = _row(entry) | {"part_id": _part(connection, entry.part)}
     if known is None:

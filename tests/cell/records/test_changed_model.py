@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cell.cli.run import _another_model, _changes
+from cell.cli.changes import another_model, changes
 from cell.records.changed_model import worsenings
 from cell.records.folder import Record
 from cell.records.ledger.entry import entry_of_folder
@@ -91,7 +91,7 @@ def test_the_line_goes_back_by_itself_only_if_the_settings_say_so(
     ledger = Ledger(runs, create=True)
     ledger.write([entry_of_folder(f, line) for f in sorted(runs.iterdir())], of_now=False)
     ledger.close()
-    lines = _changes(runs, found[-1:], config, settings)
+    lines = changes(runs, found[-1:], config, settings)
     assert any(line.startswith("since the model was changed forecasts err") for line in lines)
     if withdraw:
         assert model_hash(load_settings(config).model) == first
@@ -106,14 +106,14 @@ def test_a_run_says_that_its_cycles_do_not_use_what_was_promoted_meanwhile(tmp_p
     text = (ROOT / "config" / "fake.yaml").read_text(encoding="utf-8")
     config.write_text(text, "utf-8")
     begun = load_settings(config)
-    assert _another_model(config, begun) == ""
+    assert another_model(config, begun) == ""
     config.write_text(f"# a word\n{text}", "utf-8")
-    assert _another_model(config, begun) == "", "the file changed, the model did not"
+    assert another_model(config, begun) == "", "the file changed, the model did not"
     config.write_text(f"{text}\nmodel: {{effects: [{{effect: air_drag}}]}}\n", "utf-8")
-    said = _another_model(config, begun)
+    said = another_model(config, begun)
     hashes = [model_hash(s.model) for s in (load_settings(config), begun)]
     assert (
         f"another model by now, {hashes[0]}: the cycles of this run still use {hashes[1]}" in said
     )
     config.write_text(f"{text}\nmodel: {{effects: [", "utf-8")
-    assert _another_model(config, begun) == "", "half edited: whoever reads it next complains"
+    assert another_model(config, begun) == "", "half edited: whoever reads it next complains"

@@ -6,7 +6,7 @@ import pytest
 
 from cell.records.folder import RecordError
 from cell.run.commands import InterruptedByCommandError
-from cell.run.cycle import _fault
+from cell.run.endings import fault_of
 from cell.run.machine import Event
 from drivers.interfaces import (
     CameraError,
@@ -38,6 +38,6 @@ from drivers.interfaces import (
     ],
 )
 def test_the_code_names_device_and_kind(error: BaseException, code: str) -> None:
-    fault, _ = _fault("lower", error)
+    fault, _ = fault_of("lower", error)
     assert fault.code == code
     assert fault.step == "lower"

@@ -10,7 +10,7 @@ import time
 import pytest
 
 from drivers.emulators.launch import EmulatedController, EmulatorError
-from drivers.emulators.rtde_wire import Kind, Packet, Splitter
+from drivers.rtde_wire import Kind, Packet, Splitter
 
 rtde_control = pytest.importorskip("rtde_control", reason="ur-rtde has no wheel for this machine")
 rtde_receive = pytest.importorskip("rtde_receive")

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.emulators.rtde_wire import (
+from drivers.rtde_wire import (
     INPUTS,
     OUTPUTS,
     TYPES,

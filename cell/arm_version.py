@@ -1,0 +1,118 @@
+"""Who takes responsibility for a controller whose version is not proved, and after which dry run.
+
+`arm.allow_version` names the version.  The first dry run at low speed with that controller is
+remembered in the folder of the records; without one, no cable is moved.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from cell.files.atomic import write_whole
+from cell.files.input_error import InputError
+from cell.records.result import Outcome, Result
+from cell.settings import Settings
+from cell.settings import devices as given
+from drivers.ur_identity import Identity, identify
+from drivers.ur_versions import is_proved, refusal
+
+#: In the folder of the records.
+FILE = "allowed_versions.json"
+#: Share of the full speed that such a dry run may have at most.
+MOST_SPEED = 0.25
+
+
+@dataclass(frozen=True)
+class PassedDryRun:
+    """A dry run that found no error, with a controller whose version is not proved.
+
+    host           address of the controller
+    serial_number  None = it tells none, as PolyScope X: then its address has to do
+    speed          share of the full speed
+    time           UTC, ISO 8601
+    folder         of the record of the dry run
+    """
+
+    version: str
+    host: str
+    serial_number: str | None
+    speed: float
+    time: str
+    folder: str
+
+    def is_of(self, controller: Identity, host: str) -> bool:
+        """Whether it was made with this controller and this very version."""
+        same = self.version == controller.version_text
+        if controller.serial_number is not None:
+            return same and self.serial_number == controller.serial_number
+        return same and self.serial_number is None and self.host == host
+
+
+def check_arm_version(settings: Settings, config: Path, runs: Path, speed: float | None) -> None:
+    """Whether the controller's version is proved, or was tried in a dry run at low speed.
+
+    A controller that does not answer, or is refused, is left to the driver, which says so.
+
+    speed   of the dry run that is to be made; None = a cable is to be moved
+    raises  InputError: neither, with the command to type
+    """
+    arm, found = settings.arm, _unproved(settings)
+    if found is None or (speed is not None and speed <= MOST_SPEED):
+        return
+    assert isinstance(arm, given.UrArm)
+    if any(passed.is_of(found, arm.host) for passed in passed_dry_runs(runs)):
+        return
+    raise InputError.at(
+        config,
+        f"{arm.allow_version} is not proved: no dry run at a speed of at most {MOST_SPEED:g} has "
+        f"passed with PolyScope {found.version_text} at {arm.host}, as far as {runs / FILE} says; "
+        f"empty the jaws, then: cell run --config {config} --out {runs} --dry-run --speed 0.1",
+        key="arm.allow_version",
+    )
+
+
+def remember_dry_run(settings: Settings, runs: Path, results: Sequence[Result]) -> None:
+    """Keep that a dry run has passed, if it is one on which `check_arm_version` relies.
+
+    raises  OSError: it cannot be written
+    """
+    for result in results:
+        slow = result.speed is not None and result.speed <= MOST_SPEED
+        if result.outcome is Outcome.REHEARSED and slow and (found := _unproved(settings)):
+            assert isinstance(settings.arm, given.UrArm) and result.speed is not None
+            passed = PassedDryRun(
+                found.version_text,
+                settings.arm.host,
+                found.serial_number,
+                result.speed,
+                datetime.now(UTC).isoformat(timespec="seconds"),
+                result.folder,
+            )
+            everything = [asdict(one) for one in (*passed_dry_runs(runs), passed)]
+            write_whole(runs / FILE, json.dumps(everything, indent=2) + "\n")
+
+
+def passed_dry_runs(runs: Path) -> tuple[PassedDryRun, ...]:
+    """Those that are remembered; none if the file is missing or not what was written."""
+    with suppress(OSError, ValueError, TypeError):
+        text = (runs / FILE).read_text(encoding="utf-8")
+        return tuple(PassedDryRun(**entry) for entry in json.loads(text))
+    return ()
+
+
+def _unproved(settings: Settings) -> Identity | None:
+    """The controller, if it runs a version that is allowed by the settings alone."""
+    arm = settings.arm
+    if not isinstance(arm, given.UrArm) or arm.allow_version is None:
+        return None
+    try:
+        found = identify(arm.host)
+    except OSError:
+        return None
+    refused = refusal(found.release, arm.allowed_version) is not None
+    return None if refused or is_proved(found.release) else found

@@ -1,0 +1,66 @@
+"""The command by which a PLC starts a cell with digital signals: handshake."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cell.cli.lab import refusing
+from cell.cli.shared import MaybeConfig, group, refuse
+
+if TYPE_CHECKING:
+    from cell.settings.plant import Handshake
+
+app = group()
+
+
+@app.command()
+def handshake(
+    *,
+    config: MaybeConfig = None,
+    runs: Annotated[Path, typer.Option(help="Folder of the cell's records.")] = Path("runs"),
+) -> None:
+    """Let a PLC start a running cell with digital signals over Modbus/TCP (plant.handshake).
+
+    It is a process of its own: it may begin and end before or after the cell, and be killed.  A
+    start that is held at its beginning does nothing until it falls.
+
+    Exit codes: 0 if it was ended by Ctrl-C or SIGTERM; 2 if the settings are wrong, or the port
+    cannot be listened at.
+    """
+    from cell.plant.handshake.adapter import HandshakeAdapter
+    from cell.plant.handshake.carrier import CarrierError
+    from cell.plant.handshake.modbus import ModbusCarrier
+    from cell.plant.wire import LinkError
+
+    with refusing():
+        said = _settings(config)
+        try:
+            with ModbusCarrier(said) as carrier:
+                adapter = HandshakeAdapter(carrier, runs, said.by)
+                for number in (signal.SIGINT, signal.SIGTERM):
+                    signal.signal(number, lambda *_: adapter.end())
+                adapter.run()
+        except (CarrierError, LinkError) as error:
+            refuse(error)
+
+
+def _settings(config: Path | None) -> Handshake:
+    from cell.files.input_error import InputError
+    from cell.settings import load_settings
+
+    if config is None:
+        raise ValueError("--config is missing: name the settings of the cell")
+    settings = load_settings(config)
+    if settings.plant is None or settings.plant.handshake is None:
+        raise InputError.at(config, "is missing; say where the signals are", key="plant.handshake")
+    try:
+        import pymodbus  # noqa: F401
+    except ImportError as error:
+        raise ValueError(
+            "the handshake needs pymodbus: pip install 'cable-cell[modbus]'"
+        ) from error
+    return settings.plant.handshake

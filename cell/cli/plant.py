@@ -1,0 +1,192 @@
+"""Commands about a cell that runs: status, send; and its unit for systemd: service."""
+
+from __future__ import annotations
+
+import getpass
+import json
+import sys
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NoReturn
+
+import typer
+
+from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, AsJson, Config, group, refuse
+from cell.cli.streams import emit
+
+if TYPE_CHECKING:
+    from cell.plant.messages import Notice, Status
+
+app = group()
+
+#: Exit code: no cell runs there.
+NO_CELL = 3
+
+Runs = Annotated[Path, typer.Option(help="Folder of the records of the cell: its --out.")]
+
+
+@app.command()
+def status(
+    runs: Runs = Path("runs"),
+    as_json: AsJson = False,
+    watch: Annotated[
+        bool, typer.Option("--watch", help="Go on, a line for all that happens, until Ctrl-C.")
+    ] = False,
+) -> None:
+    """Say how a running cell does: state, step, cycle, counts, fault with cause and remedy.
+
+    Exit codes: 0 if it works or can; 1 if it waits for a person, after a fault or a stop; 3 if no
+    cell runs there.
+    """
+    from cell.plant.client import Client
+    from cell.plant.messages import Status, to_json
+    from cell.plant.wire import LinkError
+
+    client = Client(runs)
+    try:
+        now = client.status()
+        if watch:
+            for message in client.follow():
+                if as_json:
+                    emit(json.dumps(to_json(message), ensure_ascii=False))
+                elif isinstance(message, Status):
+                    emit("\n".join(_lines(message)))
+                else:
+                    emit(_line(message))
+    except LinkError as error:
+        _no_cell(error)
+    except KeyboardInterrupt:
+        raise typer.Exit(ALL_DONE) from None
+    if as_json:
+        emit(json.dumps(to_json(now), indent=2, ensure_ascii=False))
+    else:
+        emit("\n".join(_lines(now)))
+    needs_person = now.fault is not None or now.state.value in ("stopped", "aborted")
+    raise typer.Exit(NOT_ALL_DONE if needs_person else ALL_DONE)
+
+
+@app.command()
+def send(
+    command: Annotated[
+        str,
+        typer.Argument(
+            help="start, hold, unhold, suspend, unsuspend, stop, abort, clear, reset or product."
+        ),
+    ],
+    *,
+    runs: Runs = Path("runs"),
+    by: Annotated[str | None, typer.Option(help="Who; default: who is logged in.")] = None,
+    note: Annotated[str, typer.Option(help="What was found, what was done.")] = "",
+    part: Annotated[str | None, typer.Option(help="Of a start: id of the cable.")] = None,
+    product: Annotated[str | None, typer.Option(help="What the next cycles make.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Give a command to a running cell, and print its answer.
+
+    After a fault or a stop, `clear` (if it is aborted) and `reset` are your word that you have
+    looked at the cause; the ledger keeps it.  `product` only changes what is made.
+
+    Exit codes: 0 if the cell obeys; 1 if it refuses; 2 if there is no such command; 3 if no cell
+    runs there.
+    """
+    from cell.cli.part_ids import checked
+    from cell.plant.client import Client
+    from cell.plant.messages import COMMANDS, Request, to_json
+    from cell.plant.wire import LinkError
+    from cell.run.machine import Event
+
+    if command != "product" and command not in COMMANDS:
+        known = ", ".join([*sorted(COMMANDS), "product"])
+        refuse(ValueError(f"{command!r} is no command; those are {known}"))
+    if command == "product" and product is None:
+        refuse(ValueError("product: --product is missing, what the next cycles make"))
+    try:
+        part = None if part is None else checked(part)
+    except ValueError as error:
+        refuse(ValueError(f"--part {error}"))
+    event = None if command == "product" else Event(command)
+    try:
+        answer = Client(runs).send(Request(event, by or _user(), note, part, product))
+    except LinkError as error:
+        _no_cell(error)
+    if as_json:
+        emit(json.dumps(to_json(answer), ensure_ascii=False))
+    elif answer.accepted:
+        emit(f"{command}: accepted; the cell is {answer.state.value}")
+    else:
+        print(answer.reason, file=sys.stderr)
+    raise typer.Exit(ALL_DONE if answer.accepted else NOT_ALL_DONE)
+
+
+@app.command()
+def service(
+    config: Config,
+    out: Annotated[Path, typer.Option(help="Folder of the records.")] = Path("runs"),
+    user: Annotated[str | None, typer.Option(help="As whom; default: who is logged in.")] = None,
+) -> None:
+    """Print a unit for systemd, which runs the cell as a service (docs/plant.md).
+
+    Exit codes: 0; 2 if the settings are wrong.
+    """
+    from cell.files.input_error import InputError
+    from cell.settings import load_settings
+
+    try:
+        load_settings(config)
+    except InputError as error:
+        refuse(error)
+    template = files("cell.plant").joinpath("templates", "cable-cell.service").read_text("utf-8")
+    emit(
+        template.format(
+            config=config.resolve(),
+            runs=out.resolve(),
+            folder=Path.cwd(),
+            user=user or _user(),
+            python=sys.executable,
+        ).rstrip()
+    )
+
+
+def _user() -> str:
+    """Who is logged in; a service may have no name."""
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return "somebody"
+
+
+def _no_cell(error: Exception) -> NoReturn:
+    print(error, file=sys.stderr)
+    raise typer.Exit(NO_CELL) from error
+
+
+def _lines(status: Status) -> list[str]:
+    """A status as a person reads it."""
+    step = f", step {status.step.replace('_', ' ')}" if status.step else ""
+    part = f", part {status.part}" if status.part else ""
+    product = f", product {status.product}" if status.product else ""
+    counts = ", ".join(f"{number} {outcome}" for outcome, number in status.counts.items())
+    lines = [
+        f"{status.line}: {status.state.value}{step}",
+        f"cycle {status.cycle}{part}{product}; {counts or 'no cable yet'}",
+    ]
+    if status.waiting_for:
+        lines.append(f"waits for {', '.join(status.waiting_for)}")
+    if status.fault is not None:
+        fault = status.fault
+        device = f"{fault.device}: " if fault.device else ""
+        lines.append(f"fault in cycle {fault.cycle}, step {fault.step}: {device}{fault.cause}")
+        lines += [line for line in (fault.remedy, fault.cable) if line]
+    return lines
+
+
+def _line(notice: Notice) -> str:
+    """A notice as a person reads it."""
+    if notice.kind.value == "result":
+        return f"result: cycle {notice.data['cycle']} {notice.data['outcome']}"
+    said = ", ".join(
+        f"{key} {value}"
+        for key, value in notice.data.items()
+        if value not in (None, "", []) and key not in ("since", "time_s")
+    )
+    return f"{notice.kind.value}: {said or 'nothing'}"

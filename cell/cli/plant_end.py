@@ -1,0 +1,142 @@
+"""The end of `cell run` that faces the plant: its link, and the service with `--cycles forever`."""
+
+from __future__ import annotations
+
+import logging
+import signal
+import time
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from cell.plant.link import Handler, Link
+from cell.plant.messages import COMMANDS, Answer, Request, Status
+from cell.plant.orders import LATCHED, latch, refusal
+from cell.plant.reporter import Reporter
+from cell.plant.service import Service
+from cell.plant.wire import LinkError
+from cell.records.result import Result
+from cell.run.cycle import Cell
+from cell.run.machine import Event
+from cell.run.plans import Plan
+from cell.settings.model import Settings
+from cell.settings.referred import calibration_hash, line_of
+from cell.settings.translate import model_hash
+
+_LOG = logging.getLogger(__name__)
+
+
+class PlantEnd:
+    """Lets programs beside a cell look at it and command it, while it runs."""
+
+    def __init__(self, cell: Cell, runs: Path, settings: Settings) -> None:
+        self._cell = cell
+        self._runs = runs
+        self._settings = settings
+        self._service: Service | None = None
+        self.reporter = Reporter(lambda kind, data: None)
+
+    def step(self, number: int, step: str) -> None:
+        """A step begins: for the cell's `on_step`."""
+        if self._service is not None:
+            self._service.step(number, step)
+        else:
+            self.reporter.step(number, step)
+
+    @contextmanager
+    def reachable(self) -> Iterator[None]:
+        """A run of so many cycles: it can be looked at and held, and takes no starts.
+
+        Where there can be no socket, or another cell has it, the run goes on without.
+        """
+        link = self._link(self._answer, LATCHED)
+        self._report_to(link)
+        self._cell.machine.on_change = self.reporter.state
+        try:
+            opened = link.__enter__()
+        except LinkError as error:
+            _LOG.warning("%s", error)
+            yield
+            return
+        with _closing(opened):
+            yield
+
+    def serve(self, plan: Plan, told: Callable[[Result], None]) -> bool:
+        """Make cycles on request until SIGTERM; whether Ctrl-C stopped one that was under way.
+
+        raises  LinkError: another cell runs there already; InputError; RecordError
+        """
+        waiting: list[Service] = []
+        link = self._link(lambda request: waiting[0].answer(request), COMMANDS)
+        stopped = False
+
+        def tell(result: Result) -> None:
+            nonlocal stopped
+            told(result)
+            if interrupted(result):
+                stopped = True
+                raise KeyboardInterrupt
+
+        self._report_to(link)
+        service = Service(self._cell, self.reporter, self._runs, plan=plan)
+        self._service = service
+        waiting.append(service)
+        with link, _ended_by_sigterm(service):
+            try:
+                service.run(tell)
+            except KeyboardInterrupt:
+                return stopped
+        return False
+
+    def _report_to(self, link: Link) -> None:
+        self.reporter = Reporter(link.publish)
+
+    def _link(self, handler: Handler, obeyed: Collection[Event]) -> Link:
+        status = Status(
+            run="",
+            sequence=0,
+            state=self._cell.machine.state,
+            since_s=time.time(),
+            line=line_of(self._settings),
+            model=model_hash(self._settings.model),
+            calibration=calibration_hash(self._settings),
+            software=version("cable-cell"),
+        )
+        return Link(self._runs, status, handler, obeyed)
+
+    def _answer(self, request: Request) -> Answer:
+        if request.command in LATCHED:
+            return latch(self._cell, request)
+        what = request.command.value if request.command else "product"
+        why = "this run makes a number of cycles; `cell run --cycles forever` takes starts"
+        return refusal(self._cell, what, why)
+
+
+def interrupted(result: Result) -> bool:
+    """Whether Ctrl-C or a closed terminal has ended a cycle, not a command to the cell."""
+    causes = ("interrupted by a person", "the terminal was closed")
+    return result.fault is not None and result.fault.cause in causes
+
+
+@contextmanager
+def _closing(link: Link) -> Iterator[None]:
+    try:
+        yield
+    finally:
+        link.__exit__(None, None, None)
+
+
+@contextmanager
+def _ended_by_sigterm(service: Service) -> Iterator[None]:
+    """SIGTERM ends the service after the cycle under way."""
+
+    def end(number: int, frame: Any) -> None:
+        service.end()
+
+    former = signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, former)

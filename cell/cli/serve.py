@@ -1,0 +1,168 @@
+"""The commands of the pages: serve, serve user add, serve user remove."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cell.cli.shared import BAD_INPUT, MaybeConfig, group, refuse
+
+if TYPE_CHECKING:
+    from cell.web.visit import Room
+
+app = typer.Typer(
+    name="serve",
+    invoke_without_command=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+user = group()
+app.add_typer(user, name="user", help="Users of the pages.")
+
+Name = Annotated[str, typer.Argument(help="Name of the user.")]
+UsersFile = Annotated[Path, typer.Option("--users", help="File of the users.")]
+_USERS = Path("web-users.json")
+
+
+@dataclass(frozen=True)
+class _Address:
+    """Where the pages are served, and with what."""
+
+    host: str
+    port: int
+    certificate: Path | None
+    key: Path | None
+
+
+@app.callback()
+def serve(
+    context: typer.Context,
+    config: MaybeConfig = None,
+    runs: Annotated[
+        Path, typer.Option(help="Folder of the records of the cell that is shown.")
+    ] = Path("runs"),
+    host: Annotated[str, typer.Option(help="Address to listen at.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=1, max=65535, help="Port to listen at.")] = 8080,
+    certificate: Annotated[Path | None, typer.Option(help="Certificate of TLS, PEM.")] = None,
+    key: Annotated[Path | None, typer.Option(help="Key of the certificate, PEM.")] = None,
+    users: UsersFile = _USERS,
+) -> None:
+    """Serve the pages of a cell for browsers, until Ctrl-C.
+
+    It is a process of its own beside `cell run`: whatever happens to it, the cell goes on.  On
+    loopback there are no accounts; any other address needs TLS and users.
+
+    Exit codes: 0; 2 if the settings or options are wrong, or the address is taken.
+    """
+    if context.invoked_subcommand is not None:
+        return
+    if config is None:
+        print("--config is missing: the settings of the cell", file=sys.stderr)
+        raise typer.Exit(BAD_INPUT)
+    try:
+        _serve(config, runs, _Address(host, port, certificate, key), users)
+    except ImportError as error:
+        _without_extra(error)
+    except (OSError, ValueError) as error:
+        refuse(error)
+
+
+def _serve(config: Path, runs: Path, at: _Address, file: Path) -> None:
+    """Serve until the end.  Raises ValueError, OSError: it cannot be done so."""
+    import socket
+
+    from cell.web.guard import LOOPBACK
+    from cell.web.serve import may_be_served
+    from cell.web.serve import serve as serve_pages
+    from cell.web.users import Users
+
+    accounts = Users(file)
+    loopback = at.host in LOOPBACK
+    if (at.certificate is None) != (at.key is None):
+        raise ValueError("--certificate and --key go together; give both")
+    tls = None if at.certificate is None or at.key is None else (at.certificate, at.key)
+    refused = may_be_served(at.host, tls is not None, len(accounts), loopback)
+    if refused:
+        raise ValueError(refused)
+    room = _room(config, runs, accounts if not loopback or len(accounts) else None)
+    family = socket.AF_INET6 if ":" in at.host else socket.AF_INET
+    with socket.socket(family) as tried:
+        tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        tried.bind((at.host, at.port))
+    print(f"{'http' if tls is None else 'https'}://{at.host}:{at.port}", flush=True)
+    serve_pages(room, accounts, (at.host, at.port), tls)
+
+
+def _room(config: Path, runs: Path, accounts: object) -> Room:
+    """What the pages share.  Raises InputError: the settings are wrong."""
+    from cell.plant.client import Client
+    from cell.settings import load_settings
+    from cell.web.audit import Audit, audit_file
+    from cell.web.control import Control
+    from cell.web.sessions import Sessions
+    from cell.web.users import Users
+    from cell.web.visit import Room
+    from cell.web.watching import Watch
+
+    settings = load_settings(config)
+    watches: list[Watch] = []
+    client = Client(runs, on_lost=lambda: watches[0].lost())
+    watch = Watch(client, settings, runs)
+    watches.append(watch)
+    sessions = Sessions(accounts.named) if isinstance(accounts, Users) else None
+    audit = Audit(audit_file(runs))
+    return Room(config, settings, runs, client, watch, Control(), audit, sessions)
+
+
+@user.command()
+def add(
+    name: Name,
+    *,
+    role: Annotated[str, typer.Option(help="watch, operate or engineer.")] = "watch",
+    users: UsersFile = _USERS,
+) -> None:
+    """Add a user, or give one another role and password.
+
+    The password is asked for; without a terminal it is the first line of the standard input.  Only
+    its hash is kept, in a file that only its owner can read.
+    """
+    try:
+        from cell.web.users import Role, Users
+
+        if role not in Role.__members__:
+            raise ValueError(f"--role {role}: no role; give one of {', '.join(Role.__members__)}")
+        new = Users(users).add(name, Role[role], _password())
+        print(f"{name}: {'added' if new else 'changed'}, may {role}")
+    except ImportError as error:
+        _without_extra(error)
+    except (OSError, ValueError) as error:
+        refuse(error)
+
+
+@user.command()
+def remove(name: Name, *, users: UsersFile = _USERS) -> None:
+    """Remove a user, whose sessions end."""
+    from cell.web.users import Users
+
+    try:
+        Users(users).remove(name)
+        print(f"{name}: removed")
+    except (OSError, ValueError) as error:
+        refuse(error)
+
+
+def _password() -> str:
+    if sys.stdin.isatty():
+        return str(typer.prompt("Password", hide_input=True, confirmation_prompt=True))
+    return sys.stdin.readline().rstrip("\r\n")
+
+
+def _without_extra(error: ImportError) -> None:
+    needed = (error.name or "").partition(".")[0]
+    if needed not in ("nicegui", "argon2", "fastapi", "starlette", "uvicorn"):
+        raise error
+    refuse(ValueError(f"the pages need {error.name}: pip install 'cable-cell[web]'"))

@@ -1,0 +1,210 @@
+"""The other end of the link: a program beside the cell looks at it, follows it and commands it."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from cell.plant.messages import PROTOCOL, Answer, Notice, Request, Status, to_json
+from cell.plant.wire import (
+    LONGEST_LINE,
+    LinkError,
+    NoCellError,
+    ProtocolError,
+    answer_of,
+    has_unix_sockets,
+    line_of,
+    notice_of,
+    read_line,
+    socket_of,
+    status_of,
+)
+
+#: A cell that is away is looked for again so soon, s, then later and later.
+_FIRST_S, _LAST_S = 0.1, 1.0
+
+
+class Client:
+    """Reaches the cell whose records are in the folder `runs`; safe to be used by many threads.
+
+    Every question has a connection of its own, so a cell may end and begin between two.
+
+    timeout_s  so long an answer is waited for
+    on_lost    told, in the thread that follows, when a cell that was followed is there no more;
+               its Status comes first when it is there again
+    """
+
+    def __init__(
+        self,
+        runs: Path,
+        *,
+        timeout_s: float = 5.0,
+        on_lost: Callable[[], None] = lambda: None,
+    ) -> None:
+        self.path = socket_of(runs)
+        self._runs = runs
+        self._timeout_s = timeout_s
+        self._on_lost = on_lost
+        self._closed = threading.Event()
+        self._lock = threading.Lock()
+        self._open: set[socket.socket] = set()
+
+    def connect(self, wait_s: float = 0.0) -> Client:
+        """Make sure that a cell is there; returns this client.
+
+        wait_s  so long it is waited for
+        raises  NoCellError: none is; ProtocolError: it speaks another version; LinkError
+        """
+        until_s = time.monotonic() + wait_s
+        while True:
+            try:
+                with self._conversation():
+                    return self
+            except NoCellError:
+                if time.monotonic() >= until_s or self._closed.wait(_FIRST_S):
+                    raise
+
+    def status(self) -> Status:
+        """State of the cell now.  Raises NoCellError; ProtocolError; LinkError."""
+        with self._conversation() as talk:
+            return status_of(talk.ask("status", None, "status"))
+
+    def send(self, request: Request) -> Answer:
+        """Ask for something, once.
+
+        raises  NoCellError: no cell was asked; LinkError: what became of the request is not known
+        """
+        with self._conversation() as talk:
+            return answer_of(talk.ask("request", to_json(request), "answer"))
+
+    def follow(self, after: tuple[str, int] | None = None) -> Iterator[Notice | Status]:
+        """All that happens, in order, until `close`; a cell that ends is waited for.
+
+        Where notices follow without a gap on the last ones, they come alone.  Otherwise a Status
+        comes first: at the beginning, of another run, or after too long a time.
+
+        after   run and sequence of the last notice that is known; None = none is
+        raises  ProtocolError: cell and program are of different versions
+        """
+        pause_s, there = _FIRST_S, False
+        while not self._closed.is_set():
+            try:
+                for message in self._messages(after):
+                    after, pause_s, there = (message.run, message.sequence), _FIRST_S, True
+                    yield message
+            except ProtocolError:
+                raise
+            except LinkError:
+                if there:
+                    there = False
+                    self._on_lost()
+            self._closed.wait(pause_s)
+            pause_s = min(2.0 * pause_s, _LAST_S)
+
+    def _messages(self, after: tuple[str, int] | None) -> Iterator[Notice | Status]:
+        """All that happens as long as one connection lasts.  Raises LinkError: it has ended."""
+        with self._conversation() as talk:
+            run, sequence = after or (None, None)
+            talk.say("follow", {"run": run, "sequence": sequence})
+            while True:
+                yield talk.hear_what_happens()
+
+    def close(self) -> None:
+        """End everything that is under way, from any thread; a client is closed for good."""
+        self._closed.set()
+        with self._lock:
+            for connected in self._open:
+                with suppress(OSError):
+                    connected.shutdown(socket.SHUT_RDWR)
+
+    @contextmanager
+    def _conversation(self) -> Iterator[_Conversation]:
+        if not has_unix_sockets():
+            raise LinkError("this system has no Unix sockets: no cell can be reached")
+        with socket.socket(socket.AF_UNIX) as connected:
+            connected.settimeout(self._timeout_s)
+            with self._lock:
+                if self._closed.is_set():
+                    raise LinkError("this client is closed")
+                self._open.add(connected)
+            try:
+                try:
+                    connected.connect(str(self.path))
+                except (FileNotFoundError, ConnectionRefusedError) as error:
+                    raise NoCellError(f"no cell runs with the records {self._runs}") from error
+                talk = _Conversation(connected)
+                talk.begin()
+                yield talk
+            except LinkError:
+                raise
+            except OSError as error:
+                cause = error.strerror or str(error) or type(error).__name__
+                raise LinkError(f"the cell is lost: {cause}: {self.path}") from error
+            finally:
+                with self._lock:
+                    self._open.discard(connected)
+
+
+class _Conversation:
+    """One connection, line by line.  Raises LinkError and OSError, from every method."""
+
+    def __init__(self, connected: socket.socket) -> None:
+        self._socket = connected
+        self._heard = bytearray()
+
+    def begin(self) -> None:
+        """Greet each other."""
+        self.say("greeting", {"protocol": PROTOCOL})
+        spoken = self._expect("greeting").get("protocol")
+        if spoken != PROTOCOL:
+            raise ProtocolError(
+                f"the cell speaks protocol {spoken!r}, this program {PROTOCOL}; update the older"
+            )
+
+    def ask(self, kind: str, data: Any, wanted: str) -> Any:
+        """Say something; the answer, of the kind that is wanted."""
+        self.say(kind, data)
+        return self._expect(wanted)
+
+    def say(self, kind: str, data: Any) -> None:
+        """Send a line."""
+        self._socket.sendall(line_of(kind, data))
+
+    def hear_what_happens(self) -> Notice | Status:
+        """The next notice, or the status that comes first; waits for it."""
+        self._socket.settimeout(None)
+        kind, data = self._line()
+        match kind:
+            case "notice":
+                return notice_of(data)
+            case "status":
+                return status_of(data)
+        raise LinkError(f"{kind}: {data}")
+
+    def _expect(self, wanted: str) -> Any:
+        kind, data = self._line()
+        if kind == "refused":
+            raise (ProtocolError if "protocol" in data else LinkError)(f"refused: {data}")
+        if kind != wanted:
+            raise ProtocolError(f"the cell says {kind!r} instead of {wanted!r}")
+        return data
+
+    def _line(self) -> tuple[str, Any]:
+        while (end := self._heard.find(b"\n")) < 0:
+            if len(self._heard) > 4 * LONGEST_LINE:
+                raise ProtocolError("the cell does not speak this protocol: a line has no end")
+            new = self._socket.recv(1 << 16)
+            if not new:
+                raise LinkError("the cell has ended")
+            self._heard += new
+        line = bytes(self._heard[:end])
+        del self._heard[: end + 1]
+        try:
+            return read_line(line)
+        except ValueError as error:
+            raise ProtocolError(f"the cell does not speak this protocol: {error}") from error

@@ -1,0 +1,136 @@
+"""The handshake while it runs: looks at bits and cell, asks the cell, tells the PLC."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from pathlib import Path
+
+from cell.plant.client import Client
+from cell.plant.handshake.carrier import Carrier, CarrierError
+from cell.plant.handshake.rules import Ask, Memory, away, look, not_obeyed
+from cell.plant.handshake.signals import UNKNOWN, Inputs, Outputs
+from cell.plant.messages import Request, Status
+from cell.plant.wire import LinkError, ProtocolError
+
+_LOG = logging.getLogger(__name__)
+
+#: Bits and cell are looked at so often, and at once when something happens in the cell, s.
+_LOOK_S = 0.05
+#: A cell that does not answer for so long is lost, s; on a computer under load it may take 1 s.
+_ANSWER_S = 2.0
+
+
+class HandshakeAdapter:
+    """Carries a PLC's wishes to the cell, and the cell's state to the PLC.
+
+    carrier  of the bits, opened and closed by the caller
+    runs     folder of the cell's records
+    by       who is said to have asked
+    """
+
+    def __init__(self, carrier: Carrier, runs: Path, by: str) -> None:
+        self._carrier = carrier
+        self._client = Client(runs, timeout_s=_ANSWER_S)
+        self._by = by
+        self._memory = Memory()
+        self._news = threading.Event()
+        self._over = threading.Event()
+        self._said: dict[str, str] = {}
+        self._outputs: Outputs | None = None
+
+    def run(self) -> None:
+        """Look until `end`; the PLC then reads a fault.
+
+        raises  ProtocolError: cell and program are of different versions
+        """
+        following = threading.Thread(target=self._follow, name="follow", daemon=True)
+        following.start()
+        try:
+            while not self._over.is_set():
+                self._news.wait(_LOOK_S)
+                self._news.clear()
+                self.look()
+        finally:
+            self._tell(UNKNOWN)
+            self._over.set()
+            self._client.close()
+            following.join(_ANSWER_S)
+
+    def end(self) -> None:
+        """End soon; safe in a signal's handler."""
+        self._over.set()
+
+    def look(self) -> None:
+        """Look once.  Raises ProtocolError."""
+        inputs, status, before = self._inputs(), self._status(), self._memory
+        if inputs is None:
+            self._memory = away(before)
+            self._tell(UNKNOWN)
+            return
+        asks, outputs, after = look(inputs, status, before)
+        self._tell(outputs)
+        for ask in asks:
+            if not self._ask(ask):
+                after = not_obeyed(ask, before, after)
+        self._memory = after
+
+    def _inputs(self) -> Inputs | None:
+        try:
+            inputs = self._carrier.read()
+        except CarrierError as error:
+            self._say("plc", f"the PLC is away: {error}; nothing is started")
+            return None
+        self._say("plc", "")
+        return inputs
+
+    def _status(self) -> Status | None:
+        try:
+            status = self._client.status()
+        except ProtocolError:
+            raise
+        except LinkError as error:
+            self._say("cell", f"the cell is away: {error}; it is waited for")
+            return None
+        self._say("cell", "")
+        return status
+
+    def _ask(self, ask: Ask) -> bool:
+        """Whether the cell obeys."""
+        what = ask.command.value
+        try:
+            answer = self._client.send(Request(ask.command, self._by, note=ask.note))
+        except LinkError as error:
+            self._say(what, f"{what}: what became of it is not known: {error}")
+            return False
+        self._say(what, "" if answer.accepted else f"{what}: {answer.reason}")
+        if answer.accepted:
+            _LOG.info("%s %s: %s", what, ask.note, answer.state.value)
+        return answer.accepted
+
+    def _tell(self, outputs: Outputs) -> None:
+        try:
+            self._carrier.write(outputs)
+        except CarrierError as error:
+            self._say("plc", f"the PLC is away: {error}; nothing is started")
+        if outputs != self._outputs:
+            _LOG.info("told: %s", outputs)
+            self._outputs = outputs
+
+    def _say(self, about: str, what: str) -> None:
+        """Warn once of what has changed; empty = all is well."""
+        before = self._said.get(about, "")
+        if what == before:
+            return
+        self._said[about] = what
+        if what:
+            _LOG.warning(what)
+        elif before and about in ("plc", "cell"):
+            _LOG.warning("the %s is there again", {"plc": "PLC", "cell": "cell"}[about])
+
+    def _follow(self) -> None:
+        try:
+            for _ in self._client.follow():
+                self._news.set()
+        except LinkError:  # the look finds it, too, and tells it
+            self._news.set()

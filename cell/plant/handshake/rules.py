@@ -1,0 +1,222 @@
+"""The rules of the handshake: from bits and the cell's status to requests and bits; pure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+from cell.plant.handshake.signals import Inputs, Outputs
+from cell.plant.messages import Status
+from cell.records.result import Outcome
+from cell.run.machine import CellState, Event
+
+#: A cycle, or what ends it, is under way.
+_BUSY = frozenset(
+    {
+        CellState.STARTING,
+        CellState.EXECUTE,
+        CellState.COMPLETING,
+        CellState.COMPLETE,
+        CellState.HOLDING,
+        CellState.HELD,
+        CellState.UNHOLDING,
+        CellState.SUSPENDING,
+        CellState.SUSPENDED,
+        CellState.UNSUSPENDING,
+        CellState.STOPPING,
+        CellState.ABORTING,
+    }
+)
+#: A person has to look before the cell works again.
+_FAULTED = frozenset(
+    {
+        CellState.STOPPING,
+        CellState.STOPPED,
+        CellState.ABORTING,
+        CellState.ABORTED,
+        CellState.CLEARING,
+    }
+)
+_SUSPENDING = frozenset({CellState.SUSPENDING, CellState.SUSPENDED})
+_DONE = frozenset({Outcome.INSERTED, Outcome.MEASURED, Outcome.REHEARSED})
+_REJECTED = frozenset({Outcome.MISSED, Outcome.REJECTED, Outcome.UNFIT})
+
+
+@dataclass(frozen=True)
+class Memory:
+    """What the rules remember of the looks before.
+
+    The values at the beginning let a start or an acknowledgement that is held then do nothing
+    until it falls, and let a stop that is held then stop.
+
+    before   inputs of the last look
+    ready    output of the last look
+    run      process of the cell; None = never reached
+    results  results of this run that are known
+    outcome  of the last cycle, as long as done or rejected tell it
+    pause    suspend or unsuspend, which was asked for last in this Execute
+    """
+
+    before: Inputs = field(default_factory=lambda: Inputs(start=True, acknowledge=True))
+    ready: bool = False
+    run: str | None = None
+    results: int = 0
+    outcome: Outcome | None = None
+    pause: Event | None = None
+
+
+@dataclass(frozen=True)
+class Ask:
+    """A command that the rules ask the cell for, and its note."""
+
+    command: Event
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Look:
+    """All that a rule may look at, at one moment."""
+
+    inputs: Inputs
+    status: Status
+    memory: Memory
+
+    def rose(self, name: str) -> bool:
+        """Whether an input has come on since the last look."""
+        return getattr(self.inputs, name) and not getattr(self.memory.before, name)
+
+    def is_in(self, state: CellState) -> bool:
+        """Whether the cell is in a state."""
+        return self.status.state is state
+
+    @property
+    def obstacle(self) -> str:
+        """The machine that does not allow the cell to work; empty = none."""
+        if not self.inputs.upstream_ready:
+            return "upstream"
+        return "" if self.inputs.downstream_ready else "downstream"
+
+    @property
+    def is_suspended_here(self) -> bool:
+        """Whether the cell is suspended, or is to be, because of the machines beside it."""
+        if self.memory.pause is Event.SUSPEND:
+            return self.is_in(CellState.EXECUTE) or self.status.state in _SUSPENDING
+        told = {"upstream", "downstream"} & set(self.status.waiting_for)
+        return self.is_in(CellState.SUSPENDED) and bool(told) and self.memory.pause is None
+
+    @property
+    def is_faulted(self) -> bool:
+        """Whether a person has to look first."""
+        return self.status.fault is not None or self.status.state in _FAULTED
+
+    @property
+    def may_start(self) -> bool:
+        """Whether a start would be obeyed."""
+        return (
+            self.is_in(CellState.IDLE)
+            and Event.START in self.status.possible
+            and not self.is_faulted
+            and self.inputs.part_present
+            and not self.obstacle
+            and not self.inputs.stop
+        )
+
+
+@dataclass(frozen=True)
+class Rule:
+    """When which command is asked for."""
+
+    command: Event
+    applies: Callable[[Look], bool]
+
+
+#: The first that applies is asked for; the others have lost their edge.
+RULES = (
+    Rule(Event.STOP, lambda now: now.rose("stop") and Event.STOP in now.status.possible),
+    Rule(Event.CLEAR, lambda now: now.rose("acknowledge") and now.is_in(CellState.ABORTED)),
+    Rule(Event.RESET, lambda now: now.rose("acknowledge") and now.is_in(CellState.STOPPED)),
+    Rule(
+        Event.SUSPEND,
+        lambda now: (
+            bool(now.obstacle)
+            and now.is_in(CellState.EXECUTE)
+            and now.memory.pause is not Event.SUSPEND
+        ),
+    ),
+    Rule(Event.UNSUSPEND, lambda now: not now.obstacle and now.is_suspended_here),
+    Rule(Event.START, lambda now: now.rose("start") and now.memory.ready and now.may_start),
+)
+
+
+def look(
+    inputs: Inputs, status: Status | None, memory: Memory
+) -> tuple[tuple[Ask, ...], Outputs, Memory]:
+    """What is asked of the cell, what the PLC is told, and what is remembered.
+
+    status  of the cell, None = it is not reached: nothing is asked then, and a stop waits as
+            long as it is held
+    """
+    if status is None:
+        missed = replace(inputs, stop=inputs.stop and memory.before.stop)
+        outcome = _kept(inputs, memory)
+        outputs = Outputs(fault=True, done=outcome in _DONE, rejected=outcome in _REJECTED)
+        return (), outputs, replace(memory, before=missed, ready=False, outcome=outcome)
+    memory = _with_result(inputs, status, memory)
+    now = Look(inputs, status, memory)
+    ask = next((_ask(rule, now) for rule in RULES if rule.applies(now)), None)
+    busy = status.state in _BUSY
+    outputs = Outputs(
+        ready=now.may_start and not inputs.start,
+        busy=busy,
+        done=memory.outcome in _DONE and not busy,  # the result comes while Complete
+        rejected=memory.outcome in _REJECTED and not busy,
+        fault=now.is_faulted,
+    )
+    pause = memory.pause if busy else None
+    if ask is not None and ask.command in (Event.SUSPEND, Event.UNSUSPEND):
+        pause = ask.command
+    memory = replace(memory, before=inputs, ready=outputs.ready, pause=pause)
+    return () if ask is None else (ask,), outputs, memory
+
+
+def away(memory: Memory) -> Memory:
+    """What is remembered when the inputs are not known: edges begin anew, results stay."""
+    return replace(memory, before=Memory().before, ready=False)
+
+
+def not_obeyed(ask: Ask, before: Memory, after: Memory) -> Memory:
+    """What is remembered when a request did not reach the cell, or was refused.
+
+    A pause or a stop is asked for again.  A start or an acknowledgement is not: its edge is over.
+
+    before, after  memory before and after the look that asked
+    """
+    if ask.command is Event.STOP:
+        return replace(after, before=replace(after.before, stop=False))
+    if ask.command in (Event.SUSPEND, Event.UNSUSPEND):
+        return replace(after, pause=before.pause)
+    return after
+
+
+def _ask(rule: Rule, now: Look) -> Ask:
+    match rule.command:
+        case Event.SUSPEND:
+            return Ask(rule.command, now.obstacle)
+        case Event.CLEAR | Event.RESET:
+            return Ask(rule.command, "acknowledged by the digital input")
+        case Event.STOP:
+            return Ask(rule.command, "stopped by the digital input")
+    return Ask(rule.command)
+
+
+def _kept(inputs: Inputs, memory: Memory) -> Outcome | None:
+    """The outcome that is still told: until start changes."""
+    return memory.outcome if inputs.start == memory.before.start else None
+
+
+def _with_result(inputs: Inputs, status: Status, memory: Memory) -> Memory:
+    """Memory with the result of a cycle that has ended since the last look."""
+    results, outcome = sum(status.counts.values()), _kept(inputs, memory)
+    if status.run == memory.run and results > memory.results and status.last is not None:
+        outcome = Outcome(status.last["outcome"])
+    return replace(memory, run=status.run, results=results, outcome=outcome)

@@ -1,0 +1,156 @@
+"""The link: a running cell tells programs on the same computer what happens, and is asked by them.
+
+The cycle only puts notices into a queue.  Threads of the link write them to a Unix socket, and none
+of its clients, however slow, is waited for.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Collection, Mapping
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from queue import SimpleQueue
+from types import TracebackType
+from typing import Any
+from uuid import uuid4
+
+from cell.plant.connection import Journal
+from cell.plant.folded import possible_in, status_after
+from cell.plant.messages import COMMANDS, Answer, Kind, Notice, Request, Status, to_json
+from cell.plant.server import Server
+from cell.plant.wire import line_of, socket_of
+from cell.run.machine import Event
+
+_LOG = logging.getLogger(__name__)
+
+#: So long the end of the link waits for its threads, s.
+_CLOSE_S = 2.0
+
+Handler = Callable[[Request], Answer]
+
+
+class Link:
+    """The cell's end of the link.  Programs reach it within a `with`; the rest works without, too.
+
+    runs     folder of the records, beside which the socket is
+    status   what is known when it begins; `run`, `sequence` and `possible` are filled in
+    handler  answers requests, one at a time, in a thread of the link
+    obeyed   commands that this cell obeys at all
+
+    raises  LinkError, from `with`: another cell runs there, or there can be no socket
+    """
+
+    def __init__(
+        self,
+        runs: Path,
+        status: Status,
+        handler: Handler,
+        obeyed: Collection[Event] = COMMANDS,
+    ) -> None:
+        self.path = socket_of(runs)
+        self.run = uuid4().hex
+        self._handler = handler
+        self._obeyed = obeyed
+        self._journal = Journal()
+        self._status = replace(
+            status, run=self.run, sequence=0, possible=possible_in(status.state, obeyed)
+        )
+        self._since_s = time.monotonic()
+        self._sequence = 0
+        self._numbering = threading.Lock()
+        self._taking_in = threading.Lock()
+        self._new: deque[tuple[Notice, float]] = deque()
+        self._bell: SimpleQueue[bool] = SimpleQueue()
+        self._asked: SimpleQueue[tuple[Request, Callable[[Answer], None]] | None] = SimpleQueue()
+        self._opened = ExitStack()
+
+    def publish(self, kind: Kind, data: Mapping[str, Any]) -> Notice:
+        """Tell all programs, without waiting for any; from any thread.
+
+        data  is not changed afterwards
+        """
+        with self._numbering:
+            self._sequence += 1
+            notice = Notice(self.run, self._sequence, time.time(), kind, data)
+            self._new.append((notice, time.monotonic()))
+        self._bell.put(True)  # no call of the system: another thread would get its turn
+        return notice
+
+    def status(self) -> Status:
+        """State of the cell, with all that was published before."""
+        with self._taking_in:
+            self._take_in()
+            return replace(self._status, state_seconds=self._seconds(time.monotonic()))
+
+    def __enter__(self) -> Link:
+        with ExitStack() as stack:
+            server = stack.enter_context(
+                Server(self.path, self.run, self._journal, self.status, self._ask)
+            )
+            threads = [
+                threading.Thread(target=self._ring, args=(server,), name="link", daemon=True),
+                threading.Thread(target=self._obey, name="requests", daemon=True),
+            ]
+            for thread in threads:
+                thread.start()
+                stack.callback(thread.join, _CLOSE_S)
+            stack.callback(self._asked.put, None)
+            stack.callback(self._bell.put, False)
+            self._opened = stack.pop_all()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        where: TracebackType | None,
+    ) -> None:
+        self._opened.close()
+
+    def _take_in(self) -> None:
+        """Put what is new into status and journal; only one thread at a time."""
+        while self._new:
+            notice, at_s = self._new.popleft()
+            if notice.kind is Kind.STATE:
+                seconds = self._seconds(at_s)
+                self._status, self._since_s = replace(self._status, state_seconds=seconds), at_s
+            try:
+                self._status = status_after(self._status, notice, self._obeyed)
+                self._journal.add(line_of("notice", to_json(notice)))
+            except (KeyError, TypeError, ValueError):  # a mistake of the program
+                _LOG.exception("notice %s", notice)
+                self._status = replace(self._status, sequence=notice.sequence)
+                self._journal.add(line_of("notice", to_json(replace(notice, data={}))))
+
+    def _seconds(self, now_s: float) -> dict[str, float]:
+        """Time spent in each state, the present one included, s."""
+        seconds, state = dict(self._status.state_seconds), self._status.state.value
+        seconds[state] = seconds.get(state, 0.0) + now_s - self._since_s
+        return seconds
+
+    def _ring(self, server: Server) -> None:
+        """Take in what is published, and let the server send it."""
+        while self._bell.get():
+            with self._taking_in:
+                self._take_in()
+            server.wake()
+
+    def _ask(self, request: Request, then: Callable[[Answer], None]) -> None:
+        self._asked.put((request, then))
+
+    def _obey(self) -> None:
+        """Let the handler answer one request after another."""
+        while (asked := self._asked.get()) is not None:
+            request, then = asked
+            try:
+                answer = self._handler(request)
+            except Exception as error:  # it must not end the cell, nor this thread
+                _LOG.exception("request %s", request)
+                reason = f"{type(error).__name__}: {error}"
+                answer = Answer(False, self.status().state, reason)
+            then(answer)

@@ -1,0 +1,156 @@
+"""What a running cell tells programs beside it, and what they may ask of it; as JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from enum import StrEnum
+from typing import Any
+
+from cell.run.machine import CellState, Event
+
+#: Of the messages; a program that speaks another version is refused.
+PROTOCOL = 1
+
+#: What a person or another machine may ask for; `done` is the cell's own.
+COMMANDS = frozenset(Event) - {Event.DONE}
+
+
+class Mode(StrEnum):
+    """Unit mode of the cell, after PackML."""
+
+    PRODUCTION = "production"
+    MAINTENANCE = "maintenance"
+    MANUAL = "manual"
+
+
+class Kind(StrEnum):
+    """What a notice is about; its `data` are those named here.
+
+    STATE         state, step = null, since (Unix time, s)
+    STEP          step, cycle
+    CYCLE         a cycle begins: cycle, part, product
+    RESULT        a cycle has ended: `Result.to_json()`
+    FAULT         `FaultNotice`
+    ACKNOWLEDGED  by, note
+    PRODUCT       product: what the next cycle makes
+    WAITING       waiting_for: what the cell waits for; empty = for nothing
+    """
+
+    STATE = "state"
+    STEP = "step"
+    CYCLE = "cycle"
+    RESULT = "result"
+    FAULT = "fault"
+    ACKNOWLEDGED = "acknowledged"
+    PRODUCT = "product"
+    WAITING = "waiting"
+
+
+@dataclass(frozen=True)
+class FaultNotice:
+    """A fault that nobody has acknowledged yet: what, why, and what a person can do.
+
+    time_s  Unix time
+    """
+
+    cycle: int
+    step: str
+    cause: str
+    time_s: float
+    device: str | None = None
+    remedy: str = ""
+    cable: str = ""
+    code: str = ""
+
+
+@dataclass(frozen=True)
+class Status:
+    """State of a cell at one moment.
+
+    run            identifies the process of the cell: another one counts notices anew
+    sequence       of the newest notice that is contained in this status
+    since_s        when the state began, Unix time
+    cycle          number of the cycle under way or of the last one; 0 = none yet
+    part, product  of that cycle; None = none
+    counts         cycles of this run by outcome
+    state_seconds  time spent in each state in this run, s
+    possible       commands that the present state accepts
+    waiting_for    why nothing happens: `start`, `part`, `downstream`, `acknowledgement`, …
+    last           the newest result, as in its notice
+    line, model, calibration, software   as in the ledger
+    """
+
+    run: str
+    sequence: int
+    state: CellState
+    since_s: float
+    mode: Mode = Mode.PRODUCTION
+    step: str | None = None
+    cycle: int = 0
+    part: str | None = None
+    product: str | None = None
+    products: tuple[str, ...] = ()
+    counts: Mapping[str, int] = field(default_factory=dict)
+    state_seconds: Mapping[str, float] = field(default_factory=dict)
+    possible: tuple[Event, ...] = ()
+    waiting_for: tuple[str, ...] = ()
+    fault: FaultNotice | None = None
+    last: Mapping[str, Any] | None = None
+    line: str = ""
+    model: str | None = None
+    calibration: str | None = None
+    software: str = ""
+
+
+@dataclass(frozen=True)
+class Notice:
+    """One thing that has happened.
+
+    sequence  counts from 1 in each run, without a gap
+    time_s    Unix time
+    data      as `Kind` says
+    """
+
+    run: str
+    sequence: int
+    time_s: float
+    kind: Kind
+    data: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Request:
+    """A command from outside the cell's process.
+
+    command  one of `COMMANDS`, or None: only `product` is asked for
+    by       who asks: `plc`, `opcua:alice`, `web:bob`
+    note     of an acknowledgement (`clear`, `reset`): what was done
+    part     of a `start`: id of the cable
+    product  of a `start`, or alone: what the next cycles make
+    """
+
+    command: Event | None
+    by: str
+    note: str = ""
+    part: str | None = None
+    product: str | None = None
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What became of a request.
+
+    accepted  whether it was obeyed, or is latched to be
+    reason    why it was refused, with what is possible now
+    state     of the cell after it
+    """
+
+    accepted: bool
+    state: CellState
+    reason: str = ""
+
+
+def to_json(message: Status | Notice | Request | Answer | FaultNotice) -> dict[str, Any]:
+    """A message as plain data."""
+    return asdict(message)

@@ -1,0 +1,201 @@
+"""Delivers what waits in the outbox to the broker: in order, one message at a time.
+
+Every connection begins anew, with nothing that the one before has left in broker or library: what
+is not acknowledged is still in the outbox.  So nothing is lost, whoever is killed.  What was sent
+and not acknowledged is sent again, with the same run and sequence.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import socket
+import ssl
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cell.plant.messages import Status
+from cell.plant.mqtt.form import EndOfSessionError, Form, Known, Message
+from cell.plant.mqtt.outbox import MqttOutbox
+from cell.plant.mqtt.taking import Taker
+from cell.settings.plant.mqtt import Mqtt
+
+if TYPE_CHECKING:
+    import aiomqtt
+
+_LOG = logging.getLogger(__name__)
+
+#: Shortest pause before the broker is tried again, s; then twice as long, up to `retry_s`.
+_FIRST_S = 0.1
+#: Statuses are no closer to each other, s.
+_STATUS_S = 0.5
+#: So long the broker may take to acknowledge, s.
+_ANSWER_S = 10.0
+
+
+@dataclass(frozen=True)
+class Access:
+    """What is needed to be let in by the broker.
+
+    client_id  of the connection
+    password   None = no user
+    tls        None = not encrypted
+    """
+
+    client_id: str
+    password: str | None = None
+    tls: ssl.SSLContext | None = None
+
+
+class MqttAdapter:
+    """Reports one cell to one broker.
+
+    runs       folder of the cell's records
+    form_anew  the form of messages for a new connection
+    """
+
+    def __init__(
+        self,
+        settings: Mqtt,
+        access: Access,
+        runs: Path,
+        outbox: MqttOutbox,
+        form_anew: Callable[[], Form],
+    ) -> None:
+        self._settings = settings
+        self._access = access
+        self._runs = runs
+        self._outbox = outbox
+        self._form_anew = form_anew
+        self._news = asyncio.Event()
+        self._over = asyncio.Event()
+        self._is_born_anew = False
+        self._status: Status | None = None
+        self._said = ""
+
+    def end(self) -> None:
+        """Say farewell and return from `run`; what waits is kept.  From the loop's thread."""
+        self._over.set()
+        self._news.set()
+
+    async def run(self) -> None:
+        """Deliver until `end`.
+
+        raises  LinkError: cell and adapter are of different versions
+        """
+        from aiomqtt import MqttError
+
+        loop = asyncio.get_running_loop()
+        pause_s = _FIRST_S
+
+        def tell() -> None:
+            loop.call_soon_threadsafe(self._news.set)
+
+        with Taker(self._runs, self._outbox, tell) as taker:
+            while not self._over.is_set():
+                begun_s = loop.time()
+                try:
+                    await self._connection(taker)
+                except* (MqttError, EndOfSessionError) as errors:
+                    self._tell_once(f"broker: {errors.exceptions[0]}")
+                if loop.time() - begun_s > _ANSWER_S:
+                    pause_s = _FIRST_S
+                await self._pause(pause_s)
+                pause_s = min(2.0 * pause_s, self._settings.retry_s)
+
+    async def _connection(self, taker: Taker) -> None:
+        """One connection to the broker, until it is lost or the adapter ends."""
+        import aiomqtt
+
+        form = self._form_anew()
+        will = form.will()
+        async with (
+            aiomqtt.Client(
+                self._settings.broker,
+                self._settings.broker_port,
+                username=self._settings.user,
+                password=self._access.password,
+                identifier=self._access.client_id,
+                tls_context=self._access.tls,
+                keepalive=self._settings.keep_alive_s,
+                will=aiomqtt.Will(will.topic, will.payload, will.qos, will.retain),
+                timeout=_ANSWER_S,
+                clean_session=True,
+                socket_options=[(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)],
+            ) as client,
+            asyncio.TaskGroup() as tasks,
+        ):
+            hearing = tasks.create_task(self._hear(client, form))
+            for topic in form.asked:
+                await client.subscribe(topic, qos=1)
+            self._tell_once("broker: connected")
+            await self._deliver(client, form, taker)
+            hearing.cancel()
+
+    async def _hear(self, client: aiomqtt.Client, form: Form) -> None:
+        """Take in what was asked for; raises MqttError as soon as the broker is lost."""
+        async for message in client.messages:
+            payload = message.payload if isinstance(message.payload, bytes) else b""
+            if not message.retain or message.topic.value != form.asked[0]:
+                self._is_born_anew |= form.hear(message.topic.value, payload)
+            self._news.set()
+
+    async def _deliver(self, client: aiomqtt.Client, form: Form, taker: Taker) -> None:
+        while not form.may_begin() and not self._over.is_set():
+            await self._wait()
+        self._is_born_anew, reached, told_s, is_told = True, False, 0.0, True
+        while not self._over.is_set():
+            self._news.clear()
+            if taker.error is not None:
+                raise taker.error
+            if self._is_born_anew or taker.is_cell != reached:
+                self._is_born_anew, reached = False, taker.is_cell
+                await self._send(client, form, form.birth(await self._known(taker)))
+            waiting = self._outbox.first()
+            if waiting is not None:
+                await self._send(client, form, form.of_notice(waiting.notice))
+                self._outbox.remove(waiting)
+                is_told = False
+            elif not is_told and time.monotonic() - told_s >= _STATUS_S:
+                told_s, is_told = time.monotonic(), True
+                await self._send(client, form, form.of_status(await self._known(taker)))
+            else:
+                await self._wait(None if is_told else _STATUS_S)
+        await self._send(client, form, form.farewell(await self._known(taker)))
+
+    async def _send(self, client: aiomqtt.Client, form: Form, messages: Sequence[Message]) -> None:
+        """Publish messages; returns when the broker has all of them."""
+        for message in messages:
+            await client.publish(message.topic, message.payload, message.qos, message.retain)
+        if any(message.qos == 0 for message in messages):
+            # the broker answers in order: it has what was sent before
+            await client.subscribe(form.asked[0], qos=1)
+
+    async def _known(self, taker: Taker) -> Known:
+        if (status := await asyncio.to_thread(taker.status)) is not None:
+            self._status = status
+        return Known(self._status, taker.is_cell, self._outbox.dropped(), time.time())
+
+    async def _wait(self, most_s: float | None = None) -> None:
+        """Until there is news, or for so long."""
+        try:
+            async with asyncio.timeout(most_s):
+                await self._news.wait()
+        except TimeoutError:
+            return
+
+    async def _pause(self, most_s: float) -> None:
+        """For so long, or until the end."""
+        try:
+            async with asyncio.timeout(most_s):
+                await self._over.wait()
+        except TimeoutError:
+            return
+
+    def _tell_once(self, said: str) -> None:
+        if said != self._said:
+            self._said = said
+            _LOG.warning("%s; %d messages wait", said, self._outbox.count())

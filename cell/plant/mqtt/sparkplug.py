@@ -1,0 +1,251 @@
+"""The cell as an edge node of Sparkplug B: births, deaths and data.
+
+source  Sparkplug 3.0.0, chapters 4 to 6
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from cell.files.plain import plain
+from cell.plant.messages import Kind, Notice, Status
+from cell.plant.mqtt.form import EndOfSessionError, Known, Message
+from cell.plant.mqtt.payload import DataType, Metric, Value, encode, flags
+from cell.records.result import Outcome
+from cell.run.machine import CellState
+
+_NAMESPACE = "spBv1.0"
+REBIRTH = "Node Control/Rebirth"
+#: Births, deaths and numbers of messages are counted modulo this.
+_COUNTED = 256
+
+_T = DataType
+#: Of a result, as metrics of their own; `Result/JSON` has all of it.
+_RESULT_NUMBERS = (
+    *("offset_m", "predicted_miss_m", "measured_miss_m", "margin_m", "probability"),
+    *("prediction_error_m", "wait_s"),
+)
+_FAULT_TEXTS = ("step", "cause", "device", "remedy", "cable", "code")
+
+#: All metrics that a cell ever sends, in the order of their aliases, which count from 1.
+METRICS: dict[str, DataType] = {
+    "Cell/Connected": _T.BOOLEAN,
+    "Cell/State": _T.STRING,
+    "Cell/Since": _T.DATE_TIME,
+    "Cell/Mode": _T.STRING,
+    "Cell/Step": _T.STRING,
+    "Cell/Cycle": _T.UINT64,
+    "Cell/Part": _T.STRING,
+    "Cell/Product": _T.STRING,
+    "Cell/Waiting for": _T.STRING,
+    "Cell/Model": _T.STRING,
+    "Cell/Software": _T.STRING,
+    "Cell/Dropped": _T.UINT64,
+    **{f"Counts/{outcome.value}": _T.UINT64 for outcome in Outcome},
+    **{f"Seconds/{state.value}": _T.DOUBLE for state in CellState},
+    "Fault/cycle": _T.UINT64,
+    "Fault/time": _T.DATE_TIME,
+    **{f"Fault/{name}": _T.STRING for name in _FAULT_TEXTS},
+    "Acknowledged/by": _T.STRING,
+    "Acknowledged/note": _T.STRING,
+    "Result/cycle": _T.UINT64,
+    "Result/outcome": _T.STRING,
+    "Result/part": _T.STRING,
+    "Result/reason": _T.STRING,
+    **{f"Result/{name}": _T.DOUBLE for name in _RESULT_NUMBERS},
+    "Result/JSON": _T.STRING,
+    "Notice/run": _T.STRING,
+    "Notice/sequence": _T.UINT64,
+}
+_ALIASES = {name: alias for alias, name in enumerate(METRICS, 1)}
+
+
+class EdgeNode:
+    """Form of messages after Sparkplug B.
+
+    group, node   ids
+    births        connections that were begun before this one, which tells its death from others'
+    primary_host  id of the host without which nothing is sent; None = there is none
+    """
+
+    def __init__(self, group: str, node: str, births: int, primary_host: str | None = None) -> None:
+        self._group, self._node = group, node
+        self._bd_seq = births % _COUNTED
+        self._seq = 0
+        self._sent: dict[str, Value] = {}
+        self._contained: tuple[str, int] | None = None
+        self._host = None if primary_host is None else f"{_NAMESPACE}/STATE/{primary_host}"
+        self._host_since = -1
+        self._host_online = False
+        self.asked: Sequence[str] = (
+            self._topic("NCMD"),
+            *([] if self._host is None else [self._host]),
+        )
+
+    def will(self) -> Message:
+        """The death certificate."""
+        return Message(self._topic("NDEATH"), encode([self._bd()], _now_ms(), None), 1)
+
+    def may_begin(self) -> bool:
+        """Whether the primary host, if there is one, is online."""
+        return self._host is None or self._host_online
+
+    def birth(self, known: Known) -> list[Message]:
+        """All metrics with names, aliases and values."""
+        self._seq = 0
+        self._sent = dict.fromkeys(METRICS) | self._values(known)
+        at_ms = _now_ms()
+        metrics = [
+            self._bd(),
+            Metric(REBIRTH, _T.BOOLEAN, False, at_ms),
+            *(
+                Metric(name, kind, self._sent[name], at_ms, _ALIASES[name])
+                for name, kind in METRICS.items()
+            ),
+        ]
+        return [Message(self._topic("NBIRTH"), encode(metrics, at_ms, self._seq), 0)]
+
+    def of_notice(self, notice: Notice) -> list[Message]:
+        """Metrics of what has happened; historical if a birth has said more than that already."""
+        late = self._contained is not None and (
+            notice.run != self._contained[0] or notice.sequence <= self._contained[1]
+        )
+        values = _values_of(notice)
+        values |= {"Notice/run": notice.run, "Notice/sequence": notice.sequence}
+        if not late:
+            self._sent |= values
+        return [self._data(values, round(1000 * notice.time_s), late)]
+
+    def of_status(self, known: Known) -> list[Message]:
+        """Metrics that have changed."""
+        values = self._values(known)
+        changed = {name: value for name, value in values.items() if self._sent[name] != value}
+        if not changed:
+            return []
+        self._sent |= changed
+        return [self._data(changed, _now_ms(), False)]
+
+    def farewell(self, known: Known) -> list[Message]:
+        """The death certificate, said by oneself."""
+        return [self.will()]
+
+    def hear(self, topic: str, payload: bytes) -> bool:
+        """A command for a rebirth, the only one that is obeyed; or the state of the host.
+
+        raises  EndOfSessionError: the primary host goes offline
+        """
+        if topic == self._topic("NCMD"):
+            try:
+                return flags(payload).get(REBIRTH, False)
+            except ValueError:
+                return False
+        if topic == self._host:
+            self._hear_host(payload)
+        return False
+
+    def _hear_host(self, payload: bytes) -> None:
+        try:
+            said = json.loads(payload)
+            online, since = said["online"] is True, int(said["timestamp"])
+        except (ValueError, KeyError, TypeError):
+            return
+        if since < self._host_since:
+            return
+        was_online, self._host_online, self._host_since = self._host_online, online, since
+        if was_online and not online:
+            raise EndOfSessionError("the primary host is offline")
+
+    def _values(self, known: Known) -> dict[str, Value]:
+        """What a status says; nothing is known of a cell that was never reached."""
+        values: dict[str, Value] = {
+            "Cell/Connected": known.is_cell,
+            "Cell/Dropped": known.dropped,
+        }
+        if known.status is not None:
+            self._contained = (known.status.run, known.status.sequence)
+            values |= _values_of_status(known.status)
+        return values
+
+    def _data(self, values: Mapping[str, Value], time_ms: int, late: bool) -> Message:
+        self._seq = (self._seq + 1) % _COUNTED
+        metrics = [
+            Metric(None, METRICS[name], value, time_ms, _ALIASES[name], late)
+            for name, value in values.items()
+        ]
+        return Message(self._topic("NDATA"), encode(metrics, _now_ms(), self._seq), 0)
+
+    def _bd(self) -> Metric:
+        return Metric("bdSeq", _T.INT64, self._bd_seq, _now_ms())
+
+    def _topic(self, verb: str) -> str:
+        return f"{_NAMESPACE}/{self._group}/{verb}/{self._node}"
+
+
+def _now_ms() -> int:
+    return round(1000 * time.time())
+
+
+def _values_of_status(status: Status) -> dict[str, Value]:
+    fault = None if status.fault is None else vars(status.fault)
+    return {
+        "Cell/State": status.state.value,
+        "Cell/Since": round(1000 * status.since_s),
+        "Cell/Mode": status.mode.value,
+        "Cell/Step": status.step,
+        "Cell/Cycle": status.cycle,
+        "Cell/Part": status.part,
+        "Cell/Product": status.product,
+        "Cell/Waiting for": ", ".join(status.waiting_for),
+        "Cell/Model": status.model,
+        "Cell/Software": status.software,
+        **{f"Counts/{o.value}": status.counts.get(o.value, 0) for o in Outcome},
+        **{f"Seconds/{s.value}": status.state_seconds.get(s.value, 0.0) for s in CellState},
+        **_values_of_fault(fault),
+        **({} if status.last is None else _values_of_result(status.last)),
+    }
+
+
+def _values_of_fault(fault: Mapping[str, Any] | None) -> dict[str, Value]:
+    given = fault or {}
+    time_s = given.get("time_s")
+    return {
+        "Fault/cycle": given.get("cycle"),
+        "Fault/time": None if time_s is None else round(1000 * time_s),
+        **{f"Fault/{name}": given.get(name) for name in _FAULT_TEXTS},
+    }
+
+
+def _values_of_result(result: Mapping[str, Any]) -> dict[str, Value]:
+    text = json.dumps(plain(result), ensure_ascii=False)
+    names = ("cycle", "outcome", "part", "reason", *_RESULT_NUMBERS)
+    return {**{f"Result/{name}": result.get(name) for name in names}, "Result/JSON": text}
+
+
+def _values_of(notice: Notice) -> dict[str, Value]:
+    data = notice.data
+    match notice.kind:
+        case Kind.STATE:
+            return {
+                "Cell/State": data["state"],
+                "Cell/Since": round(1000 * data["since"]),
+                "Cell/Step": None,
+            }
+        case Kind.STEP:
+            return {"Cell/Step": data["step"], "Cell/Cycle": data["cycle"]}
+        case Kind.CYCLE:
+            names = ("cycle", "part", "product")
+            return {f"Cell/{name.capitalize()}": data[name] for name in names}
+        case Kind.RESULT:
+            return _values_of_result(data)
+        case Kind.FAULT:
+            return _values_of_fault(data)
+        case Kind.ACKNOWLEDGED:
+            said: dict[str, Value] = {f"Acknowledged/{name}": data[name] for name in ("by", "note")}
+            return said | _values_of_fault(None)
+        case Kind.PRODUCT:
+            return {"Cell/Product": data["product"]}
+        case Kind.WAITING:
+            return {"Cell/Waiting for": ", ".join(data["waiting_for"])}

@@ -1,0 +1,144 @@
+"""Who may do what: sessions of clients, their users and roles.
+
+asyncua alone would let a client in without encryption whatever endpoints are offered, and hand a
+session over to whoever names it.  Both are closed here.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from contextvars import ContextVar
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from asyncua import ua
+from asyncua.common.utils import ServiceError
+from asyncua.crypto.permission_rules import User, UserRole
+from asyncua.server.internal_server import InternalServer
+from asyncua.server.internal_session import InternalSession
+
+from cell.files.input_error import InputError
+from cell.plant.opcua.certificates import TrustedClients
+from cell.plant.opcua.users import Role, read_users, role_of
+
+_LOG = logging.getLogger(__name__)
+
+#: Name of whoever calls the method under way.
+caller: ContextVar[str] = ContextVar("caller", default="")
+
+ANONYMOUS = "anonymous"
+#: Sessions that say nothing end after so long, s: what waits for a stalled client is dropped.
+_SESSION_S = 60.0
+#: So many notifications of one item wait for a client.
+_WAITING = 1000
+#: So many clients at a time.
+_CLIENTS = 100
+
+
+@dataclass
+class Person(User):  # type: ignore[misc]
+    """User of a session."""
+
+    operates: bool = False
+
+
+class Users:
+    """Tells asyncua who a client is, by the file of users."""
+
+    def __init__(self, folder: Path, anonymous: bool) -> None:
+        self._folder, self._anonymous = folder, anonymous
+
+    def get_user(
+        self,
+        iserver: InternalServer,
+        username: str | None = None,
+        password: str | None = None,
+        certificate: Any = None,
+    ) -> User | None:
+        """The user; None = refused."""
+        if username is None:
+            return Person(UserRole.User, ANONYMOUS, True) if self._anonymous else None
+        try:
+            role = role_of(read_users(self._folder), username, password or "")
+        except (InputError, OSError) as error:
+            _LOG.error("%s", error)
+            return None
+        if role is None:
+            _LOG.warning("refused: user %r, or the password", username)
+            return None
+        return Person(UserRole.User, username, role is Role.OPERATE)
+
+
+class GuardedSession(InternalSession):  # type: ignore[misc]
+    """Session of one client."""
+
+    trusted: TrustedClients | None = None
+
+    def activate_session(
+        self, params: ua.ActivateSessionParameters, peer_certificate: bytes | None
+    ) -> ua.ActivateSessionResult:
+        """Let a client in.  Raises ServiceError: not encrypted, or its certificate is unknown."""
+        if self.trusted is not None:
+            if not peer_certificate:  # a channel without encryption
+                raise ServiceError(ua.StatusCodes.BadSecurityModeRejected)
+            if not self.trusted.knows(peer_certificate):
+                raise ServiceError(ua.StatusCodes.BadCertificateUntrusted)
+        return super().activate_session(params, peer_certificate)
+
+    async def call(self, params: list[ua.CallMethodRequest]) -> list[ua.CallMethodResult]:
+        """Call methods, if this user may."""
+        if not isinstance(self.user, Person) or not self.user.operates:
+            denied = ua.StatusCode(ua.StatusCodes.BadUserAccessDenied)
+            return [ua.CallMethodResult(StatusCode=denied) for _ in params]
+        token = caller.set(self.user.name or ANONYMOUS)
+        try:
+            results: list[ua.CallMethodResult] = await super().call(params)
+            return results
+        finally:
+            caller.reset(token)
+
+    async def transfer_subscriptions(
+        self, params: ua.TransferSubscriptionsParameters, callback: Callable[..., Any]
+    ) -> list[ua.TransferResult]:
+        """Nobody gets another session's subscriptions; raises ServiceError."""
+        raise ServiceError(ua.StatusCodes.BadServiceUnsupported)
+
+
+class GuardedServer(InternalServer):  # type: ignore[misc]
+    """The server within asyncua's server.
+
+    folder   of users and certificates
+    open_    clients may come without encryption and without a name
+    """
+
+    def __init__(self, folder: Path, open_: bool) -> None:
+        super().__init__(user_manager=Users(folder, anonymous=open_))
+        self._trusted = None if open_ else TrustedClients(folder)
+        tokens = [ua.UserNameIdentityToken, *([ua.AnonymousIdentityToken] if open_ else [])]
+        self.supported_tokens = tuple(tokens)
+        self.allow_remote_admin = False
+        self.max_session_timeout_ms = 1e3 * _SESSION_S
+        self.max_monitored_item_queue_size = _WAITING
+        self.max_connections = _CLIENTS
+
+    def create_session(
+        self, name: str, user: User | None = None, external: bool = False
+    ) -> InternalSession:
+        """A session; asyncua's own, which no client uses, stays as it is."""
+        if not external:
+            return super().create_session(name, user or User(), external)
+        session = GuardedSession(
+            self, self.aspace, self.subscription_service, name, user or User(), external
+        )
+        session.trusted = self._trusted
+        return session
+
+    def lookup_external_session(self, auth_token: ua.NodeId) -> InternalSession | None:
+        """None: a client whose connection broke begins anew, as its name is checked only then."""
+        return None
+
+    def register_server(self, server: Any, conf: Any = None) -> None:
+        """Raises ServiceError: other servers are not listed here."""
+        raise ServiceError(ua.StatusCodes.BadServiceUnsupported)

@@ -1,0 +1,250 @@
+"""Methods of a unit: what a client calls becomes a request to the cell, which may refuse it."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from asyncua import ua
+
+from cell.plant.messages import Answer, Request
+from cell.plant.opcua import packml
+from cell.plant.opcua.access import ANONYMOUS, caller
+from cell.plant.opcua.machines import MACHINE_PATHS, MACHINES
+from cell.plant.opcua.packml import Method
+from cell.plant.opcua.space import Space
+from cell.plant.opcua.unit import Unit
+from cell.plant.opcua.view import View
+from cell.plant.wire import LONGEST_TEXT, LinkError, NoCellError
+from cell.run.machine import Event
+
+_LOG = logging.getLogger(__name__)
+
+Code = ua.StatusCodes
+#: Asks the cell.  Raises LinkError.
+Ask = Callable[[Request], Answer]
+
+
+@dataclass(frozen=True)
+class Command:
+    """A method of a unit.
+
+    path       of the object that has it
+    arguments  (name, data type), …
+    event      what the cell is asked for; None = something else
+    type_id    of the method in the object's type of PackML; None = it is this program's own
+    """
+
+    path: str
+    name: str
+    meaning: str
+    event: Event | None = None
+    arguments: tuple[tuple[str, str], ...] = ()
+    type_id: int | None = None
+
+
+_TEXT = "String"
+_MEANINGS = {
+    Event.START: "begins a cycle",
+    Event.RESET: "makes the cell ready",
+    Event.HOLD: "waits after the motion under way",
+    Event.UNHOLD: "goes on",
+    Event.SUSPEND: "waits for other machines",
+    Event.UNSUSPEND: "goes on",
+    Event.STOP: "stops at once",
+    Event.ABORT: "stops at once, as by a fault",
+    Event.CLEAR: "acknowledges; refused while there is a fault",
+}
+
+
+def _standard() -> list[Command]:
+    made, events = [], {event.value for event in Event}
+    for path, machine in zip(MACHINE_PATHS, MACHINES, strict=True):
+        for method in machine.methods:
+            if method.name.lower() in events:
+                event = Event(method.name.lower())
+                meaning = _MEANINGS[event]
+                made.append(Command(path, method.name, meaning, event, method.arguments, method.id))
+    return made
+
+
+def _of_unit(method: Method) -> Command:
+    known = method.name == "SetProduct"
+    meaning = "what the next cycles make, by number" if known else "not implemented"
+    return Command("", method.name, meaning, None, method.arguments, method.id)
+
+
+#: All methods.
+COMMANDS: tuple[Command, ...] = (
+    *_standard(),
+    *map(_of_unit, packml.UNIT_METHODS),
+    Command(
+        "Cell",
+        "Start",
+        "begins a cycle with this part and product",
+        Event.START,
+        (("Part", _TEXT), ("Product", _TEXT)),
+    ),
+    Command(
+        "Cell",
+        "Reset",
+        "a person acknowledges, and makes the cell ready",
+        Event.RESET,
+        (("Name", _TEXT), ("Note", _TEXT)),
+    ),
+    Command(
+        "Cell",
+        "Clear",
+        "a person acknowledges a fault",
+        Event.CLEAR,
+        (("Name", _TEXT), ("Note", _TEXT)),
+    ),
+    Command("Cell", "SelectProduct", "what the next cycles make", None, (("Product", _TEXT),)),
+)
+
+
+class _RefusedError(Exception):
+    """A call is refused before the cell is asked.  Scenario: too few arguments."""
+
+    def __init__(self, code: int, reason: str, wrong: Sequence[int] = ()) -> None:
+        super().__init__(reason)
+        self.code, self.wrong = code, wrong
+
+
+class Methods:
+    """Adds the methods to a unit, and answers their calls.
+
+    ask      asks the cell; called in a thread
+    view     what is known of the cell now
+    refused  told why a command was refused, or that it was not, by an empty text
+    """
+
+    def __init__(
+        self,
+        space: Space,
+        unit: Unit,
+        ask: Ask,
+        view: Callable[[], View],
+        refused: Callable[[str], Awaitable[None]],
+    ) -> None:
+        self._ask, self._view, self._refused = ask, view, refused
+        of_types: dict[ua.NodeId, dict[ua.NodeId, Command]] = {}
+        for command in COMMANDS:
+            parent, path = unit.id_of(command.path), f"{command.path}.{command.name}".lstrip(".")
+            space_of = space.own if command.path == "Cell" else space.packml
+            name = space.name(command.name, space_of)
+            node = space.method(parent, unit.id_of(path), name, command.meaning)
+            if command.arguments:
+                space.arguments(node, unit.id_of(f"{path}.InputArguments"), command.arguments)
+            self._answer(space, node, {parent: command})
+            if command.type_id is not None:
+                of_types.setdefault(space.node_id(command.type_id), {})[parent] = command
+        for node, by_object in of_types.items():
+            self._answer(space, node, by_object)
+
+    def _answer(self, space: Space, node: ua.NodeId, by_object: dict[ua.NodeId, Command]) -> None:
+        async def called(of: ua.NodeId, *arguments: ua.Variant) -> ua.CallMethodResult:
+            command = by_object.get(of)
+            if command is None:
+                return _result(Code.BadMethodInvalid)
+            return await self._call(command, arguments)
+
+        space.server.iserver.isession.add_method_callback(node, called)
+
+    async def _call(self, command: Command, arguments: Sequence[ua.Variant]) -> ua.CallMethodResult:
+        title = command.event.value if command.event else command.name
+        try:
+            _check(command, arguments)
+            request = self._request(command, [a.Value for a in arguments])
+            answer = await asyncio.to_thread(self._ask, request)
+        except _RefusedError as refused:
+            await self._refused(f"{title}: {refused}")
+            return _result(refused.code, refused.wrong, len(arguments))
+        except NoCellError:
+            await self._refused(f"{title}: the cell does not run")
+            return _result(Code.BadNoCommunication)
+        except LinkError as error:
+            await self._refused(f"{title}: what became of it is not known: {error}")
+            return _result(Code.BadCommunicationError)
+        await self._refused("" if answer.accepted else f"{title}: {answer.reason}")
+        _LOG.info("%s: %s", request, answer)
+        return _result(Code.Good if answer.accepted else Code.BadInvalidState)
+
+    def _request(self, command: Command, arguments: Sequence[Any]) -> Request:
+        by = f"opcua:{caller.get() or ANONYMOUS}"
+        match command.path, command.name:
+            case "Cell", "Start":
+                part, product = arguments
+                return Request(Event.START, by, part=part or None, product=product or None)
+            case "Cell", "Reset" | "Clear":
+                name, note = arguments
+                if not name or not note:
+                    wrong = [Code.Good if a else Code.BadInvalidArgument for a in (name, note)]
+                    reason = "an acknowledgement needs a name, and a note of what was done"
+                    raise _RefusedError(Code.BadInvalidArgument, reason, wrong)
+                return Request(command.event, f"{by} ({name})", note=note)
+            case "Cell", "SelectProduct":
+                return self._product(by, arguments[0] or "")
+            case "", "SetProduct":
+                return self._product(by, self._numbered(arguments[0]))
+            case "", _:
+                raise _RefusedError(Code.BadNotImplemented, "the cell does not do this")
+        status = self._view().status
+        if command.event in (Event.RESET, Event.CLEAR) and status and status.fault:
+            reason = "a person must acknowledge the fault: call Cell.Clear or Cell.Reset"
+            raise _RefusedError(Code.BadInvalidState, reason)
+        return Request(command.event, by)
+
+    def _product(self, by: str, product: str) -> Request:
+        status = self._view().status
+        if status is not None and product not in status.products:
+            known = ", ".join(status.products) or "none"
+            reason = f"{product!r} is no product of the cell; those are: {known}"
+            raise _RefusedError(Code.BadInvalidArgument, reason, [Code.BadOutOfRange])
+        return Request(None, by, product=product)
+
+    def _numbered(self, structures: Sequence[Any] | None) -> str:
+        """Name of the product that an argument of SetProduct means."""
+        status = self._view().status
+        products: tuple[str, ...] = () if status is None else status.products
+        numbers: list[int] = [s.ProductID for s in structures or ()]
+        if len(numbers) != 1 or not 0 < numbers[0] <= len(products):
+            reason = f"give one product, with a number from 1 to {len(products)}"
+            raise _RefusedError(Code.BadInvalidArgument, reason, [Code.BadOutOfRange])
+        return products[numbers[0] - 1]
+
+
+def _check(command: Command, arguments: Sequence[ua.Variant]) -> None:
+    """Raises _RefusedError: not the arguments of this method.  An array may be left empty."""
+    if len(arguments) < len(command.arguments):
+        raise _RefusedError(Code.BadArgumentsMissing, f"needs {len(command.arguments)} arguments")
+    if len(arguments) > len(command.arguments):
+        raise _RefusedError(Code.BadTooManyArguments, f"takes {len(command.arguments)} arguments")
+    wrong = [
+        Code.Good if _is(type_, given) else Code.BadTypeMismatch
+        for (_, type_), given in zip(command.arguments, arguments, strict=True)
+    ]
+    if any(code != Code.Good for code in wrong):
+        wanted = ", ".join(f"{name}: {type_}" for name, type_ in command.arguments)
+        raise _RefusedError(Code.BadInvalidArgument, f"the arguments are {wanted}", wrong)
+
+
+def _is(type_: str, given: ua.Variant) -> bool:
+    if given.Value is None:
+        return type_ == _TEXT or type_.endswith("[]")
+    if type_.endswith("[]"):
+        wanted = type_[:-2]
+        return given.is_array is True and all(type(v).__name__ == wanted for v in given.Value)
+    if given.VariantType.name != type_ or given.is_array:
+        return False
+    return type_ != _TEXT or len(given.Value) <= LONGEST_TEXT
+
+
+def _result(code: int, wrong: Sequence[int] = (), given: int = 0) -> ua.CallMethodResult:
+    codes = wrong if len(wrong) == given else ()
+    return ua.CallMethodResult(
+        StatusCode=ua.StatusCode(code), InputArgumentResults=[ua.StatusCode(c) for c in codes]
+    )

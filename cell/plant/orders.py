@@ -1,0 +1,39 @@
+"""Requests from outside as commands to the cell; its machine decides what a state accepts."""
+
+from __future__ import annotations
+
+from cell.plant.folded import possible_in
+from cell.plant.messages import Answer, Request
+from cell.run.commands import RESUMING
+from cell.run.cycle import Cell
+from cell.run.machine import Event
+
+#: Commands that a cycle under way obeys at its next chance.
+LATCHED = frozenset(
+    {Event.HOLD, Event.UNHOLD, Event.SUSPEND, Event.UNSUSPEND, Event.STOP, Event.ABORT}
+)
+
+
+def latch(cell: Cell, request: Request) -> Answer:
+    """Give a command of `LATCHED` to the cycle under way, or refuse it.
+
+    A pause that was asked for and has not begun yet can be taken back.
+    """
+    event = request.command
+    assert event is not None
+    pause = cell.commands.pause
+    taken_back = pause is not None and RESUMING[pause] is event
+    if not (cell.machine.can(event) or taken_back):
+        return refusal(cell, event.value)
+    cell.command(event, " by ".join(filter(None, (request.note or event.value, request.by))))
+    return Answer(True, cell.machine.state)
+
+
+def refusal(cell: Cell, what: str, why: str = "") -> Answer:
+    """That something is refused, why, and what is possible."""
+    state = cell.machine.state
+    now = ", ".join(possible_in(state)) or "nothing"
+    because = f": {why}" if why else ""
+    return Answer(
+        False, state, f"{what!r} is refused while {state.value}{because}; possible now: {now}"
+    )

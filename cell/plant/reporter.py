@@ -1,0 +1,79 @@
+"""Tells the link what a cell does: states, steps, cycles, results, faults, what it waits for."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from typing import Any
+
+from cell.plant.messages import FaultNotice, Kind
+from cell.records.result import Result
+from cell.run.machine import CellState
+
+#: For what a cell waits in a state.
+_WAITS = {
+    CellState.IDLE: "start",
+    CellState.STOPPED: "acknowledgement",
+    CellState.ABORTED: "acknowledgement",
+    CellState.HELD: "unhold",
+    CellState.SUSPENDED: "unsuspend",
+}
+
+
+class Reporter:
+    """Publishes what happens, each thing once and in its order.
+
+    publish        of the link
+    suspended_for  why the cell is suspended, if whoever asked for it said so
+    """
+
+    def __init__(self, publish: Callable[[Kind, Mapping[str, Any]], object]) -> None:
+        self.suspended_for = ""
+        self._publish = publish
+        self._state: CellState | None = None
+        self._waiting: tuple[str, ...] = ()
+
+    def state(self, state: CellState) -> None:
+        """The cell has come to a state."""
+        before, self._state = self._state, state
+        self._publish(Kind.STATE, {"state": state.value, "step": None, "since": time.time()})
+        wait = _WAITS.get(state)
+        if state is CellState.STOPPED and before is CellState.CLEARING:
+            wait = "reset"
+        if state is CellState.SUSPENDED and self.suspended_for:
+            wait = self.suspended_for
+        self.waiting(*([] if wait is None else [wait]))
+
+    def step(self, number: int, step: str) -> None:
+        """A step begins; a pause is none."""
+        if step not in set(CellState):
+            self._publish(Kind.STEP, {"step": step, "cycle": number})
+
+    def cycle(self, number: int, part: str | None, product: str | None) -> None:
+        """A cycle begins."""
+        self._publish(Kind.CYCLE, {"cycle": number, "part": part, "product": product})
+
+    def result(self, result: Result) -> None:
+        """A cycle has ended; its fault is told of, too."""
+        self._publish(Kind.RESULT, result.to_json())
+        if result.fault is not None:
+            self.fault(FaultNotice(result.cycle, time_s=time.time(), **asdict(result.fault)))
+
+    def fault(self, fault: FaultNotice) -> None:
+        """A fault that nobody has acknowledged."""
+        self._publish(Kind.FAULT, asdict(fault))
+
+    def acknowledged(self, by: str, note: str) -> None:
+        """A person has looked at the fault."""
+        self._publish(Kind.ACKNOWLEDGED, {"by": by, "note": note})
+
+    def product(self, name: str) -> None:
+        """What the next cycle makes."""
+        self._publish(Kind.PRODUCT, {"product": name})
+
+    def waiting(self, *reasons: str) -> None:
+        """What the cell waits for; told once."""
+        if reasons != self._waiting:
+            self._waiting = reasons
+            self._publish(Kind.WAITING, {"waiting_for": list(reasons)})

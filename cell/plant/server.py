@@ -1,0 +1,256 @@
+"""Unix socket of a running cell, for many programs at once, in one thread that waits for none."""
+
+from __future__ import annotations
+
+import fcntl
+import logging
+import os
+import selectors
+import socket
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from cell.plant.connection import Connection, Journal, LaggingError
+from cell.plant.messages import PROTOCOL, Answer, Request, Status, to_json
+from cell.plant.wire import LinkError, has_unix_sockets, line_of, request_of
+
+_LOG = logging.getLogger(__name__)
+
+#: Further programs are refused.
+MOST_CLIENTS = 200
+#: So long the end waits for the thread, s.
+_CLOSE_S = 2.0
+#: After a program that could not be let in the next is so late, s.
+_NO_FILES_S = 0.1
+
+
+class Server:
+    """Serves programs within a `with`.
+
+    path     of the socket; only this user may connect
+    run      of the cell, for the greeting
+    journal  notices, in their order; only added to before `wake`
+    status   state of the cell now
+    ask      hands on a request; its second argument is called with the answer, in any thread
+
+    raises  LinkError, from `with`: another cell runs there, or there can be no socket
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        run: str,
+        journal: Journal,
+        status: Callable[[], Status],
+        ask: Callable[[Request, Callable[[Answer], None]], None],
+    ) -> None:
+        self._path = path
+        self._greeting = line_of("greeting", {"protocol": PROTOCOL, "run": run})
+        self._journal = journal
+        self._status = status
+        self._ask = ask
+        self._answers: deque[tuple[Connection, Answer]] = deque()
+        self._connections: set[Connection] = set()
+        self._opened = ExitStack()
+        self._over = False
+
+    def wake(self) -> None:
+        """There is something to send; from any thread."""
+        with suppress(OSError):  # it is full: the thread wakes anyway; or closed
+            self._waking.send(b".")
+
+    def __enter__(self) -> Server:
+        with ExitStack() as stack:
+            self._listening = _listening_at(self._path, stack)
+            self._selector = stack.enter_context(selectors.DefaultSelector())
+            self._woken, self._waking = socket.socketpair()
+            for end in (self._woken, self._waking):
+                stack.enter_context(end).setblocking(False)
+            self._selector.register(self._listening, selectors.EVENT_READ)
+            self._selector.register(self._woken, selectors.EVENT_READ)
+            thread = threading.Thread(target=self._serve, name="link socket", daemon=True)
+            thread.start()
+            stack.callback(thread.join, _CLOSE_S)
+            self._opened = stack.pop_all()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        where: TracebackType | None,
+    ) -> None:
+        self._over = True
+        self.wake()
+        self._opened.close()
+
+    def _serve(self) -> None:
+        while not self._over:
+            for key, events in self._selector.select():
+                if key.fileobj is self._listening:
+                    self._accept()
+                elif key.fileobj is self._woken:
+                    self._woken.recv(4096)
+                elif events & selectors.EVENT_READ:
+                    self._hear(key.data)
+            while self._answers:
+                connection, answer = self._answers.popleft()
+                self._tell(connection, "answer", to_json(answer))
+            for connection in tuple(self._connections):
+                self._send(connection)
+        for connection in tuple(self._connections):
+            self._send(connection)  # what its program can still read
+            self._drop(connection)
+
+    def _accept(self) -> None:
+        try:
+            connected, _ = self._listening.accept()
+        except BlockingIOError:  # it has gone again
+            return
+        except OSError as error:  # as many files are open as may be
+            _LOG.warning("a program could not connect: %s", error)
+            time.sleep(_NO_FILES_S)
+            return
+        connection = Connection(connected)
+        self._connections.add(connection)
+        self._selector.register(connected, selectors.EVENT_READ, connection)
+        if len(self._connections) > MOST_CLIENTS:
+            self._refuse(connection, f"{MOST_CLIENTS} programs are connected already")
+            return
+        connection.put(self._greeting)
+
+    def _hear(self, connection: Connection) -> None:
+        try:
+            for kind, data in connection.read():
+                if connection in self._connections:
+                    self._answer(connection, kind, data)
+        except ValueError as error:
+            self._refuse(connection, str(error))
+        except OSError:
+            self._drop(connection)
+
+    def _answer(self, connection: Connection, kind: str, data: Any) -> None:
+        """Do what a program asks.  Raises ValueError: it is nothing that can be asked."""
+        if not connection.greeted:
+            if kind != "greeting" or not isinstance(data, dict):
+                raise ValueError("the first message is no greeting")
+            if data.get("protocol") != PROTOCOL:
+                spoken = f"this cell speaks protocol {PROTOCOL}, not {data.get('protocol')!r}"
+                raise ValueError(f"{spoken}; update the older of the two programs")
+            connection.greeted = True
+        elif kind == "status":
+            self._tell(connection, "status", to_json(self._status()))
+        elif kind == "follow":
+            self._follow(connection, data)
+        elif kind == "request":
+            try:
+                request = request_of(data)
+            except ValueError as error:
+                refused = Answer(False, self._status().state, str(error))
+                self._tell(connection, "answer", to_json(refused))
+            else:
+                self._ask(request, lambda answer: self._answered(connection, answer))
+        else:
+            raise ValueError(f"{kind!r} is no message to a cell")
+
+    def _follow(self, connection: Connection, data: Any) -> None:
+        """Tell it all notices from now on, or from where it was."""
+        status = self._status()
+        match data:
+            case {"run": status.run, "sequence": int(sequence)} if self._journal.has_all_after(
+                sequence
+            ):
+                connection.told = sequence
+            case _:
+                self._tell(connection, "status", to_json(status))
+                connection.told = status.sequence
+
+    def _answered(self, connection: Connection, answer: Answer) -> None:
+        self._answers.append((connection, answer))
+        self.wake()
+
+    def _tell(self, connection: Connection, kind: str, data: Any) -> None:
+        try:
+            connection.put(line_of(kind, data))
+        except LaggingError:
+            self._drop(connection)
+
+    def _send(self, connection: Connection) -> None:
+        try:
+            connection.write(self._journal)
+        except LaggingError:
+            _LOG.warning("a program that does not read is disconnected")
+            self._drop(connection)
+        except OSError:
+            self._drop(connection)
+        else:
+            both = selectors.EVENT_READ | selectors.EVENT_WRITE
+            events = both if connection.waits else selectors.EVENT_READ
+            if self._selector.get_key(connection.socket).events != events:
+                self._selector.modify(connection.socket, events, connection)
+
+    def _refuse(self, connection: Connection, reason: str) -> None:
+        """Disconnect it, and say why."""
+        self._tell(connection, "refused", reason)
+        self._send(connection)
+        self._drop(connection)
+
+    def _drop(self, connection: Connection) -> None:
+        if connection in self._connections:
+            self._connections.remove(connection)
+            self._selector.unregister(connection.socket)
+            connection.close()
+
+
+def _listening_at(path: Path, stack: ExitStack) -> socket.socket:
+    """A socket for this user only; that of a cell which is no more is replaced.
+
+    stack   closes and removes it
+    raises  LinkError: another cell runs there, or there can be none
+    """
+    if not has_unix_sockets():
+        raise LinkError("this system has no Unix sockets: no program can reach this cell")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _lock(path.with_name(f"{path.name}.lock"), stack)
+        path.unlink(missing_ok=True)
+        listening = stack.enter_context(socket.socket(socket.AF_UNIX))
+        listening.setblocking(False)
+        listening.bind(str(path))
+        stack.callback(path.unlink, missing_ok=True)
+        path.chmod(0o600)  # nobody can connect before it listens
+        listening.listen(MOST_CLIENTS)
+    except BlockingIOError as error:
+        raise LinkError(f"another cell runs there already: it has {path}") from error
+    except OSError as error:
+        cause = error.strerror or str(error)
+        raise LinkError(f"no program can reach this cell: {path}: {cause}") from error
+    return listening
+
+
+def _lock(path: Path, stack: ExitStack) -> None:
+    """Hold a file as long as this process lives; it goes at the end.
+
+    raises  BlockingIOError: another cell holds it
+    """
+    while True:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if os.fstat(descriptor).st_ino == path.stat().st_ino:
+                break
+        except FileNotFoundError:  # who held it has just removed it
+            os.close(descriptor)
+        except OSError:
+            os.close(descriptor)
+            raise
+        else:
+            os.close(descriptor)
+    stack.callback(os.close, descriptor)
+    stack.callback(path.unlink, missing_ok=True)

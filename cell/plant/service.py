@@ -1,0 +1,306 @@
+"""The cell as a service: it waits in Idle, makes a cycle for every start, and resets by itself."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from cell.plant.messages import Answer, FaultNotice, Request
+from cell.plant.orders import latch, refusal
+from cell.plant.reporter import Reporter
+from cell.plant.systemd import Notifier
+from cell.records.folder import acknowledge_record, read_record
+from cell.records.past_cycles import cycle_of
+from cell.records.result import Outcome, Result
+from cell.run.commands import InterruptedByCommandError
+from cell.run.cycle import Cell
+from cell.run.machine import CellState, Event
+from cell.run.plans import INSERTING, Plan
+from drivers.interfaces import DeviceError
+
+#: How often the service looks at its commands and its devices while nothing happens, s.
+_LOOK_S = 0.1
+#: A step that lasts longer is a program that hangs, s: the first one may compile.
+_LONGEST_STEP_S = 600.0
+_UNHURRIED = (CellState.HELD, CellState.SUSPENDED)
+
+
+@dataclass(frozen=True)
+class Earlier:
+    """The newest cycle of a folder of records: its folder, number, and fault if one is open."""
+
+    folder: Path
+    cycle: int
+    fault: FaultNotice | None
+
+
+def earlier_cycle(runs: Path) -> Earlier | None:
+    """The newest cycle in a folder, None = there is none.
+
+    Its fault is open if it was never concluded, or failed, and nobody has acknowledged that.
+    raises  InputError: its files were changed and are wrong now
+    """
+    folders = [f for f in runs.iterdir() if cycle_of(f)] if runs.is_dir() else []
+    if not folders:
+        return None
+    folder = max(folders, key=lambda f: cycle_of(f) or ())
+    found = cycle_of(folder)
+    assert found is not None
+    number = found[1]
+    if not (folder / "state.json").exists():
+        return Earlier(folder, number, _unfinished(folder, number, ""))
+    record = read_record(folder)
+    if "acknowledged" in record.state:
+        return Earlier(folder, number, None)
+    if not record.closed or record.result is None:
+        return Earlier(folder, number, _unfinished(folder, number, record.step or ""))
+    fault = record.result.fault
+    if record.result.outcome is not Outcome.FAILED or fault is None:
+        return Earlier(folder, number, None)
+    return Earlier(folder, number, FaultNotice(number, time_s=time.time(), **vars(fault)))
+
+
+def _unfinished(folder: Path, number: int, step: str) -> FaultNotice:
+    return FaultNotice(
+        number,
+        step,
+        f"cycle {number} was not finished: the program or the computer ended within it",
+        time.time(),
+        remedy="look where the hand and the cable are, then reset",
+        cable=f"not known; see {folder}",
+        code="unfinished",
+    )
+
+
+def _not_made_ready(number: int) -> FaultNotice:
+    return FaultNotice(
+        number,
+        "reset",
+        "the program or the computer ended while the cell was made ready",
+        time.time(),
+        remedy="look where the hand is and what the jaws hold, then reset",
+        code="unfinished",
+    )
+
+
+class Service:
+    """Runs cycles on request until `end`; `answer` is the handler of its link.
+
+    plan            of every cycle
+    products        names of what can be made
+    select_product  makes the next cycles be of a product; called between cycles, by `run`
+    """
+
+    def __init__(
+        self,
+        cell: Cell,
+        reporter: Reporter,
+        runs: Path,
+        *,
+        plan: Plan = INSERTING,
+        products: Sequence[str] = (),
+        select_product: Callable[[str], None] = lambda name: None,
+    ) -> None:
+        self._cell = cell
+        self._reporter = reporter
+        self._plan = plan
+        self._products = tuple(products)
+        self._select = select_product
+        self._notifier = Notifier()
+        self._changed = threading.Condition()
+        self._ending = threading.Event()
+        self._over = threading.Event()
+        self._alive_until_s = float("inf")
+        self._part: str | None = None
+        self._product: str | None = None
+        self._wanted: str | None = None
+        self._resetting = runs.with_name(f"{runs.name}.resetting")
+        earlier = earlier_cycle(runs)
+        self._number = 1 if earlier is None else earlier.cycle + 1
+        self._open: Path | None = None
+        if earlier is not None and earlier.fault is not None:
+            self._open = earlier.folder
+            cell.take_up(earlier.folder)
+            reporter.state(CellState.STOPPED)
+            reporter.fault(earlier.fault)
+        elif self._resetting.exists():
+            self._open = self._resetting
+            reporter.state(CellState.STOPPED)
+            reporter.fault(_not_made_ready(self._number))
+        cell.machine.on_change = self._told
+
+    # --- the link's threads -------------------------------------------------------------------
+
+    def answer(self, request: Request) -> Answer:
+        """Do what is asked, or refuse it; returns at once."""
+        with self._changed:
+            if request.product is not None and request.product not in self._products:
+                known = ", ".join(self._products) or "none"
+                return self._refused("product", f"{request.product!r} is not known, but {known}")
+            command = request.command
+            if command in (Event.START, Event.RESET, Event.CLEAR):
+                answer = self._moved(request, command)
+            elif command is not None:
+                if command is Event.SUSPEND:
+                    self._reporter.suspended_for = request.note
+                answer = latch(self._cell, request)
+            else:
+                answer = Answer(True, self._cell.machine.state)
+            if answer.accepted and request.product is not None:
+                self._wanted = request.product
+                self._reporter.product(request.product)
+            self._changed.notify_all()
+            return answer
+
+    def _moved(self, request: Request, command: Event) -> Answer:
+        """Let the machine take the transition, where the cell rests."""
+        machine = self._cell.machine
+        if not machine.can(command) or machine.state is CellState.COMPLETE:
+            return self._refused(command.value)
+        if self._ending.is_set():
+            return self._refused(command.value, "the service is about to end")
+        if command is Event.START:
+            try:
+                self._cell.check()
+            except (InterruptedByCommandError, DeviceError) as error:
+                return self._refused(command.value, str(error))
+            self._part = request.part or None
+            product = request.product or self._wanted or self._product
+            self._reporter.cycle(self._number, self._part, product)
+            return Answer(True, machine.send(command))
+        if machine.state is CellState.ABORTED or self._open is not None:
+            self._acknowledge(request)
+        if command is Event.RESET:
+            machine.send(command)
+        return Answer(True, machine.state)
+
+    def _acknowledge(self, request: Request) -> None:
+        self._cell.acknowledge(request.by, request.note)
+        self._reporter.acknowledged(request.by, request.note)
+        folder, self._open = self._open, None
+        if folder is not None and cycle_of(folder) is not None:
+            acknowledge_record(folder, request.by, request.note)
+
+    def _refused(self, what: str, why: str = "") -> Answer:
+        return refusal(self._cell, what, why)
+
+    def end(self) -> None:
+        """End after the cycle under way, or at once if it is paused; safe in a signal's handler."""
+        self._ending.set()
+
+    # --- the thread that moves the cell -------------------------------------------------------
+
+    def run(self, told: Callable[[Result], None]) -> None:
+        """Serve until `end`; `told` gets every result.  Raises RecordError; KeyboardInterrupt."""
+        tending = threading.Thread(target=self._tend, name="tend", daemon=True)
+        tending.start()
+        self._notifier.ready()
+        try:
+            while not self._ending.is_set():
+                self._select_wanted()
+                state = self._cell.machine.state
+                if state in (CellState.STOPPED, CellState.ABORTED) and self._rests(state):
+                    continue
+                result = self._prepared() or self._idle()
+                if result is not None:
+                    self._ended(result, told)
+        finally:
+            self._notifier.stopping()
+            self._over.set()
+            tending.join()
+
+    def _prepared(self) -> Result | None:
+        """Make the cell ready; a file says meanwhile that the hand may be moving."""
+        with suppress(OSError):  # a full disk is told when the record is begun
+            self._resetting.parent.mkdir(parents=True, exist_ok=True)
+            self._resetting.touch()
+        result = self._cell.prepare(self._number, self._plan)
+        with suppress(OSError):
+            self._resetting.unlink(missing_ok=True)
+        return result
+
+    def _rests(self, state: CellState) -> bool:
+        """Wait for a person if one has to say something; whether that was so."""
+        if state is CellState.STOPPED and self._fresh():
+            return False
+        self._wait(lambda: self._cell.machine.state is not state)
+        return True
+
+    def _fresh(self) -> bool:
+        """Whether this service has just begun, and has nothing to be acknowledged."""
+        return (
+            self._open is None
+            and self._cell.machine.seconds()[CellState.RESETTING] == 0.0
+            and (self._cell.machine.seconds()[CellState.CLEARING] == 0.0)
+        )
+
+    def _idle(self) -> Result | None:
+        """The cycle that is asked for next, or why there is none; None = the service ends."""
+        try:
+            while self._cell.machine.state is CellState.IDLE:
+                self._cell.check()
+                if self._ending.is_set():
+                    return None
+                self._wait_a_moment()
+        except (InterruptedByCommandError, DeviceError) as error:
+            with self._changed:
+                return self._cell.leave_idle(error)
+        self._select_wanted()
+        return self._cell.run_prepared(self._part)
+
+    def _ended(self, result: Result, told: Callable[[Result], None]) -> None:
+        recorded = cycle_of(Path(result.folder)) is not None
+        if result.fault is not None:
+            self._open = Path(result.folder)
+        if recorded:
+            self._number += 1
+            self._reporter.result(result)
+            told(result)
+        elif result.fault is not None:
+            fault = FaultNotice(self._number - 1, time_s=time.time(), **vars(result.fault))
+            self._reporter.fault(fault)
+
+    def _select_wanted(self) -> None:
+        with self._changed:
+            wanted, self._wanted = self._wanted, None
+        if wanted is not None and wanted != self._product:
+            self._select(wanted)
+            self._product = wanted
+
+    def _wait(self, until: Callable[[], bool]) -> None:
+        while not until() and not self._ending.is_set():
+            self._wait_a_moment()
+
+    def _wait_a_moment(self) -> None:
+        self._alive_until_s = time.monotonic() + 50 * _LOOK_S
+        with self._changed:
+            self._changed.wait(_LOOK_S)
+
+    # --- signs of life ------------------------------------------------------------------------
+
+    def step(self, number: int, step: str) -> None:
+        """A step of a cycle begins: for the cell's `on_step`."""
+        self._alive_until_s = time.monotonic() + _LONGEST_STEP_S
+        self._reporter.step(number, step)
+
+    def _told(self, state: CellState) -> None:
+        self._alive_until_s = time.monotonic() + _LONGEST_STEP_S
+        self._reporter.state(state)
+        self._notifier.status(f"{state.value}, cycle {self._number}")
+
+    def _tend(self) -> None:
+        """Tell systemd that the service lives, and end a pause when the service is to end."""
+        watchdog_s = self._notifier.watchdog_s
+        due_s = time.monotonic()
+        while not self._over.wait(_LOOK_S):
+            state, now_s = self._cell.machine.state, time.monotonic()
+            lives = now_s < self._alive_until_s or state in _UNHURRIED
+            if watchdog_s is not None and lives and now_s >= due_s:
+                self._notifier.alive()
+                due_s = now_s + watchdog_s / 3.0
+            if self._ending.is_set() and state in _UNHURRIED:
+                self._cell.command(Event.STOP, "the service ends")

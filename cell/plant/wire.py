@@ -1,0 +1,130 @@
+"""Messages on the wire: where the socket is, and messages as lines of JSON and back.
+
+A line is an object with one key, which says what it is:
+
+    from the cell      greeting (protocol, run), status, notice, answer, refused (a reason)
+    from a program     greeting (protocol), status (null), follow (run, sequence, or null), request
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import socket
+import tempfile
+from collections.abc import Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from cell.plant.messages import COMMANDS, Answer, FaultNotice, Kind, Mode, Notice, Request, Status
+from cell.run.machine import CellState, Event
+
+#: A longer line is no message, bytes.
+LONGEST_LINE = 1 << 20
+#: A longer text in a request is refused, characters.
+LONGEST_TEXT = 1000
+#: A longer path is refused by the system (108 on Linux, 104 elsewhere, one of them at the end).
+_LONGEST_PATH = 100
+
+
+class LinkError(OSError):
+    """A cell cannot be reached, or was lost.  Scenario: it ends between a question and its answer.
+
+    What became of a request is not known then.
+    """
+
+
+class NoCellError(LinkError):
+    """No cell runs with this folder of records.  Scenario: the service has not been started."""
+
+
+class ProtocolError(LinkError):
+    """Cell and program do not speak the same version.  Scenario: only one of them was updated."""
+
+
+def socket_of(runs: Path) -> Path:
+    """Path of the Unix socket of the cell whose records are in the folder `runs`.
+
+    It stands beside the folder, or in the temporary folder if its path would be too long.
+    """
+    folder = runs.resolve()
+    beside = folder.with_name(f"{folder.name}.socket")
+    if len(bytes(beside)) <= _LONGEST_PATH:
+        return beside
+    name = hashlib.sha256(bytes(folder)).hexdigest()[:16]
+    return Path(tempfile.gettempdir(), f"cable-cell-{name}.socket")
+
+
+def has_unix_sockets() -> bool:
+    """Whether this system has the sockets that a link is made of."""
+    return hasattr(socket, "AF_UNIX")
+
+
+def line_of(kind: str, data: Any) -> bytes:
+    """A message as a line."""
+    text = json.dumps({kind: data}, ensure_ascii=False, separators=(",", ":"))
+    return text.encode() + b"\n"
+
+
+def read_line(line: bytes) -> tuple[str, Any]:
+    """What a line is, and its data.  Raises ValueError: it is no message."""
+    message = json.loads(line)
+    if not isinstance(message, dict) or len(message) != 1:
+        raise ValueError("a message is an object with one key")
+    [(kind, data)] = message.items()
+    return kind, data
+
+
+def notice_of(data: Mapping[str, Any]) -> Notice:
+    """Back from JSON.  Raises KeyError, TypeError, ValueError: not a notice."""
+    return Notice(**{**_known(Notice, data), "kind": Kind(data["kind"])})
+
+
+def answer_of(data: Mapping[str, Any]) -> Answer:
+    """Back from JSON.  Raises KeyError, TypeError, ValueError: not an answer."""
+    return Answer(**{**_known(Answer, data), "state": CellState(data["state"])})
+
+
+def status_of(data: Mapping[str, Any]) -> Status:
+    """Back from JSON.  Raises KeyError, TypeError, ValueError: not a status."""
+    known = _known(Status, data)
+    known |= {
+        "state": CellState(data["state"]),
+        "mode": Mode(data["mode"]),
+        "products": tuple(data["products"]),
+        "possible": tuple(map(Event, data["possible"])),
+        "waiting_for": tuple(data["waiting_for"]),
+        "fault": None if data["fault"] is None else fault_of(data["fault"]),
+    }
+    return Status(**known)
+
+
+def fault_of(data: Mapping[str, Any]) -> FaultNotice:
+    """Back from JSON.  Raises TypeError: not a fault."""
+    return FaultNotice(**_known(FaultNotice, data))
+
+
+def request_of(data: Any) -> Request:
+    """Back from JSON.
+
+    raises  ValueError: not a request; the message says what is wrong
+    """
+    if not isinstance(data, dict):
+        raise ValueError("a request is an object")
+    known = _known(Request, data)
+    for name, value in known.items():
+        wanted = str if name in ("by", "note") else str | None
+        if not isinstance(value, wanted) or len(value or "") > LONGEST_TEXT:
+            raise ValueError(f"{name} is no text of at most {LONGEST_TEXT} characters")
+    if not known.get("by"):
+        raise ValueError("by is missing: who asks")
+    command = known.pop("command", None)
+    if command is not None and command not in COMMANDS:
+        raise ValueError(f"{command!r} is no command; those are {', '.join(sorted(COMMANDS))}")
+    return Request(command=None if command is None else Event(command), **known)
+
+
+def _known(kind: type[Any], data: Mapping[str, Any]) -> dict[str, Any]:
+    """What this version knows; a newer one may say more."""
+    return {f.name: data[f.name] for f in fields(kind) if f.name in data}

@@ -1,0 +1,39 @@
+"""How a cycle that comes to no good end is said to have ended."""
+
+from __future__ import annotations
+
+from cell.records.folder import RecordError
+from cell.records.result import Fault
+from cell.run.commands import InterruptedByCommandError
+from cell.run.machine import Event
+from drivers.interfaces import (
+    CameraError,
+    ConnectError,
+    DeviceError,
+    DeviceLostError,
+    DeviceTimeoutError,
+)
+
+#: After these the devices are connected anew; after the others they are still there.
+UNREACHED = (ConnectError, DeviceLostError, DeviceTimeoutError, CameraError)
+
+#: What may end a cycle without being a mistake of the program.
+EXPECTED = (DeviceError, InterruptedByCommandError, KeyboardInterrupt, RecordError)
+
+
+def fault_of(step: str, error: BaseException) -> tuple[Fault, Event]:
+    """The fault that an error is in a step, and the event that it is to the cell."""
+    match error:
+        case InterruptedByCommandError():
+            event = error.event.value
+            return Fault(step, error.reason or event, code=event), error.event
+        case KeyboardInterrupt():
+            cause = str(error) or "interrupted by a person"
+            return Fault(step, cause, code=Event.STOP.value), Event.STOP
+        case DeviceError():
+            code = f"{error.device.replace(' ', '_')}.{error.code}"
+            return Fault(step, error.cause, error.device, error.remedy, code=code), Event.ABORT
+        case RecordError():
+            remedy = "make room there, or mend the disk"
+            return Fault(step, str(error), remedy=remedy, code="record"), Event.ABORT
+    return Fault(step, f"{type(error).__name__}: {error}", code="program"), Event.ABORT

@@ -1,0 +1,93 @@
+"""What the settings say of the digital handshake with a PLC."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from cell.settings.section import Host, Section
+
+
+class Signal(Section):
+    """Place of one bit."""
+
+    number: Annotated[int, Field(ge=0, le=1023)]
+    """Address of the coil or of the discrete input, from 0."""
+    inverted: bool = False
+    """Whether the signal is on when the bit is 0."""
+
+
+class InputSignals(Section):
+    """Coils that the PLC writes.  Null = not wired: always fine, and never asked for."""
+
+    start: Signal | None = Signal(number=0)
+    """Its rising edge asks for a cycle; obeyed while `ready` is on."""
+    part_present: Signal | None = Signal(number=1)
+    """A cable is where the cell grips it; without one no cycle begins."""
+    upstream_ready: Signal | None = Signal(number=2)
+    """The machine before the cell allows it to work; off suspends a cycle."""
+    downstream_ready: Signal | None = Signal(number=3)
+    """The machine after the cell allows it to work; off suspends a cycle."""
+    acknowledge: Signal | None = Signal(number=4)
+    """Its rising edge clears Aborted, or resets Stopped: a person has looked."""
+    stop: Signal | None = Signal(number=5)
+    """Its rising edge stops the cycle.  It is not safety-rated."""
+
+
+class OutputSignals(Section):
+    """Discrete inputs that the PLC reads.  Null = not told."""
+
+    ready: Signal | None = Signal(number=0)
+    """A rising edge of `start` is obeyed."""
+    busy: Signal | None = Signal(number=1)
+    """A cycle is under way."""
+    done: Signal | None = Signal(number=2)
+    """The last cycle has ended as wanted; until `start` changes."""
+    rejected: Signal | None = Signal(number=3)
+    """The last cycle has ended without an insertion; until `start` changes."""
+    fault: Signal | None = Signal(number=4)
+    """The cell waits for a person, or is not reached."""
+
+
+class Handshake(Section):
+    """Digital handshake (`cell handshake`): a PLC starts the cell with bits over Modbus/TCP.
+
+    Modbus knows neither users nor encryption: whoever reaches the port can start the cell.
+    """
+
+    carrier: Literal["modbus"] = "modbus"
+    """What carries the bits: a Modbus/TCP server."""
+    listen: Host = "127.0.0.1"
+    """Address at which the server listens; 0.0.0.0 = all of this computer."""
+    port: Annotated[int, Field(ge=1, le=65535)] = 502
+    """TCP port.  502 is that of Modbus, and needs rights of its own below 1024."""
+    silence_s: Annotated[float, Field(ge=0.1, le=60.0)] = 1.0
+    """A PLC writes its coils at least so often.  One that does not is lost, and starts nothing."""
+    by: Annotated[str, Field(min_length=1, max_length=100)] = "plc"
+    """Who is said to have asked, and to have acknowledged, in the ledger."""
+    inputs: InputSignals = InputSignals()
+    """What the PLC says."""
+    outputs: OutputSignals = OutputSignals()
+    """What the cell says."""
+
+    @model_validator(mode="after")
+    def _each_bit_once(self) -> Handshake:
+        for group in (self.inputs, self.outputs):
+            named: dict[int, str] = {}
+            for name, signal in signals_of(group):
+                if signal.number in named:
+                    raise ValueError(
+                        f"has {name} and {named[signal.number]} at number {signal.number}; "
+                        "give each a number of its own"
+                    )
+                named[signal.number] = name
+        return self
+
+
+def signals_of(group: InputSignals | OutputSignals) -> Iterator[tuple[str, Signal]]:
+    """Name and place of every signal that is wired."""
+    for name, signal in group:
+        if signal is not None:
+            yield name, signal

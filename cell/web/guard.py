@@ -1,0 +1,136 @@
+"""What every request must pass before a page sees it: host, origin, size, session, role."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, MutableMapping
+from http.cookies import CookieError, SimpleCookie
+from typing import Any
+from urllib.parse import urlsplit
+
+from cell.web.sessions import Session, Sessions, local_session
+
+Scope = MutableMapping[str, Any]
+Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
+Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
+App = Callable[[Scope, Receive, Send], Awaitable[None]]
+
+COOKIE = "cell_session"
+LOGIN = "/login"
+#: A longer body of a request is refused, bytes: files for the lab.
+MOST_BYTES = 64 << 20
+LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
+_SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
+#: Nothing is loaded from outside; NiceGUI itself compiles templates and has inline styles.
+_POLICY = (
+    "default-src 'self' 'unsafe-inline' 'unsafe-eval' data: blob:; connect-src 'self'; "
+    "frame-ancestors 'self'; base-uri 'self'; form-action 'self'; object-src 'none'"
+)
+_HEADERS = (
+    (b"content-security-policy", _POLICY.encode()),
+    (b"x-content-type-options", b"nosniff"),
+    (b"referrer-policy", b"same-origin"),
+)
+
+
+class _TooLongError(Exception):
+    """A body without a stated length grew too long."""
+
+
+def same_origin(origin: str | None, host: str, secure: bool) -> bool:
+    """Whether a request with this `Origin` comes from this server's own pages."""
+    if not origin:
+        return False
+    parts = urlsplit(origin)
+    return parts.scheme == ("https" if secure else "http") and parts.netloc == host
+
+
+def is_loopback(host: str) -> bool:
+    """Whether a `Host` header names this computer: a foreign name may be led here by its DNS."""
+    return urlsplit(f"//{host}").hostname in LOOPBACK
+
+
+class Guard:
+    """ASGI application around another one, which sees only what is allowed.
+
+    sessions  None = loopback without accounts
+    secure    whether it is reached by TLS
+    """
+
+    def __init__(self, app: App, sessions: Sessions | None, secure: bool) -> None:
+        self._app = app
+        self._sessions = sessions
+        self._secure = secure
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer a request, or hand it on with its session in `state`."""
+        if scope["type"] not in ("http", "websocket"):
+            await self._app(scope, receive, send)
+            return
+        headers = {k.decode("latin-1").lower(): v.decode("latin-1") for k, v in scope["headers"]}
+        session = self._session(headers)
+        status = self._refusal(scope, headers, session)
+        if status:
+            await _refuse(scope, send, status)
+            return
+        scope.setdefault("state", {})["session"] = session
+        left = MOST_BYTES
+
+        async def heard() -> MutableMapping[str, Any]:
+            nonlocal left
+            message = await receive()
+            if message["type"] == "http.request":
+                left -= len(message.get("body", b""))
+                if left < 0:
+                    raise _TooLongError
+            return message
+
+        async def sent(message: MutableMapping[str, Any]) -> None:
+            if message["type"] == "http.response.start":
+                known = {k.lower() for k, _ in message.get("headers", ())}
+                new = [h for h in _HEADERS if h[0] not in known]
+                message["headers"] = [*message.get("headers", ()), *new]
+            await send(message)
+
+        try:
+            await self._app(scope, heard, sent)
+        except _TooLongError:
+            await _refuse(scope, send, 413)
+
+    def _session(self, headers: dict[str, str]) -> Session | None:
+        if self._sessions is None:
+            return local_session()
+        try:
+            cookie = SimpleCookie(headers.get("cookie", "")).get(COOKIE)
+        except CookieError:
+            return None
+        return self._sessions.of(None if cookie is None else cookie.value)
+
+    def _refusal(self, scope: Scope, headers: dict[str, str], session: Session | None) -> int:
+        """Status of what is refused; 0 = it is allowed."""
+        host = headers.get("host", "")
+        if self._sessions is None and not is_loopback(host):
+            return 421
+        changes = scope["type"] == "websocket" or scope["method"] not in _SAFE
+        socket = scope["path"].startswith("/_nicegui_ws")  # by long polling, too
+        origin = headers.get("origin")
+        if (changes or (socket and origin)) and not same_origin(origin, host, self._secure):
+            return 403
+        length = headers.get("content-length", "0")
+        if not length.isdigit() or int(length) > MOST_BYTES:
+            return 413
+        if session is None and scope["path"] != LOGIN:
+            plain = scope["type"] == "http" and scope["method"] == "GET"
+            return 303 if plain and not scope["path"].startswith("/_nicegui") else 401
+        return 0
+
+
+async def _refuse(scope: Scope, send: Send, status: int) -> None:
+    if scope["type"] == "websocket":
+        await send({"type": "websocket.close", "code": 1008})
+        return
+    headers = [(b"content-type", b"text/plain"), *_HEADERS]
+    if status == 303:
+        headers.append((b"location", LOGIN.encode()))
+    await send({"type": "http.response.start", "status": status, "headers": headers})
+    said = {303: b"log in", 401: b"log in", 403: b"from another site", 413: b"too long"}
+    await send({"type": "http.response.body", "body": said.get(status, b"not this host")})

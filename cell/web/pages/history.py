@@ -1,0 +1,125 @@
+"""Past cycles: filters, the chart of the forecasts' errors, one click to a cycle's page."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+
+from nicegui import run, ui
+
+from cell.records.chart import signals
+from cell.records.ledger.error import LedgerError
+from cell.records.ledger.ledger import Ledger, ListedCycle, Wanted
+from cell.records.past_cycles import UNFINISHED
+from cell.records.result import Outcome
+from cell.settings.referred import line_of
+from cell.web.users import Role
+from cell.web.views import WORDS, error_chart, history_row
+from cell.web.visit import Visit
+
+#: The newest cycles are shown, so many.
+MOST = 300
+_DAYS = (1, 7, 30, 0)
+
+#: The first cell of a row leads to the cycle's page.
+_LINK = """
+<q-td :props="props">
+  <a :href="`/cycle/${props.row.name}`" class="underline whitespace-nowrap">{{ props.value }}</a>
+</q-td>
+"""
+
+Found = tuple[list[ListedCycle], list[str], str]
+
+
+def build(visit: Visit) -> None:
+    """Fill the page."""
+    t = visit.t
+    ui.label(t("History")).classes("text-2xl").props("role=heading aria-level=1")
+    with ui.row().classes("items-end w-full"):
+        names: dict[str | None, str] = {
+            None: t("all"),
+            **{o: t(WORDS[o]) for o in (*_outcomes(), UNFINISHED)},
+        }
+        outcome = ui.select(names, label=t("Outcome"), value=None).classes("w-48")
+        days = ui.select({d: f"{d} d" if d else t("all") for d in _DAYS}, label=t("Since"), value=7)
+        days.classes("w-32")
+        part = ui.input(t("Part")).props("clearable maxlength=100")
+    said = ui.label().classes("whitespace-pre-line")
+    chart = ui.echart(error_chart([], "", "")).classes("w-full h-64")
+    columns = [
+        {"name": key, "label": label, "field": key, "align": "left", "sortable": True}
+        for key, label in (
+            ("started", t("Begun")),
+            ("cycle", t("Cable")),
+            ("part", t("Part")),
+            ("outcome", t("Outcome")),
+            ("predicted", t("Tip predicted") + ", mm"),
+            ("measured", t("Tip seen") + ", mm"),
+            ("why", t("Reason")),
+        )
+    ]
+    table = ui.table(columns=columns, rows=[], row_key="name", pagination=20).classes("w-full")
+    no_data = t("No such cycles")
+    table.props(
+        f'wrap-cells data-test=cycles no-data-label="{no_data}" rows-per-page-label="{t("Rows")}"'
+    )
+
+    table.add_slot("body-cell-started", _LINK)
+
+    async def refresh() -> None:
+        if not visit.may(Role.watch):
+            ui.navigate.to("/login")
+            return
+        since = datetime.now(UTC) - timedelta(days=days.value) if days.value else None
+        outcomes = (outcome.value,) if outcome.value else ()
+        wanted = Wanted(
+            since=since,
+            outcomes=outcomes,
+            line=line_of(visit.room.settings),
+            part=(part.value or "").strip() or None,
+        )
+        found = await run.io_bound(_found, visit, wanted)
+        if found is None:
+            return
+        cycles, changes, error = found
+        rows = [history_row(c) for c in reversed(cycles)]
+        table.rows = [{**r, "outcome": t(WORDS.get(r["outcome"], r["outcome"]))} for r in rows]
+        options = error_chart(cycles, t("Error of the forecast"), t("± 3 σ expected"))
+        chart.set_visibility(bool(options["xAxis"]["data"]))
+        chart.options.clear()
+        chart.options.update(options)
+        said.text = error or "\n".join(changes) or t("Nothing has changed in the newest cycles.")
+
+    for filtered in (outcome, days, part):
+        filtered.on_value_change(refresh)
+    ui.timer(0.05, refresh, once=True)
+
+
+def _outcomes() -> tuple[str, ...]:
+    return tuple(o.value for o in Outcome)
+
+
+def _found(visit: Visit, wanted: Wanted) -> Found:
+    """Cycles that are asked for, what charts say of the line, and why there are none."""
+    settings = visit.room.settings
+    if settings.ledger is None:
+        return [], [], "the settings say `ledger: null`: no cycles are listed"
+    try:
+        ledger = Ledger(settings.ledger.url or visit.room.runs)
+        try:
+            results = ledger.results(line_of(settings))
+            newest = [r for r in results if r.model == results[-1].model]
+            return ledger.listed(wanted, MOST), [str(s) for s in signals(newest)], ""
+        finally:
+            ledger.close()
+    except LedgerError as error:
+        return [], [], str(error)
+
+
+def build_cycle(visit: Visit, name: str) -> None:
+    """Fill the page of one cycle: its report, in a frame that may run nothing of this page."""
+    with ui.row().classes("items-center"):
+        ui.link(visit.t("Back to the history"), "/history")
+        ui.label(name)
+    frame = ui.element("iframe").props(f'src="/cycles/{name}/report" sandbox="allow-scripts"')
+    frame.props(f'title="{visit.t("Report of the cycle")}"')
+    frame.classes("w-full bg-white").style("height: calc(100vh - 9rem); border: 0")

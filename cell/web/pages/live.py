@@ -1,0 +1,265 @@
+"""The line's page: state, step, buttons, fault, newest cable, figures of the shift."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from nicegui import run, ui
+
+from cell.run.machine import Event
+from cell.web.cycles import cycle_folder, newest_picture
+from cell.web.theme import AMBER, AWAY, BLUE, GREEN, N_, RED
+from cell.web.users import Role
+from cell.web.views import WORDS, LiveView, live_view
+from cell.web.visit import Visit
+
+#: The page is brought up to date so often, s.
+_EVERY_S = 0.4
+
+_BUTTONS = (
+    (Event.START, N_("Start"), "play_arrow", GREEN),
+    (Event.HOLD, N_("Hold"), "pause", AMBER),
+    (Event.UNHOLD, N_("Continue"), "play_arrow", GREEN),
+    (Event.STOP, N_("Stop"), "stop", RED),
+)
+
+
+def build(visit: Visit) -> None:
+    """Fill the page."""
+    _Live(visit).build()
+
+
+class _Live:
+    """The elements of one open page, which are changed in place."""
+
+    def __init__(self, visit: Visit) -> None:
+        self._visit, self._t = visit, visit.t
+        self._updates: list[Callable[[LiveView], None]] = []
+
+    def build(self) -> None:
+        """Make the elements, and keep them up to date."""
+        with ui.element("div").classes("w-full grid grid-cols-1 lg:grid-cols-3 gap-4"):
+            with ui.column().classes("lg:col-span-2 w-full gap-4"):
+                self._state()
+                self._fault()
+                if self._visit.may(Role.operate):
+                    self._commands()
+                self._newest()
+            with ui.column().classes("w-full gap-4"):
+                self._shift()
+        page, control = self._visit.page, self._visit.room.control
+        ui.context.client.on_delete(lambda: control.release(page))
+        ui.timer(_EVERY_S, self._update)
+        self._update()
+
+    def _update(self) -> None:
+        if not self._visit.may(Role.watch, used=False):
+            ui.navigate.to("/login")
+            return
+        view = live_view(self._visit.room.watch.seen, time.time())
+        for update in self._updates:
+            update(view)
+
+    def _state(self) -> None:
+        with ui.card().classes("w-full gap-1").props("id=state-card") as card:
+            word = ui.label().classes("state-plate").props("role=status data-test=state")
+            step = ui.label().classes("text-xl").props("data-test=step")
+            cycle = ui.label().classes("text-xl").props("data-test=cycle")
+
+        def update(view: LiveView) -> None:
+            card.style(f"background-color: {view.look.ground}; color: {view.look.letters}")
+            word.text = self._t(view.look.word)
+            seconds = "" if view.step_s is None else f" · {view.step_s:.0f} s"
+            waits = ", ".join(self._t(WORDS.get(w, w)) for w in view.waiting)
+            step.text = f"{self._t(view.step)}{seconds}" if view.step else view.note
+            if waits and not view.step:
+                step.text = f"{self._t('Waits for')} {waits}"
+            if view.look is AWAY:
+                step.text = view.note or self._t("Start it with cell run --cycles forever.")
+            named = [f"{self._t('Cable')} {view.cycle}"] if view.cycle else []
+            named += [f"{self._t('Part')} {view.part}"] if view.part else []
+            cycle.text = " · ".join([*named, *([view.product] if view.product else [])])
+
+        self._updates.append(update)
+
+    def _commands(self) -> None:
+        visit, t = self._visit, self._t
+        page = visit.page
+        with ui.card().classes("w-full"):
+            with ui.row().classes("items-center w-full"):
+                who = ui.label().classes("text-lg").props("data-test=control")
+                take = ui.button(t("Take control"), color=BLUE, on_click=self._take)
+                take.props("text-color=white data-test=take")
+                release = ui.button(
+                    t("Release control"), on_click=lambda: visit.room.control.release(page)
+                ).props("outline")
+            part = (
+                ui.input(t("Part id, if it has one"))
+                .props("maxlength=200 data-test=part")
+                .classes("w-full")
+            )
+            buttons: dict[Event, ui.button] = {}
+            with ui.row().classes("gap-3 w-full"):
+                for event, word, icon, colour in _BUTTONS:
+                    button = ui.button(t(word), icon=icon, color=colour)
+                    button.classes("big-button").props(f"data-test={event.value}")
+                    button.props(f"text-color={'black' if event is Event.HOLD else 'white'}")
+                    button.on_click(self._given(event, part))
+                    buttons[event] = button
+            ui.label(t("Stop is not an emergency stop: that is the red button at the robot."))
+
+        def update(view: LiveView) -> None:
+            holder = visit.room.control.heard(page)
+            mine = holder is not None and holder.page == page
+            who.text = (
+                t("You have control.")
+                if mine
+                else t("Nobody has control.")
+                if holder is None
+                else f"{holder.name} {t('has control.')}"
+            )
+            take.set_visibility(not mine and (holder is None or holder.name == visit.name))
+            release.set_visibility(mine)
+            part.set_enabled(mine)
+            for event, button in buttons.items():
+                stop = event is Event.STOP
+                button.set_enabled(event in view.buttons and (mine or stop))
+            buttons[Event.UNHOLD].set_visibility(Event.UNHOLD in view.buttons)
+            buttons[Event.HOLD].set_visibility(Event.UNHOLD not in view.buttons)
+
+        self._updates.append(update)
+
+    def _take(self) -> None:
+        visit = self._visit
+
+        def act() -> str:
+            holder = visit.room.control.take(visit.page, visit.name)
+            return "" if holder.page == visit.page else f"{holder.name} has control"
+
+        self._told(visit.do("take control", Role.operate, act))
+
+    def _given(self, event: Event, part: ui.input) -> Callable[[], Any]:
+        async def give() -> None:
+            code = (part.value or "").strip() if event is Event.START else ""
+            self._told(await run.io_bound(self._visit.command, event, "", "", code))
+            if event is Event.START:
+                part.value = ""
+
+        return give
+
+    def _told(self, refused: str | None) -> None:
+        if refused:
+            ui.notify(refused, type="negative", multi_line=True, close_button=self._t("Close"))
+
+    def _fault(self) -> None:
+        t = self._t
+        with ui.card().classes("w-full border-4 border-red-700").props("role=alert") as card:
+            heading = ui.label().classes("text-xl font-bold")
+            cause = ui.label().classes("text-lg break-words").props("data-test=cause")
+            remedy = ui.label().classes("whitespace-pre-line break-words")
+            operates = self._visit.may(Role.operate)
+            if operates:
+                by = ui.input(t("Your name"), value=self._own_name()).classes("w-full")
+                note = ui.input(t("What you found and did")).classes("w-full")
+                by.props("maxlength=60 data-test=by")
+                note.props("maxlength=500 data-test=note")
+
+                async def acknowledge() -> None:
+                    if not (by.value.strip() and note.value.strip()):
+                        self._told(t("Give your name, and what you found and did."))
+                        return
+                    event = Event.CLEAR if Event.CLEAR in self._possible() else Event.RESET
+                    words = (by.value.strip(), note.value.strip())
+                    refused = await run.io_bound(self._visit.command, event, *words)
+                    self._told(refused)
+                    if not refused:
+                        note.value = ""
+
+                button = ui.button(t("Acknowledge and reset"), color=BLUE, on_click=acknowledge)
+                button.classes("big-button").props("text-color=white data-test=acknowledge")
+
+        def update(view: LiveView) -> None:
+            asked = Event.CLEAR in view.buttons or (
+                Event.RESET in view.buttons and view.look.word == "Stopped"
+            )
+            card.set_visibility(view.fault is not None or asked)
+            heading.text = t("A person must look first.")
+            cause.text = remedy.text = ""
+            if (fault := view.fault) is not None:
+                where = ", ".join(filter(None, (fault.device, t(fault.step))))
+                heading.text = f"{t('Fault')}: {where}"
+                cause.text, remedy.text = fault.cause, "\n".join(fault.remedies)
+
+        self._updates.append(update)
+
+    def _possible(self) -> frozenset[Event]:
+        return live_view(self._visit.room.watch.seen, time.time()).buttons
+
+    def _own_name(self) -> str:
+        return "" if self._visit.room.sessions is None else self._visit.name
+
+    def _newest(self) -> None:
+        t = self._t
+        with ui.card().classes("w-full") as card:
+            outcome = ui.label().classes("text-xl font-bold").props("data-test=outcome")
+            figures = _Figures(t)
+            picture = (
+                ui.image("")
+                .classes("w-full max-w-3xl")
+                .props(f'alt="{t("Newest picture")}" no-spinner')
+            )
+            link = ui.link(t("All of this cycle"), "/history")
+        shown = [""]
+
+        def update(view: LiveView) -> None:
+            outcome.text = f"{t('Newest cable')}: {t(WORDS.get(view.outcome, view.outcome))}"
+            figures.show(view.result)
+            if view.folder != shown[0]:
+                shown[0] = view.folder
+                folder = cycle_folder(self._visit.room.runs, view.folder)
+                there = folder is not None and newest_picture(folder) is not None
+                picture.set_visibility(there)
+                picture.set_source(f"/cycles/{view.folder}/newest.png" if there else "")
+                link.props(f'href="/cycle/{view.folder}"')
+            card.set_visibility(bool(view.folder))
+
+        self._updates.append(update)
+
+    def _shift(self) -> None:
+        t = self._t
+        with ui.card().classes("w-full"):
+            ui.label(t("This shift")).classes("text-xl font-bold")
+            counts, shares = _Figures(t), _Figures(t)
+        with ui.card().classes("w-full") as card:
+            ui.label(t("Reasons")).classes("text-xl font-bold")
+            reasons = ui.label().classes("whitespace-pre-line break-words")
+
+        def update(view: LiveView) -> None:
+            counts.show({WORDS.get(k, k): str(n) for k, n in view.counts.items()})
+            shares.show(view.shift)
+            card.set_visibility(bool(view.reasons))
+            reasons.text = "\n".join(f"{n} × {code}: {why}" for code, n, why in view.reasons)
+
+        self._updates.append(update)
+
+
+class _Figures:
+    """Figures with their headings in a row; elements are made once for each heading."""
+
+    def __init__(self, t: Callable[[str], str]) -> None:
+        self._t = t
+        self._shown: dict[str, tuple[ui.element, ui.label]] = {}
+        self._row = ui.row().classes("gap-x-6 gap-y-2 w-full")
+
+    def show(self, figures: Mapping[str, str]) -> None:
+        """Show these, in place of those before."""
+        for heading, text in figures.items():
+            if heading not in self._shown:
+                with self._row, ui.element("div").classes("flex flex-col") as place:
+                    ui.label(self._t(heading)).classes("text-sm")
+                    self._shown[heading] = (place, ui.label().classes("figure"))
+            self._shown[heading][1].text = text
+        for heading, (place, _) in self._shown.items():
+            place.set_visibility(heading in figures)

@@ -1,0 +1,216 @@
+"""The web server of the pages: routes, login, and the frame around every page."""
+
+from __future__ import annotations
+
+import logging
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import uvicorn
+from fastapi import FastAPI
+from jinja2 import Environment, FileSystemLoader
+from nicegui import ui
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import FileResponse, HTMLResponse, RedirectResponse, Response
+
+from cell.files.input_error import InputError
+from cell.web import cycles
+from cell.web.guard import COOKIE, LOGIN, Guard
+from cell.web.pages.history import build_cycle
+from cell.web.registry import PAGES, Page
+from cell.web.theme import CSS, N_
+from cell.web.users import Users
+from cell.web.visit import Room, Visit
+from cell.web.wording import languages, preferred, translation
+
+_LOG = logging.getLogger(__name__)
+
+_TITLE = "Cable cell"
+_THEMES: dict[str, bool | None] = {"auto": None, "dark": True, "light": False}
+_YEAR_S = 365 * 86400
+
+
+def serve(
+    room: Room, users: Users, address: tuple[str, int], tls: tuple[Path, Path] | None
+) -> None:
+    """Serve the pages until Ctrl-C or SIGTERM.
+
+    tls     certificate and its key; None = without, on loopback only
+    raises  OSError: the address is taken
+    """
+    app = Guard(application(room, users, tls is not None), room.sessions, tls is not None)
+    options: dict[str, Any] = {}
+    if tls is not None:
+        options = {"ssl_certfile": str(tls[0]), "ssl_keyfile": str(tls[1])}
+    with room.watch:
+        uvicorn.run(
+            app,
+            host=address[0],
+            port=address[1],
+            log_level="warning",
+            server_header=False,
+            ws_max_size=1 << 20,
+            timeout_graceful_shutdown=2,
+            **options,
+        )
+    room.client.close()
+
+
+def application(room: Room, users: Users, secure: bool) -> FastAPI:
+    """The application without its guard."""
+    app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
+    _login_routes(app, room, users, secure)
+    _cycle_routes(app, room)
+    for page in PAGES:
+        _page_route(room, page)
+
+    @ui.page("/cycle/{name}", title=_TITLE, dark=None)
+    def cycle(request: Request, name: str) -> None:
+        if cycles.cycle_folder(room.runs, name) is None:
+            ui.label("no such cycle")
+            return
+        visit = _visit(room, request)
+        _framed(visit, request)
+        build_cycle(visit, name)
+
+    ui.run_with(app, title=_TITLE, dark=None, show_welcome_message=False, reconnect_timeout=10.0)
+    return app
+
+
+def _page_route(room: Room, page: Page) -> None:
+    @ui.page(page.path, title=_TITLE, dark=None)
+    def built(request: Request) -> None:
+        visit = _visit(room, request)
+        _framed(visit, request)
+        with ui.column().classes("w-full max-w-7xl mx-auto p-2 gap-4"):
+            if visit.may(page.role):
+                page.build(visit)
+            else:
+                ui.label(visit.t("You may not see this page."))
+
+
+def _visit(room: Room, request: Request) -> Visit:
+    language = _language(request)
+    page = ui.context.client.id
+    return Visit(room, request.state.session, page, language, translation(language))
+
+
+def _language(request: Request) -> str:
+    chosen = request.cookies.get("language", "")
+    accepted = request.headers.get("accept-language", "")
+    return chosen if chosen in languages() else preferred(accepted)
+
+
+def _framed(visit: Visit, request: Request) -> None:
+    """Head line with the menu, language, theme and logout."""
+    t = visit.t
+    ui.add_css(CSS)
+    ui.dark_mode(_THEMES.get(request.cookies.get("theme", "")))
+    ui.run_javascript(f"document.documentElement.lang = {visit.language!r}")
+    with ui.header().classes("items-center gap-1 px-2 py-1 bg-slate-800"):
+        for page in PAGES:
+            if visit.session.user.role >= page.role:
+                link = ui.link(t(page.title), page.path)
+                link.classes("text-white no-underline text-lg px-3 py-2 rounded")
+                if request.url.path == page.path:
+                    link.classes("bg-slate-600").props("aria-current=page")
+        ui.space()
+        theme = {"auto": "dark", "dark": "light"}.get(request.cookies.get("theme", "auto"), "auto")
+        words = {"auto": N_("Automatic"), "dark": N_("Dark"), "light": N_("Light")}
+        small = "text-white px-2 py-2 text-sm no-underline"
+        for name in languages():
+            if name != visit.language:
+                ui.link(name.upper(), f"/choose?language={name}").classes(small)
+        ui.link(t(words[theme]), f"/choose?theme={theme}").classes(small)
+        if visit.room.sessions is not None:
+            ui.link(f"{t('Log out')} {visit.name}", "/logout").classes(small)
+
+
+def _login_routes(app: FastAPI, room: Room, users: Users, secure: bool) -> None:
+    templates = Environment(
+        loader=FileSystemLoader(Path(__file__).parent / "templates"), autoescape=True
+    )
+
+    def shown(request: Request, wrong: str = "", status: int = 200) -> Response:
+        language = _language(request)
+        t = translation(language)
+        words = {"name": t("Name"), "password": t("Password"), "enter": t("Log in")}
+        page = templates.get_template("login.html")
+        html = page.render(language=language, title=_TITLE, wrong=t(wrong), **words)
+        return HTMLResponse(html, status)
+
+    @app.get(LOGIN)
+    def login(request: Request) -> Response:
+        return shown(request) if room.sessions is not None else RedirectResponse("/")
+
+    @app.post(LOGIN)
+    async def enter(request: Request) -> Response:
+        if room.sessions is None:
+            return RedirectResponse("/", 303)
+        async with request.form(max_files=0, max_fields=4, max_part_size=4096) as form:
+            name, password = str(form.get("name", "")), str(form.get("password", ""))
+        whos = (f"name {name[:60]}", f"from {request.client.host if request.client else ''}")
+        if room.sessions.must_wait(*whos):
+            return shown(request, N_("Too many wrong passwords; wait a minute."), 429)
+        user = await run_in_threadpool(users.known, name, password)
+        room.audit.write(name[:60], "log in", user is not None)
+        if user is None:
+            room.sessions.wrong(*whos)
+            return shown(request, N_("Name or password is wrong."), 401)
+        answer = RedirectResponse("/", 303)
+        token = room.sessions.begin(user)
+        answer.set_cookie(COOKIE, token, httponly=True, secure=secure, samesite="strict")
+        return answer
+
+    @app.get("/logout")
+    def logout(request: Request) -> Response:
+        if room.sessions is not None:
+            room.sessions.end(request.cookies.get(COOKIE))
+            room.audit.write(request.state.session.user.name, "log out", True)
+        answer = RedirectResponse(LOGIN, 303)
+        answer.delete_cookie(COOKIE)
+        return answer
+
+    @app.get("/choose")
+    def choose(language: str = "", theme: str = "") -> Response:
+        answer = RedirectResponse("/", 303)
+        if language in languages():
+            answer.set_cookie("language", language, _YEAR_S, samesite="lax")
+        if theme in _THEMES:
+            answer.set_cookie("theme", theme, _YEAR_S, samesite="lax")
+        return answer
+
+
+def _cycle_routes(app: FastAPI, room: Room) -> None:
+    @app.get("/cycles/{name}/newest.png")
+    def picture(name: str) -> Response:
+        folder = cycles.cycle_folder(room.runs, name)
+        path = None if folder is None else cycles.newest_picture(folder)
+        return Response(status_code=404) if path is None else FileResponse(path)
+
+    @app.get("/cycles/{name}/report")
+    def report(name: str) -> Response:
+        folder = cycles.cycle_folder(room.runs, name)
+        if folder is None:
+            return Response(status_code=404)
+        with suppress(OSError):
+            try:
+                headers = {"content-security-policy": "sandbox allow-scripts; default-src "
+                           "'unsafe-inline' data:; frame-ancestors 'self'"}  # fmt: skip
+                return HTMLResponse(cycles.report(folder), headers=headers)
+            except InputError as error:
+                return Response(str(error), 422, media_type="text/plain")
+        return Response("cannot be read", 422, media_type="text/plain")
+
+
+def may_be_served(host: str, tls: bool, users: int, loopback: bool) -> str:
+    """Why pages may not be served at an address, or ""."""
+    if loopback:
+        return ""
+    if not tls:
+        return f"--host {host}: beyond loopback TLS is needed: give --certificate and --key"
+    if not users:
+        return f"--host {host}: beyond loopback users are needed: cell serve user add NAME"
+    return ""

@@ -1,0 +1,116 @@
+"""Sessions of people who have logged in: random tokens that this process knows, and that expire."""
+
+from __future__ import annotations
+
+import hashlib
+import secrets
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from cell.web.users import Role, User
+
+#: A session ends after so long without a request, and after so long in any case, s.
+IDLE_S, LONGEST_S = 30 * 60.0, 12 * 3600.0
+#: After so many wrong passwords for a name or from an address within `_LATELY_S`, it must wait.
+MOST_WRONG = 5
+_LATELY_S = 60.0
+#: More are forgotten, the oldest first.
+_MOST = 1000
+
+
+@dataclass
+class Session:
+    """One person's time at the pages.
+
+    key  what it is known by here; no cookie can be made of it
+    """
+
+    user: User
+    key: str
+    begun_s: float
+    seen_s: float
+
+
+class Sessions:
+    """All sessions; safe to be used from several threads.
+
+    named  user of a name as the accounts say now: one who was removed has no session any more
+    """
+
+    def __init__(
+        self,
+        named: Callable[[str], User | None],
+        now_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._named = named
+        self._now_s = now_s
+        self._lock = threading.Lock()
+        self._open: dict[str, Session] = {}
+        self._wrong: dict[str, list[float]] = {}
+
+    def begin(self, user: User) -> str:
+        """Token of a new session, which only its cookie has."""
+        token, now = secrets.token_urlsafe(32), self._now_s()
+        key = _key(token)
+        with self._lock:
+            while len(self._open) >= _MOST:
+                self._open.pop(next(iter(self._open)))
+            self._open[key] = Session(user, key, now, now)
+        return token
+
+    def of(self, token: str | None) -> Session | None:
+        """Session of a cookie, which is used now; None = unknown, expired or ended."""
+        return None if not token else self.renewed(_key(token))
+
+    def renewed(self, key: str, *, used: bool = True) -> Session | None:
+        """Session of a key, with the role that its user has now.
+
+        used  whether a person has done something, not only a page that is open
+        """
+        now = self._now_s()
+        with self._lock:
+            session = self._open.get(key)
+            if session is None:
+                return None
+            user = self._named(session.user.name)
+            late = now - session.seen_s > IDLE_S or now - session.begun_s > LONGEST_S
+            if late or user is None:
+                del self._open[key]
+                return None
+            session.user = user
+            if used:
+                session.seen_s = now
+            return session
+
+    def end(self, token: str | None) -> None:
+        """Log out: the token is worth nothing any more."""
+        with self._lock:
+            self._open.pop(_key(token or ""), None)
+
+    def wrong(self, *whos: str) -> None:
+        """A password was wrong: for this name, from this address."""
+        now = self._now_s()
+        with self._lock:
+            if len(self._wrong) > _MOST:
+                self._wrong = {w: t for w, t in self._wrong.items() if now - t[-1] < _LATELY_S}
+            for who in whos:
+                self._wrong.setdefault(who, []).append(now)
+
+    def must_wait(self, *whos: str) -> bool:
+        """Whether too many passwords were wrong lately."""
+        since = self._now_s() - _LATELY_S
+        with self._lock:
+            return any(
+                sum(t > since for t in self._wrong.get(who, ())) >= MOST_WRONG for who in whos
+            )
+
+
+def local_session() -> Session:
+    """Session of whoever sits at this computer: on loopback there are no accounts."""
+    return Session(User("local", Role.engineer), "", 0.0, 0.0)
+
+
+def _key(token: str) -> str:
+    return hashlib.sha256(token.encode()).hexdigest()

@@ -1,0 +1,57 @@
+"""Colours and words of the PackML states; readable on light and dark, at arm's length."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from cell.run.machine import CellState
+
+#: Background of a state with white or black letters on it: contrast ≥ 4.5 with either.
+GREEN, BLUE, AMBER, RED, _GREY = "#146c2e", "#0b57a4", "#f5b301", "#b3261e", "#4a5563"
+
+
+@dataclass(frozen=True)
+class Look:
+    """How a state is shown: its word in English, colours of ground and letters."""
+
+    word: str
+    ground: str
+    letters: str
+
+
+def N_(message: str) -> str:  # noqa: N802 - the name that gettext's tools look for
+    """Marks a message for the catalogues; it is translated where it is shown."""
+    return message
+
+
+_S = CellState
+LOOKS: dict[CellState, Look] = {
+    _S.IDLE: Look(N_("Idle"), BLUE, "#ffffff"),
+    _S.STARTING: Look(N_("Starting"), GREEN, "#ffffff"),
+    _S.EXECUTE: Look(N_("Execute"), GREEN, "#ffffff"),
+    _S.COMPLETING: Look(N_("Completing"), GREEN, "#ffffff"),
+    _S.COMPLETE: Look(N_("Complete"), GREEN, "#ffffff"),
+    _S.RESETTING: Look(N_("Resetting"), BLUE, "#ffffff"),
+    _S.HOLDING: Look(N_("Holding"), AMBER, "#000000"),
+    _S.HELD: Look(N_("Held"), AMBER, "#000000"),
+    _S.UNHOLDING: Look(N_("Unholding"), AMBER, "#000000"),
+    _S.SUSPENDING: Look(N_("Suspending"), AMBER, "#000000"),
+    _S.SUSPENDED: Look(N_("Suspended"), AMBER, "#000000"),
+    _S.UNSUSPENDING: Look(N_("Unsuspending"), AMBER, "#000000"),
+    _S.STOPPING: Look(N_("Stopping"), RED, "#ffffff"),
+    _S.STOPPED: Look(N_("Stopped"), RED, "#ffffff"),
+    _S.ABORTING: Look(N_("Aborting"), RED, "#ffffff"),
+    _S.ABORTED: Look(N_("Aborted"), RED, "#ffffff"),
+    _S.CLEARING: Look(N_("Clearing"), RED, "#ffffff"),
+}
+#: No cell is there.
+AWAY = Look(N_("No cell runs"), _GREY, "#ffffff")
+
+CSS = """
+.q-btn { text-transform: none; }
+.big-button { min-height: 4.5rem; min-width: 7rem; font-size: 1.35rem; font-weight: 600; }
+.q-btn.disabled { filter: grayscale(1); opacity: 0.45 !important; }
+.state-plate { font-size: clamp(2rem, 7vw, 4rem); font-weight: 700; line-height: 1.1; }
+.figure { font-size: 1.6rem; font-weight: 600; font-variant-numeric: tabular-nums; }
+.q-btn:focus-visible, a:focus-visible { outline: 3px solid #f5b301; outline-offset: 2px; }
+"""

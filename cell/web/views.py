@@ -1,0 +1,209 @@
+"""What the pages show, as plain data: pure functions of what is known of the cell."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cell.records.ledger.ledger import ListedCycle
+from cell.run.machine import Event
+from cell.web.theme import AWAY, LOOKS, N_, Look
+from cell.web.watching import Seen
+
+#: Words of the steps of a cycle.
+STEPS = {
+    "warm_up": N_("compiling"),
+    "connect": N_("connecting"),
+    "check_paths": N_("checking the paths"),
+    "reset": N_("resetting the devices"),
+    "start": N_("checking that all is ready"),
+    "go_home": N_("going home"),
+    "grasp": N_("grasping the cable"),
+    "lower": N_("lowering"),
+    "hold_and_capture": N_("filming the swing"),
+    "check_clocks": N_("checking the clocks"),
+    "identify": N_("identifying the cable"),
+    "simulate": N_("simulating motions"),
+    "choose": N_("choosing a motion"),
+    "execute": N_("inserting"),
+    "verify": N_("verifying"),
+    "bring_back": N_("bringing back"),
+    "release": N_("releasing"),
+}
+#: Words of outcomes and of what is waited for.
+WORDS = {
+    "inserted": N_("inserted"),
+    "missed": N_("missed"),
+    "rejected": N_("rejected"),
+    "failed": N_("failed"),
+    "measured": N_("measured"),
+    "rehearsed": N_("rehearsed"),
+    "unfit": N_("unfit"),
+    "running or killed": N_("running or killed"),
+    "acknowledgement": N_("an acknowledgement"),
+    "unhold": N_("Continue"),
+    "unsuspend": N_("the line"),
+    "reset": N_("a reset"),
+    "part": N_("a part"),
+    "downstream": N_("the next machine"),
+}
+
+
+@dataclass(frozen=True)
+class FaultView:
+    """A fault that waits for a person: where, why, and what can be done."""
+
+    device: str
+    step: str
+    cause: str
+    remedies: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class LiveView:
+    """The live page at one moment; texts that are words of the source are still to be translated.
+
+    buttons  commands that the present state accepts
+    waiting  what the cell waits for; starts are asked for by the button itself
+    fault    None = there is none to acknowledge
+    result   of the newest cycle: heading of a figure → its text
+    """
+
+    look: Look
+    step: str
+    step_s: float | None
+    cycle: int
+    part: str
+    product: str
+    waiting: tuple[str, ...]
+    buttons: frozenset[Event]
+    fault: FaultView | None
+    outcome: str
+    result: Mapping[str, str]
+    counts: Mapping[str, int]
+    shift: Mapping[str, str]
+    reasons: tuple[tuple[str, int, str], ...]
+    note: str
+    folder: str
+
+
+def live_view(seen: Seen, now_s: float) -> LiveView:
+    """What the live page shows.
+
+    now_s  Unix time
+    """
+    status, there = seen.status, seen.there
+    step = (status.step if status else None) or ""
+    last = (status.last if status else None) or {}
+    fault = None
+    if status is not None and status.fault is not None:
+        f = status.fault
+        where = STEPS.get(f.step, f.step.replace("_", " "))
+        fault = FaultView(f.device or "", where, f.cause, tuple(filter(None, (f.remedy, f.cable))))
+    figures = seen.figures
+    return LiveView(
+        look=LOOKS[status.state] if status and there else AWAY,
+        step=STEPS.get(step, step.replace("_", " ")) if there else "",
+        step_s=max(0.0, now_s - seen.step_since_s) if seen.step_since_s and there else None,
+        cycle=status.cycle if status else 0,
+        part=(status.part if status else None) or "",
+        product=(status.product if status else None) or "",
+        waiting=tuple(w for w in status.waiting_for if w != "start") if status and there else (),
+        buttons=frozenset(status.possible) if status and there else frozenset(),
+        fault=fault,
+        outcome=str(last.get("outcome", "")),
+        result=result_figures(last),
+        counts=figures.counts if figures else dict(status.counts) if status else {},
+        shift=shift_texts(seen),
+        reasons=figures.reasons if figures else (),
+        note=seen.note,
+        folder=Path(str(last.get("folder", ""))).name,
+    )
+
+
+def result_figures(result: Mapping[str, Any]) -> dict[str, str]:
+    """Figures of a cycle's result, as texts with units; what is not known is left out."""
+    named = (
+        ("predicted_miss_m", N_("Tip predicted"), 1e3, "+z.2f", "mm"),
+        ("measured_miss_m", N_("Tip seen"), 1e3, "+z.2f", "mm"),
+        ("margin_m", N_("Margin"), 1e3, "+z.2f", "mm"),
+        ("probability", N_("Probability"), 100.0, ".1f", "%"),
+    )
+    return {
+        heading: f"{result[key] * scale:{form}} {unit}"
+        for key, heading, scale, form, unit in named
+        if result.get(key) is not None
+    }
+
+
+def shift_texts(seen: Seen) -> dict[str, str]:
+    """Yield and OEE of the shift, as texts; a dash where it has no meaning."""
+    shift = seen.figures.shift if seen.figures else None
+    if shift is None:
+        return {}
+    shares = (
+        (N_("Yield"), shift.quality),
+        (N_("Availability"), shift.availability),
+        (N_("Performance"), shift.performance),
+        (N_("OEE"), shift.oee),
+    )
+    return {name: "–" if share is None else f"{share:.0%}" for name, share in shares}
+
+
+def history_row(cycle: ListedCycle) -> dict[str, str]:
+    """A cycle as a row of the history's table."""
+
+    def mm(key: str) -> str:
+        value = cycle.numbers.get(key)
+        return "" if value is None else f"{value * 1e3:+z.2f}"
+
+    fault = cycle.fault
+    why = cycle.reason or ("" if fault is None else f"{fault.code}: {fault.cause}")
+    return {
+        "name": cycle.folder.name,
+        "started": f"{cycle.started:%Y-%m-%d %H:%M:%S}",
+        "cycle": str(cycle.cycle),
+        "part": cycle.part or "",
+        "outcome": cycle.outcome,
+        "predicted": mm("predicted_miss_m"),
+        "measured": mm("measured_miss_m"),
+        "why": why,
+    }
+
+
+def error_chart(cycles: list[ListedCycle], seen: str, expected: str) -> dict[str, Any]:
+    """Errors of the forecasts over the cycles, with what they expect, as an ECharts option.
+
+    seen, expected  names of the two in the legend
+    """
+    rows = [
+        (c.folder.name, 1e3 * (measured - predicted), 1e3 * (c.numbers.get("predicted_std_m") or 0))
+        for c in cycles
+        if (measured := c.numbers.get("measured_miss_m")) is not None
+        and (predicted := c.numbers.get("predicted_miss_m")) is not None
+    ]
+    band = {"type": "line", "symbol": "none", "lineStyle": {"type": "dashed", "color": "#8a94a3"}}
+    return {
+        "animation": False,
+        "grid": {"left": 75, "right": 15, "top": 40, "bottom": 30},
+        "legend": {"top": 0, "data": [seen, expected], "textStyle": {"color": "#8a94a3"}},
+        "tooltip": {"trigger": "axis"},
+        "xAxis": {"type": "category", "data": list(range(1, len(rows) + 1))},
+        "yAxis": {
+            "type": "value",
+            "axisLabel": {"formatter": "{value} mm"},
+            "splitLine": {"lineStyle": {"color": "#8a94a355"}},
+        },
+        "series": [
+            {
+                "name": seen,
+                "type": "line",
+                "data": [round(e, 4) for _, e, _ in rows],
+                "itemStyle": {"color": "#0b7fab"},
+            },
+            {**band, "name": expected, "data": [round(3 * s, 4) for *_, s in rows]},
+            {**band, "name": f"{expected} ", "data": [round(-3 * s, 4) for *_, s in rows]},
+        ],
+    }

@@ -1,0 +1,102 @@
+"""One page that a person has open: who it is, in which language, and what may be asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from cell.plant.client import Client
+from cell.plant.messages import Request
+from cell.plant.wire import LinkError
+from cell.run.machine import Event
+from cell.settings.model import Settings
+from cell.web.audit import Audit
+from cell.web.control import Control
+from cell.web.sessions import Session, Sessions
+from cell.web.users import Role
+from cell.web.watching import Watch
+from cell.web.wording import Translate
+
+#: Commands that need no control of the cell: whoever may operate may stop it.
+_ALWAYS = frozenset({Event.STOP})
+#: A longer part id is refused, characters: the ledger has no room for it.
+_LONGEST_PART = 200
+
+
+@dataclass(frozen=True)
+class Room:
+    """What all pages share.
+
+    sessions  None = loopback without accounts
+    """
+
+    config: Path
+    settings: Settings
+    runs: Path
+    client: Client
+    watch: Watch
+    control: Control
+    audit: Audit
+    sessions: Sessions | None
+
+
+@dataclass(frozen=True)
+class Visit:
+    """A page that is open.
+
+    page  identifies it among all that are open
+    t     translates a message into its language
+    """
+
+    room: Room
+    session: Session
+    page: str
+    language: str
+    t: Translate
+
+    @property
+    def name(self) -> str:
+        """Name of the person's account."""
+        return self.session.user.name
+
+    def may(self, role: Role, *, used: bool = True) -> bool:
+        """Whether the session has this role still; `used`: a person has just done something."""
+        session: Session | None = self.session
+        if self.room.sessions is not None:
+            session = self.room.sessions.renewed(self.session.key, used=used)
+        return session is not None and session.user.role >= role
+
+    def do(self, what: str, role: Role, act: Callable[[], str], note: str = "") -> str:
+        """Do something that is written to the audit log, done or refused.
+
+        act      does it; returns why it could not be done, or ""
+        returns  why it was not done, in English, or ""
+        """
+        denied = "you may not do this, or your session has ended"
+        refused = act() if self.may(role) else denied
+        self.room.audit.write(
+            self.name, what, not refused, "; ".join(filter(None, (note, refused)))
+        )
+        return refused
+
+    def command(self, event: Event, by: str = "", note: str = "", part: str = "") -> str:
+        """Give a command to the cell; why it was not obeyed, or "".  Waits for the answer.
+
+        by  named person, of an acknowledgement; "" = who has the account
+        """
+
+        def act() -> str:
+            holder = self.room.control.heard(self.page)
+            if event not in _ALWAYS and (holder is None or holder.page != self.page):
+                return "take control first: somebody else has it, or nobody"
+            if len(part) > _LONGEST_PART or not part.isprintable():
+                return f"a part id has at most {_LONGEST_PART} printable characters"
+            who = f"web:{self.name}" + (f" ({by})" if by and by != self.name else "")
+            try:
+                answer = self.room.client.send(Request(event, who, note, part or None))
+            except LinkError as error:
+                return str(error)
+            return "" if answer.accepted else answer.reason
+
+        return self.do(event.value, Role.operate, act, note)

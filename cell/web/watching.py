@@ -1,0 +1,149 @@
+"""The cell as the pages' process sees it: followed in a thread, never waited for."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
+from datetime import time as time_of_day
+from pathlib import Path
+
+from cell.plant.client import Client
+from cell.plant.folded import status_after
+from cell.plant.messages import Kind, Notice, Status
+from cell.plant.wire import ProtocolError
+from cell.records.ledger.effectiveness import Shift, shifts
+from cell.records.ledger.error import LedgerError
+from cell.records.ledger.ledger import Ledger, Wanted
+from cell.settings.model import Settings
+from cell.settings.records import Ledger as LedgerSettings
+from cell.settings.referred import line_of
+
+_LOG = logging.getLogger(__name__)
+
+#: The ledger is asked again after so long, s: after a result, and in between.
+_ASK_S = 2.0
+
+
+@dataclass(frozen=True)
+class ShiftFigures:
+    """What the ledger says of the shift under way.
+
+    counts   cycles by outcome
+    reasons  code of a fault, number of cycles, newest cause; most first
+    """
+
+    counts: dict[str, int]
+    shift: Shift | None
+    reasons: tuple[tuple[str, int, str], ...]
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What is known of the cell at one moment.
+
+    status        None = no cell was seen yet
+    there         whether a cell runs now
+    step_since_s  when the step under way began, Unix time
+    note          why nothing is known, in words
+    """
+
+    status: Status | None = None
+    there: bool = False
+    step_since_s: float | None = None
+    figures: ShiftFigures | None = None
+    note: str = ""
+
+
+class Watch:
+    """Follows the cell within a `with`; `seen` is what is known, from any thread."""
+
+    def __init__(self, client: Client, settings: Settings, runs: Path) -> None:
+        self.seen = Seen()
+        self._client = client
+        self._settings = settings
+        self._runs = runs
+        self._lock = threading.Lock()
+        self._ask = threading.Event()
+        self._over = False
+
+    def __enter__(self) -> Watch:
+        for task in (self._follow, self._count):
+            threading.Thread(target=task, daemon=True, name=task.__name__).start()
+        return self
+
+    def __exit__(self, *of_error: object) -> None:
+        self._over = True
+        self._ask.set()
+
+    def lost(self) -> None:
+        """The cell is there no more: for the client's `on_lost`."""
+        with self._lock:
+            self.seen = replace(self.seen, there=False)
+
+    def _follow(self) -> None:
+        try:
+            for message in self._client.follow():
+                with self._lock:
+                    self.seen = seen_after(self.seen, message)
+                if isinstance(message, Status) or message.kind is Kind.RESULT:
+                    self._ask.set()
+        except ProtocolError as error:
+            _LOG.warning("%s", error)
+            with self._lock:
+                self.seen = replace(self.seen, there=False, note=str(error))
+
+    def _count(self) -> None:
+        while not self._over:
+            figures = shift_figures(self._settings, self._runs, datetime.now().astimezone())
+            with self._lock:
+                self.seen = replace(self.seen, figures=figures)
+            self._ask.wait(_ASK_S)
+            self._ask.clear()
+
+
+def seen_after(seen: Seen, message: Notice | Status) -> Seen:
+    """What is known after a message of the cell."""
+    if isinstance(message, Status):
+        begun = time.time() if message.step else None
+        return replace(seen, status=message, there=True, step_since_s=begun)
+    if seen.status is None:
+        return seen
+    status = status_after(seen.status, message)
+    begun = seen.step_since_s
+    if message.kind is Kind.STEP:
+        begun = message.time_s
+    elif status.step is None:
+        begun = None
+    return replace(seen, status=status, there=True, step_since_s=begun)
+
+
+def shift_begun(begins: tuple[str, ...], now: datetime) -> datetime:
+    """When the shift under way began; `begins` of every day, local time."""
+    times = [time_of_day.fromisoformat(t) for t in begins]
+    days = (now.date() - timedelta(days=1), now.date())
+    marks = [datetime.combine(day, t).astimezone() for day in days for t in times]
+    return max(m for m in marks if m <= now)
+
+
+def shift_figures(settings: Settings, runs: Path, now: datetime) -> ShiftFigures | None:
+    """Figures of the shift under way; None = there is no ledger, or it cannot be read."""
+    if settings.ledger is None:
+        return None
+    given: LedgerSettings = settings.ledger
+    begun = shift_begun(given.shifts, now)
+    wanted = Wanted(since=begun, line=line_of(settings))
+    try:
+        ledger = Ledger(given.url or runs)
+        try:
+            begins = [time_of_day.fromisoformat(t) for t in given.shifts]
+            found = shifts(ledger, wanted, begins, now, given.ideal_cycle_s)
+            reasons = tuple(ledger.faults(replace(wanted, fault="")))
+            return ShiftFigures(ledger.count(wanted), found[-1] if found else None, reasons)
+        finally:
+            ledger.close()
+    except LedgerError as error:
+        _LOG.info("%s", error)
+        return None

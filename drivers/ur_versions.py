@@ -1,0 +1,146 @@
+"""What is known of the versions of a UR controller, and whether the driver may run with one.
+
+source  ur-rtde 1.6.5: its source (`rtde_control_interface.cpp`), its README, its issue 334;
+        Universal Robots Client Library: `doc/polyscope_compatibility.rst`
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+Version = tuple[int, int]  # major, minor
+
+#: From this version on the software is PolyScope X: it has no dashboard server.
+FIRST_WITHOUT_DASHBOARD = 10
+
+
+class Known(StrEnum):
+    """How much is known of a version."""
+
+    PROVED = "proved"  # the driver's own tests run with it
+    EXPECTED = "expected to work"  # ur-rtde 1.6.5 provides for it
+    UNKNOWN = "unknown"
+    BREAKS = "known not to work"
+
+
+@dataclass(frozen=True)
+class VersionRange:
+    """Versions of which the same is known, the first and the last included."""
+
+    first: Version
+    last: Version
+    known: Known
+    says: str
+
+
+_NEWEST = (99, 999)
+#: Ascending, without a gap: every version is in one of them.
+RANGES = (
+    VersionRange(
+        (0, 0),
+        (5, 5),
+        Known.BREAKS,
+        "its dashboard server tells neither remote control nor the serial number",
+    ),
+    VersionRange((5, 6), (5, 21), Known.PROVED, "the driver is proved with it"),
+    VersionRange(
+        (5, 22),
+        (5, 22),
+        Known.UNKNOWN,
+        "ur-rtde once could not start its program on 5.22 (its issue 334), and nobody says that "
+        "1.6.5 can",
+    ),
+    VersionRange(
+        (5, 23),
+        (5, 23),
+        Known.EXPECTED,
+        "ur-rtde 1.6.5 has the registers and program lines of 5.23",
+    ),
+    VersionRange(
+        (5, 24), (5, 25), Known.UNKNOWN, "ur-rtde 1.6.5 treats it as 5.23; nothing else is known"
+    ),
+    VersionRange(
+        (5, 26), (5, 26), Known.EXPECTED, "ur-rtde 1.6.5 has lines of its program for 5.26"
+    ),
+    VersionRange((5, 27), (9, 999), Known.UNKNOWN, "it is newer than what ur-rtde 1.6.5 knows"),
+    VersionRange(
+        (10, 0),
+        (10, 9),
+        Known.BREAKS,
+        "ur-rtde 1.6.5 starts its program on PolyScope X from 10.10 on only",
+    ),
+    VersionRange(
+        (10, 10),
+        (10, 13),
+        Known.EXPECTED,
+        "ur-rtde 1.6.5 starts its program on PolyScope X without a dashboard server",
+    ),
+    VersionRange((10, 14), _NEWEST, Known.UNKNOWN, "it is newer than what ur-rtde 1.6.5 knows"),
+)
+
+_PROVED = next(r for r in RANGES if r.known is Known.PROVED)
+_FIRST, _LAST = (".".join(map(str, v)) for v in (_PROVED.first, _PROVED.last))
+_INSTALL = f"install PolyScope {_FIRST} to {_LAST}"
+_INSTALL_X = "install PolyScope X 10.10 or newer"
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """Why a version is refused, and what a person can do."""
+
+    cause: str
+    remedy: str
+
+
+def known_of(version: Version) -> VersionRange:
+    """What is known of a version."""
+    return next(r for r in RANGES if version <= r.last or r.last == _NEWEST)
+
+
+def is_proved(version: Version) -> bool:
+    """Whether the driver runs with it on nobody's responsibility."""
+    return known_of(version).known is Known.PROVED
+
+
+def refusal(version: Version, allowed: Version | None) -> Refusal | None:
+    """Why a controller is refused; None = the driver may run with it.
+
+    allowed  the version for which somebody takes responsibility; None = nobody does
+    """
+    found = known_of(version)
+    name = version_text(version)
+    if found.known is Known.PROVED or (found.known is not Known.BREAKS and version == allowed):
+        return None
+    cause = f"the controller runs PolyScope {name}, {found.known}: {found.says}"
+    if found.known is Known.BREAKS:
+        return Refusal(cause, _INSTALL_X if version >= (10, 0) else _INSTALL)
+    if allowed is not None:
+        cause += f"; arm.allow_version allows {version_text(allowed)}"
+    return Refusal(
+        cause,
+        f'{_INSTALL}; or take responsibility for {name}: write `allow_version: "{name}"` into the '
+        "section `arm` and make a dry run at low speed, `cell run --dry-run --speed 0.1`",
+    )
+
+
+def has_dashboard(version: Version) -> bool:
+    """Whether the controller has a dashboard server."""
+    return version[0] < FIRST_WITHOUT_DASHBOARD
+
+
+def version_text(version: tuple[int, ...]) -> str:
+    """A version as it is written: 5.26."""
+    return ".".join(map(str, version))
+
+
+def read_version(text: str) -> tuple[int, int, int, int]:
+    """Major, minor, bugfix and build as from 5.12.2.1101534; what is left out is 0.
+
+    raises  ValueError: it is no version
+    """
+    parts = [int(part) for part in text.split(".")]
+    if not 2 <= len(parts) <= 4:
+        raise ValueError(f"{text!r} is no version; an example is 5.12.2.1101534")
+    major, minor, bugfix, build = (*parts, 0, 0)[:4]
+    return major, minor, bugfix, build

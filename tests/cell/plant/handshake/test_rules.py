@@ -1,0 +1,213 @@
+"""The rules of the handshake: what may never happen, over any sequence of bits and states."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cell.plant.folded import possible_in
+from cell.plant.handshake.rules import Ask, Look, Memory, away, look, not_obeyed
+from cell.plant.handshake.signals import Inputs, Outputs
+from cell.plant.messages import FaultNotice, Status
+from cell.run.machine import CellState, Event
+
+FAULT = FaultNotice(1, "grip", "no cable", 0.0)
+
+
+def status(state: CellState, **more: object) -> Status:
+    made = Status("r", 1, state, 0.0, possible=possible_in(state))
+    return replace(made, **more)  # type: ignore[arg-type]
+
+
+any_inputs = st.builds(Inputs, *[st.booleans()] * 6)
+any_status = st.none() | st.builds(
+    lambda state, fault, run, cycles, outcome: status(
+        state,
+        fault=FAULT if fault else None,
+        run=run,
+        counts={outcome: cycles},
+        last={"outcome": outcome},
+    ),
+    st.sampled_from([*CellState, *[CellState.IDLE] * 20]),
+    st.integers(0, 9).map(lambda n: n == 0),
+    st.sampled_from("aaab"),
+    st.integers(0, 3),
+    st.sampled_from(["inserted", "missed", "rejected", "failed"]),
+)
+looks = st.lists(st.tuples(any_inputs, any_status), min_size=2, max_size=30)
+
+
+@settings(max_examples=150, deadline=None)
+@given(looks)
+def test_a_start_needs_an_edge_a_part_and_ready_and_no_fault(
+    seen: list[tuple[Inputs, Status | None]],
+) -> None:
+    memory, outputs, start_was = Memory(), Outputs(), True
+    for inputs, now in seen:
+        ready_was = outputs.ready
+        asks, outputs, memory = look(inputs, now, memory)
+        assert len(asks) <= 1
+        assert not (outputs.ready and (outputs.busy or outputs.fault))
+        assert outputs.done + outputs.rejected + outputs.busy <= 1
+        if Event.START in [ask.command for ask in asks]:
+            assert ready_was and inputs.start and not start_was
+            assert inputs.part_present and inputs.upstream_ready and inputs.downstream_ready
+            assert not inputs.stop
+            assert now is not None and now.state is CellState.IDLE and now.fault is None
+        if now is None:
+            assert not asks and outputs.fault and not outputs.ready and not outputs.busy
+        else:
+            assert all(ask.command in now.possible for ask in asks) or asks[0].command is (
+                Event.UNSUSPEND  # also takes back a pause that has not begun
+            )
+            assert outputs.fault or now.fault is None
+        start_was = inputs.start
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.booleans(), max_size=40))
+def test_an_idle_cell_gets_at_most_one_start_for_an_edge(levels: list[bool]) -> None:
+    memory, starts = Memory(), 0
+    for level in levels:
+        asks, _, memory = look(Inputs(start=level), status(CellState.IDLE), memory)
+        starts += len(asks)
+    edges = sum(not a and b for a, b in zip([True, *levels], levels, strict=False))
+    assert starts == edges
+
+
+def commands(
+    inputs: Inputs, now: Status | None, memory: Memory
+) -> tuple[list[Event], Outputs, Memory]:
+    asks, outputs, memory = look(inputs, now, memory)
+    return [ask.command for ask in asks], outputs, memory
+
+
+IDLE, EXECUTE = status(CellState.IDLE), status(CellState.EXECUTE)
+
+
+def ready_memory() -> Memory:
+    asks, outputs, memory = look(Inputs(), IDLE, Memory())
+    assert not asks and outputs == Outputs(ready=True)
+    return memory
+
+
+def test_a_start_that_is_held_at_connection_or_after_a_fault_does_nothing() -> None:
+    held = Inputs(start=True)
+    asked, outputs, memory = commands(held, IDLE, Memory())
+    assert not asked and not outputs.ready
+    for now in (status(CellState.ABORTED, fault=FAULT), None, IDLE, IDLE):
+        asked, outputs, memory = commands(held, now, memory)
+        assert not asked and not outputs.ready
+    _, outputs, memory = commands(Inputs(), IDLE, memory)
+    assert outputs.ready
+    assert commands(held, IDLE, memory)[0] == [Event.START]
+    assert commands(held, IDLE, away(memory))[0] == []
+
+
+def test_the_outcome_is_told_until_start_changes() -> None:
+    for outcome, wanted in (
+        ("inserted", Outputs(done=True)),
+        ("missed", Outputs(rejected=True)),
+        ("rejected", Outputs(rejected=True)),
+        ("failed", Outputs()),
+    ):
+        held = Inputs(start=True)
+        asked, _, memory = commands(held, IDLE, ready_memory())
+        assert asked == [Event.START]
+        _, outputs, memory = commands(held, EXECUTE, memory)
+        assert outputs == Outputs(busy=True)
+        ended = {"counts": {outcome: 1}, "last": {"outcome": outcome}}
+        resetting, idle = status(CellState.RESETTING, **ended), status(CellState.IDLE, **ended)
+        complete = status(CellState.COMPLETE, **ended)
+        _, outputs, memory = commands(held, complete, memory)
+        assert outputs == Outputs(busy=True)  # the result is known, and the cycle not over
+        for now in (resetting, idle, idle):
+            _, outputs, memory = commands(held, now, memory)
+            assert outputs == wanted
+        _, outputs, memory = commands(Inputs(), idle, memory)
+        assert outputs == Outputs(ready=True)
+
+
+def test_the_outcome_of_a_pulsed_start_waits_for_the_next() -> None:
+    _, _, memory = commands(Inputs(start=True), IDLE, ready_memory())
+    _, _, memory = commands(Inputs(), EXECUTE, memory)
+    idle = status(CellState.IDLE, counts={"inserted": 1}, last={"outcome": "inserted"})
+    for _ in range(3):
+        _, outputs, memory = commands(Inputs(), idle, memory)
+        assert outputs == Outputs(ready=True, done=True)
+    asked, outputs, _ = commands(Inputs(start=True), idle, memory)
+    assert asked == [Event.START] and outputs == Outputs()
+
+
+def test_results_of_another_run_or_of_before_are_not_told() -> None:
+    idle = status(CellState.IDLE, counts={"inserted": 5}, last={"outcome": "inserted"})
+    _, outputs, memory = commands(Inputs(), idle, Memory())
+    assert not outputs.done
+    other = replace(idle, run="other", counts={"inserted": 9})
+    assert not commands(Inputs(), other, memory)[1].done
+
+
+def test_machines_beside_the_cell_suspend_it_once_and_let_it_go_on() -> None:
+    memory = ready_memory()
+    blocked = Inputs(downstream_ready=False)
+    asks, _, memory = look(blocked, EXECUTE, memory)
+    assert asks == (Ask(Event.SUSPEND, "downstream"),)
+    assert commands(blocked, EXECUTE, memory)[0] == []
+    assert commands(Inputs(), EXECUTE, memory)[0] == [Event.UNSUSPEND]  # not begun: taken back
+    suspended = status(CellState.SUSPENDED, waiting_for=("downstream",))
+    assert commands(blocked, suspended, memory)[0] == []
+    asked, _, memory = commands(Inputs(), suspended, memory)
+    assert asked == [Event.UNSUSPEND]
+    assert commands(Inputs(), suspended, memory)[0] == []
+    asked, _, memory = commands(Inputs(upstream_ready=False), EXECUTE, memory)
+    assert asked == [Event.SUSPEND]
+
+
+def test_after_a_restart_only_a_pause_of_the_line_is_ended() -> None:
+    line = status(CellState.SUSPENDED, waiting_for=("upstream",))
+    assert commands(Inputs(), line, Memory())[0] == [Event.UNSUSPEND]
+    someone = status(CellState.SUSPENDED, waiting_for=("cleaning",))
+    assert commands(Inputs(), someone, Memory())[0] == []
+
+
+def test_an_acknowledgement_clears_then_resets() -> None:
+    memory = ready_memory()
+    pressed = Inputs(acknowledge=True)
+    aborted, stopped = status(CellState.ABORTED, fault=FAULT), status(CellState.STOPPED)
+    asked, outputs, memory = commands(pressed, aborted, memory)
+    assert asked == [Event.CLEAR] and outputs == Outputs(fault=True)
+    assert commands(pressed, stopped, memory)[0] == []
+    _, outputs, memory = commands(Inputs(), stopped, memory)
+    assert outputs.fault
+    assert commands(pressed, stopped, memory)[0] == [Event.RESET]
+    assert commands(pressed, IDLE, memory)[0] == []
+
+
+def test_a_stop_stops_once_and_waits_for_a_cell_that_is_away() -> None:
+    stop = Inputs(stop=True)
+    asked, _, memory = commands(stop, EXECUTE, ready_memory())
+    assert asked == [Event.STOP]
+    assert commands(stop, EXECUTE, memory)[0] == []
+    lost = not_obeyed(Ask(Event.STOP), ready_memory(), memory)
+    assert commands(stop, EXECUTE, lost)[0] == [Event.STOP]
+    asked, outputs, memory = commands(stop, None, ready_memory())
+    assert not asked and outputs == Outputs(fault=True)
+    assert commands(stop, EXECUTE, memory)[0] == [Event.STOP]
+    assert commands(stop, EXECUTE, Memory())[0] == [Event.STOP]  # held when the PLC comes back
+
+
+def test_what_did_not_reach_the_cell_is_asked_again_unless_it_starts_it() -> None:
+    before = ready_memory()
+    blocked = Inputs(upstream_ready=False)
+    asks, _, after = look(blocked, EXECUTE, before)
+    assert commands(blocked, EXECUTE, not_obeyed(asks[0], before, after))[0] == [Event.SUSPEND]
+    asks, _, after = look(Inputs(start=True), IDLE, before)
+    after = not_obeyed(asks[0], before, after)
+    assert commands(Inputs(start=True), IDLE, after)[0] == []
+
+
+def test_a_look_knows_who_is_in_the_way() -> None:
+    for inputs, who in ((Inputs(), ""), (Inputs(upstream_ready=False), "upstream")):
+        assert Look(inputs, IDLE, Memory()).obstacle == who

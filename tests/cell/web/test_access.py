@@ -1,0 +1,279 @@
+"""Who may do what: logins, sessions, origins, paths, control; attacks are refused."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import MutableMapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cell.cli.serve import _password as password_of_stdin
+from cell.plant.client import Client
+from cell.plant.messages import Answer, Request
+from cell.run.machine import CellState, Event
+from cell.settings import load_settings
+from cell.web.audit import Audit, audit_file
+from cell.web.control import LOST_S, Control
+from cell.web.cycles import cycle_folder
+from cell.web.guard import MOST_BYTES, Guard
+from cell.web.serve import may_be_served
+from cell.web.sessions import IDLE_S, LONGEST_S, MOST_WRONG, Session, Sessions, local_session
+from cell.web.users import Role, User, Users
+from cell.web.visit import Room, Visit
+from cell.web.watching import Watch
+
+CONFIG = Path(__file__).parents[3] / "config" / "fake.yaml"
+ADA = User("ada", Role.operate)
+
+
+class Clock:
+    now_s = 0.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def sessions(clock: Clock) -> Sessions:
+    return Sessions({"ada": ADA}.get, clock)
+
+
+def asked(
+    guard: Guard,
+    path: str = "/",
+    *,
+    method: str = "GET",
+    kind: str = "http",
+    body: bytes = b"",
+    **headers: str,
+) -> int:
+    """Status of the answer; of a websocket 101, or 403 if it was refused."""
+    given = {"host": "cell.plant", **headers}
+    scope = {
+        "type": kind,
+        "path": path,
+        "method": method,
+        "headers": [(k.replace("_", "-").encode(), v.encode()) for k, v in given.items()],
+    }
+    said: list[MutableMapping[str, Any]] = []
+
+    async def receive() -> MutableMapping[str, Any]:
+        return {"type": "http.request", "body": body, "more_body": False}
+
+    async def send(message: MutableMapping[str, Any]) -> None:
+        said.append(message)
+
+    asyncio.run(guard(scope, receive, send))
+    if kind == "websocket":
+        return 101 if said[0]["type"] == "websocket.accept" else 403
+    return int(said[0]["status"])
+
+
+async def inner(scope: Any, receive: Any, send: Any) -> None:
+    assert isinstance(scope["state"]["session"], Session) or scope["path"] == "/login"
+    if scope["type"] == "websocket":
+        await send({"type": "websocket.accept"})
+        return
+    await receive()
+    await send({"type": "http.response.start", "status": 200, "headers": []})
+
+
+def test_without_a_login_there_is_only_the_login(sessions: Sessions) -> None:
+    guard = Guard(inner, sessions, True)
+    assert asked(guard) == 303
+    assert asked(guard, "/login") == 200
+    assert asked(guard, "/_nicegui/assets.js") == 401
+    assert asked(guard, "/cycles/x/report", cookie="cell_session=guessed") == 303
+    socket = {"kind": "websocket", "origin": "https://cell.plant"}
+    assert asked(guard, "/_nicegui_ws/socket.io/", **socket) == 403
+    cookie = f"cell_session={sessions.begin(ADA)}"
+    assert asked(guard, cookie=cookie) == 200
+    assert asked(guard, "/_nicegui_ws/socket.io/", cookie=cookie, **socket) == 101
+
+
+def test_what_comes_from_another_site_is_refused(sessions: Sessions) -> None:
+    guard = Guard(inner, sessions, True)
+    cookie = f"cell_session={sessions.begin(ADA)}"
+    for origin in ("https://evil.example", "http://cell.plant", "null", ""):
+        socket = {"kind": "websocket", "origin": origin, "cookie": cookie}
+        assert asked(guard, "/_nicegui_ws/socket.io/", **socket) == 403
+        assert asked(guard, "/login", method="POST", origin=origin, cookie=cookie) == 403
+    polled = {"origin": "https://evil.example", "cookie": cookie}
+    assert asked(guard, "/_nicegui_ws/socket.io/", **polled) == 403
+    assert asked(guard, "/login", method="POST", origin="https://cell.plant") == 200
+
+
+def test_on_loopback_a_foreign_name_is_refused() -> None:
+    guard = Guard(inner, None, False)
+    assert asked(guard, host="localhost:8080") == 200
+    assert asked(guard, host="[::1]:8080") == 200
+    assert asked(guard, host="rebound.example:8080") == 421
+
+
+def test_a_body_that_is_too_long_is_refused() -> None:
+    guard = Guard(inner, None, False)
+    given = {"method": "POST", "host": "localhost", "origin": "http://localhost"}
+    assert asked(guard, content_length=str(1 << 30), **given) == 413
+    assert asked(guard, content_length="-1", **given) == 413
+    assert asked(guard, body=bytes(MOST_BYTES + 1), **given) == 413
+
+
+def test_sessions_expire_and_end(sessions: Sessions, clock: Clock) -> None:
+    token = sessions.begin(ADA)
+    clock.now_s = IDLE_S
+    assert sessions.of(token) is not None
+    clock.now_s += IDLE_S + 1.0
+    assert sessions.of(token) is None
+    token = sessions.begin(ADA)
+    sessions.end(token)
+    assert sessions.of(token) is None  # replayed
+    token, begun = sessions.begin(ADA), clock.now_s
+    while clock.now_s < begun + LONGEST_S:
+        assert sessions.of(token) is not None
+        clock.now_s += IDLE_S
+    clock.now_s += 1.0
+    assert sessions.of(token) is None
+
+
+def test_an_open_page_alone_keeps_no_session(sessions: Sessions, clock: Clock) -> None:
+    session = sessions.of(sessions.begin(ADA))
+    assert session is not None
+    for _ in range(3):
+        clock.now_s += 0.4 * IDLE_S
+        still = sessions.renewed(session.key, used=False)
+    assert still is None
+
+
+def test_who_was_removed_has_no_session() -> None:
+    known = {"ada": ADA}
+    sessions = Sessions(known.get)
+    token = sessions.begin(ADA)
+    known["ada"] = User("ada", Role.watch)
+    session = sessions.of(token)
+    assert session is not None and session.user.role is Role.watch
+    known.clear()
+    assert sessions.of(token) is None
+
+
+def test_after_wrong_passwords_one_must_wait(sessions: Sessions, clock: Clock) -> None:
+    for _ in range(MOST_WRONG):
+        assert not sessions.must_wait("ada", "10.0.0.1")
+        sessions.wrong("ada", "10.0.0.1")
+    assert sessions.must_wait("bob", "10.0.0.1")
+    assert not sessions.must_wait("bob", "10.0.0.2")
+    clock.now_s = 61.0
+    assert not sessions.must_wait("ada")
+
+
+def test_users_are_hashed_in_a_file_for_their_owner(tmp_path: Path) -> None:
+    users = Users(tmp_path / "users.json")
+    assert users.add("ada", Role.operate, "correct horse")
+    assert users.file.stat().st_mode & 0o777 == 0o600
+    assert "correct horse" not in users.file.read_text("utf-8")
+    assert users.known("ada", "correct horse") == ADA
+    assert users.known("ada", "wrong horse") is None
+    assert users.known("eve", "correct horse") is None
+    for name, password in (("a/b", "correct horse"), ("bob", "short"), ("", "correct horse")):
+        with pytest.raises(ValueError):
+            users.add(name, Role.watch, password)
+    users.file.chmod(0o644)
+    with pytest.raises(ValueError, match="chmod 600"):
+        users.named("ada")
+    users.file.chmod(0o600)
+    users.remove("ada")
+    assert len(users) == 0
+
+
+def test_a_password_comes_from_the_standard_input(monkeypatch: pytest.MonkeyPatch) -> None:
+    import io
+
+    monkeypatch.setattr("sys.stdin", io.StringIO("from stdin\nmore\n"))
+    assert password_of_stdin() == "from stdin"
+
+
+def test_beyond_loopback_tls_and_users_are_needed() -> None:
+    assert may_be_served("127.0.0.1", False, 0, True) == ""
+    assert "TLS" in may_be_served("0.0.0.0", False, 1, False)
+    assert "user add" in may_be_served("0.0.0.0", True, 0, False)
+    assert may_be_served("0.0.0.0", True, 1, False) == ""
+
+
+def test_a_cycles_name_leads_nowhere_else(tmp_path: Path) -> None:
+    runs = tmp_path / "runs"
+    good = runs / "20261121T021043.800-3"
+    good.mkdir(parents=True)
+    (tmp_path / "20261121T021043.800-4").mkdir()
+    (runs / "20261121T021043.800-5").symlink_to(tmp_path)
+    assert cycle_folder(runs, good.name) == good
+    for name in ("..", "../20261121T021043.800-4", "20261121T021043.800-5", "", "a\0b", "x"):
+        assert cycle_folder(runs, name) is None
+
+
+def test_one_page_has_control(clock: Clock) -> None:
+    clock.now_s = 100.0
+    control = Control(clock)
+    assert control.take("page 1", "ada").page == "page 1"
+    assert control.take("page 2", "bob").name == "ada"
+    control.release("page 2")
+    assert control.heard("page 1") is not None
+    assert control.take("page 3", "ada").page == "page 3"
+    clock.now_s += LOST_S + 1.0
+    assert control.heard("page 2") is None
+    assert control.take("page 2", "bob").name == "bob"
+
+
+class Asked(Client):
+    """A cell that obeys, and keeps what it was asked."""
+
+    requests: list[Request]
+
+    def send(self, request: Request) -> Answer:
+        self.requests.append(request)
+        return Answer(True, CellState.STARTING)
+
+
+def visit(runs: Path, session: Session, sessions: Sessions | None) -> Visit:
+    settings, client = load_settings(CONFIG), Asked(runs)
+    client.requests = []
+    watch, audit = Watch(client, settings, runs), Audit(audit_file(runs))
+    room = Room(CONFIG, settings, runs, client, watch, Control(), audit, sessions)
+    return Visit(room, session, "page 1", "en", str)
+
+
+def test_who_may_only_watch_commands_nothing_and_it_is_logged(tmp_path: Path) -> None:
+    eve = User("eve", Role.watch)
+    sessions = Sessions({"eve": eve}.get)
+    session = sessions.of(sessions.begin(eve))
+    assert session is not None
+    watching = visit(tmp_path / "runs", session, sessions)
+    watching.room.control.take("page 1", "eve")
+    assert "may not" in watching.command(Event.STOP)
+    assert watching.room.client.requests == []  # type: ignore[attr-defined]
+    [line] = watching.room.audit.file.read_text("utf-8").splitlines()
+    said = json.loads(line)
+    assert (said["by"], said["action"], said["done"]) == ("eve", "stop", False)
+    assert watching.room.audit.file.stat().st_mode & 0o777 == 0o600
+
+
+def test_a_start_needs_control_and_a_stop_does_not(tmp_path: Path) -> None:
+    operating = visit(tmp_path / "runs", local_session(), None)
+    client = operating.room.client
+    assert isinstance(client, Asked)
+    assert "take control" in operating.command(Event.START)
+    assert operating.command(Event.STOP) == ""
+    operating.room.control.take("page 1", "local")
+    assert operating.command(Event.RESET, "Ada", "cable taken out") == ""
+    assert "printable" in operating.command(Event.START, part="A\n")
+    assert "printable" in operating.command(Event.START, part="A" * 201)
+    assert client.requests == [
+        Request(Event.STOP, "web:local"),
+        Request(Event.RESET, "web:local (Ada)", "cable taken out"),
+    ]

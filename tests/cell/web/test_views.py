@@ -1,0 +1,114 @@
+"""What the pages show, of what is known of the cell and of cycles of the ledger."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+from cell.plant.messages import FaultNotice, Kind, Notice, Status
+from cell.records.ledger.effectiveness import Shift
+from cell.records.ledger.ledger import ListedCycle
+from cell.run.machine import CellState, Event
+from cell.run.plans import INSERTING
+from cell.web.theme import AWAY, LOOKS
+from cell.web.views import STEPS, error_chart, history_row, live_view
+from cell.web.watching import Seen, ShiftFigures, seen_after, shift_begun
+
+RESULT = {
+    "cycle": 3,
+    "outcome": "inserted",
+    "folder": "/runs/20261121T021043.800-3",
+    "predicted_miss_m": -0.0010,
+    "measured_miss_m": -0.0000001,
+    "probability": 0.9995,
+    "margin_m": None,
+}
+IDLE = Status("run", 1, CellState.IDLE, 0.0, possible=(Event.START, Event.STOP))
+
+
+def notice(kind: Kind, at_s: float = 0.0, **data: object) -> Notice:
+    return Notice("run", 2, at_s, kind, data)
+
+
+def test_every_state_has_a_look_and_every_step_a_word() -> None:
+    assert set(LOOKS) == set(CellState)
+    assert set(INSERTING.names) <= set(STEPS)
+
+
+def test_before_a_cell_was_seen_nothing_can_be_pressed() -> None:
+    view = live_view(Seen(), 10.0)
+    assert (view.look, view.buttons, view.fault, view.folder) == (AWAY, frozenset(), None, "")
+
+
+def test_a_step_is_shown_with_its_time_until_the_state_changes() -> None:
+    seen = seen_after(Seen(), IDLE)
+    assert live_view(seen, 0.0).buttons == {Event.START, Event.STOP}
+    seen = seen_after(seen, notice(Kind.STATE, state="execute", step=None, since=1.0))
+    seen = seen_after(seen, notice(Kind.CYCLE, cycle=3, part=None, product=None))
+    seen = seen_after(seen, notice(Kind.STEP, 5.0, step="lower", cycle=3))
+    view = live_view(seen, 7.5)
+    assert (view.look.word, view.step, view.step_s, view.cycle) == ("Execute", "lowering", 2.5, 3)
+    assert live_view(seen, 4.0).step_s == 0.0  # clocks differ a little
+    seen = seen_after(seen, notice(Kind.STATE, state="held", step=None, since=9.0))
+    assert live_view(seen, 9.0).step_s is None
+
+
+def test_a_cell_that_has_gone_shows_its_newest_cable_and_no_buttons() -> None:
+    seen = seen_after(seen_after(Seen(), IDLE), notice(Kind.RESULT, **RESULT))
+    view = live_view(replace(seen, there=False), 0.0)
+    assert (view.look, view.buttons) == (AWAY, frozenset())
+    assert (view.folder, view.counts) == ("20261121T021043.800-3", {"inserted": 1})
+    assert view.result == {
+        "Tip predicted": "-1.00 mm",
+        "Tip seen": "+0.00 mm",
+        "Probability": "100.0 %",
+    }
+
+
+def test_a_fault_is_shown_with_cause_and_remedy_until_it_is_acknowledged() -> None:
+    fault = FaultNotice(3, "lower", "limit", 0.0, "arm", "move it back", "a cable is in the jaws")
+    seen = seen_after(Seen(), replace(IDLE, fault=fault, waiting_for=("acknowledgement",)))
+    view = live_view(seen, 0.0)
+    assert view.fault is not None
+    assert (view.fault.device, view.fault.step, view.fault.cause) == ("arm", "lowering", "limit")
+    assert view.fault.remedies == ("move it back", "a cable is in the jaws")
+    assert view.waiting == ("acknowledgement",)
+    seen = seen_after(seen, notice(Kind.ACKNOWLEDGED, by="Ada", note="looked"))
+    assert live_view(seen, 0.0).fault is None
+
+
+def test_figures_of_the_shift_come_from_the_ledger() -> None:
+    at = datetime(2026, 11, 25, 6, tzinfo=UTC)
+    shift = Shift(at, at, 100.0, 50.0, 5.0, 8, 6)
+    seen = Seen(figures=ShiftFigures({"inserted": 6}, shift, (("arm.limit", 2, "limit"),)))
+    view = live_view(seen, 0.0)
+    texts = {"Yield": "75%", "Availability": "50%", "Performance": "80%", "OEE": "30%"}
+    assert view.shift == texts
+    assert view.reasons == (("arm.limit", 2, "limit"),)
+    none = replace(shift, cables=0, inserted=0, running_s=0.0)
+    seen = Seen(figures=ShiftFigures({}, none, ()))
+    assert live_view(seen, 0.0).shift["Yield"] == "–"
+
+
+def test_the_shift_under_way_may_have_begun_yesterday() -> None:
+    times = ("06:00", "14:00", "22:00")
+    night = datetime(2026, 11, 25, 3, 0).astimezone()
+    assert shift_begun(times, night) == datetime(2026, 11, 24, 22, 0).astimezone()
+    assert shift_begun(times, night.replace(hour=14)).hour == 14
+
+
+def test_cycles_as_rows_and_errors_as_a_chart() -> None:
+    at = datetime(2026, 11, 25, 6, tzinfo=UTC)
+    numbers = {"predicted_miss_m": 1e-3, "measured_miss_m": 1.5e-3, "predicted_std_m": 1e-4}
+    good = ListedCycle(
+        *("line", 1, "<b>", Path("/runs/a"), at, at, "inserted", None, None, None, None, None),
+        numbers,
+        None,
+    )
+    row = history_row(good)
+    assert (row["part"], row["predicted"], row["measured"]) == ("<b>", "+1.00", "+1.50")
+    unknown = replace(good, numbers={}, reason="too stiff", outcome="rejected")
+    assert (history_row(unknown)["predicted"], history_row(unknown)["why"]) == ("", "too stiff")
+    chart = error_chart([good, unknown], "seen", "expected")
+    assert [s["data"] for s in chart["series"]] == [[0.5], [0.3], [-0.3]]

@@ -1,0 +1,186 @@
+"""The cell as a service, in its own process: starts, a planned end, a kill and what follows."""
+
+from __future__ import annotations
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from cell.plant.client import Client
+from cell.plant.messages import Kind, Notice, Request, Status
+from cell.records.folder import read_record
+from cell.records.ledger.ledger import Ledger, Wanted
+from cell.run.machine import CellState, Event
+
+from .conftest import run
+
+Start = Callable[..., subprocess.Popen[bytes]]
+
+
+@pytest.fixture
+def start(quick_config: Path, tmp_path: Path) -> Iterator[Start]:
+    begun: list[subprocess.Popen[bytes]] = []
+
+    def start(cycles: str = "forever", **environment: str) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-m", "cell", "run", "-c", str(quick_config)]
+        command += ["--cycles", cycles, "--json", "--out", str(tmp_path / "runs")]
+        if environment:
+            command = ["env", *(f"{k}={v}" for k, v in environment.items()), *command]
+        begun.append(subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE))
+        return begun[-1]
+
+    yield start
+    for process in begun:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+def until(client: Client, reached: Callable[[Notice | Status], bool]) -> Notice | Status:
+    return next(message for message in client.follow() if reached(message))
+
+
+def waits_for(what: str) -> Callable[[Notice | Status], bool]:
+    def reached(message: Notice | Status) -> bool:
+        if isinstance(message, Status):
+            return message.waiting_for == (what,)
+        return message.kind is Kind.WAITING and message.data["waiting_for"] == [what]
+
+    return reached
+
+
+def in_step(step: str) -> Callable[[Notice | Status], bool]:
+    def reached(message: Notice | Status) -> bool:
+        if isinstance(message, Status):
+            return message.step == step
+        return message.kind is Kind.STEP and message.data["step"] == step
+
+    return reached
+
+
+def test_two_starts_then_an_end_within_the_third_cycle(start: Start, tmp_path: Path) -> None:
+    runs = tmp_path / "runs"
+    told = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    told.bind(str(tmp_path / "notify"))
+    said: list[bytes] = []
+
+    def hear() -> None:
+        while not said or said[-1] != b"STOPPING=1":
+            said.append(told.recv(1000))
+
+    told.settimeout(60.0)
+    hearing = threading.Thread(target=hear)
+    hearing.start()
+    process = start(NOTIFY_SOCKET=str(tmp_path / "notify"), WATCHDOG_USEC="600000")
+    client = Client(runs).connect(wait_s=60.0)
+    for part in ("A-1", "A-2"):
+        until(client, waits_for("start"))
+        assert run("send", "start", "--part", part, "--by", "Ada", "--runs", runs).returncode == 0
+        again = run("send", "start", "--runs", runs)
+        assert again.returncode == 1
+        assert "'start' is refused while" in again.stderr
+    until(client, waits_for("start"))
+    shown = json.loads(run("status", "--runs", runs, "--json").stdout)
+    assert shown["counts"] == {"inserted": 2}
+    assert shown["last"]["part"] == "A-2"
+    assert client.send(Request(Event.START, "plc")).state is CellState.STARTING
+    until(client, in_step("lower"))
+    process.send_signal(signal.SIGTERM)
+    out, _ = process.communicate(timeout=60)
+    assert process.returncode == 0
+    assert [json.loads(line)["outcome"] for line in out.splitlines()] == ["inserted"] * 3
+    assert all(read_record(folder).closed for folder in runs.iterdir())
+    assert run("status", "--runs", runs).returncode == 3
+    hearing.join()
+    assert {b"READY=1", b"WATCHDOG=1", b"STATUS=idle, cycle 1"} <= set(said)
+    told.close()
+
+
+def test_after_a_kill_nothing_moves_until_a_person_says_so(start: Start, tmp_path: Path) -> None:
+    runs = tmp_path / "runs"
+    killed = start()
+    client = Client(runs).connect(wait_s=60.0)
+    until(client, waits_for("start"))
+    client.send(Request(Event.START, "plc", part="A-1"))
+    until(client, in_step("hold_and_capture"))
+    killed.kill()
+    killed.wait()
+
+    again = start()
+    status = client.connect(wait_s=60.0).status()
+    assert status.state is CellState.STOPPED
+    assert status.waiting_for == ("acknowledgement",)
+    assert status.fault is not None and "cycle 1 was not finished" in status.fault.cause
+    shown = run("status", "--runs", runs)
+    assert shown.returncode == 1
+    assert "cycle 1 was not finished" in shown.stdout
+    refused = client.send(Request(Event.START, "plc"))
+    assert "'start' is refused while stopped; possible now: reset, abort" in refused.reason
+    assert client.status().state is CellState.STOPPED
+    assert run("send", "reset", "--by", "Ada", "--note", "looked", "--runs", runs).returncode == 0
+    until(client, waits_for("start"))
+    assert client.status().fault is None
+    [folder] = runs.iterdir()
+    assert read_record(folder).state["acknowledged"] == {"by": "Ada", "note": "looked"}
+    client.send(Request(Event.STOP, "plc"))
+    until(client, waits_for("acknowledgement"))
+    [folder] = (f for f in runs.iterdir() if f.is_dir())
+    assert client.send(Request(Event.RESET, "Ada")).accepted
+    until(client, waits_for("start"))
+    client.send(Request(Event.START, "plc"))
+    until(client, in_step("lower"))
+    client.send(Request(Event.STOP, "plc", "guard opened"))
+    until(client, waits_for("acknowledgement"))
+    again.send_signal(signal.SIGTERM)
+    again.communicate(timeout=60)
+    assert again.returncode == 0
+    ledger = Ledger(runs)
+    killed_cycle, stopped_cycle = ledger.listed(Wanted())
+    ledger.close()
+    assert (killed_cycle.part, killed_cycle.acknowledged.by) == ("A-1", "Ada")
+    assert (stopped_cycle.cycle, stopped_cycle.fault.code) == (2, "stop")
+
+    start()  # a restart is no acknowledgement
+    status = client.connect(wait_s=60.0).status()
+    assert status.state is CellState.STOPPED
+    assert status.fault is not None and status.fault.cause == "guard opened by plc"
+
+
+def test_after_a_kill_while_it_is_made_ready_nothing_moves(start: Start, tmp_path: Path) -> None:
+    """It reset by itself: a hand that was moving, or a cable in the jaws, nobody had looked at."""
+    killed = start()
+    client = Client(tmp_path / "runs").connect(wait_s=60.0)
+    until(client, in_step("warm_up"))
+    killed.kill()
+    killed.wait()
+    start()
+    status = client.connect(wait_s=60.0).status()
+    assert (status.state, status.waiting_for) == (CellState.STOPPED, ("acknowledgement",))
+    assert status.fault is not None and "while the cell was made ready" in status.fault.cause
+    assert client.send(Request(Event.RESET, "Ada", "jaws are empty")).accepted
+    until(client, waits_for("start"))
+    assert client.status().fault is None
+
+
+def test_a_run_of_so_many_cycles_can_be_looked_at_and_takes_no_start(
+    start: Start, tmp_path: Path
+) -> None:
+    process = start("1")
+    client = Client(tmp_path / "runs").connect(wait_s=60.0)
+    answer = client.send(Request(Event.START, "plc"))
+    assert not answer.accepted
+    assert "--cycles forever" in answer.reason
+    until(client, in_step("lower"))
+    assert client.send(Request(Event.HOLD, "plc")).accepted
+    until(client, waits_for("unhold"))
+    assert client.send(Request(Event.UNHOLD, "plc")).accepted
+    out, _ = process.communicate(timeout=60)
+    assert process.returncode == 0
+    assert json.loads(out)["outcome"] == "inserted"
