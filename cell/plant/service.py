@@ -76,11 +76,16 @@ def _unfinished(folder: Path, number: int, step: str) -> FaultNotice:
     )
 
 
-def _not_made_ready(number: int) -> FaultNotice:
+def _without_record(number: int, file: Path) -> FaultNotice:
+    """What the file says that a service has left outside a cycle."""
+    try:
+        cause = file.read_text(encoding="utf-8")
+    except OSError:
+        cause = ""
     return FaultNotice(
         number,
         "reset",
-        "the program or the computer ended while the cell was made ready",
+        cause or "the service before has ended",
         time.time(),
         remedy="look where the hand is and what the jaws hold, then reset",
         code="unfinished",
@@ -118,7 +123,7 @@ class Service:
         self._part: str | None = None
         self._product: str | None = None
         self._wanted: str | None = None
-        self._resetting = runs.with_name(f"{runs.name}.resetting")
+        self._unsettled = runs.with_name(f"{runs.name}.unsettled")
         earlier = earlier_cycle(runs)
         self._number = 1 if earlier is None else earlier.cycle + 1
         self._open: Path | None = None
@@ -127,10 +132,10 @@ class Service:
             cell.take_up(earlier.folder)
             reporter.state(CellState.STOPPED)
             reporter.fault(earlier.fault)
-        elif self._resetting.exists():
-            self._open = self._resetting
+        elif self._unsettled.exists():
+            self._open = self._unsettled
             reporter.state(CellState.STOPPED)
-            reporter.fault(_not_made_ready(self._number))
+            reporter.fault(_without_record(self._number, self._unsettled))
         cell.machine.on_change = self._told
 
     # --- the link's threads -------------------------------------------------------------------
@@ -215,13 +220,17 @@ class Service:
 
     def _prepared(self) -> Result | None:
         """Make the cell ready; a file says meanwhile that the hand may be moving."""
-        with suppress(OSError):  # a full disk is told when the record is begun
-            self._resetting.parent.mkdir(parents=True, exist_ok=True)
-            self._resetting.touch()
+        self._mark("the program or the computer ended while the cell was made ready")
         result = self._cell.prepare(self._number, self._plan)
         with suppress(OSError):
-            self._resetting.unlink(missing_ok=True)
+            self._unsettled.unlink(missing_ok=True)
         return result
+
+    def _mark(self, cause: str) -> None:
+        """Leave a file that lets the next service wait for a person, where no record does."""
+        with suppress(OSError):  # a full disk is told when the record is begun
+            self._unsettled.parent.mkdir(parents=True, exist_ok=True)
+            self._unsettled.write_text(cause, encoding="utf-8")
 
     def _rests(self, state: CellState) -> bool:
         """Wait for a person if one has to say something; whether that was so."""
@@ -261,6 +270,7 @@ class Service:
             self._reporter.result(result)
             told(result)
         elif result.fault is not None:
+            self._mark(result.fault.cause)
             fault = FaultNotice(self._number - 1, time_s=time.time(), **vars(result.fault))
             self._reporter.fault(fault)
 

@@ -169,6 +169,23 @@ def test_after_a_kill_while_it_is_made_ready_nothing_moves(start: Start, tmp_pat
     assert client.status().fault is None
 
 
+def test_a_stop_in_idle_outlives_the_service(start: Start, tmp_path: Path) -> None:
+    """It had no record, and the next service reset by itself."""
+    stopped = start()
+    client = Client(tmp_path / "runs").connect(wait_s=60.0)
+    until(client, waits_for("start"))
+    client.send(Request(Event.STOP, "plc", "guard opened"))
+    until(client, waits_for("acknowledgement"))
+    stopped.kill()
+    stopped.wait()
+    start()
+    status = client.connect(wait_s=60.0).status()
+    assert (status.state, status.waiting_for) == (CellState.STOPPED, ("acknowledgement",))
+    assert status.fault is not None and "guard opened" in status.fault.cause
+    assert client.send(Request(Event.RESET, "Ada", "guard closed")).accepted
+    until(client, waits_for("start"))
+
+
 def test_a_run_of_so_many_cycles_can_be_looked_at_and_takes_no_start(
     start: Start, tmp_path: Path
 ) -> None:
