@@ -222,8 +222,7 @@ class Service:
         """Make the cell ready; a file says meanwhile that the hand may be moving."""
         self._mark("the program or the computer ended while the cell was made ready")
         result = self._cell.prepare(self._number, self._plan)
-        with suppress(OSError):
-            self._unsettled.unlink(missing_ok=True)
+        self._unmark()
         return result
 
     def _mark(self, cause: str) -> None:
@@ -231,6 +230,10 @@ class Service:
         with suppress(OSError):  # a full disk is told when the record is begun
             self._unsettled.parent.mkdir(parents=True, exist_ok=True)
             self._unsettled.write_text(cause, encoding="utf-8")
+
+    def _unmark(self) -> None:
+        with suppress(OSError):
+            self._unsettled.unlink(missing_ok=True)
 
     def _rests(self, state: CellState) -> bool:
         """Wait for a person if one has to say something; whether that was so."""
@@ -256,6 +259,7 @@ class Service:
                     return None
                 self._wait_a_moment()
         except (InterruptedByCommandError, DeviceError) as error:
+            self._mark(str(error))  # before anybody is told: the service may be killed at once
             with self._changed:
                 return self._cell.leave_idle(error)
         self._select_wanted()
@@ -266,11 +270,11 @@ class Service:
         if result.fault is not None:
             self._open = Path(result.folder)
         if recorded:
+            self._unmark()
             self._number += 1
             self._reporter.result(result)
             told(result)
         elif result.fault is not None:
-            self._mark(result.fault.cause)
             fault = FaultNotice(self._number - 1, time_s=time.time(), **vars(result.fault))
             self._reporter.fault(fault)
 
