@@ -127,7 +127,7 @@ def fake(runs: Path) -> Iterator[FakeCell]:
 
 @pytest.fixture
 def said() -> Handshake:
-    return Handshake(port=free_port(), silence_s=0.4)
+    return Handshake(port=free_port(), silence_s=1.5)
 
 
 @pytest.fixture

@@ -82,7 +82,7 @@ def test_a_plc_that_is_lost_starts_nothing_when_it_comes_back(
     plc = Plc(said.port)
     plc.connect()
     caplog.clear()
-    wait_until(lambda: bool(plc.read()) and "writes nothing for 0.4 s" in caplog.text)
+    wait_until(lambda: bool(plc.read()) and "writes nothing for 1.5 s" in caplog.text)
     assert plc.read()["fault"]
     plc.close()
     plc = Plc(said.port)
