@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cell.cli.passwords import typed_password
 from cell.cli.shared import BAD_INPUT, Config, MaybeConfig, group, refuse
 
 if TYPE_CHECKING:
@@ -79,7 +80,7 @@ def add(
         folder = _folder(config)
         if role not in {r.value for r in Role}:
             raise ValueError(f"--role {role}: no role; give {' or '.join(Role)}")
-        new = add_user(folder, name, Role(role), _password())
+        new = add_user(folder, name, Role(role), typed_password())
         print(f"{name}: {'added' if new else 'changed'}, may {role}")
     except ImportError as error:
         _without_extra(error)
@@ -99,12 +100,6 @@ def remove(name: Name, *, config: Config) -> None:
         _without_extra(error)
     except (OSError, ValueError) as error:
         refuse(error)
-
-
-def _password() -> str:
-    if sys.stdin.isatty():
-        return str(typer.prompt("Password", hide_input=True, confirmation_prompt=True))
-    return sys.stdin.readline().rstrip("\r\n")
 
 
 def _settings(config: Path) -> Settings:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cell.cli.passwords import typed_password
 from cell.cli.shared import BAD_INPUT, MaybeConfig, group, refuse
 
 if TYPE_CHECKING:
@@ -135,7 +136,7 @@ def add(
 
         if role not in Role.__members__:
             raise ValueError(f"--role {role}: no role; give one of {', '.join(Role.__members__)}")
-        new = Users(users).add(name, Role[role], _password())
+        new = Users(users).add(name, Role[role], typed_password())
         print(f"{name}: {'added' if new else 'changed'}, may {role}")
     except ImportError as error:
         _without_extra(error)
@@ -153,12 +154,6 @@ def remove(name: Name, *, users: UsersFile = _USERS) -> None:
         print(f"{name}: removed")
     except (OSError, ValueError) as error:
         refuse(error)
-
-
-def _password() -> str:
-    if sys.stdin.isatty():
-        return str(typer.prompt("Password", hide_input=True, confirmation_prompt=True))
-    return sys.stdin.readline().rstrip("\r\n")
 
 
 def _without_extra(error: ImportError) -> None:

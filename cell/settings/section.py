@@ -37,6 +37,16 @@ def address(host: str) -> str:
     return host
 
 
+def is_loopback(host: str) -> bool:
+    """Whether an address or name is this computer and nothing beyond it."""
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:  # a name, which may stand for any address
+        return False
+
+
 Host = Annotated[str, Field(min_length=1), AfterValidator(address)]
 Range = Annotated[tuple[Finite, Finite], AfterValidator(increasing)]
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import ipaddress
 from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from cell.settings.section import Host, Positive, Section
+from cell.settings.section import Host, Positive, Section, is_loopback
 
 #: TCP ports registered for MQTT, without and with TLS.
 _PLAIN, _ENCRYPTED = 1883, 8883
@@ -93,13 +92,3 @@ class Mqtt(Section):
         if self.port is not None:
             return self.port
         return _PLAIN if self.tls is None else _ENCRYPTED
-
-
-def is_loopback(host: str) -> bool:
-    """Whether an address or name is this computer and nothing beyond it."""
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:  # a name, which may stand for any address
-        return False

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import ipaddress
 from pathlib import Path
 from typing import Annotated
 
 from pydantic import Field
 
-from cell.settings.section import Host, Section
+from cell.settings.section import Host, Section, is_loopback
 
 
 class OpcUa(Section):
@@ -31,9 +30,4 @@ class OpcUa(Section):
     @property
     def is_loopback(self) -> bool:
         """Whether nobody beyond this computer can reach it."""
-        if self.listen == "localhost":
-            return True
-        try:
-            return ipaddress.ip_address(self.listen).is_loopback
-        except ValueError:  # a name, which may stand for any address
-            return False
+        return is_loopback(self.listen)

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from cell.cli.serve import _password as password_of_stdin
+from cell.cli.passwords import typed_password
 from cell.plant.client import Client
 from cell.plant.messages import Answer, Request
 from cell.run.machine import CellState, Event
@@ -196,7 +196,7 @@ def test_a_password_comes_from_the_standard_input(monkeypatch: pytest.MonkeyPatc
     import io
 
     monkeypatch.setattr("sys.stdin", io.StringIO("from stdin\nmore\n"))
-    assert password_of_stdin() == "from stdin"
+    assert typed_password() == "from stdin"
 
 
 def test_beyond_loopback_tls_and_users_are_needed() -> None:
