@@ -47,7 +47,7 @@ def frames(count, shape=(48, 64)):
 
 
 def written(recorder):
-    """Wait until all is written that was handed over."""
+    """Wait until all was taken over that was handed over; the file may lack it yet."""
     deadline = time.monotonic() + 20.0
     while recorder.waiting_bytes:
         assert time.monotonic() < deadline
@@ -172,7 +172,7 @@ def test_what_was_only_in_memory_is_recovered(recorder, tmp_path):
     recorder.begin(tmp_path / form.FILE, {"cycle": "1"})
     for frame in frames(3):
         recorder.frame(frame)
-    written(recorder)
+    on_disk(tmp_path / form.PART, 3)
     recorder.pause()
     for frame in frames(4):
         recorder.frame(frame)
@@ -190,7 +190,7 @@ def test_a_recorder_that_dies_at_the_end_is_told_of(recorder, tmp_path):
     """Nothing is handed over any more when it dies; nobody waits for it in vain."""
     recorder.begin(tmp_path / form.FILE, {})
     recorder.frame(next(frames(1)))
-    written(recorder)
+    on_disk(tmp_path / form.PART, 1)
     recorder.pause()
     recorder.end()
     kill(recorder)
