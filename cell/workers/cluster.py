@@ -6,6 +6,7 @@ client runs, or is refused.
 
 from __future__ import annotations
 
+import threading
 import time
 import warnings
 from collections import deque
@@ -90,22 +91,31 @@ class Cluster:
         """A job's result, once it is there.  Raises WorkersError."""
         from distributed import KilledWorker
 
+        self._wait(future, check)
+        try:
+            return result_of(number, future.result())
+        except KilledWorker as error:
+            told = f"ended {error.allowed_failures + 1} workers; is there enough memory?"
+            return JobResult(number, None, RuntimeError(told))
+        except WorkersError:
+            raise
+        except Exception as error:  # cancelled: the scheduler has ended
+            raise WorkersError(
+                f"--workers {self._address}: the scheduler is lost ({type(error).__name__}); "
+                "start it, and run the command again"
+            ) from error
+
+    def _wait(self, future: Future[bytes], check: Callable[[], None]) -> None:
+        """Until a job has ended, in whatever way.  Raises WorkersError: nobody does it.
+
+        Not by `result(timeout)`: a wait that is given up goes on in Dask's thread, holds what it
+        waited for, and now and then ends with neither a result nor an error.
+        """
+        ended = threading.Event()
+        future.add_done_callback(lambda _: ended.set())
         nobody_since_s = None
-        while True:
-            try:
-                return result_of(number, future.result(timeout=_LOOK_S))
-            except TimeoutError:
-                check()
-            except KilledWorker as error:
-                told = f"ended {error.allowed_failures + 1} workers; is there enough memory?"
-                return JobResult(number, None, RuntimeError(told))
-            except WorkersError:
-                raise
-            except Exception as error:  # cancelled: the scheduler has ended
-                raise WorkersError(
-                    f"--workers {self._address}: the scheduler is lost ({type(error).__name__}); "
-                    "start it, and run the command again"
-                ) from error
+        while not ended.wait(_LOOK_S):
+            check()
             if self._client.nthreads():
                 nobody_since_s = None
             elif nobody_since_s is None:
