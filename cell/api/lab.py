@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING
 
 from cell.api.results import CompareResult, DiagnoseResult, FitResult, PowerResult, SuggestResult
 from cell.identify.identified import Identified
-from cell.lab.data.opened_study import open_study
-from cell.lab.data.own_check import read_own_checks
-from cell.lab.data.progress import Progress, no_progress
-from cell.lab.data.selection import (
+from cell.lab.data.named_effects import (
     EffectSelection,
     candidates_in,
     select_effects,
     select_for_diagnosis,
 )
+from cell.lab.data.opened_study import open_study
+from cell.lab.data.own_check import read_own_checks
+from cell.lab.data.progress import Progress, no_progress
 from cell.lab.data.thresholds import DEFAULT_RULES, Rules
 from cell.lab.fit.individual_model import check_same_kind, read_model
 from cell.lab.next.advice import Paths, advice

@@ -12,8 +12,8 @@ from cell.api.lab import StudyOrFolder, Tell, examined, rules_with, set_up, sile
 from cell.api.shown import Row, Shown
 from cell.cable.solver import threads
 from cell.files.table import TableData
+from cell.lab.data.named_effects import EffectSelection, select_for_diagnosis
 from cell.lab.data.progress import Progress, no_progress
-from cell.lab.data.selection import EffectSelection, select_for_diagnosis
 from cell.lab.data.thresholds import DEFAULT_RULES, Rules
 from cell.lab.many.results import Together
 from cell.lab.many.together import Examined, check_names, together

@@ -74,7 +74,7 @@ def export(
     force: Force = False,
 ) -> None:
     """Write a cable's model for another program, and say how far MuJoCo is from the model."""
-    from cell.lab.data.selection import select_effects
+    from cell.lab.data.named_effects import select_effects
     from cell.lab.fit.individual_model import read_model
 
     with refusing(out, as_json, force=force):

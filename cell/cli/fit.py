@@ -127,7 +127,7 @@ def _fit_to_chain(options: FitOptions, chain: Path) -> None:
 def _fit_to_study(options: FitOptions, study: Path) -> None:
     """A model of a study, with what is doubtful about it, and profiles if they are wanted."""
     from cell.api.lab import fitted, set_up
-    from cell.lab.data.selection import select_effects
+    from cell.lab.data.named_effects import select_effects
 
     found: list[ParameterProfile] = []
     said: list[str] = []

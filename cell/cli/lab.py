@@ -164,7 +164,7 @@ class _Sought:
 
     def effects(self, progress: Progress) -> list[str]:
         """Effects that are tried beside the library; those that cannot be are told."""
-        from cell.lab.data.selection import candidates_in
+        from cell.lab.data.named_effects import candidates_in
 
         if self.candidates is None:
             return self.effect or []
@@ -210,7 +210,7 @@ def diagnose(given: _Diagnose) -> None:
         return
     (study,) = given.studies
     from cell.api.lab import diagnosed, examined, rules_with, set_up
-    from cell.lab.data.selection import select_for_diagnosis
+    from cell.lab.data.named_effects import select_for_diagnosis
 
     with (
         refusing(*given.results or [], given.report, force=given.force),
@@ -240,7 +240,7 @@ def _diagnose_together(given: _Diagnose) -> None:
     """One answer of several studies."""
     from cell.api.lab import rules_with
     from cell.api.several import found_together
-    from cell.lab.data.selection import select_for_diagnosis
+    from cell.lab.data.named_effects import select_for_diagnosis
 
     outputs = (*(given.results or []), given.report)
     with refusing(*outputs, force=given.force), working("diagnose") as progress:
@@ -273,7 +273,7 @@ def effects(
     force: Force = False,
 ) -> None:
     """List the effects that a model can have: laws, parameters, units and limits."""
-    from cell.lab.data.selection import select_effects
+    from cell.lab.data.named_effects import select_effects
     from cell.lab.report.model_tables import describe_effects, effects_table
 
     with refusing(*results or [], force=force):
@@ -298,7 +298,7 @@ def discover(
 ) -> None:
     """Infer the missing law from the residual and write it as a readable effect file."""
     from cell.api.lab import set_up
-    from cell.lab.data.selection import select_effects
+    from cell.lab.data.named_effects import select_effects
     from cell.lab.next.advice import Paths, after_discovery
     from cell.lab.next.discover import NothingFoundError, effect_name
     from cell.lab.next.discover import discover as discover_effect
@@ -371,7 +371,7 @@ def suggest(given: _Suggest) -> None:
     """
     from cell.api.lab import set_up
     from cell.api.results import SuggestResult
-    from cell.lab.data.selection import select_for_diagnosis
+    from cell.lab.data.named_effects import select_for_diagnosis
     from cell.lab.next.showing import asked_and_tried, showing_motion
     from cell.lab.next.suggest import suggest_motion
     from cell.lab.power.asked import select_asked

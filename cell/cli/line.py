@@ -70,7 +70,7 @@ def learn(
     """
     from cell.api.line import judged
     from cell.lab.data.cycles import read_cycles
-    from cell.lab.data.selection import select_effects
+    from cell.lab.data.named_effects import select_effects
     from cell.lab.line.candidate import lines_of
     from cell.lab.line.learn import learn as learn_from
     from cell.lab.next.discover import Laws, laws_in

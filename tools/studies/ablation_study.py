@@ -36,11 +36,11 @@ from cell.cable.solver import DivergedError
 from cell.cable.statics import UnsettledError
 from cell.files.input_error import InputError
 from cell.identify.parameters import ParameterSpace
-from cell.lab.data.check import COMPARE, Answer, Check, verdict_of
+from cell.lab.data.check import COMPARE, Answer, Check, worst_verdict
+from cell.lab.data.named_effects import EffectSelection
 from cell.lab.data.noise_model import NoiseUnknownError
 from cell.lab.data.opened_study import open_study
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.data.selection import EffectSelection
 from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.fit.fitting import fit_trials
 from cell.lab.search.fit_cache import FitCache
@@ -237,17 +237,17 @@ def verdict(row: Row, without: str = "", limits: dict[str, float] | None = None)
     """Of a row, by its statistics, without a check or with other limits."""
     if row.verdict in ("refused", "crash", "not made"):
         return row.verdict
-    return _verdict_of(row, [c for c in CHECKS if c.name != without], limits or {})
+    return _verdict_without(row, [c for c in CHECKS if c.name != without], limits or {})
 
 
-def _verdict_of(row: Row, checks: Sequence[Check], limits: dict[str, float]) -> str:
+def _verdict_without(row: Row, checks: Sequence[Check], limits: dict[str, float]) -> str:
     found = []
     for check in checks:
         value = row.statistics.get(check.name, np.nan)
         limit = limits.get(check.name, getattr(DEFAULT_RULES, check.limit))
         passed = None if np.isnan(value) else bool(COMPARE[check.passes](value, limit))
         found.append(Answer(check, None, passed))
-    return verdict_of(found, is_base=not row.named)
+    return worst_verdict(found, is_base=not row.named)
 
 
 def alike(name: str) -> set[str]:

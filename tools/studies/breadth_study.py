@@ -37,11 +37,11 @@ from cell.cable.solver import DivergedError
 from cell.cable.statics import UnsettledError
 from cell.files.input_error import InputError
 from cell.identify.parameters import ParameterSpace
+from cell.lab.data.named_effects import EffectSelection
 from cell.lab.data.noise_model import NoiseUnknownError
 from cell.lab.data.opened_study import open_study
 from cell.lab.data.prepared import PreparedStudy, all_fitted
 from cell.lab.data.results import Diagnosis
-from cell.lab.data.selection import EffectSelection
 from cell.lab.search.setup import fit_cache_of
 from cell.lab.verdict.diagnose import diagnose
 from cell.study.folder import write_study

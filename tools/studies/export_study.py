@@ -22,8 +22,8 @@ from cell.exchange.export import export_to_mujoco
 from cell.exchange.from_mujoco import model_from_mujoco
 from cell.exchange.peer import Difference, Trial, trials_of
 from cell.identify.identified import Identified
+from cell.lab.data.named_effects import select_effects
 from cell.lab.data.opened_study import open_study
-from cell.lab.data.selection import select_effects
 from cell.lab.search.setup import fit_cache_of
 from cell.lab.strength.fitted_study import fit_study
 from cell.settings import load_settings

@@ -28,9 +28,9 @@ from scipy import stats
 
 from cell.cable.effects import library
 from cell.identify.parameters import ParameterSpace
+from cell.lab.data.named_effects import EffectSelection
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import Diagnosis
-from cell.lab.data.selection import EffectSelection
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.setup import fit_cache_of
 from cell.lab.strength.fitted_study import fit_study

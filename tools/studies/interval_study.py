@@ -21,7 +21,7 @@ from scipy.stats import binomtest
 from cell.cable.effects import ActiveEffect, Effect, library
 from cell.cable.model import CableModel
 from cell.identify.identified import Identified
-from cell.lab.data.selection import EffectSelection
+from cell.lab.data.named_effects import EffectSelection
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.setup import fit_cache_of
 from cell.lab.strength.estimate import estimate

@@ -23,8 +23,8 @@ import numpy as np
 from cell.cable.dynamics import simulate
 from cell.cable.effects import library
 from cell.cable.geometry import node_arc_lengths
+from cell.lab.data.named_effects import select_for_diagnosis
 from cell.lab.data.opened_study import open_study
-from cell.lab.data.selection import select_for_diagnosis
 from cell.lab.search.setup import fit_cache_of
 from cell.lab.verdict.diagnose import diagnose
 from cell.study.data import Markers, Study, Trial

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
+from cell.lab.data.named_effects import select_effects
 from cell.lab.data.opened_study import open_study
-from cell.lab.data.selection import select_effects
 from cell.lab.search.setup import fit_cache_of
 from cell.lab.verdict.diagnose import diagnose
 from tools.worlds.mujoco_studies import CASES, specimen, write_study

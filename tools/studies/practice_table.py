@@ -21,9 +21,9 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from cell.lab.data.named_effects import select_effects
 from cell.lab.data.opened_study import open_study
 from cell.lab.data.results import Diagnosis
-from cell.lab.data.selection import select_effects
 from cell.lab.next.discover import NothingFoundError, discover
 from cell.lab.search.setup import fit_cache_of
 from cell.lab.verdict.diagnose import diagnose

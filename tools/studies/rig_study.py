@@ -36,11 +36,11 @@ from scipy import stats
 from cell.cable.effects import ActiveEffect, Effect, library
 from cell.files.input_error import InputError
 from cell.identify.parameters import ParameterSpace
+from cell.lab.data.named_effects import EffectSelection
 from cell.lab.data.noise_model import NoiseUnknownError
 from cell.lab.data.opened_study import open_study
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import Diagnosis, Errors
-from cell.lab.data.selection import EffectSelection
 from cell.lab.search.setup import fit_cache_of
 from cell.lab.verdict.diagnose import diagnose
 from cell.study.folder import write_study

@@ -16,7 +16,7 @@ from cell.lab.data.results import CheckResult, Doubt, Verdict
 COMPARE = {"<=": operator.le, ">=": operator.ge, "<": operator.lt, ">": operator.gt}
 
 
-class Evidence(Protocol):
+class HasRules(Protocol):
     """What is known of a model, and the limits that it is held against."""
 
     @property
@@ -25,7 +25,7 @@ class Evidence(Protocol):
         ...
 
 
-Asked = TypeVar("Asked", bound=Evidence)
+Asked = TypeVar("Asked", bound=HasRules)
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ class Answer(Generic[Asked]):
         )
 
 
-def verdict_of(found: Sequence[Answer[Any]], is_base: bool) -> Verdict:
+def worst_verdict(found: Sequence[Answer[Any]], is_base: bool) -> Verdict:
     """The worst of what failed; else that the model is complete, or an effect is missing.
 
     is_base  nothing was added to the model

@@ -21,7 +21,7 @@ class Rules:
     significance         family-wise, over the library (Holm), on the fit trials; and at which the
                          trials must show half of an effect's smooth part, or else it is not told
                          from effects of no library
-    misfit_significance  of what a model leaves; of less than a tenth of it `significance`
+    residual_significance  of what a model leaves; of less than a tenth of it `significance`
 
     Likelihoods:
     heldout_gain     ln of how much likelier an effect must make the held-out trials: in all, and by
@@ -34,7 +34,7 @@ class Rules:
                      (Kiefer and Vogelsang 2005, Econometric Theory 21, 1130)
 
     Errors, rms over noise; a smooth part matters above the same share of the noise's mean square:
-    misfit           up to which a model's own error explains it: converged simulators of one cable
+    most_over_noise  up to which a model's own error explains it: converged simulators of one cable
                      differ by less
     below_stated     a stated noise of which a model leaves less than this share bounds what the
                      measurement can be trusted for: below it nothing more is claimed
@@ -67,11 +67,11 @@ class Rules:
     """
 
     significance: float = SIGNIFICANCE
-    misfit_significance: float = 1e-3
+    residual_significance: float = 1e-3
     heldout_gain: float = 3.0
     tie_delta_chi2: float = 9.0
     vuong_z: float = 2.0
-    misfit: float = ERRS
+    most_over_noise: float = ERRS
     below_stated: float = 0.8
     noise_known_within: float = KNOWN_WITHIN
     slight_share: float = 0.01

@@ -95,7 +95,7 @@ class CablesSpace:
         fits: list[tuple[type[Effect], SharedFit]] = []
         for effect in chosen:
             best_chi2 = min((fit.chi2 for _, fit in fits), default=np.inf)
-            if self._hopeless(own, effect, best_chi2):
+            if self._cannot_win(own, effect, best_chi2):
                 continue
             if fits and not self.budget.allows(REFITS, f"a fit with {effect.name}"):
                 continue
@@ -165,7 +165,7 @@ class CablesSpace:
             found.append({c.effects[-1].name: c for c in candidates})
         return found
 
-    def _hopeless(
+    def _cannot_win(
         self, own: Sequence[dict[str, FittedModel]], effect: type[Effect], best_chi2: float
     ) -> bool:
         """Whether even its own fit to each cable leaves far more than another does of all."""

@@ -14,7 +14,7 @@ from cell.identify.individual import (
     identify,
     with_effects,
 )
-from cell.lab.data.selection import select_effects
+from cell.lab.data.named_effects import select_effects
 from cell.settings import load_settings
 from cell.settings.translate import identification_of
 from cell.study.data import Study

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from cell.lab.data.check import Answer, Check, verdict_of
+from cell.lab.data.check import Answer, Check, worst_verdict
 from cell.lab.data.results import Verdict
 from cell.lab.line import learning_questions as questions
 from cell.lab.line.learn import LearningResult
@@ -71,7 +71,7 @@ def learning_answers(result: LearningResult) -> list[Answer[LineEvidence]]:
 
 def learning_verdict(result: LearningResult, found: Sequence[Answer[LineEvidence]]) -> Verdict:
     """Of what was learned; nothing is complete while effects were left out of the search."""
-    verdict = verdict_of(found, result.best is None)
+    verdict = worst_verdict(found, result.best is None)
     return "cannot_tell" if verdict == "complete" and result.left_out else verdict
 
 

@@ -43,7 +43,7 @@ class LineRules:
                          of two lines then, or have it in another way
     """
 
-    error_over_noise: float = DEFAULT_RULES.misfit
+    error_over_noise: float = DEFAULT_RULES.most_over_noise
     most_named: int = DEFAULT_RULES.most_named
     noise_known_within: float = KNOWN_WITHIN
     chance: float = CHANCE

@@ -100,7 +100,7 @@ def together(studies: Sequence[Examined], rules: Rules = DEFAULT_RULES) -> Toget
     models_of = dict(scored)
     best = _simplest(ranked, studies, models_of, rules)
     # one limit for the residuals of all studies together: each has its share of it
-    rules = replace(rules, misfit_significance=rules.misfit_significance / len(studies))
+    rules = replace(rules, residual_significance=rules.residual_significance / len(studies))
     tied = tuple(
         h.effects
         for h in ranked

@@ -14,7 +14,7 @@ from cell.settings.surroundings import Surroundings
 #: Motions that are asked for, one after another, at most.
 MOST_ASKED = 2
 #: A motion that decides less likely is not worth a cable.
-LEAST_POWER = 0.5
+WORTH_ASKING_POWER = 0.5
 
 
 def distinguishing_motion(
@@ -36,4 +36,4 @@ def distinguishing_motion(
 def worth_measuring(suggestion: Suggestion) -> Option | None:
     """The motion to be asked for, unless none is likely to decide."""
     best = suggestion.options[0]
-    return best if best.power >= LEAST_POWER else None
+    return best if best.power >= WORTH_ASKING_POWER else None

@@ -34,7 +34,7 @@ FloatArray = NDArray[np.float64]
 #: χ² by which one candidate must beat the other to be believed; as `Rules.tie_delta_chi2`.
 DECIDED = 9.0
 #: A motion that decides no oftener than this is not suggested: cable and time are better spent.
-LEAST_POWER = 0.05
+NO_POWER = 0.05
 #: Repetitions of a motion that are worth naming, at most.
 MOST_REPEATED = 100
 #: More candidates than these are not told apart by one motion.
@@ -62,7 +62,7 @@ def suggest_motion(examination: Examination, surroundings: Surroundings) -> Sugg
 
 def worth_a_cable(found: Suggestion, prepared: PreparedStudy) -> Suggestion:
     """The same, if a motion may decide.  Raises ValueError: what would help."""
-    if max(option.power for option in found.options) < LEAST_POWER:
+    if max(option.power for option in found.options) < NO_POWER:
         raise ValueError(_what_would_help(found, prepared))
     return found
 

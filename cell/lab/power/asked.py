@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from cell.cable.effects.base import ActiveEffect, Effect, Parameter, after_number
-from cell.lab.data.selection import EffectSelection, effect_named, select_effects
+from cell.lab.data.named_effects import EffectSelection, effect_named, select_effects
 from cell.lab.fit.sensitivity import is_shape
 
 

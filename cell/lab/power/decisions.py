@@ -254,8 +254,8 @@ class Tests:
     def _right_passes(self, times: float, rules: Rules) -> float:
         """Probability that checks of slow errors let the right model pass.
 
-        They judge by `misfit_significance`, and by `significance` where more than a small share of
-        what the baseline leaves stays: beside a weak effect so much is there by chance.
+        They judge by `residual_significance`, and by `significance` where more than a small share
+        of what the baseline leaves stays: beside a weak effect so much is there by chance.
         """
         if self.given.slow == 0.0:
             return 1.0
@@ -264,7 +264,7 @@ class Tests:
         before = float(score @ np.linalg.solve(hidden.outside, score))
         by_chance = -float(normal_quantile(rules.significance)) * np.sqrt(2.0 * self.given.slow)
         weak = rules.small_share * before < by_chance
-        limit = rules.significance if weak else rules.misfit_significance
+        limit = rules.significance if weak else rules.residual_significance
         return float((1.0 - limit) ** SLOW_CHECKS)
 
 

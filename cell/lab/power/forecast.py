@@ -37,7 +37,7 @@ _RIVALS = 8
 
 
 @dataclass(frozen=True)
-class Rival:
+class Alternative:
     """An effect that looks like the hidden one.
 
     correlation  of what both do to all trials, without what the parameters imitate
@@ -61,7 +61,7 @@ class Forecast:
     size: float | None
     chances: Chances | None
     smallest: float | None
-    rivals: tuple[Rival, ...]
+    rivals: tuple[Alternative, ...]
     noncentrality: float | None
 
 
@@ -85,7 +85,7 @@ def forecast(
         size,
         None if size is None else tests.chances(1.0, rules),
         smallest,
-        tuple(Rival(s.effect.name, s.collinear) for s in rivals),
+        tuple(Alternative(s.effect.name, s.collinear) for s in rivals),
         None if size is None else float(unlike @ unlike),
     )
 

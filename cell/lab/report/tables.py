@@ -46,7 +46,7 @@ NOT_WHY = "These motions cannot show why."
 #: Column of what was fitted to held-out trials too.
 FITTED_TO_ALL = "fitted to all"
 #: Up to so many times the noise a remaining error is called noise.
-NOISE_ALONE = DEFAULT_RULES.misfit
+NOISE_ALONE = DEFAULT_RULES.most_over_noise
 _COLOURS = {"present": "green", "inspect": "yellow", "absent": "dim"}
 
 

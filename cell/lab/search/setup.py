@@ -11,9 +11,9 @@ from cell.identify.identified import Identified
 from cell.identify.model_class import ModelClass
 from cell.identify.noise import Noise
 from cell.identify.parameters import ParameterSpace
+from cell.lab.data.named_effects import EffectSelection, select_effects
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.progress import Progress, no_progress
-from cell.lab.data.selection import EffectSelection, select_effects
 from cell.lab.fit.fitting import pinned, space_with
 from cell.lab.fit.individual_model import check_same_kind, misfit, prior_space, read_model
 from cell.lab.search.fit_cache import FitCache

@@ -22,7 +22,7 @@ LEAVES_NOISE: tuple[Check[Evidence], ...] = (
         "p",
         questions.within_stated,
         ">=",
-        "misfit_significance",
+        "residual_significance",
         "unexplained",
         "It misses more than the measurement's stated error.",
         "the p-value of χ² of independent values; up to 10 % above it is a model's own error",
@@ -33,7 +33,7 @@ LEAVES_NOISE: tuple[Check[Evidence], ...] = (
         "error / noise",
         questions.fitted_ratio,
         "<=",
-        "misfit",
+        "most_over_noise",
         "unexplained",
         "It misses more than noise on the trials that it was fitted to.",
         "the ratio of error and noise; converged simulators of one cable differ by less than 10 %",
@@ -44,7 +44,7 @@ LEAVES_NOISE: tuple[Check[Evidence], ...] = (
         "p",
         questions.heldout_smooth,
         ">=",
-        "misfit_significance",
+        "residual_significance",
         "unexplained",
         "The slow error on held-out trials is not noise.",
         "χ² of slow functions of time and place, which contain misfits and little noise",
@@ -55,7 +55,7 @@ LEAVES_NOISE: tuple[Check[Evidence], ...] = (
         "p",
         questions.parameter_constancy,
         ">=",
-        "misfit_significance",
+        "residual_significance",
         "unexplained",
         "Single trials need different parameters, but one cable has one set.",
         "a score test of parameters per trial: a wrong model needs other values for each motion",
@@ -66,7 +66,7 @@ LEAVES_NOISE: tuple[Check[Evidence], ...] = (
         "p",
         questions.wider_law,
         ">=",
-        "misfit_significance",
+        "residual_significance",
         "unexplained",
         "A wider law than the effect's own explains more: the cause is another.",
         "a score test of the wider law's parameters (Lagrange multiplier)",
@@ -78,7 +78,7 @@ LEAVES_NOISE: tuple[Check[Evidence], ...] = (
         "p",
         questions.residual_level,
         ">=",
-        "misfit_significance",
+        "residual_significance",
         "unexplained",
         "It misses more than noise.",
         "an F test with the frames at rest that determine the noise, or a χ² test",
@@ -107,7 +107,7 @@ def _of_noise(evidence: Evidence) -> Iterator[Check[Evidence]]:
             "p",
             partial(_own, name=own.name),
             ">=",
-            "misfit_significance",
+            "residual_significance",
             "unexplained",
             f"What the model leaves is not what noise would leave: {own.question}",
             f"the statistic of {own.file} beside its values for noise alone, Holm-corrected",
@@ -197,7 +197,7 @@ MAY_BE_CLAIMED: tuple[Check[Evidence], ...] = (
         "p",
         questions.possibly_omitted,
         ">=",
-        "misfit_significance",
+        "residual_significance",
         "cannot_tell",
         "All trials together show another effect, but the held-out trials do not confirm it.",
         "a score test of each effect of the library (Lagrange multiplier), Holm-corrected",
@@ -227,7 +227,7 @@ def answers(evidence: Evidence) -> Iterator[Answer[Evidence]]:
     """
     explained = True
     for check in _of_noise(evidence):
-        if not explained and evidence.over_noise >= evidence.rules.misfit:
+        if not explained and evidence.over_noise >= evidence.rules.most_over_noise:
             return
         answer = check.ask(evidence)
         explained &= answer.passed is not False

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from cell.identify.gauss_newton import UnsimulatedError
-from cell.lab.data.check import verdict_of
+from cell.lab.data.check import worst_verdict
 from cell.lab.data.prepared import PreparedStudy, StoppedError
 from cell.lab.data.results import Diagnosis, Doubt, Verdict
 from cell.lab.data.thresholds import DEFAULT_RULES, Rules
@@ -156,7 +156,7 @@ def _diagnosis(
     fits, base, rules = evidence.fits, evidence.base, evidence.rules
     library, tied = len(fits.screened(base)), evidence.tied
     asked = tuple(answers(evidence))
-    verdict = verdict_of(asked, evidence.is_base)
+    verdict = worst_verdict(asked, evidence.is_base)
     _LOG.info("verdict: %s", verdict)
     whole, most = partial.fits, partial.steps
     also = {e.name: tied_so_far(whole, most[-1], e, rules) for e in whole.added(most[-1])}

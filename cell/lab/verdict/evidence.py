@@ -63,7 +63,7 @@ class Evidence:
     @cached_property
     def own_p_values(self) -> dict[str, float] | None:
         """Of a user's own checks by name; None where a trial cannot be simulated."""
-        limit = self.rules.misfit_significance
+        limit = self.rules.residual_significance
         return p_values(self.prepared, self.final.fit, self.rules.own, limit)
 
     @property

@@ -131,7 +131,7 @@ def searched(
         if better is None:
             return []
         several = len(fits.added(better)) > 1
-        if several and not _hopeless_search(fits, better, rules, rules.most_share):
+        if several and not _cannot_succeed(fits, better, rules, rules.most_share):
             better = exchanged(space, better, criterion.better, in_time)
         better = pruned(space, better, criterion.needed)
         _LOG.info("with %s: %s", ", ".join(sorted(better.names)), errors_in_words(better))
@@ -140,14 +140,14 @@ def searched(
     for step, (current,) in enumerate(levels(base, space.extended, kept)):
         if step == rules.most_named or Evidence(fits, base, current, rules).below_stated:
             break
-        if _hopeless_search(fits, current, rules, rules.small_share):
+        if _cannot_succeed(fits, current, rules, rules.small_share):
             break
         if current is not base and not in_time():  # beside the baseline all were refitted already
             return current, True
     return current, False
 
 
-def _hopeless_search(fits: FitCache, current: FittedModel, rules: Rules, most_left: float) -> bool:
+def _cannot_succeed(fits: FitCache, current: FittedModel, rules: Rules, most_left: float) -> bool:
     """Whether no further effect, nor another for one found, can be hoped to leave noise.
 
     So it is if two have been found, and still more than a share `most_left` of the error is left.

@@ -100,7 +100,7 @@ def _in_place(
 
 def _of_this_cable(fits: FitCache, final: FittedModel, rules: Rules) -> bool:
     """Whether a model explains the study to the measurement's noise, and agrees with the prior."""
-    if above_noise(fits, final) > rules.misfit:
+    if above_noise(fits, final) > rules.most_over_noise:
         return False
     space = fits.space
     own = [final.fit.space.names.index(n) for n in space.names]

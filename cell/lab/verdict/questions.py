@@ -23,7 +23,7 @@ def within_stated(evidence: Evidence) -> Reading | None:
     prepared = evidence.prepared
     if not (prepared.noise_is_measured and prepared.noise_model.stated):
         return None
-    return Reading(chance_of_stated(prepared, evidence.final, evidence.rules.misfit))
+    return Reading(chance_of_stated(prepared, evidence.final, evidence.rules.most_over_noise))
 
 
 def _judged_by_rest(evidence: Evidence) -> bool:
@@ -65,7 +65,7 @@ def wider_law(evidence: Evidence) -> Reading | None:
         if left is not None:
             negligible = left.excess_of_all <= rules.negligible_share * before.excess_of_all
             chances[effect.name] = 1.0 if negligible else left.p_value
-    broken = tuple(name for name, p in chances.items() if p < rules.misfit_significance)
+    broken = tuple(name for name, p in chances.items() if p < rules.residual_significance)
     return Reading(min(chances.values()), broken) if chances else None
 
 
@@ -84,7 +84,7 @@ def residual_level(evidence: Evidence) -> Reading | None:
     expected = 1.0 + by_hand / count
     chi2, rms_m = chi2 / expected, rms_m / float(np.sqrt(expected))
     ratio = max(rms_m / prepared.expected.std_m, float(np.sqrt(chi2 / count)))
-    if ratio < evidence.rules.misfit:
+    if ratio < evidence.rules.most_over_noise:
         return Reading(1.0)
     return Reading(_p_value(chi2, count, prepared.noise_model.dof))
 
@@ -94,7 +94,7 @@ def explained_of_earlier(evidence: Evidence) -> Reading | None:
     prepared = evidence.prepared
     if prepared.noise_is_measured:
         return None
-    if evidence.over_noise < evidence.rules.misfit:
+    if evidence.over_noise < evidence.rules.most_over_noise:
         return Reading(1.0)
     if evidence.is_base:
         return Reading(0.0)
@@ -171,7 +171,7 @@ def possibly_omitted(evidence: Evidence) -> Reading | None:
         name: p if part.chi2 - part.count > rules.negligible_share * fall else 1.0
         for (name, (part, _)), p in zip(asked.items(), adjusted, strict=True)
     }
-    plain = sorted((p, name) for name, p in chances.items() if p < rules.misfit_significance)
+    plain = sorted((p, name) for name, p in chances.items() if p < rules.residual_significance)
     return Reading(min(chances.values(), default=1.0), tuple(name for _, name in plain))
 
 
@@ -195,16 +195,16 @@ def _of_part(evidence: Evidence, left: SmoothPart | None) -> Reading | None:
     if before is None or left is None or not _judged_by_rest(evidence):
         return None
     shares: tuple[tuple[float, float], ...] = (
-        (rules.slight_share, rules.misfit_significance),
+        (rules.slight_share, rules.residual_significance),
         (rules.small_share, rules.significance),
     )
     if evidence.is_base:
-        shares = ((0.0, rules.misfit_significance),)
+        shares = ((0.0, rules.residual_significance),)
     least = 1.0
     for share, significance in shares:
         too_much = left.excess_of_all > share * before.excess_of_all
-        if too_much or left.excess_of_all > rules.misfit**2 - 1.0:
-            least = min(least, left.p_value * rules.misfit_significance / significance)
+        if too_much or left.excess_of_all > rules.most_over_noise**2 - 1.0:
+            least = min(least, left.p_value * rules.residual_significance / significance)
     return Reading(least)
 
 

@@ -59,7 +59,7 @@ def _found(
     effect = added_effect(small, large)
     gain = fits.gain(small, large)
     p_value = gain.p_value
-    if above_noise(fits, large) > rules.misfit:
+    if above_noise(fits, large) > rules.most_over_noise:
         p_value = max(p_value, chance_of(fits, small, large))
     return MissingEffect(
         effect=effect.name,

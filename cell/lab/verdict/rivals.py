@@ -28,7 +28,7 @@ def close_rivals(
     correlation: it is what the answer could be wrong by.
     """
     close = {c.names for c in rivals if c.chi2 < final.chi2 + rules.tie_delta_chi2}
-    if above_noise(fits, final) > rules.misfit:
+    if above_noise(fits, final) > rules.most_over_noise:
         mine = residual_summary(fits.prepared, final)
         close |= {
             c.names
@@ -69,7 +69,7 @@ def near_singles(
     """
     prepared = fits.prepared
     left = {c.names: residual_summary(prepared, c).mean_square_m2 for c in singles}
-    if left[final.names] < (rules.misfit * prepared.noise_model.noise.std_m) ** 2:
+    if left[final.names] < (rules.most_over_noise * prepared.noise_model.noise.std_m) ** 2:
         return []
     by_left = sorted(singles, key=lambda c: left[c.names])[: rules.most_named]
     return [c for c in by_left if c.names != final.names]

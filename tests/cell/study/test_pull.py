@@ -15,8 +15,8 @@ from cell.cable.solver import Solver
 from cell.files.input_error import InputError
 from cell.identify.noise import Noise
 from cell.identify.parameters import ParameterSpace
+from cell.lab.data.named_effects import select_effects
 from cell.lab.data.opened_study import open_study
-from cell.lab.data.selection import select_effects
 from cell.lab.search.setup import fit_cache_of
 from cell.lab.strength.fitted_study import fit_study
 from cell.study.data import Markers, Study, Trial

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from cell.identify.parameters import ParameterSpace
+from cell.lab.data.named_effects import select_effects
 from cell.lab.data.opened_study import open_study
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.data.selection import select_effects
 from cell.lab.fit.hand_error import MOTIONS, HandError, hand_error
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.setup import fit_cache_of

@@ -31,7 +31,7 @@ from cell.identify.individual import (
 )
 from cell.lab.data.check import Answer
 from cell.lab.data.cycles import RecordedCycle, read_cycles
-from cell.lab.data.selection import select_effects
+from cell.lab.data.named_effects import select_effects
 from cell.lab.fit.shared import SharedFit, Spread, along_end, fit_shared, prepared_cycle
 from cell.lab.line.cables_space import ALL_PASSES, CablesSpace, library_first
 from cell.lab.line.candidate import lines_of, section, write_candidate
@@ -633,7 +633,7 @@ def test_a_law_that_the_library_lacks_is_learned_and_kept_in_a_file(
     )
     monkeypatch.setattr("cell.lab.next.discover.admissible", lambda _: (square,))
     monkeypatch.setattr(
-        "cell.lab.data.selection.library", lambda: {"tip_mass": library()["tip_mass"]}
+        "cell.lab.data.named_effects.library", lambda: {"tip_mass": library()["tip_mass"]}
     )
     for cycle in dragged[:1]:
         write_study(cycle.study, tmp_path / "runs" / cycle.name)

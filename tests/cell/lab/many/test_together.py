@@ -16,8 +16,8 @@ from cell.api.several import TogetherResult, found_together
 from cell.cable.effects import ActiveEffect, library
 from cell.cli import app
 from cell.files.input_error import InputError
+from cell.lab.data.named_effects import EffectSelection
 from cell.lab.data.progress import no_progress
-from cell.lab.data.selection import EffectSelection
 from cell.study.data import Markers, Study
 from cell.study.folder import write_study
 from tests.cell.lab.conftest import STROKES

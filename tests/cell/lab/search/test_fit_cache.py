@@ -11,9 +11,9 @@ from cell.cable.effects import library, load_effect
 from cell.identify.gauss_newton import UnsimulatedError
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data import side_by_side
+from cell.lab.data.named_effects import select_effects
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.progress import no_progress
-from cell.lab.data.selection import select_effects
 from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.fit.fitting import space_with
 from cell.lab.next.term_source import effect_source

@@ -8,7 +8,7 @@ import pytest
 from cell.identify.identified import Identified
 from cell.identify.noise import Noise
 from cell.identify.parameters import ParameterSpace
-from cell.lab.data.selection import select_effects
+from cell.lab.data.named_effects import select_effects
 from cell.lab.search.setup import fit_cache_of
 
 

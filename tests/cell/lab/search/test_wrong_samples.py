@@ -10,7 +10,7 @@ import pytest
 from cell.cable.dynamics import simulate
 from cell.cable.geometry import Cable, Motion
 from cell.cable.model import CableModel
-from cell.lab.data.selection import EffectSelection
+from cell.lab.data.named_effects import EffectSelection
 from cell.lab.search.setup import fit_cache_of
 from cell.lab.search.wrong_samples import without_wrong_samples
 from cell.study import left_out

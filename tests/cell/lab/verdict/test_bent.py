@@ -14,7 +14,7 @@ from cell.cable.model import CableModel
 from cell.cable.modes import mode_curvature
 from cell.cable.solver import Solver
 from cell.cli import app
-from cell.lab.data.selection import EffectSelection
+from cell.lab.data.named_effects import EffectSelection
 from cell.lab.search.setup import fit_cache_of
 from cell.lab.strength.compare import compare_model
 from cell.lab.strength.fitted_study import fit_study

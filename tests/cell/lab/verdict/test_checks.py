@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from cell.lab.data.check import Answer, Check, Reading, verdict_of
+from cell.lab.data.check import Answer, Check, Reading, worst_verdict
 from cell.lab.data.thresholds import DEFAULT_RULES, Rules
 from cell.lab.verdict import questions
 from cell.lab.verdict.checks import CHECKS, LEAVES_NOISE, MAY_BE_CLAIMED, answers, explains
@@ -47,11 +47,11 @@ def test_names_are_unique():
 )
 def test_the_verdict_is_the_worst_of_what_failed(failed, is_base, verdict):
     found = [Answer(c, Reading(0.0), c.name not in failed) for c in CHECKS]
-    assert verdict_of(found, is_base) == verdict
+    assert worst_verdict(found, is_base) == verdict
 
 
 def test_what_does_not_apply_fails_nothing():
-    assert verdict_of([Answer(c, None, None) for c in CHECKS], is_base=True) == "complete"
+    assert worst_verdict([Answer(c, None, None) for c in CHECKS], is_base=True) == "complete"
 
 
 @pytest.mark.parametrize(
@@ -108,7 +108,7 @@ def test_a_fit_of_more_than_noise_explains_nothing_and_ends_the_questions():
     assert not explains(evidence)
     asked = list(answers(evidence))
     assert [a.check.name for a in asked] == ["stated_error", "fitted_error"]
-    assert verdict_of(asked, is_base=False) == "unexplained"
+    assert worst_verdict(asked, is_base=False) == "unexplained"
 
 
 def test_a_negligible_smooth_part_passes_whatever_its_chance(monkeypatch):

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from cell.cable.effects import library
-from cell.lab.data.selection import EffectSelection
+from cell.lab.data.named_effects import EffectSelection
 from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.search.setup import fit_cache_of
 from cell.lab.strength.fitted_study import fit_study
