@@ -28,7 +28,7 @@ from cell.cable.model import CableModel
 from cell.cli import app
 from cell.files.yaml_document import yaml_text
 from cell.identify.individual import identify
-from cell.lab.data import selection
+from cell.lab.data import named_effects
 from cell.lab.next import discover
 from cell.lab.next.terms import admissible
 from cell.settings import load_settings
@@ -321,8 +321,8 @@ def _memory(entry: str) -> int:
 @pytest.fixture(autouse=True)
 def little_computing(monkeypatch: pytest.MonkeyPatch) -> None:
     """One rival and one term: what is good is soon computed."""
-    known = selection.library()
-    monkeypatch.setattr(selection, "library", lambda: {"tip_mass": known["tip_mass"]})
+    known = named_effects.library()
+    monkeypatch.setattr(named_effects, "library", lambda: {"tip_mass": known["tip_mass"]})
     monkeypatch.setattr(
         discover, "admissible", lambda box: [t for t in admissible(box) if t.name == "drag_along"]
     )

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from cell.cable.effects import load_effect
 from cell.cli import app
-from cell.lab.data import selection
+from cell.lab.data import named_effects
 from cell.lab.next import discover
 from cell.lab.next.terms import admissible
 from cell.study.folder import write_study
@@ -54,9 +54,9 @@ def folder(make_study, fan, tmp_path_factory):
 @pytest.fixture(autouse=True)
 def few_rivals(monkeypatch, tmp_path):
     """A library that lacks what is hidden, and few terms of a law: soon tried."""
-    known = selection.library()
+    known = named_effects.library()
     rivals = {n: known[n] for n in ("tip_mass", "air_drag", "natural_curvature")}
-    monkeypatch.setattr(selection, "library", lambda: rivals)
+    monkeypatch.setattr(named_effects, "library", lambda: rivals)
     terms = ("constant_field", "drag_along", "curved_stiffness", "power_viscosity")
     monkeypatch.setattr(
         discover, "admissible", lambda box_m: [t for t in admissible(box_m) if t.name in terms]

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from cell.cable.effects import load_effect
 from cell.cli import app
-from cell.lab.data import selection
+from cell.lab.data import named_effects
 from cell.study.folder import write_study
 
 run = CliRunner().invoke
@@ -144,9 +144,9 @@ def test_an_effect_that_no_model_has_is_refused(folder, effect_file, tmp_path):
 
 @pytest.fixture
 def few_rivals(monkeypatch):
-    known = selection.library()
+    known = named_effects.library()
     rivals = {n: known[n] for n in ("tip_mass", "air_drag", "natural_curvature")}
-    monkeypatch.setattr(selection, "library", lambda: rivals)
+    monkeypatch.setattr(named_effects, "library", lambda: rivals)
     return set(rivals)
 
 
