@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -14,26 +12,19 @@ from numpy.typing import NDArray
 
 from cell.computer.memory import use_one_arena
 from cell.computer.second_process import SecondProcess
+from cell.evidence import in_real_time, listed, with_recorder
 from cell.plan.choose import ChoiceOptions, Freedom
 from cell.plan.destination import Destination
 from cell.plan.paths import MotionLimits
-from cell.records.ledger.outbox import LaterLedger, LedgerWriter, outbox_of
-from cell.records.recording.devices import recorded_devices
-from cell.records.recording.recorder import Recorder
-from cell.records.recording.retention import Retention, Room
-from cell.records.recording.store import Store
-from cell.records.recording.uploads import Uploads
-from cell.records.result import Outcome
 from cell.run.archive import Archive
 from cell.run.clocks import KnownDelays
 from cell.run.cycle import Cell
-from cell.run.listed import LedgerSetup
-from cell.run.recorded import Keeping, RecordingSetup
+from cell.run.product import ProductTask
 from cell.run.station import Task
 from cell.settings import InputError, Settings
 from cell.settings import devices as given
 from cell.settings.calibrated import Calibrated, as_gripped, typed
-from cell.settings.referred import calibration_hash, files_of, line_of
+from cell.settings.referred import calibration_hash, files_of
 from cell.settings.translate import (
     arm_limits_of,
     cable_of,
@@ -66,8 +57,6 @@ from drivers.ur import UrArm, UrOptions
 FloatArray = NDArray[np.float64]
 
 _UR_TUNING = ("lookahead_s", "gain")
-#: In simulated time a frame waits so long, s, for the recorder: nothing else is late by that.
-PATIENCE_S = 60.0
 #: How well latency and lag must be known, 95 %, for corrections in flight, s.
 FEEDBACK_TIME_S = 2e-3
 
@@ -81,6 +70,8 @@ def build_cell(
     on_step: Callable[[int, str], None] = lambda number, step: None,
     known: Calibrated | None = None,
     recorded: bool = False,
+    twins: Twins | None = None,
+    others: Sequence[Task] = (),
 ) -> Cell:
     """A cell with its devices, none of them connected yet.
 
@@ -88,9 +79,12 @@ def build_cell(
     seed    of the simulated cables and of their devices' noise
     cycles  so many simulated cables are laid out; None = there is always another
     known   what is known of camera and clocks; None = as typed
+    twins   of a simulated cell; None = they are made
+    others  tasks of further products, see `Cell`
     """
     if isinstance(settings.arm, given.SimulatedArm):
-        devices = twin_devices(build_twins(settings, seed, cycles, known))
+        twins = build_twins(settings, seed, cycles, known) if twins is None else twins
+        devices = twin_devices(twins)
     else:
         take_precedence()
         devices = real_devices(settings, known)
@@ -98,7 +92,7 @@ def build_cell(
     if recorded:
         devices, recording = with_recorder(settings, devices, runs)
         archive = Archive(recording, listed(settings, runs))
-    return cell_with(settings, devices, runs, on_step, known, archive=archive)
+    return cell_with(settings, devices, runs, on_step, known, archive=archive, others=others)
 
 
 def guarded_devices(settings: Settings, devices: Devices) -> Devices:
@@ -119,72 +113,37 @@ def cell_with(
     known: Calibrated | None = None,
     *,
     archive: Archive | None = None,
+    others: Sequence[Task] = (),
 ) -> Cell:
     """A cell around given devices, which it surrounds with their limits.
 
     archive  where its cycles are recorded and listed; None = nowhere
+    others   tasks of further products, see `Cell`
     """
     use_one_arena()
     guarded = guarded_devices(settings, devices)
     watched = isinstance(devices.clock, RealClock)
     return Cell(
         guarded,
-        cell_task(settings, known),
-        settings.model_dump(mode="json"),
+        product_task(settings, known),
         runs,
         on_step,
-        computer=SecondProcess() if _in_real_time(settings) else None,
+        computer=SecondProcess() if in_real_time(settings) else None,
         watched=watched,
         archive=archive,
+        others=others,
     )
 
 
-def listed(settings: Settings, runs: Path) -> LedgerSetup | None:
-    """The ledger that the settings name, and what it is told of this cell; None = there is none."""
-    wanted = settings.ledger
-    if wanted is None:
-        return None
-    writer = LedgerWriter(LaterLedger(wanted.url or runs), outbox_of(runs))
-    writer.start()
-    return LedgerSetup(writer, line_of(settings), calibration_hash(settings), version("cable-cell"))
-
-
-def _in_real_time(settings: Settings) -> bool:
-    """Whether time passes in the cell as it does outside: what is late there is late."""
-    simulated = isinstance(settings.arm, given.SimulatedArm)
-    return not simulated or settings.world.real_time_factor is not None
-
-
-def with_recorder(
-    settings: Settings, devices: Devices, runs: Path
-) -> tuple[Devices, RecordingSetup | None]:
-    """Devices that are recorded, and how cycles are, as the settings say; None = not at all."""
-    wanted = settings.recording
-    if wanted is None:
-        return devices, None
-    patience_s = 0.0 if _in_real_time(settings) else PATIENCE_S
-    recorder = Recorder(devices.arm, devices.clock, wanted.memory_mb * 10**6, patience_s)
-    days, size_gb = wanted.max_age_days, wanted.max_size_gb
-    room = Room(
-        None if days is None else days * 86_400.0,
-        None if size_gb is None else size_gb * 1e9,
-        wanted.min_free_gb * 1e9,
-    )
-    recording = RecordingSetup(
-        recorder,
+def product_task(settings: Settings, known: Calibrated | None = None) -> ProductTask:
+    """What the settings, resolved for a product if they have some, ask the cell to make."""
+    return ProductTask(
+        settings.product,
+        cell_task(settings, known),
         settings.model_dump(mode="json"),
         files_of(settings),
-        Keeping(frozenset(map(Outcome, wanted.keep)), wanted.keep_every),
-        Retention(runs, room, only_stored=wanted.store is not None),
-        None if wanted.store is None else _uploads(settings, wanted.store, runs),
+        calibration_hash(settings),
     )
-    return recorded_devices(devices, recorder, recording.uploads), recording
-
-
-def _uploads(settings: Settings, url: str, runs: Path) -> Uploads:
-    uploads = Uploads(partial(Store, url), runs, line_of(settings))
-    uploads.start()
-    return uploads
 
 
 @contextmanager

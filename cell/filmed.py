@@ -9,7 +9,8 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from cell.build import PATIENCE_S, cell_task, cell_with
+from cell.build import cell_task, cell_with
+from cell.evidence import PATIENCE_S
 from cell.files.input_error import InputError
 from cell.records.recording import form
 from cell.records.recording.devices import recorded_devices

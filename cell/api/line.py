@@ -16,7 +16,8 @@ from cell.lab.line.gates import Judgement, best_judged
 from cell.lab.line.learn import LearningResult
 from cell.lab.line.learn import learn as learn_from
 from cell.lab.report.learning_tables import common_error_line, learning_lines, learning_parts
-from cell.settings import Settings, load_settings
+from cell.settings import Settings
+from cell.settings.loading import load_product
 from cell.settings.translate import cable_of, identification_of
 
 
@@ -58,13 +59,15 @@ class LearnResult(Shown):
         if self.learned.best is None:
             raise ValueError(f"{path}: nothing is missing, so there is no candidate to write")
         lines = lines_of(self.learned.cycles, self.settings)
-        write_candidate(Path(path), self.learned, self.judgement, self.settings.model, lines)
+        model, product = self.settings.model, self.settings.product
+        write_candidate(Path(path), self.learned, self.judgement, model, lines, product)
 
 
 def learn(
     runs: Sequence[Path | str],
     config: Path | str,
     *,
+    product: str | None = None,
     effects: Sequence[str] = (),
     progress: Progress = no_progress,
 ) -> LearnResult:
@@ -72,12 +75,13 @@ def learn(
 
     runs     folders of cycles, or folders of such folders
     config   settings of the line
+    product  whose cycles these are; None = the usual one, or settings without products
     effects  files of your own effects, tried beside the library
     raises   InputError, ValueError: no cycle can be used, or settings or effects are wrong
     """
-    settings = load_settings(Path(config))
+    settings = load_product(Path(config), product)
     cable, options = cable_of(settings), identification_of(settings)
-    cycles, left_out = read_cycles([Path(run) for run in runs], cable)
+    cycles, left_out = read_cycles([Path(run) for run in runs], cable, settings.product)
     library = select_effects([], effects).candidates
     result = learn_from(cycles, cable, options, library, progress)
     return judged(result, settings, left_out)

@@ -30,7 +30,14 @@ from cell.files.atomic import write_whole
 from cell.files.input_error import InputError, Problem
 from cell.files.rescue import kept, remedy
 from cell.settings import Settings
-from cell.settings.calibrated import Calibrated, board_of, bounds_of, typed, view_of_stored
+from cell.settings.calibrated import (
+    Calibrated,
+    board_of,
+    bounds_of,
+    calibration_file,
+    typed,
+    view_of_stored,
+)
 from cell.settings.translate import vision_of
 from drivers.emulators.launch import EmulatorError
 from drivers.interfaces import DeviceError
@@ -123,7 +130,7 @@ class CalibrationJob:
             self._say(f"{part} is left out: what is typed holds, or what was calibrated before")
             return None
         self._made[part] = made
-        path = self._folder / f"{part}.yaml"
+        path = calibration_file(self._settings, part)
         _LOG.info("%s: %s, for %s", part, _words(made), path)
         self._keep(path, lambda place: save(place, made))
         return made
@@ -248,7 +255,7 @@ class CalibrationJob:
         """All that was found, for programs."""
         return {
             kind: {
-                "file": str(self._folder / f"{kind}.yaml"),
+                "file": str(calibration_file(self._settings, kind)),
                 "report": str(self._reports[kind]),
                 "error": {k: v if np.isfinite(v) else None for k, v in made.error.items()},
                 "result": {k: np.asarray(v).tolist() for k, v in made.result.items()},
@@ -261,7 +268,8 @@ class CalibrationJob:
         lines = []
         for kind, made in self._made.items():
             lines.append(f"{kind:7} {_words(made)}")
-            lines.append(f"        {self._folder / kind}.yaml, {self._reports[kind]}")
+            path = calibration_file(self._settings, kind)
+            lines.append(f"        {path}, {self._reports[kind]}")
         return lines
 
     # --- devices and files --------------------------------------------------------------------
@@ -293,7 +301,9 @@ class CalibrationJob:
 
     def _before(self, kind: str) -> StoredCalibration:
         """A calibration that this one needs."""
-        return self._made[kind] if kind in self._made else load(self._folder / f"{kind}.yaml", kind)
+        if kind in self._made:
+            return self._made[kind]
+        return load(calibration_file(self._settings, kind), kind)
 
     def _check_size(self, before: StoredCalibration) -> None:
         size = (self._settings.camera.width_px, self._settings.camera.height_px)
@@ -331,7 +341,7 @@ class CalibrationJob:
         return folder
 
     def _report(self, kind: str, page: str) -> None:
-        path = self._folder / f"{kind}.html"
+        path = calibration_file(self._settings, kind).with_suffix(".html")
         self._reports[kind] = path
         self._keep(path, lambda place: write_whole(place, page))
 

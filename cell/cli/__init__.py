@@ -18,6 +18,7 @@ from cell.cli import (
     acknowledge,
     bundle,
     calibrate,
+    emulate,
     export,
     fit,
     handshake,
@@ -55,7 +56,19 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 for group in (
-    *(run, plant, settings, records, identify, ledger, acknowledge, bundle, recordings, store),
+    *(
+        run,
+        emulate,
+        plant,
+        settings,
+        records,
+        identify,
+        ledger,
+        acknowledge,
+        bundle,
+        recordings,
+        store,
+    ),
     *(fit, lab, power, studies, imports, export, line, mqtt, handshake),
 ):
     app.add_typer(group.app)

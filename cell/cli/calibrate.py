@@ -13,7 +13,15 @@ import typer
 
 from cell.cli.lab import refusing, working
 from cell.cli.result_json import STDOUT, print_result
-from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, Config, MaybeConfig, interrupted_once, refuse
+from cell.cli.shared import (
+    ALL_DONE,
+    NOT_ALL_DONE,
+    Config,
+    MaybeConfig,
+    OfProduct,
+    interrupted_once,
+    refuse,
+)
 
 if TYPE_CHECKING:
     from cell.calibration.work import CalibrationJob
@@ -40,6 +48,7 @@ Seed = Annotated[int, typer.Option(min=0, help="Random seed of a simulated or em
 def everything(
     context: typer.Context,
     config: MaybeConfig = None,
+    product: OfProduct = None,
     seed: Seed = 1,
     as_json: AsJson = False,
 ) -> None:
@@ -53,7 +62,7 @@ def everything(
         return
     if config is None:
         refuse(ValueError("cell calibrate: --config is missing; give the settings of the cell"))
-    with _workshop(config, seed, as_json) as work:
+    with _workshop(config, seed, as_json, product=product) as work:
         for part in ("camera", "cell", "time", "grip"):
             work.do(part)
         _end(work, as_json)
@@ -95,12 +104,16 @@ def time_(
 @app.command()
 def grip(
     config: Config,
+    product: OfProduct = None,
     source: Source = None,
     seed: Seed = 1,
     as_json: AsJson = False,
 ) -> None:
-    """Find gripping point, clamp angle and free length of a cable in the jaws; needs the cell."""
-    _part("grip", config, source, seed, as_json)
+    """Find gripping point, clamp angle and free length of a cable in the jaws; needs the cell.
+
+    Each product of the settings has its own.
+    """
+    _part("grip", config, source, seed, as_json, product)
 
 
 @app.command()
@@ -109,7 +122,7 @@ def check(config: Config, seed: Seed = 1, as_json: AsJson = False) -> None:
 
     Exit codes: 0 if the calibration is still valid; 1 if not.
     """
-    with _workshop(config, seed, as_json) as work:
+    with _workshop(config, seed, as_json, gripped=False) as work:
         found = work.check()
         if print_result(vars(found), STDOUT if as_json else None):
             print(found.sentence + ("" if found.command is None else f"; run `{found.command}`"))
@@ -139,8 +152,17 @@ def board(
     print(f"{out}: print at 100 %, measure ten squares, put the result in calibration.square_m")
 
 
-def _part(part: str, config: Path, source: Path | None, seed: int, as_json: bool) -> None:
-    with _workshop(config, seed, as_json, live=source is None) as work:
+def _part(
+    part: str,
+    config: Path,
+    source: Path | None,
+    seed: int,
+    as_json: bool,
+    product: str | None = None,
+) -> None:
+    with _workshop(
+        config, seed, as_json, live=source is None, product=product, gripped=part == "grip"
+    ) as work:
         made = work.do(part, source)
         if made is None:
             raise typer.Exit(NOT_ALL_DONE)
@@ -159,12 +181,22 @@ def _end(work: CalibrationJob, as_json: bool) -> None:
 
 @contextmanager
 def _workshop(
-    config: Path, seed: int, as_json: bool, *, live: bool = True
+    config: Path,
+    seed: int,
+    as_json: bool,
+    *,
+    live: bool = True,
+    product: str | None = None,
+    gripped: bool = True,
 ) -> Iterator[CalibrationJob]:
-    """Everything that calibrating needs; what goes wrong is said and ends with 2."""
+    """Everything that calibrating needs; what goes wrong is said and ends with 2.
+
+    gripped  a cable is gripped, so that it must be said of which product
+    """
     from cell.calibration.work import BrokenOffError, CalibrationJob
     from cell.files.input_error import InputError
     from cell.settings import load_settings
+    from cell.settings.loading import load_product
     from cell.terminal.logs import to_file
 
     progress = working("calibrate")
@@ -182,7 +214,7 @@ def _workshop(
             return input(words + " ")
 
     try:
-        settings = load_settings(config)
+        settings = load_product(config, product) if gripped else load_settings(config)
         if settings.calibration is not None:
             to_file(settings.calibration.folder / "calibration.log")
         with (

@@ -63,6 +63,7 @@ class HistoryOptions:
     ] = None
     line: Annotated[str | None, typer.Option(help="Of this line.")] = None
     part_id: Annotated[str | None, typer.Option("--part-id", help="Of this part.")] = None
+    product: Annotated[str | None, typer.Option(help="Of this product.")] = None
     model: Annotated[str | None, typer.Option(help="With the model of this hash.")] = None
     fault: Annotated[
         str | None, typer.Option(help="Ended by this fault, such as `stop`, `arm` or `arm.limit`.")
@@ -102,6 +103,7 @@ class HistoryOptions:
             outcomes=tuple(outcomes),
             line=self.line,
             part=self.part_id,
+            product=self.product,
             model=self.model,
             fault=self.fault,
             acknowledged=False if self.open_faults else None,
@@ -215,6 +217,7 @@ def listed_cycles(settings: Settings, place: str | None, since: str | None) -> l
         since=_moment(since, datetime.now(UTC), "--since"),
         outcomes=tuple(o.value for o in outcomes),
         line=line_of(settings),
+        product=settings.product or "",
     )
     with ledger_errors(), open_ledger(settings, place) as ledger:
         folders = [c.folder for c in ledger.listed(wanted)]

@@ -18,7 +18,15 @@ from cell.cli.delivery import Delivery, deliver
 from cell.cli.given import folder_in
 from cell.cli.lab import refusing, show, working
 from cell.cli.ledger import LedgerPlace, Since, listed_cycles
-from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, Config, Interruption, answering, group
+from cell.cli.shared import (
+    ALL_DONE,
+    NOT_ALL_DONE,
+    Config,
+    Interruption,
+    OfProduct,
+    answering,
+    group,
+)
 from cell.cli.workers import Workers, workers
 
 if TYPE_CHECKING:
@@ -52,6 +60,7 @@ LawsFolder = Annotated[
 def learn(
     config: Config,
     runs: Recorded = None,
+    product: OfProduct = None,
     since: Since = None,
     ledger: LedgerPlace = None,
     out: Annotated[
@@ -74,8 +83,8 @@ def learn(
     from cell.lab.line.candidate import lines_of
     from cell.lab.line.learn import learn as learn_from
     from cell.lab.next.discover import Laws, laws_in
-    from cell.settings import load_settings
     from cell.settings.line import other_lines
+    from cell.settings.loading import load_product
     from cell.settings.translate import cable_of, identification_of
 
     known: list[LearningResult] = []
@@ -87,10 +96,10 @@ def learn(
         _so_far(known, interrupted, lambda: more.keep(())),
         ExitStack() as opened,
     ):
-        settings = load_settings(config)
+        settings = load_product(config, product)
         cable, options = cable_of(settings), identification_of(settings)
         asked = _Asked(runs or (), ledger, since)
-        cycles, left_out = read_cycles(asked.folders(settings, opened), cable)
+        cycles, left_out = read_cycles(asked.folders(settings, opened), cable, settings.product)
         lines = lines_of(cycles, settings)
         library = select_effects([], effect or []).candidates
         if laws is not None:
@@ -105,8 +114,9 @@ def learn(
         learned = judged(found, settings, left_out)
         result = learned.learned
         kept = more.keep(result.best.effects if result.best else ())
-        again = _again(asked.words(), config, out, effect or [], laws)
-        todo, motion = _asking(result, config, out, again, progress)
+        ours = _Line(config, settings.product)
+        again = _again(asked.words(), ours, out, effect or [], laws)
+        todo, motion = _asking(result, ours, out, again, progress)
     missed = [f"left out: {line}" for line in learned.left_out]
     for line in (*missed, *other_lines(lines, settings)):
         print(line, file=sys.stderr)
@@ -149,6 +159,20 @@ def _so_far(
 
 
 @dataclass(frozen=True)
+class _Line:
+    """Whose model it is: settings, and a product of them."""
+
+    config: Path
+    product: str | None
+
+    @property
+    def words(self) -> list[object]:
+        """The same as it can be typed."""
+        of = [] if self.product is None else ["--product", self.product]
+        return ["--config", self.config, *of]
+
+
+@dataclass(frozen=True)
 class _Asked:
     """Of which cycles is learned: those given, and those of the ledger if it is asked."""
 
@@ -172,13 +196,13 @@ class _Asked:
 
 
 def _again(
-    asked: Sequence[object], config: Path, out: Path, effects: Sequence[str], laws: Path | None
+    asked: Sequence[object], line: _Line, out: Path, effects: Sequence[str], laws: Path | None
 ) -> str:
     """`cell learn` with the cables measured meanwhile, too."""
     given = [*asked, *([] if _measured(out) in asked else [_measured(out)])]
     tried = (w for effect in effects for w in ("--effect", effect))
     sought = [] if laws is None else ["--laws", laws]
-    return _typed(["cell", "learn", *given, "--config", config, *tried, *sought, "-o", out])
+    return _typed(["cell", "learn", *given, *line.words, *tried, *sought, "-o", out])
 
 
 def _typed(words: Sequence[object]) -> str:
@@ -197,7 +221,7 @@ def _measured(out: Path) -> Path:
 
 
 def _asking(
-    result: LearningResult, config: Path, out: Path, again: str, progress: Progress
+    result: LearningResult, line: _Line, out: Path, again: str, progress: Progress
 ) -> tuple[list[str], list[Delivery]]:
     """The motion that tells what these cycles cannot: the commands for it, and its file."""
     from cell.lab.line.next_cable import asked, open_to
@@ -211,7 +235,7 @@ def _asking(
         told = f"{MOST_ASKED} motions could not distinguish the tied effects on these cables"
         return [told], []
     try:
-        around = Surroundings.read(config)
+        around = Surroundings.read(line.config, line.product)
         cable = result.baseline.cables[0]
         suggestion = distinguishing_motion(cable, open_to(result), around, progress)
     except ValueError as error:
@@ -220,7 +244,7 @@ def _asking(
     if suggestion is None or best is None:
         return ["no safe motion is likely to distinguish the tied effects on these cables"], []
     motion = _motion(out)
-    words = ["cell", "run", "--config", config, "--motion", motion, "--out", _measured(out)]
+    words = ["cell", "run", *line.words, "--motion", motion, "--out", _measured(out)]
     lines = [
         f"this motion distinguishes the tied effects with probability {best.power:.2f}: "
         f"{best.motion.describe()}; measure a cable with it, and learn again:",
@@ -237,6 +261,7 @@ def promote(
         Path | None,
         typer.Argument(help="Candidate written by `cell learn -o`.", show_default=False),
     ] = None,
+    product: OfProduct = None,
     undo: Annotated[
         bool, typer.Option("--undo", help="Restore the model before the last promotion.")
     ] = False,
@@ -252,9 +277,11 @@ def promote(
     A candidate that was learned with another data sheet, camera, arm, calibration or simulated
     world is refused, unless --from-another-line is given.
 
+    In settings with products it goes into the section of the product that it was learned for.
     Comments and order of the settings are kept.  The former settings are saved in a folder beside
     the file.  If the command is killed, the file has either the old settings or the new ones.
     """
+    from cell.settings.loading import load_product
     from cell.settings.promotion import promote as promote_model
     from cell.settings.promotion import read_candidate
     from cell.settings.promotion import undo as undo_last
@@ -263,10 +290,11 @@ def promote(
         if undo == (candidate is not None):
             raise ValueError("give a candidate, or --undo")
         if candidate is None:
-            entry = undo_last(config)
+            entry = undo_last(config, load_product(config, product).product)
             print(f"{config}: the model is again that of {entry}")
         else:
-            entry = promote_model(
-                read_candidate(candidate), config, from_another_line=from_another_line
-            )
+            learned = read_candidate(candidate)
+            if product is not None and learned.product != product:
+                raise ValueError(f"{candidate}: is of product {learned.product}, not {product}")
+            entry = promote_model(learned, config, from_another_line=from_another_line)
             print(f"{config}: has the model of {candidate}; the former settings are in {entry}")

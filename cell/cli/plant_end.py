@@ -11,6 +11,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from cell.cli.making import MadeCell
 from cell.plant.link import Handler, Link
 from cell.plant.messages import COMMANDS, Answer, Request, Status
 from cell.plant.orders import LATCHED, latch, refusal
@@ -18,7 +19,6 @@ from cell.plant.reporter import Reporter
 from cell.plant.service import Service
 from cell.plant.wire import LinkError
 from cell.records.result import Result
-from cell.run.cycle import Cell
 from cell.run.machine import Event
 from cell.run.plans import Plan
 from cell.settings.model import Settings
@@ -31,8 +31,9 @@ _LOG = logging.getLogger(__name__)
 class PlantEnd:
     """Lets programs beside a cell look at it and command it, while it runs."""
 
-    def __init__(self, cell: Cell, runs: Path, settings: Settings) -> None:
-        self._cell = cell
+    def __init__(self, made: MadeCell, runs: Path, settings: Settings) -> None:
+        self._made = made
+        self._cell = made.cell
         self._runs = runs
         self._settings = settings
         self._service: Service | None = None
@@ -80,7 +81,16 @@ class PlantEnd:
                 raise KeyboardInterrupt
 
         self._report_to(link)
-        service = Service(self._cell, self.reporter, self._runs, plan=plan)
+        products = self._made.products
+        service = Service(
+            self._cell,
+            self.reporter,
+            self._runs,
+            plan=plan,
+            products=products.patterns,
+            product=products.usual,
+            select_product=self._made.change_product,
+        )
         self._service = service
         waiting.append(service)
         with link, _ended_by_sigterm(service):
@@ -91,7 +101,11 @@ class PlantEnd:
         return False
 
     def _report_to(self, link: Link) -> None:
-        self.reporter = Reporter(link.publish)
+        products = {
+            name: {"model": made.task.model, "calibration": made.calibration}
+            for name, made in self._made.tasks.items()
+        }
+        self.reporter = Reporter(link.publish, products)
 
     def _link(self, handler: Handler, obeyed: Collection[Event]) -> Link:
         status = Status(
@@ -99,6 +113,8 @@ class PlantEnd:
             sequence=0,
             state=self._cell.machine.state,
             since_s=time.time(),
+            product=self._made.products.usual,
+            products=self._made.products.names,
             line=line_of(self._settings),
             model=model_hash(self._settings.model),
             calibration=calibration_hash(self._settings),

@@ -1,10 +1,8 @@
-"""Commands that move a cell, or emulate one: run, emulate."""
+"""The command that moves a cell: run."""
 
 from __future__ import annotations
 
-import contextlib
 import json
-import os
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
@@ -15,8 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cell.cli.changes import another_model
-from cell.cli.changes import changes as changes_in_line
+from cell.cli.changes import another_model, changes
 from cell.cli.options import taking
 from cell.cli.part_ids import SCANNED, part_ids
 from cell.cli.shared import (
@@ -29,15 +26,12 @@ from cell.cli.shared import (
     refuse,
 )
 from cell.cli.streams import emit
-from cell.cli.typed import TypedLines
 
 if TYPE_CHECKING:
+    from cell.cli.making import MadeCell, Products
     from cell.cli.plant_end import PlantEnd
     from cell.records.result import Result
-    from cell.run.cycle import Cell
     from cell.run.plans import Plan
-    from cell.settings.model import Settings
-    from cell.simulated.faults import Faults
     from cell.terminal.console import RunProgress
 
 app = group()
@@ -107,6 +101,12 @@ class RunOptions:
     out: Records = Path("runs")
     motion: MotionFile = None
     part_id: PartId = None
+    product: Annotated[
+        str | None,
+        typer.Option(
+            help="What is made, of the settings' `products`; ids of parts may say it, too."
+        ),
+    ] = None
     dry_run: DryRun = False
     speed: Annotated[
         float,
@@ -143,14 +143,14 @@ def run(options: RunOptions) -> None:
     closes the record.
     """
     from cell.arm_version import check_arm_version, remember_dry_run
-    from cell.build import build_cell, emulators_asked_for
+    from cell.build import emulators_asked_for
+    from cell.cli.making import made_cell, products_in
     from cell.cli.plant_end import PlantEnd
     from cell.files.input_error import InputError
     from cell.lab.next.motion_file import load_motion
     from cell.plant.wire import LinkError
     from cell.records.folder import RecordError
     from cell.run.plans import INSERTING, measuring
-    from cell.settings import load_settings
     from cell.settings.calibrated import calibrated
     from cell.terminal.console import RunProgress, troubles
     from cell.terminal.logs import to_file
@@ -158,8 +158,10 @@ def run(options: RunOptions) -> None:
     _refuse_contradictions(options)
     results: list[Result] = []
     try:
-        settings = load_settings(options.config)
-        known = calibrated(settings, options.config)
+        products = products_in(options.config, options.product)
+        first = _first(products, options)
+        settings = products.whole if first is None else products.settings[first]
+        known = products.known[first] if first else calibrated(settings, options.config)
         motion = options.motion
         plan = INSERTING if motion is None else measuring(load_motion(motion, settings))
         to_file(options.out.with_name(f"{options.out.name}.log"))
@@ -177,11 +179,17 @@ def run(options: RunOptions) -> None:
 
             speed = options.speed if options.dry_run else None
             check_arm_version(settings, options.config, options.out, speed)
-            made = partial(
-                build_cell, seed=options.seed, on_step=on_step, known=known, recorded=True
+            made = made_cell(
+                products,
+                first,
+                known,
+                options.out,
+                seed=options.seed,
+                cycles=options.laid_out,
+                on_step=on_step,
             )
-            cell = made(settings, options.out, cycles=options.laid_out)
-            plant = PlantEnd(cell, options.out, settings)
+            cell = made.cell
+            plant = PlantEnd(made, options.out, settings)
             try:
                 if options.forever:
                     stopped = plant.serve(plan, partial(_tell, options.as_json))
@@ -190,7 +198,7 @@ def run(options: RunOptions) -> None:
                 if options.dry_run:
                     plan = cell.rehearsal(plan, options.speed)
                 progress = shown.enter_context(RunProgress(options.count, plan.names))
-                for result in _results(cell, plant, plan, progress, options, settings):
+                for result in _results(made, plant, plan, progress, options):
                     results.append(result)
                     if options.as_json:
                         emit(json.dumps(result.to_json(), ensure_ascii=False))
@@ -205,11 +213,26 @@ def run(options: RunOptions) -> None:
         raise typer.Exit(NOT_ALL_DONE if results else BAD_INPUT) from error
     if not options.as_json:
         _show(results, plan.names, options.dry_run, known.notes)
-    changes = changes_in_line(options.out, results, options.config, settings)
-    for line in (*troubles(results), *cell.notes(), *changes):
+    changed = changes(options.out, results, options.config, products)
+    for line in (*troubles(results), *cell.notes(), *changed):
         print(line, file=sys.stderr)
     reached = [r for r in results if r.outcome is plan.aim]
     raise typer.Exit(ALL_DONE if len(reached) == options.count else NOT_ALL_DONE)
+
+
+def _first(products: Products, options: RunOptions) -> str | None:
+    """The product that the cell is made for; None without products.  Ends with 2: not known."""
+    if not products.settings:
+        return None
+    alone = options.motion is not None or options.dry_run
+    open_yet = options.forever or options.part_id == SCANNED
+    if open_yet and not alone:
+        return products.usual or products.names[0]
+    try:
+        part = None if open_yet else next(part_ids(options.part_id))
+        return products.chosen(options.product, part)
+    except ValueError as error:
+        refuse(error)
 
 
 def _refuse_contradictions(options: RunOptions) -> None:
@@ -225,21 +248,18 @@ def _refuse_contradictions(options: RunOptions) -> None:
 
 
 def _results(
-    cell: Cell,
-    plant: PlantEnd,
-    plan: Plan,
-    progress: RunProgress,
-    options: RunOptions,
-    begun: Settings,
+    made: MadeCell, plant: PlantEnd, plan: Plan, progress: RunProgress, options: RunOptions
 ) -> Iterator[Result]:
     """Results of one cycle after another, up to the first that fails; keys hold and go on.
 
-    While ids are typed, no key holds the cell.
-    begun  what the settings' file said when the run began: told once if it has changed
+    While ids are typed, no key holds the cell.  That the settings' file has another model by now is
+    told once.
     """
     from cell.records.result import Outcome
     from cell.terminal.console import KEYS, MAY_HOLD
     from cell.terminal.keyboard import Keyboard
+
+    cell = made.cell
 
     def on_key(key: str) -> None:
         if key in KEYS:
@@ -247,24 +267,41 @@ def _results(
             cell.command(event, f"key {key}")
             progress.hint(hint)
 
-    said, parts = "", part_ids(options.part_id)
+    said, orders = "", _orders(made.products, progress, options)
     with ExitStack() as listening:
         if options.part_id != SCANNED and listening.enter_context(Keyboard(on_key)).listens:
             progress.hint(MAY_HOLD)
         for number in range(1, options.count + 1):
-            try:
-                part = next(parts)
-            except StopIteration:
-                progress.say("no more ids are typed: the run ends")
+            part, product = next(orders, (None, None))
+            if part is None and options.part_id is not None:
                 return
-            plant.reporter.cycle(number, part, None)
+            if product is not None:
+                made.change_product(product)
+            plant.reporter.cycle(number, part, product)
             result = cell.run_cycle(number, plan, part)
             plant.reporter.result(result)
-            if not said and (said := another_model(options.config, begun)):
+            if not said and (said := another_model(options.config, made.products.whole)):
                 progress.say(said)
             yield result
             if result.outcome is Outcome.FAILED:
                 return
+
+
+def _orders(
+    products: Products, progress: RunProgress, options: RunOptions
+) -> Iterator[tuple[str | None, str | None]]:
+    """Part and product of one cycle after another, as long as it is known what to make.
+
+    An id that is typed and means no product is refused, and the next one waited for.
+    """
+    for part in part_ids(options.part_id):
+        try:
+            yield part, products.chosen(options.product, part)
+        except ValueError as error:
+            progress.say(f"{error}; no cable is gripped")
+            if options.part_id != SCANNED:
+                return
+    progress.say("no more ids are typed: the run ends")
 
 
 def _tell(as_json: bool, result: Result) -> None:
@@ -297,79 +334,3 @@ def _show(
     for result in results:
         what = "dry run" if dry_run else "cable"
         show(console, f"{what} {result.cycle}: {result.folder}")
-
-
-@app.command()
-def emulate(
-    config: Config,
-    seed: Annotated[int, typer.Option(min=0, help="Random seed of hidden cables and noise.")] = 1,
-    fault: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--fault",
-            help="A fault of a device, NAME@2s = 2 s after the next cable is gripped, NAME = at "
-            "once; docs/commissioning.md lists them.  The option may be repeated.",
-        ),
-    ] = None,
-) -> None:
-    """Emulate arm, camera and gripper at the addresses in the settings, until Ctrl-C.
-
-    The settings need a section `emulated`.  `cell run` with the same settings then uses these
-    devices; any other client of their protocols can use them too.  You can type faults while it
-    runs, as with --fault; `repair` ends all of them.  The command also ends if its parent process
-    ends.  Exit codes: 0; 1 if an emulator ended by itself; 2 if the settings or a fault are wrong
-    or the addresses are in use.
-    """
-    from cell.build import emulating
-    from cell.files.input_error import InputError
-    from cell.settings import load_settings
-    from cell.simulated.faults import Faults, read_fault
-
-    parent = os.getppid()
-    try:
-        given = [read_fault(f) for f in fault or []]
-    except ValueError as error:
-        refuse(ValueError(f"--fault {error}"))
-    try:
-        settings = load_settings(config)
-        with (
-            interrupted_once(),
-            emulating(settings, config, seed) as cell,
-            contextlib.suppress(KeyboardInterrupt),
-        ):
-            print(cell.whereabouts(), flush=True)
-            faults = Faults(cell, lambda text: print(text, file=sys.stderr, flush=True))
-            for one in given:
-                faults.give(one)
-            typed = TypedLines()
-            while os.getppid() == parent:
-                if ended := cell.ended():
-                    _say_ended(ended, config)
-                    raise typer.Exit(NOT_ALL_DONE)
-                for line in typed.within(0.2):
-                    _obey(faults, line)
-    except InputError as error:
-        refuse(error)
-
-
-def _obey(faults: Faults, line: str) -> None:
-    """Do what was typed; what is not understood is said, and changes nothing."""
-    from cell.simulated.faults import REPAIR, read_fault
-
-    try:
-        if line == REPAIR:
-            faults.repair()
-        else:
-            faults.give(read_fault(line))
-    except ValueError as error:
-        print(f"{error}; or {REPAIR}", file=sys.stderr)
-
-
-def _say_ended(ended: Sequence[str], config: Path) -> None:
-    """Name the emulators that have ended, and what to do."""
-    verb = "have" if len(ended) > 1 else "has"
-    print(
-        f"{' and '.join(ended)} {verb} ended; so do the others: start them again with "
-        f"`cell emulate --config {config}`",
-        file=sys.stderr,
-    )

@@ -23,6 +23,12 @@ Config = Annotated[
 MaybeConfig = Annotated[
     Path | None, typer.Option("--config", "-c", help="Settings of the cell, YAML.")
 ]
+OfProduct = Annotated[
+    str | None,
+    typer.Option(
+        "--product", help="Of this product of the settings; default: the usual one, `product: …`."
+    ),
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
 
 

@@ -261,6 +261,8 @@ def _known_keys(schema: dict[str, Any], loc: tuple[int | str, ...]) -> list[str]
             node = node["properties"][part]
         elif part in node.get("discriminator", {}).get("mapping", {}):
             node = {"$ref": node["discriminator"]["mapping"][part]}
+        elif isinstance(node.get("additionalProperties"), dict):
+            node = node["additionalProperties"]
     return list(_resolved(schema, node).get("properties", {}))
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import replace
+from typing import Any
 
 from cell.plant.messages import COMMANDS, Kind, Notice, Status
 from cell.plant.wire import fault_of
@@ -36,7 +37,8 @@ def status_after(status: Status, notice: Notice, obeyed: Collection[Event] = COM
             return replace(status, step=data["step"])
         case Kind.CYCLE:
             part, product = data["part"], data["product"]
-            return replace(status, cycle=data["cycle"], part=part, product=product)
+            status = replace(status, cycle=data["cycle"], part=part, product=product)
+            return _of_product(status, data)
         case Kind.RESULT:
             outcome = data["outcome"]
             counts = {**status.counts, outcome: status.counts.get(outcome, 0) + 1}
@@ -46,6 +48,12 @@ def status_after(status: Status, notice: Notice, obeyed: Collection[Event] = COM
         case Kind.ACKNOWLEDGED:
             return replace(status, fault=None)
         case Kind.PRODUCT:
-            return replace(status, product=data["product"])
+            return _of_product(replace(status, product=data["product"]), data)
         case Kind.WAITING:
             return replace(status, waiting_for=tuple(data["waiting_for"]))
+
+
+def _of_product(status: Status, data: Mapping[str, Any]) -> Status:
+    """With model and calibration of a product, where a notice says them."""
+    model, calibration = (data.get(k, getattr(status, k)) for k in ("model", "calibration"))
+    return replace(status, model=model, calibration=calibration)

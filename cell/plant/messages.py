@@ -29,11 +29,11 @@ class Kind(StrEnum):
 
     STATE         state, step = null, since (Unix time, s)
     STEP          step, cycle
-    CYCLE         a cycle begins: cycle, part, product
+    CYCLE         a cycle begins: cycle, part, product; its model and calibration, if it has one
     RESULT        a cycle has ended: `Result.to_json()`
     FAULT         `FaultNotice`
     ACKNOWLEDGED  by, note
-    PRODUCT       product: what the next cycle makes
+    PRODUCT       product: what the next cycle makes; its model and calibration
     WAITING       waiting_for: what the cell waits for; empty = for nothing
     """
 
@@ -78,7 +78,7 @@ class Status:
     possible       commands that the present state accepts
     waiting_for    why nothing happens: `start`, `part`, `downstream`, `acknowledgement`, …
     last           the newest result, as in its notice
-    line, model, calibration, software   as in the ledger
+    line, model, calibration, software   as in the ledger; of that product
     """
 
     run: str

@@ -25,11 +25,17 @@ class Reporter:
     """Publishes what happens, each thing once and in its order.
 
     publish        of the link
+    products       model and calibration of each product, as `Status` has them
     suspended_for  why the cell is suspended, if whoever asked for it said so
     """
 
-    def __init__(self, publish: Callable[[Kind, Mapping[str, Any]], object]) -> None:
+    def __init__(
+        self,
+        publish: Callable[[Kind, Mapping[str, Any]], object],
+        products: Mapping[str, Mapping[str, str | None]] | None = None,
+    ) -> None:
         self.suspended_for = ""
+        self._products = products or {}
         self._publish = publish
         self._state: CellState | None = None
         self._waiting: tuple[str, ...] = ()
@@ -52,7 +58,8 @@ class Reporter:
 
     def cycle(self, number: int, part: str | None, product: str | None) -> None:
         """A cycle begins."""
-        self._publish(Kind.CYCLE, {"cycle": number, "part": part, "product": product})
+        about = {} if product is None else self._products.get(product, {})
+        self._publish(Kind.CYCLE, {"cycle": number, "part": part, "product": product, **about})
 
     def result(self, result: Result) -> None:
         """A cycle has ended; its fault is told of, too."""
@@ -70,7 +77,7 @@ class Reporter:
 
     def product(self, name: str) -> None:
         """What the next cycle makes."""
-        self._publish(Kind.PRODUCT, {"product": name})
+        self._publish(Kind.PRODUCT, {"product": name, **self._products.get(name, {})})
 
     def waiting(self, *reasons: str) -> None:
         """What the cell waits for; told once."""

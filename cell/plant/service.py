@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,12 +20,23 @@ from cell.run.commands import InterruptedByCommandError
 from cell.run.cycle import Cell
 from cell.run.machine import CellState, Event
 from cell.run.plans import INSERTING, Plan
+from cell.settings.product import product_for
 from drivers.interfaces import DeviceError
 
 #: How often the service looks at its commands and its devices while nothing happens, s.
 _LOOK_S = 0.1
 #: A step that lasts longer is a program that hangs, s: the first one may compile.
 _LONGEST_STEP_S = 600.0
+#: No cycle is under way.
+_BETWEEN = frozenset(
+    {
+        CellState.IDLE,
+        CellState.STOPPED,
+        CellState.ABORTED,
+        CellState.CLEARING,
+        CellState.RESETTING,
+    }
+)
 _UNHURRIED = (CellState.HELD, CellState.SUSPENDED)
 
 
@@ -96,7 +107,8 @@ class Service:
     """Runs cycles on request until `end`; `answer` is the handler of its link.
 
     plan            of every cycle
-    products        names of what can be made
+    products        what can be made: name → pattern of its parts' ids, None = any
+    product         made unless a start or `product` asks for another; None = it must
     select_product  makes the next cycles be of a product; called between cycles, by `run`
     """
 
@@ -107,13 +119,14 @@ class Service:
         runs: Path,
         *,
         plan: Plan = INSERTING,
-        products: Sequence[str] = (),
+        products: Mapping[str, str | None] | None = None,
+        product: str | None = None,
         select_product: Callable[[str], None] = lambda name: None,
     ) -> None:
         self._cell = cell
         self._reporter = reporter
         self._plan = plan
-        self._products = tuple(products)
+        self._products = products or {}
         self._select = select_product
         self._notifier = Notifier()
         self._changed = threading.Condition()
@@ -121,7 +134,7 @@ class Service:
         self._over = threading.Event()
         self._alive_until_s = float("inf")
         self._part: str | None = None
-        self._product: str | None = None
+        self._product = product
         self._wanted: str | None = None
         self._unsettled = runs.with_name(f"{runs.name}.unsettled")
         earlier = earlier_cycle(runs)
@@ -155,9 +168,10 @@ class Service:
                 answer = latch(self._cell, request)
             else:
                 answer = Answer(True, self._cell.machine.state)
-            if answer.accepted and request.product is not None:
+            if answer.accepted and command is not Event.START and request.product is not None:
                 self._wanted = request.product
-                self._reporter.product(request.product)
+                if self._cell.machine.state in _BETWEEN:  # else when the cycle has ended
+                    self._reporter.product(request.product)
             self._changed.notify_all()
             return answer
 
@@ -173,8 +187,12 @@ class Service:
                 self._cell.check()
             except (InterruptedByCommandError, DeviceError) as error:
                 return self._refused(command.value, str(error))
-            self._part = request.part or None
-            product = request.product or self._wanted or self._product
+            part, usual = request.part or None, self._wanted or self._product
+            try:
+                product = product_for(self._products, request.product, part, usual)
+            except ValueError as error:
+                return self._refused(command.value, str(error))
+            self._part, self._wanted = part, product
             self._reporter.cycle(self._number, self._part, product)
             return Answer(True, machine.send(command))
         if machine.state is CellState.ABORTED or self._open is not None:
@@ -206,7 +224,7 @@ class Service:
         self._notifier.ready()
         try:
             while not self._ending.is_set():
-                self._select_wanted()
+                self._select_wanted(tell=True)
                 state = self._cell.machine.state
                 if state in (CellState.STOPPED, CellState.ABORTED) and self._rests(state):
                     continue
@@ -262,7 +280,7 @@ class Service:
             self._mark(str(error))  # before anybody is told: the service may be killed at once
             with self._changed:
                 return self._cell.leave_idle(error)
-        self._select_wanted()
+        self._select_wanted(tell=False)  # as the start has told
         return self._cell.run_prepared(self._part)
 
     def _ended(self, result: Result, told: Callable[[Result], None]) -> None:
@@ -278,12 +296,14 @@ class Service:
             fault = FaultNotice(self._number - 1, time_s=time.time(), **vars(result.fault))
             self._reporter.fault(fault)
 
-    def _select_wanted(self) -> None:
+    def _select_wanted(self, *, tell: bool) -> None:
         with self._changed:
             wanted, self._wanted = self._wanted, None
         if wanted is not None and wanted != self._product:
             self._select(wanted)
             self._product = wanted
+            if tell:
+                self._reporter.product(wanted)
 
     def _wait(self, until: Callable[[], bool]) -> None:
         while not until() and not self._ending.is_set():

@@ -119,6 +119,7 @@ class Result:
     speed               of a dry run, as a share of the full one
     checks              what a dry run found out
     part                id of the cable; None = it has none
+    product             what the cell made; None = its settings have no products
     """
 
     cycle: int
@@ -145,6 +146,7 @@ class Result:
     speed: float | None = None
     checks: tuple[Check, ...] = ()
     part: str | None = None
+    product: str | None = None
     delay_s: float | None = None
     pace: float | None = None
     further_m: float | None = None

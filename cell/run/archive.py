@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from cell.run.listed import LedgerSetup
+from cell.run.product import ProductTask
 from cell.run.recorded import RecordingSetup
 
 
@@ -14,6 +15,16 @@ class Archive:
 
     recording: RecordingSetup | None = None
     ledger: LedgerSetup | None = None
+
+    def recording_of(self, made: ProductTask) -> RecordingSetup | None:
+        """How cycles of a product are recorded: with its settings and files."""
+        if self.recording is None:
+            return None
+        return replace(self.recording, settings=made.settings, files=made.files)
+
+    def ledger_of(self, made: ProductTask) -> LedgerSetup | None:
+        """To which ledger cycles of a product are told: with its calibration."""
+        return None if self.ledger is None else replace(self.ledger, calibration=made.calibration)
 
     def notes(self) -> tuple[str, ...]:
         """What a person should know of them."""

@@ -3,88 +3,73 @@
 from __future__ import annotations
 
 import logging
-import time
 import traceback
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 from cell.computer.memory import release_free_memory
 from cell.records.folder import LaterRecord, RecordError
-from cell.records.result import Outcome, Result
+from cell.records.result import Result
 from cell.run import steps
 from cell.run.archive import Archive
-from cell.run.commands import INTERRUPTING, RESUMING, Commands
-from cell.run.endings import EXPECTED, UNREACHED, fault_of
+from cell.run.commands import INTERRUPTING, Commands
+from cell.run.endings import EXPECTED, UNREACHED, fault_of, unrecorded
 from cell.run.listed import CycleListing
 from cell.run.machine import CellState, Event, EventRefusedError, Machine
 from cell.run.movements import slowed
-from cell.run.plans import AGAIN_WHEN_LOST, INSERTING, Plan, Repeat, Step, rehearsing
+from cell.run.one_cycle import OneCycle
+from cell.run.plans import AGAIN_WHEN_LOST, INSERTING, Plan, changing_over, rehearsing
+from cell.run.product import ProductTask
 from cell.run.progress import Progress
 from cell.run.recorded import CycleRecording
 from cell.run.station import Station, Task
+from cell.run.step_runner import StepRunner
 from drivers.interfaces import DeviceError, Devices
 
 _LOG = logging.getLogger(__name__)
-
-
-@dataclass
-class _Cycle:
-    """A cycle from its preparation to its end.
-
-    before   time spent in each state before it, s
-    part     id of its cable
-    listing  None = the ledger does not know of it yet
-    """
-
-    plan: Plan
-    progress: Progress
-    before: Mapping[CellState, float]
-    part: str | None = None
-    listing: CycleListing | None = None
 
 
 class Cell:
     """A live cell: runs cycles, obeys commands from any thread, and always leaves the arm stopped.
 
     devices   guarded by their limits
-    task      what to do with every cable
-    settings  as resolved, for the record
+    made      what is done with every cable, until `change_product`
     runs      folder in which every cycle gets its own
     computer  computes while frames are looked at; None = a thread
     watched   look at the devices all the time; only those that run in real time can be
     archive   where cycles are recorded and listed
+    others    tasks of products that may be changed to: all is loaded for them from the beginning
     on_step   told of every step as it begins: number of the cycle, name of the step
     """
 
     def __init__(
         self,
         devices: Devices,
-        task: Task,
-        settings: Mapping[str, Any],
+        made: ProductTask,
         runs: Path,
         on_step: Callable[[int, str], None] = lambda number, step: None,
         *,
         computer: Executor | None = None,
         watched: bool = False,
         archive: Archive | None = None,
+        others: Sequence[Task] = (),
     ) -> None:
         self.commands = Commands()
         self.machine = Machine(devices.clock.now_s)
         computer = ThreadPoolExecutor(1, "ahead") if computer is None else computer
-        self._station = Station(devices, task, self.commands, computer)
-        self._settings = settings
+        self._station = Station(devices, made.task, self.commands, computer, tuple(others))
+        self._steps = StepRunner(self.machine, self.commands, on_step)
+        self._made = made
+        self._former: Task | None = None
         self._runs = runs
-        self._on_step = on_step
         self._watched = watched
         self._archive = Archive() if archive is None else archive
-        self._done_once: set[str] = set()
         self._listing: CycleListing | None = None
-        self._prepared: _Cycle | None = None
+        self._prepared: OneCycle | None = None
 
     def now_s(self) -> float:
         """Time on the cell's clock."""
@@ -129,7 +114,17 @@ class Cell:
         steps.close(self._station.devices)
         self._station.computer.shutdown(wait=False, cancel_futures=True)
         self._archive.close()
-        self._done_once.clear()
+        self._steps.forget()
+
+    def change_product(self, made: ProductTask) -> None:
+        """What the next cycles make, one that is prepared too; called between cycles.
+
+        The next cycle empties the jaws before anything else, as the product before it lets go.
+        """
+        if self._former is None and made.name != self._made.name:
+            self._former = self._station.task
+        self._made = made
+        self._station = replace(self._station, task=made.task)
 
     def rehearsal(self, plan: Plan, speed: float) -> Plan:
         """All movements of a plan with empty jaws, at a share of their speed.
@@ -149,7 +144,7 @@ class Cell:
         cycle = self._cycle(number, plan)
         self._open(cycle, part)
         try:
-            cycle.progress.record.settings(self._settings)
+            cycle.progress.record.settings(cycle.made.settings)
             self._reset(cycle)
             self._work(cycle)
         except BaseException as error:
@@ -180,10 +175,10 @@ class Cell:
 
         raises  EventRefusedError: none is prepared
         """
-        cycle = self._taken()
+        cycle = self._as_made_now(self._taken())
         try:
             self._open(cycle, part)
-            cycle.progress.record.settings(self._settings)
+            cycle.progress.record.settings(cycle.made.settings)
             self._work(cycle)
         except BaseException as error:
             self._end(cycle.progress, error)
@@ -214,76 +209,95 @@ class Cell:
 
     # --- from the beginning of a cycle to its end ---------------------------------------------
 
-    def _cycle(self, number: int, plan: Plan) -> _Cycle:
+    def _cycle(self, number: int, plan: Plan, *, at_start: bool = False) -> OneCycle:
+        """A cycle to come; `at_start` = it is reset already."""
+        if self._former is not None:
+            plan = changing_over(plan, self._former, at_start=at_start)
         station = replace(self._station, task=slowed(self._station.task, plan.speed))
         record, recording = LaterRecord(self._runs, number), CycleRecording(None)
         first = plan.resetting[0].name
-        progress = Progress(number, record, recording, station, plan.given, first)
-        return _Cycle(plan, progress, self.machine.seconds())
+        progress = Progress(
+            number, record, recording, station, plan.given, first, product=self._made.name
+        )
+        return OneCycle(plan, self._made, progress, self.machine.seconds())
 
-    def _taken(self) -> _Cycle:
+    def _as_made_now(self, cycle: OneCycle) -> OneCycle:
+        """A cycle that is prepared, or in its place one of the product that it was changed to."""
+        if cycle.made is self._made:
+            return cycle
+        before = cycle.progress
+        before.watch.end()
+        new = self._cycle(before.number, cycle.plan, at_start=True)
+        new.before = cycle.before
+        new.progress.seconds = before.seconds
+        if self._watched:
+            new.progress.watch.begin()
+        return new
+
+    def _taken(self) -> OneCycle:
         cycle, self._prepared = self._prepared, None
         if cycle is None:
             raise EventRefusedError("no cycle is prepared")
         return cycle
 
-    def _open(self, cycle: _Cycle, part: str | None = None, *, filmed: bool = True) -> None:
+    def _open(self, cycle: OneCycle, part: str | None = None, *, filmed: bool = True) -> None:
         """Begin the record; `filmed` = with a recording.  Raises RecordError."""
         progress, plan, started = cycle.progress, cycle.plan, datetime.now()
         assert isinstance(progress.record, LaterRecord)
         progress.record = record = progress.record.opened(started)
         if filmed:
-            progress.recording = CycleRecording(self._archive.recording)
-            meant = {"aim": plan.aim.value, "steps": plan.names, "speed": plan.speed}
+            progress.recording = CycleRecording(self._archive.recording_of(cycle.made))
+            what = {"aim": plan.aim.value, "product": cycle.made.name}
+            meant = {**what, "steps": plan.names, "speed": plan.speed}
             progress.recording.begin(record.folder, progress.number, started, meant)
         cycle.part = part
-        self._listing = cycle.listing = CycleListing(self._archive.ledger)
-        cycle.listing.begin(record.folder, progress.number, started, plan.aim.value, part)
+        if cycle.made.name is not None:
+            record.state(product=cycle.made.name)
+        self._listing = cycle.listing = CycleListing(self._archive.ledger_of(cycle.made))
+        about = record.folder, progress.number, started, plan.aim.value
+        cycle.listing.begin(*about, part, cycle.made.name)
 
-    def _reset(self, cycle: _Cycle) -> None:
+    def _reset(self, cycle: OneCycle) -> None:
         """Resetting, into Idle."""
         if self.machine.state is not CellState.RESETTING:
-            self._send(cycle.progress, Event.RESET)
+            self._steps.send(cycle.progress, Event.RESET)
         try:
-            self._carry_out(cycle.progress, cycle.plan.resetting)
-            self._send(cycle.progress, Event.DONE)
+            self._steps.carry_out(cycle.progress, cycle.plan.resetting)
+            self._former = None
+            self._steps.send(cycle.progress, Event.DONE)
         finally:
             cycle.progress.write()
         if self._watched:
             cycle.progress.watch.begin()
 
-    def _work(self, cycle: _Cycle) -> None:
+    def _work(self, cycle: OneCycle) -> None:
         """From Idle, or Starting, into Complete."""
         progress, plan = cycle.progress, cycle.plan
         try:
             if self.machine.state is not CellState.STARTING:
-                self._send(progress, Event.START)
+                self._steps.send(progress, Event.START)
             for stages in (plan.starting, plan.execute, plan.completing):
-                self._carry_out(progress, stages)
-                self._send(progress, Event.DONE)
+                self._steps.carry_out(progress, stages)
+                self._former = None  # what it has left was let go
+                self._steps.send(progress, Event.DONE)
         finally:
             progress.write()  # what was found before a step that failed
 
-    def _fail(self, cycle: _Cycle, error: BaseException) -> Result:
+    def _fail(self, cycle: OneCycle, error: BaseException) -> Result:
         """How a cycle failed that was not begun: it gets a record all the same."""
         self._end(cycle.progress, error)
         self._open(cycle, filmed=False)
         return self._conclude(cycle)
 
-    def _conclude(self, cycle: _Cycle) -> Result:
+    def _conclude(self, cycle: OneCycle) -> Result:
         """Result and records of a cycle that has come to rest."""
         progress, after = cycle.progress, self.machine.seconds()
         progress.watch.end()
-        spent_s = {
-            state.value: after[state] - cycle.before[state]
-            for state in CellState
-            if after[state] > cycle.before[state]
-        }
-        result = replace(progress.result(spent_s), part=cycle.part)
+        result = replace(progress.result(cycle.spent_s(after)), part=cycle.part)
         try:
             progress.record.close(result)
         except RecordError as error:
-            result = self._unrecorded(progress, result, error)
+            result = unrecorded(self._station.devices, progress.step, result, error)
         progress.recording.end(result)
         if cycle.listing is not None:
             cycle.listing.end(result, progress.findings.identified)
@@ -304,7 +318,7 @@ class Cell:
         cable = steps.whereabouts_of_cable(self._station.devices)
         _LOG.error("the arm is %s, %s", mode.value.replace("_", " "), cable)
         if isinstance(error, UNREACHED):
-            self._done_once -= AGAIN_WHEN_LOST
+            self._steps.do_again(AGAIN_WHEN_LOST)
         for sent in (event, Event.DONE):
             if self.machine.can(sent):
                 self.machine.send(sent)
@@ -320,92 +334,3 @@ class Cell:
                 if isinstance(error, EXPECTED)
                 else "".join(traceback.format_exception(error)),
             )
-
-    def _unrecorded(self, progress: Progress, result: Result, error: RecordError) -> Result:
-        """The result of a cycle whose record cannot be closed: it is only returned."""
-        if result.fault is not None:
-            return result
-        fault, _ = fault_of(progress.step, error)
-        cable = steps.whereabouts_of_cable(self._station.devices)
-        return replace(result, outcome=Outcome.FAILED, fault=replace(fault, cable=cable))
-
-    # --- what surrounds every step ------------------------------------------------------------
-
-    def _carry_out(self, progress: Progress, sequence: Iterable[Step | Repeat]) -> None:
-        """Do steps one after another; those that are due."""
-        for element in sequence:
-            match element:
-                case Step():
-                    if self._is_due(progress, element):
-                        if element.may_pause:
-                            self._pause(progress)
-                        self._do(progress, element)
-                case Repeat():
-                    again = False
-                    while not element.until(progress.findings):
-                        if again:
-                            self._carry_out(progress, element.before_again)
-                        self._carry_out(progress, element.steps)
-                        again = True
-                        paused = self._pause(progress)
-                        progress.findings = element.review(
-                            progress.station, progress.findings, paused
-                        )
-
-    def _is_due(self, progress: Progress, step: Step) -> bool:
-        return (
-            step.name not in self._done_once
-            and progress.number % step.every == 0
-            and (step.with_rejected or not progress.findings.rejected)
-        )
-
-    def _do(self, progress: Progress, step: Step) -> None:
-        """One step, what is made of it, and the record of it."""
-        progress.step = step.name
-        progress.record.state(step=step.name, state=self.machine.state.value)
-        progress.recording.state(self.machine.state.value, step.name)
-        if not step.hand_waits:
-            progress.recording.found(progress.findings, progress.station)
-        self._on_step(progress.number, step.name)
-        now_s = time.perf_counter if step.computes else self._station.devices.clock.now_s
-        begun_s = now_s()
-        progress.watch.holding = step.holding
-        try:
-            self.commands.check()
-            findings = step.act(progress.station, progress.findings)
-            self.commands.check()
-        except DeviceError:
-            self.commands.check()  # a device that refuses because of a stop is not the cause
-            raise
-        finally:
-            passed_s = now_s() - begun_s
-            progress.seconds[step.name] = progress.seconds.get(step.name, 0.0) + passed_s
-            _LOG.info("cycle %d: step %s took %.3f s", progress.number, step.name, passed_s)
-            progress.record.note(seconds=progress.seconds)
-        progress.findings = findings
-        if step.once:
-            self._done_once.add(step.name)
-        if findings.rejected or not step.hand_waits:
-            progress.record.state()
-            progress.write()
-        progress.findings = step.after(progress.station, findings)
-        if progress.findings is not findings:
-            progress.write()
-
-    def _send(self, progress: Progress, event: Event) -> None:
-        state = self.machine.send(event).value
-        progress.record.state(state=state)
-        progress.recording.state(state, None)
-
-    def _pause(self, progress: Progress) -> bool:
-        """Hold or suspend if that was asked for, until it is taken back; whether it was."""
-        paused = False
-        while (pause := self.commands.pause) is not None:  # one may be asked for in another
-            self._send(progress, pause)
-            self._send(progress, Event.DONE)
-            self._on_step(progress.number, self.machine.state.value)
-            self.commands.wait_until_resumed(pause)
-            self._send(progress, RESUMING[pause])
-            self._send(progress, Event.DONE)
-            paused = True
-        return paused

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from cell.records.folder import RecordError
-from cell.records.result import Fault
+from cell.records.result import Fault, Outcome, Result
 from cell.run.commands import InterruptedByCommandError
 from cell.run.machine import Event
+from cell.run.steps import whereabouts_of_cable
 from drivers.interfaces import (
     CameraError,
     ConnectError,
     DeviceError,
     DeviceLostError,
+    Devices,
     DeviceTimeoutError,
 )
 
@@ -37,3 +41,12 @@ def fault_of(step: str, error: BaseException) -> tuple[Fault, Event]:
             remedy = "make room there, or mend the disk"
             return Fault(step, str(error), remedy=remedy, code="record"), Event.ABORT
     return Fault(step, f"{type(error).__name__}: {error}", code="program"), Event.ABORT
+
+
+def unrecorded(devices: Devices, step: str, result: Result, error: RecordError) -> Result:
+    """The result of a cycle whose record cannot be closed: it is only returned."""
+    if result.fault is not None:
+        return result
+    fault, _ = fault_of(step, error)
+    cable = whereabouts_of_cable(devices)
+    return replace(result, outcome=Outcome.FAILED, fault=replace(fault, cable=cable))

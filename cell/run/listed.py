@@ -50,7 +50,13 @@ class CycleListing:
         self._entry: Entry | None = None
 
     def begin(
-        self, folder: Path, cycle: int, started: datetime, aim: str, part: str | None
+        self,
+        folder: Path,
+        cycle: int,
+        started: datetime,
+        aim: str,
+        part: str | None,
+        product: str | None = None,
     ) -> None:
         """The cycle begins."""
         if self._setup is None:
@@ -62,6 +68,7 @@ class CycleListing:
             started=started.astimezone(UTC),
             aim=aim,
             part=part,
+            product=product,
             calibration=self._setup.calibration,
             software=self._setup.software,
         )

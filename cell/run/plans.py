@@ -136,6 +136,8 @@ FILM, LOOK = "film", "look_at_film"
 
 #: What is done once is done again when devices were connected anew: their clocks may have been set.
 AGAIN_WHEN_LOST = frozenset({CONNECT.name, CHECK_CLOCKS.name})
+#: And these once for every product.
+AGAIN_FOR_PRODUCT = frozenset({CHECK_PATHS.name})
 
 CHOOSING = Repeat((SIMULATE, CHOOSE), steps.review_choice, until=lambda f: f.decided)
 
@@ -158,6 +160,20 @@ INSERTING = Plan(
     ),
     completing=(GO_HOME,),
 )
+
+
+def changing_over(plan: Plan, former: Task, *, at_start: bool) -> Plan:
+    """The plan of the first cycle of another product: the jaws are emptied before all else.
+
+    former    task of the product before it, which says where its cables are let go
+    at_start  the cell was reset for the former product already, and waits in Idle
+    """
+    empty = Step("empty_jaws", partial(steps.empty_jaws, former))
+    reset = tuple(step for step in plan.resetting if step.name in (CHECK_PATHS.name, RESET.name))
+    if at_start:
+        return replace(plan, starting=(empty, *reset, *plan.starting))
+    before = tuple(step for step in plan.resetting if step not in reset)
+    return replace(plan, resetting=(*before, empty, *reset))
 
 
 def measuring(motion: Measuring) -> Plan:

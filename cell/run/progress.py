@@ -26,6 +26,7 @@ class Progress:
     seconds  time of each step so far, s
     written  what of the findings is on record
     fault    that has ended the cycle
+    product  that it makes; None = its settings have no products
     """
 
     number: int
@@ -37,6 +38,7 @@ class Progress:
     seconds: dict[str, float] = field(default_factory=dict)
     written: Findings = field(default_factory=Findings)
     fault: Fault | None = None
+    product: str | None = None
 
     def __post_init__(self) -> None:
         self.watch = Watch(self.station)
@@ -96,6 +98,7 @@ class Progress:
             fault=self.fault,
             speed=f.speed,
             checks=f.checks,
+            product=self.product,
         )
 
 

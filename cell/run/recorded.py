@@ -77,13 +77,14 @@ class Keeping:
 class RecordingSetup:
     """How cycles are recorded.
 
-    files      texts that the settings refer to, by path: the calibration, effects of one's own
+    settings   as resolved for what a cycle makes
+    files      texts that they refer to, by path: the calibration, effects of one's own
     retention  what makes room for a recording; None = nothing has to
     uploads    what brings recordings to a store; None = they stay
     """
 
     recorder: TakesEvents
-    settings: Mapping[str, Any]
+    settings: Mapping[str, Any] = field(default_factory=dict)
     files: Mapping[str, str] = field(default_factory=dict)
     keeping: Keeping = Keeping()
     retention: Retention | None = None

@@ -85,12 +85,16 @@ class Timing:
 
 @dataclass(frozen=True)
 class Station:
-    """Devices, the task, the commands that may interrupt it, and who computes meanwhile."""
+    """Devices, the task, the commands that may interrupt it, and who computes meanwhile.
+
+    others  tasks that may come in place of this one
+    """
 
     devices: Devices
     task: Task
     commands: Commands
     computer: Executor
+    others: tuple[Task, ...] = ()
 
     @property
     def timing(self) -> Timing:

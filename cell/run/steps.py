@@ -33,7 +33,7 @@ from cell.run.early_estimate import EarlyEstimator
 from cell.run.filming import capture, film
 from cell.run.findings import Filming, Findings, required
 from cell.run.movements import APPROACH_SLOWER, Movement, Movements, paths_from
-from cell.run.station import Station
+from cell.run.station import Station, Task
 from cell.run.trials import executed_trial, held_trial
 from cell.run.waiting import AHEAD_S, POLL_S, await_rest, check_arm, rest_timeout_s, wait_until
 from cell.run.warm_up import warm_up as warm_up_engine
@@ -127,11 +127,13 @@ def warm_up(station: Station, findings: Findings) -> Findings:
     It keeps the computer busy for seconds, so no device should be connected yet.
     raises  DeviceLostError; DeviceError: the model of the settings cannot be simulated
     """
-    cable, kind = station.task.cable, station.task.identification.kind
-    warm_up_vision(station.task.vision)
+    tasks = (station.task, *station.others)
+    for task in tasks:
+        warm_up_vision(task.vision)
     try:
-        warm_up_engine(cable, kind)
-        station.computer.submit(warm_up_engine, cable, kind).result()
+        for cable, kind in dict.fromkeys((t.cable, t.identification.kind) for t in tasks):
+            warm_up_engine(cable, kind)
+            station.computer.submit(warm_up_engine, cable, kind).result()
     except BrokenExecutor as error:
         raise DeviceLostError(
             "computer",
@@ -154,6 +156,15 @@ def reset(station: Station, findings: Findings) -> Findings:
     station.commands.check()  # after the reset, so that a stop given meanwhile is not lost
     station.devices.gripper.release()
     return go_home(station, findings)
+
+
+def empty_jaws(former: Task, station: Station, findings: Findings) -> Findings:
+    """Open the jaws; if they hold something, where `former` puts its cables aside."""
+    station.devices.arm.reset()
+    station.commands.check()  # after the reset, so that a stop given meanwhile is not lost
+    if station.devices.gripper.state().holding:
+        move_to(station, former.aside, former.lowering)
+    return let_go(station, findings)
 
 
 def check_paths(movements: Movements, station: Station, findings: Findings) -> Findings:

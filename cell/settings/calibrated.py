@@ -72,6 +72,19 @@ def devices_of(settings: Settings) -> Mapping[str, Any]:
     }
 
 
+def calibration_file(settings: Settings, kind: str) -> Path:
+    """Where a calibration is stored; that of the grip belongs to the product."""
+    assert settings.calibration is not None
+    of = f".{settings.product}" if kind == "grip" and settings.product is not None else ""
+    return settings.calibration.folder / f"{kind}{of}.yaml"
+
+
+def calibrate_command(settings: Settings, kind: str, config: Path) -> str:
+    """The command that makes a calibration."""
+    of = f" --product {settings.product}" if kind == "grip" and settings.product else ""
+    return f"cell calibrate {kind} --config {config}{of}"
+
+
 def calibrated(settings: Settings, config: Path, now: datetime | None = None) -> Calibrated:
     """What is known of camera and clocks.
 
@@ -88,19 +101,19 @@ def calibrated(settings: Settings, config: Path, now: datetime | None = None) ->
     if not any((folder / f"{kind}.yaml").exists() for kind in _NEEDED):
         message = f"this cell is not calibrated yet: {folder} has nothing; run `cell calibrate "
         raise InputError([Problem(config, 1, None, "calibration", f"{message}--config {config}`")])
-    for kind in (*_NEEDED, *(k for k in _BESIDES if (folder / f"{k}.yaml").exists())):
-        path = folder / f"{kind}.yaml"
+    besides = (k for k in _BESIDES if calibration_file(settings, k).exists())
+    for kind in (*_NEEDED, *besides):
+        path = calibration_file(settings, kind)
         try:
             found[kind] = load(path, kind)
             complaint = _complaint(found[kind], wanted, settings, now)
         except StoreError as error:
-            message = str(error).replace(
-                f"calibrate {kind}`", f"calibrate {kind} --config {config}`"
-            )
+            command = calibrate_command(settings, kind, config)
+            message = str(error).replace(f"cell calibrate {kind}`", f"{command}`")
             problems.append(Problem(config, 1, None, "calibration", message))
             continue
         if complaint is not None:
-            remedy = f"run `cell calibrate {kind} --config {config}`"
+            remedy = f"run `{calibrate_command(settings, kind, config)}`"
             problems.append(Problem(path, 1, None, kind, f"{complaint}; {remedy}"))
     if problems:
         raise InputError(problems)

@@ -1,16 +1,14 @@
-"""Loads settings, and finds what no single entry shows: entries that contradict each other."""
+"""Finds in settings what no single entry shows: entries that contradict each other."""
 
 from __future__ import annotations
 
-import hashlib
 import re
-from pathlib import Path
 
 import numpy as np
 
 from cell.cable.geometry import Cable
-from cell.files.input_error import InputError, Problem, did_you_mean
-from cell.files.yaml_document import Document, Key, read_yaml, validate
+from cell.files.input_error import Problem, did_you_mean
+from cell.files.yaml_document import Document, Key
 from cell.settings.devices import OpenCvCamera, SerialGripper, UrArm
 from cell.settings.model import Settings
 
@@ -19,19 +17,6 @@ MAX_FRAMES = 5_000
 
 #: Where an emulated camera may stream from.
 STREAM = re.compile(r"tcp://(127(?:\.\d{1,3}){3}):(\d{1,5})")
-
-
-def load_settings(path: Path) -> Settings:
-    """Settings from a YAML file.
-
-    raises  InputError: every mistake, each with file, line, column, key, value, limit, remedy
-    """
-    document = read_yaml(path)
-    settings = _with_files(validate(document, Settings), path)
-    problems = contradictions(document, settings)
-    if problems:
-        raise InputError(problems)
-    return settings
 
 
 def oddities(settings: Settings) -> tuple[str, ...]:
@@ -43,24 +28,6 @@ def oddities(settings: Settings) -> tuple[str, ...]:
         f"arm.plane_y_axis {list(arm.plane_y_axis)} points down in the arm's base frame, and y is "
         "up: unless the arm hangs upside down, change its signs",
     )
-
-
-def _with_files(settings: Settings, path: Path) -> Settings:
-    """The settings with files of effects as whole paths: they are named relative to the settings.
-
-    What is recorded says which file it was, and what was in it.
-    """
-    effects = []
-    for entry in settings.model.effects:
-        if entry.effect.endswith(".py"):
-            file = (path.resolve().parent / entry.effect).resolve()
-            sha256 = entry.sha256
-            if sha256 is None and file.is_file():
-                sha256 = hashlib.sha256(file.read_bytes()).hexdigest()
-            entry = entry.model_copy(update={"effect": str(file), "sha256": sha256})
-        effects.append(entry)
-    model = settings.model.model_copy(update={"effects": effects})
-    return settings.model_copy(update={"model": model})
 
 
 def contradictions(document: Document, settings: Settings) -> list[Problem]:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from calib.store import StoreError, load
-from cell.settings.calibrated import devices_of
+from cell.settings.calibrated import calibration_file, devices_of
 from cell.settings.model import Settings
 
 #: How fast a simulated world runs, and how finely, is not a property of its cables.
@@ -42,7 +42,7 @@ def _calibration(settings: Settings, plain: Mapping[str, Any]) -> dict[str, Any]
     made = {}
     for kind in CALIBRATIONS:
         try:
-            made[kind] = load(settings.calibration.folder / f"{kind}.yaml", kind).made.isoformat()
+            made[kind] = load(calibration_file(settings, kind), kind).made.isoformat()
         except StoreError:  # whoever needs it says what is wrong
             continue
     return {_MADE: made}

@@ -18,6 +18,7 @@ from cell.settings.devices import (
     UrArm,
 )
 from cell.settings.plant import Plant
+from cell.settings.product import Products
 from cell.settings.records import Ledger, Recording
 from cell.settings.section import (
     Angle,
@@ -310,7 +311,8 @@ class Calibration(Section):
 
     With this section camera map, latency, lag and, for a UR arm, plane and tool come from there,
     and nothing moves unless they are there, fit the devices, and are good and new enough.  So do
-    the free length and the discs' places about the gripping point, if they are there.
+    the free length and the discs' places about the gripping point, if they are there; each product
+    has its own.
     """
 
     folder: Path = Path("calibration")
@@ -360,6 +362,10 @@ class Settings(Section):
     identification: Identification = Identification()
     model: Model = Model()
     promotion: Promotion = Promotion()
+    products: Products = Field(default={})
+    """What the cell can make, by name: what each has otherwise than the rest of the file."""
+    product: Annotated[str, Field(min_length=1)] | None = None
+    """Made unless another one is asked for; in the record of a cycle the one that was made."""
     choice: Choice = Choice()
     feedback: Literal["auto", "off", "on"] = "auto"
     """`on`: correct insertions in flight; `auto`: if latency and lag are calibrated to 2 ms."""

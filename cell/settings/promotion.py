@@ -1,7 +1,11 @@
-"""Writes the section `model` of a settings file, and nothing else in it; a history lies beside."""
+"""Writes the section `model` of a settings file or of one of its products, and nothing else in it;
+a history lies beside.
+"""
 
 from __future__ import annotations
 
+import re
+import textwrap
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,13 +17,14 @@ from ruamel.yaml.nodes import MappingNode, Node, ScalarNode
 from cell.files.atomic import write_whole
 from cell.files.input_error import InputError, Problem
 from cell.files.yaml_document import Document, read_yaml, validate, yaml_text
-from cell.settings.check import load_settings
 from cell.settings.line import differences, line_of
+from cell.settings.loading import load_product, load_settings
 from cell.settings.model import Model, Settings
 from cell.settings.translate import model_hash
 
 FORMAT = "cell-candidate/1"
 _KEY = "model"
+_PRODUCTS = "products"
 
 
 @dataclass(frozen=True)
@@ -30,6 +35,7 @@ class CandidateModel:
     beside    hash of the model that the line had when it was learned
     failed    gates that it did not pass: name → what was found
     lines     that it was learned from, as `line_of` has them; none = not known
+    product   whose model it is; None = that of settings without products
     """
 
     path: Path
@@ -37,6 +43,7 @@ class CandidateModel:
     beside: str
     failed: dict[str, str]
     lines: tuple[dict[str, Any], ...] = ()
+    product: str | None = None
 
 
 def read_candidate(path: Path) -> CandidateModel:
@@ -69,21 +76,26 @@ def read_candidate(path: Path) -> CandidateModel:
     )
     failed = {str(g["gate"]): str(g["found"]) for g in data["gates"] if g["passed"] is not True}
     model = validate(nested, Model)
-    return CandidateModel(path, model, str(data["beside"]), failed, tuple(lines))
+    product = None if data.get("product") is None else str(data["product"])
+    return CandidateModel(path, model, str(data["beside"]), failed, tuple(lines), product)
 
 
 def promote(candidate: CandidateModel, config: Path, *, from_another_line: bool = False) -> Path:
-    """Make the candidate's model that of the settings.
+    """Make the candidate's model that of the settings, or of the product that it was learned for.
 
     The settings as they were go to the history first; then the file is replaced whole, so that
     whenever this is killed, it holds the old settings or the new ones.
     from_another_line  the candidate may have been learned on another line
     returns  the file in the history
-    raises   InputError: gates not passed, learned beside another model or on another line, settings
-             that are wrong or whose outermost level is not one key a line
+    raises   InputError: gates not passed, learned beside another model, on another line or for no
+             product of these settings; settings that are wrong or are not one key a line
     """
-    config = config.resolve()
-    settings = load_settings(config)
+    config, product = config.resolve(), candidate.product
+    before = load_settings(config)
+    if product is None and before.products:
+        message = "is missing, but the settings have products; learn it with --product"
+        raise InputError([Problem(candidate.path, 1, None, "product", message)])
+    settings = before if product is None else load_product(config, product)
     problems = [
         Problem(candidate.path, 1, None, f"gate {name!r}", f"not passed ({found}); learn from more")
         for name, found in candidate.failed.items()
@@ -101,9 +113,9 @@ def promote(candidate: CandidateModel, config: Path, *, from_another_line: bool 
         raise InputError(problems)
     text = _read(config)
     section = yaml_text({_KEY: candidate.model.model_dump(mode="json", exclude_defaults=True)})
-    changed = spliced(config, text, section)
-    _check(config, changed, settings)
-    entry = _next_entry(config)
+    changed = spliced(config, text, section, product)
+    _check(config, changed, before, product)
+    entry = _next_entry(config, product)
     write_whole(entry, text.encode())
     write_whole(config, changed.encode())
     return entry
@@ -122,21 +134,20 @@ def _of_another_line(candidate: CandidateModel, settings: Settings) -> Iterator[
             yield Problem(candidate.path, 1, None, "lines", message)
 
 
-def undo(config: Path) -> Path:
+def undo(config: Path, product: str | None = None) -> Path:
     """Give the settings the model that they had before the last promotion; the rest stays.
 
+    product  whose model it is; None = that of settings without products
     returns  the file in the history that it was taken from, now marked as undone
     raises   InputError: there is none, or the settings are wrong
     """
     config = config.resolve()
     text = _read(config)
-    present = section_of(config, text)
-    for entry in sorted(history_of(config).glob("*.yaml"), reverse=True):
-        if entry.name.endswith(".undone.yaml"):
-            continue
-        former = section_of(entry, _read(entry))
+    present = section_of(config, text, product)
+    for entry in reversed(_entries(config, product)):
+        former = section_of(entry, _read(entry), product)
         if former != present:
-            write_whole(config, spliced(config, text, former).encode())
+            write_whole(config, spliced(config, text, former, product).encode())
         entry.rename(entry.with_name(entry.name.replace(".yaml", ".undone.yaml")))
         if former != present:
             load_settings(config)
@@ -151,40 +162,83 @@ def history_of(config: Path) -> Path:
     return config.with_name(f"{config.stem}.models")
 
 
-def section_of(path: Path, text: str) -> str:
-    """The lines of the section `model`; empty if there is none."""
-    found = _lines(path, text)
+def section_of(path: Path, text: str, product: str | None = None) -> str:
+    """The lines of the section `model`, of a product if one is given; empty if there is none."""
     lines = text.splitlines(keepends=True)
-    return "" if found is None else "".join(lines[found[0] : found[1]])
+    found = _place(path, text, product)
+    return "".join(lines[found.first : found.end])
 
 
-def spliced(path: Path, text: str, section: str) -> str:
-    """The text with its section `model` replaced; all other lines are as they were."""
+def spliced(path: Path, text: str, section: str, product: str | None = None) -> str:
+    """The text with its section `model` replaced; all other lines are as they were.
+
+    section  as `section_of` has it, or indented like a section of the outermost level
+    product  whose model it is; None = that of the whole file
+    """
     ends = "\r\n" if "\r\n" in text else "\n"
+    found = _place(path, text, product)
+    if section and not section.startswith(" "):
+        section = textwrap.indent(section, " " * found.indent)
     section = section.replace("\r\n", "\n").replace("\n", ends)
     lines = text.splitlines(keepends=True)
-    found = _lines(path, text)
-    if found is not None:
-        before, after = lines[: found[0]], lines[found[1] :]
-        if not section and not after and before and not before[-1].strip():
-            before.pop()  # the blank line with which a section is added at the end
-        return "".join([*before, section, *after])
-    if not section:
-        return text
-    whole = text if text.endswith(("\n", "\r")) else text + ends
-    return whole + ends + section
+    before, after = lines[: found.first], lines[found.end :]
+    is_new = found.first == found.end
+    if product is None and is_new and section:
+        whole = text if text.endswith(("\n", "\r")) else text + ends
+        return whole + ends + section
+    if not section and not is_new and not after and before and not before[-1].strip():
+        before.pop()  # the blank line with which a section is added at the end
+    if section and before and not before[-1].endswith(("\n", "\r")):
+        before[-1] += ends
+    return "".join([*before, section, *after])
 
 
-def _lines(path: Path, text: str) -> tuple[int, int] | None:
-    """First line of the section, and the one after its last that is no comment."""
+@dataclass(frozen=True)
+class _Place:
+    """Lines of a section, or where it would be; the first, the one after its last, and its indent.
+
+    Comments after it are not of it.
+    """
+
+    first: int
+    end: int
+    indent: int = 0
+
+
+def _place(path: Path, text: str, product: str | None) -> _Place:
     root: Any = YAML(typ="safe", pure=True).compose(text.removeprefix("\ufeff"))
-    if not isinstance(root, MappingNode) or root.flow_style:
-        message = "is not one key a line at its outermost level; write it so to have it changed"
-        raise InputError([Problem(path, 1, None, "", message)])
-    for key, value in root.value:
-        if key.value == _KEY:
-            return key.start_mark.line, _last_line(value) + 1
-    return None
+    whole, indent = _one_key_a_line(path, root, ""), 0
+    after = len(text.splitlines())
+    if product is not None:
+        above = _entry(whole, _PRODUCTS)
+        products = None if above is None else _one_key_a_line(path, above[1], _PRODUCTS)
+        of = None if products is None else _entry(products, product)
+        if of is None:
+            message = f"{product!r} is no product of these settings"
+            raise InputError([Problem(path, 1, None, _PRODUCTS, message)])
+        key, value = of
+        if isinstance(value, ScalarNode):  # empty: all is as in the rest of the file
+            line = key.start_mark.line + 1
+            return _Place(line, line, key.start_mark.column + 2)
+        whole = _one_key_a_line(path, value, f"{_PRODUCTS}.{product}")
+        indent, after = whole.value[0][0].start_mark.column, _last_line(value) + 1
+    found = _entry(whole, _KEY)
+    if found is None:
+        return _Place(after, after, indent)
+    return _Place(found[0].start_mark.line, _last_line(found[1]) + 1, indent)
+
+
+def _one_key_a_line(path: Path, node: Node, name: str) -> MappingNode:
+    """The node itself.  Raises InputError: lines cannot be exchanged in it."""
+    if isinstance(node, MappingNode) and not node.flow_style:
+        return node
+    where = "at its outermost level" if not name else "in this section"
+    message = f"is not one key a line {where}; write it so to have it changed"
+    raise InputError([Problem(path, node.start_mark.line + 1 if node else 1, None, name, message)])
+
+
+def _entry(node: MappingNode, name: str) -> tuple[Node, Node] | None:
+    return next(((key, value) for key, value in node.value if key.value == name), None)
 
 
 def _last_line(node: Node) -> int:
@@ -196,7 +250,7 @@ def _last_line(node: Node) -> int:
     return max((_last_line(n) for n in inside), default=int(node.start_mark.line))
 
 
-def _check(config: Path, changed: str, before: Settings) -> None:
+def _check(config: Path, changed: str, before: Settings, product: str | None) -> None:
     """Whether the changed text says what it said before, but for the model.  Raises InputError."""
     draft = config.with_name(f".{config.stem}.draft.yaml")
     try:
@@ -204,14 +258,30 @@ def _check(config: Path, changed: str, before: Settings) -> None:
         after = load_settings(draft)
     finally:
         draft.unlink(missing_ok=True)
-    assert after.model_copy(update={_KEY: before.model}) == before
+    if product is None:
+        assert after.model_copy(update={_KEY: before.model}) == before
+        return
+    was = before.products[product]
+    same = after.products[product].model_copy(update={_KEY: was.model})
+    assert after.model_copy(update={_PRODUCTS: {**after.products, product: same}}) == before
 
 
-def _next_entry(config: Path) -> Path:
+def _next_entry(config: Path, product: str | None) -> Path:
     folder = history_of(config)
     folder.mkdir(exist_ok=True)
     numbers = [int(p.name[:4]) for p in folder.glob("[0-9][0-9][0-9][0-9]*.yaml")]
-    return folder / f"{max(numbers, default=0) + 1:04d}.yaml"
+    return folder / f"{max(numbers, default=0) + 1:04d}{_of(product)}.yaml"
+
+
+def _entries(config: Path, product: str | None) -> list[Path]:
+    """Settings as they were before promotions that were not undone, oldest first."""
+    named = re.compile(rf"\d{{4,}}{re.escape(_of(product))}\.yaml")
+    found = history_of(config).glob("*.yaml")
+    return sorted(p for p in found if named.fullmatch(p.name))
+
+
+def _of(product: str | None) -> str:
+    return "" if product is None else f".{product}"
 
 
 def _read(path: Path) -> str:

@@ -7,14 +7,20 @@ import platform
 from contextlib import suppress
 from pathlib import Path
 
+from cell.settings.calibrated import calibration_file
 from cell.settings.model import Settings
 
 
 def files_of(settings: Settings) -> dict[str, str]:
-    """Text of every file, by its path as the settings name it; what cannot be read is left out."""
+    """Text of every file, by its path as the settings name it; what cannot be read is left out.
+
+    The grips of other products are not among them.
+    """
     paths = [Path(e.effect) for e in settings.model.effects if e.effect.endswith(".py")]
     if settings.calibration is not None and settings.calibration.folder.is_dir():
-        paths += sorted(settings.calibration.folder.glob("*.yaml"))
+        grip = calibration_file(settings, "grip")
+        found = sorted(settings.calibration.folder.glob("*.yaml"))
+        paths += [p for p in found if p == grip or p.name.partition(".")[0] != "grip"]
     texts = {}
     for path in paths:
         with suppress(OSError, UnicodeDecodeError):

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from calib.plane import PlaneView
 from cell.settings import Settings, load_settings
 from cell.settings.calibrated import calibrated
+from cell.settings.loading import load_product
 from cell.vision.marks import JawMarks
 
 FloatArray = NDArray[np.float64]
@@ -65,11 +66,14 @@ class Surroundings:
         )
 
     @staticmethod
-    def read(config: Path | None) -> Surroundings:
-        """Of the cell with these settings; a cautious box without.  Raises InputError."""
+    def read(config: Path | None, product: str | None = None) -> Surroundings:
+        """Of the cell with these settings, for a product; a cautious box without settings.
+
+        raises  InputError
+        """
         if config is None:
             return Surroundings()
-        settings = load_settings(config)
+        settings = load_settings(config) if product is None else load_product(config, product)
         return Surroundings.of(settings, calibrated(settings, config).view)
 
     def allows(self, angle_rad: float) -> bool:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from itertools import count
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from itertools import count, islice
 
 import numpy as np
 
@@ -21,17 +22,30 @@ from drivers.sim.clock import SimClock
 from drivers.sim.gripper import SimGripper
 from drivers.sim.pinhole import Pinhole, Sight
 from drivers.sim.render import LIGHT_ON_DARK, RenderOptions
-from drivers.sim.world import World
+from drivers.sim.world import CableShape, World
 
 
 @dataclass(frozen=True)
 class Twins:
-    """The simulated world and the devices in it, without the limits around them."""
+    """The simulated world and the devices in it, without the limits around them.
+
+    seed     of the cables
+    numbers  of the cables to come
+    """
 
     world: World
     arm: SimArm
     camera: SimCamera | FilesCamera
     gripper: SimGripper
+    seed: int
+    numbers: Iterator[int] = field(default_factory=count)
+
+    def make(self, settings: Settings) -> None:
+        """The cables to come, and their look, are those of these settings."""
+        self.world.supply(_cables(settings, self.seed, self.numbers))
+        if isinstance(self.camera, SimCamera):
+            assert isinstance(settings.camera, given.SimulatedCamera)
+            self.camera.redraw(camera_twin(settings, settings.camera, self.seed).picture)
 
     def stage(self, staging: Staging) -> None:
         """Hold something before the camera."""
@@ -52,15 +66,11 @@ def build_twins(
     assert isinstance(arm, given.SimulatedArm)
     clock = SimClock(real_time_factor=settings.world.real_time_factor)
     world = World(clock, pose_of(settings.motion.home))
-    numbers = count(1) if cycles is None else range(1, cycles + 1)
-    cables = (
-        cable_shape(hidden_cable(settings, seed, number), settings.world.segments)
-        for number in numbers
-    )
+    numbers = count(1)
     if cycles is None:
-        world.supply(cables)
+        world.supply(_cables(settings, seed, numbers))
     else:
-        for cable in cables:
+        for cable in _cables(settings, seed, islice(numbers, cycles)):
             world.present(cable)
     true_lag_s = settings.world.arm_lag_s
     options = ArmTwinOptions(
@@ -74,7 +84,14 @@ def build_twins(
         SimArm(world, options, seed=seed),
         _simulated_camera(settings, world, seed, known),
         SimGripper(world),
+        seed,
+        numbers,
     )
+
+
+def _cables(settings: Settings, seed: int, numbers: Iterator[int]) -> Iterator[CableShape]:
+    for number in numbers:
+        yield cable_shape(hidden_cable(settings, seed, number), settings.world.segments)
 
 
 def _simulated_camera(

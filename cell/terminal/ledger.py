@@ -21,13 +21,16 @@ def cycles_parts(
     if not total:
         return ["no such cycle is listed"]
     lines, parts = len({c.line for c in cycles}) > 1, any(c.part for c in cycles)
-    left = ["begun", *(["line"] if lines else []), *(["part"] if parts else []), "outcome"]
+    products = any(c.product for c in cycles)
+    shown = (("line", lines), ("product", products), ("part", parts))
+    left = ["begun", *(name for name, is_shown in shown if is_shown), "outcome"]
     table = _table("cycles (lengths in mm)", left, ["offset", "miss", "expected", "s"])
     for c in cycles:
         missed, expected = c.numbers["measured_miss_m"], c.numbers["predicted_miss_m"]
         table.add_row(
             f"{c.started:%Y-%m-%d %H:%M:%S}",
             *([Text(c.line)] if lines else []),
+            *([Text(c.product or "")] if products else []),
             *([Text(c.part or "")] if parts else []),
             Text(_outcome(c)),
             _mm(c.numbers["offset_m"], 0),

@@ -100,6 +100,11 @@ class SimCamera:
         """Show something from now on."""
         self._staging, self._behind = staging, staging.light(self._options)
 
+    def redraw(self, picture: RenderOptions) -> None:
+        """Show the world so from now on."""
+        self._options = replace(self._options, picture=picture)
+        self._behind = self._staging.light(self._options)
+
     def connect(self) -> None:
         """Raises ConnectError."""
         if self.faults.refuses_to_connect or self._came(self.faults.lost_at_s):

@@ -32,8 +32,9 @@ from typing import Any
 
 import numpy as np
 
-from cell.build import cell_with, twin_devices, with_recorder
+from cell.build import cell_with, twin_devices
 from cell.computer.stalls import StallProbe
+from cell.evidence import with_recorder
 from cell.records.result import Result
 from cell.run.archive import Archive
 from cell.run.cycle import Cell

@@ -29,6 +29,7 @@ class RecordedCycle:
 
     held      the hold that it was identified from; None = only measured, with motions of its own
     executed  the execution; None = there was none
+    product   that was made; None = its settings have no products
     """
 
     name: str
@@ -37,6 +38,7 @@ class RecordedCycle:
     held: Trial | None
     executed: Trial | None
     outcome: Outcome | None
+    product: str | None = None
 
     @property
     def whole(self) -> Study:
@@ -44,9 +46,12 @@ class RecordedCycle:
         return all_fitted(self.study)
 
 
-def read_cycles(runs: Sequence[Path], cable: Cable) -> tuple[list[RecordedCycle], list[str]]:
+def read_cycles(
+    runs: Sequence[Path], cable: Cable, product: str | None = None
+) -> tuple[list[RecordedCycle], list[str]]:
     """Cycles of folders or their subfolders, oldest first; and the cycles left out, with reasons.
 
+    product  cycles that say another one, or none, are left out; None = those that say one are
     raises  InputError: a folder that holds no cycle, one of another data sheet, or none of use
     """
     found: list[RecordedCycle] = []
@@ -56,6 +61,9 @@ def read_cycles(runs: Sequence[Path], cable: Cable) -> tuple[list[RecordedCycle]
         if cycle is None:
             left_out.append(f"{folder}: {UNMEASURED}")
             continue
+        if cycle.product != product:
+            left_out.append(f"{folder}: of {_of(cycle.product)}, not of {_of(product)}")
+            continue
         for name, value in cable.numbers.items():
             theirs = cycle.study.cable.numbers[name]
             if not np.isclose(theirs, value, rtol=SAME, atol=0.0):
@@ -64,7 +72,8 @@ def read_cycles(runs: Sequence[Path], cable: Cable) -> tuple[list[RecordedCycle]
                 raise InputError([Problem(place, 1, None, f"cable.{name}", message)])
         found.append(cycle)
     if not found:
-        raise InputError([Problem(Path(runs[0]), 1, None, "", NONE_MEASURED)])
+        why = NONE_MEASURED if product is None else f"{NONE_MEASURED} of product {product}"
+        raise InputError([Problem(Path(runs[0]), 1, None, "", why)])
     return sorted(found, key=lambda c: c.name), left_out
 
 
@@ -95,10 +104,16 @@ def _folders(runs: Sequence[Path]) -> Iterator[Path]:
         yield from inside
 
 
+def _of(product: str | None) -> str:
+    return "no product" if product is None else f"product {product}"
+
+
 def _read(folder: Path) -> RecordedCycle | None:
+    product = None
     if (folder / "state.json").exists():
         record = read_record(folder)
         study, outcome = record.study, record.result.outcome if record.result else None
+        product = record.state.get("product")
     elif is_cycle(folder):
         study, outcome = None, None
     else:
@@ -107,4 +122,4 @@ def _read(folder: Path) -> RecordedCycle | None:
         return None
     trials = {t.name: t for t in study.trials}
     held, executed = trials.get("identify"), trials.get("execute")
-    return RecordedCycle(folder.resolve().name, folder, study, held, executed, outcome)
+    return RecordedCycle(folder.resolve().name, folder, study, held, executed, outcome, product)

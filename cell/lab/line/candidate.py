@@ -41,15 +41,18 @@ def write_candidate(
     judgement: Judgement,
     present: Model,
     lines: Sequence[Mapping[str, Any]],
+    product: str | None = None,
 ) -> None:
     """Write what was learned, and what from; `read_candidate` reads it.
 
     present  the model beside which it was learned
     lines    on which the cycles were recorded, as `lines_of` has them
+    product  whose model it is; None = that of settings without products
     """
     found = learning_answers(result)
     content = {
         "format": FORMAT,
+        **({} if product is None else {"product": product}),
         "beside": model_hash(present),
         "model": section(result, present).model_dump(mode="json", exclude_defaults=True),
         "tied": list(result.tied),

@@ -32,11 +32,15 @@ class StepData:
 
 @dataclass(frozen=True)
 class CycleData:
-    """A cycle begins; null = without a part's id, without products."""
+    """A cycle begins; null = without a part's id, without products.
+
+    Model and calibration are said with a product."""
 
     cycle: int
     part: str | None
     product: str | None
+    model: str | None = None
+    calibration: str | None = None
 
 
 @dataclass(frozen=True)
@@ -49,9 +53,11 @@ class AcknowledgedData:
 
 @dataclass(frozen=True)
 class ProductData:
-    """What the next cycles make."""
+    """What the next cycles make, its model and calibration."""
 
     product: str | None
+    model: str | None = None
+    calibration: str | None = None
 
 
 @dataclass(frozen=True)

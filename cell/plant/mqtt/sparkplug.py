@@ -224,7 +224,12 @@ def _values_of_result(result: Mapping[str, Any]) -> dict[str, Value]:
     return {**{f"Result/{name}": result.get(name) for name in names}, "Result/JSON": text}
 
 
+def _values_of_product(data: Mapping[str, Any]) -> dict[str, Value]:
+    return {"Cell/Model": data["model"]} if "model" in data else {}
+
+
 def _values_of(notice: Notice) -> dict[str, Value]:
+    said: dict[str, Value]
     data = notice.data
     match notice.kind:
         case Kind.STATE:
@@ -237,15 +242,16 @@ def _values_of(notice: Notice) -> dict[str, Value]:
             return {"Cell/Step": data["step"], "Cell/Cycle": data["cycle"]}
         case Kind.CYCLE:
             names = ("cycle", "part", "product")
-            return {f"Cell/{name.capitalize()}": data[name] for name in names}
+            said = {f"Cell/{name.capitalize()}": data[name] for name in names}
+            return said | _values_of_product(data)
         case Kind.RESULT:
             return _values_of_result(data)
         case Kind.FAULT:
             return _values_of_fault(data)
         case Kind.ACKNOWLEDGED:
-            said: dict[str, Value] = {f"Acknowledged/{name}": data[name] for name in ("by", "note")}
+            said = {f"Acknowledged/{name}": data[name] for name in ("by", "note")}
             return said | _values_of_fault(None)
         case Kind.PRODUCT:
-            return {"Cell/Product": data["product"]}
+            return {"Cell/Product": data["product"], **_values_of_product(data)}
         case Kind.WAITING:
             return {"Cell/Waiting for": ", ".join(data["waiting_for"])}

@@ -48,6 +48,7 @@ class Entry:
 
     line         that the cell belongs to
     part         id of the cable; None = it has none
+    product      what is made; None = the settings have no products
     aim          outcome that was meant
     result       None = it has not ended yet
     calibration  hash of the calibration's files; None = as typed
@@ -61,6 +62,7 @@ class Entry:
     started: datetime
     aim: str
     part: str | None = None
+    product: str | None = None
     ended: datetime | None = None
     result: Result | None = None
     estimates: tuple[Estimate, ...] = ()
@@ -131,10 +133,20 @@ def entry_of_folder(folder: Path, line: str) -> Entry | None:
         started.astimezone(UTC),
         aim.value,
         None if known is None else known.part,
+        _product(folder) if known is None else known.product,
         None if ended is None else datetime.fromtimestamp(ended, UTC),
         known,
         estimates,
     )
+
+
+def _product(folder: Path) -> str | None:
+    """What the state of a cycle says that was not concluded."""
+    try:
+        state = _read(folder / "state.json")
+    except (OSError, ValueError):
+        return None
+    return None if state is None else state.get("product")
 
 
 def _read(path: Path) -> dict[str, Any] | None:

@@ -50,6 +50,7 @@ class Wanted:
     since, until   of their beginning; with a time zone
     outcomes       "running or killed" are those that have none
     fault          a reason code, or the beginning of some: `arm` is all of the arm, "" is any
+    product        "" = of none, as without products in the settings
     acknowledged   whether somebody has acknowledged the fault
     """
 
@@ -58,6 +59,7 @@ class Wanted:
     outcomes: tuple[str, ...] = ()
     line: str | None = None
     part: str | None = None
+    product: str | None = None
     model: str | None = None
     fault: str | None = None
     acknowledged: bool | None = None
@@ -70,6 +72,7 @@ class ListedCycle:
     line: str
     cycle: int
     part: str | None
+    product: str | None
     folder: Path
     started: datetime
     ended: datetime | None
@@ -95,7 +98,8 @@ class ListedCycle:
         data: dict[str, Any] = {
             "started": self.started.isoformat(),
             "ended": None if self.ended is None else self.ended.isoformat(),
-            **{k: getattr(self, k) for k in ("line", "cycle", "part", "outcome", "reason")},
+            **{k: getattr(self, k) for k in ("line", "cycle", "product", "part")},
+            **{k: getattr(self, k) for k in ("outcome", "reason")},
             **{f"fault_{k}": getattr(fault, k) or None for k in ("code", "step", "device")},
             "fault_cause": fault.cause or None,
             "acknowledged": None if seen is None else seen.at.isoformat(),
@@ -149,13 +153,19 @@ class Ledger:
 
     # --- asking -----------------------------------------------------------------------------------
 
-    def results(self, line: str, most: int = MOST) -> list[Result]:
+    def results(self, line: str, product: str | None = None, *, most: int = MOST) -> list[Result]:
         """What charts need of a line's newest cycles that tell of forecasts and fits, oldest first:
         outcome, model, misses, parameters.
+
+        product  only its cycles; None = only those of no product
         """
         newest = (
             select(cycles.c.id, *_CHARTED)
-            .where(cycles.c.line == line, cycles.c.outcome.in_([o.value for o in TELLING]))
+            .where(
+                cycles.c.line == line,
+                cycles.c.product.is_(None) if product is None else cycles.c.product == product,
+                cycles.c.outcome.in_([o.value for o in TELLING]),
+            )
             .order_by(cycles.c.ordered.desc(), cycles.c.id.desc())
             .limit(most)
         )
@@ -259,6 +269,7 @@ class Ledger:
             line=row.line,
             cycle=row.cycle,
             part=row.part,
+            product=row.product,
             folder=self._folder(row.folder),
             started=_aware(row.started),
             ended=None if row.ended is None else _aware(row.ended),
@@ -288,7 +299,7 @@ class Ledger:
 #: What charts need.
 _CHARTED_NAMES = (
     *("cycle", "outcome", "folder", "predicted_miss_m", "measured_miss_m", "predicted_std_m"),
-    *("residual_rms_m", "noise_m", "model", "model_misses"),
+    *("residual_rms_m", "noise_m", "model", "model_misses", "product"),
 )
 _CHARTED = [cycles.c[name] for name in _CHARTED_NAMES]
 _FAULT_COLUMNS = [faults.c[k] for k in ("step", "cause", "device", "remedy", "cable", "code")]
@@ -329,6 +340,10 @@ def _conditions(wanted: Wanted) -> list[ColumnElement[bool]]:
     elif wanted.fault is not None:
         below = faults.c.code.startswith(f"{wanted.fault}.", autoescape=True)
         found.append(or_(faults.c.code == wanted.fault, below))
+    if wanted.product == "":
+        found.append(cycles.c.product.is_(None))
+    elif wanted.product is not None:
+        found.append(cycles.c.product == wanted.product)
     for column, value in (
         (cycles.c.line, wanted.line),
         (parts.c.code, wanted.part),
@@ -397,6 +412,7 @@ def _row(entry: Entry) -> dict[str, Any]:
         "cycle": entry.cycle,
         "folder": str(entry.folder),
         "aim": entry.aim,
+        "product": entry.product,
         "started": _utc(entry.started),
         "ended": None if entry.ended is None else _utc(entry.ended),
         "calibration": entry.calibration,

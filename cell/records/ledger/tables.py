@@ -20,7 +20,7 @@ from sqlalchemy import (
 )
 
 #: Newest migration.
-HEAD = "0002"
+HEAD = "0003"
 
 metadata = MetaData()
 
@@ -58,6 +58,7 @@ cycles = Table(
     Column("line", String(100), nullable=False),
     Column("cycle", Integer, nullable=False),
     Column("part_id", ForeignKey("parts.id"), index=True),
+    Column("product", String(64)),
     Column("folder", Text, nullable=False),
     Column("aim", String(20), nullable=False),
     Column("started", DateTime, nullable=False),
@@ -74,6 +75,7 @@ cycles = Table(
     Index("by_line", "line", "ordered", "id"),
     Index("by_time", "ordered", "id"),
     Index("by_outcome", "outcome", "ordered"),
+    Index("by_product", "line", "product", "ordered", "id"),
 )
 
 #: This cable's parameters, with 95 % intervals.

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from cell.cli.changes import another_model, changes
+from cell.cli.making import Products
 from cell.records.changed_model import worsenings
 from cell.records.folder import Record
 from cell.records.ledger.entry import entry_of_folder
@@ -91,7 +92,7 @@ def test_the_line_goes_back_by_itself_only_if_the_settings_say_so(
     ledger = Ledger(runs, create=True)
     ledger.write([entry_of_folder(f, line) for f in sorted(runs.iterdir())], of_now=False)
     ledger.close()
-    lines = changes(runs, found[-1:], config, settings)
+    lines = changes(runs, found[-1:], config, Products(settings))
     assert any(line.startswith("since the model was changed forecasts err") for line in lines)
     if withdraw:
         assert model_hash(load_settings(config).model) == first

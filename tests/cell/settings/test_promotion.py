@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from dataclasses import replace
+from difflib import ndiff
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ from cell.files.overwriting import check_output
 from cell.files.yaml_document import yaml_text
 from cell.settings import load_settings
 from cell.settings.line import differences, line_of, other_lines
+from cell.settings.loading import for_product, load_product
 from cell.settings.promotion import history_of, promote, read_candidate, spliced, undo
 from cell.settings.translate import model_hash
 
@@ -195,3 +197,92 @@ def test_a_candidate_may_be_learned_again_over_the_one_before(tmp_path: Path, co
     check_output(candidate(tmp_path, config, DRAG))
     with pytest.raises(ValueError, match="was not written by this program"):
         check_output(config)
+
+
+PRODUCTS = """
+products:
+  soft:                # the usual one
+    part_ids: 'S-.*'
+  stiff:
+    cable: {free_length_m: 0.09}   # shorter
+    model:             # learned in May
+      effects:
+      - effect: tip_mass
+  # the last one
+  empty:
+"""
+
+
+@pytest.fixture
+def with_products(config: Path) -> Path:
+    text = config.read_text(encoding="utf-8") + PRODUCTS.replace("  empty:\n", "  empty: {}\n")
+    config.write_text(text, encoding="utf-8")
+    return config
+
+
+#: What is replaced in its section.
+OF_STIFF = {"    model:             # learned in May", "      - effect: tip_mass"}
+
+
+def of_product(tmp_path: Path, config: Path, product: str) -> Path:
+    settings = load_product(config, product)
+    path = tmp_path / f"{product}.yaml"
+    content = {
+        "format": "cell-candidate/1",
+        "product": product,
+        "beside": model_hash(settings.model),
+        "model": DRAG,
+        "gates": [],
+        "lines": [line_of(settings)],
+    }
+    path.write_text(yaml_text(content), encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("product", ["soft", "stiff"])
+def test_a_promotion_touches_one_product_and_can_be_undone(
+    tmp_path: Path, with_products: Path, product: str
+) -> None:
+    before, text = load_settings(with_products), with_products.read_text("utf-8")
+    entry = promote(read_candidate(of_product(tmp_path, with_products, product)), with_products)
+    after = load_settings(with_products)
+    made = for_product(after, product)
+    assert [e.effect for e in made.model.effects] == ["air_drag"]
+    assert after.model == before.model
+    others = set(after.products) - {product}
+    assert all(after.products[name] == before.products[name] for name in others)
+    lines = ndiff(text.splitlines(), with_products.read_text("utf-8").splitlines())
+    gone = {line[2:] for line in lines if line.startswith("- ")}
+    assert gone == (OF_STIFF if product == "stiff" else set())
+    assert entry.read_text("utf-8") == text
+    undo(with_products, product)
+    assert with_products.read_text("utf-8") == text
+
+
+def test_undoing_one_product_leaves_what_was_promoted_for_another(
+    tmp_path: Path, with_products: Path
+) -> None:
+    for product in ("soft", "stiff"):
+        promote(read_candidate(of_product(tmp_path, with_products, product)), with_products)
+    undo(with_products, "soft")
+    settings = load_settings(with_products)
+    assert for_product(settings, "soft").model == settings.model
+    assert for_product(settings, "stiff").model.effects[0].effect == "air_drag"
+    with pytest.raises(InputError, match="nothing to undo"):
+        undo(with_products, "soft")
+
+
+def test_a_candidate_is_of_a_product_of_these_settings(tmp_path: Path, with_products: Path) -> None:
+    text = with_products.read_text("utf-8")
+    stiff = read_candidate(of_product(tmp_path, with_products, "stiff"))
+    for other, says in (
+        (replace(stiff, product=None), "is missing, but the settings have products"),
+        (replace(stiff, product="short"), "'short' is no product of these settings"),
+        (replace(stiff, product="soft"), "was learned on another line: cable.free_length_m 0.09"),
+    ):
+        with pytest.raises(InputError, match=says):
+            promote(other, with_products)
+    empty = read_candidate(of_product(tmp_path, with_products, "empty"))
+    with pytest.raises(InputError, match="is not one key a line in this section"):
+        promote(empty, with_products)
+    assert with_products.read_text("utf-8") == text

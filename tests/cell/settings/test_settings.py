@@ -34,7 +34,7 @@ def complaint(tmp_path: Path, text: str) -> str:
     return str(caught.value)
 
 
-@pytest.mark.parametrize("name", ["fake.yaml", "line3.yaml", "emulated.yaml"])
+@pytest.mark.parametrize("name", ["fake.yaml", "line3.yaml", "emulated.yaml", "products.yaml"])
 def test_the_shipped_settings_are_valid(name: str) -> None:
     settings = load_settings(CONFIG / name)
     assert len(settings.motion.offsets.values_m) == 21

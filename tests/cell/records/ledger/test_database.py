@@ -106,15 +106,25 @@ def test_an_older_ledger_is_not_changed_by_asking(place: str) -> None:
         Ledger(place)
 
 
-def test_a_ledger_of_the_first_version_keeps_what_is_in_it(place: str) -> None:
-    """As it was before acknowledgements were listed."""
+#: What was added since a version.
+_SINCE = {
+    "0001": ["DROP TABLE acknowledgements"],
+    "0002": [],
+}
+_PRODUCTS = ["DROP INDEX by_product", "ALTER TABLE cycles DROP COLUMN product"]
+
+
+@pytest.mark.parametrize("version", list(_SINCE))
+def test_a_ledger_of_an_older_version_keeps_what_is_in_it(place: str, version: str) -> None:
+    """As it was before acknowledgements, or products, were listed."""
     ledger = Ledger(place, create=True)
     ledger.write([ended(1), stopped(2)])
     ledger.close()
     with engine_of(place) as engine, engine.begin() as connection:
-        connection.execute(text("DROP TABLE acknowledgements"))
-        connection.execute(text("UPDATE alembic_version SET version_num = '0001'"))
-    with pytest.raises(LedgerError, match=r"older version \(0001\)"):
+        for change in (*_SINCE[version], *_PRODUCTS):
+            connection.execute(text(change))
+        connection.execute(text(f"UPDATE alembic_version SET version_num = '{version}'"))
+    with pytest.raises(LedgerError, match=rf"older version \({version}\)"):
         Ledger(place)
     ledger = Ledger(place, create=True)
     found = ledger.listed(Wanted(), estimates=True)
@@ -122,6 +132,8 @@ def test_a_ledger_of_the_first_version_keeps_what_is_in_it(place: str) -> None:
     assert [e.name for e in found[0].estimates] == ["rigidity_0", "viscosity"]
     ledger.acknowledge(found[1:], Acknowledgement(BEGUN, "Ada"))
     assert not ledger.listed(Wanted(acknowledged=False))
+    ledger.write([ended(3, product="soft")])
+    assert [c.product for c in ledger.listed(Wanted())] == [None, None, "soft"]
     ledger.close()
     with engine_of(place) as engine, engine.connect() as connection:
         assert compare_metadata(MigrationContext.configure(connection), metadata) == []

@@ -1,0 +1,96 @@
+"""The command that emulates a cell's devices: emulate."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cell.cli.shared import NOT_ALL_DONE, Config, group, interrupted_once, refuse
+from cell.cli.typed import TypedLines
+
+if TYPE_CHECKING:
+    from cell.simulated.faults import Faults
+
+app = group()
+
+
+@app.command()
+def emulate(
+    config: Config,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed of hidden cables and noise.")] = 1,
+    fault: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--fault",
+            help="A fault of a device, NAME@2s = 2 s after the next cable is gripped, NAME = at "
+            "once; docs/commissioning.md lists them.  The option may be repeated.",
+        ),
+    ] = None,
+) -> None:
+    """Emulate arm, camera and gripper at the addresses in the settings, until Ctrl-C.
+
+    The settings need a section `emulated`.  `cell run` with the same settings then uses these
+    devices; any other client of their protocols can use them too.  You can type faults while it
+    runs, as with --fault; `repair` ends all of them.  The command also ends if its parent process
+    ends.  Exit codes: 0; 1 if an emulator ended by itself; 2 if the settings or a fault are wrong
+    or the addresses are in use.
+    """
+    from cell.build import emulating
+    from cell.files.input_error import InputError
+    from cell.settings import load_settings
+    from cell.simulated.faults import Faults, read_fault
+
+    parent = os.getppid()
+    try:
+        given = [read_fault(f) for f in fault or []]
+    except ValueError as error:
+        refuse(ValueError(f"--fault {error}"))
+    try:
+        settings = load_settings(config)
+        with (
+            interrupted_once(),
+            emulating(settings, config, seed) as cell,
+            contextlib.suppress(KeyboardInterrupt),
+        ):
+            print(cell.whereabouts(), flush=True)
+            faults = Faults(cell, lambda text: print(text, file=sys.stderr, flush=True))
+            for one in given:
+                faults.give(one)
+            typed = TypedLines()
+            while os.getppid() == parent:
+                if ended := cell.ended():
+                    _say_ended(ended, config)
+                    raise typer.Exit(NOT_ALL_DONE)
+                for line in typed.within(0.2):
+                    _obey(faults, line)
+    except InputError as error:
+        refuse(error)
+
+
+def _obey(faults: Faults, line: str) -> None:
+    """Do what was typed; what is not understood is said, and changes nothing."""
+    from cell.simulated.faults import REPAIR, read_fault
+
+    try:
+        if line == REPAIR:
+            faults.repair()
+        else:
+            faults.give(read_fault(line))
+    except ValueError as error:
+        print(f"{error}; or {REPAIR}", file=sys.stderr)
+
+
+def _say_ended(ended: Sequence[str], config: Path) -> None:
+    """Name the emulators that have ended, and what to do."""
+    verb = "have" if len(ended) > 1 else "has"
+    print(
+        f"{' and '.join(ended)} {verb} ended; so do the others: start them again with "
+        f"`cell emulate --config {config}`",
+        file=sys.stderr,
+    )

@@ -1,0 +1,124 @@
+"""Does the steps of a cycle one after another, with what surrounds each: pauses, times, records."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Iterable
+
+from cell.run.commands import RESUMING, Commands
+from cell.run.machine import Event, Machine
+from cell.run.plans import AGAIN_FOR_PRODUCT, Repeat, Step
+from cell.run.progress import Progress
+from drivers.interfaces import DeviceError
+
+_LOG = logging.getLogger(__name__)
+
+
+class StepRunner:
+    """Does the steps that are due, and obeys commands before, within and after each.
+
+    on_step  told of every step as it begins: number of the cycle, name of the step
+    """
+
+    def __init__(
+        self, machine: Machine, commands: Commands, on_step: Callable[[int, str], None]
+    ) -> None:
+        self._machine = machine
+        self._commands = commands
+        self._on_step = on_step
+        self._done_once: set[tuple[str, str | None]] = set()
+
+    def do_again(self, names: Iterable[str]) -> None:
+        """What is done once is done once more, of these names."""
+        again = set(names)
+        self._done_once = {done for done in self._done_once if done[0] not in again}
+
+    def forget(self) -> None:
+        """All that is done once is done once more."""
+        self._done_once.clear()
+
+    def carry_out(self, progress: Progress, sequence: Iterable[Step | Repeat]) -> None:
+        """Do steps one after another; those that are due."""
+        for element in sequence:
+            match element:
+                case Step():
+                    if self._is_due(progress, element):
+                        if element.may_pause:
+                            self._pause(progress)
+                        self._do(progress, element)
+                case Repeat():
+                    again = False
+                    while not element.until(progress.findings):
+                        if again:
+                            self.carry_out(progress, element.before_again)
+                        self.carry_out(progress, element.steps)
+                        again = True
+                        paused = self._pause(progress)
+                        progress.findings = element.review(
+                            progress.station, progress.findings, paused
+                        )
+
+    def send(self, progress: Progress, event: Event) -> None:
+        """Let the machine take a transition, and record it."""
+        state = self._machine.send(event).value
+        progress.record.state(state=state)
+        progress.recording.state(state, None)
+
+    def _is_due(self, progress: Progress, step: Step) -> bool:
+        return (
+            _once(progress, step) not in self._done_once
+            and progress.number % step.every == 0
+            and (step.with_rejected or not progress.findings.rejected)
+        )
+
+    def _do(self, progress: Progress, step: Step) -> None:
+        """One step, what is made of it, and the record of it."""
+        progress.step = step.name
+        progress.record.state(step=step.name, state=self._machine.state.value)
+        progress.recording.state(self._machine.state.value, step.name)
+        if not step.hand_waits:
+            progress.recording.found(progress.findings, progress.station)
+        self._on_step(progress.number, step.name)
+        now_s = time.perf_counter if step.computes else progress.station.devices.clock.now_s
+        begun_s = now_s()
+        progress.watch.holding = step.holding
+        try:
+            self._commands.check()
+            findings = step.act(progress.station, progress.findings)
+            self._commands.check()
+        except DeviceError:
+            self._commands.check()  # a device that refuses because of a stop is not the cause
+            raise
+        finally:
+            passed_s = now_s() - begun_s
+            progress.seconds[step.name] = progress.seconds.get(step.name, 0.0) + passed_s
+            _LOG.info("cycle %d: step %s took %.3f s", progress.number, step.name, passed_s)
+            progress.record.note(seconds=progress.seconds)
+        progress.findings = findings
+        if step.once:
+            self._done_once.add(_once(progress, step))
+        if findings.rejected or not step.hand_waits:
+            progress.record.state()
+            progress.write()
+        progress.findings = step.after(progress.station, findings)
+        if progress.findings is not findings:
+            progress.write()
+
+    def _pause(self, progress: Progress) -> bool:
+        """Hold or suspend if that was asked for, until it is taken back; whether it was."""
+        paused = False
+        while (pause := self._commands.pause) is not None:  # one may be asked for in another
+            self.send(progress, pause)
+            self.send(progress, Event.DONE)
+            self._on_step(progress.number, self._machine.state.value)
+            self._commands.wait_until_resumed(pause)
+            self.send(progress, RESUMING[pause])
+            self.send(progress, Event.DONE)
+            paused = True
+        return paused
+
+
+def _once(progress: Progress, step: Step) -> tuple[str, str | None]:
+    """As what a step counts that is done once."""
+    return step.name, progress.product if step.name in AGAIN_FOR_PRODUCT else None
