@@ -42,7 +42,7 @@ def status(
     from cell.plant.messages import Status, to_json
     from cell.plant.wire import LinkError
 
-    client = Client(runs)
+    client = Client(runs, on_lost=_lost, on_there=_there)
     try:
         now = client.status()
         if watch:
@@ -153,6 +153,14 @@ def _user() -> str:
         return getpass.getuser()
     except (KeyError, OSError):
         return "somebody"
+
+
+def _lost() -> None:
+    print("the cell has ended, or says nothing any more; it is waited for", file=sys.stderr)
+
+
+def _there() -> None:
+    print("the cell is there again", file=sys.stderr)
 
 
 def _no_cell(error: Exception) -> NoReturn:
