@@ -154,6 +154,12 @@ class Client:
                 yield talk
             except LinkError:
                 raise
+            except TimeoutError as error:
+                waited_s = connected.gettimeout() or 0.0
+                raise LinkError(
+                    f"the cell says nothing for {waited_s:g} s: it is halted, or this computer has "
+                    f"too much to do: {self.path}"
+                ) from error
             except OSError as error:
                 cause = error.strerror or str(error) or type(error).__name__
                 raise LinkError(f"the cell is lost: {cause}: {self.path}") from error

@@ -17,7 +17,7 @@ from cell.plant.client import Client
 from cell.plant.messages import PROTOCOL, Notice, Status
 from cell.plant.mqtt.outbox import MqttOutbox
 from cell.plant.mqtt.taking import Taker
-from cell.plant.wire import line_of, socket_of
+from cell.plant.wire import LinkError, line_of, socket_of
 from cell.settings.plant import OpcUa
 from cell.web.watching import Watch
 from tests.cell.plant.opcua.conftest import (
@@ -132,6 +132,12 @@ def test_a_halted_cell_is_lost_once_and_is_there_again_without_any_news(
     wait_until(lambda: follower.heard == ["status", "lost", "there"])
     cell.publish("long")
     wait_until(lambda: follower.heard == ["status", "lost", "there", "long"])
+
+
+def test_who_asks_a_halted_cell_is_told_why_there_is_no_answer(cell: Cell, tmp_path: Path) -> None:
+    cell.halt()
+    with pytest.raises(LinkError, match=r"says nothing for 0\.2 s: it is halted, or this computer"):
+        Client(tmp_path / "runs", timeout_s=0.2).status()
 
 
 def test_what_happened_meanwhile_is_told_first(cell: Cell, follower: Follower) -> None:
