@@ -95,7 +95,9 @@ class PlantEnd:
 
     def _adapters(self, config: Path) -> Adapters:
         names = () if self._settings.plant is None else self._settings.plant.start
-        commands = {name: command_of(name, config, self._runs) for name in names}
+        commands: dict[str, list[str]] = {
+            name: command_of(name, config, self._runs) for name in names
+        }
         return Adapters(commands, self.reporter.adapter)
 
     def _report_to(self, link: Link) -> None:

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
@@ -39,7 +39,7 @@ class Adapters:
     """
 
     def __init__(
-        self, commands: dict[str, Sequence[str]], told: Callable[[str, str], None]
+        self, commands: Mapping[str, Sequence[str]], told: Callable[[str, str], None]
     ) -> None:
         over = threading.Event()
         self._kept = [_Kept(name, command, told, over) for name, command in commands.items()]
