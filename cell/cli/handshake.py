@@ -35,7 +35,9 @@ def handshake(
     from cell.plant.handshake.carrier import CarrierError
     from cell.plant.handshake.modbus import ModbusCarrier
     from cell.plant.wire import LinkError
+    from cell.terminal.logs import warnings_to_terminal
 
+    warnings_to_terminal()
     with refusing():
         said = _settings(config)
         try:

@@ -44,12 +44,14 @@ def mqtt(
     """
     from cell.plant.mqtt.outbox import MqttOutbox, OutboxError, outbox_of
     from cell.plant.wire import LinkError
+    from cell.terminal.logs import warnings_to_terminal
 
     if schema:
         from cell.plant.mqtt.schema import schema as of_messages
 
         emit(json.dumps(of_messages(), ensure_ascii=False, indent=2))
         return
+    warnings_to_terminal()
     with refusing():
         settings, said = _settings(config)
         try:

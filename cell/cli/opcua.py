@@ -49,7 +49,9 @@ def opcua(
     try:
         settings = _settings(config)
         from cell.plant.opcua.server import serve
-        from cell.terminal.logs import to_file
+        from cell.terminal.logs import to_file, warnings_to_terminal
+
+        warnings_to_terminal()
 
         if settings.plant is not None and settings.plant.opcua is not None:
             to_file(settings.plant.opcua.folder / "opcua.log")

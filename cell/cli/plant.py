@@ -21,6 +21,8 @@ app = group()
 
 #: Exit code: no cell runs there.
 NO_CELL = 3
+#: A cell that runs is waited for so long, s: one that compiles on a busy computer answers late.
+_ANSWER_S = 30.0
 
 Runs = Annotated[Path, typer.Option(help="Folder of the records of the cell: its --out.")]
 
@@ -42,7 +44,7 @@ def status(
     from cell.plant.messages import Status, to_json
     from cell.plant.wire import LinkError
 
-    client = Client(runs)
+    client = Client(runs, timeout_s=_ANSWER_S, on_lost=_lost, on_there=_there)
     try:
         now = client.status()
         if watch:
@@ -106,7 +108,9 @@ def send(
         refuse(ValueError(f"--part {error}"))
     event = None if command == "product" else Event(command)
     try:
-        answer = Client(runs).send(Request(event, by or _user(), note, part, product))
+        answer = Client(runs, timeout_s=_ANSWER_S).send(
+            Request(event, by or _user(), note, part, product)
+        )
     except LinkError as error:
         _no_cell(error)
     if as_json:
@@ -155,6 +159,14 @@ def _user() -> str:
         return "somebody"
 
 
+def _lost() -> None:
+    print("the cell has ended, or says nothing any more; it is waited for", file=sys.stderr)
+
+
+def _there() -> None:
+    print("the cell is there again", file=sys.stderr)
+
+
 def _no_cell(error: Exception) -> NoReturn:
     print(error, file=sys.stderr)
     raise typer.Exit(NO_CELL) from error
@@ -172,6 +184,7 @@ def _lines(status: Status) -> list[str]:
     ]
     if status.waiting_for:
         lines.append(f"waits for {', '.join(status.waiting_for)}")
+    lines += [f"adapter {name} {trouble}" for name, trouble in status.adapters.items()]
     if status.fault is not None:
         fault = status.fault
         device = f"{fault.device}: " if fault.device else ""

@@ -6,12 +6,13 @@ import logging
 import signal
 import time
 from collections.abc import Callable, Collection, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from cell.cli.making import MadeCell
+from cell.plant.children import Adapters, command_of
 from cell.plant.link import Handler, Link
 from cell.plant.messages import COMMANDS, Answer, Request, Status
 from cell.plant.orders import LATCHED, latch, refusal
@@ -64,9 +65,10 @@ class PlantEnd:
         with _closing(opened):
             yield
 
-    def serve(self, plan: Plan, told: Callable[[Result], None]) -> bool:
+    def serve(self, plan: Plan, told: Callable[[Result], None], config: Path) -> bool:
         """Make cycles on request until SIGTERM; whether Ctrl-C stopped one that was under way.
 
+        config  the settings' file, for the adapters that it lets start
         raises  LinkError: another cell runs there already; InputError; RecordError
         """
         waiting: list[Service] = []
@@ -93,12 +95,20 @@ class PlantEnd:
         )
         self._service = service
         waiting.append(service)
-        with link, _ended_by_sigterm(service):
+        with closing(self._adapters(config)) as adapters, link, _ended_by_sigterm(service):
+            adapters.start()
             try:
                 service.run(tell)
             except KeyboardInterrupt:
                 return stopped
         return False
+
+    def _adapters(self, config: Path) -> Adapters:
+        names = () if self._settings.plant is None else self._settings.plant.start
+        commands: dict[str, list[str]] = {
+            name: command_of(name, config, self._runs) for name in names
+        }
+        return Adapters(commands, self.reporter.adapter)
 
     def _report_to(self, link: Link) -> None:
         products = {

@@ -192,7 +192,7 @@ def run(options: RunOptions) -> None:
             plant = PlantEnd(made, options.out, settings)
             try:
                 if options.forever:
-                    stopped = plant.serve(plan, partial(_tell, options.as_json))
+                    stopped = plant.serve(plan, partial(_tell, options.as_json), options.config)
                     raise typer.Exit(NOT_ALL_DONE if stopped else ALL_DONE)
                 shown.enter_context(plant.reachable())
                 if options.dry_run:

@@ -111,7 +111,7 @@ def _room(config: Path, runs: Path, accounts: object) -> Room:
 
     settings = load_settings(config)
     watches: list[Watch] = []
-    client = Client(runs, on_lost=lambda: watches[0].lost())
+    client = Client(runs, on_lost=lambda: watches[0].lost(), on_there=lambda: watches[0].found())
     watch = Watch(client, settings, runs)
     watches.append(watch)
     sessions = Sessions(accounts.named) if isinstance(accounts, Users) else None

@@ -15,6 +15,7 @@ import pickle
 import signal
 import sys
 import threading
+import time
 import warnings
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -30,6 +31,8 @@ Returned = TypeVar("Returned")
 #: While forks are waited for, whoever waits looks this often whether anybody still wants it, s.
 _LOOK_S = 0.05
 _SIZE_BYTES = 8
+#: Where the system does not tell that a parent has ended, a process looks this often, s.
+_PARENT_S = 1.0
 #: Of prctl: the signal that a process gets when the one that made it has ended.
 _PR_SET_PDEATHSIG = 1
 
@@ -218,14 +221,33 @@ class Fork:
             _send(out, answer, self._known)
 
 
+def end_with_parent(parent: int) -> None:
+    """Have the system kill this process when the thread that made it ends, or its process.
+
+    parent  number of that process; if it has ended already, this one ends here
+    """
+    prctl = getattr(ctypes.CDLL(None), "prctl", None)
+    if prctl is not None:
+        prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    else:
+        threading.Thread(target=_watch_parent, args=(parent,), daemon=True).start()
+    if os.getppid() != parent:
+        os._exit(1)
+
+
+def _watch_parent(parent: int) -> None:
+    """Where the system does not do it: end soon after the parent."""
+    while os.getppid() == parent:
+        time.sleep(_PARENT_S)
+    os._exit(1)
+
+
 def _become_worker(parent: int, slot: int) -> None:
     """What sets a copy apart: it hears no Ctrl-C, ends with its parent, and never prints by it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for number in _PARENTS[1:]:
         signal.signal(number, signal.SIG_DFL)
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != parent:
-        os._exit(1)
+    end_with_parent(parent)
     gc.freeze()  # what is old stays shared with the parent
     # a thread that this process no longer has may have held the lock of the old ones
     sys.stdout = io.TextIOWrapper(io.FileIO(1, "w", closefd=False), write_through=True)

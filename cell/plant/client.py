@@ -13,6 +13,7 @@ from typing import Any
 from cell.plant.messages import PROTOCOL, Answer, Notice, Request, Status, to_json
 from cell.plant.wire import (
     LONGEST_LINE,
+    SILENCE_S,
     LinkError,
     NoCellError,
     ProtocolError,
@@ -35,8 +36,10 @@ class Client:
     Every question has a connection of its own, so a cell may end and begin between two.
 
     timeout_s  so long an answer is waited for
-    on_lost    told, in the thread that follows, when a cell that was followed is there no more;
-               its Status comes first when it is there again
+    on_lost    told, in the thread that follows, when a cell that was followed is there no more, or
+               says nothing any more
+    on_there   told there when it is reached again and nothing has happened meanwhile; otherwise
+               the message that comes first says so
     """
 
     def __init__(
@@ -45,11 +48,13 @@ class Client:
         *,
         timeout_s: float = 5.0,
         on_lost: Callable[[], None] = lambda: None,
+        on_there: Callable[[], None] = lambda: None,
     ) -> None:
         self.path = socket_of(runs)
         self._runs = runs
         self._timeout_s = timeout_s
         self._on_lost = on_lost
+        self._on_there = on_there
         self._closed = threading.Event()
         self._lock = threading.Lock()
         self._open: set[socket.socket] = set()
@@ -95,8 +100,12 @@ class Client:
         while not self._closed.is_set():
             try:
                 for message in self._messages(after):
-                    after, pause_s, there = (message.run, message.sequence), _FIRST_S, True
-                    yield message
+                    before, there, pause_s = there, True, _FIRST_S
+                    if message is not None:
+                        after = message.run, message.sequence
+                        yield message
+                    elif not before:
+                        self._on_there()
             except ProtocolError:
                 raise
             except LinkError:
@@ -106,8 +115,11 @@ class Client:
             self._closed.wait(pause_s)
             pause_s = min(2.0 * pause_s, _LAST_S)
 
-    def _messages(self, after: tuple[str, int] | None) -> Iterator[Notice | Status]:
-        """All that happens as long as one connection lasts.  Raises LinkError: it has ended."""
+    def _messages(self, after: tuple[str, int] | None) -> Iterator[Notice | Status | None]:
+        """All that happens as long as one connection lasts; None is a sign of life.
+
+        raises  LinkError: it has ended, or the cell is silent
+        """
         with self._conversation() as talk:
             run, sequence = after or (None, None)
             talk.say("follow", {"run": run, "sequence": sequence})
@@ -142,6 +154,12 @@ class Client:
                 yield talk
             except LinkError:
                 raise
+            except TimeoutError as error:
+                waited_s = connected.gettimeout() or 0.0
+                raise LinkError(
+                    f"the cell says nothing for {waited_s:g} s: it is halted, or this computer has "
+                    f"too much to do: {self.path}"
+                ) from error
             except OSError as error:
                 cause = error.strerror or str(error) or type(error).__name__
                 raise LinkError(f"the cell is lost: {cause}: {self.path}") from error
@@ -175,15 +193,17 @@ class _Conversation:
         """Send a line."""
         self._socket.sendall(line_of(kind, data))
 
-    def hear_what_happens(self) -> Notice | Status:
-        """The next notice, or the status that comes first; waits for it."""
-        self._socket.settimeout(None)
+    def hear_what_happens(self) -> Notice | Status | None:
+        """The next notice, the status that comes first, or a sign of life; waits for it."""
+        self._socket.settimeout(SILENCE_S)
         kind, data = self._line()
         match kind:
             case "notice":
                 return notice_of(data)
             case "status":
                 return status_of(data)
+            case "alive":
+                return None
         raise LinkError(f"{kind}: {data}")
 
     def _expect(self, wanted: str) -> Any:

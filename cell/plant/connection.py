@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import socket
+import time
 from typing import Any
 
-from cell.plant.wire import LONGEST_LINE, read_line
+from cell.plant.wire import HEARTBEAT_S, LONGEST_LINE, read_line
 
 #: Notices that are kept for programs that come back.
 MOST_NOTICES = 10_000
@@ -54,6 +55,7 @@ class Connection:
         self.greeted = False
         self.told: int | None = None
         self.waits = False
+        self._sent_s = time.monotonic()
         self._heard = b""
         self._unsent = bytearray()
 
@@ -83,6 +85,12 @@ class Connection:
             raise LaggingError
         self._unsent += line
 
+    def alive_due_s(self) -> float:
+        """When it is to be told that the cell is alive, on the monotonic clock; inf = never."""
+        if self.told is None or self.waits:
+            return float("inf")
+        return self._sent_s + HEARTBEAT_S
+
     def write(self, journal: Journal) -> None:
         """Send what it takes now; `waits` = there is more.
 
@@ -99,6 +107,7 @@ class Connection:
                 self.waits = True
                 return
             del self._unsent[:sent]
+            self._sent_s = time.monotonic()
 
     def _fill(self, journal: Journal) -> None:
         while self.told is not None and self.told < journal.newest and len(self._unsent) < _CHUNK:

@@ -51,6 +51,10 @@ def status_after(status: Status, notice: Notice, obeyed: Collection[Event] = COM
             return _of_product(replace(status, product=data["product"]), data)
         case Kind.WAITING:
             return replace(status, waiting_for=tuple(data["waiting_for"]))
+        case Kind.ADAPTER:
+            others = {k: v for k, v in status.adapters.items() if k != data["adapter"]}
+            trouble = {data["adapter"]: data["trouble"]} if data["trouble"] else {}
+            return replace(status, adapters={**others, **trouble})
 
 
 def _of_product(status: Status, data: Mapping[str, Any]) -> Status:

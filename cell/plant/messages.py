@@ -35,6 +35,7 @@ class Kind(StrEnum):
     ACKNOWLEDGED  by, note
     PRODUCT       product: what the next cycle makes; its model and calibration
     WAITING       waiting_for: what the cell waits for; empty = for nothing
+    ADAPTER       adapter, trouble: one that the service started has ended; empty = it runs again
     """
 
     STATE = "state"
@@ -45,6 +46,7 @@ class Kind(StrEnum):
     ACKNOWLEDGED = "acknowledged"
     PRODUCT = "product"
     WAITING = "waiting"
+    ADAPTER = "adapter"
 
 
 @dataclass(frozen=True)
@@ -77,6 +79,7 @@ class Status:
     state_seconds  time spent in each state in this run, s
     possible       commands that the present state accepts
     waiting_for    why nothing happens: `start`, `part`, `downstream`, `acknowledgement`, …
+    adapters       troubles with programs that the service started beside it, by name
     last           the newest result, as in its notice
     line, model, calibration, software   as in the ledger; of that product
     """
@@ -96,6 +99,7 @@ class Status:
     possible: tuple[Event, ...] = ()
     waiting_for: tuple[str, ...] = ()
     fault: FaultNotice | None = None
+    adapters: Mapping[str, str] = field(default_factory=dict)
     last: Mapping[str, Any] | None = None
     line: str = ""
     model: str | None = None

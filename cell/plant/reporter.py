@@ -79,6 +79,10 @@ class Reporter:
         """What the next cycle makes."""
         self._publish(Kind.PRODUCT, {"product": name, **self._products.get(name, {})})
 
+    def adapter(self, name: str, trouble: str) -> None:
+        """A program that the service started has ended; empty = it runs again."""
+        self._publish(Kind.ADAPTER, {"adapter": name, "trouble": trouble})
+
     def waiting(self, *reasons: str) -> None:
         """What the cell waits for; told once."""
         if reasons != self._waiting:

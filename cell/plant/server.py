@@ -92,7 +92,7 @@ class Server:
 
     def _serve(self) -> None:
         while not self._over:
-            for key, events in self._selector.select():
+            for key, events in self._selector.select(self._until_heartbeat_s()):
                 if key.fileobj is self._listening:
                     self._accept()
                 elif key.fileobj is self._woken:
@@ -102,11 +102,19 @@ class Server:
             while self._answers:
                 connection, answer = self._answers.popleft()
                 self._tell(connection, "answer", to_json(answer))
+            now_s = time.monotonic()
             for connection in tuple(self._connections):
+                if connection.alive_due_s() <= now_s:
+                    self._tell(connection, "alive", None)
                 self._send(connection)
         for connection in tuple(self._connections):
             self._send(connection)  # what its program can still read
             self._drop(connection)
+
+    def _until_heartbeat_s(self) -> float | None:
+        """So long it may sleep; None = until something happens."""
+        due_s = min((c.alive_due_s() for c in self._connections), default=float("inf"))
+        return None if due_s == float("inf") else max(0.0, due_s - time.monotonic())
 
     def _accept(self) -> None:
         try:
@@ -166,6 +174,7 @@ class Server:
             case {"run": status.run, "sequence": int(sequence)} if self._journal.has_all_after(
                 sequence
             ):
+                self._tell(connection, "alive", None)  # at once: it may have nothing else to say
                 connection.told = sequence
             case _:
                 self._tell(connection, "status", to_json(status))

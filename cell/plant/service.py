@@ -323,6 +323,8 @@ class Service:
 
     def _told(self, state: CellState) -> None:
         self._alive_until_s = time.monotonic() + _LONGEST_STEP_S
+        if state is CellState.IDLE:  # before anybody is told: the service may be killed at once
+            self._unmark()
         self._reporter.state(state)
         self._notifier.status(f"{state.value}, cycle {self._number}")
 

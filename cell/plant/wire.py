@@ -2,7 +2,8 @@
 
 A line is an object with one key, which says what it is:
 
-    from the cell      greeting (protocol, run), status, notice, answer, refused (a reason)
+    from the cell      greeting (protocol, run), status, notice, answer, refused (a reason),
+                       alive (null): sign of life to a program that follows
     from a program     greeting (protocol), status (null), follow (run, sequence, or null), request
 """
 
@@ -20,6 +21,10 @@ from typing import Any
 from cell.plant.messages import COMMANDS, Answer, FaultNotice, Kind, Mode, Notice, Request, Status
 from cell.run.machine import CellState, Event
 
+#: A program that follows hears something at least so often, s.
+HEARTBEAT_S = 1.0
+#: A cell that says nothing for so long to a program that follows is lost, s.
+SILENCE_S = 3.0
 #: A longer line is no message, bytes.
 LONGEST_LINE = 1 << 20
 #: A longer text in a request is refused, characters.

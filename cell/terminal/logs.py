@@ -41,6 +41,19 @@ def to_terminal(*, verbose: bool) -> None:
     _add(handler, logging.DEBUG if verbose else logging.INFO)
 
 
+def warnings_to_terminal() -> None:
+    """Of a program that nobody looks at: what is wrong goes to the error stream without asking.
+
+    Where `to_terminal` shows everything already, nothing is changed.
+    """
+    if any(type(h) is logging.StreamHandler for h in logging.getLogger(PACKAGES[0]).handlers):
+        return
+    handler = logging.StreamHandler()
+    handler.setLevel(logging.WARNING)
+    handler.setFormatter(logging.Formatter("%(asctime)s %(message)s", _TIME))
+    _add(handler, logging.INFO)
+
+
 def to_file(path: Path) -> None:
     """Log to a rotating file from now on, beginning with program, computer and Python.
 

@@ -83,6 +83,11 @@ class Watch:
         with self._lock:
             self.seen = replace(self.seen, there=False)
 
+    def found(self) -> None:
+        """It is there again as it was: for the client's `on_there`."""
+        with self._lock:
+            self.seen = replace(self.seen, there=True)
+
     def _follow(self) -> None:
         try:
             for message in self._client.follow():

@@ -28,8 +28,10 @@ Start = Callable[..., subprocess.Popen[bytes]]
 def start(quick_config: Path, tmp_path: Path) -> Iterator[Start]:
     begun: list[subprocess.Popen[bytes]] = []
 
-    def start(cycles: str = "forever", **environment: str) -> subprocess.Popen[bytes]:
-        command = [sys.executable, "-m", "cell", "run", "-c", str(quick_config)]
+    def start(
+        cycles: str = "forever", config: Path = quick_config, **environment: str
+    ) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-m", "cell", "run", "-c", str(config)]
         command += ["--cycles", cycles, "--json", "--out", str(tmp_path / "runs")]
         if environment:
             command = ["env", *(f"{k}={v}" for k, v in environment.items()), *command]

@@ -21,7 +21,7 @@ _LOG = logging.getLogger(__name__)
 
 #: Dropped in this order when too many wait; results are not among them.
 _DROPPED = (
-    (Kind.STATE, Kind.STEP, Kind.WAITING, Kind.CYCLE, Kind.PRODUCT),
+    (Kind.STATE, Kind.STEP, Kind.WAITING, Kind.CYCLE, Kind.PRODUCT, Kind.ADAPTER),
     (Kind.ACKNOWLEDGED, Kind.FAULT),
 )
 #: So large a part of the most that may wait is dropped at once.

@@ -67,6 +67,14 @@ class WaitingData:
     waiting_for: list[str]
 
 
+@dataclass(frozen=True)
+class AdapterData:
+    """A program beside the cell has ended and is started again; empty = it runs again."""
+
+    adapter: str
+    trouble: str
+
+
 DATA: dict[Kind, Any] = {
     Kind.STATE: StateData,
     Kind.STEP: StepData,
@@ -76,6 +84,7 @@ DATA: dict[Kind, Any] = {
     Kind.ACKNOWLEDGED: AcknowledgedData,
     Kind.PRODUCT: ProductData,
     Kind.WAITING: WaitingData,
+    Kind.ADAPTER: AdapterData,
 }
 _TIME = {"type": "number", "description": "Unix time, s."}
 

@@ -255,3 +255,5 @@ def _values_of(notice: Notice) -> dict[str, Value]:
             return {"Cell/Product": data["product"], **_values_of_product(data)}
         case Kind.WAITING:
             return {"Cell/Waiting for": ", ".join(data["waiting_for"])}
+        case Kind.ADAPTER:
+            return {}

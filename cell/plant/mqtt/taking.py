@@ -27,7 +27,7 @@ class Taker:
     """
 
     def __init__(self, runs: Path, outbox: MqttOutbox, tell: Callable[[], None]) -> None:
-        self._client = Client(runs, on_lost=self._lost)
+        self._client = Client(runs, on_lost=self._lost, on_there=self._there)
         self._outbox = outbox
         self._tell = tell
         self._over = threading.Event()
@@ -56,14 +56,17 @@ class Taker:
         _LOG.warning("the cell is away: it is waited for")
         self._tell()
 
+    def _there(self) -> None:
+        if not self.is_cell:
+            self.is_cell = True
+            self._tell()
+
     def _run(self) -> None:
         after, asked = self._outbox.taken(), ""
         while not self._over.is_set():
             try:
                 for message in self._client.follow(after):
-                    if not self.is_cell:
-                        self.is_cell = True
-                        self._tell()
+                    self._there()
                     if not isinstance(message, Status):
                         self._outbox.put(message)
                         after = message.run, message.sequence

@@ -12,6 +12,7 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import replace
 from datetime import UTC, datetime
+from enum import Enum
 from importlib.metadata import version
 from pathlib import Path
 
@@ -41,6 +42,16 @@ OWN_URI = "urn:cable-cell:opcua"
 _TICK_S = 1.0
 #: After the cell has spoken another version it is asked again so much later, s.
 _AGAIN_S = 5.0
+
+
+class _Found(Enum):
+    """A cell that was lost is there again, as it was."""
+
+    AGAIN = "again"
+
+
+#: What the thread that follows hands over; None = the cell was lost.
+_Heard = Notice | Status | _Found | None
 
 _PLAIN = ua.SecurityPolicyType.NoSecurity
 _ENCRYPTED = [
@@ -90,7 +101,7 @@ async def running(settings: Settings, runs: Path) -> AsyncIterator[str]:
     add_types(space)
     unit = Unit(space, opcua.name, tags)
     shown = _Shown(unit, await Transitions.at(space, unit))
-    client = Client(runs, on_lost=shown.lost)
+    client = Client(runs, on_lost=shown.lost, on_there=shown.found)
     Methods(space, unit, client.send, lambda: shown.view, shown.refused)
     await _listen(server, opcua)
     following = threading.Thread(target=shown.follow, args=(client,), daemon=True)
@@ -146,7 +157,7 @@ class _Shown:
         self.closed = False
         self._unit, self._transitions = unit, transitions
         self._loop = asyncio.get_running_loop()
-        self._heard: asyncio.Queue[Notice | Status | None] = asyncio.Queue()
+        self._heard: asyncio.Queue[_Heard] = asyncio.Queue()
         self._turn = asyncio.Lock()
 
     def follow(self, client: Client) -> None:
@@ -165,7 +176,12 @@ class _Shown:
         _LOG.warning("the cell has ended, or was lost")
         self._hear(None)
 
-    def _hear(self, message: Notice | Status | None) -> None:
+    def found(self) -> None:
+        """It is there again as it was; from the thread that follows."""
+        _LOG.warning("the cell is there again")
+        self._hear(_Found.AGAIN)
+
+    def _hear(self, message: _Heard) -> None:
         with suppress(RuntimeError):  # the loop is closed: nobody looks any more
             self._loop.call_soon_threadsafe(self._heard.put_nowait, message)
 
@@ -191,12 +207,15 @@ class _Shown:
                 except Exception:  # one message must not end the server
                     _LOG.exception("%s", message)
 
-    async def _take(self, message: Notice | Status | None) -> None:
+    async def _take(self, message: _Heard) -> None:
         before = self.view
         match message:
             case None:
                 now_s = time.time()
                 self.view = before.lost(now_s)
+            case _Found():
+                now_s = time.time()
+                self.view = before.found()
             case Status():
                 now_s = time.time()
                 self.view = before.after_status(message, now_s)

@@ -86,6 +86,10 @@ class View:
         """The view when the cell is there no more: nothing is counted on."""
         return replace(self, lost_s=now_s)
 
+    def found(self) -> View:
+        """The view when the same cell is there again, and nothing has happened meanwhile."""
+        return replace(self, lost_s=None)
+
     def known_s(self, now_s: float) -> float:
         """Now, or when the cell was lost, Unix time."""
         return now_s if self.lost_s is None else min(now_s, self.lost_s)

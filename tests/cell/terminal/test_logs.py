@@ -50,6 +50,17 @@ def test_a_log_that_cannot_be_written_is_said_once_and_stops_nothing(
     assert capsys.readouterr().err.count("the log cannot be written") == 1
 
 
+def test_a_program_that_nobody_looks_at_prints_warnings_once(capsys) -> None:
+    for verbose in (False, True):
+        logs.to_terminal(verbose=verbose)
+        logs.warnings_to_terminal()
+        logging.getLogger("cell.plant").info("a client came")
+        logging.getLogger("cell.plant").warning("the cell is away")
+        said = capsys.readouterr().err
+        assert said.count("the cell is away") == 1
+        assert ("a client came" in said) is verbose
+
+
 def test_only_verbose_prints(capsys) -> None:
     logs.to_terminal(verbose=False)
     logging.getLogger("cell").warning("unheard")

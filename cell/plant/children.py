@@ -1,0 +1,139 @@
+"""Adapters that the service starts: processes of their own, started again when they end."""
+
+from __future__ import annotations
+
+import logging
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack, suppress
+from pathlib import Path
+
+_LOG = logging.getLogger(__name__)
+
+#: An adapter that has ended is started again after the first pause, then twice as long, up to the
+#: longest, s.
+FIRST_S, LONGEST_S = 1.0, 60.0
+#: One that has run for so long is well again, s.
+WELL_S = 60.0
+#: So long they may take in what was told last, s.
+TAKE_S = 0.5
+#: So long they may take to end when they are asked to, s.
+END_S = 3.0
+
+
+def command_of(adapter: str, config: Path, runs: Path) -> list[str]:
+    """The command that runs an adapter as a child of this process."""
+    child = [sys.executable, "-m", "cell.plant.child", str(os.getpid())]
+    return [*child, adapter, "--config", str(config), "--runs", str(runs)]
+
+
+class Adapters:
+    """Keeps adapters running from `start` to `close`; nothing but `close` waits for one.
+
+    commands  of each, by its name
+    told      the trouble with an adapter, once; empty = it is well again.  From other threads
+    """
+
+    def __init__(
+        self, commands: Mapping[str, Sequence[str]], told: Callable[[str, str], None]
+    ) -> None:
+        over = threading.Event()
+        self._kept = [_Kept(name, command, told, over) for name, command in commands.items()]
+        self._over = over
+
+    def start(self) -> None:
+        """Begin."""
+        for kept in self._kept:
+            kept.start()
+
+    def close(self) -> None:
+        """End all that were started; the cell's link should be closed: they then have all of it."""
+        started = [kept for kept in self._kept if kept.is_alive()]
+        if started:
+            time.sleep(TAKE_S)
+        self._over.set()
+        until_s = time.monotonic() + END_S
+        with ExitStack() as ended:
+            for kept in started:
+                kept.terminate()
+                ended.callback(kept.end, until_s)
+
+
+class _Kept(threading.Thread):
+    """One adapter: a thread that starts it and waits for its end.
+
+    Linux ends the child with the thread that started it, so this one lives as long.
+    """
+
+    def __init__(
+        self,
+        adapter: str,
+        command: Sequence[str],
+        told: Callable[[str, str], None],
+        over: threading.Event,
+    ) -> None:
+        super().__init__(name=f"adapter {adapter}", daemon=True)
+        self._adapter = adapter
+        self._command = command
+        self._told = told
+        self._over = over
+        self._lock = threading.Lock()
+        self._process: subprocess.Popen[bytes] | None = None
+        self._troubled = False
+
+    def run(self) -> None:
+        pause_s = FIRST_S
+        while not self._over.is_set():
+            trouble, lived_s = self._once()
+            if self._over.is_set():
+                return
+            if lived_s >= WELL_S:
+                pause_s = FIRST_S
+            if not self._troubled:
+                self._say(f"has ended: {trouble}; it is started again, at least every minute")
+            self._over.wait(pause_s)
+            pause_s = min(2.0 * pause_s, LONGEST_S)
+
+    def _once(self) -> tuple[str, float]:
+        """Run it: why it ended, and how long it lived, s."""
+        begun_s = time.monotonic()
+        with self._lock:
+            if self._over.is_set():
+                return "", 0.0
+            try:
+                # Ctrl-C is not for it, and the service's standard output has results only
+                self._process = process = subprocess.Popen(
+                    self._command, stdin=subprocess.DEVNULL, stdout=2, process_group=0
+                )
+            except OSError as error:
+                return str(error), 0.0
+        if self._troubled:
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(WELL_S)
+            if process.returncode is None:
+                self._say("")
+        code = process.wait()
+        return f"exit code {code}" if code >= 0 else f"signal {-code}", time.monotonic() - begun_s
+
+    def _say(self, trouble: str) -> None:
+        self._troubled = bool(trouble)
+        _LOG.warning("adapter %s %s", self._adapter, trouble or "runs again")
+        self._told(self._adapter, trouble)
+
+    def terminate(self) -> None:
+        """Ask it to end."""
+        with self._lock:
+            if self._process is not None and self._process.returncode is None:
+                self._process.terminate()
+
+    def end(self, until_s: float) -> None:
+        """Wait for its end until then, on the monotonic clock; afterwards it is killed."""
+        self.join(max(0.0, until_s - time.monotonic()))
+        if self.is_alive() and self._process is not None:
+            _LOG.warning("adapter %s does not end: it is killed", self._adapter)
+            self._process.kill()
+            self.join(END_S)
