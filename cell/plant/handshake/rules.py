@@ -202,6 +202,11 @@ def away(memory: Memory) -> Memory:
     return replace(memory, before=Memory().before, ready=False, cleared=False)
 
 
+def obeyed(ask: Ask, outputs: Outputs) -> Outputs:
+    """What the PLC is told at once: every start has its `busy`, however soon the cycle ends."""
+    return replace(outputs, ready=False, busy=True) if ask.command is Event.START else outputs
+
+
 def not_obeyed(ask: Ask, before: Memory, after: Memory) -> Memory:
     """What is remembered when a request did not reach the cell, or was refused.
 
