@@ -208,7 +208,7 @@ def test_a_reset_follows_only_its_own_clear_and_nothing_else() -> None:
     assert commands(pressed, stopped, before)[0] == [Event.RESET]  # after a stop
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(looks)
 def test_every_acknowledgement_is_used_once(seen: list[tuple[Inputs, Status | None]]) -> None:
     memory, was, used = Memory(), True, {Event.CLEAR, Event.RESET}
