@@ -66,7 +66,7 @@ class UrIo:
 
     def set(self, on: Collection[int]) -> None:
         """Switch on these of the outputs, and off the others; within 20 ms, or after a loss."""
-        self._wanted = frozenset(on)
+        self._wanted = self._ours & frozenset(on)
 
     # --- the thread ---------------------------------------------------------------------------
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cell.plant.folded import possible_in
-from cell.plant.handshake.rules import Ask, Look, Memory, away, look, not_obeyed
+from cell.plant.handshake.rules import Ask, Look, Memory, away, look, not_obeyed, obeyed
 from cell.plant.handshake.signals import Inputs, Outputs
 from cell.plant.messages import FaultNotice, Status
 from cell.run.machine import CellState, Event
@@ -243,6 +243,12 @@ def test_what_did_not_reach_the_cell_is_asked_again_unless_it_starts_it() -> Non
     asks, _, after = look(Inputs(start=True), IDLE, before)
     after = not_obeyed(asks[0], before, after)
     assert commands(Inputs(start=True), IDLE, after)[0] == []
+
+
+def test_a_start_that_is_obeyed_is_told_before_the_next_look() -> None:
+    asks, outputs, _ = look(Inputs(start=True), IDLE, ready_memory())
+    assert obeyed(asks[0], outputs) == Outputs(busy=True)
+    assert obeyed(Ask(Event.STOP), Outputs(busy=True)) == Outputs(busy=True)
 
 
 def test_a_look_knows_who_is_in_the_way() -> None:
