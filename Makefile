@@ -4,7 +4,7 @@ BIN := $(VENV)/bin
 PYTHON ?= $(firstword $(foreach p,python3.12 python3.11 python3.13 python3,$(shell $(p) -c "import sys; print('$(p)' if (3,11) <= sys.version_info[:2] < (3,14) else '')" 2>/dev/null)))
 CYCLES ?= 3
 
-.PHONY: run serve test lint types imports compiled compiled-cell compiled-arm compiled-effects compiled-tests tests hardware bench figures learn coverage practice false-alarms confusion rigs level rig-kinds breadth checks fault-trials calibration-study malformed endurance kills mouths holds flights endings words clean help jaw-plate picture docs
+.PHONY: run serve test lint types imports compiled compiled-cell compiled-arm compiled-effects compiled-tests tests hardware bench figures learn coverage practice false-alarms confusion rigs level rig-kinds breadth checks fault-trials handshake calibration-study malformed endurance kills mouths holds flights endings words clean help jaw-plate picture docs
 
 help:            ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
@@ -118,6 +118,9 @@ endings: $(VENV)/.dev   ## how 204 cables end in worlds with each effect at twic
 
 fault-trials: $(VENV)/.dev   ## a fault in every device in every step, and processes killed, ~40 min
 	$(BIN)/python -m tools.faults.fault_trials --patience-s 0.15 -o docs/fault_trials.md
+
+handshake: $(VENV)/.dev   ## 50 cycles over Modbus and 50 over the controller's I/O, by a PLC that misbehaves, ~10 min
+	$(BIN)/python -m tools.faults.handshake_trial
 
 calibration-study: $(VENV)/.dev   ## true errors of 20 calibrations beside what they say, and beside OpenCV, ~4 min
 	$(BIN)/python -m tools.studies.calibration_study --setups 20

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import itertools
 import os
 import signal
 from collections.abc import Callable, Iterator
@@ -43,6 +44,14 @@ def no_precedence() -> Iterator[None]:
     yield
     if os.getpriority(os.PRIO_PROCESS, 0) != usual:
         os.setpriority(os.PRIO_PROCESS, 0, usual)
+
+
+@pytest.fixture(scope="session")
+def free_loopback() -> Callable[[], str]:
+    """Addresses of this computer that nobody else uses."""
+    numbers = itertools.count(2)
+    worker = os.getpid() % 60000
+    return lambda: f"127.{1 + worker // 250}.{1 + worker % 250}.{next(numbers)}"
 
 
 @pytest.fixture

@@ -12,6 +12,8 @@ from cell.cli.lab import refusing
 from cell.cli.shared import MaybeConfig, group, refuse
 
 if TYPE_CHECKING:
+    from cell.plant.handshake.carrier import Carrier
+    from cell.settings import Settings
     from cell.settings.plant import Handshake
 
 app = group()
@@ -23,25 +25,27 @@ def handshake(
     config: MaybeConfig = None,
     runs: Annotated[Path, typer.Option(help="Folder of the cell's records.")] = Path("runs"),
 ) -> None:
-    """Let a PLC start a running cell with digital signals over Modbus/TCP (plant.handshake).
+    """Let a PLC start a running cell with digital signals (plant.handshake).
+
+    They come over Modbus/TCP, or are wired to the inputs and outputs of the arm's controller.
 
     It is a process of its own: it may begin and end before or after the cell, and be killed.  A
-    start that is held at its beginning does nothing until it falls.
+    start that is held at its beginning does nothing until it falls.  At its end the PLC reads a
+    fault.
 
     Exit codes: 0 if it was ended by Ctrl-C or SIGTERM; 2 if the settings are wrong, or the port
-    cannot be listened at.
+    cannot be listened at.  A controller that does not answer is waited for.
     """
     from cell.plant.handshake.adapter import HandshakeAdapter
     from cell.plant.handshake.carrier import CarrierError
-    from cell.plant.handshake.modbus import ModbusCarrier
     from cell.plant.wire import LinkError
     from cell.terminal.logs import warnings_to_terminal
 
     warnings_to_terminal()
     with refusing():
-        said = _settings(config)
+        settings, said = _settings(config)
         try:
-            with ModbusCarrier(said) as carrier:
+            with _carrier(settings, said) as carrier:
                 adapter = HandshakeAdapter(carrier, runs, said.by)
                 for number in (signal.SIGINT, signal.SIGTERM):
                     signal.signal(number, lambda *_: adapter.end())
@@ -50,7 +54,7 @@ def handshake(
             refuse(error)
 
 
-def _settings(config: Path | None) -> Handshake:
+def _settings(config: Path | None) -> tuple[Settings, Handshake]:
     from cell.files.input_error import InputError
     from cell.settings import load_settings
 
@@ -59,10 +63,22 @@ def _settings(config: Path | None) -> Handshake:
     settings = load_settings(config)
     if settings.plant is None or settings.plant.handshake is None:
         raise InputError.at(config, "is missing; say where the signals are", key="plant.handshake")
+    return settings, settings.plant.handshake
+
+
+def _carrier(settings: Settings, said: Handshake) -> Carrier:
+    from cell.plant.handshake.controller import ControllerCarrier
+    from cell.plant.handshake.modbus import ModbusCarrier
+    from cell.settings.check_plant import controller_of
+
+    if said.carrier == "controller":
+        host = controller_of(settings)
+        assert host is not None, "checked when the settings were loaded"
+        return ControllerCarrier(said, host)
     try:
         import pymodbus  # noqa: F401
     except ImportError as error:
         raise ValueError(
-            "the handshake needs pymodbus: pip install 'cable-cell[modbus]'"
+            "the handshake over Modbus needs pymodbus: pip install 'cable-cell[modbus]'"
         ) from error
-    return settings.plant.handshake
+    return ModbusCarrier(said)

@@ -9,6 +9,7 @@ import numpy as np
 from cell.cable.geometry import Cable
 from cell.files.input_error import Problem, did_you_mean
 from cell.files.yaml_document import Document, Key
+from cell.settings.check_plant import plant_problems
 from cell.settings.devices import OpenCvCamera, SerialGripper, UrArm
 from cell.settings.model import Settings
 
@@ -43,6 +44,7 @@ def contradictions(document: Document, settings: Settings) -> list[Problem]:
         *_hidden_effects(document, settings),
         *_model(document, settings),
         *_retry(document, settings),
+        *plant_problems(document, settings),
     ]
     # Where the hand cannot go, what the tip can reach is an idle question.
     return problems or [

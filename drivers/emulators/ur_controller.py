@@ -105,8 +105,9 @@ class Controller:
         self.remote_control = True
         self.speed_fraction = 1.0  # of the slider
         self.speed_scaling = 1.0  # of the controller's own limiter
-        self.digital_inputs = 0  # bits: 0 to 7 standard, 8 to 15 configurable
+        self.digital_inputs = 0  # bits: 0 to 7 standard, 8 to 15 configurable, 16 and 17 tool
         self.digital_outputs = 0  # the same; they keep their values when a client goes
+        self.held_outputs = 0  # those that the installation has given to something else
         self.events: deque[Event] = deque(maxlen=1000)
         self.last_moved_s = 0.0  # monotonic time at which the arm was last seen moving
         self.servo_writes = 0
@@ -236,11 +237,12 @@ class Controller:
         self.note("safety cleared")
 
     def power_off(self) -> None:
-        """The controller loses power: arm braked, program and registers gone."""
+        """The controller loses power: arm braked, program, registers and outputs gone."""
         self.end_program("power off")
         self.joints.rest()
         self._coasting = None
         self.registers = Registers()
+        self.digital_outputs = 0
         self.note("power off")
 
     def put_home(self) -> None:
@@ -268,14 +270,17 @@ class Controller:
         fraction = values.get("speed_slider_fraction")
         if values.get("speed_slider_mask") and isinstance(fraction, float):
             self.speed_fraction = min(1.0, max(0.0, fraction))
-        for group, shift in _OUTPUT_GROUPS.items():
+        for group, (shift, there) in _OUTPUT_GROUPS.items():
             mask, bits = values.get(f"{group}_mask"), values.get(group)
             if isinstance(mask, int) and isinstance(bits, int):
-                kept = self.digital_outputs & ~(mask << shift)
-                self.digital_outputs = kept | (bits & mask) << shift
+                mask = (mask & there & ~(self.held_outputs >> shift)) << shift
+                self.digital_outputs = self.digital_outputs & ~mask | bits << shift & mask
 
-    def set_inputs(self, bits: int, mask: int = 0xFFFF) -> None:
-        """Voltage at digital inputs: 0 to 7 standard, 8 to 15 configurable; others stay."""
+    def set_inputs(self, bits: int, mask: int = 0x3FFFF) -> None:
+        """Voltage at digital inputs: 0 to 7 standard, 8 to 15 configurable, 16 and 17 tool.
+
+        mask  of those that are set; the others stay
+        """
         self.digital_inputs = self.digital_inputs & ~mask | bits & mask
 
     def _note_command(self, register: int, value: int) -> None:
@@ -377,7 +382,11 @@ class Controller:
 _INT_INPUTS = {f"input_int_register_{i}": i for i in range(REGISTERS)}
 _DOUBLE_INPUTS = {f"input_double_register_{i}": i for i in range(REGISTERS)}
 
-_OUTPUT_GROUPS = {"standard_digital_output": 0, "configurable_digital_output": 8}
+_OUTPUT_GROUPS = {
+    "standard_digital_output": (0, 0xFF),
+    "configurable_digital_output": (8, 0xFF),
+    "tool_digital_output": (16, 0b11),
+}
 
 _Getter = Callable[[Controller], Value]
 

@@ -204,7 +204,7 @@ class Rtde(Connection):
 
 
 class Faults(_Lines):
-    """Door for faults: one JSON object per line in, one per line out."""
+    """Door for faults and digital signals: one JSON object per line in, one per line out."""
 
     def line(self, text: str) -> None:
         """Do what is asked."""
@@ -235,9 +235,12 @@ class Faults(_Lines):
             "power_cycle": server.power_cycle,
             "version": server.become,
             "inputs": controller.set_inputs,
+            "hold_outputs": lambda mask: setattr(controller, "held_outputs", int(mask)),
         }
         if op == "state":
             return _state_of(controller)
+        if op == "outputs":
+            return {"bits": controller.digital_outputs}
         if op == "servo_gaps":
             gaps_s = list(controller.servo_gaps_s)
             controller.servo_gaps_s.clear()
@@ -254,7 +257,6 @@ def _state_of(controller: Controller) -> dict[str, Any]:
         "speed": controller.joints.tool_speed().tolist(),
         "runtime": controller.runtime.name,
         "safety": controller.safety.value,
-        "digital_outputs": controller.digital_outputs,
         "last_moved_s": controller.last_moved_s,
         "servo_writes": controller.servo_writes,
         "dashboard_lines": controller.dashboard_lines,

@@ -1,4 +1,4 @@
-"""A UR controller on TCP: RTDE, script upload, dashboard, and a door for faults.
+"""A UR controller on TCP: RTDE, script upload, dashboard, and a door for faults and signals.
 
     python -m drivers.emulators.ur_server --host 127.0.0.2
 
@@ -7,6 +7,7 @@ Several run side by side on different addresses 127.0.0.x.  It ends when its sta
 so that it never outlives whoever started it.  PolyScope X, from version 10 on, has no dashboard.
 
 Faults come as lines of JSON on port 39999, `{"op": "protective_stop"}`; see `ur_ports.Faults`.
+There the digital inputs are set, `{"op": "inputs", "bits": 5}`, and `{"op": "outputs"}` read.
 """
 
 from __future__ import annotations

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
@@ -87,14 +85,6 @@ def cell() -> SimCell:
         SimGripper(world),
         cable,
     ).connect()
-
-
-@pytest.fixture(scope="session")
-def free_loopback() -> Callable[[], str]:
-    """Addresses of this computer that nobody else uses."""
-    numbers = itertools.count(2)
-    worker = os.getpid() % 60000
-    return lambda: f"127.{1 + worker // 250}.{1 + worker % 250}.{next(numbers)}"
 
 
 @pytest.fixture(scope="module")

@@ -116,7 +116,7 @@ def test_inputs_are_reported_and_outputs_written_by_one_client_alone(changeable)
             other.claim(["nonsense"])
         with pytest.raises(RtdeError, match="knows no nonsense"):
             other.report(["nonsense"], 10.0)
-    assert changeable.ask("state")["digital_outputs"] == 0b10
+    assert changeable.ask("outputs")["bits"] == 0b10
 
 
 def test_a_connection_that_ends_is_noticed(changeable) -> None:

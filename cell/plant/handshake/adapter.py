@@ -8,7 +8,7 @@ from pathlib import Path
 
 from cell.plant.client import Client
 from cell.plant.handshake.carrier import Carrier, CarrierError
-from cell.plant.handshake.rules import Ask, Memory, away, look, not_obeyed
+from cell.plant.handshake.rules import Ask, Memory, away, look, not_obeyed, obeyed
 from cell.plant.handshake.signals import UNKNOWN, Inputs, Outputs
 from cell.plant.messages import Request, Status
 from cell.plant.wire import LinkError, ProtocolError
@@ -71,7 +71,9 @@ class HandshakeAdapter:
         asks, outputs, after = look(inputs, status, before)
         self._tell(outputs)
         for ask in asks:
-            if not self._ask(ask):
+            if self._ask(ask):
+                self._tell(obeyed(ask, outputs))
+            else:
                 after = not_obeyed(ask, before, after)
         self._memory = after
 

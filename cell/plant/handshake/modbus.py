@@ -5,10 +5,10 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
-from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Self
 
-from cell.plant.handshake.carrier import CarrierError, bits_of, inputs_of
+from cell.plant.handshake.carrier import CarrierError, Heard, bits_of, inputs_of
 from cell.plant.handshake.signals import UNKNOWN, Inputs, Outputs
 from cell.settings.plant.handshake import Handshake, InputSignals, OutputSignals, signals_of
 
@@ -32,7 +32,7 @@ class ModbusCarrier:
 
     def __init__(self, said: Handshake) -> None:
         self._said = said
-        self._lock = threading.Lock()
+        self._heard = Heard(said.silence_s, f"the PLC writes nothing for {said.silence_s:g} s")
         self._coils: set[int] = set()
         self._wired = frozenset(at.number for _, at in signals_of(said.inputs))
         self._written: set[int] = set()
@@ -44,7 +44,7 @@ class ModbusCarrier:
         self._server: ModbusTcpServer | None = None
         self._error: Exception | None = None
 
-    def __enter__(self) -> ModbusCarrier:
+    def __enter__(self) -> Self:
         self._thread.start()
         self._begun.wait(_BEGIN_S)
         if self._server is None or self._error is not None:
@@ -63,19 +63,11 @@ class ModbusCarrier:
 
     def read(self) -> Inputs:
         """What the PLC says now.  Raises CarrierError: it wrote not all, or too long ago."""
-        with self._lock:
-            silent_s = time.monotonic() - self._written_s
-            if silent_s > self._said.silence_s:
-                self._written.clear()
-                raise CarrierError(f"the PLC writes nothing for {self._said.silence_s:g} s")
-            if missing := self._wired - self._written:
-                raise CarrierError(f"the PLC has not written coil {min(missing)} yet")
-            return inputs_of(self._coils, self._said.inputs)
+        return inputs_of(self._heard.read(), self._said.inputs)
 
     def write(self, outputs: Outputs) -> None:
         """Tell the PLC at its next question."""
-        with self._lock:
-            self._told = bits_of(outputs, self._said.outputs)
+        self._told = bits_of(outputs, self._said.outputs)
 
     # --- the server's thread ------------------------------------------------------------------
 
@@ -117,15 +109,25 @@ class ModbusCarrier:
         written: list[int] | list[bool] | None,
     ) -> ExcCodes | None:
         """A question of the PLC: take its coils, or put what it is told into the words."""
-        with self._lock:
-            if function in _WRITE and written:
-                self._written_s = time.monotonic()
-                for number, value in enumerate(written, address):
-                    self._written.add(number)
-                    (self._coils.add if value else self._coils.discard)(number)
-            elif function == _READ:
-                words[:] = _words_of(self._told, len(words))
+        if function in _WRITE and written:
+            self._take(dict(enumerate(written, address)))
+        elif function == _READ:
+            words[:] = _words_of(self._told, len(words))
         return None
+
+    def _take(self, coils: Mapping[int, bool | int]) -> None:
+        """Coils that are written; after a silence each of them has to be."""
+        now_s = time.monotonic()
+        if now_s - self._written_s > self._said.silence_s:
+            self._written.clear()
+        self._written_s = now_s
+        self._written |= coils.keys()
+        for number, value in coils.items():
+            (self._coils.add if value else self._coils.discard)(number)
+        if missing := self._wired - self._written:
+            self._heard.lose(f"the PLC has not written coil {min(missing)} yet")
+        else:
+            self._heard.take(self._coils)
 
 
 def _words_of(bits: Iterable[int], count: int) -> list[int]:

@@ -37,6 +37,8 @@ _FAULTED = frozenset(
         CellState.CLEARING,
     }
 )
+#: Where Aborted leads when it is cleared.
+_CLEARED = frozenset({CellState.CLEARING, CellState.STOPPED})
 _SUSPENDING = frozenset({CellState.SUSPENDING, CellState.SUSPENDED})
 _DONE = frozenset({Outcome.INSERTED, Outcome.MEASURED, Outcome.REHEARSED})
 _REJECTED = frozenset({Outcome.MISSED, Outcome.REJECTED, Outcome.UNFIT})
@@ -55,6 +57,7 @@ class Memory:
     results  results of this run that are known
     outcome  of the last cycle, as long as done or rejected tell it
     pause    suspend or unsuspend, which was asked for last in this Execute
+    cleared  an acknowledgement has cleared Aborted, and resets as soon as the cell is Stopped
     """
 
     before: Inputs = field(default_factory=lambda: Inputs(start=True, acknowledge=True))
@@ -63,6 +66,7 @@ class Memory:
     results: int = 0
     outcome: Outcome | None = None
     pause: Event | None = None
+    cleared: bool = False
 
 
 @dataclass(frozen=True)
@@ -105,6 +109,16 @@ class Look:
         return self.is_in(CellState.SUSPENDED) and bool(told) and self.memory.pause is None
 
     @property
+    def is_acknowledged(self) -> bool:
+        """Whether Stopped is acknowledged: now, or by what has just cleared Aborted."""
+        return self.rose("acknowledge") or (self.memory.cleared and self.goes_on_clearing)
+
+    @property
+    def goes_on_clearing(self) -> bool:
+        """Whether nothing but the clearing has happened since Aborted was cleared."""
+        return self.status.state in _CLEARED and not self.inputs.stop
+
+    @property
     def is_faulted(self) -> bool:
         """Whether a person has to look first."""
         return self.status.fault is not None or self.status.state in _FAULTED
@@ -134,7 +148,7 @@ class Rule:
 RULES = (
     Rule(Event.STOP, lambda now: now.rose("stop") and Event.STOP in now.status.possible),
     Rule(Event.CLEAR, lambda now: now.rose("acknowledge") and now.is_in(CellState.ABORTED)),
-    Rule(Event.RESET, lambda now: now.rose("acknowledge") and now.is_in(CellState.STOPPED)),
+    Rule(Event.RESET, lambda now: now.is_in(CellState.STOPPED) and now.is_acknowledged),
     Rule(
         Event.SUSPEND,
         lambda now: (
@@ -160,7 +174,8 @@ def look(
         missed = replace(inputs, stop=inputs.stop and memory.before.stop)
         outcome = _kept(inputs, memory)
         outputs = Outputs(fault=True, done=outcome in _DONE, rejected=outcome in _REJECTED)
-        return (), outputs, replace(memory, before=missed, ready=False, outcome=outcome)
+        after = replace(memory, before=missed, ready=False, outcome=outcome, cleared=False)
+        return (), outputs, after
     memory = _with_result(inputs, status, memory)
     now = Look(inputs, status, memory)
     ask = next((_ask(rule, now) for rule in RULES if rule.applies(now)), None)
@@ -175,13 +190,21 @@ def look(
     pause = memory.pause if busy else None
     if ask is not None and ask.command in (Event.SUSPEND, Event.UNSUSPEND):
         pause = ask.command
-    memory = replace(memory, before=inputs, ready=outputs.ready, pause=pause)
+    cleared = memory.cleared and now.goes_on_clearing
+    if ask is not None:
+        cleared = ask.command is Event.CLEAR
+    memory = replace(memory, before=inputs, ready=outputs.ready, pause=pause, cleared=cleared)
     return () if ask is None else (ask,), outputs, memory
 
 
 def away(memory: Memory) -> Memory:
     """What is remembered when the inputs are not known: edges begin anew, results stay."""
-    return replace(memory, before=Memory().before, ready=False)
+    return replace(memory, before=Memory().before, ready=False, cleared=False)
+
+
+def obeyed(ask: Ask, outputs: Outputs) -> Outputs:
+    """What the PLC is told at once: every start has its `busy`, however soon the cycle ends."""
+    return replace(outputs, ready=False, busy=True) if ask.command is Event.START else outputs
 
 
 def not_obeyed(ask: Ask, before: Memory, after: Memory) -> Memory:
@@ -195,7 +218,7 @@ def not_obeyed(ask: Ask, before: Memory, after: Memory) -> Memory:
         return replace(after, before=replace(after.before, stop=False))
     if ask.command in (Event.SUSPEND, Event.UNSUSPEND):
         return replace(after, pause=before.pause)
-    return after
+    return replace(after, cleared=False)
 
 
 def _ask(rule: Rule, now: Look) -> Ask:
@@ -217,6 +240,8 @@ def _kept(inputs: Inputs, memory: Memory) -> Outcome | None:
 def _with_result(inputs: Inputs, status: Status, memory: Memory) -> Memory:
     """Memory with the result of a cycle that has ended since the last look."""
     results, outcome = sum(status.counts.values()), _kept(inputs, memory)
-    if status.run == memory.run and results > memory.results and status.last is not None:
+    same = status.run == memory.run
+    if same and results > memory.results and status.last is not None:
         outcome = Outcome(status.last["outcome"])
-    return replace(memory, run=status.run, results=results, outcome=outcome)
+    cleared = memory.cleared and same
+    return replace(memory, run=status.run, results=results, outcome=outcome, cleared=cleared)

@@ -14,13 +14,13 @@ class Signal(Section):
     """Place of one bit."""
 
     number: Annotated[int, Field(ge=0, le=1023)]
-    """Address of the coil or of the discrete input, from 0."""
+    """Address of the coil or of the discrete input, or number at the controller; from 0."""
     inverted: bool = False
     """Whether the signal is on when the bit is 0."""
 
 
 class InputSignals(Section):
-    """Coils that the PLC writes.  Null = not wired: always fine, and never asked for."""
+    """Bits from the PLC.  Null = not wired: always fine, and never asked for."""
 
     start: Signal | None = Signal(number=0)
     """Its rising edge asks for a cycle; obeyed while `ready` is on."""
@@ -31,13 +31,13 @@ class InputSignals(Section):
     downstream_ready: Signal | None = Signal(number=3)
     """The machine after the cell allows it to work; off suspends a cycle."""
     acknowledge: Signal | None = Signal(number=4)
-    """Its rising edge clears Aborted, or resets Stopped: a person has looked."""
+    """Its rising edge clears Aborted and resets Stopped: a person has looked."""
     stop: Signal | None = Signal(number=5)
     """Its rising edge stops the cycle.  It is not safety-rated."""
 
 
 class OutputSignals(Section):
-    """Discrete inputs that the PLC reads.  Null = not told."""
+    """Bits to the PLC.  Null = not told."""
 
     ready: Signal | None = Signal(number=0)
     """A rising edge of `start` is obeyed."""
@@ -51,20 +51,30 @@ class OutputSignals(Section):
     """The cell waits for a person, or is not reached."""
 
 
+#: Entries that one carrier alone has.
+_OWN = {"modbus": ("listen", "port"), "controller": ("host",)}
+#: Highest number of a controller's inputs and outputs.
+_LAST = 17
+
+
 class Handshake(Section):
-    """Digital handshake (`cell handshake`): a PLC starts the cell with bits over Modbus/TCP.
+    """Digital handshake (`cell handshake`): a PLC starts the cell with bits.
 
     Modbus knows neither users nor encryption: whoever reaches the port can start the cell.
     """
 
-    carrier: Literal["modbus"] = "modbus"
-    """What carries the bits: a Modbus/TCP server."""
+    carrier: Literal["modbus", "controller"] = "modbus"
+    """What carries the bits: a Modbus/TCP server, or digital inputs and outputs of a UR controller:
+    0 to 7 standard, 8 to 15 configurable, 16 and 17 at the tool."""
     listen: Host = "127.0.0.1"
-    """Address at which the server listens; 0.0.0.0 = all of this computer."""
+    """Address at which the Modbus server listens; 0.0.0.0 = all of this computer."""
     port: Annotated[int, Field(ge=1, le=65535)] = 502
     """TCP port.  502 is that of Modbus, and needs rights of its own below 1024."""
+    host: Host | None = None
+    """Address of the controller that has the inputs and outputs.  Null = that of the arm."""
     silence_s: Annotated[float, Field(ge=0.1, le=60.0)] = 1.0
-    """A PLC writes its coils at least so often.  One that does not is lost, and starts nothing."""
+    """A PLC writes its coils, or the controller reports, at least so often.  One that does not is
+    lost, and starts nothing."""
     by: Annotated[str, Field(min_length=1, max_length=100)] = "plc"
     """Who is said to have asked, and to have acknowledged, in the ledger."""
     inputs: InputSignals = InputSignals()
@@ -83,6 +93,26 @@ class Handshake(Section):
                         "give each a number of its own"
                     )
                 named[signal.number] = name
+        return self
+
+    @model_validator(mode="after")
+    def _fits_carrier(self) -> Handshake:
+        for carrier, names in _OWN.items():
+            for name in names:
+                default = type(self).model_fields[name].default
+                if carrier != self.carrier and getattr(self, name) != default:
+                    raise ValueError(
+                        f"has {name}, which only the carrier {carrier} has; remove it, or set "
+                        f"carrier: {carrier}"
+                    )
+        if self.carrier == "controller":
+            for group in (self.inputs, self.outputs):
+                for name, signal in signals_of(group):
+                    if signal.number > _LAST:
+                        raise ValueError(
+                            f"has {name} at number {signal.number}; a controller has 0 to 7 "
+                            "standard, 8 to 15 configurable, 16 and 17 at the tool"
+                        )
         return self
 
 

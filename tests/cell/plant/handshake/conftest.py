@@ -1,25 +1,40 @@
-"""A cell that plays PackML behind a real link, and the adapter in a thread."""
+"""A cell that plays PackML behind a real link, the adapter in a thread, and every carrier."""
 
 from __future__ import annotations
 
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Self
 
 import pytest
 
 from cell.plant.handshake.adapter import HandshakeAdapter
+from cell.plant.handshake.carrier import Carrier, Heard, bits_of, inputs_of
+from cell.plant.handshake.controller import ControllerCarrier
 from cell.plant.handshake.modbus import ModbusCarrier
+from cell.plant.handshake.signals import UNKNOWN, Inputs, Outputs
 from cell.plant.link import Link
 from cell.plant.messages import Answer, FaultNotice, Kind, Request, Status, to_json
 from cell.run.machine import CellState, Event, EventRefusedError, Machine
 from cell.settings.plant.handshake import Handshake
+from drivers.emulators.launch import EmulatedController
+from tools.faults.scripted_plc import (
+    OUTPUTS,
+    SILENCE_S,
+    ControllerWire,
+    ModbusWire,
+    Plc,
+    Wire,
+    places,
+)
 
 BEGUN = Status(run="", sequence=0, state=CellState.STOPPED, since_s=0.0, line="L1")
 #: Duration of a cycle, s: a few looks of the adapter.
-CYCLE_S = 0.15
+CYCLE_S = 0.4
 
 
 def wait_until(reached: Callable[[], bool]) -> None:
@@ -125,15 +140,107 @@ def fake(runs: Path) -> Iterator[FakeCell]:
         yield cell
 
 
-@pytest.fixture
-def said() -> Handshake:
-    return Handshake(port=free_port(), silence_s=1.5)
+class FakeWire:
+    """Bits in memory."""
+
+    def __init__(self, silence_s: float) -> None:
+        self.heard = Heard(silence_s, "the fake is silent")
+        self.told: frozenset[int] = frozenset()
+
+    def write(self, bits: Sequence[bool]) -> None:
+        self.heard.take({number for number, bit in enumerate(bits) if bit})
+
+    def read(self) -> Sequence[bool]:
+        return [number in self.told for number in range(len(OUTPUTS))]
+
+    def part(self) -> None:
+        pass  # and writes no more
+
+    def mend(self) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+class FakeCarrier:
+    """Carries what is in memory."""
+
+    def __init__(self, said: Handshake, wire: FakeWire) -> None:
+        self._said, self._wire = said, wire
+        self.write(UNKNOWN)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def read(self) -> Inputs:
+        return inputs_of(self._wire.heard.read(), self._said.inputs)
+
+    def write(self, outputs: Outputs) -> None:
+        self._wire.told = bits_of(outputs, self._said.outputs)
+
+
+@dataclass
+class Wired:
+    """A carrier and the PLC at its other end, made anew with every call.
+
+    tells_at_end  whether a PLC reads outputs when the carrier has ended; else it gets no answer
+    """
+
+    said: Handshake
+    carrier: Callable[[], Carrier]
+    wire: Callable[[], Wire]
+    tells_at_end: bool
+    _plcs: list[Plc] = field(default_factory=list)
+
+    def plc(self) -> Plc:
+        self._plcs.append(made := Plc(self.wire()))
+        return made
+
+    def close(self) -> None:
+        for plc in self._plcs:
+            plc.wire.close()
+
+
+@pytest.fixture(scope="module")
+def controller(free_loopback: Callable[[], str]) -> Iterator[EmulatedController]:
+    with EmulatedController(free_loopback()) as emulator:
+        yield emulator
+
+
+def wired_by(kind: str, silence_s: float, request: pytest.FixtureRequest) -> Wired:
+    """A carrier by its name."""
+    said = Handshake.model_validate({"silence_s": silence_s, **places()})
+    match kind:
+        case "modbus":
+            said = said.model_copy(update={"port": (port := free_port())})
+            return Wired(said, lambda: ModbusCarrier(said), lambda: ModbusWire(port), False)
+        case "controller":
+            host = request.getfixturevalue("controller").host
+            wire = ControllerWire(host)
+            wire.mend()
+            Plc(wire).say()
+            said = said.model_copy(update={"carrier": kind, "host": host})
+            return Wired(
+                said, lambda: ControllerCarrier(said, host), lambda: ControllerWire(host), True
+            )
+    fake = FakeWire(silence_s)
+    return Wired(said, lambda: FakeCarrier(said, fake), lambda: fake, True)
+
+
+@pytest.fixture(params=["modbus", "controller", "fake"])
+def wired(request: pytest.FixtureRequest) -> Iterator[Wired]:
+    yield (made := wired_by(request.param, SILENCE_S, request))
+    made.close()
 
 
 @pytest.fixture
-def adapter(runs: Path, said: Handshake) -> Iterator[HandshakeAdapter]:
-    with ModbusCarrier(said) as carrier:
-        made = HandshakeAdapter(carrier, runs, said.by)
+def adapter(runs: Path, wired: Wired) -> Iterator[HandshakeAdapter]:
+    with wired.carrier() as carrier:
+        made = HandshakeAdapter(carrier, runs, wired.said.by)
         thread = threading.Thread(target=made.run)
         thread.start()
         yield made

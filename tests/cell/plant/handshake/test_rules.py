@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cell.plant.folded import possible_in
-from cell.plant.handshake.rules import Ask, Look, Memory, away, look, not_obeyed
+from cell.plant.handshake.rules import Ask, Look, Memory, away, look, not_obeyed, obeyed
 from cell.plant.handshake.signals import Inputs, Outputs
 from cell.plant.messages import FaultNotice, Status
 from cell.run.machine import CellState, Event
@@ -172,17 +172,54 @@ def test_after_a_restart_only_a_pause_of_the_line_is_ended() -> None:
     assert commands(Inputs(), someone, Memory())[0] == []
 
 
-def test_an_acknowledgement_clears_then_resets() -> None:
+def test_one_acknowledgement_clears_and_resets() -> None:
     memory = ready_memory()
     pressed = Inputs(acknowledge=True)
     aborted, stopped = status(CellState.ABORTED, fault=FAULT), status(CellState.STOPPED)
     asked, outputs, memory = commands(pressed, aborted, memory)
     assert asked == [Event.CLEAR] and outputs == Outputs(fault=True)
-    assert commands(pressed, stopped, memory)[0] == []
-    _, outputs, memory = commands(Inputs(), stopped, memory)
-    assert outputs.fault
-    assert commands(pressed, stopped, memory)[0] == [Event.RESET]
-    assert commands(pressed, IDLE, memory)[0] == []
+    asked, _, memory = commands(pressed, status(CellState.CLEARING), memory)
+    assert asked == []
+    for again in (pressed, Inputs()):  # held, or a short pulse
+        asked, outputs, after = commands(again, stopped, memory)
+        assert asked == [Event.RESET] and outputs == Outputs(fault=True)
+        assert commands(again, stopped, after)[0] == []
+    assert commands(pressed, IDLE, after)[0] == []
+
+
+def test_a_reset_follows_only_its_own_clear_and_nothing_else() -> None:
+    pressed = Inputs(acknowledge=True)
+    aborted, stopped = status(CellState.ABORTED, fault=FAULT), status(CellState.STOPPED)
+    before = ready_memory()
+    asks, _, cleared = look(pressed, aborted, before)
+    between: list[tuple[Inputs, Status | None]] = [
+        (pressed, aborted),  # failed again
+        (pressed, IDLE),  # somebody else reset it
+        (pressed, None),
+        (Inputs(acknowledge=True, stop=True), stopped),
+        (pressed, replace(stopped, run="another")),
+    ]
+    for inputs, now in between:
+        asked, _, memory = commands(inputs, now, cleared)
+        assert Event.RESET not in asked
+        assert commands(pressed, replace(stopped, run=memory.run or "r"), memory)[0] == []
+    for lost in (away(cleared), not_obeyed(asks[0], before, cleared)):
+        assert commands(replace(pressed, acknowledge=False), stopped, lost)[0] == []
+    assert commands(pressed, stopped, before)[0] == [Event.RESET]  # after a stop
+
+
+@settings(max_examples=60, deadline=None)
+@given(looks)
+def test_every_acknowledgement_is_used_once(seen: list[tuple[Inputs, Status | None]]) -> None:
+    memory, was, used = Memory(), True, {Event.CLEAR, Event.RESET}
+    for inputs, now in seen:
+        if inputs.acknowledge and not was:
+            used = set()
+        asks, _, memory = look(inputs, now, memory)
+        for ask in asks:
+            assert ask.command not in used
+            used |= {ask.command} & {Event.CLEAR, Event.RESET}
+        was = inputs.acknowledge
 
 
 def test_a_stop_stops_once_and_waits_for_a_cell_that_is_away() -> None:
@@ -206,6 +243,12 @@ def test_what_did_not_reach_the_cell_is_asked_again_unless_it_starts_it() -> Non
     asks, _, after = look(Inputs(start=True), IDLE, before)
     after = not_obeyed(asks[0], before, after)
     assert commands(Inputs(start=True), IDLE, after)[0] == []
+
+
+def test_a_start_that_is_obeyed_is_told_before_the_next_look() -> None:
+    asks, outputs, _ = look(Inputs(start=True), IDLE, ready_memory())
+    assert obeyed(asks[0], outputs) == Outputs(busy=True)
+    assert obeyed(Ask(Event.STOP), Outputs(busy=True)) == Outputs(busy=True)
 
 
 def test_a_look_knows_who_is_in_the_way() -> None:

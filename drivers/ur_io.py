@@ -1,0 +1,141 @@
+"""Digital inputs and outputs of a UR controller over RTDE, beside whoever moves the arm.
+
+ur-rtde claims none of these outputs to move an arm, and this needs none of its registers.
+
+source  Universal Robots, "Real-Time Data Exchange (RTDE) Guide": the bits of
+        `actual_digital_input_bits` are numbered as here
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Collection, Iterator
+
+from drivers.rtde_client import RtdeClient, RtdeError
+from drivers.rtde_wire import Recipe
+
+#: Group of digital inputs or outputs → number of its first, number of its last.
+GROUPS = {"standard": (0, 7), "configurable": (8, 15), "tool": (16, 17)}
+
+_INPUTS, _OUTPUTS = "actual_digital_input_bits", "actual_digital_output_bits"
+#: Reported so often: a look of the handshake takes 50 ms, an arm's connection 2 ms.
+_RATE_HZ = 50.0
+#: Connecting and an answer may take so long, s, and then it is tried again after a pause, s.
+_ANSWER_S, _AGAIN_S = 2.0, 0.5
+#: An output that is written is on or off within this, s: 25 reports.
+_FOLLOWS_S = 0.5
+
+
+class UrIo:
+    """Tells a controller's inputs and sets some of its outputs, within a `with`, in a thread.
+
+    A connection that is lost is made anew, again and again.  Inputs count only while the outputs
+    are as they were set.  Whoever leaves the `with` leaves the outputs as they were set last.
+
+    host     address of the controller
+    outputs  numbers of the outputs that are set; the others are left alone
+    heard    told the numbers of the inputs that are on, 50 times a second
+    lost     told why nothing is known any more: again at every attempt
+    silence_s  without a report for so long the connection is lost
+    """
+
+    def __init__(
+        self,
+        host: str,
+        outputs: Collection[int],
+        heard: Callable[[frozenset[int]], None],
+        lost: Callable[[str], None],
+        silence_s: float,
+    ) -> None:
+        self._host = host
+        self._ours = frozenset(outputs)
+        self._heard, self._lost = heard, lost
+        self._silence_s = silence_s
+        self._wanted: frozenset[int] = frozenset()
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="ur-io", daemon=True)
+
+    def __enter__(self) -> UrIo:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self._thread.join(2.0 * _ANSWER_S)
+
+    def set(self, on: Collection[int]) -> None:
+        """Switch on these of the outputs, and off the others; within 20 ms, or after a loss."""
+        self._wanted = self._ours & frozenset(on)
+
+    # --- the thread ---------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        while not self._over.is_set():
+            try:
+                with RtdeClient(self._host, _ANSWER_S) as client:
+                    self._serve(client)
+            except OSError as error:
+                self._lost(f"{self._host}: {error}")
+                self._over.wait(_AGAIN_S)
+
+    def _serve(self, client: RtdeClient) -> None:
+        """Hear and set, until it is over and the last is set.  Raises OSError."""
+        client.report([_INPUTS, _OUTPUTS], _RATE_HZ)
+        recipe = client.claim(list(_variables(self._ours))) if self._ours else None
+        client.start()
+        written: frozenset[int] | None = None
+        written_s = 0.0
+        while True:
+            over, wanted = self._over.is_set(), self._wanted
+            if wanted != written:
+                written, written_s = wanted, time.monotonic()
+                if recipe is not None:
+                    client.write(recipe, _values(recipe, self._ours, wanted))
+            inputs, outputs = self._reported(client)
+            wrong = (outputs & self._ours) ^ written
+            if not wrong:
+                if over:
+                    return
+                self._heard(inputs)
+            elif time.monotonic() - written_s > _FOLLOWS_S:
+                raise RtdeError(
+                    f"digital output {min(wrong)} does not follow; has the controller's "
+                    "installation given it to something else, or does a program set it?"
+                )
+
+    def _reported(self, client: RtdeClient) -> tuple[frozenset[int], frozenset[int]]:
+        """Numbers of the inputs and of the outputs that are on.  Raises OSError."""
+        values = client.newest(self._silence_s)
+        inputs, outputs = values.get(_INPUTS), values.get(_OUTPUTS)
+        if not isinstance(inputs, int) or not isinstance(outputs, int):
+            raise RtdeError("the controller reports no digital inputs and outputs")
+        return _numbers(inputs), _numbers(outputs)
+
+
+def _groups(numbers: Collection[int]) -> Iterator[str]:
+    """Groups in which there are such numbers."""
+    for group, (first, last) in GROUPS.items():
+        if any(first <= number <= last for number in numbers):
+            yield group
+
+
+def _variables(numbers: Collection[int]) -> Iterator[str]:
+    """Input variables of RTDE that set these outputs: the mask of a group, then its bits."""
+    for group in _groups(numbers):
+        yield f"{group}_digital_output_mask"
+        yield f"{group}_digital_output"
+
+
+def _values(recipe: Recipe, ours: Collection[int], on: Collection[int]) -> list[int]:
+    """Values of the variables of `_variables`."""
+    values = []
+    for name in recipe.names:
+        first, last = GROUPS[name.partition("_")[0]]
+        which = ours if name.endswith("_mask") else on
+        values.append(sum(1 << number - first for number in which if first <= number <= last))
+    return values
+
+
+def _numbers(bits: int) -> frozenset[int]:
+    return frozenset(number for number in range(bits.bit_length()) if bits >> number & 1)

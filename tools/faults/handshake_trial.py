@@ -1,0 +1,235 @@
+"""A simulated cell, `cell handshake` and a PLC that misbehaves, three processes: `make handshake`.
+
+Every fifth cycle is aborted, as by a person.  Afterwards what the PLC said and was told is
+compared with what the cell did.  Ends with 1 if the cell did anything that it may not.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from cell.plant.client import Client
+from cell.plant.messages import Kind, Notice, Request, Status
+from cell.run.machine import CellState, Event
+from drivers.emulators.launch import EmulatedController
+from tools.faults.scripted_plc import (
+    HABITS,
+    INPUTS,
+    SILENCE_S,
+    ControllerWire,
+    Plc,
+    places,
+)
+
+CONFIG = Path(__file__).parents[2] / "config" / "fake.yaml"
+#: A person aborts every so many-th cycle, while the cable is lowered.
+ABORTED_EVERY = 5
+#: What the PLC is told of an outcome.
+TOLD = {"inserted": "done", "missed": "rejected", "rejected": "rejected", "unfit": "rejected"}
+#: The service begins within this, s: on a new computer it compiles.
+_BEGIN_S = 180.0
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What the cell did, beside what it was asked for.
+
+    wrong  one sentence for everything that it may not do
+    """
+
+    cycles: int
+    starts: int
+    outcomes: dict[str, int]
+    suspensions: int
+    wrong: tuple[str, ...]
+
+
+def compared(said: Sequence[dict[str, Any]], happened: Sequence[Notice]) -> Findings:
+    """What the PLC said and was told, compared with what happened in the cell.
+
+    said      lines of the scripted PLC
+    happened  in the cell, since before the first of them
+    """
+    cycles = [entry for entry in said if "told" in entry]
+    states = [n for n in happened if n.kind is Kind.STATE]
+    starts = [n for n in states if n.data["state"] == CellState.STARTING]
+    results = [n.data["outcome"] for n in happened if n.kind is Kind.RESULT]
+    wrong = [*_wrong_starts(said, happened)]
+    if len(starts) != len(cycles):
+        wrong.append(f"{len(cycles)} cycles were wanted, and {len(starts)} made")
+    for number, (cycle, outcome) in enumerate(zip(cycles, results, strict=False), 1):
+        if cycle["told"] != TOLD.get(outcome, "fault"):
+            wrong.append(f"cycle {number} was {outcome}, and the PLC was told {cycle['told']}")
+    if len(results) != len(cycles):
+        wrong.append(f"{len(cycles)} outcomes were told, and there were {len(results)}")
+    suspensions = sum(n.data["state"] == CellState.SUSPENDED for n in states)
+    return Findings(len(cycles), len(starts), dict(Counter(results)), suspensions, tuple(wrong))
+
+
+def _wrong_starts(said: Sequence[dict[str, Any]], happened: Sequence[Notice]) -> Iterator[str]:
+    """Starts without what they need, and what moves after a fault that nobody acknowledged."""
+    faulted = False
+    for notice in happened:
+        match notice.kind:
+            case Kind.FAULT:
+                faulted = True
+            case Kind.ACKNOWLEDGED:
+                faulted = False
+            case Kind.STATE if notice.data["state"] in (CellState.STARTING, CellState.RESETTING):
+                state = notice.data["state"]
+                if faulted:
+                    yield f"{state} after a fault without an acknowledgement"
+                if state != CellState.STARTING:
+                    continue
+                before = [e["said"] for e in said if "said" in e and e["time_s"] <= notice.time_s]
+                now = before[-1] if before else dict.fromkeys(INPUTS, False)
+                for name in ("start", "part_present", "upstream_ready", "downstream_ready"):
+                    if not now[name]:
+                        yield f"a start without {name}"
+                if now["stop"]:
+                    yield "a start while stop is on"
+
+
+class Follower:
+    """Gathers what happens in a cell, and aborts some of its cycles, in a thread."""
+
+    def __init__(self, client: Client) -> None:
+        self._client = client
+        self.happened: list[Notice] = []
+        self.is_idle = threading.Event()
+        self._thread = threading.Thread(target=self._follow, daemon=True)
+        self._thread.start()
+
+    def end(self) -> None:
+        self._client.close()
+        self._thread.join()
+
+    def _follow(self) -> None:
+        cycle = 0
+        for message in self._client.follow():
+            if isinstance(message, Status):
+                state: object = message.state
+            else:
+                self.happened.append(message)
+                state = message.data.get("state")
+                if message.kind is Kind.CYCLE:
+                    cycle += 1
+                lowers = message.kind is Kind.STEP and message.data["step"] == "lower"
+                if lowers and cycle % ABORTED_EVERY == 0:
+                    self._client.send(Request(Event.ABORT, "trial", "a person aborts it"))
+            if state == CellState.IDLE:
+                self.is_idle.set()
+
+
+@contextmanager
+def running(*words: str, **options: Any) -> Iterator[subprocess.Popen[str]]:
+    """A Python module as a process, ended like a service."""
+    process = subprocess.Popen([sys.executable, "-m", *words], text=True, **options)
+    try:
+        yield process
+    finally:
+        process.send_signal(signal.SIGTERM)
+        if process.wait(60.0) != 0:
+            raise RuntimeError(f"{words[:2]} ended with {process.returncode}")
+
+
+def free_port() -> int:
+    with socket.socket() as bound:
+        bound.bind(("127.0.0.1", 0))
+        return int(bound.getsockname()[1])
+
+
+def trial(carrier: str, cycles: int, host: str, folder: Path) -> Findings:
+    """So many cycles over one carrier, in a folder of its own."""
+    controller = carrier == "controller"
+    port = free_port()
+    handshake = {"carrier": carrier, "silence_s": SILENCE_S, **places()}
+    handshake |= {"host": host} if controller else {"port": port}
+    settings = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
+    settings["plant"] = {"handshake": handshake}
+    config, runs = folder / "cell.yaml", folder / "runs"
+    config.write_text(yaml.safe_dump(settings), encoding="utf-8")
+    given = ["-c", str(config)]
+    with ExitStack() as stack:
+        stack.enter_context(EmulatedController(host) if controller else nullcontext())
+        if controller:
+            Plc(ControllerWire(host)).say()  # the PLC has power: a stop would stop
+        quiet = {"stdout": subprocess.DEVNULL}
+        run = ("cell", "run", *given, "--cycles", "forever", "--out", str(runs))
+        stack.enter_context(running(*run, **quiet))
+        client = Client(runs).connect(wait_s=_BEGIN_S)
+        follower = Follower(client)
+        assert follower.is_idle.wait(_BEGIN_S), "the cell is not ready"
+        log = stack.enter_context((folder / "handshake.log").open("w"))
+        serve = ("cell", "-v", "handshake", *given, "--runs", str(runs))
+        stack.enter_context(running(*serve, stderr=log))
+        if not controller:
+            _wait_for_port(port)
+        place = f"controller:{host}" if controller else f"modbus:{port}"
+        plc = [sys.executable, "-m", "tools.faults.scripted_plc", place, str(cycles)]
+        done = subprocess.run(plc, stdout=subprocess.PIPE, text=True)
+        follower.end()
+        said = [json.loads(line) for line in done.stdout.splitlines()]
+        (folder / "plc.jsonl").write_text(done.stdout, encoding="utf-8")
+        found = compared(said, follower.happened)
+        if done.returncode != 0:
+            found = Findings(**{**vars(found), "wrong": (*found.wrong, "the PLC gave up")})
+    return found
+
+
+def _wait_for_port(port: int) -> None:
+    until_s = time.monotonic() + _BEGIN_S
+    while True:
+        try:
+            socket.create_connection(("127.0.0.1", port), 1.0).close()
+            return
+        except OSError:
+            if time.monotonic() > until_s:
+                raise
+            time.sleep(0.1)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cycles", type=int, default=50)
+    parser.add_argument("--carrier", choices=["modbus", "controller"], action="append")
+    parser.add_argument("--host", default="127.0.0.79", help="address of the emulated controller")
+    parser.add_argument("--keep", type=Path, help="folder for records and logs; else removed")
+    arguments = parser.parse_args()
+    failed = False
+    print(f"habits: {', '.join(HABITS)}", flush=True)
+    for carrier in arguments.carrier or ["modbus", "controller"]:
+        with tempfile.TemporaryDirectory() as temporary:
+            folder = arguments.keep / carrier if arguments.keep else Path(temporary)
+            folder.mkdir(parents=True, exist_ok=True)
+            found = trial(carrier, arguments.cycles, arguments.host, folder)
+        outcomes = ", ".join(f"{count} {name}" for name, count in sorted(found.outcomes.items()))
+        print(
+            f"{carrier:10s} {found.cycles} cycles wanted, {found.starts} made: {outcomes}; "
+            f"{found.suspensions} suspensions; {len(found.wrong)} wrong",
+            flush=True,
+        )
+        for sentence in found.wrong:
+            print(f"  {sentence}", flush=True)
+        failed |= bool(found.wrong) or found.cycles != arguments.cycles
+    return int(failed)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,341 @@
+"""A PLC as a program of its own: starts cycles, and misbehaves on purpose.
+
+    python -m tools.faults.scripted_plc modbus:502 50         a Modbus/TCP client
+    python -m tools.faults.scripted_plc controller:127.0.0.2 50   wired to an emulated controller
+
+It writes a line of JSON for whatever it says, and for every cycle: its habit, what it was told.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+from drivers.emulators.launch import EmulatedController
+
+INPUTS = ("start", "part_present", "upstream_ready", "downstream_ready", "acknowledge", "stop")
+OUTPUTS = ("ready", "busy", "done", "rejected", "fault")
+#: A broken wire stops, and reads as a fault.
+INVERTED = ("stop", "fault")
+#: So long it watches that nothing happens, s: several looks of the adapter.
+WATCHED_S = 0.2
+#: `silence_s` of the settings, s: on a busy computer a PLC has to be waited for.
+SILENCE_S = 1.5
+#: A start that is obeyed is told to be within this, s.
+UNANSWERED_S = 4.0
+#: Nothing takes longer, s: a cycle on a computer under load.
+LONGEST_S = 60.0
+
+
+def places() -> dict[str, dict[str, dict[str, object]]]:
+    """Entries `inputs` and `outputs` of the settings, as this PLC is wired."""
+    return {
+        side: {
+            name: {"number": number, "inverted": name in INVERTED}
+            for number, name in enumerate(names)
+        }
+        for side, names in (("inputs", INPUTS), ("outputs", OUTPUTS))
+    }
+
+
+class Wire(Protocol):
+    """Bits between the PLC and the cell, in the order of their numbers."""
+
+    def write(self, bits: Sequence[bool]) -> None:
+        """Say."""
+
+    def read(self) -> Sequence[bool]:
+        """Hear."""
+
+    def part(self) -> None:
+        """Be away, until `mend`."""
+
+    def mend(self) -> None:
+        """Be there again."""
+
+    def close(self) -> None:
+        """Be there no more."""
+
+
+class ModbusWire:
+    """A Modbus/TCP client at a port of this computer."""
+
+    def __init__(self, port: int) -> None:
+        from pymodbus.client import ModbusTcpClient
+
+        self._client = ModbusTcpClient("127.0.0.1", port=port)
+        self.mend()
+
+    def write(self, bits: Sequence[bool]) -> None:
+        written = self._client.write_coils(0, list(bits), device_id=1)
+        assert not written.isError(), written
+
+    def read(self) -> Sequence[bool]:
+        read = self._client.read_discrete_inputs(0, count=len(OUTPUTS), device_id=1)
+        assert not read.isError(), read
+        return read.bits
+
+    def part(self) -> None:
+        self._client.close()
+
+    def mend(self) -> None:
+        assert self._client.connect()
+
+    def close(self) -> None:
+        self._client.close()
+
+
+class ControllerWire:
+    """Wires to the digital inputs and outputs of an emulated controller, which may fall silent."""
+
+    def __init__(self, host: str) -> None:
+        self._controller = EmulatedController(host)
+
+    def write(self, bits: Sequence[bool]) -> None:
+        self._controller.ask("inputs", bits=sum(bit << k for k, bit in enumerate(bits)))
+
+    def read(self) -> Sequence[bool]:
+        bits = self._controller.ask("outputs")["bits"]
+        return [bool(bits >> k & 1) for k in range(len(OUTPUTS))]
+
+    def part(self) -> None:
+        self._controller.ask("freeze", seconds=LONGEST_S)
+
+    def mend(self) -> None:
+        self._controller.ask("freeze", seconds=0.0)
+
+    def close(self) -> None:
+        pass
+
+
+class Plc:
+    """Signals by their names; every wait has a deadline."""
+
+    def __init__(self, wire: Wire, log: Callable[..., None] = lambda **entry: None) -> None:
+        self.wire = wire
+        self._log = log
+        self._said = dict.fromkeys(INPUTS, False)
+
+    def say(self, **signals: bool) -> None:
+        if signals:
+            self._said.update(signals)
+            self._log(said=self._said)
+        self.wire.write([self._said[name] is not (name in INVERTED) for name in INPUTS])
+
+    def heard(self) -> dict[str, bool]:
+        """Both directions of a PLC's cycle."""
+        self.say()
+        return self.read()
+
+    def read(self) -> dict[str, bool]:
+        bits = self.wire.read()
+        return {n: bit is not (n in INVERTED) for n, bit in zip(OUTPUTS, bits, strict=False)}
+
+    def wait(self, reached: Callable[[dict[str, bool]], bool]) -> dict[str, bool]:
+        until_s = time.monotonic() + LONGEST_S
+        while not reached(heard := self.heard()):
+            assert time.monotonic() < until_s, heard
+            time.sleep(0.01)
+        return heard
+
+    def quiet(self) -> None:
+        """Nothing begins for a while."""
+        until_s = time.monotonic() + WATCHED_S
+        while time.monotonic() < until_s:
+            assert not self.heard()["busy"], "the cell has begun"
+            time.sleep(0.01)
+
+    def connect(self) -> None:
+        """Say that all is well, and wait until the cell is ready."""
+        self.say(part_present=True, upstream_ready=True, downstream_ready=True)
+        self.wait(lambda heard: heard["ready"])
+
+    def begin(self) -> None:
+        """Start as it should be.
+
+        A controller keeps its outputs while nobody sets them: a start without an answer is let
+        fall and given again.
+        """
+        for _ in range(int(LONGEST_S / UNANSWERED_S)):
+            self.wait(lambda heard: heard["ready"])
+            self.say(start=True)
+            until_s = time.monotonic() + UNANSWERED_S
+            while time.monotonic() < until_s:
+                if self.heard()["busy"]:
+                    return
+                time.sleep(0.01)
+            self.say(start=False)
+            self.quiet()
+        raise AssertionError("the cell does not begin")
+
+    def outcome(self) -> str:
+        """What is told at the end of a cycle."""
+        ended = self.wait(has_ended)
+        return next(name for name in ("fault", "done", "rejected") if ended[name])
+
+    def cycle(self) -> str:
+        """A cycle as it should be; what was told at its end."""
+        self.begin()
+        return self.outcome()
+
+    def release(self) -> None:
+        """Let start fall."""
+        self.say(start=False)
+        self.wait(lambda heard: not (heard["done"] or heard["rejected"]))
+
+    def acknowledge(self) -> None:
+        """Press once, and hold as long as a finger does."""
+        self.say(acknowledge=True)
+        until_s = time.monotonic() + WATCHED_S
+        while time.monotonic() < until_s:
+            self.heard()
+            time.sleep(0.01)
+        self.say(acknowledge=False)
+
+
+def has_ended(heard: dict[str, bool]) -> bool:
+    return not heard["busy"] and (heard["done"] or heard["rejected"] or heard["fault"])
+
+
+# --- habits: one cycle each, and what was told at its end ---------------------------------------
+
+
+def held(plc: Plc) -> str:
+    """Start is not let fall after the cycle: no other begins."""
+    told = plc.cycle()
+    if told != "fault":
+        plc.quiet()
+    return told
+
+
+def without_part(plc: Plc) -> str:
+    """The part goes as start comes, and comes again while start is held."""
+    plc.wait(lambda heard: heard["ready"])
+    plc.say(part_present=False, start=True)
+    plc.quiet()
+    plc.say(part_present=True)
+    plc.quiet()
+    plc.say(start=False)
+    return plc.cycle()
+
+
+def part_taken(plc: Plc) -> str:
+    """The part goes within the cycle, as when the hand takes it, and is missing at the next start.
+
+    That start does nothing, nor does the part when it comes while start is held.
+    """
+    plc.begin()
+    plc.say(part_present=False)
+    told = plc.outcome()
+    if told != "fault":
+        plc.say(start=False)
+        plc.quiet()
+        plc.say(start=True)
+        plc.quiet()
+    plc.say(part_present=True)
+    plc.quiet()
+    return told
+
+
+def twice(plc: Plc) -> str:
+    """A second start within the cycle."""
+    plc.begin()
+    plc.say(start=False)
+    time.sleep(0.06)
+    plc.say(start=True)
+    ended = plc.wait(lambda heard: not heard["busy"])
+    plc.quiet()
+    ended = plc.heard()
+    return next((name for name in ("fault", "done", "rejected") if ended[name]), "no outcome")
+
+
+def paused(plc: Plc) -> str:
+    """The machines beside the cell are not ready for a while, one after the other."""
+    plc.begin()
+    plc.say(downstream_ready=False)
+    time.sleep(WATCHED_S)
+    plc.say(downstream_ready=True, upstream_ready=False)
+    time.sleep(WATCHED_S)
+    plc.say(upstream_ready=True)
+    return plc.outcome()
+
+
+def stopped(plc: Plc) -> str:
+    """The cycle is stopped, and start is tried while stop is held."""
+    plc.begin()
+    plc.say(start=False, stop=True)
+    told = plc.outcome()
+    plc.say(start=True)
+    plc.quiet()
+    plc.say(start=False, stop=False)
+    return told
+
+
+def lost(plc: Plc) -> str:
+    """The wire is broken between two cycles, and start is on when it is there again."""
+    plc.wait(lambda heard: heard["ready"])
+    plc.wire.part()
+    time.sleep(1.5 * SILENCE_S)
+    plc.wire.mend()
+    plc.say(start=True)
+    plc.wait(lambda heard: not heard["fault"])
+    plc.quiet()
+    plc.say(start=False)
+    return plc.cycle()
+
+
+def after_fault(plc: Plc) -> None:
+    """Start does nothing until someone has acknowledged, nor while it is held since before."""
+    plc.say(start=False)
+    plc.quiet()
+    plc.say(start=True)
+    plc.quiet()
+    plc.acknowledge()
+    plc.wait(lambda heard: not heard["fault"])
+    plc.quiet()
+    plc.say(start=False)
+    plc.wait(lambda heard: heard["ready"])
+
+
+HABITS: dict[str, Callable[[Plc], str]] = {
+    "plain": Plc.cycle,
+    "start held": held,
+    "no part": without_part,
+    "double start": twice,
+    "paused": paused,
+    "part gone": part_taken,
+    "stopped": stopped,
+    "wire lost": lost,
+}
+
+
+def play(plc: Plc, cycles: int, log: Callable[..., None]) -> None:
+    """Make cycles, each with the next habit."""
+    plc.connect()
+    for number in range(cycles):
+        name = list(HABITS)[number % len(HABITS)]
+        log(habit=name, told=(told := HABITS[name](plc)))
+        if told == "fault":
+            after_fault(plc)
+        else:
+            plc.release()
+
+
+def wire_to(place: str) -> Wire:
+    """The wire that a command line names."""
+    kind, _, where = place.partition(":")
+    return ModbusWire(int(where)) if kind == "modbus" else ControllerWire(where)
+
+
+def main(place: str, cycles: int) -> None:
+    def log(**entry: object) -> None:
+        print(json.dumps({"time_s": time.time(), **entry}), flush=True)
+
+    play(Plc(wire_to(place), log), cycles, log)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], int(sys.argv[2]))
