@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from ruamel.yaml import YAML
-from ruamel.yaml.nodes import MappingNode, Node, ScalarNode
+from ruamel.yaml.nodes import MappingNode
 
 from cell.files.atomic import write_whole
 from cell.files.input_error import InputError, Problem
-from cell.files.yaml_document import Document, read_yaml, validate, yaml_text
-from cell.settings.check import load_settings
+from cell.files.yaml_document import Document, document_of, read_yaml, validate, yaml_text
+from cell.files.yaml_edit import last_line
+from cell.settings.check import load_settings, settings_of
 from cell.settings.line import differences, line_of
 from cell.settings.model import Model, Settings
 from cell.settings.translate import model_hash
@@ -99,11 +100,11 @@ def promote(candidate: CandidateModel, config: Path, *, from_another_line: bool 
         problems += _of_another_line(candidate, settings)
     if problems:
         raise InputError(problems)
-    text = _read(config)
+    text = read_exactly(config)
     section = yaml_text({_KEY: candidate.model.model_dump(mode="json", exclude_defaults=True)})
     changed = spliced(config, text, section)
     _check(config, changed, settings)
-    entry = _next_entry(config)
+    entry = next_entry(history_of(config))
     write_whole(entry, text.encode())
     write_whole(config, changed.encode())
     return entry
@@ -129,12 +130,12 @@ def undo(config: Path) -> Path:
     raises   InputError: there is none, or the settings are wrong
     """
     config = config.resolve()
-    text = _read(config)
+    text = read_exactly(config)
     present = section_of(config, text)
     for entry in sorted(history_of(config).glob("*.yaml"), reverse=True):
         if entry.name.endswith(".undone.yaml"):
             continue
-        former = section_of(entry, _read(entry))
+        former = section_of(entry, read_exactly(entry))
         if former != present:
             write_whole(config, spliced(config, text, former).encode())
         entry.rename(entry.with_name(entry.name.replace(".yaml", ".undone.yaml")))
@@ -183,37 +184,24 @@ def _lines(path: Path, text: str) -> tuple[int, int] | None:
         raise InputError([Problem(path, 1, None, "", message)])
     for key, value in root.value:
         if key.value == _KEY:
-            return key.start_mark.line, _last_line(value) + 1
+            return key.start_mark.line, last_line(value) + 1
     return None
-
-
-def _last_line(node: Node) -> int:
-    """Line in which a node ends, comments after it left out."""
-    if isinstance(node, ScalarNode) or getattr(node, "flow_style", False):
-        end = node.end_mark
-        return int(end.line if end.column > 0 or end.line == node.start_mark.line else end.line - 1)
-    inside = [n for pair in node.value for n in (pair if isinstance(pair, tuple) else (pair,))]
-    return max((_last_line(n) for n in inside), default=int(node.start_mark.line))
 
 
 def _check(config: Path, changed: str, before: Settings) -> None:
     """Whether the changed text says what it said before, but for the model.  Raises InputError."""
-    draft = config.with_name(f".{config.stem}.draft.yaml")
-    try:
-        draft.write_text(changed, encoding="utf-8", newline="")
-        after = load_settings(draft)
-    finally:
-        draft.unlink(missing_ok=True)
+    after = settings_of(document_of(changed.removeprefix("\ufeff"), config))
     assert after.model_copy(update={_KEY: before.model}) == before
 
 
-def _next_entry(config: Path) -> Path:
-    folder = history_of(config)
+def next_entry(folder: Path) -> Path:
+    """Where the next file of a history goes; its folder is made.  Raises OSError."""
     folder.mkdir(exist_ok=True)
     numbers = [int(p.name[:4]) for p in folder.glob("[0-9][0-9][0-9][0-9]*.yaml")]
     return folder / f"{max(numbers, default=0) + 1:04d}.yaml"
 
 
-def _read(path: Path) -> str:
+def read_exactly(path: Path) -> str:
+    """The text of a file with its ends of lines and its mark.  Raises OSError; ValueError."""
     with path.open(encoding="utf-8", newline="") as file:
         return file.read()
