@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -79,6 +79,14 @@ class Visit:
             self.name, what, not refused, "; ".join(filter(None, (note, refused)))
         )
         return refused
+
+    def acknowledge(self, by: str, note: str, possible: Container[Event]) -> str:
+        """A person's word after a fault or a stop, and the reset that follows; why not, or "".
+
+        possible  commands that the present state accepts: after a fault it is cleared first
+        """
+        refused = self.command(Event.CLEAR, by, note) if Event.CLEAR in possible else ""
+        return refused or self.command(Event.RESET, by, note)
 
     def command(self, event: Event, by: str = "", note: str = "", part: str = "") -> str:
         """Give a command to the cell; why it was not obeyed, or "".  Waits for the answer.

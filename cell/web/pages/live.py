@@ -170,9 +170,8 @@ class _Live:
                     if not (by.value.strip() and note.value.strip()):
                         self._told(t("Give your name, and what you found and did."))
                         return
-                    event = Event.CLEAR if Event.CLEAR in self._possible() else Event.RESET
                     words = (by.value.strip(), note.value.strip())
-                    refused = await run.io_bound(self._visit.command, event, *words)
+                    refused = await run.io_bound(self._visit.acknowledge, *words, self._possible())
                     self._told(refused)
                     if not refused:
                         note.value = ""

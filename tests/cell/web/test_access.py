@@ -271,9 +271,13 @@ def test_a_start_needs_control_and_a_stop_does_not(tmp_path: Path) -> None:
     assert operating.command(Event.STOP) == ""
     operating.room.control.take("page 1", "local")
     assert operating.command(Event.RESET, "Ada", "cable taken out") == ""
+    fault = (Event.CLEAR, Event.STOP)
+    assert operating.acknowledge("Ada", "cable taken out", fault) == ""
     assert "printable" in operating.command(Event.START, part="A\n")
     assert "printable" in operating.command(Event.START, part="A" * 201)
     assert client.requests == [
         Request(Event.STOP, "web:local"),
+        Request(Event.RESET, "web:local (Ada)", "cable taken out"),
+        Request(Event.CLEAR, "web:local (Ada)", "cable taken out"),
         Request(Event.RESET, "web:local (Ada)", "cable taken out"),
     ]
