@@ -104,6 +104,7 @@ def _room(config: Path, runs: Path, accounts: object) -> Room:
     from cell.settings import load_settings
     from cell.web.audit import Audit, audit_file
     from cell.web.control import Control
+    from cell.web.films import Films
     from cell.web.sessions import Sessions
     from cell.web.users import Users
     from cell.web.visit import Room
@@ -116,7 +117,7 @@ def _room(config: Path, runs: Path, accounts: object) -> Room:
     watches.append(watch)
     sessions = Sessions(accounts.named) if isinstance(accounts, Users) else None
     audit = Audit(audit_file(runs))
-    return Room(config, settings, runs, client, watch, Control(), audit, sessions)
+    return Room(config, settings, runs, client, watch, Control(), audit, Films(), sessions)
 
 
 @user.command()

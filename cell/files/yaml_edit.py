@@ -132,7 +132,7 @@ def _replaced(text: str, key: Node, node: Node, value: Any) -> str:
     start, end = node.start_mark.index, node.end_mark.index
     if isinstance(node, ScalarNode) and node.style in ("|", ">"):
         end = _end_of_line(text, last_line(node)) - 1
-    elif not isinstance(node, ScalarNode) and not node.flow_style:  # one line for its many
+    elif not (isinstance(node, ScalarNode) or getattr(node, "flow_style", False)):  # in one line
         colon = text.index(":", key.end_mark.index) + 1
         first = text[colon : _end_of_line(text, key.start_mark.line)]
         beside = f"  {first.strip()}" if "#" in first else ""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from starlette.responses import FileResponse, HTMLResponse, RedirectResponse, Re
 from cell.files.input_error import InputError
 from cell.web import cycles
 from cell.web.guard import COOKIE, LOGIN, Guard
-from cell.web.pages.history import build_cycle
+from cell.web.pages.cycle import build as build_cycle
 from cell.web.registry import PAGES, Page
 from cell.web.theme import CSS, N_
 from cell.web.users import Users
@@ -30,6 +31,10 @@ _LOG = logging.getLogger(__name__)
 _TITLE = "Cable cell"
 _THEMES: dict[str, bool | None] = {"auto": None, "dark": True, "light": False}
 _YEAR_S = 365 * 86400
+#: A browser keeps a frame of a film so long, s.
+_FRAME_S = 600
+#: The pages' process gives way to the cell's by so much (nice).
+_NICE = 5
 
 
 def serve(
@@ -44,6 +49,7 @@ def serve(
     options: dict[str, Any] = {}
     if tls is not None:
         options = {"ssl_certfile": str(tls[0]), "ssl_keyfile": str(tls[1])}
+    os.nice(_NICE)
     with room.watch:
         uvicorn.run(
             app,
@@ -188,6 +194,24 @@ def _cycle_routes(app: FastAPI, room: Room) -> None:
     def picture(name: str) -> Response:
         folder = cycles.cycle_folder(room.runs, name)
         path = None if folder is None else cycles.newest_picture(folder)
+        return Response(status_code=404) if path is None else FileResponse(path)
+
+    @app.get("/cycles/{name}/frames/{number}.jpg")
+    def frame(name: str, number: int) -> Response:
+        folder = cycles.cycle_folder(room.runs, name)
+        try:
+            if folder is None:
+                raise IndexError(name)
+            picture = room.films.frame(folder, number)
+        except (OSError, IndexError, InputError):
+            return Response(status_code=404)
+        headers = {"cache-control": f"private, max-age={_FRAME_S}"}
+        return Response(picture, media_type="image/jpeg", headers=headers)
+
+    @app.get("/cycles/{name}/pictures/{picture}")
+    def one(name: str, picture: str) -> Response:
+        folder = cycles.cycle_folder(room.runs, name)
+        path = None if folder is None else cycles.picture(folder, picture)
         return Response(status_code=404) if path is None else FileResponse(path)
 
     @app.get("/cycles/{name}/report")

@@ -57,6 +57,11 @@ CSS = """
 .body--dark .quiet { color: #b4bcc8; }
 .wrong { color: #b3261e; white-space: pre-line; }
 .body--dark .wrong { color: #ff9b94; }
+.plain-table { border-collapse: collapse; width: 100%; }
+.plain-table th, .plain-table td { padding: 0.15rem 0.5rem; border-bottom: 1px solid #8a94a355; }
+.plain-table th { text-align: left; font-weight: 600; }
+.plain-table .text-right { text-align: right; }
+.film-slider { min-height: 2.5rem; }
 .sticky-card { position: sticky; top: 3.5rem; z-index: 10; }
 .entry { border-top: 1px solid #8a94a355; padding-top: 0.5rem; }
 .diff { font-family: monospace; white-space: pre; border: 1px solid #8a94a3; padding: 0.5rem; }

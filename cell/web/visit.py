@@ -13,6 +13,7 @@ from cell.run.machine import Event
 from cell.settings.model import Settings
 from cell.web.audit import Audit
 from cell.web.control import Control
+from cell.web.films import Films
 from cell.web.sessions import Session, Sessions
 from cell.web.users import Role
 from cell.web.watching import Watch
@@ -38,6 +39,7 @@ class Room:
     watch: Watch
     control: Control
     audit: Audit
+    films: Films
     sessions: Sessions | None
 
 

@@ -18,6 +18,7 @@ from cell.settings import load_settings
 from cell.web.audit import Audit, audit_file
 from cell.web.control import LOST_S, Control
 from cell.web.cycles import cycle_folder
+from cell.web.films import Films
 from cell.web.guard import MOST_BYTES, Guard
 from cell.web.serve import may_be_served
 from cell.web.sessions import IDLE_S, LONGEST_S, MOST_WRONG, Session, Sessions, local_session
@@ -244,7 +245,7 @@ def visit(runs: Path, session: Session, sessions: Sessions | None) -> Visit:
     settings, client = load_settings(CONFIG), Asked(runs)
     client.requests = []
     watch, audit = Watch(client, settings, runs), Audit(audit_file(runs))
-    room = Room(CONFIG, settings, runs, client, watch, Control(), audit, sessions)
+    room = Room(CONFIG, settings, runs, client, watch, Control(), audit, Films(), sessions)
     return Visit(room, session, "page 1", "en", str)
 
 
