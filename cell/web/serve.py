@@ -196,6 +196,14 @@ def _cycle_routes(app: FastAPI, room: Room) -> None:
         path = None if folder is None else cycles.newest_picture(folder)
         return Response(status_code=404) if path is None else FileResponse(path)
 
+    @app.get("/live/{number}.jpg")
+    def live(number: int) -> Response:
+        newest = room.camera.newest
+        if newest is None:
+            return Response(status_code=404)
+        headers = {"cache-control": "no-store"}
+        return Response(newest.jpeg, media_type="image/jpeg", headers=headers)
+
     @app.get("/cycles/{name}/frames/{number}.jpg")
     def frame(name: str, number: int) -> Response:
         folder = cycles.cycle_folder(room.runs, name)

@@ -12,6 +12,7 @@ from cell.plant.wire import LinkError
 from cell.run.machine import Event
 from cell.settings.model import Settings
 from cell.web.audit import Audit
+from cell.web.camera import LiveCamera
 from cell.web.control import Control
 from cell.web.films import Films
 from cell.web.sessions import Session, Sessions
@@ -40,6 +41,7 @@ class Room:
     control: Control
     audit: Audit
     films: Films
+    camera: LiveCamera
     sessions: Sessions | None
 
 

@@ -16,6 +16,7 @@ from cell.plant.messages import Answer, Request
 from cell.run.machine import CellState, Event
 from cell.settings import load_settings
 from cell.web.audit import Audit, audit_file
+from cell.web.camera import LiveCamera
 from cell.web.control import LOST_S, Control
 from cell.web.cycles import cycle_folder
 from cell.web.films import Films
@@ -245,7 +246,8 @@ def visit(runs: Path, session: Session, sessions: Sessions | None) -> Visit:
     settings, client = load_settings(CONFIG), Asked(runs)
     client.requests = []
     watch, audit = Watch(client, settings, runs), Audit(audit_file(runs))
-    room = Room(CONFIG, settings, runs, client, watch, Control(), audit, Films(), sessions)
+    seen = (Films(), LiveCamera(runs))
+    room = Room(CONFIG, settings, runs, client, watch, Control(), audit, *seen, sessions)
     return Visit(room, session, "page 1", "en", str)
 
 

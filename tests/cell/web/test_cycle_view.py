@@ -12,6 +12,7 @@ from cell.records.recording import form
 from cell.records.recording.writer import RecordingWriter
 from cell.records.result import Outcome, Result
 from cell.web import films as films_module
+from cell.web.camera import LiveCamera
 from cell.web.cycle_view import cycle_view, tip_chart
 from cell.web.films import Films
 
@@ -62,3 +63,18 @@ def test_frames_are_kept_in_memory_within_a_bound(
     (folder / form.FILE).unlink()
     with pytest.raises(OSError, match="No such file"):
         films.frame(folder, 4)
+
+
+def test_the_camera_shows_the_cycle_under_way_and_nothing_after_it(folder: Path) -> None:
+    camera = LiveCamera(folder.parent)
+    camera.read()
+    assert camera.newest is None
+    (folder / form.FILE).rename(folder / form.PART)
+    camera.read()
+    assert camera.newest is not None
+    number = camera.newest.number
+    camera.read()
+    assert camera.newest.number == number
+    (folder / form.PART).rename(folder / form.FILE)
+    camera.read()
+    assert camera.newest is None
