@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -33,6 +35,13 @@ Source = Annotated[
     Path | None,
     typer.Option("--from", help="A folder of recordings, used instead of the devices."),
 ]
+Dialogue = Annotated[
+    bool,
+    typer.Option(
+        "--dialogue",
+        help="For programs: JSON lines on the standard output, answers on the standard input.",
+    ),
+]
 Seed = Annotated[int, typer.Option(min=0, help="Random seed of a simulated or emulated cell.")]
 
 
@@ -42,6 +51,7 @@ def everything(
     config: MaybeConfig = None,
     seed: Seed = 1,
     as_json: AsJson = False,
+    dialogue: Dialogue = False,
 ) -> None:
     """Calibrate camera, cell, time and grip, one after the other.
 
@@ -53,7 +63,7 @@ def everything(
         return
     if config is None:
         refuse(ValueError("cell calibrate: --config is missing; give the settings of the cell"))
-    with _workshop(config, seed, as_json) as work:
+    with _workshop(config, seed, as_json, dialogue=dialogue) as work:
         for part in ("camera", "cell", "time", "grip"):
             work.do(part)
         _end(work, as_json)
@@ -65,9 +75,10 @@ def camera(
     source: Source = None,
     seed: Seed = 1,
     as_json: AsJson = False,
+    dialogue: Dialogue = False,
 ) -> None:
     """Find the lens from pictures of the board, live or from a folder."""
-    _part("camera", config, source, seed, as_json)
+    _part("camera", config, source, seed, as_json, dialogue)
 
 
 @app.command()
@@ -76,9 +87,10 @@ def cell(
     source: Source = None,
     seed: Seed = 1,
     as_json: AsJson = False,
+    dialogue: Dialogue = False,
 ) -> None:
     """Find the map from pixels to the cell's plane, by the plate on the hand; needs the lens."""
-    _part("cell", config, source, seed, as_json)
+    _part("cell", config, source, seed, as_json, dialogue)
 
 
 @app.command("time")
@@ -87,9 +99,10 @@ def time_(
     source: Source = None,
     seed: Seed = 1,
     as_json: AsJson = False,
+    dialogue: Dialogue = False,
 ) -> None:
     """Find the camera's latency and the arm's lag from one motion; needs the cell."""
-    _part("time", config, source, seed, as_json)
+    _part("time", config, source, seed, as_json, dialogue)
 
 
 @app.command()
@@ -98,18 +111,21 @@ def grip(
     source: Source = None,
     seed: Seed = 1,
     as_json: AsJson = False,
+    dialogue: Dialogue = False,
 ) -> None:
     """Find gripping point, clamp angle and free length of a cable in the jaws; needs the cell."""
-    _part("grip", config, source, seed, as_json)
+    _part("grip", config, source, seed, as_json, dialogue)
 
 
 @app.command()
-def check(config: Config, seed: Seed = 1, as_json: AsJson = False) -> None:
+def check(
+    config: Config, seed: Seed = 1, as_json: AsJson = False, dialogue: Dialogue = False
+) -> None:
     """Check the stored calibration in less than a minute, and name the command that corrects it.
 
     Exit codes: 0 if the calibration is still valid; 1 if not.
     """
-    with _workshop(config, seed, as_json) as work:
+    with _workshop(config, seed, as_json, dialogue=dialogue) as work:
         found = work.check()
         if print_result(vars(found), STDOUT if as_json else None):
             print(found.sentence + ("" if found.command is None else f"; run `{found.command}`"))
@@ -139,8 +155,10 @@ def board(
     print(f"{out}: print at 100 %, measure ten squares, put the result in calibration.square_m")
 
 
-def _part(part: str, config: Path, source: Path | None, seed: int, as_json: bool) -> None:
-    with _workshop(config, seed, as_json, live=source is None) as work:
+def _part(
+    part: str, config: Path, source: Path | None, seed: int, as_json: bool, dialogue: bool
+) -> None:
+    with _workshop(config, seed, as_json, live=source is None, dialogue=dialogue) as work:
         made = work.do(part, source)
         if made is None:
             raise typer.Exit(NOT_ALL_DONE)
@@ -159,9 +177,10 @@ def _end(work: CalibrationJob, as_json: bool) -> None:
 
 @contextmanager
 def _workshop(
-    config: Path, seed: int, as_json: bool, *, live: bool = True
+    config: Path, seed: int, as_json: bool, *, live: bool = True, dialogue: bool = False
 ) -> Iterator[CalibrationJob]:
     """Everything that calibrating needs; what goes wrong is said and ends with 2."""
+    from cell.calibration.coverage import write_coverage
     from cell.calibration.work import BrokenOffError, CalibrationJob
     from cell.files.input_error import InputError
     from cell.settings import load_settings
@@ -169,13 +188,25 @@ def _workshop(
 
     progress = working("calibrate")
 
+    def tell(**message: object) -> None:
+        print(json.dumps(message, ensure_ascii=False), flush=True)
+
     def say(text: str, done: int = 0, total: int = 0) -> None:
         """Kept as a line, and under way until the next one."""
         _LOG.info("%s", text)
+        if dialogue:
+            tell(say=text, done=done, total=total)
+            return
         print(f"{text}, {done} of {total}" if total else text, file=sys.stderr, flush=True)
         progress(text, done, total)
 
     def ask(words: str) -> str:
+        if dialogue:
+            tell(ask=words)
+            answer = sys.stdin.readline()
+            if not answer:
+                raise EOFError
+            return answer.strip()
         if as_json or not sys.stdin.isatty():
             raise EOFError
         with progress.paused():
@@ -185,10 +216,15 @@ def _workshop(
         settings = load_settings(config)
         if settings.calibration is not None:
             to_file(settings.calibration.folder / "calibration.log")
+        look = (
+            partial(write_coverage, settings.calibration.folder)
+            if (dialogue and settings.calibration is not None)
+            else None
+        )
         with (
             interrupted_once(),
             progress,
-            CalibrationJob(settings, config, seed, say, ask, live=live) as work,
+            CalibrationJob(settings, config, seed, say, ask, live=live, look=look) as work,
         ):
             yield work
     except (InputError, BrokenOffError) as error:

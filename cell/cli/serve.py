@@ -106,6 +106,7 @@ def _room(config: Path, runs: Path, accounts: object) -> Room:
     from cell.web.camera import LiveCamera
     from cell.web.control import Control
     from cell.web.films import Films
+    from cell.web.guided import Guided
     from cell.web.sessions import Sessions
     from cell.web.users import Users
     from cell.web.visit import Room
@@ -118,7 +119,7 @@ def _room(config: Path, runs: Path, accounts: object) -> Room:
     watches.append(watch)
     sessions = Sessions(accounts.named) if isinstance(accounts, Users) else None
     audit = Audit(audit_file(runs))
-    seen = (Films(), LiveCamera(runs))
+    seen = (Films(), LiveCamera(runs), Guided())
     return Room(config, settings, runs, client, watch, Control(), audit, *seen, sessions)
 
 

@@ -92,7 +92,7 @@ def calibrated(settings: Settings, config: Path, now: datetime | None = None) ->
         path = folder / f"{kind}.yaml"
         try:
             found[kind] = load(path, kind)
-            complaint = _complaint(found[kind], wanted, settings, now)
+            complaint = complaint_of(found[kind], wanted, settings, now)
         except StoreError as error:
             message = str(error).replace(
                 f"calibrate {kind}`", f"calibrate {kind} --config {config}`"
@@ -175,10 +175,10 @@ def view_of_stored(cell: StoredCalibration) -> PlaneView:
     return PlaneView(cell.array("homography", (3, 3)), Lens.of(cell.array("lens", (9,))))
 
 
-def _complaint(
+def complaint_of(
     stored: StoredCalibration, wanted: Calibration, settings: Settings, now: datetime
 ) -> str | None:
-    """Why a calibration may not be used; None = it may."""
+    """Why a calibration may not be used now; None = it may."""
     here = devices_of(settings)
     for name in _HOLDS_FOR[stored.kind]:
         if stored.devices.get(name) != here[name]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -16,13 +15,16 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import FileResponse, HTMLResponse, RedirectResponse, Response
 
+from calib.store import KINDS
+from cell.calibration import coverage
 from cell.files.input_error import InputError
+from cell.settings import load_settings
 from cell.web import cycles
 from cell.web.guard import COOKIE, LOGIN, Guard
 from cell.web.pages.cycle import build as build_cycle
 from cell.web.registry import PAGES, Page
 from cell.web.theme import CSS, N_
-from cell.web.users import Users
+from cell.web.users import Role, Users
 from cell.web.visit import Room, Visit
 from cell.web.wording import languages, preferred, translation
 
@@ -33,8 +35,11 @@ _THEMES: dict[str, bool | None] = {"auto": None, "dark": True, "light": False}
 _YEAR_S = 365 * 86400
 #: A browser keeps a frame of a film so long, s.
 _FRAME_S = 600
-#: The pages' process gives way to the cell's by so much (nice).
-_NICE = 5
+#: Pages of reports may do nothing with these pages.
+_SANDBOX = {
+    "content-security-policy": "sandbox allow-scripts; default-src 'unsafe-inline' data:; "
+    "frame-ancestors 'self'"
+}
 
 
 def serve(
@@ -49,7 +54,6 @@ def serve(
     options: dict[str, Any] = {}
     if tls is not None:
         options = {"ssl_certfile": str(tls[0]), "ssl_keyfile": str(tls[1])}
-    os.nice(_NICE)
     with room.watch:
         uvicorn.run(
             app,
@@ -61,6 +65,7 @@ def serve(
             timeout_graceful_shutdown=2,
             **options,
         )
+    room.guided.close()
     room.client.close()
 
 
@@ -69,6 +74,7 @@ def application(room: Room, users: Users, secure: bool) -> FastAPI:
     app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
     _login_routes(app, room, users, secure)
     _cycle_routes(app, room)
+    _calibration_routes(app, room)
     for page in PAGES:
         _page_route(room, page)
 
@@ -229,12 +235,28 @@ def _cycle_routes(app: FastAPI, room: Room) -> None:
             return Response(status_code=404)
         with suppress(OSError):
             try:
-                headers = {"content-security-policy": "sandbox allow-scripts; default-src "
-                           "'unsafe-inline' data:; frame-ancestors 'self'"}  # fmt: skip
-                return HTMLResponse(cycles.report(folder), headers=headers)
+                return HTMLResponse(cycles.report(folder), headers=_SANDBOX)
             except InputError as error:
                 return Response(str(error), 422, media_type="text/plain")
         return Response("cannot be read", 422, media_type="text/plain")
+
+
+def _calibration_routes(app: FastAPI, room: Room) -> None:
+    """Reports and the picture of the coverage, for engineers."""
+
+    @app.get("/calibration/{name}")
+    def shown(request: Request, name: str) -> Response:
+        if request.state.session.user.role < Role.engineer:
+            return Response(status_code=403)
+        given = load_settings(room.config).calibration
+        if given is None:
+            return Response(status_code=404)
+        if name == coverage.FILE and (given.folder / name).is_file():
+            headers = {"cache-control": "no-store"}
+            return FileResponse(given.folder / name, headers=headers)
+        if name in KINDS and (given.folder / f"{name}.html").is_file():
+            return FileResponse(given.folder / f"{name}.html", headers=_SANDBOX)
+        return Response(status_code=404)
 
 
 def may_be_served(host: str, tls: bool, users: int, loopback: bool) -> str:

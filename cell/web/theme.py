@@ -62,6 +62,7 @@ CSS = """
 .plain-table th { text-align: left; font-weight: 600; }
 .plain-table .text-right { text-align: right; }
 .film-slider { min-height: 2.5rem; }
+.guide:not(:empty) { border-left: 0.5rem solid #f5b301; padding-left: 0.75rem; }
 .sticky-card { position: sticky; top: 3.5rem; z-index: 10; }
 .entry { border-top: 1px solid #8a94a355; padding-top: 0.5rem; }
 .diff { font-family: monospace; white-space: pre; border: 1px solid #8a94a3; padding: 0.5rem; }

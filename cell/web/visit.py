@@ -15,6 +15,7 @@ from cell.web.audit import Audit
 from cell.web.camera import LiveCamera
 from cell.web.control import Control
 from cell.web.films import Films
+from cell.web.guided import Guided
 from cell.web.sessions import Session, Sessions
 from cell.web.users import Role
 from cell.web.watching import Watch
@@ -42,6 +43,7 @@ class Room:
     audit: Audit
     films: Films
     camera: LiveCamera
+    guided: Guided
     sessions: Sessions | None
 
 

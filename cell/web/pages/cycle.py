@@ -17,6 +17,7 @@ from cell.records.recording.retention import remove_recording
 from cell.run.machine import CellState
 from cell.web.cycle_view import CycleView, cycle_view, tip_chart
 from cell.web.cycles import cycle_folder
+from cell.web.pages.tables import table
 from cell.web.theme import BLUE, LOOKS, N_, RED
 from cell.web.users import Role
 from cell.web.views import STEPS
@@ -204,7 +205,7 @@ class _Page:
         if data is None or not data.rows:
             return
         rows = [[self._t(row[0]), *row[1:]] for row in data.rows]
-        _table(title, [self._t(h) if h else "" for h in data.heads], rows, set(data.numbers))
+        table(title, [self._t(h) if h else "" for h in data.heads], rows, set(data.numbers))
 
     def _spent(self, view: CycleView) -> None:
         t = self._t
@@ -215,7 +216,7 @@ class _Page:
             if seconds > 0.0
         ]
         if rows:
-            _table(t("States and steps"), ["", t("Name"), t("Time, s")], rows, {2})
+            table(t("States and steps"), ["", t("Name"), t("Time, s")], rows, {2})
 
     def _pictures(self, view: CycleView) -> None:
         for picture in view.pictures:
@@ -231,24 +232,6 @@ def _word(t: Callable[[str], str], kind: str, name: str) -> str:
     if kind == "state" and name in set(CellState):
         return t(LOOKS[CellState(name)].word)
     return t(STEPS.get(name, name.replace("_", " ")))
-
-
-def _table(title: str, heads: list[str], rows: list[list[str]], numbers: set[int]) -> None:
-    """A plain table: few rows, nothing to be sorted."""
-    with ui.card().classes("w-full overflow-x-auto"):
-        ui.label(title).classes("text-xl font-bold").props("role=heading aria-level=2")
-        with ui.element("table").classes("plain-table"):
-            with ui.element("thead"), ui.element("tr"):
-                for number, head in enumerate(heads):
-                    with ui.element("th").classes("text-right" if number in numbers else ""):
-                        ui.label(head)
-            with ui.element("tbody"):
-                for row in rows:
-                    with ui.element("tr"):
-                        for number, cell in enumerate(row):
-                            place = ui.element("td")
-                            with place.classes("text-right" if number in numbers else ""):
-                                ui.label(cell)
 
 
 def _found(visit: Visit, folder: Path) -> tuple[CycleView, tuple[float, ...]]:

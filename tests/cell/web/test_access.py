@@ -21,6 +21,7 @@ from cell.web.control import LOST_S, Control
 from cell.web.cycles import cycle_folder
 from cell.web.films import Films
 from cell.web.guard import MOST_BYTES, Guard
+from cell.web.guided import Guided
 from cell.web.serve import may_be_served
 from cell.web.sessions import IDLE_S, LONGEST_S, MOST_WRONG, Session, Sessions, local_session
 from cell.web.users import Role, User, Users
@@ -246,7 +247,7 @@ def visit(runs: Path, session: Session, sessions: Sessions | None) -> Visit:
     settings, client = load_settings(CONFIG), Asked(runs)
     client.requests = []
     watch, audit = Watch(client, settings, runs), Audit(audit_file(runs))
-    seen = (Films(), LiveCamera(runs))
+    seen = (Films(), LiveCamera(runs), Guided())
     room = Room(CONFIG, settings, runs, client, watch, Control(), audit, *seen, sessions)
     return Visit(room, session, "page 1", "en", str)
 
