@@ -17,6 +17,7 @@ from calib.jaw_marks import JawObservation
 from calib.plane import PlaneView
 from calib.plate import find_plate
 from calib.poses import choose_poses, in_picture
+from cell.calibration.coverage import Look
 from cell.calibration.raw import Picture, SeenMove, ShownCell, ShownPose
 from cell.calibration.session import FilmedMove, Session
 from cell.calibration.showing import BOARD_VIEWS, THREADS, Assistant
@@ -51,8 +52,13 @@ def marks_m(marks: JawMarks) -> FloatArray:
     return np.array(marks.centres_m)
 
 
-def show_board(session: Session, assistant: Assistant, board: Board, say: Say) -> list[Picture]:
-    """Pictures of the board in many poses, with word of where corners are lacking."""
+def show_board(
+    session: Session, assistant: Assistant, board: Board, say: Say, look: Look | None = None
+) -> list[Picture]:
+    """Pictures of the board in many poses, with word of where corners are lacking.
+
+    look  is shown every picture, with the views so far
+    """
     pictures: list[Picture] = []
     views: list[BoardView] = []
     for number in range(1, BOARD_VIEWS + 1):
@@ -67,6 +73,8 @@ def show_board(session: Session, assistant: Assistant, board: Board, say: Say) -
         if view is not None:
             views.append(view)
         seen = 0 if view is None else len(view.ids)
+        if look is not None:
+            look(views, picture.image)
         say(f"view {number}: {seen} of {len(board.corners_m)} corners", number, BOARD_VIEWS)
     assistant.clear()
     return pictures

@@ -22,6 +22,7 @@ from calib.timing import Delay
 from cell.build import staged_devices
 from cell.calibration import conclude, grip, measure, raw
 from cell.calibration.conclude import Drift
+from cell.calibration.coverage import Look
 from cell.calibration.measure import Say
 from cell.calibration.report import camera_report, cell_report, grip_report, time_report
 from cell.calibration.session import Session, opened
@@ -67,6 +68,7 @@ class CalibrationJob:
 
     say, ask  progress for a person; a question that waits for an answer
     live      False = only from folders: nothing is connected
+    look      is shown every picture of the board; None = nobody looks
     """
 
     def __init__(
@@ -78,12 +80,13 @@ class CalibrationJob:
         ask: Callable[[str], str],
         *,
         live: bool,
+        look: Look | None = None,
     ) -> None:
         if settings.calibration is None:
             message = "is missing; add `calibration: {}`, and leave out camera.view"
             raise InputError([Problem(config, 1, None, "calibration", message)])
         self._settings, self._config, self._seed = settings, config, seed
-        self._say, self._ask, self._live = say, ask, live
+        self._say, self._ask, self._live, self._look = say, ask, live, look
         self._folder = settings.calibration.folder
         try:
             self._board = board_of(settings)
@@ -138,7 +141,9 @@ class CalibrationJob:
     def _camera(self, source: Path | None) -> StoredCalibration:
         if source is None:
             session = self._open()
-            pictures = measure.show_board(session, self._assistant, self._board, self._say)
+            pictures = measure.show_board(
+                session, self._assistant, self._board, self._say, self._look
+            )
             self._record("camera", partial(raw.save_pictures, pictures=pictures))
         else:
             pictures = list(raw.read_pictures(source))

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -41,6 +43,13 @@ Source = Annotated[
     Path | None,
     typer.Option("--from", help="A folder of recordings, used instead of the devices."),
 ]
+Dialogue = Annotated[
+    bool,
+    typer.Option(
+        "--dialogue",
+        help="For programs: JSON lines on the standard output, answers on the standard input.",
+    ),
+]
 Seed = Annotated[int, typer.Option(min=0, help="Random seed of a simulated or emulated cell.")]
 
 
@@ -51,6 +60,7 @@ def everything(
     product: OfProduct = None,
     seed: Seed = 1,
     as_json: AsJson = False,
+    dialogue: Dialogue = False,
 ) -> None:
     """Calibrate camera, cell, time and grip, one after the other.
 
@@ -62,7 +72,7 @@ def everything(
         return
     if config is None:
         refuse(ValueError("cell calibrate: --config is missing; give the settings of the cell"))
-    with _workshop(config, seed, as_json, product=product) as work:
+    with _workshop(config, seed, as_json, product=product, dialogue=dialogue) as work:
         for part in ("camera", "cell", "time", "grip"):
             work.do(part)
         _end(work, as_json)
@@ -74,9 +84,10 @@ def camera(
     source: Source = None,
     seed: Seed = 1,
     as_json: AsJson = False,
+    dialogue: Dialogue = False,
 ) -> None:
     """Find the lens from pictures of the board, live or from a folder."""
-    _part("camera", config, source, seed, as_json)
+    _part("camera", config, source, seed, as_json, dialogue)
 
 
 @app.command()
@@ -85,9 +96,10 @@ def cell(
     source: Source = None,
     seed: Seed = 1,
     as_json: AsJson = False,
+    dialogue: Dialogue = False,
 ) -> None:
     """Find the map from pixels to the cell's plane, by the plate on the hand; needs the lens."""
-    _part("cell", config, source, seed, as_json)
+    _part("cell", config, source, seed, as_json, dialogue)
 
 
 @app.command("time")
@@ -96,9 +108,10 @@ def time_(
     source: Source = None,
     seed: Seed = 1,
     as_json: AsJson = False,
+    dialogue: Dialogue = False,
 ) -> None:
     """Find the camera's latency and the arm's lag from one motion; needs the cell."""
-    _part("time", config, source, seed, as_json)
+    _part("time", config, source, seed, as_json, dialogue)
 
 
 @app.command()
@@ -108,21 +121,24 @@ def grip(
     source: Source = None,
     seed: Seed = 1,
     as_json: AsJson = False,
+    dialogue: Dialogue = False,
 ) -> None:
     """Find gripping point, clamp angle and free length of a cable in the jaws; needs the cell.
 
     Each product of the settings has its own.
     """
-    _part("grip", config, source, seed, as_json, product)
+    _part("grip", config, source, seed, as_json, dialogue, product)
 
 
 @app.command()
-def check(config: Config, seed: Seed = 1, as_json: AsJson = False) -> None:
+def check(
+    config: Config, seed: Seed = 1, as_json: AsJson = False, dialogue: Dialogue = False
+) -> None:
     """Check the stored calibration in less than a minute, and name the command that corrects it.
 
     Exit codes: 0 if the calibration is still valid; 1 if not.
     """
-    with _workshop(config, seed, as_json, gripped=False) as work:
+    with _workshop(config, seed, as_json, gripped=False, dialogue=dialogue) as work:
         found = work.check()
         if print_result(vars(found), STDOUT if as_json else None):
             print(found.sentence + ("" if found.command is None else f"; run `{found.command}`"))
@@ -158,10 +174,17 @@ def _part(
     source: Path | None,
     seed: int,
     as_json: bool,
+    dialogue: bool,
     product: str | None = None,
 ) -> None:
     with _workshop(
-        config, seed, as_json, live=source is None, product=product, gripped=part == "grip"
+        config,
+        seed,
+        as_json,
+        live=source is None,
+        product=product,
+        gripped=part == "grip",
+        dialogue=dialogue,
     ) as work:
         made = work.do(part, source)
         if made is None:
@@ -188,11 +211,13 @@ def _workshop(
     live: bool = True,
     product: str | None = None,
     gripped: bool = True,
+    dialogue: bool = False,
 ) -> Iterator[CalibrationJob]:
     """Everything that calibrating needs; what goes wrong is said and ends with 2.
 
     gripped  a cable is gripped, so that it must be said of which product
     """
+    from cell.calibration.coverage import write_coverage
     from cell.calibration.work import BrokenOffError, CalibrationJob
     from cell.files.input_error import InputError
     from cell.settings import load_settings
@@ -201,13 +226,25 @@ def _workshop(
 
     progress = working("calibrate")
 
+    def tell(**message: object) -> None:
+        print(json.dumps(message, ensure_ascii=False), flush=True)
+
     def say(text: str, done: int = 0, total: int = 0) -> None:
         """Kept as a line, and under way until the next one."""
         _LOG.info("%s", text)
+        if dialogue:
+            tell(say=text, done=done, total=total)
+            return
         print(f"{text}, {done} of {total}" if total else text, file=sys.stderr, flush=True)
         progress(text, done, total)
 
     def ask(words: str) -> str:
+        if dialogue:
+            tell(ask=words)
+            answer = sys.stdin.readline()
+            if not answer:
+                raise EOFError
+            return answer.strip()
         if as_json or not sys.stdin.isatty():
             raise EOFError
         with progress.paused():
@@ -217,10 +254,15 @@ def _workshop(
         settings = load_product(config, product) if gripped else load_settings(config)
         if settings.calibration is not None:
             to_file(settings.calibration.folder / "calibration.log")
+        look = (
+            partial(write_coverage, settings.calibration.folder)
+            if (dialogue and settings.calibration is not None)
+            else None
+        )
         with (
             interrupted_once(),
             progress,
-            CalibrationJob(settings, config, seed, say, ask, live=live) as work,
+            CalibrationJob(settings, config, seed, say, ask, live=live, look=look) as work,
         ):
             yield work
     except (InputError, BrokenOffError) as error:

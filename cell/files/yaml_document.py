@@ -95,7 +95,11 @@ def read_yaml(path: Path) -> Document:
     raises  InputError: the file is missing, is not YAML, gives a key twice, or is larger or more
             deeply nested than anything it may say
     """
-    text = read_text(path, MAX_BYTES)
+    return document_of(read_text(path, MAX_BYTES), path)
+
+
+def document_of(text: str, path: Path) -> Document:
+    """The text of a YAML file, which `path` names in complaints.  Raises InputError, as above."""
     reader = YAML(typ="safe", pure=True)  # in C it would crash on deep nesting
     reader.Scanner = _FlatScanner
     places: dict[Key, tuple[int, int]] = {(): (1, 1)}

@@ -16,6 +16,7 @@ from cell.files.page import Picture, Plot, page
 from cell.files.table import TableData
 from cell.records.folder import Recorded
 from cell.records.recording import form
+from cell.records.recording.film import drawn
 from cell.records.recording.reading import Recording
 from cell.records.result import Correction, Outcome, Result
 
@@ -55,7 +56,7 @@ _DECISION = (
 def cycle_page(record: Recorded, recording: Recording | None) -> str:
     """The page; without a recording it lacks film strip, states and decision."""
     result = record.result
-    says, good = _says(record)
+    says, good = how_it_ended(record)
     decision = None if recording is None else recording.last(form.DECISION)
     said = None if recording is None else recording.last(form.SETTINGS)
     destination = None if said is None else said["settings"]["destination"]
@@ -68,7 +69,7 @@ def cycle_page(record: Recorded, recording: Recording | None) -> str:
         says=says,
         good=good,
         part=None if result is None else result.part,
-        numbers=None if result is None else _numbers(result),
+        numbers=None if result is None else numbers_table(result),
         missing="" if recording is None else _missing(recording),
         strip=None if recording is None else _strip(recording),
         seen=_seen(record),
@@ -77,13 +78,13 @@ def cycle_page(record: Recorded, recording: Recording | None) -> str:
         decision_says="" if decision is None else _decided(decision),
         stops=() if result is None else result.stops,
         corrections=None if result is None else _corrections(result.corrections),
-        parameters=None if record.model is None else _parameters(record.model),
+        parameters=None if record.model is None else parameters_table(record.model),
         times=Plot.of(_times(result.seconds, result.state_seconds)) if result and timed else None,
         folder=record.folder,
     )
 
 
-def _says(record: Recorded) -> tuple[str, bool]:
+def how_it_ended(record: Recorded) -> tuple[str, bool]:
     """How the cycle ended, and whether that is good."""
     result = record.result
     if result is None:
@@ -97,7 +98,8 @@ def _says(record: Recorded) -> tuple[str, bool]:
     return said, good
 
 
-def _numbers(result: Result) -> TableData:
+def numbers_table(result: Result) -> TableData:
+    """What was forecast and measured, with units."""
     rows = [
         [name, f"{value * size:.4g}", unit]
         for key, name, unit, size in _NUMBERS
@@ -139,11 +141,9 @@ def _strip(recording: Recording) -> list[Picture]:
         first_s = frame.t_s if first_s is None else first_s
         if number not in chosen:
             continue
-        image = cv2.cvtColor(np.ascontiguousarray(frame.image), cv2.COLOR_GRAY2BGR)
-        if points is not None and len(points):
-            drawn = np.round(points).astype(np.int32)[:, None]
-            cv2.polylines(image, [drawn], False, (255, 160, 0), 5, cv2.LINE_AA)
-        shown.append(Picture.of(image, STRIP_PX, f"{frame.t_s - first_s:.2f} s"))
+        shown.append(
+            Picture.of(drawn(frame.image, points), STRIP_PX, f"{frame.t_s - first_s:.2f} s")
+        )
     return shown
 
 
@@ -212,7 +212,8 @@ def _decision(decision: Mapping[str, Any]) -> TableData:
     return TableData("", heads, rows, range(len(_DECISION)))
 
 
-def _parameters(model: Mapping[str, Any]) -> TableData:
+def parameters_table(model: Mapping[str, Any]) -> TableData:
+    """Parameters of the cable, as in `model.json`, with 95 % intervals."""
     rows = [
         [p["name"], f"{p['value']:.4g}", f"{p['low']:.4g} … {p['high']:.4g}", p["unit"]]
         for p in model["parameters"]

@@ -106,7 +106,7 @@ def calibrated(settings: Settings, config: Path, now: datetime | None = None) ->
         path = calibration_file(settings, kind)
         try:
             found[kind] = load(path, kind)
-            complaint = _complaint(found[kind], wanted, settings, now)
+            complaint = complaint_of(found[kind], wanted, settings, now)
         except StoreError as error:
             command = calibrate_command(settings, kind, config)
             message = str(error).replace(f"cell calibrate {kind}`", f"{command}`")
@@ -188,10 +188,10 @@ def view_of_stored(cell: StoredCalibration) -> PlaneView:
     return PlaneView(cell.array("homography", (3, 3)), Lens.of(cell.array("lens", (9,))))
 
 
-def _complaint(
+def complaint_of(
     stored: StoredCalibration, wanted: Calibration, settings: Settings, now: datetime
 ) -> str | None:
-    """Why a calibration may not be used; None = it may."""
+    """Why a calibration may not be used now; None = it may."""
     here = devices_of(settings)
     for name in _HOLDS_FOR[stored.kind]:
         if stored.devices.get(name) != here[name]:

@@ -24,8 +24,12 @@ def load_settings(path: Path) -> Settings:
 
     raises  InputError: every mistake, each with file, line, column, key, value, limit, remedy
     """
-    document = read_yaml(path)
-    settings = _with_files(validate(document, Settings), path)
+    return settings_of(read_yaml(path))
+
+
+def settings_of(document: Document) -> Settings:
+    """Settings from a file that was read.  Raises InputError, as above."""
+    settings = _with_files(validate(document, Settings), document.path)
     problems = [*contradictions(document, settings), *_of_products(document, settings)]
     if problems:
         raise InputError(problems)

@@ -16,9 +16,10 @@ from ruamel.yaml.nodes import MappingNode, Node, ScalarNode
 
 from cell.files.atomic import write_whole
 from cell.files.input_error import InputError, Problem
-from cell.files.yaml_document import Document, read_yaml, validate, yaml_text
+from cell.files.yaml_document import Document, document_of, read_yaml, validate, yaml_text
+from cell.files.yaml_edit import last_line
 from cell.settings.line import differences, line_of
-from cell.settings.loading import load_product, load_settings
+from cell.settings.loading import load_product, load_settings, settings_of
 from cell.settings.model import Model, Settings
 from cell.settings.translate import model_hash
 
@@ -111,11 +112,11 @@ def promote(candidate: CandidateModel, config: Path, *, from_another_line: bool 
         problems += _of_another_line(candidate, settings)
     if problems:
         raise InputError(problems)
-    text = _read(config)
+    text = read_exactly(config)
     section = yaml_text({_KEY: candidate.model.model_dump(mode="json", exclude_defaults=True)})
     changed = spliced(config, text, section, product)
     _check(config, changed, before, product)
-    entry = _next_entry(config, product)
+    entry = next_entry(history_of(config), product)
     write_whole(entry, text.encode())
     write_whole(config, changed.encode())
     return entry
@@ -142,10 +143,10 @@ def undo(config: Path, product: str | None = None) -> Path:
     raises   InputError: there is none, or the settings are wrong
     """
     config = config.resolve()
-    text = _read(config)
+    text = read_exactly(config)
     present = section_of(config, text, product)
     for entry in reversed(_entries(config, product)):
-        former = section_of(entry, _read(entry), product)
+        former = section_of(entry, read_exactly(entry), product)
         if former != present:
             write_whole(config, spliced(config, text, former, product).encode())
         entry.rename(entry.with_name(entry.name.replace(".yaml", ".undone.yaml")))
@@ -221,11 +222,11 @@ def _place(path: Path, text: str, product: str | None) -> _Place:
             line = key.start_mark.line + 1
             return _Place(line, line, key.start_mark.column + 2)
         whole = _one_key_a_line(path, value, f"{_PRODUCTS}.{product}")
-        indent, after = whole.value[0][0].start_mark.column, _last_line(value) + 1
+        indent, after = whole.value[0][0].start_mark.column, last_line(value) + 1
     found = _entry(whole, _KEY)
     if found is None:
         return _Place(after, after, indent)
-    return _Place(found[0].start_mark.line, _last_line(found[1]) + 1, indent)
+    return _Place(found[0].start_mark.line, last_line(found[1]) + 1, indent)
 
 
 def _one_key_a_line(path: Path, node: Node, name: str) -> MappingNode:
@@ -241,23 +242,9 @@ def _entry(node: MappingNode, name: str) -> tuple[Node, Node] | None:
     return next(((key, value) for key, value in node.value if key.value == name), None)
 
 
-def _last_line(node: Node) -> int:
-    """Line in which a node ends, comments after it left out."""
-    if isinstance(node, ScalarNode) or getattr(node, "flow_style", False):
-        end = node.end_mark
-        return int(end.line if end.column > 0 or end.line == node.start_mark.line else end.line - 1)
-    inside = [n for pair in node.value for n in (pair if isinstance(pair, tuple) else (pair,))]
-    return max((_last_line(n) for n in inside), default=int(node.start_mark.line))
-
-
 def _check(config: Path, changed: str, before: Settings, product: str | None) -> None:
     """Whether the changed text says what it said before, but for the model.  Raises InputError."""
-    draft = config.with_name(f".{config.stem}.draft.yaml")
-    try:
-        draft.write_text(changed, encoding="utf-8", newline="")
-        after = load_settings(draft)
-    finally:
-        draft.unlink(missing_ok=True)
+    after = settings_of(document_of(changed.removeprefix("\ufeff"), config))
     if product is None:
         assert after.model_copy(update={_KEY: before.model}) == before
         return
@@ -266,8 +253,8 @@ def _check(config: Path, changed: str, before: Settings, product: str | None) ->
     assert after.model_copy(update={_PRODUCTS: {**after.products, product: same}}) == before
 
 
-def _next_entry(config: Path, product: str | None) -> Path:
-    folder = history_of(config)
+def next_entry(folder: Path, product: str | None = None) -> Path:
+    """Where the next file of a history goes; its folder is made.  Raises OSError."""
     folder.mkdir(exist_ok=True)
     numbers = [int(p.name[:4]) for p in folder.glob("[0-9][0-9][0-9][0-9]*.yaml")]
     return folder / f"{max(numbers, default=0) + 1:04d}{_of(product)}.yaml"
@@ -284,6 +271,7 @@ def _of(product: str | None) -> str:
     return "" if product is None else f".{product}"
 
 
-def _read(path: Path) -> str:
+def read_exactly(path: Path) -> str:
+    """The text of a file with its ends of lines and its mark.  Raises OSError; ValueError."""
     with path.open(encoding="utf-8", newline="") as file:
         return file.read()

@@ -21,6 +21,11 @@ def newest_picture(folder: Path) -> Path | None:
     return max(found, key=lambda p: p.stat().st_mtime_ns, default=None)
 
 
+def picture(folder: Path, name: str) -> Path | None:
+    """A picture of a cycle by its file's name; None = there is none of this name."""
+    return next((p for p in folder.glob("*.png") if p.name == name and not p.is_symlink()), None)
+
+
 def report(folder: Path) -> str:
     """The page of `cell report`.  Raises InputError: the folder cannot be read."""
     from cell.records.cycle_page import cycle_page

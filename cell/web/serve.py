@@ -15,13 +15,16 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import FileResponse, HTMLResponse, RedirectResponse, Response
 
+from calib.store import KINDS
+from cell.calibration import coverage
 from cell.files.input_error import InputError
+from cell.settings import load_settings
 from cell.web import cycles
 from cell.web.guard import COOKIE, LOGIN, Guard
-from cell.web.pages.history import build_cycle
+from cell.web.pages.cycle import build as build_cycle
 from cell.web.registry import PAGES, Page
 from cell.web.theme import CSS, N_
-from cell.web.users import Users
+from cell.web.users import Role, Users
 from cell.web.visit import Room, Visit
 from cell.web.wording import languages, preferred, translation
 
@@ -30,6 +33,13 @@ _LOG = logging.getLogger(__name__)
 _TITLE = "Cable cell"
 _THEMES: dict[str, bool | None] = {"auto": None, "dark": True, "light": False}
 _YEAR_S = 365 * 86400
+#: A browser keeps a frame of a film so long, s.
+_FRAME_S = 600
+#: Pages of reports may do nothing with these pages.
+_SANDBOX = {
+    "content-security-policy": "sandbox allow-scripts; default-src 'unsafe-inline' data:; "
+    "frame-ancestors 'self'"
+}
 
 
 def serve(
@@ -55,6 +65,7 @@ def serve(
             timeout_graceful_shutdown=2,
             **options,
         )
+    room.guided.close()
     room.client.close()
 
 
@@ -63,6 +74,7 @@ def application(room: Room, users: Users, secure: bool) -> FastAPI:
     app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
     _login_routes(app, room, users, secure)
     _cycle_routes(app, room)
+    _calibration_routes(app, room)
     for page in PAGES:
         _page_route(room, page)
 
@@ -190,6 +202,32 @@ def _cycle_routes(app: FastAPI, room: Room) -> None:
         path = None if folder is None else cycles.newest_picture(folder)
         return Response(status_code=404) if path is None else FileResponse(path)
 
+    @app.get("/live/{number}.jpg")
+    def live(number: int) -> Response:
+        newest = room.camera.newest
+        if newest is None:
+            return Response(status_code=404)
+        headers = {"cache-control": "no-store"}
+        return Response(newest.jpeg, media_type="image/jpeg", headers=headers)
+
+    @app.get("/cycles/{name}/frames/{number}.jpg")
+    def frame(name: str, number: int) -> Response:
+        folder = cycles.cycle_folder(room.runs, name)
+        try:
+            if folder is None:
+                raise IndexError(name)
+            picture = room.films.frame(folder, number)
+        except (OSError, IndexError, InputError):
+            return Response(status_code=404)
+        headers = {"cache-control": f"private, max-age={_FRAME_S}"}
+        return Response(picture, media_type="image/jpeg", headers=headers)
+
+    @app.get("/cycles/{name}/pictures/{picture}")
+    def one(name: str, picture: str) -> Response:
+        folder = cycles.cycle_folder(room.runs, name)
+        path = None if folder is None else cycles.picture(folder, picture)
+        return Response(status_code=404) if path is None else FileResponse(path)
+
     @app.get("/cycles/{name}/report")
     def report(name: str) -> Response:
         folder = cycles.cycle_folder(room.runs, name)
@@ -197,12 +235,28 @@ def _cycle_routes(app: FastAPI, room: Room) -> None:
             return Response(status_code=404)
         with suppress(OSError):
             try:
-                headers = {"content-security-policy": "sandbox allow-scripts; default-src "
-                           "'unsafe-inline' data:; frame-ancestors 'self'"}  # fmt: skip
-                return HTMLResponse(cycles.report(folder), headers=headers)
+                return HTMLResponse(cycles.report(folder), headers=_SANDBOX)
             except InputError as error:
                 return Response(str(error), 422, media_type="text/plain")
         return Response("cannot be read", 422, media_type="text/plain")
+
+
+def _calibration_routes(app: FastAPI, room: Room) -> None:
+    """Reports and the picture of the coverage, for engineers."""
+
+    @app.get("/calibration/{name}")
+    def shown(request: Request, name: str) -> Response:
+        if request.state.session.user.role < Role.engineer:
+            return Response(status_code=403)
+        given = load_settings(room.config).calibration
+        if given is None:
+            return Response(status_code=404)
+        if name == coverage.FILE and (given.folder / name).is_file():
+            headers = {"cache-control": "no-store"}
+            return FileResponse(given.folder / name, headers=headers)
+        if name in KINDS and (given.folder / f"{name}.html").is_file():
+            return FileResponse(given.folder / f"{name}.html", headers=_SANDBOX)
+        return Response(status_code=404)
 
 
 def may_be_served(host: str, tls: bool, users: int, loopback: bool) -> str:

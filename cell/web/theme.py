@@ -53,5 +53,22 @@ CSS = """
 .q-btn.disabled { filter: grayscale(1); opacity: 0.45 !important; }
 .state-plate { font-size: clamp(2rem, 7vw, 4rem); font-weight: 700; line-height: 1.1; }
 .figure { font-size: 1.6rem; font-weight: 600; font-variant-numeric: tabular-nums; }
+.quiet { color: #4a5563; }
+.body--dark .quiet { color: #b4bcc8; }
+.wrong { color: #b3261e; white-space: pre-line; }
+.body--dark .wrong { color: #ff9b94; }
+.plain-table { border-collapse: collapse; width: 100%; }
+.plain-table th, .plain-table td { padding: 0.15rem 0.5rem; border-bottom: 1px solid #8a94a355; }
+.plain-table th { text-align: left; font-weight: 600; }
+.plain-table .text-right { text-align: right; }
+.film-slider { min-height: 2.5rem; }
+.guide:not(:empty) { border-left: 0.5rem solid #f5b301; padding-left: 0.75rem; }
+.sticky-card { position: sticky; top: 3.5rem; z-index: 10; }
+.entry { border-top: 1px solid #8a94a355; padding-top: 0.5rem; }
+.diff { font-family: monospace; white-space: pre; border: 1px solid #8a94a3; padding: 0.5rem; }
+.diff .added { background: #146c2e22; color: #0f5323; }
+.diff .removed { background: #b3261e22; color: #8c1d18; }
+.body--dark .diff .added { background: #146c2e66; color: #d5f5dd; }
+.body--dark .diff .removed { background: #b3261e66; color: #ffdad6; }
 .q-btn:focus-visible, a:focus-visible { outline: 3px solid #f5b301; outline-offset: 2px; }
 """

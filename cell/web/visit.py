@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,7 +12,10 @@ from cell.plant.wire import LinkError
 from cell.run.machine import Event
 from cell.settings.model import Settings
 from cell.web.audit import Audit
+from cell.web.camera import LiveCamera
 from cell.web.control import Control
+from cell.web.films import Films
+from cell.web.guided import Guided
 from cell.web.sessions import Session, Sessions
 from cell.web.users import Role
 from cell.web.watching import Watch
@@ -38,6 +41,9 @@ class Room:
     watch: Watch
     control: Control
     audit: Audit
+    films: Films
+    camera: LiveCamera
+    guided: Guided
     sessions: Sessions | None
 
 
@@ -79,6 +85,14 @@ class Visit:
             self.name, what, not refused, "; ".join(filter(None, (note, refused)))
         )
         return refused
+
+    def acknowledge(self, by: str, note: str, possible: Container[Event]) -> str:
+        """A person's word after a fault or a stop, and the reset that follows; why not, or "".
+
+        possible  commands that the present state accepts: after a fault it is cleared first
+        """
+        refused = self.command(Event.CLEAR, by, note) if Event.CLEAR in possible else ""
+        return refused or self.command(Event.RESET, by, note)
 
     def command(self, event: Event, by: str = "", note: str = "", part: str = "") -> str:
         """Give a command to the cell; why it was not obeyed, or "".  Waits for the answer.

@@ -35,6 +35,8 @@ EPOCH = "epoch_ns"
 FILE, PART = "recording.mcap", "recording.mcap.part"
 #: File that says in which store the recording is.
 STORED = "recording.stored.json"
+#: File that says when a recording was removed, and why.
+REMOVED = "recording.removed.json"
 #: What was recovered from memory, until it is in the recovered file.
 REST = "recording.mcap.rest"
 

@@ -115,7 +115,7 @@ class Recording:
         for log_time, data in self._messages(form.IMAGE):
             if log_time in exact:
                 index, t_s = exact[log_time]
-                yield Frame(index, t_s, _image(data)), seen.get(log_time)
+                yield Frame(index, t_s, image_of(data)), seen.get(log_time)
 
     def trajectories(self, topic: str) -> Iterator[tuple[dict[str, Any], Trajectory]]:
         """Messages of `/arm/path` or `/arm/answer` with their poses."""
@@ -178,7 +178,8 @@ def recording_in(folder: Path) -> Path:
     )
 
 
-def _image(data: bytes) -> np.ndarray:
+def image_of(data: bytes) -> np.ndarray:
+    """(H, W) grey levels of a message of `/camera/image`.  Raises ValueError: it is another."""
     message = RawImage.FromString(data)
     if message.encoding != "mono8" or message.step != message.width:
         raise ValueError(f"a frame is {message.encoding} with step {message.step}, not mono8")

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import os
 import time
 from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 
+from cell.files.atomic import write_whole
 from cell.records.recording import form
 
 _LOG = logging.getLogger(__name__)
@@ -68,7 +72,7 @@ class Retention:
             known.remove(oldest)
             total -= oldest.bytes
             try:
-                oldest.path.unlink(missing_ok=True)
+                remove_recording(oldest.path, why)
                 _LOG.info("%s is removed: %s", oldest.path, why)
             except OSError as error:
                 _LOG.warning("%s cannot be removed: %s", oldest.path, error.strerror)
@@ -115,6 +119,14 @@ class Retention:
             place = place.parent
         found = os.statvfs(place)
         return found.f_bavail * found.f_frsize
+
+
+def remove_recording(path: Path, why: str) -> None:
+    """Remove a recording, and say why in its cycle's folder.  Raises OSError: it is there still."""
+    path.unlink(missing_ok=True)
+    said = {"at": datetime.now().astimezone().isoformat(timespec="seconds"), "why": why}
+    with suppress(OSError):  # the disk is full
+        write_whole(path.with_name(form.REMOVED), json.dumps(said, ensure_ascii=False))
 
 
 def _known(path: Path) -> _Known:

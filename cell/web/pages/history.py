@@ -113,13 +113,3 @@ def _found(visit: Visit, wanted: Wanted) -> Found:
             ledger.close()
     except LedgerError as error:
         return [], [], str(error)
-
-
-def build_cycle(visit: Visit, name: str) -> None:
-    """Fill the page of one cycle: its report, in a frame that may run nothing of this page."""
-    with ui.row().classes("items-center"):
-        ui.link(visit.t("Back to the history"), "/history")
-        ui.label(name)
-    frame = ui.element("iframe").props(f'src="/cycles/{name}/report" sandbox="allow-scripts"')
-    frame.props(f'title="{visit.t("Report of the cycle")}"')
-    frame.classes("w-full bg-white").style("height: calc(100vh - 9rem); border: 0")

@@ -46,6 +46,7 @@ class _Live:
                 self._fault()
                 if self._visit.may(Role.operate):
                     self._commands()
+                self._camera()
                 self._newest()
             with ui.column().classes("w-full gap-4"):
                 self._shift()
@@ -170,9 +171,8 @@ class _Live:
                     if not (by.value.strip() and note.value.strip()):
                         self._told(t("Give your name, and what you found and did."))
                         return
-                    event = Event.CLEAR if Event.CLEAR in self._possible() else Event.RESET
                     words = (by.value.strip(), note.value.strip())
-                    refused = await run.io_bound(self._visit.command, event, *words)
+                    refused = await run.io_bound(self._visit.acknowledge, *words, self._possible())
                     self._told(refused)
                     if not refused:
                         note.value = ""
@@ -199,6 +199,28 @@ class _Live:
 
     def _own_name(self) -> str:
         return "" if self._visit.room.sessions is None else self._visit.name
+
+    def _camera(self) -> None:
+        t, camera = self._t, self._visit.room.camera
+        with ui.card().classes("w-full") as card:
+            ui.label(t("Camera")).classes("text-xl font-bold")
+            age = ui.label().classes("quiet").props("data-test=age")
+            picture = ui.element("img").classes("w-full max-w-xl")
+            picture.props(f'alt="{t("Camera picture of the cycle under way")}" data-test=camera')
+        shown = [0]
+
+        def update(view: LiveView) -> None:
+            newest = camera.ask() if view.step else None
+            card.set_visibility(newest is not None)
+            if newest is None:
+                return
+            seconds = max(0.0, time.time() - newest.taken_s)
+            age.text = f"{t('Picture as recorded, two a second; its age:')} {seconds:.0f} s"
+            if newest.number != shown[0]:
+                shown[0] = newest.number
+                picture.props(f'src="/live/{newest.number}.jpg"')
+
+        self._updates.append(update)
 
     def _newest(self) -> None:
         t = self._t

@@ -1,56 +1,325 @@
-"""Settings as the file says them, and what `cell check` says of them; nothing is written."""
+"""The settings' form: entries explained, checked as they are typed; differences, then writing."""
 
 from __future__ import annotations
 
-from nicegui import ui
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from nicegui import run, ui
 
 from cell.files.input_error import InputError
-from cell.settings import load_settings
-from cell.settings.calibrated import calibrated
-from cell.settings.check import oddities
+from cell.settings.entries import Entry, Form
+from cell.settings.promotion import read_exactly
+from cell.settings.versions import ChangedMeanwhileError, replace_settings, versions
+from cell.web.draft import Draft, differences
+from cell.web.theme import BLUE, N_
+from cell.web.users import Role
 from cell.web.visit import Visit
+
+#: So many earlier versions are offered.
+_VERSIONS = 50
+_IN_FILE, _ALL = "", "*"
+#: Words of choices that are no words of the file.
+WORDS = {"used": N_("used"), "not used": N_("not used")}
 
 
 def build(visit: Visit) -> None:
     """Fill the page."""
     t, config = visit.t, visit.room.config
     ui.label(t("Settings")).classes("text-2xl").props("role=heading aria-level=1")
-    ui.label(str(config.name)).classes("text-lg")
-    good, said = checked(visit)
-    with ui.card().classes("w-full"):
-        ui.label(t("The settings are right.") if good else t("The settings are wrong."))
-        for line in said:
-            ui.label(line).classes("whitespace-pre-wrap break-words")
-    good, said = calibration(visit)
-    with ui.card().classes("w-full"):
-        ui.label(t("The calibration is valid.") if good else t("There is no valid calibration."))
-        for line in said:
-            ui.label(line).classes("whitespace-pre-wrap break-words")
-    ui.label(t("As in the file; to change it, edit the file and run cell check."))
-    ui.code(text_of(visit), language="yaml").classes("w-full")
-
-
-def checked(visit: Visit) -> tuple[bool, tuple[str, ...]]:
-    """Whether the file is right, and what is said of it."""
+    ui.label(str(config.resolve())).classes("break-all")
+    ui.label(t("A running cell takes changes up at its next start."))
     try:
-        return True, tuple(oddities(load_settings(visit.room.config)))
-    except InputError as error:
-        return False, tuple(str(error).splitlines())
-
-
-def calibration(visit: Visit) -> tuple[bool, tuple[str, ...]]:
-    """Whether the calibration may be used now, and how old and how good it is."""
-    try:
-        settings = load_settings(visit.room.config)
-        known = calibrated(settings, visit.room.config)
-    except InputError as error:
-        return False, tuple(str(error).splitlines())
-    return settings.calibration is not None, tuple(known.notes)
-
-
-def text_of(visit: Visit) -> str:
-    """The file's text; what cannot be read is said."""
-    try:
-        return visit.room.config.read_text(encoding="utf-8")
+        text = read_exactly(config)
+        Draft(config, text).entries()
     except (OSError, ValueError) as error:
-        return f"# {error}"
+        ui.label(str(error)).classes("whitespace-pre-wrap break-words wrong")
+        ui.label(t("Edit the file by hand, then load this page again."))
+        return
+    _Page(visit, Draft(config, text)).build()
+
+
+@dataclass
+class _Row:
+    """An entry on the page: where what is wrong with it is said."""
+
+    entry: Entry
+    said: ui.label
+    field: ui.input | ui.select
+
+
+class _Page:
+    """The elements of one open page, and the changes that it holds."""
+
+    def __init__(self, visit: Visit, draft: Draft) -> None:
+        self._visit, self._t, self._draft = visit, visit.t, draft
+        self._rows: dict[str, _Row] = {}
+        self._shown = 0
+
+    def build(self) -> None:
+        """Make the elements."""
+        t = self._t
+        with ui.element("div").classes("w-full grid grid-cols-1 md:grid-cols-2 gap-4"):
+            self._section = ui.select(self._sections(), value=_IN_FILE, label=t("Section"))
+            self._search = ui.input(t("Search")).props("clearable debounce=200 maxlength=60")
+            self._search.props("data-test=search")
+            for field in (self._section, self._search):
+                field.classes("w-full").on_value_change(self._fill)
+        with ui.card().classes("w-full sticky-card"):
+            self._state = ui.label().classes("text-lg").props("role=status data-test=checked")
+            self._general = ui.label().classes("whitespace-pre-line break-words wrong")
+            with ui.row():
+                show = ui.button(t("Show differences"), on_click=self._differences, color=BLUE)
+                show.props("text-color=white data-test=differences")
+                self._discard = ui.button(t("Discard"), on_click=self._discarded).props("outline")
+        self._list = ui.column().classes("w-full gap-2")
+        self._earlier()
+        self._fill()
+
+    def _sections(self) -> dict[str, str]:
+        names = dict.fromkeys(e.key[0] for e in self._draft.entries())
+        words = {_IN_FILE: self._t("What the file has"), _ALL: self._t("All entries")}
+        return {**words, **{n: n for n in names}}
+
+    def _fill(self) -> None:
+        """Show the entries that are asked for."""
+        self._list.clear()
+        self._rows.clear()
+        section, words = self._section.value, (self._search.value or "").lower().split()
+        heading = ""
+        with self._list:
+            for entry in self._draft.entries():
+                there = entry.given or entry.key in self._draft.changes or entry.key[-1] == "kind"
+                wanted = section in (_ALL, entry.key[0]) or (section == _IN_FILE and there)
+                if words:
+                    said = f"{entry.name} {entry.explained} {entry.unit}".lower()
+                    wanted = all(w in said for w in words)
+                if not wanted:
+                    continue
+                if entry.key[0] != heading:
+                    heading = entry.key[0]
+                    ui.label(heading).classes("text-xl mt-4").props("role=heading aria-level=2")
+                self._rows[entry.name] = self._row(entry)
+            if not self._rows:
+                ui.label(self._t("No entry is called so."))
+        ui.timer(0.01, self._check, once=True)
+
+    def _row(self, entry: Entry) -> _Row:
+        t = self._t
+        given = entry.given or entry.key in self._draft.changes
+        with ui.element("div").classes("w-full grid grid-cols-1 md:grid-cols-2 gap-x-6 entry"):
+            if entry.form is Form.CHOSEN:
+                choices = {w: t(WORDS.get(w, w)) for w in entry.choices}
+                shown = entry.shown(entry.value)
+                value = shown if shown in choices else None
+                field: ui.input | ui.select = ui.select(choices, label=entry.name, value=value)
+                field.props("stack-label")
+            else:
+                field = ui.input(entry.name, value=entry.shown(entry.value) if given else "")
+                field.props("stack-label debounce=300 maxlength=20000 autocomplete=off")
+                field.props["placeholder"] = entry.shown(entry.default)
+                field.props["suffix"] = entry.unit
+            field.classes("w-full").props(f'data-test="{entry.name}" hide-bottom-space')
+            with ui.element("div").classes("flex flex-col"):
+                ui.label(entry.explained)
+                ui.label(self._limits(entry)).classes("text-sm quiet")
+                said = ui.label().classes("break-words wrong").props("aria-live=polite")
+                said.props(f'data-test="{entry.name}:said"')
+        field.on_value_change(self._entered(entry))
+        return _Row(entry, said, field)
+
+    def _limits(self, entry: Entry) -> str:
+        t = self._t
+        usual = entry.shown(entry.default)
+        usual = t(WORDS.get(usual, usual))
+        default = f"{t('default')} {usual}" if usual else t("must be given")
+        return "; ".join(filter(None, (entry.limits, default)))
+
+    def _entered(self, entry: Entry) -> Callable[[Any], Any]:
+        async def entered(event: Any) -> None:
+            if not self._allowed():
+                return
+            present = next((e for e in self._draft.entries() if e.key == entry.key), entry)
+            try:
+                self._draft.enter(present, str(event.value or ""))
+            except InputError as error:
+                self._draft.unreadable[entry.key] = error.problems[0].message
+            if entry.section or entry.key[-1] == "kind":
+                self._fill()
+            else:
+                await self._check()
+
+        return entered
+
+    async def _check(self) -> None:
+        """Say what `cell check` says, beside the entries; an older answer is left out."""
+        self._shown += 1
+        number = self._shown
+        found = await run.io_bound(self._draft.problems)
+        if found is None or number != self._shown:
+            return
+        t, general = self._t, []
+        beside: dict[str, list[str]] = {}
+        for key, said in found:
+            place = next((n for n in self._rows if n == key), "")
+            place = place or next((n for n in self._rows if key.startswith(f"{n}[")), "")
+            if place:
+                beside.setdefault(place, []).append(said)
+            else:
+                general.append(f"{key}: {said}" if key else said)
+        for name, row in self._rows.items():
+            row.said.text = "\n".join(beside.get(name, ()))
+            row.field.props(f"error={'true' if name in beside else 'false'}", remove="error")
+            if name in beside:
+                row.field.props("error")
+        changed = len(self._draft.changes)
+        self._state.text = f"{t('Changes')}: {changed}. " + (
+            t("The settings are wrong.") if found else t("The settings are right.")
+        )
+        if not found:
+            general += await run.io_bound(self._draft.oddities) or ()
+        self._general.text = "\n".join(general)
+        self._discard.set_enabled(bool(changed or self._draft.unreadable))
+
+    def _allowed(self) -> bool:
+        if self._visit.may(Role.engineer):
+            return True
+        ui.navigate.to("/login")
+        return False
+
+    def _discarded(self) -> None:
+        self._load(self._draft.base)
+
+    def _load(self, text: str) -> None:
+        self._draft = Draft(self._draft.config, text)
+        self._section.set_options(self._sections(), value=self._section.value)
+        self._fill()
+
+    async def _differences(self) -> None:
+        problems = await run.io_bound(self._draft.problems)
+        draft = self._draft
+        if problems or not draft.differences():
+            words = self._t("The settings are wrong.") if problems else self._t("Nothing changed.")
+            ui.notify(words, type="warning")
+            return
+        self._confirm(draft.base, draft.text, draft.summary())
+
+    def _confirm(self, before: str, after: str, summary: str) -> None:
+        """Show differences, and write if a person says so."""
+        t = self._t
+        with ui.dialog() as dialog, ui.card().classes("w-full max-w-4xl"):
+            ui.label(t("Differences")).classes("text-xl").props("role=heading aria-level=2")
+            _diff(differences(before, after, self._draft.config.name))
+            ui.label(t("A running cell takes changes up at its next start."))
+            with ui.row():
+                write = ui.button(t("Write"), color=BLUE).props("text-color=white data-test=write")
+                ui.button(t("Close"), on_click=dialog.close).props("outline")
+
+        async def written() -> None:
+            write.disable()
+            dialog.close()
+            await self._write(before, after, summary)
+
+        write.on_click(written)
+        dialog.on("hide", dialog.delete)
+        dialog.open()
+
+    async def _write(self, before: str, after: str, summary: str) -> None:
+        visit, config = self._visit, self._draft.config
+        meanwhile: list[str] = []
+
+        def act() -> str:
+            try:
+                replace_settings(config, before, after)
+            except ChangedMeanwhileError as error:
+                meanwhile.append(error.text)
+                return str(error)
+            except OSError as error:
+                return f"{error.filename or config}: {error.strerror}"
+            return ""
+
+        refused = await run.io_bound(visit.do, "write settings", Role.engineer, act, summary)
+        if meanwhile:
+            self._changed_meanwhile(meanwhile[0])
+        elif refused:
+            ui.notify(refused, type="negative", multi_line=True, close_button=self._t("Close"))
+        elif refused is not None:
+            ui.notify(self._t("The settings are written."), type="positive")
+            self._load(after)
+            self._earlier.refresh()
+
+    def _changed_meanwhile(self, present: str) -> None:
+        t, draft = self._t, self._draft
+        with ui.dialog() as dialog, ui.card().classes("w-full max-w-4xl"):
+            ui.label(t("The file was changed meanwhile; nothing is written.")).classes("text-xl")
+            ui.label(t("Changed in the file meanwhile"))
+            _diff(differences(draft.base, present, draft.config.name))
+            ui.label(t("Your changes"))
+            _diff(draft.differences())
+
+            def take_over() -> None:
+                dialog.close()
+                try:
+                    self._draft = draft.on(present)
+                except InputError as error:
+                    ui.notify(str(error), type="negative", multi_line=True)
+                    return
+                self._fill()
+
+            def load() -> None:
+                dialog.close()
+                self._load(present)
+
+            with ui.row():
+                take = ui.button(t("Make my changes to the new file"), on_click=take_over)
+                take.props("data-test=take-over")
+                ui.button(t("Give my changes up"), on_click=load).props("outline")
+        dialog.on("hide", dialog.delete)
+        dialog.open()
+
+    @ui.refreshable_method
+    def _earlier(self) -> None:
+        """Earlier versions of the file, each of which can be written again."""
+        t, config = self._t, self._draft.config
+        kept = versions(config)[:_VERSIONS]
+        if not kept:
+            return
+        with ui.card().classes("w-full"):
+            ui.label(t("Earlier versions")).classes("text-xl").props("role=heading aria-level=2")
+            names = {str(p): _version(p) for p in kept}
+            chosen = ui.select(names, value=str(kept[0]), label=t("Replaced at"))
+            chosen.classes("w-full")
+
+            def back() -> None:
+                file = Path(str(chosen.value))
+                if file not in kept or not self._allowed():
+                    return
+                try:
+                    present, former = read_exactly(config), read_exactly(file)
+                except (OSError, ValueError) as error:
+                    ui.notify(str(error), type="negative")
+                    return
+                self._confirm(present, former, f"as in {file.name}")
+
+            ui.button(t("Go back to this version"), on_click=back).props("outline data-test=back")
+
+
+def _version(file: Path) -> str:
+    try:
+        at = datetime.fromtimestamp(file.stat().st_mtime).astimezone()
+    except OSError:
+        return file.name
+    return f"{at:%Y-%m-%d %H:%M:%S} ({file.name})"
+
+
+def _diff(text: str) -> None:
+    """A unified diff, coloured, as text that can be selected."""
+    with ui.element("div").classes("w-full overflow-x-auto diff").props("tabindex=0"):
+        for line in text.splitlines()[2:]:
+            ui.label(line or " ").classes(_DIFF.get(line[:1], ""))
+
+
+_DIFF: Mapping[str, str] = {"+": "added", "-": "removed", "@": "quiet"}

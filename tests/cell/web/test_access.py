@@ -16,9 +16,12 @@ from cell.plant.messages import Answer, Request
 from cell.run.machine import CellState, Event
 from cell.settings import load_settings
 from cell.web.audit import Audit, audit_file
+from cell.web.camera import LiveCamera
 from cell.web.control import LOST_S, Control
 from cell.web.cycles import cycle_folder
+from cell.web.films import Films
 from cell.web.guard import MOST_BYTES, Guard
+from cell.web.guided import Guided
 from cell.web.serve import may_be_served
 from cell.web.sessions import IDLE_S, LONGEST_S, MOST_WRONG, Session, Sessions, local_session
 from cell.web.users import Role, User, Users
@@ -244,7 +247,8 @@ def visit(runs: Path, session: Session, sessions: Sessions | None) -> Visit:
     settings, client = load_settings(CONFIG), Asked(runs)
     client.requests = []
     watch, audit = Watch(client, settings, runs), Audit(audit_file(runs))
-    room = Room(CONFIG, settings, runs, client, watch, Control(), audit, sessions)
+    seen = (Films(), LiveCamera(runs), Guided())
+    room = Room(CONFIG, settings, runs, client, watch, Control(), audit, *seen, sessions)
     return Visit(room, session, "page 1", "en", str)
 
 
@@ -271,9 +275,13 @@ def test_a_start_needs_control_and_a_stop_does_not(tmp_path: Path) -> None:
     assert operating.command(Event.STOP) == ""
     operating.room.control.take("page 1", "local")
     assert operating.command(Event.RESET, "Ada", "cable taken out") == ""
+    fault = (Event.CLEAR, Event.STOP)
+    assert operating.acknowledge("Ada", "cable taken out", fault) == ""
     assert "printable" in operating.command(Event.START, part="A\n")
     assert "printable" in operating.command(Event.START, part="A" * 201)
     assert client.requests == [
         Request(Event.STOP, "web:local"),
+        Request(Event.RESET, "web:local (Ada)", "cable taken out"),
+        Request(Event.CLEAR, "web:local (Ada)", "cable taken out"),
         Request(Event.RESET, "web:local (Ada)", "cable taken out"),
     ]

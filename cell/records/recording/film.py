@@ -1,0 +1,175 @@
+"""Single frames of a recording, found by its index: the rest of the file is not read."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
+from mcap.data_stream import ReadDataStream
+from mcap.reader import make_reader
+from mcap.records import Chunk, Message, MessageIndex
+from mcap.stream_reader import breakup_chunk
+from numpy.typing import NDArray
+
+from cell.files.atomic import write_whole
+from cell.files.input_error import InputError
+from cell.files.yaml_document import read_yaml
+from cell.records.recording import form
+from cell.records.recording.reading import UNREADABLE, image_of
+from cell.records.recording.retention import KEPT
+
+#: Before a record: what it is, and its length.
+_HEAD_BYTES = 9
+#: The cable as it was seen is drawn in this colour, blue first.
+_SEEN = (255, 160, 0)
+
+
+@dataclass(frozen=True)
+class Film:
+    """Frames of a recording, in the order of their times.
+
+    stamps_ns  when each was taken, nanoseconds since 1970
+    places     time → where in the file the chunk with the frame, and with what was seen in it, is
+    channels   numbers of the two topics
+    """
+
+    path: Path
+    stamps_ns: tuple[int, ...]
+    places: Mapping[int, tuple[int, ...]] = field(repr=False)
+    channels: tuple[int, int]
+
+    @property
+    def times_s(self) -> tuple[float, ...]:
+        """Since the first frame."""
+        return tuple((s - self.stamps_ns[0]) * 1e-9 for s in self.stamps_ns)
+
+
+def read_film(path: Path) -> Film:
+    """Which frames a recording has.
+
+    raises  InputError: it cannot be read
+    """
+    places: dict[int, tuple[int, ...]] = {}
+    with _told(path), path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+        if summary is None:
+            raise ValueError("it has no index")
+        known = {c.topic: c.id for c in summary.channels.values()}
+        channels = known.get(form.IMAGE, -1), known.get(form.SEEN, -1)
+        stamps: list[int] = []
+        for chunk in summary.chunk_indexes:
+            for channel in channels:
+                if channel not in chunk.message_index_offsets:
+                    continue
+                file.seek(chunk.message_index_offsets[channel] + _HEAD_BYTES)
+                found = [stamp for stamp, _ in MessageIndex.read(ReadDataStream(file)).records]
+                stamps += found if channel == channels[0] else ()
+                for stamp in found:
+                    places[stamp] = (*places.get(stamp, ()), chunk.chunk_start_offset)
+    return Film(path, tuple(sorted(stamps)), places, channels)
+
+
+def frame_jpeg(film: Film, number: int, width_px: int) -> bytes:
+    """A frame with the cable as it was seen, as JPEG of at most this width.
+
+    raises  IndexError: there is no such frame; InputError: the recording cannot be read
+    """
+    stamp_ns = film.stamps_ns[number]
+    image: NDArray[np.uint8] | None = None
+    seen: list[tuple[float, float]] = []
+    with _told(film.path), film.path.open("rb") as file:
+        for place in dict.fromkeys(film.places[stamp_ns]):
+            file.seek(place + _HEAD_BYTES)
+            for message in breakup_chunk(Chunk.read(ReadDataStream(file))):
+                if not isinstance(message, Message) or message.log_time != stamp_ns:
+                    continue
+                if message.channel_id == film.channels[0]:
+                    image = image_of(message.data)
+                elif message.channel_id == film.channels[1]:
+                    lines = ImageAnnotations.FromString(message.data).points
+                    seen = [(p.x, p.y) for line in lines for p in line.points]
+        if image is None:
+            raise ValueError(f"it has no frame {number}")
+    picture = drawn(image, np.array(seen).reshape(-1, 2))
+    scale = min(1.0, width_px / picture.shape[1])
+    if scale < 1.0:
+        size = (round(scale * picture.shape[1]), round(scale * picture.shape[0]))
+        picture = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
+    return bytes(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 80])[1])
+
+
+@contextmanager
+def _told(path: Path) -> Iterator[None]:
+    """What the system or the file refuses, in words."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError.at(path, f"cannot be read: {error.strerror}") from error
+    except UNREADABLE as error:
+        raise InputError.at(path, f"cannot be read: {error!r}") from error
+
+
+def drawn(image: NDArray[np.uint8], points_px: NDArray[np.float64] | None) -> NDArray[np.uint8]:
+    """(H, W, 3) picture, blue first: a frame (H, W) with the cable as it was seen.
+
+    points_px  (n, 2) column and row; None = it was not seen
+    """
+    picture = np.asarray(cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_GRAY2BGR), np.uint8)
+    if points_px is not None and len(points_px):
+        line = np.round(points_px).astype(np.int32)[:, None]
+        cv2.polylines(picture, [line], False, _SEEN, 4, cv2.LINE_AA)
+        for u, v in line[:, 0].tolist():
+            cv2.circle(picture, (u, v), 6, _SEEN, 2, cv2.LINE_AA)
+    return picture
+
+
+def why_no_film(folder: Path) -> str:
+    """Why a cycle's folder has no recording that can be shown; "" = it has one."""
+    if (folder / form.FILE).exists():
+        return ""
+    if (folder / form.PART).exists():
+        return "the recording is being written, or its recorder was killed: cell recover"
+    if (folder / form.STORED).exists():
+        return f"the recording is in the store; bring it back: cell fetch {folder}"
+    if (folder / form.REMOVED).exists():
+        said = _json(folder / form.REMOVED)
+        return f"the recording was removed on {said.get('at', '?')}: {said.get('why', '?')}"
+    if _recording_of(folder) is None:
+        return "nothing was recorded: the settings said `recording: null`"
+    return "the recording was not kept: see `keep` and the limits in the section `recording`"
+
+
+def keep_recording(folder: Path, kept: bool) -> None:
+    """Mark a cycle's recording as kept for good, or no longer.  Raises OSError."""
+    if kept:
+        write_whole(folder / KEPT, "")
+    else:
+        (folder / KEPT).unlink(missing_ok=True)
+
+
+def is_kept(folder: Path) -> bool:
+    """Whether a cycle's recording is kept for good."""
+    return (folder / KEPT).exists()
+
+
+def _recording_of(folder: Path) -> Any:
+    """Section `recording` of the cycle's settings; "" = it is not known."""
+    try:
+        return read_yaml(folder / "settings.yaml").data.get("recording", "")
+    except (InputError, AttributeError):
+        return ""
+
+
+def _json(path: Path) -> dict[str, Any]:
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}

@@ -1,0 +1,147 @@
+"""What a cycle's page shows, as plain data, from the cycle's folder."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cell.files.input_error import InputError
+from cell.files.table import TableData
+from cell.records.cycle_page import how_it_ended, numbers_table, parameters_table
+from cell.records.folder import Recorded, read_record
+from cell.records.past_cycles import cycle_of
+from cell.records.recording import form
+from cell.records.recording.film import is_kept, why_no_film
+from cell.records.recording.reading import read_recording
+
+#: Lines of the tip's path, those on top last.
+_COLOURS = {"seen": "#0b7fab", "predicted": "#d97706", "destination": "#b3261e"}
+
+
+@dataclass(frozen=True)
+class CycleView:
+    """A cycle at a glance; texts are English.
+
+    spent     states and steps: name → seconds, in their order
+    tip       lines of the tip's path: name → (n, 2) mm
+    no_film   why there is no film, "" = there is one
+    gaps      frames that are missing in it
+    pictures  names of files
+    """
+
+    cycle: int
+    begun: datetime | None
+    part: str
+    says: str
+    good: bool
+    numbers: TableData | None
+    parameters: TableData | None
+    spent: Mapping[str, Mapping[str, float]]
+    tip: Mapping[str, list[list[float]]]
+    no_film: str
+    kept: bool
+    gaps: tuple[str, ...]
+    pictures: tuple[str, ...]
+
+
+def cycle_view(folder: Path) -> CycleView:
+    """What is known of a cycle.  Raises InputError: the folder cannot be read."""
+    record = read_record(folder)
+    result = record.result
+    says, good = how_it_ended(record)
+    no_film = why_no_film(folder)
+    decision: Mapping[str, Any] | None = None
+    destination: Mapping[str, Sequence[float]] | None = None
+    gaps: tuple[str, ...] = ()
+    if not no_film:
+        try:
+            recording = read_recording(folder / form.FILE)
+            decision = recording.last(form.DECISION)
+            said = recording.last(form.SETTINGS)
+            destination = None if said is None else said["settings"]["destination"]
+            gaps = tuple(f"{g['frames']}: {g['cause']}" for g in recording.json(form.GAP))
+        except InputError as error:
+            no_film = str(error)
+    begun = cycle_of(folder)
+    return CycleView(
+        cycle=record.cycle,
+        begun=None if begun is None else begun[0],
+        part=(result.part if result else None) or "",
+        says=says,
+        good=good,
+        numbers=None if result is None else numbers_table(result),
+        parameters=None if record.model is None else parameters_table(record.model),
+        spent={} if result is None else {"state": result.state_seconds, "step": result.seconds},
+        tip=_tip(record, decision, destination),
+        no_film=no_film,
+        kept=is_kept(folder),
+        gaps=gaps,
+        pictures=tuple(sorted(p.name for p in folder.glob("*.png") if p.is_file())),
+    )
+
+
+def _tip(
+    record: Recorded,
+    decision: Mapping[str, Any] | None,
+    destination: Mapping[str, Sequence[float]] | None,
+) -> dict[str, list[list[float]]]:
+    lines = {}
+    if decision is not None and decision.get("tip_m"):
+        lines["predicted"] = _mm(decision["tip_m"])
+    trials = () if record.study is None else record.study.trials
+    for trial in trials:
+        if trial.name == "execute" and record.study is not None:
+            tip = int(np.argmax(record.study.arc_length_m))
+            lines["seen"] = _mm(trial.markers.xy_m[:, tip])
+    if destination is not None and lines:
+        (x0, x1), (y0, y1) = destination["x_m"], destination["y_m"]
+        lines["destination"] = _mm([[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]])
+    return lines
+
+
+def _mm(xy_m: Any) -> list[list[float]]:
+    points = np.array(xy_m, float).reshape(-1, 2) * 1e3
+    kept: list[list[float]] = np.round(points[np.isfinite(points).all(axis=1)], 2).tolist()
+    return kept
+
+
+def tip_chart(tip: Mapping[str, list[list[float]]], names: Mapping[str, str]) -> dict[str, Any]:
+    """The tip's path as an ECharts option.
+
+    names  of the lines, in the legend
+    """
+    grey = "#8a94a3"
+    axis = {
+        "type": "value",
+        "scale": True,
+        "nameLocation": "middle",
+        "nameGap": 28,
+        "nameTextStyle": {"color": grey},
+        "axisLabel": {"color": grey},
+        "splitLine": {"lineStyle": {"color": f"{grey}55"}},
+    }
+    return {
+        "animation": False,
+        "grid": {"left": 60, "right": 15, "top": 40, "bottom": 45},
+        "legend": {"top": 0, "textStyle": {"color": grey}},
+        "tooltip": {},
+        "xAxis": {**axis, "name": "x, mm"},
+        "yAxis": {**axis, "name": "y, mm", "nameGap": 42},
+        "series": [
+            {
+                "name": names[key],
+                "type": "line",
+                "data": line,
+                "symbolSize": 0 if key == "destination" else 4,
+                "itemStyle": {"color": _COLOURS[key]},
+                "lineStyle": {"type": "dashed" if key == "predicted" else "solid"},
+            }
+            for key in _COLOURS
+            if (line := tip.get(key))
+        ],
+    }

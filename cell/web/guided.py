@@ -1,0 +1,155 @@
+"""A calibration as a process of its own, which tells what to do and waits for answers."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+#: So many lines are kept of what the process has said.
+_LINES = 40
+#: After a request to end it may take so long, s, then it is killed.
+_ENDS_S = 20.0
+
+
+@dataclass(frozen=True)
+class GuidedState:
+    """What a guided command has come to.
+
+    ask    what a person is to do now; "" = nothing
+    said   its newest lines
+    code   how it has ended; None = it runs
+    """
+
+    title: str = ""
+    ask: str = ""
+    said: tuple[str, ...] = ()
+    done: int = 0
+    total: int = 0
+    begun_s: float = 0.0
+    code: int | None = 0
+
+    @property
+    def runs(self) -> bool:
+        """Whether it is under way."""
+        return self.code is None
+
+
+class Guided:
+    """At most one command at a time; safe to be used from several threads."""
+
+    def __init__(self) -> None:
+        self.state = GuidedState()
+        self._lock = threading.Lock()
+        self._process: subprocess.Popen[str] | None = None
+        self._following: threading.Thread | None = None
+        self._errors: deque[str] = deque(maxlen=_LINES)
+
+    def start(self, title: str, command: Sequence[str]) -> str:
+        """Start a command; why it cannot be, or ""."""
+        with self._lock:
+            if self.state.runs:
+                return f"{self.state.title} is under way"
+            pipe = subprocess.PIPE
+            try:
+                self._process = subprocess.Popen(
+                    command, stdin=pipe, stdout=pipe, stderr=pipe, text=True, encoding="utf-8"
+                )
+            except OSError as error:
+                return f"{command[0]}: {error.strerror}"
+            self.state = GuidedState(title, begun_s=time.time(), code=None)
+            self._errors.clear()
+        follow = threading.Thread(target=self._follow, args=(self._process,), daemon=True)
+        follow.start()
+        self._following = follow
+        return ""
+
+    def answer(self, words: str, to: str) -> str:
+        """Answer the question `to`; why that cannot be, or ""."""
+        with self._lock:
+            process = self._process
+            if not self.state.ask or self.state.ask != to or process is None:
+                return "this was answered already, or is asked no more"
+            self.state = replace(self.state, ask="")
+        assert process.stdin is not None
+        try:
+            process.stdin.write(words.replace("\n", " ") + "\n")
+            process.stdin.flush()
+        except (OSError, ValueError) as error:
+            return f"it has ended: {error}"
+        return ""
+
+    def cancel(self) -> str:
+        """Have it end, and its devices with it; why that cannot be, or ""."""
+        process = self._process
+        if process is None or not self.state.runs:
+            return "nothing is under way"
+        process.terminate()
+        threading.Thread(target=_killed_later, args=(process,), daemon=True).start()
+        return ""
+
+    def close(self) -> None:
+        """End what is under way, and wait for it."""
+        if self._process is not None and self.state.runs:
+            self._process.terminate()
+            _killed_later(self._process)
+        if self._following is not None:
+            self._following.join()
+
+    def _follow(self, process: subprocess.Popen[str]) -> None:
+        assert process.stdout is not None
+        hear = threading.Thread(target=self._hear, args=(process,), daemon=True)
+        hear.start()
+        for line in process.stdout:
+            message = _message(line)
+            with self._lock:
+                now = self.state
+                if "ask" in message:
+                    now = replace(now, ask=str(message["ask"]))
+                if said := str(message.get("say", "")).strip():
+                    now = replace(now, said=(*now.said, said)[-_LINES:])
+                if message.get("total"):
+                    now = replace(now, done=int(message["done"]), total=int(message["total"]))
+                self.state = now
+        hear.join()
+        with suppress(OSError), process:  # closes its pipes
+            pass
+        code = process.wait()
+        with self._lock:
+            last = (*self.state.said, *self._errors)[-_LINES:]
+            self.state = replace(self.state, ask="", said=last, code=code)
+
+    def _hear(self, process: subprocess.Popen[str]) -> None:
+        assert process.stderr is not None
+        for line in process.stderr:
+            self._errors.append(line.strip())
+
+
+def calibrate_command(part: str, config: Path) -> list[str]:
+    """The command that calibrates a part, or checks it, and speaks with this program."""
+    words = [sys.executable, "-m", "cell", "calibrate", *([part] if part else [])]
+    return [*words, "--config", str(config), "--dialogue"]
+
+
+def _message(line: str) -> dict[str, Any]:
+    """A line of JSON; other text is something that is said."""
+    with suppress(ValueError):
+        found = json.loads(line)
+        if isinstance(found, dict):
+            return found
+    return {"say": line}
+
+
+def _killed_later(process: subprocess.Popen[str]) -> None:
+    try:
+        process.wait(_ENDS_S)
+    except subprocess.TimeoutExpired:
+        process.kill()

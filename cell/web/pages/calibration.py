@@ -1,0 +1,230 @@
+"""Calibrations: how old and how good each is; made anew, one instruction at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from nicegui import run, ui
+
+from cell.files.input_error import InputError
+from cell.settings import load_settings
+from cell.settings.model import Settings
+from cell.web.calibration_view import WORDS, Part, parts
+from cell.web.guided import calibrate_command
+from cell.web.pages.tables import table
+from cell.web.theme import BLUE, GREEN, N_, RED
+from cell.web.users import Role
+from cell.web.visit import Visit
+
+#: The page is brought up to date so often, s.
+_EVERY_S = 0.5
+#: What can be started: word of the command, heading.
+_STARTS = (
+    ("", N_("Everything")),
+    ("camera", N_("Camera")),
+    ("cell", N_("Cell")),
+    ("time", N_("Time")),
+    ("grip", N_("Grip")),
+    ("check", N_("Check")),
+)
+
+
+def build(visit: Visit) -> None:
+    """Fill the page."""
+    t = visit.t
+    ui.label(t("Calibration")).classes("text-2xl").props("role=heading aria-level=1")
+    try:
+        settings = load_settings(visit.room.config)
+    except InputError as error:
+        ui.label(str(error)).classes("wrong break-words")
+        return
+    if settings.calibration is None:
+        words = t("The settings have no section `calibration`: camera.view is typed by hand.")
+        ui.label(words).props("data-test=uncalibrated")
+        return
+    _Page(visit, settings).build()
+
+
+class _Page:
+    """The elements of one open page."""
+
+    def __init__(self, visit: Visit, settings: Settings) -> None:
+        self._visit, self._t, self._settings = visit, visit.t, settings
+        self._updates: list[Callable[[], None]] = []
+        self._ran = False
+
+    def build(self) -> None:
+        """Make the elements, and keep them up to date."""
+        self._guide()
+        self._states()
+        self._starts()
+        ui.timer(_EVERY_S, self._update)
+        self._update()
+
+    def _update(self) -> None:
+        if not self._visit.may(Role.engineer, used=False):
+            ui.navigate.to("/login")
+            return
+        for update in self._updates:
+            update()
+        runs = self._visit.room.guided.state.runs
+        if self._ran and not runs:
+            self._states.refresh()
+        self._ran = runs
+
+    @ui.refreshable_method
+    def _states(self) -> None:
+        """What there is."""
+        t = self._t
+        found = parts(self._settings)
+        heads = [t("Calibration"), t("State"), t("Made"), t("Age"), t("Errors and bounds")]
+        rows = [
+            [
+                t(WORDS[p.kind]),
+                self._state(p),
+                "" if p.made is None else f"{p.made:%Y-%m-%d %H:%M}",
+                "" if p.made is None else f"{_hours(p.age_h)} ≤ {_hours(p.most_h)}",
+                "\n".join(f"{name}: {text}" for name, text in p.errors),
+            ]
+            for p in found
+        ]
+        table(t("What there is"), heads, rows, set())
+        with ui.row().classes("gap-4"):
+            for p in found:
+                if p.made is not None:
+                    ui.link(f"{t('Report')}: {p.kind}", f"/calibration/{p.kind}", new_tab=True)
+
+    def _state(self, part: Part) -> str:
+        t = self._t
+        if part.valid:
+            return t("valid")
+        return (
+            f"{t('missing') if part.made is None and not part.why else t('not valid')} {part.why}"
+        )
+
+    def _starts(self) -> None:
+        t, room = self._t, self._visit.room
+        with ui.card().classes("w-full"):
+            ui.label(t("Calibrate anew")).classes("text-xl font-bold").props(
+                "role=heading aria-level=2"
+            )
+            words = t("Needs the devices: end the cell first. The hand moves within the limits.")
+            ui.label(words)
+            runs = ui.label(t("A cell runs now: end it first.")).classes("wrong")
+            runs.props("data-test=cell-runs")
+            buttons = []
+            with ui.row():
+                for part, title in _STARTS:
+                    button = ui.button(t(title), on_click=self._start(part), color=BLUE)
+                    button.props(f'text-color=white data-test="start-{part or "all"}"')
+                    buttons.append(button)
+
+        def update() -> None:
+            there = room.watch.seen.there
+            runs.set_visibility(there)
+            for button in buttons:
+                button.set_enabled(not there and not room.guided.state.runs)
+
+        self._updates.append(update)
+
+    def _start(self, part: str) -> Callable[[], Any]:
+        async def start() -> None:
+            visit = self._visit
+            command = calibrate_command(part, visit.room.config)
+            title = " ".join(("calibrate", part)).strip()
+
+            def act() -> str:
+                if visit.room.watch.seen.there:
+                    return "a cell runs and has the devices: end it first"
+                return visit.room.guided.start(title, command)
+
+            self._told(await run.io_bound(visit.do, title, Role.engineer, act))
+
+        return start
+
+    def _guide(self) -> None:
+        t, guided = self._t, self._visit.room.guided
+        with ui.card().classes("w-full") as card:
+            title = ui.label().classes("text-xl font-bold").props("data-test=guided")
+            ask = (
+                ui.label().classes("text-2xl break-words guide").props("role=status data-test=ask")
+            )
+            with ui.row() as answers:
+                for words, word, colour in (("", N_("Done, go on"), GREEN), ("n", N_("No"), BLUE)):
+                    button = ui.button(t(word), color=colour, on_click=self._answer(words))
+                    button.classes("big-button").props(
+                        f'text-color=white data-test="answer{words}"'
+                    )
+            bar = ui.linear_progress(show_value=False).props(f'aria-label="{t("Progress")}"')
+            said = ui.label().classes("whitespace-pre-line break-words font-mono")
+            said.props("data-test=guided-said")
+            picture = ui.element("img").classes("w-full max-w-3xl")
+            picture.props(f'alt="{t("Corners of the board seen so far; the newest in orange")}"')
+            cancel = ui.button(t("Cancel"), color=RED, on_click=self._cancel)
+            cancel.props("text-color=white data-test=cancel")
+        shown = [0.0]
+
+        def update() -> None:
+            state = guided.state
+            card.set_visibility(bool(state.title))
+            ended = "" if state.runs else self._ended(state.code)
+            title.text = f"{state.title}: {ended}" if ended else state.title
+            ask.text = state.ask
+            answers.set_visibility(bool(state.ask))
+            bar.set_visibility(state.runs and state.total > 0)
+            bar.value = state.done / state.total if state.total else 0.0
+            said.text = "\n".join(state.said[-(4 if state.runs else 12) :])
+            cancel.set_visibility(state.runs)
+            written_s = self._coverage_s()
+            picture.set_visibility(written_s > state.begun_s)
+            if written_s > max(state.begun_s, shown[0]):
+                shown[0] = written_s
+                picture.props(f'src="/calibration/coverage.jpg?{written_s}"')
+
+        self._updates.append(update)
+
+    def _ended(self, code: int | None) -> str:
+        t = self._t
+        words = {0: t("done"), 1: t("done, but not good enough")}
+        return words.get(code or 0, t("nothing came of it"))
+
+    def _coverage_s(self) -> float:
+        """When the picture of the coverage was written, Unix time; 0 = never."""
+        from cell.calibration.coverage import FILE
+
+        assert self._settings.calibration is not None
+        try:
+            return (self._settings.calibration.folder / FILE).stat().st_mtime
+        except OSError:
+            return 0.0
+
+    def _answer(self, words: str) -> Callable[[], Any]:
+        async def answer() -> None:
+            guided = self._visit.room.guided
+            to = guided.state.ask
+            self._told(
+                await run.io_bound(
+                    self._visit.do,
+                    "answer calibration",
+                    Role.engineer,
+                    lambda: guided.answer(words, to),
+                    f"{to} {words or 'done'}",
+                )
+            )
+
+        return answer
+
+    async def _cancel(self) -> None:
+        guided = self._visit.room.guided
+        self._told(
+            await run.io_bound(self._visit.do, "cancel calibration", Role.engineer, guided.cancel)
+        )
+
+    def _told(self, refused: str | None) -> None:
+        if refused:
+            ui.notify(refused, type="negative", multi_line=True, close_button=self._t("Close"))
+
+
+def _hours(hours: float) -> str:
+    return f"{hours / 24.0:.1f} d" if hours >= 48.0 else f"{hours:.1f} h"

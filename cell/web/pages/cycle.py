@@ -1,0 +1,246 @@
+"""One cycle: film with a slider, the tip's path, times, parameters; whether the film is kept."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from datetime import datetime
+from pathlib import Path
+
+from nicegui import run, ui
+
+from cell.files.input_error import InputError
+from cell.files.table import TableData
+from cell.records.recording import form
+from cell.records.recording.film import keep_recording
+from cell.records.recording.retention import remove_recording
+from cell.run.machine import CellState
+from cell.web.cycle_view import CycleView, cycle_view, tip_chart
+from cell.web.cycles import cycle_folder
+from cell.web.pages.tables import table
+from cell.web.theme import BLUE, LOOKS, N_, RED
+from cell.web.users import Role
+from cell.web.views import STEPS
+from cell.web.visit import Visit
+
+#: The film is played so much slower than reality.
+_SLOWER = 10
+#: What the slider and the button do, in the browser alone: `film` is made below.
+_SCRIPT = """
+<script>
+window.film = {
+  times: [], base: '', at: 0, timer: null,
+  show(k) {
+    this.at = Math.max(0, Math.min(this.times.length - 1, k));
+    document.getElementById('film-frame').src = `${this.base}/${this.at}.jpg`;
+    document.getElementById('film-slider').value = this.at;
+    document.getElementById('film-time').textContent =
+      `${this.times[this.at].toFixed(3)} s · ${this.at + 1}/${this.times.length}`;
+  },
+  stop() { clearInterval(this.timer); this.timer = null; },
+  play() {
+    if (this.timer) { this.stop(); return; }
+    if (this.at >= this.times.length - 1) this.show(0);
+    const from = this.times[this.at], begun = performance.now();
+    this.timer = setInterval(() => {
+      if (!document.getElementById('film-frame').complete) return;
+      const t = from + (performance.now() - begun) / 1000 / SLOWER;
+      let k = this.at;
+      while (k < this.times.length - 1 && this.times[k + 1] <= t) k++;
+      if (k !== this.at) this.show(k);
+      if (k >= this.times.length - 1) this.stop();
+    }, 60);
+  },
+};
+</script>
+""".replace("SLOWER", str(_SLOWER))
+_LINES = {"seen": N_("seen"), "predicted": N_("predicted"), "destination": N_("destination")}
+
+
+def build(visit: Visit, name: str) -> None:
+    """Fill the page; what takes its time follows."""
+    ui.add_body_html(_SCRIPT)
+    with ui.column().classes("w-full max-w-7xl mx-auto p-2 gap-4"):
+        with ui.row().classes("items-center gap-6"):
+            ui.link(visit.t("Back to the history"), "/history")
+            ui.link(visit.t("Report for printing"), f"/cycles/{name}/report", new_tab=True)
+        page = _Page(visit, name)
+        ui.timer(0.01, page.fill, once=True)
+
+
+class _Page:
+    """The elements of one open page."""
+
+    def __init__(self, visit: Visit, name: str) -> None:
+        self._visit, self._t, self._name = visit, visit.t, name
+        self._place = ui.column().classes("w-full gap-4")
+
+    async def fill(self) -> None:
+        """Show the cycle as it is now."""
+        folder = cycle_folder(self._visit.room.runs, self._name)
+        if folder is None or not self._visit.may(Role.watch):
+            ui.navigate.to("/history")
+            return
+        try:
+            found = await run.io_bound(_found, self._visit, folder)
+        except InputError as error:
+            with self._place:
+                ui.label(str(error)).classes("wrong break-words")
+            return
+        if found is None:
+            return
+        view, times = found
+        self._place.clear()
+        with self._place:
+            self._heading(view)
+            with ui.element("div").classes("w-full grid grid-cols-1 lg:grid-cols-2 gap-4"):
+                self._film(view, times)
+                self._tip(view)
+                self._table(self._t("Result"), view.numbers)
+                self._table(self._t("Parameters of the cable"), view.parameters)
+                self._spent(view)
+            self._pictures(view)
+
+    def _heading(self, view: CycleView) -> None:
+        t = self._t
+        title = f"{t('Cable')} {view.cycle}"
+        ui.label(title).classes("text-2xl").props("role=heading aria-level=1")
+        said = ui.label(view.says).classes("text-lg break-words").props("data-test=says")
+        said.classes(add="" if view.good else "wrong")
+        begun = f"{view.begun:%Y-%m-%d %H:%M:%S}" if view.begun else ""
+        part = f"{t('Part')} {view.part}" if view.part else ""
+        ui.label(" · ".join(filter(None, (begun, part, self._name)))).classes("break-all")
+
+    def _film(self, view: CycleView, times: tuple[float, ...]) -> None:
+        t = self._t
+        with ui.card().classes("w-full"):
+            ui.label(t("Film")).classes("text-xl font-bold").props("role=heading aria-level=2")
+            if view.no_film or not times:
+                said = view.no_film or "the recording has no frames"
+                ui.label(said).classes("break-words").props("data-test=no-film")
+            else:
+                self._player(times)
+                for gap in view.gaps:
+                    ui.label(f"{t('Frames that are missing')}: {gap}").classes("break-words")
+            if not view.no_film and self._visit.may(Role.engineer):
+                self._kept(view)
+
+    def _player(self, times: tuple[float, ...]) -> None:
+        t, base = self._t, f"/cycles/{self._name}/frames"
+        frame = ui.element("img").classes("w-full")
+        frame.props(f'id=film-frame src="{base}/0.jpg" alt="{t("Frame with the cable as seen")}"')
+        slider = ui.element("input").classes("w-full film-slider")
+        slider.props(f"id=film-slider type=range min=0 max={len(times) - 1} value=0 step=1")
+        slider.props(f'aria-label="{t("Time in the film")}" data-test=slider')
+        slider.on("input", js_handler="(e) => { film.stop(); film.show(Number(e.target.value)); }")
+        with ui.row().classes("items-center w-full"):
+            play = ui.button(t("Play, stop"), icon="play_arrow", color=BLUE)
+            play.props("text-color=white data-test=play")
+            play.on("click", js_handler="() => film.play()")
+            ui.label(f"0.000 s · 1/{len(times)}").props("id=film-time data-test=time")
+            ui.label(f"{t('slower than reality:')} {_SLOWER} ×").classes("quiet")
+        given = json.dumps([round(s, 4) for s in times])
+        ui.run_javascript(f"film.stop(); film.times = {given}; film.base = {base!r}; film.at = 0;")
+
+    def _kept(self, view: CycleView) -> None:
+        t = self._t
+        with ui.row().classes("items-center"):
+            words = t("The film is kept for good.") if view.kept else t("The film may be removed.")
+            ui.label(words).props("data-test=kept")
+
+            async def keep() -> None:
+                what = "release recording" if view.kept else "keep recording"
+                await self._did(what, lambda folder: keep_recording(folder, not view.kept))
+
+            label = t("Keep no longer") if view.kept else t("Keep for good")
+            ui.button(label, on_click=keep).props("outline data-test=keep")
+            if view.kept:
+                return
+            with ui.dialog() as dialog, ui.card():
+                ui.label(t("Remove the film of this cycle? Its tables and pictures stay."))
+
+                async def remove() -> None:
+                    dialog.close()
+                    at = f"{datetime.now():%Y-%m-%d}"
+                    why = f"by {self._visit.name} at the pages, {at}"
+                    await self._did(
+                        "remove recording", lambda folder: remove_recording(folder / form.FILE, why)
+                    )
+
+                with ui.row():
+                    sure = ui.button(t("Remove"), color=RED, on_click=remove)
+                    sure.props("text-color=white data-test=remove-sure")
+                    ui.button(t("Close"), on_click=dialog.close).props("outline")
+            ui.button(t("Remove"), on_click=dialog.open).props("outline data-test=remove")
+
+    async def _did(self, what: str, change: Callable[[Path], None]) -> None:
+        def act() -> str:
+            folder = cycle_folder(self._visit.room.runs, self._name)
+            if folder is None:
+                return "the cycle's folder is gone"
+            try:
+                change(folder)
+            except OSError as error:
+                return f"{error.filename}: {error.strerror}"
+            return ""
+
+        refused = await run.io_bound(self._visit.do, what, Role.engineer, act, self._name)
+        if refused:
+            ui.notify(refused, type="negative", multi_line=True, close_button=self._t("Close"))
+        await self.fill()
+
+    def _tip(self, view: CycleView) -> None:
+        t = self._t
+        if not view.tip:
+            return
+        with ui.card().classes("w-full"):
+            ui.label(t("Path of the tip")).classes("text-xl font-bold").props(
+                "role=heading aria-level=2"
+            )
+            names = {key: t(word) for key, word in _LINES.items()}
+            chart = ui.echart(tip_chart(view.tip, names)).classes("w-full h-96")
+            chart.props(f'role=img aria-label="{t("Path of the tip")}"')
+
+    def _table(self, title: str, data: TableData | None) -> None:
+        if data is None or not data.rows:
+            return
+        rows = [[self._t(row[0]), *row[1:]] for row in data.rows]
+        table(title, [self._t(h) if h else "" for h in data.heads], rows, set(data.numbers))
+
+    def _spent(self, view: CycleView) -> None:
+        t = self._t
+        rows = [
+            [t("State") if kind == "state" else t("Step"), _word(t, kind, name), f"{seconds:.3f}"]
+            for kind, spent in view.spent.items()
+            for name, seconds in spent.items()
+            if seconds > 0.0
+        ]
+        if rows:
+            table(t("States and steps"), ["", t("Name"), t("Time, s")], rows, {2})
+
+    def _pictures(self, view: CycleView) -> None:
+        for picture in view.pictures:
+            with ui.element("figure").classes("w-full max-w-4xl"):
+                image = ui.element("img").classes("w-full")
+                image.props(f'src="/cycles/{self._name}/pictures/{picture}" loading=lazy')
+                image.props(f'alt="{picture.removesuffix(".png")}"')
+                with ui.element("figcaption"):
+                    ui.label(picture.removesuffix(".png")).classes("text-sm")
+
+
+def _word(t: Callable[[str], str], kind: str, name: str) -> str:
+    if kind == "state" and name in set(CellState):
+        return t(LOOKS[CellState(name)].word)
+    return t(STEPS.get(name, name.replace("_", " ")))
+
+
+def _found(visit: Visit, folder: Path) -> tuple[CycleView, tuple[float, ...]]:
+    """The cycle, and the times of its frames.  Raises InputError."""
+    view = cycle_view(folder)
+    times: tuple[float, ...] = ()
+    if not view.no_film:
+        try:
+            times = visit.room.films.film(folder).times_s
+        except OSError:  # removed at this moment
+            times = ()
+    return view, times
