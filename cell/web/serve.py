@@ -18,6 +18,7 @@ from starlette.responses import FileResponse, HTMLResponse, RedirectResponse, Re
 from cell.files.input_error import InputError
 from cell.web import cycles
 from cell.web.guard import COOKIE, LOGIN, Guard
+from cell.web.lab_routes import lab_routes
 from cell.web.pages.history import build_cycle
 from cell.web.registry import PAGES, Page
 from cell.web.theme import CSS, N_
@@ -44,7 +45,7 @@ def serve(
     options: dict[str, Any] = {}
     if tls is not None:
         options = {"ssl_certfile": str(tls[0]), "ssl_keyfile": str(tls[1])}
-    with room.watch:
+    with room.watch, room.lab:
         uvicorn.run(
             app,
             host=address[0],
@@ -63,6 +64,7 @@ def application(room: Room, users: Users, secure: bool) -> FastAPI:
     app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
     _login_routes(app, room, users, secure)
     _cycle_routes(app, room)
+    lab_routes(app, room)
     for page in PAGES:
         _page_route(room, page)
 
