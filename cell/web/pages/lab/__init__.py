@@ -29,6 +29,8 @@ def build(visit: Visit) -> None:
     with ui.row().classes("items-center w-full gap-4"):
         ui.label(t("Lab")).classes("text-2xl").props("role=heading aria-level=1")
         study.chooser(desk)
+        again = ui.button(icon="refresh", on_click=desk.changed).props("flat round")
+        again.props(f'data-test=reload aria-label="{t("Read again")}"').tooltip(t("Read again"))
     Strip(desk).build()
     with ui.tabs().classes("w-full").props("align=left inline-label no-caps") as tabs:
         for name, title, icon, _ in _TABS:

@@ -66,7 +66,7 @@ class Desk:
         """Put a job in the queue, audited; whether it was taken."""
         visit, jobs = self.visit, self.lab.jobs
         refused = visit.do(
-            f"lab {task.commands[-1][0]}",
+            f"lab {task.title.lower()}",
             Role.engineer,
             lambda: jobs.submit(task, visit.name),
             task.typed.splitlines()[-1],
@@ -99,7 +99,8 @@ class Desk:
                 type="negative",
                 multi_line=True,
                 close_button=self.t("Close"),
-                classes="whitespace-pre-line lab-refused",
+                classes="whitespace-pre-line",
+                attrs={"data-test": "refused"},
             )
 
     def result(self, file: str) -> Path | None:

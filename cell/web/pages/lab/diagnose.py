@@ -103,10 +103,10 @@ class Part:
             verdict = VERDICTS.get(str(data["verdict"]), str(data["verdict"]))
             ui.label(t(verdict)).classes("text-xl font-bold").props("data-test=verdict")
             log = desk.result("diagnosis.txt")
-            for line in first_lines(log):
-                ui.label(line).classes("break-words")
-            for line in parameter_lines(data):
-                ui.label(line).classes("font-mono break-words").props("data-test=parameter")
+            ui.label("\n".join(first_lines(log))).classes("whitespace-pre-line break-words")
+            parameters = ui.label("\n".join(parameter_lines(data)))
+            parameters.classes("font-mono whitespace-pre-line break-words")
+            parameters.props("data-test=parameters")
             ui.echart(error_steps(data, t)).classes("w-full h-72").props("data-test=falling")
             page = desk.result("diagnosis.html")
             if page is not None:
@@ -152,8 +152,7 @@ class Part:
         with ui.card().classes("w-full").props("data-test=motion"):
             heading(t("The next motion"))
             log = desk.result("suggest.txt")
-            for line in first_lines(log):
-                ui.label(line).classes("break-words")
+            ui.label("\n".join(first_lines(log))).classes("whitespace-pre-line break-words")
             output(desk, t("As the command prints it"), log)
             if motion.exists() and desk.subject is not None:
                 ui.label(t("Measure a cable with it, where the cell is:"))

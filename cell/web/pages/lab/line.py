@@ -109,9 +109,10 @@ class Part:
                 ui.button(self._t("Cancel"), on_click=lambda: asked.submit(False)).props("outline")
                 yes = ui.button(self._t("Promote"), color=BLUE, on_click=lambda: asked.submit(True))
                 yes.props("text-color=white data-test=promote-yes")
-        if await asked and await self._desk.at_once(self._desk.tasks.promote(name)):
-            await self._desk.changed()
+        sure = await asked
         asked.delete()
+        if sure and await self._desk.at_once(self._desk.tasks.promote(name)):
+            await self._desk.changed()
 
     async def _undo(self) -> None:
         if await self._desk.at_once(self._desk.tasks.undo()):

@@ -27,6 +27,8 @@ from cell.web.workspace import plain
 
 #: The newest cycles are offered, so many.
 _MOST_CYCLES = 200
+#: How the line ends that names the page of pictures, which is shown.
+_PICTURES = "pictures of every trial"
 #: Entries of a cable that files do not hold: name, what it is, unit, its size in SI units.
 _ENTRIES = (
     ("free_length_m", N_("Free length"), "mm", 1e-3),
@@ -95,8 +97,9 @@ class Part:
                 self._mapping(subject)
                 return
             log = desk.result("look.txt")
-            for line in told_lines(log, ("Odd:", "To be mended:", "Nothing is odd.")):
-                ui.label(line).classes("break-words whitespace-pre-wrap")
+            said = told_lines(log, ("Odd:", "To be mended:", "Nothing is odd."))
+            told = ui.label("\n".join(line for line in said if not line.endswith(_PICTURES)))
+            told.classes("break-words whitespace-pre-wrap").props("data-test=look-said")
             output(desk, self._t("As the command prints it"), log)
             page = desk.result("look.html")
             if page is not None:
