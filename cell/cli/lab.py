@@ -16,7 +16,7 @@ from cell.cli.delivery import deliver, json_files
 from cell.cli.given import folder_of, folders_of
 from cell.cli.options import taking
 from cell.cli.result_json import STDOUT, Json, JsonCommand, print_result
-from cell.cli.shared import BAD_INPUT, answering, group, stoppable, tell_notes
+from cell.cli.shared import BAD_INPUT, NOT_ALL_DONE, answering, group, stoppable, tell_notes
 from cell.cli.workers import Workers, workers
 from cell.files.overwriting import check_apart, check_output
 from cell.files.rescue import no_room, remedy
@@ -269,15 +269,28 @@ def effects(
             "--effect", help="A file.py with an effect of your own, to check and list too."
         ),
     ] = None,
+    candidates: Annotated[
+        Path | None,
+        typer.Option(
+            "--candidates",
+            help="A folder of files with effects that nobody has read, to check and list too; one "
+            "that could do more than compute is not run.",
+        ),
+    ] = None,
     results: Results = None,
     force: Force = False,
 ) -> None:
-    """List the effects that a model can have: laws, parameters, units and limits."""
-    from cell.lab.data.named_effects import select_effects
+    """List the effects that a model can have: laws, parameters, units and limits.
+
+    Exit codes: 0; 1 if a file of --candidates is left out; 2 if another file is wrong.
+    """
+    from cell.lab.data.named_effects import candidates_in, select_effects
     from cell.lab.report.model_tables import describe_effects, effects_table
 
     with refusing(*results or [], force=force):
-        library = select_effects([], effect or []).candidates
+        good, left_out = ([], []) if candidates is None else candidates_in(candidates)
+        tell_notes(left_out)
+        library = select_effects([], [*(effect or []), *good]).candidates
         described = {"format": "cable-effects/1", "effects": describe_effects(library)}
 
     def printed() -> None:
@@ -285,6 +298,8 @@ def effects(
             show(effects_table(library))
 
     deliver(printed, *json_files(described, *results or []))
+    if left_out:
+        raise typer.Exit(NOT_ALL_DONE)
 
 
 @app.command(cls=JsonCommand)

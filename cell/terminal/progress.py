@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import threading
 import time
@@ -14,6 +15,8 @@ from rich.status import Status
 
 #: Off a terminal a line is printed so often, s: enough to see life, too little to fill a log.
 EVERY_S = 10.0
+#: Variable of the environment by which whoever started a command asks for lines more often, s.
+EVERY_VARIABLE = "CELL_PROGRESS_EVERY_S"
 #: An estimate that is exceeded by no more than this share of it stands.
 SLACK = 0.25
 LONGER = "longer than thought"
@@ -83,7 +86,7 @@ class Ticker:
         wait: Callable[[float], bool] | None = None,
     ) -> None:
         self._line = line
-        self._every_s = EVERY_S if every_s is None else every_s
+        self._every_s = _usual_s() if every_s is None else every_s
         self._closed = threading.Event()
         self._wait = self._closed.wait if wait is None else wait
         self._thread = threading.Thread(target=self._tick, name="progress", daemon=True)
@@ -98,6 +101,14 @@ class Ticker:
         while not self._wait(self._every_s) and not self._closed.is_set():
             if text := self._line():
                 print(text, file=sys.stderr, flush=True)
+
+
+def _usual_s() -> float:
+    """Time between two lines, s: as asked for, but no less than 0.1 s."""
+    try:
+        return max(0.1, float(os.environ[EVERY_VARIABLE]))
+    except (KeyError, ValueError):
+        return EVERY_S
 
 
 class ProgressLine:

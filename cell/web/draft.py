@@ -11,8 +11,8 @@ from cell.files.input_error import InputError
 from cell.files.yaml_document import Document, document_of, dotted
 from cell.files.yaml_edit import UNSET, Names, edited, flow
 from cell.settings.check import oddities
-from cell.settings.loading import settings_of
 from cell.settings.entries import Entry, Form, change_for, entries
+from cell.settings.loading import settings_of
 
 
 class Draft:

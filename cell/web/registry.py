@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from cell.web.pages import calibration, history, live, settings
+from cell.web.pages import calibration, history, lab, live, settings
 from cell.web.theme import N_
 from cell.web.users import Role
 from cell.web.visit import Visit
@@ -30,6 +30,7 @@ class Page:
 PAGES: tuple[Page, ...] = (
     Page("/", N_("Live"), "precision_manufacturing", Role.watch, live.build),
     Page("/history", N_("History"), "history", Role.watch, history.build),
+    Page("/lab", N_("Lab"), "science", Role.engineer, lab.build),
     Page("/calibration", N_("Calibration"), "straighten", Role.engineer, calibration.build),
     Page("/settings", N_("Settings"), "tune", Role.engineer, settings.build),
 )

@@ -21,6 +21,7 @@ from cell.files.input_error import InputError
 from cell.settings import load_settings
 from cell.web import cycles
 from cell.web.guard import COOKIE, LOGIN, Guard
+from cell.web.lab_routes import lab_routes
 from cell.web.pages.cycle import build as build_cycle
 from cell.web.registry import PAGES, Page
 from cell.web.theme import CSS, N_
@@ -54,7 +55,7 @@ def serve(
     options: dict[str, Any] = {}
     if tls is not None:
         options = {"ssl_certfile": str(tls[0]), "ssl_keyfile": str(tls[1])}
-    with room.watch:
+    with room.watch, room.lab:
         uvicorn.run(
             app,
             host=address[0],
@@ -75,6 +76,7 @@ def application(room: Room, users: Users, secure: bool) -> FastAPI:
     _login_routes(app, room, users, secure)
     _cycle_routes(app, room)
     _calibration_routes(app, room)
+    lab_routes(app, room)
     for page in PAGES:
         _page_route(room, page)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Container
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 from cell.plant.client import Client
@@ -16,10 +17,12 @@ from cell.web.camera import LiveCamera
 from cell.web.control import Control
 from cell.web.films import Films
 from cell.web.guided import Guided
+from cell.web.lab import Lab
 from cell.web.sessions import Session, Sessions
 from cell.web.users import Role
 from cell.web.watching import Watch
 from cell.web.wording import Translate
+from cell.web.workspace import Workspace
 
 #: Commands that need no control of the cell: whoever may operate may stop it.
 _ALWAYS = frozenset({Event.STOP})
@@ -45,6 +48,11 @@ class Room:
     camera: LiveCamera
     guided: Guided
     sessions: Sessions | None
+
+    @cached_property
+    def lab(self) -> Lab:
+        """What the lab's pages share; made when it is first asked for."""
+        return Lab(Workspace.beside(self.runs))
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,335 @@
+"""The lab's work, asked for at the pages: commands as child processes, one after another.
+
+A page's own process computes nothing.  A job is what a person could type: its commands are shown,
+its progress is what they print on their error stream, its results are the files they write.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from pathlib import Path
+from typing import IO
+
+from cell.files.atomic import write_whole
+from cell.terminal.progress import EVERY_VARIABLE
+
+#: Jobs that may wait, and those that are remembered, the newest.
+MOST_WAITING, REMEMBERED = 5, 12
+#: Lines of a job's output that are kept, and characters of a line.
+MOST_LINES, LONGEST_LINE = 400, 2000
+#: After it was cancelled a command may say what it knows for so long, s.
+ANSWERING_S = 35.0
+#: Progress is asked for so often, s.
+_PROGRESS_S = 0.5
+_COUNTED = re.compile(r"\b(\d+) of (\d+)\b")
+
+
+class State(StrEnum):
+    """Where a job stands."""
+
+    QUEUED = "queued"
+    RUNNING = "running"
+    CANCELLING = "cancelling"
+    DONE = "done"
+    FAILED = "failed"
+    CANCELLED = "cancelled"
+
+
+#: States of jobs that have not ended.
+OPEN = frozenset({State.QUEUED, State.RUNNING, State.CANCELLING})
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is to be done.
+
+    title     in English, marked for the catalogues
+    subject   study or file that it is about
+    commands  words after `cell`, of each command; they are run in this order
+    good      exit codes of a command that has done what was asked
+    log       file for what the last command prints; None = not kept
+    """
+
+    title: str
+    subject: str
+    commands: tuple[tuple[str, ...], ...]
+    good: frozenset[int] = frozenset({0})
+    log: Path | None = None
+
+    @property
+    def typed(self) -> str:
+        """The commands as a person types them, a line each."""
+        import shlex
+
+        return "\n".join(shlex.join(["cell", *words]) for words in self.commands)
+
+
+@dataclass(frozen=True)
+class Job:
+    """A job as it stands.
+
+    by        whoever asked for it
+    step      of its commands, from 0
+    progress  what is being done now
+    share     of the part under way; None = cannot be counted
+    said      newest lines of the error stream, progress left out
+    printed   newest lines of the standard output
+    ended_s   Unix time; None = has not
+    """
+
+    number: int
+    task: Task
+    by: str
+    state: State = State.QUEUED
+    step: int = 0
+    progress: str = ""
+    share: float | None = None
+    said: tuple[str, ...] = ()
+    printed: tuple[str, ...] = ()
+    ended_s: float | None = None
+
+
+@dataclass(frozen=True)
+class Ran:
+    """A command that was run at once: its exit code, None = it took too long; what it printed."""
+
+    code: int | None
+    printed: str
+    said: str
+
+
+def child(words: Sequence[str]) -> subprocess.Popen[str]:
+    """A command of the cell in a process group of its own, that gives way to others."""
+    nice = shutil.which("nice")
+    before = [] if nice is None else [nice, "-n", "10"]
+    return subprocess.Popen(
+        [*before, sys.executable, "-m", "cell", *words],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        encoding="utf-8",
+        errors="replace",
+        start_new_session=True,
+        env={**os.environ, EVERY_VARIABLE: str(_PROGRESS_S), "COLUMNS": "100"},
+    )
+
+
+def end(process: subprocess.Popen[str]) -> None:
+    """End a child and all that it has started."""
+    with suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+
+
+def run_at_once(words: Sequence[str], within_s: float) -> Ran:
+    """Run a short command beside the jobs; it is ended after `within_s`."""
+    process = child(words)
+    try:
+        printed, said = process.communicate(timeout=within_s)
+    except subprocess.TimeoutExpired:
+        end(process)
+        process.communicate()
+        return Ran(None, "", "")
+    most = MOST_LINES * LONGEST_LINE
+    return Ran(process.returncode, printed[:most], said[:most])
+
+
+#: Starts a command, given by its words, in a process group of its own.
+Start = Callable[[Sequence[str]], "subprocess.Popen[str]"]
+
+
+class Jobs:
+    """A queue of jobs and the thread that runs them; all pages of a server share it.
+
+    Use it as a context: its end cancels what runs.
+
+    start        starts a command
+    answering_s  how long it may say what it knows after it was cancelled
+    """
+
+    def __init__(self, start: Start = child, answering_s: float = ANSWERING_S) -> None:
+        self._start, self._answering_s = start, answering_s
+        self._changed = threading.Condition()
+        self._jobs: dict[int, Job] = {}  # the oldest first
+        self._process: subprocess.Popen[str] | None = None
+        self._closed = False
+        self._numbers = 0
+        self._version = 0
+        self._thread: threading.Thread | None = None
+
+    @property
+    def version(self) -> int:
+        """Grows whenever a job changes: what pages compare before they look."""
+        return self._version
+
+    def seen(self) -> tuple[Job, ...]:
+        """All jobs that are remembered, the newest first."""
+        with self._changed:
+            return tuple(reversed(self._jobs.values()))
+
+    def submit(self, task: Task, by: str) -> str:
+        """Put a job in the queue; why it cannot be, or ""."""
+        with self._changed:
+            waiting = [j for j in self._jobs.values() if j.state is State.QUEUED]
+            if self._closed:
+                return "the server is ending"
+            if len(waiting) >= MOST_WAITING:
+                return f"{MOST_WAITING} jobs wait already: cancel one, or wait for an end"
+            if any(j.task == task and j.state in OPEN for j in self._jobs.values()):
+                return "this is being done already: wait for its end"
+            self._numbers += 1
+            self._put(Job(self._numbers, task, by))
+            ended = [j.number for j in self._jobs.values() if j.state not in OPEN]
+            for number in ended[: max(0, len(self._jobs) - REMEMBERED)]:
+                del self._jobs[number]
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._work, name="lab jobs", daemon=True)
+                self._thread.start()
+        return ""
+
+    def cancel(self, number: int) -> str:
+        """Cancel a job, the second time at once; why it cannot be, or ""."""
+        with self._changed:
+            job = self._jobs.get(number)
+            if job is None or job.state not in OPEN:
+                return "this job has ended"
+            process = self._process
+            if job.state is State.QUEUED:
+                self._put(replace(job, state=State.CANCELLED, ended_s=time.time()))
+            elif job.state is State.RUNNING:
+                self._put(replace(job, state=State.CANCELLING))
+                if process is not None:
+                    with suppress(ProcessLookupError):
+                        process.send_signal(signal.SIGTERM)  # as Ctrl-C, and never ignored
+                    self._kill_later(process)
+            elif process is not None:
+                with suppress(ProcessLookupError):
+                    os.killpg(process.pid, signal.SIGKILL)
+        return ""
+
+    def __enter__(self) -> Jobs:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with self._changed:
+            self._closed = True
+            for job in self._jobs.values():
+                if job.state is State.QUEUED:
+                    self._put(replace(job, state=State.CANCELLED, ended_s=time.time()))
+            if self._process is not None:
+                with suppress(ProcessLookupError):
+                    os.killpg(self._process.pid, signal.SIGKILL)
+            self._changed.notify_all()
+        if self._thread is not None:
+            self._thread.join(10.0)
+
+    def _put(self, job: Job) -> None:
+        self._jobs[job.number] = job
+        self._version += 1
+        self._changed.notify_all()
+
+    def _kill_later(self, process: subprocess.Popen[str]) -> None:
+        def kill() -> None:
+            with self._changed:
+                if self._process is process:
+                    with suppress(ProcessLookupError):
+                        os.killpg(process.pid, signal.SIGKILL)
+
+        timer = threading.Timer(self._answering_s, kill)
+        timer.daemon = True
+        timer.start()
+
+    def _work(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._closed or self._next() is not None)
+                job = self._next()
+                if self._closed or job is None:
+                    return
+                self._put(replace(job, state=State.RUNNING))
+            self._run(job.number)
+
+    def _next(self) -> Job | None:
+        return next((j for j in self._jobs.values() if j.state is State.QUEUED), None)
+
+    def _run(self, number: int) -> None:
+        task, code = self._jobs[number].task, 0
+        for step, words in enumerate(task.commands):
+            with self._changed:
+                job = self._jobs[number]
+                if job.state is State.CANCELLING:
+                    break
+                self._put(replace(job, step=step, progress="", share=None, printed=()))
+            code = self._command(number, words)
+            if code not in task.good:
+                break
+        with self._changed:
+            job = self._jobs[number]
+            state = State.DONE if code in task.good else State.FAILED
+            if job.state is State.CANCELLING and code != 0:
+                state = State.CANCELLED
+            ended = replace(job, state=state, progress="", share=None, ended_s=time.time())
+        if task.log is not None and ended.printed:
+            with suppress(OSError):
+                write_whole(task.log, "\n".join(ended.printed) + "\n")
+        with self._changed:
+            self._put(ended)
+
+    def _command(self, number: int, words: Sequence[str]) -> int:
+        """Run a command to its end; its exit code."""
+        try:
+            process = self._start(words)
+        except OSError as error:
+            self._hear(number, str(error), progress=False)
+            return -1
+        with self._changed:
+            self._process = process
+            if self._closed or self._jobs[number].state is State.CANCELLING:
+                end(process)
+        assert process.stdout is not None and process.stderr is not None
+        printing = threading.Thread(target=self._read_printed, args=(number, process.stdout))
+        printing.start()
+        begins = f"{words[0]}: "
+        for line in _lines(process.stderr):
+            self._hear(number, line.removeprefix(begins), progress=line.startswith(begins))
+        printing.join()
+        code = process.wait()
+        with self._changed:
+            self._process = None
+        end(process)  # what it may have left behind
+        return code
+
+    def _hear(self, number: int, line: str, *, progress: bool) -> None:
+        with self._changed:
+            job = self._jobs[number]
+            if not progress:
+                self._put(replace(job, said=(*job.said, line)[-MOST_LINES:]))
+                return
+            counted = _COUNTED.search(line)
+            share = None if counted is None else int(counted[1]) / max(1, int(counted[2]))
+            self._put(replace(job, progress=line, share=share))
+
+    def _read_printed(self, number: int, stream: IO[str]) -> None:
+        printed: deque[str] = deque(_lines(stream), MOST_LINES)
+        with self._changed:
+            self._put(replace(self._jobs[number], printed=tuple(printed)))
+
+
+def _lines(stream: IO[str]) -> Iterator[str]:
+    """Lines of a stream, each cut where it is too long: one without an end fills no memory."""
+    with stream:
+        while line := stream.readline(LONGEST_LINE):
+            yield line.rstrip("\n")

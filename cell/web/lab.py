@@ -1,0 +1,157 @@
+"""What all lab pages of a server share: the workspace, the jobs, short commands run at once."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import TracebackType
+
+from cell.files.atomic import write_whole
+from cell.files.input_error import InputError
+from cell.files.yaml_document import read_yaml
+from cell.web.jobs import OPEN, Jobs, Ran, run_at_once
+from cell.web.workspace import Workspace, is_name
+
+#: A check of an effect may take so long, s: its own watch ends a hook after some seconds.
+CHECK_S = 20.0
+#: A promotion, s.
+PROMOTE_S = 60.0
+#: Texts that a check has found right are remembered, so many: what was checked while it was typed
+#: need not be checked again to be kept.
+_RIGHT = 20
+#: A remedy of the command, and that of the page.
+_OF_FILES = "in a file of --candidates; read the file, and give it as --effect if you trust it"
+_OF_PAGE = "here; on the cell's computer a file may have it, with --effect"
+#: A longer text of an effect or a mapping is refused, characters.
+LONGEST_TEXT = 60_000
+
+
+@dataclass(frozen=True)
+class Checked:
+    """What a check of a typed effect said.
+
+    good   whether it can be fitted
+    said   its complaints, one a line, each with the line that it is about
+    law    its docstring
+    """
+
+    good: bool
+    said: tuple[str, ...] = ()
+    law: str = ""
+
+
+class Lab:
+    """Workspace and jobs; use it as a context: its end ends the jobs."""
+
+    def __init__(self, workspace: Workspace) -> None:
+        self.workspace = workspace
+        self.jobs = Jobs()
+        self._right: deque[tuple[str, str, str]] = deque(maxlen=_RIGHT)
+        self._promoting = threading.Lock()
+        self._checking = threading.Lock()
+
+    def __enter__(self) -> Lab:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.jobs.__exit__()
+
+    def check_effect(self, name: str, text: str) -> Checked:
+        """Check a typed effect as `cell effects --candidates` does, in a process of its own.
+
+        One at a time; nothing of it stays.
+        """
+        if refused := refused_text(name, text):
+            return Checked(False, (refused,))
+        with self._checking, TemporaryDirectory() as folder:
+            for known_name, known, law in self._right:
+                if (known_name, known) == (name, text):
+                    return Checked(True, (), law)
+            file = Path(folder) / f"{name}.py"
+            file.write_text(text, encoding="utf-8")
+            ran = run_at_once(("effects", "--candidates", folder, "--json"), CHECK_S)
+            if ran.code == 0:
+                law = _law(ran.printed, name)
+                self._right.append((name, text, law))
+                return Checked(True, (), law)
+        if ran.code is None:
+            return Checked(
+                False, (f"the check took more than {CHECK_S:g} s: make the law simpler",)
+            )
+        said = ran.said.replace(f"{folder}/", "").replace(_OF_FILES, _OF_PAGE).splitlines()
+        told = tuple(line.removeprefix("note: left out: ") for line in said or ["the check failed"])
+        return Checked(False, told)
+
+    def save_effect(self, name: str, text: str) -> str:
+        """Keep a typed effect that its check has found right; why it is not kept, or ""."""
+        checked = self.check_effect(name, text)
+        if not checked.good:
+            return "\n".join(checked.said)
+        try:
+            write_whole(self.workspace.effects / f"{name}.py", text)
+        except OSError as error:
+            return str(error)
+        return ""
+
+    def save_mapping(self, mapping: Path, text: str) -> str:
+        """Keep an edited mapping, which may name files of the workspace only; why not, or ""."""
+        if len(text) > LONGEST_TEXT:
+            return f"the mapping has {len(text)} characters; at most {LONGEST_TEXT}"
+        with TemporaryDirectory() as folder:
+            draft = Path(folder) / mapping.name
+            draft.write_text(text, encoding="utf-8")
+            try:
+                data = read_yaml(draft).data
+            except InputError as error:
+                return str(error).replace(str(draft), mapping.name)
+        for path in named_files(data):
+            if not self.workspace.inside(mapping.parent / path):
+                return f"{path!r}: is not in the lab's workspace; name a file that was uploaded"
+        try:
+            write_whole(mapping, text)
+        except (OSError, ValueError) as error:
+            return str(error)
+        return ""
+
+    def promoted(self, words: Sequence[str]) -> Ran:
+        """Run `cell promote`, one at a time."""
+        with self._promoting:
+            return run_at_once(words, PROMOTE_S)
+
+    def tidy(self) -> None:
+        """Remove what is old or too much, but what jobs are about."""
+        self.workspace.tidy({j.task.subject for j in self.jobs.seen() if j.state in OPEN})
+
+
+def refused_text(name: str, text: str) -> str:
+    """Why an effect of this name and text is not even checked, or ""."""
+    if not is_name(name) or "." in name or "-" in name:
+        return "the name of an effect's file has letters, digits and _ only, a letter first"
+    if len(text) > LONGEST_TEXT:
+        return f"the text has {len(text)} characters; at most {LONGEST_TEXT}"
+    return ""
+
+
+def named_files(mapping: object) -> list[str]:
+    """Files that a mapping names, whatever else is wrong with it."""
+    trials = mapping.get("trials") if isinstance(mapping, dict) else None
+    entries = [t for t in trials if isinstance(t, dict)] if isinstance(trials, list) else []
+    return [str(t[key]) for t in entries for key in ("file", "hand_file") if t.get(key)]
+
+
+def _law(printed: str, name: str) -> str:
+    import json
+
+    try:
+        return str(json.loads(printed)["effects"][-1]["law"])
+    except (ValueError, LookupError, TypeError):
+        return name

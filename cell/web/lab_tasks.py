@@ -1,0 +1,192 @@
+"""What can be done at the lab's page, as the commands that do it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from cell.web.jobs import Task
+from cell.web.theme import N_
+from cell.web.workspace import Workspace
+
+#: File of the proposal of `cell import`, and of a study.
+MAPPING, STUDY, PREVIEW = "import.yaml", "study.yaml", "preview.html"
+#: Name of the model without further effects.
+BASELINE = "baseline"
+#: Pages that commands write for a study, by the name under which they are served.
+PAGES = ("look.html", "compare.html", "own.html", "diagnosis.html")
+_SHOWN = frozenset({0, 1})
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A study, or the recorded cycle that contains one; `name` is that of its folder."""
+
+    name: str
+    folder: Path
+    is_cycle: bool = False
+
+    @property
+    def to_import(self) -> bool:
+        """Whether there is a proposed mapping only, of which a study is to be made."""
+        return not self.is_cycle and not (self.folder / STUDY).exists()
+
+
+@dataclass(frozen=True)
+class CableEntries:
+    """What is stated of a cable beside its files, SI units; None = not stated."""
+
+    free_length_m: float | None = None
+    line_density_kg_per_m: float | None = None
+    width_m: float | None = None
+    thickness_m: float | None = None
+    diameter_m: float | None = None
+    rate_hz: float | None = None
+
+    def words(self) -> tuple[str, ...]:
+        """Options of `cell import`."""
+        given = (
+            ("--free-length", self.free_length_m),
+            ("--line-density", self.line_density_kg_per_m),
+            ("--width", self.width_m),
+            ("--thickness", self.thickness_m),
+            ("--diameter", self.diameter_m),
+            ("--rate", self.rate_hz),
+        )
+        return tuple(w for name, v in given if v is not None for w in (name, f"{v:g}"))
+
+
+@dataclass(frozen=True)
+class LabTasks:
+    """Makes tasks of one workspace and one cell's settings."""
+
+    workspace: Workspace
+    config: Path
+
+    def look(self, subject: Subject) -> Task:
+        """Show a study before any fit."""
+        out = self.workspace.results(subject.name)
+        words = ("look", str(subject.folder), "-o", str(out / "look.html"))
+        return Task(N_("Look"), subject.name, (words,), _SHOWN, out / "look.txt")
+
+    def gather(self, cycles: Sequence[Path], name: str) -> Task:
+        """Make a study of several cycles of one cable."""
+        out = self.workspace.studies / name
+        words = ("study", *map(str, cycles), "-o", str(out))
+        return Task(N_("Gather"), name, (words, self.look(Subject(name, out)).commands[0]), _SHOWN)
+
+    def propose(
+        self, upload: str, files: Sequence[str], hands: Sequence[str], entries: CableEntries
+    ) -> Task:
+        """Propose a mapping of uploaded tables."""
+        folder = self.workspace.uploads / upload
+        of_hands = (w for name in hands for w in ("--hand", str(folder / name)))
+        out = self.workspace.studies / upload
+        paths = (str(folder / name) for name in files)
+        words = ("import", *paths, *of_hands, "-o", str(out), *entries.words(), "--force")
+        return Task(N_("Import"), upload, (words,), _SHOWN, out / "import.txt")
+
+    def write_study(self, subject: Subject) -> Task:
+        """Make the study that a mapping describes."""
+        words = ("import", str(subject.folder / MAPPING))
+        look = self.look(subject)
+        return Task(N_("Make the study"), subject.name, (words, *look.commands), _SHOWN, look.log)
+
+    def fit(self, subject: Subject, name: str, effects: Sequence[str], from_line: bool) -> Task:
+        """Fit a model with these effects in it."""
+        return Task(N_("Fit"), subject.name, (self._fit(subject, name, effects, from_line),))
+
+    def compare(self, subject: Subject, models: Sequence[str], effects: Sequence[str]) -> Task:
+        """Compare models, in this order, with every trial."""
+        words = self._compare(subject, models, effects, "compare")
+        log = self.workspace.results(subject.name) / "compare.txt"
+        return Task(N_("Compare"), subject.name, (words,), log=log)
+
+    def fit_own(self, subject: Subject, effect: str, beside: Sequence[str]) -> Task:
+        """Fit the model with an effect that was typed, and without, and compare both."""
+        file = str(self.workspace.effects / f"{effect}.py")
+        before = BASELINE if not beside else "with_" + "_".join(map(_stem, beside))
+        commands = (
+            self._fit(subject, before, beside, False),
+            self._fit(subject, effect, (*beside, file), False),
+            self._compare(subject, (before, effect), (), "own"),
+        )
+        log = self.workspace.results(subject.name) / "own.txt"
+        return Task(N_("Fit the effect"), subject.name, commands, log=log)
+
+    def diagnose(
+        self, subject: Subject, tried: Sequence[str], known: Sequence[str], from_line: bool
+    ) -> Task:
+        """Find what the model lacks."""
+        out = self.workspace.results(subject.name)
+        words = (
+            *("diagnose", str(subject.folder), *_each("--effect", tried)),
+            *_each("--known", known),
+            *self._line(from_line),
+            *("-o", str(out / "diagnosis.json"), "--report", str(out / "diagnosis.html")),
+        )
+        return Task(N_("Diagnose"), subject.name, (words,), log=out / "diagnosis.txt")
+
+    def suggest(self, subject: Subject, tried: Sequence[str], known: Sequence[str]) -> Task:
+        """Suggest the motion that tells most."""
+        out = self.workspace.results(subject.name)
+        words = (
+            *("suggest", str(subject.folder), *_each("--effect", tried)),
+            *_each("--known", known),
+            *(*self._line(True), "-o", str(out / "motion.yaml")),
+        )
+        return Task(N_("Suggest a motion"), subject.name, (words,), log=out / "suggest.txt")
+
+    def learn(self, name: str, cycles: Sequence[Path], ledger: str, own: Sequence[str]) -> Task:
+        """Learn what the line's model lacks; of the ledger's cycles if none are given."""
+        out = self.workspace.candidates / f"{name}.yaml"
+        which = tuple(map(str, cycles)) or ("--ledger", ledger)
+        words = ("learn", *which, *self._line(True), *_each("--effect", own), "-o", str(out))
+        log = self.workspace.candidates / f"{name}.txt"
+        return Task(N_("Learn"), name, (words,), _SHOWN, log)
+
+    def promote(self, candidate: str) -> tuple[str, ...]:
+        """Words of the command that gives the line a candidate's model."""
+        path = self.workspace.candidates / f"{candidate}.yaml"
+        return ("promote", str(path), *self._line(True))
+
+    def undo(self) -> tuple[str, ...]:
+        """Words of the command that takes the last promotion back."""
+        return ("promote", "--undo", *self._line(True))
+
+    def measure(self, subject: Subject, runs: Path) -> tuple[str, ...]:
+        """Words of the command that measures a cable with the motion suggested."""
+        motion = self.workspace.results(subject.name) / "motion.yaml"
+        return ("run", *self._line(True), "--motion", str(motion), "--out", str(runs))
+
+    def model(self, subject: Subject, name: str) -> Path:
+        """File of a model that was fitted to a study."""
+        return self.workspace.results(subject.name) / "models" / f"{name}.json"
+
+    def _fit(
+        self, subject: Subject, name: str, effects: Sequence[str], from_line: bool
+    ) -> tuple[str, ...]:
+        out = str(self.model(subject, name))
+        options = (*_each("--effect", effects), *self._line(from_line))
+        return ("fit", str(subject.folder), *options, "-o", out)
+
+    def _compare(
+        self, subject: Subject, models: Sequence[str], effects: Sequence[str], name: str
+    ) -> tuple[str, ...]:
+        out = self.workspace.results(subject.name)
+        paths = [str(self.model(subject, m)) for m in models]
+        options = (*_each("--model", paths), *_each("--effect", effects))
+        files = ("-o", str(out / f"{name}.json"), "--report", str(out / f"{name}.html"))
+        return ("compare", str(subject.folder), *options, *files)
+
+    def _line(self, wanted: bool) -> tuple[str, ...]:
+        return ("--config", str(self.config)) if wanted else ()
+
+
+def _each(option: str, values: Sequence[str]) -> tuple[str, ...]:
+    return tuple(w for value in values for w in (option, value))
+
+
+def _stem(effect: str) -> str:
+    return Path(effect).stem

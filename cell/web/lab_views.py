@@ -1,0 +1,260 @@
+"""What the lab's page shows of the files that commands wrote: rows and charts, no elements."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from cell.files.input_error import InputError
+from cell.files.yaml_document import read_yaml
+from cell.web.theme import N_
+from cell.web.wording import Translate
+
+Data = Mapping[str, Any]
+Option = dict[str, Any]
+
+#: A longer result is not shown, bytes: a comparison has some 30 kB a trial.
+_MOST_BYTES = 20 << 20
+_GREY = "#8a94a3"
+#: Colours of models, in their order; readable on light and dark.
+_COLOURS = ("#8a94a3", "#0b7fab", "#e08a00", "#7a5cc0", "#2c9e4b", "#c2410c")
+_FITTED, _HELD_OUT = "#8fb8d9", "#0b57a4"
+
+VERDICTS = {
+    "complete": N_("Complete: what the model leaves is noise."),
+    "missing": N_("Missing: the effects named are confirmed on motions not fitted to."),
+    "unexplained": N_("Unexplained: something is missing, and no effect explains it."),
+    "cannot_tell": N_("Cannot tell: these trials cannot decide."),
+}
+#: Views of where a model fails: key, x, factor of x, its label, y, logarithmic.
+PLACES = {
+    "by_time": ("t_s", "rms_m", 1.0, N_("Time, s")),
+    "by_arc_length": ("arc_length_m", "rms_m", 1e3, N_("Arc length, mm")),
+    "by_frequency": ("frequency_hz", "residual_m2_per_hz", 1.0, N_("Frequency, Hz")),
+}
+
+
+def read_result(path: Path) -> Data | None:
+    """A result that a command wrote as JSON; None = there is none that can be shown."""
+    try:
+        if path.stat().st_size > _MOST_BYTES:
+            return None
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return data if isinstance(data, dict) else None
+
+
+def error_steps(diagnosis: Data, t: Translate) -> Option:
+    """How the error falls with every effect added, as bars: fitted and held out, mm."""
+    steps = [(t("Baseline"), diagnosis["baseline"])]
+    steps += [(f"+ {m['effect']}", m) for m in diagnosis["missing"]]
+    return error_bars(steps, diagnosis["noise_m"], t)
+
+
+def model_errors(comparison: Data, t: Translate) -> Option:
+    """Errors of models that were compared, as bars."""
+    models = [(_model_name(m), m) for m in comparison["models"]]
+    return error_bars(models, comparison["noise_m"], t)
+
+
+def _model_name(model: Data) -> str:
+    effects = " + ".join(model["effects"])
+    return f"{model['name']}\n{effects}" if effects and effects != model["name"] else model["name"]
+
+
+def error_bars(steps: Sequence[tuple[str, Data]], noise_m: float | None, t: Translate) -> Option:
+    """Bars of fit_rms_m and heldout_rms_m, with a line at the noise; the axis is logarithmic."""
+    series: list[Option] = [
+        {
+            "name": name,
+            "type": "bar",
+            "barMaxWidth": 60,
+            "data": [_mm(model.get(key)) for _, model in steps],
+            "itemStyle": {"color": colour},
+            "label": {"show": True, "position": "top", "color": _GREY},
+        }
+        for name, key, colour in (
+            (t("Fitted"), "fit_rms_m", _FITTED),
+            (t("Held out"), "heldout_rms_m", _HELD_OUT),
+        )
+    ]
+    shown = [v for s in series for v in s["data"] if v] + [_mm(noise_m) or 1e-3]
+    if noise_m:
+        line = {"yAxis": _mm(noise_m), "lineStyle": {"color": "#c2410c", "type": "dashed"}}
+        label = {"formatter": f"{t('Noise')} {_mm(noise_m)}", "position": "insideEndTop"}
+        series[0]["markLine"] = {
+            "silent": True,
+            "symbol": "none",
+            "data": [{**line, "label": {**label, "color": "#c2410c"}}],
+        }
+    low = 10 ** _floor_log(min(shown) * 0.7)
+    return {
+        **_frame(t("Error, mm rms per coordinate")),
+        "xAxis": {
+            "type": "category",
+            "data": [name for name, _ in steps],
+            "axisLabel": {"color": _GREY, "interval": 0},
+        },
+        "yAxis": {**_axis(), "type": "log", "min": low, "startValue": low},
+        "series": series,
+    }
+
+
+def failing_places(comparison: Data, place: str, trial: str, t: Translate) -> Option:
+    """Where models fail in a trial: their errors over time, arc length or frequency."""
+    x, y, scale, label = PLACES[place]
+    lines: list[Option] = []
+    spectrum = place == "by_frequency"
+    for number, model in enumerate(comparison["models"]):
+        found = _trial(model, trial)
+        if found is not None:
+            points = _points(found[place], x, y, scale, spectrum)
+            lines.append(_line(model["name"], points, _COLOURS[number % len(_COLOURS)]))
+    first = _trial(comparison["models"][0], trial) if comparison["models"] else None
+    if spectrum and first is not None:
+        points = _points(first[place], x, "noise_m2_per_hz", scale, True)
+        lines.append(_line(t("Noise"), points, "#c2410c", dashed=True))
+    unit = t("Error, mm²/Hz") if spectrum else t("Error, mm rms")
+    return {
+        **_frame(unit),
+        "legend": {"top": 0, "right": 0, "textStyle": {"color": _GREY}},
+        "xAxis": {
+            "type": "value",
+            "name": t(label),
+            "nameLocation": "middle",
+            "nameGap": 26,
+            "axisLabel": {"color": _GREY},
+        },
+        "yAxis": {**_axis(), "type": "log"} if spectrum else {**_axis(), "type": "value"},
+        "series": lines,
+    }
+
+
+def trials_of(comparison: Data) -> list[str]:
+    """Names of the trials, held-out ones first: there a model fails."""
+    trials = sorted(comparison["trials"], key=lambda one: one["role"] == "fit")
+    return [str(one["name"]) for one in trials]
+
+
+def check_rows(diagnosis: Data, t: Translate) -> list[dict[str, str]]:
+    """Every check: what it asks, its statistic, its limit, and what came of it."""
+    signs = {">=": "≥", "<=": "≤"}
+    results = {True: t("passed"), False: t("not passed"), None: "–"}
+    return [
+        {
+            "name": c["name"],
+            "question": c["question"],
+            "statistic": _number(c["statistic"], is_p=c["unit"] == "p"),
+            "limit": f"{c['unit']} {signs.get(c['passes'], c['passes'])} {c['limit']:g}",
+            "result": results[c["passed"]],
+            "passed": str(c["passed"]),
+            "said": c["failed"] if c["passed"] is False else "",
+        }
+        for c in diagnosis["checks"]
+    ]
+
+
+def ranking_rows(diagnosis: Data) -> list[dict[str, str]]:
+    """Every effect of the library beside the baseline: χ² explained, p, status."""
+    return [
+        {
+            "effect": r["effect"],
+            "score": f"{r['score']:.1f}",
+            "p": _number(r["p_value"], is_p=True),
+            "status": r["status"],
+        }
+        for r in diagnosis["ranking"]
+    ]
+
+
+def parameter_lines(diagnosis: Data) -> list[str]:
+    """Parameters of the effects found, with their 95 % intervals."""
+    return [
+        f"{m['effect']}: {name} {p['value']:.4g} ({p['low']:.4g} … {p['high']:.4g}) {p['unit']}"
+        for m in diagnosis["missing"]
+        for name, p in m["parameters"].items()
+    ]
+
+
+def candidate_table(
+    candidates: Mapping[str, Path], t: Translate
+) -> tuple[list[dict[str, Any]], list[dict[str, str]]]:
+    """Columns and rows of candidates with their gates side by side; a broken one is said so."""
+    columns = [{"name": "gate", "field": "gate", "label": t("Gate"), "align": "left"}]
+    rows: dict[str, dict[str, str]] = {"model": {"gate": t("Effects")}}
+    rows["verdict"] = {"gate": t("Verdict")}
+    for name, path in candidates.items():
+        columns.append({"name": name, "field": name, "label": name, "align": "left"})
+        try:
+            data = read_yaml(path).data
+            effects = [e["effect"] for e in data["model"]["effects"]]
+            gates = [(str(g["gate"]), bool(g["passed"]), str(g["found"])) for g in data["gates"]]
+        except (InputError, LookupError, TypeError) as error:
+            rows["model"][name] = f"✗ {error}"
+            continue
+        rows["model"][name] = ", ".join(Path(e).stem for e in effects)
+        rows["verdict"][name] = str(data.get("verdict", "–"))
+        for gate, passed, found in gates:
+            row = rows.setdefault(f"gate {gate}", {"gate": gate})
+            row[name] = f"{'✓' if passed else '✗'} {found}"
+    return columns, list(rows.values())
+
+
+def _trial(model: Data, name: str) -> Data | None:
+    return next((one for one in model["trials"] if one["name"] == name), None)
+
+
+def _points(found: Data, x: str, y: str, scale: float, spectrum: bool) -> list[list[float]]:
+    """Points of a line; a spectrum in mm²/Hz, else mm."""
+    factor = 1e6 if spectrum else 1e3
+    pairs = zip(found[x], found[y], strict=True)
+    return [
+        [round(at * scale, 5), float(f"{value * factor:.4g}")]
+        for at, value in pairs
+        if at is not None and value is not None and (value > 0.0 or not spectrum)
+    ]
+
+
+def _line(name: str, points: list[list[float]], colour: str, *, dashed: bool = False) -> Option:
+    style = {"color": colour, "width": 2, **({"type": "dashed"} if dashed else {})}
+    return {
+        "name": name,
+        "type": "line",
+        "showSymbol": False,
+        "data": points,
+        "lineStyle": style,
+        "itemStyle": {"color": colour},
+    }
+
+
+def _frame(title: str) -> Option:
+    return {
+        "animation": False,
+        "title": {"text": title, "left": 0, "textStyle": {"color": _GREY, "fontSize": 13}},
+        "grid": {"left": 65, "right": 20, "top": 45, "bottom": 48},
+        "legend": {"top": 0, "right": 0, "textStyle": {"color": _GREY}},
+        "tooltip": {"trigger": "axis"},
+    }
+
+
+def _axis() -> Option:
+    return {"axisLabel": {"color": _GREY}, "splitLine": {"lineStyle": {"color": "#8a94a355"}}}
+
+
+def _mm(value: float | None) -> float | None:
+    return None if value is None else float(f"{value * 1e3:.3g}")
+
+
+def _floor_log(value: float) -> int:
+    import math
+
+    return math.floor(math.log10(max(value, 1e-9)))
+
+
+def _number(value: float | None, *, is_p: bool) -> str:
+    if value is None:
+        return "–"
+    return "< 1e-300" if is_p and value == 0.0 else f"{value:.3g}"

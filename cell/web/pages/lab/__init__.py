@@ -1,0 +1,49 @@
+"""The lab's page: a study, where models fail on it, what is missing, own effects, the line."""
+
+from __future__ import annotations
+
+from nicegui import ui
+
+from cell.web.lab_tasks import Subject
+from cell.web.pages.lab import compare, diagnose, line, own, study
+from cell.web.pages.lab.desk import Desk
+from cell.web.pages.lab.strip import Strip
+from cell.web.theme import N_
+from cell.web.visit import Visit
+
+_TABS = (
+    ("study", N_("Study"), "folder_open", study.Part),
+    ("compare", N_("Compare"), "compare", compare.Part),
+    ("diagnose", N_("Diagnose"), "troubleshoot", diagnose.Part),
+    ("own", N_("Own effect"), "edit_note", own.Part),
+    ("line", N_("Line"), "conveyor_belt", line.Part),
+)
+
+
+def build(visit: Visit) -> None:
+    """Fill the page."""
+    t, desk = visit.t, Desk(visit)
+    request = ui.context.client.request
+    asked = request.query_params.get("study", "") if request is not None else ""
+    desk.subject = desk.find(asked) or _newest(desk)
+    with ui.row().classes("items-center w-full gap-4"):
+        ui.label(t("Lab")).classes("text-2xl").props("role=heading aria-level=1")
+        study.chooser(desk)
+        again = ui.button(icon="refresh", on_click=desk.changed).props("flat round")
+        again.props(f'data-test=reload aria-label="{t("Read again")}"').tooltip(t("Read again"))
+    Strip(desk).build()
+    with ui.tabs().classes("w-full").props("align=left inline-label no-caps") as tabs:
+        for name, title, icon, _ in _TABS:
+            ui.tab(name, t(title), icon).props(f"data-test=tab-{name}")
+    with ui.tab_panels(tabs, value="study").classes("w-full bg-transparent").props("keep-alive"):
+        for name, _, _, part in _TABS:
+            with ui.tab_panel(name).classes("p-0 gap-4"):
+                part(desk).build()
+    ui.timer(0.05, desk.changed, once=True)
+
+
+def _newest(desk: Desk) -> Subject | None:
+    """The study that is worked on, else the newest one."""
+    jobs = [j.task.subject for j in desk.lab.jobs.seen()]
+    names = (*jobs, *desk.workspace.names(desk.workspace.studies))
+    return next((s for name in names if (s := desk.find(name)) is not None), None)

@@ -1,0 +1,130 @@
+"""Where models fail on the study: fitted models beside each other, by time, place, frequency."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from nicegui import run, ui
+
+from cell.cable.effects import library
+from cell.web.lab_tasks import BASELINE
+from cell.web.lab_views import PLACES, Data, failing_places, model_errors, read_result, trials_of
+from cell.web.pages.lab.desk import Desk, first_lines, frame, heading, output
+from cell.web.theme import BLUE, N_
+from cell.web.workspace import is_name
+
+_PLACES = {
+    "by_time": N_("By time"),
+    "by_arc_length": N_("By arc length"),
+    "by_frequency": N_("By frequency"),
+}
+
+
+class Part:
+    """The part of the page."""
+
+    def __init__(self, desk: Desk) -> None:
+        self._desk, self._t = desk, desk.t
+
+    def build(self) -> None:
+        """Make the elements."""
+        t = self._t
+        with ui.element("div").classes("w-full grid grid-cols-1 lg:grid-cols-2 gap-4"):
+            with ui.card().classes("w-full"):
+                heading(t("Fit a model"))
+                self._name = ui.input(t("Name"), value=BASELINE).classes("w-full")
+                self._name.props("maxlength=60 data-test=model-name")
+                self._effects = ui.select([], label=t("Effects in it"), multiple=True)
+                self._effects.classes("w-full").props("use-chips data-test=model-effects")
+                self._line = ui.checkbox(t("Start from the line's model"))
+                button = ui.button(t("Fit"), icon="tune", color=BLUE, on_click=self._fit)
+                button.props("text-color=white data-test=fit")
+            with ui.card().classes("w-full"):
+                heading(t("Compare models"))
+                self._models = ui.select([], label=t("Models, in order"), multiple=True)
+                self._models.classes("w-full").props("use-chips data-test=models")
+                button = ui.button(t("Compare"), icon="compare", color=BLUE)
+                button.on_click(self._compare).props("text-color=white data-test=compare")
+        self._shown = Comparison(self._desk, "compare")
+        self._desk.listen(self._refresh)
+
+    async def _refresh(self) -> None:
+        self._effects.set_options([*self._desk.own_effects(), *library()], value=self._chosen())
+        models = self._desk.models()
+        kept = [m for m in self._models.value or [] if m in models]
+        self._models.set_options(models, value=kept or models)
+        await self._shown.refresh()
+
+    def _chosen(self) -> list[str]:
+        return list(self._effects.value or [])
+
+    def _fit(self) -> None:
+        desk, name = self._desk, str(self._name.value or "").strip()
+        if desk.subject is None:
+            desk.told(self._t("Choose a study first."))
+        elif not is_name(name):
+            desk.told(self._t("A name has letters, digits, _, - and dots."))
+        else:
+            effects = [desk.effect_file(e) for e in self._chosen()]
+            desk.ask(desk.tasks.fit(desk.subject, name, effects, bool(self._line.value)))
+
+    def _compare(self) -> None:
+        desk, models = self._desk, list(self._models.value or [])
+        if desk.subject is None or not models:
+            desk.told(self._t("Fit a model first."))
+        else:
+            desk.ask(desk.tasks.compare(desk.subject, models, ()))
+
+
+class Comparison:
+    """A comparison that a command wrote: errors as bars, and where they are in each trial."""
+
+    def __init__(self, desk: Desk, name: str) -> None:
+        self._desk, self._t, self._file = desk, desk.t, name
+        self._seen: tuple[Path, int] | None = None
+        self._place = ui.column().classes("w-full gap-4").props(f"data-test=shown-{name}")
+
+    async def refresh(self) -> None:
+        """Show it as it is on the disk now."""
+        path = self._desk.result(f"{self._file}.json")
+        seen = None if path is None or not path.exists() else (path, path.stat().st_mtime_ns)
+        if seen == self._seen:
+            return
+        self._seen = seen
+        data = None if path is None else await run.io_bound(read_result, path)
+        self._place.clear()
+        if data is not None:
+            with self._place:
+                self._show(data)
+
+    def _show(self, data: Data) -> None:
+        desk, t = self._desk, self._t
+        with ui.card().classes("w-full"):
+            log = desk.result(f"{self._file}.txt")
+            for line in first_lines(log):
+                ui.label(line).classes("break-words text-lg").props("data-test=sentence")
+            ui.echart(model_errors(data, t)).classes("w-full h-72").props("data-test=errors")
+            page = desk.result(f"{self._file}.html")
+            if page is not None:
+                title = t("Every trial with a time slider")
+                frame(desk, f"{self._file}.html", title, page)
+            output(desk, t("As the command prints it"), log)
+        with ui.card().classes("w-full"):
+            heading(t("Where they fail"))
+            trials = trials_of(data)
+            trial = ui.select(trials, value=trials[0], label=t("Trial")).classes("w-64")
+            with ui.element("div").classes("w-full grid grid-cols-1 lg:grid-cols-3 gap-4"):
+                charts: dict[str, Any] = {}
+                for place, words in _PLACES.items():
+                    with ui.column().classes("w-full gap-0"):
+                        ui.label(t(words)).classes("font-bold")
+                        option = failing_places(data, place, trials[0], t)
+                        charts[place] = ui.echart(option).classes("w-full h-64")
+
+            def choose() -> None:
+                for place in PLACES:
+                    charts[place].options.clear()
+                    charts[place].options.update(failing_places(data, place, trial.value, t))
+
+            trial.on_value_change(choose)

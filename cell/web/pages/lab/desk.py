@@ -1,0 +1,195 @@
+"""What the parts of one open lab page share: the study chosen, jobs asked for, what has changed."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Awaitable, Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from nicegui import run, ui
+
+from cell.web.cycles import cycle_folder
+from cell.web.jobs import Job, Task
+from cell.web.lab_tasks import PREVIEW, LabTasks, Subject
+from cell.web.users import Role
+from cell.web.visit import Visit
+from cell.web.workspace import is_name
+
+#: What a part of the page does when a study was chosen, or a job has ended.
+Listener = Callable[[], Awaitable[None]]
+
+
+class Desk:
+    """One open page of the lab."""
+
+    def __init__(self, visit: Visit) -> None:
+        self.visit, self.t, self.lab = visit, visit.t, visit.room.lab
+        self.workspace = self.lab.workspace
+        self.tasks = LabTasks(self.workspace, visit.room.config)
+        self.subject: Subject | None = None
+        self.cycles: list[Path] = []
+        self.asked: Callable[[], None] = lambda: None
+        self._listeners: list[Listener] = []
+
+    def listen(self, listener: Listener) -> None:
+        """Have a part brought up to date whenever something has changed."""
+        self._listeners.append(listener)
+
+    async def changed(self) -> None:
+        """A study was chosen, or a job has ended."""
+        for listener in self._listeners:
+            await listener()
+
+    async def choose(self, name: str) -> None:
+        """Work on the study, or the recorded cycle, of this name."""
+        self.subject = self.find(name)
+        if self.subject is not None:
+            ui.navigate.history.replace(f"/lab?study={name}")
+        await self.changed()
+
+    def find(self, name: str) -> Subject | None:
+        """The study or the cycle of a name; None = there is none."""
+        if not is_name(name):
+            return None
+        if (self.workspace.studies / name).is_dir():
+            return Subject(name, self.workspace.studies / name)
+        cycle = cycle_folder(self.visit.room.runs, name)
+        return None if cycle is None else Subject(name, cycle, True)
+
+    def newest_job(self) -> Job | None:
+        """The newest job of the study chosen."""
+        found = (j for j in self.lab.jobs.seen() if j.task.subject == self._name)
+        return next(found, None)
+
+    def ask(self, task: Task) -> bool:
+        """Put a job in the queue, audited; whether it was taken."""
+        visit, jobs = self.visit, self.lab.jobs
+        refused = visit.do(
+            f"lab {task.title.lower()}",
+            Role.engineer,
+            lambda: jobs.submit(task, visit.name),
+            task.typed.splitlines()[-1],
+        )
+        self.asked()
+        self.told(refused)
+        return not refused
+
+    async def at_once(self, words: Sequence[str]) -> bool:
+        """Run a promotion, audited with its true result; whether it was done."""
+        said: list[str] = []
+
+        def act() -> str:
+            ran = self.lab.promoted(words)
+            said.append(ran.printed.strip())
+            return "" if ran.code == 0 else ran.said.strip() or "it took too long"
+
+        typed = shlex.join(["cell", *words])
+        refused = await run.io_bound(self.visit.do, f"lab {words[0]}", Role.engineer, act, typed)
+        self.told(refused)
+        if not refused and said:
+            ui.notify(said[0], type="positive", multi_line=True, close_button=self.t("Close"))
+        return not refused
+
+    def told(self, refused: str | None) -> None:
+        """Say why something was not done."""
+        if refused:
+            ui.notify(
+                refused,
+                type="negative",
+                multi_line=True,
+                close_button=self.t("Close"),
+                classes="whitespace-pre-line",
+                attrs={"data-test": "refused"},
+            )
+
+    def result(self, file: str) -> Path | None:
+        """A file of results of the study chosen; None = no study is."""
+        return None if self.subject is None else self.workspace.results(self.subject.name) / file
+
+    def models(self) -> list[str]:
+        """Models that were fitted to the study chosen, the oldest first."""
+        folder = self.result("models")
+        return [] if folder is None else self.workspace.names(folder, ".json")[::-1]
+
+    def own_effects(self) -> list[str]:
+        """Names of effects that were typed."""
+        return self.workspace.names(self.workspace.effects, ".py")
+
+    def effect_file(self, name: str) -> str:
+        """What is given to a command for the name of an effect, of the library or typed."""
+        path = self.workspace.effects / f"{name}.py"
+        return str(path) if path.exists() else name
+
+    @property
+    def _name(self) -> str:
+        return "" if self.subject is None else self.subject.name
+
+
+def frame(desk: Desk, page: str, title: str, path: Path) -> None:
+    """A page that a command wrote, in a frame that may run nothing of this page's."""
+    subject = desk.subject
+    if subject is None or not path.is_file():
+        return
+    if page == PREVIEW and subject.is_cycle:
+        return
+    address = f"/lab/results/{subject.name}/{page}?v={path.stat().st_mtime_ns}"
+    with ui.expansion(title, icon="insights").classes("w-full") as opened:
+        place = ui.element("div").classes("w-full")
+
+    def show(opened_now: bool) -> None:
+        place.clear()
+        if opened_now:
+            with place:
+                shown = ui.element("iframe").props(f'src="{address}" sandbox="allow-scripts"')
+                shown.props(f'title="{title}"').classes("w-full bg-white")
+                shown.style("height: 80vh; border: 0")
+
+    opened.on_value_change(lambda event: show(bool(event.value)))
+
+
+def output(desk: Desk, title: str, log: Path | None) -> None:
+    """What a command printed, folded away."""
+    try:
+        text = "" if log is None else log.read_text(encoding="utf-8")
+    except (OSError, ValueError):
+        return
+    if text:
+        with ui.expansion(title, icon="terminal").classes("w-full"):
+            ui.label(text).classes("whitespace-pre font-mono text-xs overflow-x-auto w-full")
+
+
+def first_lines(log: Path | None, most: int = 6) -> list[str]:
+    """The sentences with which a command's output begins, before its first table."""
+    try:
+        lines = [] if log is None else log.read_text(encoding="utf-8").splitlines()
+    except (OSError, ValueError):
+        return []
+    told: list[str] = []
+    for line in lines[:most]:
+        if not line.strip() or line.startswith("   "):
+            break
+        told.append(line)
+    return told
+
+
+def told_lines(log: Path | None, heads: Sequence[str]) -> list[str]:
+    """What a command told after its tables, from a line that is one of `heads` on."""
+    try:
+        lines = [] if log is None else log.read_text(encoding="utf-8").splitlines()
+    except (OSError, ValueError):
+        return []
+    begins = [i for i, line in enumerate(lines) if line.strip() in heads]
+    return lines[begins[0] :] if begins else []
+
+
+def heading(text: str) -> None:
+    """Heading of a part of the page."""
+    ui.label(text).classes("text-xl font-bold").props("role=heading aria-level=2")
+
+
+def editor_theme() -> Any:
+    """Theme of an editor, as the page's."""
+    request = ui.context.client.request
+    dark = request is not None and request.cookies.get("theme") == "dark"
+    return "vscodeDark" if dark else "vscodeLight"

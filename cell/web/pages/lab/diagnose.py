@@ -1,0 +1,161 @@
+"""What the model lacks: the diagnosis with its checks, and the motion that would tell more."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+from nicegui import run, ui
+
+from cell.cable.effects import library
+from cell.web.lab_views import (
+    VERDICTS,
+    Data,
+    check_rows,
+    error_steps,
+    parameter_lines,
+    ranking_rows,
+    read_result,
+)
+from cell.web.pages.lab.desk import Desk, first_lines, frame, heading, output
+from cell.web.theme import BLUE
+
+_PASSED = """
+<q-td :props="props">
+  <span :style="{color: props.row.passed === 'False' ? '#d64545' : 'inherit',
+                 fontWeight: props.row.passed === 'False' ? 700 : 400}">
+    {{ props.row.passed === 'True' ? '✓' : props.row.passed === 'False' ? '✗' : '' }}
+    {{ props.value }}</span>
+</q-td>
+"""
+
+
+class Part:
+    """The part of the page."""
+
+    def __init__(self, desk: Desk) -> None:
+        self._desk, self._t = desk, desk.t
+        self._seen: tuple[object, ...] = ()
+
+    def build(self) -> None:
+        """Make the elements."""
+        t = self._t
+        with ui.card().classes("w-full"):
+            heading(t("What does the model lack?"))
+            with ui.element("div").classes("w-full grid grid-cols-1 md:grid-cols-2 gap-4"):
+                self._tried = ui.select([], label=t("Own effects, tried too"), multiple=True)
+                self._tried.props("use-chips data-test=tried")
+                self._known = ui.select([], label=t("Known: part of the model"), multiple=True)
+                self._known.props("use-chips data-test=known")
+            self._line = ui.checkbox(t("Start from the line's model"))
+            with ui.row():
+                button = ui.button(t("Diagnose"), icon="troubleshoot", color=BLUE)
+                button.on_click(self._diagnose).props("text-color=white data-test=diagnose")
+                button = ui.button(t("Suggest the next motion"), icon="route")
+                button.on_click(self._suggest).props("outline data-test=suggest")
+        self._place = ui.column().classes("w-full gap-4").props("data-test=diagnosis")
+        self._desk.listen(self._refresh)
+
+    def _names(self) -> tuple[list[str], list[str]]:
+        known = [str(k) for k in self._known.value or []]
+        tried = [str(e) for e in self._tried.value or [] if e not in known]
+        return [self._desk.effect_file(e) for e in tried], [
+            self._desk.effect_file(e) for e in known
+        ]
+
+    def _diagnose(self) -> None:
+        desk = self._desk
+        if desk.subject is None:
+            desk.told(self._t("Choose a study first."))
+            return
+        desk.ask(desk.tasks.diagnose(desk.subject, *self._names(), bool(self._line.value)))
+
+    def _suggest(self) -> None:
+        desk = self._desk
+        if desk.subject is None:
+            desk.told(self._t("Choose a study first."))
+            return
+        desk.ask(desk.tasks.suggest(desk.subject, *self._names()))
+
+    async def _refresh(self) -> None:
+        own = self._desk.own_effects()
+        self._tried.set_options(own, value=[e for e in self._tried.value or [] if e in own])
+        all_of_them = [*own, *library()]
+        known = [e for e in self._known.value or [] if e in all_of_them]
+        self._known.set_options(all_of_them, value=known)
+        names = ("diagnosis.json", "motion.yaml", "suggest.txt")
+        files = [p for name in names if (p := self._desk.result(name)) is not None]
+        seen = tuple((p, p.stat().st_mtime_ns) for p in files if p.exists())
+        if seen == self._seen:
+            return
+        self._seen = seen
+        data = await run.io_bound(read_result, files[0]) if files else None
+        self._place.clear()
+        with self._place:
+            if data is not None:
+                self._show(data)
+            if files and (files[1].exists() or files[2].exists()):
+                self._motion(files[1])
+
+    def _show(self, data: Data) -> None:
+        desk, t = self._desk, self._t
+        with ui.card().classes("w-full"):
+            verdict = VERDICTS.get(str(data["verdict"]), str(data["verdict"]))
+            ui.label(t(verdict)).classes("text-xl font-bold").props("data-test=verdict")
+            log = desk.result("diagnosis.txt")
+            ui.label("\n".join(first_lines(log))).classes("whitespace-pre-line break-words")
+            parameters = ui.label("\n".join(parameter_lines(data)))
+            parameters.classes("font-mono whitespace-pre-line break-words")
+            parameters.props("data-test=parameters")
+            ui.echart(error_steps(data, t)).classes("w-full h-72").props("data-test=falling")
+            page = desk.result("diagnosis.html")
+            if page is not None:
+                frame(desk, "diagnosis.html", t("Report with the evidence"), page)
+            output(desk, t("As the command prints it"), log)
+        with ui.element("div").classes("w-full grid grid-cols-1 xl:grid-cols-3 gap-4"):
+            with ui.card().classes("w-full xl:col-span-2"):
+                heading(t("Checks"))
+                self._checks(data)
+            with ui.card().classes("w-full"):
+                heading(t("Effects, each alone"))
+                columns = [
+                    {"name": k, "label": label, "field": k, "align": "left"}
+                    for k, label in (
+                        ("effect", t("Effect")),
+                        ("score", t("χ² explained")),
+                        ("p", "p"),
+                        ("status", t("Status")),
+                    )
+                ]
+                table = ui.table(columns=columns, rows=ranking_rows(data), row_key="effect")
+                table.classes("w-full").props("dense flat data-test=ranking")
+
+    def _checks(self, data: Data) -> None:
+        t = self._t
+        columns = [
+            {"name": k, "label": label, "field": k, "align": "left"}
+            for k, label in (
+                ("question", t("Question")),
+                ("statistic", t("Statistic")),
+                ("limit", t("Limit")),
+                ("result", t("Result")),
+                ("said", t("What it says")),
+            )
+        ]
+        table = ui.table(columns=columns, rows=check_rows(data, t), row_key="name")
+        table.classes("w-full").props("dense flat wrap-cells data-test=checks")
+        table.add_slot("body-cell-result", _PASSED)
+
+    def _motion(self, motion: Path) -> None:
+        """The motion suggested, and the command that measures a cable with it."""
+        desk, t = self._desk, self._t
+        with ui.card().classes("w-full").props("data-test=motion"):
+            heading(t("The next motion"))
+            log = desk.result("suggest.txt")
+            ui.label("\n".join(first_lines(log))).classes("whitespace-pre-line break-words")
+            output(desk, t("As the command prints it"), log)
+            if motion.exists() and desk.subject is not None:
+                ui.label(t("Measure a cable with it, where the cell is:"))
+                words = desk.tasks.measure(desk.subject, desk.visit.room.runs)
+                ui.code(shlex.join(["cell", *words]), language="bash").classes("w-full")
+                ui.label(t("Then gather both cycles into a study, and diagnose it."))

@@ -1,0 +1,134 @@
+"""From the lab to the line: learn of many cables, candidates side by side, promote and undo."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from pathlib import Path
+
+from nicegui import run, ui
+
+from cell.settings.promotion import history_of
+from cell.web.lab_views import candidate_table
+from cell.web.pages.lab.desk import Desk, first_lines, heading, output
+from cell.web.theme import BLUE
+from cell.web.workspace import is_name
+
+#: So many candidates are shown beside each other, the newest.
+_SHOWN = 4
+
+
+class Part:
+    """The part of the page."""
+
+    def __init__(self, desk: Desk) -> None:
+        self._desk, self._t = desk, desk.t
+        self._seen: tuple[object, ...] = (None,)
+
+    def build(self) -> None:
+        """Make the elements."""
+        t = self._t
+        with ui.card().classes("w-full"):
+            heading(t("Learn from recorded cables"))
+            with ui.row().classes("items-center w-full gap-4"):
+                self._name = ui.input(t("Name of the candidate")).classes("w-64")
+                self._name.props("maxlength=60 data-test=candidate-name")
+                self._name.value = f"candidate_{datetime.now():%Y%m%d_%H%M}"
+                self._own = ui.select([], label=t("Own effects, tried too"), multiple=True)
+                self._own.classes("w-64").props("use-chips")
+                self._selected = ui.checkbox(t("Only the cycles selected under Study"))
+            button = ui.button(t("Learn"), icon="school", color=BLUE, on_click=self._learn)
+            button.props("text-color=white data-test=learn")
+        with ui.card().classes("w-full"):
+            heading(t("Candidates"))
+            self._place = ui.column().classes("w-full").props("data-test=candidates")
+        with ui.card().classes("w-full"):
+            heading(t("The line's model"))
+            self._model = ui.label().classes("whitespace-pre-wrap font-mono text-sm break-words")
+            self._model.props("data-test=line-model")
+            undo = ui.button(t("Undo the last promotion"), icon="undo", on_click=self._undo)
+            undo.props("outline data-test=undo")
+            ui.label(t("A cell that runs uses its model until it is started anew."))
+        self._desk.listen(self._refresh)
+
+    def _learn(self) -> None:
+        desk, name = self._desk, str(self._name.value or "").strip()
+        if not is_name(name):
+            desk.told(self._t("A name has letters, digits, _, - and dots."))
+            return
+        cycles = desk.cycles if self._selected.value else []
+        if self._selected.value and not cycles:
+            desk.told(self._t("Select cycles under Study first."))
+            return
+        settings, own = desk.visit.room.settings, [str(e) for e in self._own.value or []]
+        url = None if settings.ledger is None else settings.ledger.url
+        ledger = str(url or desk.visit.room.runs)
+        files = [desk.effect_file(e) for e in own]
+        desk.ask(desk.tasks.learn(name, cycles, ledger, files))
+
+    async def _refresh(self) -> None:
+        desk = self._desk
+        own = desk.own_effects()
+        self._own.set_options(own, value=[e for e in self._own.value or [] if e in own])
+        folder = desk.workspace.candidates
+        names = desk.workspace.names(folder, ".yaml")[:_SHOWN]
+        paths = {name: folder / f"{name}.yaml" for name in names if not name.endswith("_motion")}
+        config = desk.visit.room.config
+        seen = tuple((p, p.stat().st_mtime_ns) for p in (*paths.values(), config) if p.exists())
+        if seen == self._seen:
+            return
+        self._seen = seen
+        self._model.text = await run.io_bound(model_text, config) or ""
+        found = await run.io_bound(candidate_table, paths, self._t)
+        self._place.clear()
+        if found is None:
+            return
+        with self._place:
+            if not paths:
+                ui.label(self._t("There is no candidate yet."))
+                return
+            columns, rows = found
+            table = ui.table(columns=columns, rows=rows, row_key="gate").classes("w-full")
+            table.props("dense flat wrap-cells hide-bottom data-test=gates").style(
+                "overflow-x: auto"
+            )
+            with ui.row():
+                for name in paths:
+                    button = ui.button(f"{self._t('Promote')} {name}", icon="publish")
+                    button.props("outline no-caps").on_click(lambda name=name: self._promote(name))
+                    button.props(f"data-test=promote-{name}")
+            for name in paths:
+                log = folder / f"{name}.txt"
+                for line in first_lines(log, 2):
+                    ui.label(f"{name}: {line}").classes("break-words text-sm")
+                output(desk, f"{name}: {self._t('As the command prints it')}", log)
+
+    async def _promote(self, name: str) -> None:
+        with ui.dialog() as asked, ui.card():
+            ui.label(f"{self._t('Give the line this model?')} {name}")
+            with ui.row():
+                ui.button(self._t("Cancel"), on_click=lambda: asked.submit(False)).props("outline")
+                yes = ui.button(self._t("Promote"), color=BLUE, on_click=lambda: asked.submit(True))
+                yes.props("text-color=white data-test=promote-yes")
+        sure = await asked
+        asked.delete()
+        if sure and await self._desk.at_once(self._desk.tasks.promote(name)):
+            await self._desk.changed()
+
+    async def _undo(self) -> None:
+        if await self._desk.at_once(self._desk.tasks.undo()):
+            await self._desk.changed()
+
+
+def model_text(config: Path) -> str:
+    """The section `model` of the settings as the file has it, and how often it was changed."""
+    from cell.files.input_error import InputError
+    from cell.settings.promotion import section_of
+
+    try:
+        section = section_of(config, config.read_text(encoding="utf-8"))
+        count = len(
+            [p for p in history_of(config.resolve()).glob("*.yaml") if "undone" not in p.name]
+        )
+    except (OSError, ValueError, InputError) as error:
+        return str(error)
+    return f"{section or 'model: {effects: []}'}\n# {count} former models in {history_of(config)}"

@@ -1,0 +1,156 @@
+"""An effect of one's own: typed, checked while it is typed, fitted with one click."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+from typing import Any
+
+from nicegui import run, ui
+
+from cell.cable.effects import library
+from cell.web.lab import Checked
+from cell.web.pages.lab.compare import Comparison
+from cell.web.pages.lab.desk import Desk, editor_theme, heading
+from cell.web.theme import BLUE
+from cell.web.users import Role
+
+#: A text is checked when nothing was typed for so long, s.
+_PAUSE_S = 0.5
+_NAMED = re.compile(r"^\s+name\s*=\s*[\"'](\w+)[\"']", re.MULTILINE)
+_LINE = re.compile(r"\.py:(\d+)\b")
+_CSS = ".wrong-line { background: #d6454533 !important; }"
+
+TEMPLATE = '''"""What it is, in a sentence."""
+
+from cell.cable.effects import Effect, Parameter
+
+
+class MyDrag(Effect):
+    """F = -c v: drag in proportion to the velocity.  Write the law and its source here."""
+
+    name = "my_drag"
+    parameters = (
+        # name, unit, low, high; off at its default; values from which a fit starts
+        Parameter("c_n_s_per_m2", "N·s/m²", 0.0, 1.0, default=0.0, starts=(0.002,)),
+    )
+
+    def force(cable, at, p):
+        """N/m at a place with x, y, vx, vy, tx, ty, angle, spin, arc_length, time."""
+        return -p.c_n_s_per_m2 * at.vx, -p.c_n_s_per_m2 * at.vy
+
+    # Other hooks: moment(cable, at, m, p), inertia(cable, p), tip_mass(cable, p),
+    # rest_curvature(cable, arc_length, p), grip_compliance(cable, p) ...: docs/effects.md
+'''
+
+
+class Part:
+    """The part of the page."""
+
+    def __init__(self, desk: Desk) -> None:
+        self._desk, self._t = desk, desk.t
+        self._typed = 0
+
+    def build(self) -> None:
+        """Make the elements."""
+        t = self._t
+        ui.add_css(_CSS)
+        with ui.card().classes("w-full"):
+            heading(t("Write an effect"))
+            with ui.row().classes("items-center w-full gap-4"):
+                self._saved = ui.select([], label=t("Open")).classes("w-64")
+                self._saved.props("data-test=open-effect").on_value_change(self._open)
+                ui.button(t("Template"), icon="note_add", on_click=self._template).props("outline")
+                self._what = ui.label().classes("grow break-words")
+            self._editor = ui.codemirror(
+                TEMPLATE, language="Python", theme=editor_theme(), on_change=self._changed
+            )
+            self._editor.classes("w-full border").style("height: 26rem")
+            self._editor.props("data-test=editor")
+            with ui.row().classes("items-start no-wrap w-full gap-2"):
+                self._icon = ui.icon("hourglass_empty").classes("text-2xl")
+                self._said = ui.label().classes("whitespace-pre-line break-words")
+                self._said.props("role=status data-test=checked")
+            ui.label(t("A law may only compute: math, numpy, and what an effect is made of."))
+            with ui.row().classes("items-center w-full gap-4"):
+                self._beside = ui.select([], label=t("Beside, in both models"), multiple=True)
+                self._beside.classes("w-64").props("use-chips data-test=beside")
+                button = ui.button(t("Save and fit"), icon="auto_graph", color=BLUE)
+                button.on_click(self._fit).props("text-color=white data-test=fit-own")
+        self._shown = Comparison(self._desk, "own")
+        self._desk.listen(self._refresh)
+
+    async def _refresh(self) -> None:
+        own = self._desk.own_effects()
+        self._saved.set_options(own, value=self._saved.value if self._saved.value in own else None)
+        names = [*own, *library()]
+        kept = [b for b in self._beside.value or [] if b in names]
+        self._beside.set_options(names, value=kept)
+        await self._shown.refresh()
+        if not self._said.text:
+            await self._check()
+
+    def _template(self) -> None:
+        self._saved.value = None
+        self._editor.value = TEMPLATE
+
+    def _open(self, event: Any) -> None:
+        path = self._desk.workspace.effects / f"{event.value}.py"
+        if event.value in self._desk.own_effects():
+            try:
+                self._editor.value = path.read_text(encoding="utf-8")
+            except (OSError, ValueError) as error:
+                self._desk.told(str(error))
+
+    async def _changed(self) -> None:
+        self._typed += 1
+        typed = self._typed
+        await asyncio.sleep(_PAUSE_S)
+        if typed == self._typed:
+            await self._check()
+
+    async def _check(self) -> Checked | None:
+        """Check what is typed now; None = something else was typed meanwhile."""
+        desk, typed, text = self._desk, self._typed, str(self._editor.value)
+        if not desk.visit.may(Role.engineer):
+            desk.told(desk.visit.do("lab check", Role.engineer, str))
+            return None
+        self._icon.props("name=hourglass_empty")
+        checked = await run.io_bound(desk.lab.check_effect, named(text), text)
+        if checked is None or typed != self._typed:
+            return None
+        self._icon.props(f"name={'check_circle' if checked.good else 'error'}")
+        self._icon.style(f"color: {'#2c9e4b' if checked.good else '#d64545'}")
+        right = f"{self._t('The effect is right.')} {checked.law}"
+        self._said.text = right if checked.good else "\n".join(checked.said)
+        lines = {int(n) for said in checked.said for n in _LINE.findall(said)}
+        count = len(text.splitlines())
+        self._editor.decorations = [
+            {"kind": "line", "line": n, "class": "wrong-line"} for n in lines if 0 < n <= count
+        ]
+        return checked
+
+    async def _fit(self) -> None:
+        desk, text = self._desk, str(self._editor.value)
+        if desk.subject is None:
+            desk.told(self._t("Choose a study first."))
+            return
+        name = named(text)
+        refused = await run.io_bound(
+            desk.visit.do,
+            "lab effect",
+            Role.engineer,
+            lambda: desk.lab.save_effect(name, text),
+            f"{name}.py",
+        )
+        desk.told(refused)
+        if not refused:
+            beside = [desk.effect_file(str(b)) for b in self._beside.value or [] if b != name]
+            desk.ask(desk.tasks.fit_own(desk.subject, name, beside))
+            await desk.changed()
+
+
+def named(text: str) -> str:
+    """Name of the effect that a text says: its file is called so."""
+    found = _NAMED.search(text)
+    return "my_effect" if found is None else found[1]

@@ -1,0 +1,113 @@
+"""The jobs, always in sight: what runs, how far it is, what it said; cancel."""
+
+from __future__ import annotations
+
+from nicegui import ui
+
+from cell.web.jobs import OPEN, Job, State
+from cell.web.pages.lab.desk import Desk
+from cell.web.theme import AMBER, BLUE, GREEN, N_, RED
+from cell.web.users import Role
+
+_EVERY_S = 0.4
+_WORDS = {
+    State.QUEUED: (N_("waits"), "schedule", BLUE),
+    State.RUNNING: (N_("at work"), "sync", BLUE),
+    State.CANCELLING: (N_("is being cancelled"), "hourglass_bottom", AMBER),
+    State.DONE: (N_("done"), "check_circle", GREEN),
+    State.FAILED: (N_("ended with an error"), "error", RED),
+    State.CANCELLED: (N_("cancelled"), "cancel", AMBER),
+}
+#: So many jobs are shown, open ones first; of a failed one so many lines.
+_SHOWN, _LINES = 4, 12
+
+
+class Strip:
+    """Elements of the jobs, which are brought up to date in place."""
+
+    def __init__(self, desk: Desk) -> None:
+        self._desk, self._t = desk, desk.t
+        self._version = -1
+        self._ended = self._ended_jobs()
+
+    def build(self) -> None:
+        """Make the elements and keep them up to date."""
+        with ui.card().classes("w-full gap-2 p-3") as self._card:
+            self._card.props("data-test=jobs role=status")
+            self._rows = [_Row(self._desk) for _ in range(_SHOWN)]
+        ui.timer(_EVERY_S, self._update)
+        self._desk.asked = self._show
+        self._show()
+
+    async def _update(self) -> None:
+        if not self._desk.visit.may(Role.engineer, used=False):
+            ui.navigate.to("/login")
+            return
+        if self._version == self._desk.lab.jobs.version:
+            return
+        self._show()
+        ended = self._ended_jobs()
+        if ended - self._ended:
+            self._ended = ended
+            await self._desk.changed()
+
+    def _show(self) -> None:
+        self._version = self._desk.lab.jobs.version
+        jobs = self._desk.lab.jobs.seen()
+        shown = [j for j in jobs if j.state in OPEN][::-1]
+        shown += [j for j in jobs if j.state not in OPEN][: max(1, 2 - len(shown))]
+        for i, row in enumerate(self._rows):
+            row.show(shown[i] if i < len(shown) else None)
+        self._card.set_visibility(bool(shown))
+
+    def _ended_jobs(self) -> set[int]:
+        return {j.number for j in self._desk.lab.jobs.seen() if j.state not in OPEN}
+
+
+class _Row:
+    """One job."""
+
+    def __init__(self, desk: Desk) -> None:
+        self._desk, self._number = desk, 0
+        with ui.column().classes("w-full gap-1") as self._place:
+            with ui.row().classes("w-full items-center gap-2 no-wrap"):
+                self._icon = ui.icon("sync").classes("text-2xl")
+                self._what = ui.label().classes("font-bold").props("data-test=job")
+                self._progress = ui.label().classes("grow").props("data-test=progress")
+                self._cancel = ui.button(desk.t("Cancel"), icon="stop", on_click=self._cancelled)
+                self._cancel.props("outline dense data-test=cancel")
+            self._bar = ui.linear_progress(0.0, show_value=False, size="6px")
+            self._said = ui.label().classes("whitespace-pre-line break-words text-sm")
+            self._said.props("data-test=said")
+            self._typed = ui.label().classes("font-mono text-xs break-all opacity-70 select-all")
+
+    def show(self, job: Job | None) -> None:
+        """Show a job, or nothing."""
+        self._place.set_visibility(job is not None)
+        if job is None:
+            return
+        t, self._number = self._desk.t, job.number
+        word, icon, colour = _WORDS[job.state]
+        self._icon.props(f"name={icon}").style(f"color: {colour}")
+        self._what.text = f"{t(job.task.title)} · {job.task.subject} · {t(word)}"
+        steps = len(job.task.commands)
+        step = f"{job.step + 1}/{steps}: " if steps > 1 and job.state in OPEN else ""
+        self._progress.text = f"{step}{job.progress}" if job.state in OPEN else ""
+        self._cancel.set_visibility(job.state in OPEN)
+        self._bar.set_visibility(job.state in (State.RUNNING, State.CANCELLING))
+        self._bar.props(f"{'' if job.share is not None else 'indeterminate'}")
+        if job.share is not None:
+            self._bar.props(remove="indeterminate")
+            self._bar.value = round(job.share, 3)
+        self._said.text = "\n".join(job.said[-_LINES:])
+        self._said.set_visibility(bool(job.said))
+        self._typed.text = job.task.typed.splitlines()[min(job.step, steps - 1)]
+
+    def _cancelled(self) -> None:
+        desk, number = self._desk, self._number
+        desk.told(
+            desk.visit.do(
+                "lab cancel", Role.engineer, lambda: desk.lab.jobs.cancel(number), str(number)
+            )
+        )
+        desk.asked()

@@ -1,0 +1,260 @@
+"""The study that is worked on: chosen, uploaded, imported, gathered from cycles, looked at."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from nicegui import run, ui
+
+from cell.records.ledger.error import LedgerError
+from cell.records.ledger.ledger import Ledger, Wanted
+from cell.settings.referred import line_of
+from cell.web.cycles import cycle_folder
+from cell.web.lab_tasks import MAPPING, PREVIEW, CableEntries, Subject
+from cell.web.pages.lab.desk import (
+    Desk,
+    editor_theme,
+    frame,
+    heading,
+    output,
+    told_lines,
+)
+from cell.web.pages.lab.drop import drop_zone
+from cell.web.theme import BLUE, N_
+from cell.web.users import Role
+from cell.web.views import WORDS, history_row
+from cell.web.workspace import plain
+
+#: The newest cycles are offered, so many.
+_MOST_CYCLES = 200
+#: How the line ends that names the page of pictures, which is shown.
+_PICTURES = "pictures of every trial"
+#: Entries of a cable that files do not hold: name, what it is, unit, its size in SI units.
+_ENTRIES = (
+    ("free_length_m", N_("Free length"), "mm", 1e-3),
+    ("line_density_kg_per_m", N_("Mass per length"), "g/m", 1e-3),
+    ("width_m", N_("Width"), "mm", 1e-3),
+    ("thickness_m", N_("Thickness"), "mm", 1e-3),
+    ("diameter_m", N_("Diameter, if round"), "mm", 1e-3),
+    ("rate_hz", N_("Rows a second, without times"), "1/s", 1.0),
+)
+
+
+def chooser(desk: Desk) -> None:
+    """The choice of the study, above all parts of the page."""
+    chosen = ui.select({}, label=desk.t("Study")).classes("min-w-64 grow max-w-lg")
+    chosen.props("data-test=subject options-dense")
+
+    async def refresh() -> None:
+        names = desk.workspace.names(desk.workspace.studies)
+        subject = desk.subject
+        if subject is not None and subject.name not in names:
+            names.insert(0, subject.name)
+        chosen.set_options(names, value=None if subject is None else subject.name)
+
+    async def choose(event: Any) -> None:
+        if event.value and (desk.subject is None or event.value != desk.subject.name):
+            await desk.choose(str(event.value))
+
+    chosen.on_value_change(choose)
+    desk.listen(refresh)
+
+
+class Part:
+    """The part of the page."""
+
+    def __init__(self, desk: Desk) -> None:
+        self._desk, self._t = desk, desk.t
+
+    def build(self) -> None:
+        """Make the elements."""
+        with ui.card().classes("w-full"):
+            heading(self._t("Upload"))
+            drop_zone(self._desk, self._uploaded)
+            self._form = _ImportForm(self._desk)
+        with ui.card().classes("w-full"):
+            _Cycles(self._desk).build()
+        with ui.card().classes("w-full") as self._card:
+            self._shown = ui.column().classes("w-full")
+        self._desk.listen(self._refresh)
+
+    async def _uploaded(self, answer: dict[str, Any]) -> None:
+        name, files = answer["name"], [str(f) for f in answer.get("files", [])]
+        if answer.get("is_study"):
+            await self._desk.choose(name)
+        else:
+            self._form.show(name, files)
+
+    async def _refresh(self) -> None:
+        desk, subject = self._desk, self._desk.subject
+        self._card.set_visibility(subject is not None)
+        self._shown.clear()
+        if subject is None:
+            return
+        with self._shown:
+            heading(subject.name)
+            if subject.to_import:
+                self._mapping(subject)
+                return
+            log = desk.result("look.txt")
+            said = told_lines(log, ("Odd:", "To be mended:", "Nothing is odd."))
+            told = ui.label("\n".join(line for line in said if not line.endswith(_PICTURES)))
+            told.classes("break-words whitespace-pre-wrap").props("data-test=look-said")
+            output(desk, self._t("As the command prints it"), log)
+            page = desk.result("look.html")
+            if page is not None:
+                frame(desk, "look.html", self._t("Pictures of every trial"), page)
+            look = ui.button(self._t("Look at it"), icon="visibility")
+            look.on_click(lambda: desk.ask(desk.tasks.look(subject)))
+            look.props("outline data-test=look")
+
+    def _mapping(self, subject: Subject) -> None:
+        """The proposed mapping, to be checked and edited."""
+        desk, t = self._desk, self._t
+        path = subject.folder / MAPPING
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, ValueError) as error:
+            ui.label(str(error))
+            return
+        output(desk, t("What was understood"), subject.folder / "import.txt")
+        frame(desk, PREVIEW, t("Preview"), subject.folder / PREVIEW)
+        ui.label(t("Check the mapping; what is missing is marked null."))
+        editor = ui.codemirror(text, language="YAML", theme=editor_theme()).classes("w-full")
+        editor.style("height: 26rem").props("data-test=mapping")
+
+        async def write() -> None:
+            refused = await run.io_bound(
+                desk.visit.do,
+                "lab mapping",
+                Role.engineer,
+                lambda: desk.lab.save_mapping(path, editor.value),
+                subject.name,
+            )
+            desk.told(refused)
+            if not refused:
+                desk.ask(desk.tasks.write_study(subject))
+
+        button = ui.button(t("Make the study"), icon="done", color=BLUE, on_click=write)
+        button.props("text-color=white data-test=write-study")
+
+
+class _ImportForm:
+    """What is stated of uploaded tables before a mapping is proposed."""
+
+    def __init__(self, desk: Desk) -> None:
+        self._desk, t = desk, desk.t
+        self._upload, self._files = "", list[str]()
+        with ui.column().classes("w-full") as self._place:
+            self._what = ui.label().classes("font-bold break-words")
+            ui.label(t("State what you know; the rest is read from the files."))
+            self._entries: dict[str, tuple[ui.number, float]] = {}
+            with ui.row().classes("gap-4"):
+                for key, words, unit, size in _ENTRIES:
+                    entry = ui.number(f"{t(words)}, {unit}", min=0).classes("w-48")
+                    entry.props(f"data-test=entry-{key}")
+                    self._entries[key] = (entry, size)
+            self._hands = ui.select([], label=t("Files of the hand, if apart"), multiple=True)
+            self._hands.classes("w-full").props("use-chips")
+            button = ui.button(t("Propose a mapping"), icon="table_view", color=BLUE)
+            button.props("text-color=white data-test=propose").on_click(self._propose)
+        self._place.set_visibility(False)
+
+    def show(self, upload: str, files: list[str]) -> None:
+        """Ask about the files of an upload."""
+        self._upload, self._files = upload, files
+        self._what.text = f"{upload}: {', '.join(files[:10])}{' …' if len(files) > 10 else ''}"
+        self._hands.set_options(files, value=[])
+        self._place.set_visibility(True)
+
+    async def _propose(self) -> None:
+        desk, hands = self._desk, list(self._hands.value or [])
+        files = [f for f in self._files if f not in hands]
+        values = {
+            key: None if not entry.value else float(entry.value) * size
+            for key, (entry, size) in self._entries.items()
+        }
+        task = desk.tasks.propose(self._upload, files, hands, CableEntries(**values))
+        if desk.ask(task):
+            self._place.set_visibility(False)
+            desk.subject = Subject(self._upload, desk.workspace.studies / self._upload)
+
+
+class _Cycles:
+    """Recorded cycles, of which one is a study, and several of one cable can be gathered."""
+
+    def __init__(self, desk: Desk) -> None:
+        self._desk, self._t = desk, desk.t
+
+    def build(self) -> None:
+        """Make the elements; the cycles are read when they are asked for."""
+        t = self._t
+        with ui.expansion(t("Recorded cycles"), icon="history").classes("w-full") as opened:
+            opened.props("data-test=cycles-open")
+            self._said = ui.label()
+            names = (
+                ("started", t("Begun")),
+                ("part", t("Part")),
+                ("outcome", t("Outcome")),
+                ("name", t("Folder")),
+            )
+            columns = [
+                {"name": k, "label": label, "field": k, "align": "left"} for k, label in names
+            ]
+            self._table = ui.table(
+                columns=columns, rows=[], row_key="name", selection="multiple", pagination=8
+            ).classes("w-full")
+            self._table.props(f'data-test=cycles rows-per-page-label="{t("Rows")}"')
+            self._table.on_select(self._selected)
+            with ui.row():
+                use = ui.button(t("Work on this cycle"), icon="check", on_click=self._use)
+                use.props("outline data-test=use-cycle")
+                gather = ui.button(t("Gather into one study"), icon="merge", on_click=self._gather)
+                gather.props("outline data-test=gather")
+            ui.label(t("Gather cycles of one cable: the first is fitted to, the others held out."))
+        opened.on_value_change(self._opened)
+
+    async def _opened(self, event: Any) -> None:
+        if not event.value:
+            return
+        found = await run.io_bound(self._found)
+        if found is not None:
+            self._table.rows, self._said.text = found
+            self._said.set_visibility(bool(self._said.text))
+
+    def _found(self) -> tuple[list[dict[str, str]], str]:
+        room = self._desk.visit.room
+        if room.settings.ledger is None:
+            return [], "the settings say `ledger: null`: no cycles are listed"
+        try:
+            ledger = Ledger(room.settings.ledger.url or room.runs)
+            try:
+                wanted = Wanted(line=line_of(room.settings))
+                rows = [history_row(c) for c in reversed(ledger.listed(wanted, _MOST_CYCLES))]
+            finally:
+                ledger.close()
+        except LedgerError as error:
+            return [], str(error)
+        t = self._t
+        return [{**r, "outcome": t(WORDS.get(r["outcome"], r["outcome"]))} for r in rows], ""
+
+    def _selected(self) -> None:
+        runs = self._desk.visit.room.runs
+        names = sorted(str(row["name"]) for row in self._table.selected)
+        folders = (cycle_folder(runs, name) for name in names)
+        self._desk.cycles = [f for f in folders if f is not None]
+
+    async def _use(self) -> None:
+        if len(self._desk.cycles) != 1:
+            self._desk.told(self._t("Select one cycle."))
+            return
+        await self._desk.choose(self._desk.cycles[0].name)
+
+    async def _gather(self) -> None:
+        desk = self._desk
+        if len(desk.cycles) < 2:
+            desk.told(self._t("Select two cycles or more, of one cable."))
+            return
+        name = plain(f"cycles_{desk.cycles[0].name}_{len(desk.cycles)}")
+        if desk.ask(desk.tasks.gather(desk.cycles, name)):
+            desk.subject = Subject(name, desk.workspace.studies / name)

@@ -1,0 +1,166 @@
+"""Jobs of the lab's page: queued, followed, cancelled, ended with the server; never many."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cell.web.jobs import (
+    LONGEST_LINE,
+    MOST_LINES,
+    MOST_WAITING,
+    REMEMBERED,
+    Job,
+    Jobs,
+    State,
+    Task,
+    run_at_once,
+)
+
+ENDLESS = "import time; print('work: 3 of 4, 1 s so far', flush=True, file=sys.stderr)\n"
+ENDLESS += "while True: time.sleep(0.01)"
+STUBBORN = f"import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN)\n{ENDLESS}"
+ANSWERING = """
+import signal, time
+def stop(*_): print('the best so far'); sys.exit(143)
+signal.signal(signal.SIGTERM, stop)
+print('work: begun', flush=True, file=sys.stderr)
+while True: time.sleep(0.01)
+"""
+
+
+def started(words: Sequence[str]) -> subprocess.Popen[str]:
+    """A program in place of a command; its first word is what progress begins with."""
+    return subprocess.Popen(
+        [sys.executable, "-c", f"import sys\n{words[1]}"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def until(reached: Callable[[], Any], within_s: float = 60.0) -> Any:
+    end_s = time.monotonic() + within_s
+    while not (found := reached()):
+        assert time.monotonic() < end_s
+        time.sleep(0.01)
+    return found
+
+
+@pytest.fixture
+def jobs() -> Iterator[Jobs]:
+    with Jobs(started, answering_s=60.0) as jobs:
+        yield jobs
+
+
+def task(*programs: str, subject: str = "study", log: Path | None = None) -> Task:
+    return Task("Work", subject, tuple(("work", p) for p in programs), log=log)
+
+
+def newest(jobs: Jobs) -> Job:
+    return jobs.seen()[0]
+
+
+def test_commands_run_one_after_another_until_one_fails(jobs: Jobs, tmp_path: Path) -> None:
+    log = tmp_path / "results" / "log.txt"
+    jobs.submit(task("print(1)", "print(2)\nprint(3)", log=log), "ada")
+    until(lambda: newest(jobs).state is State.DONE)
+    assert newest(jobs).printed == ("2", "3")
+    assert log.read_text() == "2\n3\n"
+    jobs.submit(task("print('bad:3: mend it', file=sys.stderr); sys.exit(2)", "1"), "ada")
+    failed = until(lambda: newest(jobs).state is State.FAILED and newest(jobs))
+    assert (failed.step, failed.said, failed.by) == (0, ("bad:3: mend it",), "ada")
+
+
+def test_progress_is_what_the_command_says(jobs: Jobs) -> None:
+    version = jobs.version
+    jobs.submit(task(ENDLESS), "ada")
+    job = until(lambda: newest(jobs).progress and newest(jobs))
+    assert (job.state, job.progress, job.share) == (State.RUNNING, "3 of 4, 1 s so far", 0.75)
+    assert jobs.version > version
+    assert jobs.cancel(job.number) == ""
+    until(lambda: newest(jobs).state is State.CANCELLED)
+    assert "ended" in jobs.cancel(job.number)
+
+
+def test_what_is_cancelled_may_say_what_it_knows(jobs: Jobs, tmp_path: Path) -> None:
+    jobs.submit(task(ANSWERING, log=tmp_path / "log.txt"), "ada")
+    until(lambda: newest(jobs).progress)
+    jobs.cancel(newest(jobs).number)
+    until(lambda: newest(jobs).state is State.CANCELLED)
+    assert (tmp_path / "log.txt").read_text() == "the best so far\n"
+
+
+def test_what_does_not_listen_is_ended_by_a_second_cancel(jobs: Jobs) -> None:
+    jobs.submit(task(STUBBORN), "ada")
+    until(lambda: newest(jobs).progress)
+    jobs.cancel(newest(jobs).number)
+    assert newest(jobs).state is State.CANCELLING
+    jobs.cancel(newest(jobs).number)
+    until(lambda: newest(jobs).state is State.CANCELLED)
+
+
+def test_what_does_not_listen_is_ended_after_a_while() -> None:
+    with Jobs(started, answering_s=0.05) as jobs:
+        jobs.submit(task(STUBBORN), "ada")
+        until(lambda: newest(jobs).progress)
+        jobs.cancel(newest(jobs).number)
+        until(lambda: newest(jobs).state is State.CANCELLED)
+
+
+def test_the_queue_is_short_and_the_past_too(jobs: Jobs) -> None:
+    jobs.submit(task(ENDLESS), "ada")
+    until(lambda: newest(jobs).progress)
+    for n in range(MOST_WAITING):
+        assert jobs.submit(task("1", subject=str(n)), "ada") == ""
+    assert "wait already" in jobs.submit(task("1", subject="more"), "ada")
+    first, *_, running = jobs.seen()
+    assert jobs.cancel(first.number) == ""
+    assert newest(jobs).state is State.CANCELLED
+    assert "being done" in jobs.submit(task(ENDLESS), "bob")
+    jobs.cancel(running.number)
+    until(lambda: all(j.state in (State.DONE, State.CANCELLED) for j in jobs.seen()))
+    for n in range(REMEMBERED):
+        jobs.submit(task("1", subject=str(n)), "ada")
+        until(lambda: newest(jobs).state is State.DONE)
+    assert len(jobs.seen()) == REMEMBERED
+
+
+def test_output_without_end_is_cut(jobs: Jobs) -> None:
+    long = "print('x' * 3000, file=sys.stderr)"
+    jobs.submit(task(f"{long}\nfor _ in range({10 * MOST_LINES}): print('y')"), "ada")
+    until(lambda: newest(jobs).state is State.DONE)
+    assert max(map(len, newest(jobs).said)) == LONGEST_LINE
+    assert len(newest(jobs).printed) == MOST_LINES
+
+
+def test_jobs_end_with_the_server() -> None:
+    children: list[subprocess.Popen[str]] = []
+
+    def kept(words: Sequence[str]) -> subprocess.Popen[str]:
+        children.append(started(words))
+        return children[-1]
+
+    with Jobs(kept) as jobs:
+        jobs.submit(task(STUBBORN), "ada")
+        jobs.submit(task("1", subject="next"), "ada")
+        until(lambda: jobs.seen()[1].progress)
+    (child,) = children
+    assert child.wait(10) != 0
+    with pytest.raises(ProcessLookupError):
+        os.killpg(child.pid, 0)
+    assert "ending" in jobs.submit(task("1"), "ada")
+
+
+def test_a_short_command_has_a_limit_of_time() -> None:
+    assert run_at_once(("--version",), 0.0).code is None
+    ran = run_at_once(("--nonsense",), 60.0)
+    assert ran.code == 2 and "nonsense" in ran.said

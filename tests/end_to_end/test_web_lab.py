@@ -1,0 +1,221 @@
+"""The lab's page in a real browser: upload, diagnosis, an effect of one's own, promotion, undo."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cell.cable.dynamics import simulate_each
+from cell.cable.effects import library
+from cell.cable.geometry import Cable, Motion, node_arc_lengths
+from cell.cable.model import CableModel
+from cell.files.yaml_document import yaml_text
+from cell.settings import load_settings
+from cell.settings.line import line_of
+from cell.settings.translate import model_hash
+from cell.study.data import Markers, Study, Trial
+from cell.study.folder import write_study
+from cell.web.audit import audit_file
+from cell.web.workspace import Workspace
+
+from . import test_web
+from .conftest import CONFIG
+from .test_web import Started, answers, free_port, until
+
+browser = test_web.browser
+started = test_web.started
+
+_HIDDEN = 1.5e-3
+#: The law of the effect that is hidden, as a person types it under another name.
+_LAW = '''"""Air that the cable takes along."""
+
+from cell.cable.effects import Effect, Parameter
+
+
+class Carried(Effect):
+    """Inertia of the air that moves with the cable."""
+
+    name = "carried"
+    parameters = (Parameter("kg_per_m", "kg/m", 0.0, 1e-2, default=0.0, starts=(5e-4,)),)
+
+    def inertia(cable, p):
+        return p.kg_per_m, p.kg_per_m
+'''
+
+
+def hidden_mass() -> Study:
+    """Two strokes of a cable that carries more air than its model knows, with noise."""
+    cable, rng = Cable(0.1, 0.0074, 0.016, 0.0001), np.random.default_rng(0)
+    effect = library()["added_mass"].active(kg_per_m=_HIDDEN)
+    model = CableModel(cable, np.full(4, 2.3e-5), 1.05, 1e-7, effects=(effect,))
+    arcs, motions, times_s = node_arc_lengths(0.1), list[Motion](), list[np.ndarray]()
+    strokes = (("down", 0.0, -0.05), ("left", -0.05, 0.0))
+    for _, x_m, y_m in strokes:
+        t_s = np.arange(0.0, 0.9, 0.002)
+        u = np.clip((t_s - 0.2) / 0.25, 0.0, 1.0)
+        s = u**3 * (10 - 15 * u + 6 * u**2)
+        motions.append(Motion(t_s, x_m * s, y_m * s, np.zeros_like(t_s)))
+        times_s.append(np.arange(0.002, t_s[-1], 0.005))
+    seen = simulate_each(model, motions, times_s, arcs)
+    trials = [
+        Trial(
+            *(name, role, "equilibrium", motion),
+            Markers(t_s, clean + rng.normal(scale=1e-4, size=clean.shape)),
+        )
+        for (name, *_), role, motion, t_s, clean in zip(
+            strokes, ("fit", "validate"), motions, times_s, seen, strict=True
+        )
+    ]
+    return Study("hidden", cable, arcs, tuple(trials))
+
+
+def write_candidate(path: Path, config: Path, *, passed: bool) -> None:
+    settings = load_settings(config)
+    drag = {"effect": "air_drag", "parameters": {"drag_coefficient": {"fixed": 1.9}}}
+    content = {
+        "format": "cell-candidate/1",
+        "beside": model_hash(settings.model),
+        "model": {"effects": [drag]},
+        "gates": [{"gate": "identifiable", "passed": passed, "found": "so"}],
+        "lines": [line_of(settings)],
+    }
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(yaml_text(content), encoding="utf-8")
+
+
+class LabPage:
+    """The lab's page, as a person uses it."""
+
+    def __init__(self, browser: Any) -> None:
+        self._browser = browser
+
+    def text(self, what: str) -> str:
+        found = self._browser.find_elements("css selector", f"[data-test={what}]")
+        try:
+            return str(found[0].text) if found else ""
+        except Exception as error:  # the page has just replaced it
+            if type(error).__name__ != "StaleElementReferenceException":
+                raise
+            return ""
+
+    def click(self, what: str) -> None:
+        button = until(lambda: self._shown(what))
+        self._browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", button)
+        until(lambda: self._clicked(button))
+
+    def upload(self, path: Path) -> None:
+        kind = "folder" if path.is_dir() else "files"
+        field = f"[data-test=drop][data-ready] [data-test=upload-{kind}]"
+        until(lambda: self._browser.find_elements("css selector", field))[0].send_keys(str(path))
+
+    def type_over_effect(self, text: str) -> None:
+        from selenium.webdriver.common.keys import Keys
+
+        content = self._browser.find_element("css selector", "[data-test=editor] .cm-content")
+        content.click()
+        content.send_keys(Keys.CONTROL, "a")
+        self._browser.execute_cdp_cmd("Input.insertText", {"text": text})
+
+    def shows(self, what: str, text: str) -> None:
+        try:
+            until(lambda: text in self.text(what))
+        except AssertionError:
+            pytest.fail(f"{what}: {text!r} is not in {self.text(what)!r}")
+
+    def ended(self, job: str) -> None:
+        self.shows("jobs", f"{job} · done")
+
+    def _shown(self, what: str) -> Any:
+        found = self._browser.find_elements("css selector", f"[data-test={what}]")
+        return found[0] if found and found[0].is_displayed() and found[0].is_enabled() else None
+
+    def _clicked(self, button: Any) -> bool:
+        from selenium.common.exceptions import ElementClickInterceptedException
+
+        try:
+            button.click()
+        except ElementClickInterceptedException:  # a message lies over it for some seconds
+            return False
+        return True
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    return Path(shutil.copy(CONFIG, tmp_path / "cell.yaml"))
+
+
+@pytest.fixture
+def page(browser: Any, started: Started, config: Path, tmp_path: Path) -> Iterator[LabPage]:
+    port = free_port()
+    started("serve", "-c", config, "--runs", tmp_path / "runs", "--port", port)
+    until(lambda: answers(port))
+    browser.get(f"http://127.0.0.1:{port}/lab")
+    yield LabPage(browser)
+
+
+def test_a_hidden_effect_is_found_typed_fitted_promoted_and_undone(
+    page: LabPage, config: Path, tmp_path: Path
+) -> None:
+    lab = Workspace.beside(tmp_path / "runs")
+    write_study(hidden_mass(), tmp_path / "hidden")
+    page.upload(Path(shutil.make_archive(str(tmp_path / "hidden"), "zip", tmp_path / "hidden")))
+    page.ended("Look · hidden")
+
+    page.click("tab-diagnose")
+    page.click("diagnose")
+    page.ended("Diagnose · hidden")
+    page.shows("verdict", "Missing")
+    page.shows("parameters", "added_mass: kg_per_m 0.001")
+    diagnosis = json.loads((lab.results("hidden") / "diagnosis.json").read_text())
+    found = diagnosis["missing"][0]["parameters"]["kg_per_m"]["value"]
+    assert found == pytest.approx(_HIDDEN, rel=0.05)
+    page.shows("checks", "Do the held-out trials see each effect found?")
+    page.shows("checks", "error / noise ≤ 1.1")
+
+    page.click("tab-own")
+    page.shows("checked", "The effect is right.")
+    page.type_over_effect(_LAW.replace("p.kg_per_m, p", "open('x'), p"))
+    page.shows("checked", "carried.py:13: `open` is not allowed here")
+    page.type_over_effect(_LAW)
+    page.shows("checked", "Inertia of the air")
+    page.click("fit-own")
+    page.ended("Fit the effect · hidden")
+    page.shows("shown-own", "falls from")
+    before, after = json.loads((lab.results("hidden") / "own.json").read_text())["models"]
+    assert after["heldout_rms_m"] < 0.5 * before["heldout_rms_m"]
+
+    damaged = tmp_path / "damaged"
+    shutil.copytree(tmp_path / "hidden", damaged)
+    rows = (damaged / "down" / "markers.csv").read_text().splitlines()
+    (damaged / "down" / "markers.csv").write_text("\n".join([*rows[:4], "0.1,x,1", *rows[5:]]))
+    page.click("tab-study")
+    page.upload(damaged)
+    page.ended("Look · damaged")
+    page.shows("look-said", "down/markers.csv:5: has 3 cells")
+
+    for name, passed in (("good", True), ("doubtful", False)):
+        write_candidate(lab.candidates / f"{name}.yaml", config, passed=passed)
+    text = config.read_text()
+    page.click("tab-line")
+    page.click("reload")
+    page.shows("gates", "✗ so")
+    page.click("promote-doubtful")
+    page.click("promote-yes")
+    page.shows("refused", "gate 'identifiable': not passed")
+    assert config.read_text() == text
+    page.click("promote-good")
+    page.click("promote-yes")
+    page.shows("line-model", "air_drag")
+    assert load_settings(config).model.effects[0].effect == "air_drag"
+    page.click("undo")
+    page.shows("line-model", "0 former models")
+    assert config.read_text() == text
+    lines = audit_file(tmp_path / "runs").read_text("utf-8").splitlines()
+    promotions = [(d["action"], d["done"]) for d in map(json.loads, lines)][-3:]
+    assert promotions == [("lab promote", False), ("lab promote", True), ("lab promote", True)]
