@@ -77,6 +77,8 @@ class MadeCell:
 
     def change_product(self, name: str) -> None:
         """Make the next cycles of a product; the cables of a simulated world are its own, too."""
+        if name == self.cell.product:
+            return
         self.cell.change_product(self.tasks[name])
         if self.twins is not None:
             self.twins.make(self.products.settings[name])

@@ -150,6 +150,7 @@ def check(config: Config) -> None:
         f"{config}: right; arm {settings.arm.kind}, camera {settings.camera.kind}, gripper "
         f"{settings.gripper.kind}; {len(offsets_m)} offsets, {offsets_m[0] * 1e3:g} … "
         f"{offsets_m[-1] * 1e3:g} mm"
+        + (f"; products {', '.join(settings.products)}" if settings.products else "")
     )
 
 

@@ -71,6 +71,11 @@ class Cell:
         self._listing: CycleListing | None = None
         self._prepared: OneCycle | None = None
 
+    @property
+    def product(self) -> str | None:
+        """What the next cycles make; None = the settings have no products."""
+        return self._made.name
+
     def now_s(self) -> float:
         """Time on the cell's clock."""
         return self._station.devices.clock.now_s()

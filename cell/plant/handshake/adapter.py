@@ -101,7 +101,8 @@ class HandshakeAdapter:
         """Whether the cell obeys."""
         what = ask.command.value
         try:
-            answer = self._client.send(Request(ask.command, self._by, note=ask.note))
+            asked = Request(ask.command, self._by, note=ask.note, product=ask.product)
+            answer = self._client.send(asked)
         except LinkError as error:
             self._say(what, f"{what}: what became of it is not known: {error}")
             return False

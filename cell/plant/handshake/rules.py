@@ -71,10 +71,11 @@ class Memory:
 
 @dataclass(frozen=True)
 class Ask:
-    """A command that the rules ask the cell for, and its note."""
+    """A command that the rules ask the cell for, its note, and the product of a start."""
 
     command: Event
     note: str = ""
+    product: str | None = None
 
 
 @dataclass(frozen=True)
@@ -124,12 +125,19 @@ class Look:
         return self.status.fault is not None or self.status.state in _FAULTED
 
     @property
+    def product(self) -> str | None:
+        """The product that the PLC says; None = it says none."""
+        number = self.inputs.product
+        return self.status.products[number - 1] if number else None
+
+    @property
     def may_start(self) -> bool:
         """Whether a start would be obeyed."""
         return (
             self.is_in(CellState.IDLE)
             and Event.START in self.status.possible
             and not self.is_faulted
+            and self.inputs.product <= len(self.status.products)
             and self.inputs.part_present
             and not self.obstacle
             and not self.inputs.stop
@@ -229,6 +237,8 @@ def _ask(rule: Rule, now: Look) -> Ask:
             return Ask(rule.command, "acknowledged by the digital input")
         case Event.STOP:
             return Ask(rule.command, "stopped by the digital input")
+        case Event.START:
+            return Ask(rule.command, product=now.product)
     return Ask(rule.command)
 
 

@@ -15,6 +15,7 @@ class Inputs:
     downstream_ready  the machine after the cell allows it to work
     acknowledge       its rising edge says that a person has looked
     stop              its rising edge asks for a stop
+    product_0 …       number of the product that a start is of, lowest bit first; 0 = not said
     """
 
     start: bool = False
@@ -23,6 +24,16 @@ class Inputs:
     downstream_ready: bool = True
     acknowledge: bool = False
     stop: bool = False
+    product_0: bool = False
+    product_1: bool = False
+    product_2: bool = False
+    product_3: bool = False
+
+    @property
+    def product(self) -> int:
+        """Number of the product, from 1 in the order of the settings; 0 = not said."""
+        bits = (self.product_0, self.product_1, self.product_2, self.product_3)
+        return sum(bit << place for place, bit in enumerate(bits))
 
 
 @dataclass(frozen=True)

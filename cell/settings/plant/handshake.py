@@ -34,6 +34,14 @@ class InputSignals(Section):
     """Its rising edge clears Aborted and resets Stopped: a person has looked."""
     stop: Signal | None = Signal(number=5)
     """Its rising edge stops the cycle.  It is not safety-rated."""
+    product_0: Signal | None = None
+    """Lowest bit of the product's number, from 1 in the order of `products`; 0 = not said."""
+    product_1: Signal | None = None
+    """Next bit of the product's number."""
+    product_2: Signal | None = None
+    """Next bit of the product's number."""
+    product_3: Signal | None = None
+    """Highest bit of the product's number."""
 
 
 class OutputSignals(Section):

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
+from cell.build import cell_task
 from cell.plan.measuring import Measuring, Move
 from cell.run.findings import Findings, required
-from cell.run.plans import INSERTING, Plan, Repeat, measuring
+from cell.run.plans import INSERTING, Plan, Repeat, changing_over, measuring
+from cell.settings import load_settings
 from drivers.interfaces import Pose
 
+FORMER = cell_task(load_settings(Path(__file__).parents[3] / "config" / "fake.yaml"))
 MOTION = Measuring("m", Pose(0.0, 0.0), 0.2, (Move(Pose(0.0, -0.05), 0.4),), 0.5)
 
 
@@ -33,6 +37,18 @@ def test_what_is_held_is_let_go_and_the_hand_goes_home_with_a_rejected_cable_too
 def test_what_keeps_the_computer_busy_is_done_before_any_device_is_connected(plan: Plan) -> None:
     """A camera whose pictures nobody takes for a second is lost."""
     assert plan.names[:2] == ("warm_up", "connect")
+
+
+@pytest.mark.parametrize("plan", [INSERTING, measuring(MOTION)])
+def test_a_change_empties_the_jaws_before_anything_of_the_new_product(plan: Plan) -> None:
+    reset = changing_over(plan, FORMER, at_start=False)
+    assert [s.name for s in reset.resetting] == [
+        *("warm_up", "connect", "empty_jaws", "check_paths", "reset")
+    ]
+    ready = changing_over(plan, FORMER, at_start=True)
+    assert ready.resetting == plan.resetting
+    assert [s.name for s in ready.starting] == ["empty_jaws", "check_paths", "reset", "start"]
+    assert ready.execute == reset.execute == plan.execute
 
 
 def test_steps_with_the_same_name_are_one_row() -> None:

@@ -8,6 +8,7 @@ import shlex
 import signal
 from collections.abc import Iterator
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -48,6 +49,7 @@ from cell.lab.next.next_motion import distinguishing_motion, worth_measuring
 from cell.lab.next.terms import admissible
 from cell.lab.report.learning_tables import learning_lines
 from cell.lab.search.setup import fit_cache_of, read_kind
+from cell.records.folder import Record
 from cell.settings import load_settings
 from cell.settings.model import Model
 from cell.settings.promotion import read_candidate
@@ -479,6 +481,23 @@ def test_cycles_of_another_cable_or_none_are_refused(
         read_cycles([tmp_path / "a"], replace(cable, width_m=0.02))
     with pytest.raises(InputError, match="holds no recorded cycle"):
         read_cycles([tmp_path], cable)
+
+
+def test_cycles_of_another_product_are_left_out(
+    tmp_path: Path, dragged: list[RecordedCycle]
+) -> None:
+    cable = cell_task(SETTINGS).cable
+    for number, product in enumerate(("soft", "stiff", None), 1):
+        record = Record(tmp_path, number, datetime(2026, 11, 25, 20, number))
+        record.state(product=product)
+        record.study(dragged[0].study)
+    for wanted, at in (("soft", 1), ("stiff", 2), (None, 3)):
+        found, left_out = read_cycles([tmp_path], cable, wanted)
+        assert [c.name.rpartition("-")[2] for c in found] == [str(at)]
+        assert len(left_out) == 2
+    assert any(line.endswith("-2: of product stiff, not of no product") for line in left_out)
+    with pytest.raises(InputError, match="no cycle here has measurements of product short"):
+        read_cycles([tmp_path], cable, "short")
 
 
 @pytest.fixture(scope="module")

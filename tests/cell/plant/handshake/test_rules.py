@@ -21,7 +21,7 @@ def status(state: CellState, **more: object) -> Status:
     return replace(made, **more)  # type: ignore[arg-type]
 
 
-any_inputs = st.builds(Inputs, *[st.booleans()] * 6)
+any_inputs = st.builds(Inputs, *[st.booleans()] * 7)
 any_status = st.none() | st.builds(
     lambda state, fault, run, cycles, outcome: status(
         state,
@@ -254,3 +254,17 @@ def test_a_start_that_is_obeyed_is_told_before_the_next_look() -> None:
 def test_a_look_knows_who_is_in_the_way() -> None:
     for inputs, who in ((Inputs(), ""), (Inputs(upstream_ready=False), "upstream")):
         assert Look(inputs, IDLE, Memory()).obstacle == who
+
+
+def test_a_start_is_of_the_product_whose_number_the_plc_says() -> None:
+    idle = status(CellState.IDLE, products=("soft", "stiff"))
+    for number, product in ((0, None), (1, "soft"), (2, "stiff")):
+        said = {"product_0": bool(number & 1), "product_1": bool(number & 2)}
+        _, outputs, memory = look(Inputs(**said), idle, Memory())
+        assert outputs.ready
+        asks, *_ = look(Inputs(start=True, **said), idle, memory)
+        assert asks == (Ask(Event.START, product=product),)
+    unknown = Inputs(product_0=True, product_1=True)
+    _, outputs, memory = look(unknown, idle, Memory())
+    assert not outputs.ready, "there is no third"
+    assert look(replace(unknown, start=True), idle, replace(memory, ready=True))[0] == ()

@@ -187,3 +187,15 @@ def test_an_acknowledgement_is_written_after_its_fault(ledger: Ledger) -> None:
     old = begun(1).to_json()
     del old["acknowledged"]
     assert Entry.from_json(old) == begun(1)
+
+
+def test_products_do_not_mix(ledger: Ledger) -> None:
+    products = ("soft", "stiff", None, "soft")
+    ledger.write([ended(n, product=product) for n, product in enumerate(products, 1)])
+    assert [r.cycle for r in ledger.results("line3", "soft")] == [1, 4]
+    assert [r.cycle for r in ledger.results("line3", "stiff")] == [2]
+    assert [r.cycle for r in ledger.results("line3")] == [3]
+    for wanted, cycles in ((None, [1, 2, 3, 4]), ("soft", [1, 4]), ("", [3]), ("short", [])):
+        listed = ledger.listed(Wanted(product=wanted))
+        assert [c.cycle for c in listed] == cycles
+        assert sum(ledger.count(Wanted(product=wanted)).values()) == len(cycles)
