@@ -68,7 +68,7 @@ class Part:
             self._editor.classes("w-full border").style("height: 26rem")
             self._editor.props("data-test=editor")
             with ui.row().classes("items-start no-wrap w-full gap-2"):
-                self._icon = ui.icon("hourglass_empty").classes("text-2xl")
+                self._icon = ui.icon("edit").classes("text-2xl")
                 self._said = ui.label().classes("whitespace-pre-line break-words")
                 self._said.props("role=status data-test=checked")
             ui.label(t("A law may only compute: math, numpy, and what an effect is made of."))
@@ -87,8 +87,6 @@ class Part:
         kept = [b for b in self._beside.value or [] if b in names]
         self._beside.set_options(names, value=kept)
         await self._shown.refresh()
-        if not self._said.text:
-            await self._check()
 
     def _template(self) -> None:
         self._saved.value = None
