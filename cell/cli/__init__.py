@@ -16,6 +16,7 @@ import typer
 
 from cell.cli import (
     acknowledge,
+    actions,
     bundle,
     calibrate,
     export,
@@ -37,6 +38,7 @@ from cell.cli import (
     settings,
     store,
     studies,
+    users,
 )
 from cell.cli.streams import open_streams, usable_streams
 from cell.computer.watched import go_on_watched
@@ -55,13 +57,26 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 for group in (
-    *(run, plant, settings, records, identify, ledger, acknowledge, bundle, recordings, store),
+    *(
+        run,
+        plant,
+        settings,
+        records,
+        identify,
+        ledger,
+        acknowledge,
+        actions,
+        bundle,
+        recordings,
+        store,
+    ),
     *(fit, lab, power, studies, imports, export, line, mqtt, handshake),
 ):
     app.add_typer(group.app)
 app.add_typer(calibrate.app)
 app.add_typer(serve.app)
 app.add_typer(opcua.app)
+app.add_typer(users.app, name="user", help="Users of pages and OPC UA.")
 
 
 def _version(wanted: bool) -> None:

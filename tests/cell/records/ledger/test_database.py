@@ -113,6 +113,7 @@ def test_a_ledger_of_the_first_version_keeps_what_is_in_it(place: str) -> None:
     ledger.close()
     with engine_of(place) as engine, engine.begin() as connection:
         connection.execute(text("DROP TABLE acknowledgements"))
+        connection.execute(text("DROP TABLE actions"))
         connection.execute(text("UPDATE alembic_version SET version_num = '0001'"))
     with pytest.raises(LedgerError, match=r"older version \(0001\)"):
         Ledger(place)
