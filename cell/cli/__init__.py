@@ -16,6 +16,7 @@ import typer
 
 from cell.cli import (
     acknowledge,
+    actions,
     bundle,
     calibrate,
     emulate,
@@ -38,6 +39,7 @@ from cell.cli import (
     settings,
     store,
     studies,
+    users,
 )
 from cell.cli.streams import open_streams, usable_streams
 from cell.computer.watched import go_on_watched
@@ -65,6 +67,7 @@ for group in (
         identify,
         ledger,
         acknowledge,
+        actions,
         bundle,
         recordings,
         store,
@@ -75,6 +78,7 @@ for group in (
 app.add_typer(calibrate.app)
 app.add_typer(serve.app)
 app.add_typer(opcua.app)
+app.add_typer(users.app, name="user", help="Users of pages and OPC UA.")
 
 
 def _version(wanted: bool) -> None:

@@ -98,8 +98,8 @@ class HistoryOptions:
 
         outcomes = [UNFINISHED if o == "unfinished" else _known(o) for o in self.outcome or ()]
         return Wanted(
-            since=_moment(self.since, now, "--since"),
-            until=_moment(self.until, now, "--until"),
+            since=moment(self.since, now, "--since"),
+            until=moment(self.until, now, "--until"),
             outcomes=tuple(outcomes),
             line=self.line,
             part=self.part_id,
@@ -214,7 +214,7 @@ def listed_cycles(settings: Settings, place: str | None, since: str | None) -> l
 
     outcomes = (*TELLING, Outcome.MEASURED)
     wanted = Wanted(
-        since=_moment(since, datetime.now(UTC), "--since"),
+        since=moment(since, datetime.now(UTC), "--since"),
         outcomes=tuple(o.value for o in outcomes),
         line=line_of(settings),
         product=settings.product or "",
@@ -244,7 +244,8 @@ def ledger_errors() -> Iterator[None]:
         raise ValueError(str(error)) from error
 
 
-def _moment(said: str | None, now: datetime, option: str) -> datetime | None:
+def moment(said: str | None, now: datetime, option: str) -> datetime | None:
+    """A time that was typed; None = none was.  Raises ValueError: it is no time."""
     if said is None:
         return None
     if ago := re.fullmatch(r"(\d+)([hd])", said):

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cell.cli.passwords import typed_password
 from cell.cli.shared import BAD_INPUT, Config, MaybeConfig, group, refuse
+from cell.cli.users import FILE, Name, RoleName, UsersFile, add_user, opcua_folder, remove_user
 
 if TYPE_CHECKING:
     from cell.settings import Settings
@@ -23,8 +23,6 @@ app = typer.Typer(
 user = group()
 app.add_typer(user, name="user", help="Users of the OPC UA server.")
 
-Name = Annotated[str, typer.Argument(help="Name of the user.")]
-
 
 @app.callback()
 def opcua(
@@ -33,6 +31,7 @@ def opcua(
     runs: Annotated[
         Path, typer.Option(help="Folder of the records of the cell that is shown.")
     ] = Path("runs"),
+    users: UsersFile = FILE,
 ) -> None:
     """Show a running cell to a plant by OPC UA, after PackML, until Ctrl-C.
 
@@ -55,7 +54,7 @@ def opcua(
 
         if settings.plant is not None and settings.plant.opcua is not None:
             to_file(settings.plant.opcua.folder / "opcua.log")
-        serve(settings, runs, lambda address: print(f"listens at {address}", flush=True))
+        serve(settings, runs, lambda address: print(f"listens at {address}", flush=True), users)
     except ImportError as error:
         _without_extra(error)
     except ValueError as error:
@@ -63,45 +62,15 @@ def opcua(
 
 
 @user.command()
-def add(
-    name: Name,
-    *,
-    config: Config,
-    role: Annotated[
-        str, typer.Option(help="watch: only look; operate: also start, stop and the others.")
-    ] = "watch",
-) -> None:
-    """Add a user, or give one another role and password.
-
-    The password is asked for; without a terminal it is the first line of the standard input.  Only
-    its hash is kept, in the folder `plant.opcua.folder`.
-    """
-    try:
-        from cell.plant.opcua.users import Role, add_user
-
-        folder = _folder(config)
-        if role not in {r.value for r in Role}:
-            raise ValueError(f"--role {role}: no role; give {' or '.join(Role)}")
-        new = add_user(folder, name, Role(role), typed_password())
-        print(f"{name}: {'added' if new else 'changed'}, may {role}")
-    except ImportError as error:
-        _without_extra(error)
-    except (OSError, ValueError) as error:
-        refuse(error)
+def add(name: Name, *, config: Config, role: RoleName = "watch", users: UsersFile = FILE) -> None:
+    """Add a user: the same as `cell user add`."""
+    add_user(users, name, role, _folder(config))
 
 
 @user.command()
-def remove(name: Name, *, config: Config) -> None:
-    """Remove a user; sessions that are open stay until they end."""
-    try:
-        from cell.plant.opcua.users import remove_user
-
-        remove_user(_folder(config), name)
-        print(f"{name}: removed")
-    except ImportError as error:
-        _without_extra(error)
-    except (OSError, ValueError) as error:
-        refuse(error)
+def remove(name: Name, *, config: Config, users: UsersFile = FILE) -> None:
+    """Remove a user: the same as `cell user remove`.  Sessions that are open stay."""
+    remove_user(users, name, _folder(config))
 
 
 def _settings(config: Path) -> Settings:
@@ -111,11 +80,12 @@ def _settings(config: Path) -> Settings:
 
 
 def _folder(config: Path) -> Path:
-    """Folder of the users.  Raises ValueError: the settings have no server."""
-    plant = _settings(config).plant
-    if plant is None or plant.opcua is None:
-        raise ValueError(f"{config}: has no section plant.opcua; add one, it may be empty: {{}}")
-    return plant.opcua.folder
+    """Folder of the server; settings without one are refused."""
+    folder = opcua_folder(config)
+    if folder is None:
+        said = f"{config}: has no section plant.opcua; add one, it may be empty: {{}}"
+        refuse(ValueError(said))
+    return folder
 
 
 def _without_extra(error: ImportError) -> None:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cell.cli.passwords import typed_password
 from cell.cli.shared import BAD_INPUT, MaybeConfig, group, refuse
+from cell.cli.users import FILE, Name, RoleName, UsersFile, add_user, opcua_folder, remove_user
 
 if TYPE_CHECKING:
     from cell.web.visit import Room
@@ -23,10 +23,6 @@ app = typer.Typer(
 )
 user = group()
 app.add_typer(user, name="user", help="Users of the pages.")
-
-Name = Annotated[str, typer.Argument(help="Name of the user.")]
-UsersFile = Annotated[Path, typer.Option("--users", help="File of the users.")]
-_USERS = Path("web-users.json")
 
 
 @dataclass(frozen=True)
@@ -50,7 +46,7 @@ def serve(
     port: Annotated[int, typer.Option(min=1, max=65535, help="Port to listen at.")] = 8080,
     certificate: Annotated[Path | None, typer.Option(help="Certificate of TLS, PEM.")] = None,
     key: Annotated[Path | None, typer.Option(help="Key of the certificate, PEM.")] = None,
-    users: UsersFile = _USERS,
+    users: UsersFile = FILE,
 ) -> None:
     """Serve the pages of a cell for browsers, until Ctrl-C.
 
@@ -76,12 +72,13 @@ def _serve(config: Path, runs: Path, at: _Address, file: Path) -> None:
     """Serve until the end.  Raises ValueError, OSError: it cannot be done so."""
     import socket
 
+    from cell.plant.users import all_users
     from cell.web.guard import LOOPBACK
     from cell.web.serve import may_be_served
     from cell.web.serve import serve as serve_pages
-    from cell.web.users import Users
 
-    accounts = Users(file)
+    folder = opcua_folder(config)
+    accounts = all_users(file, folder)
     loopback = at.host in LOOPBACK
     if (at.certificate is None) != (at.key is None):
         raise ValueError("--certificate and --key go together; give both")
@@ -124,40 +121,15 @@ def _room(config: Path, runs: Path, accounts: object) -> Room:
 
 
 @user.command()
-def add(
-    name: Name,
-    *,
-    role: Annotated[str, typer.Option(help="watch, operate or engineer.")] = "watch",
-    users: UsersFile = _USERS,
-) -> None:
-    """Add a user, or give one another role and password.
-
-    The password is asked for; without a terminal it is the first line of the standard input.  Only
-    its hash is kept, in a file that only its owner can read.
-    """
-    try:
-        from cell.web.users import Role, Users
-
-        if role not in Role.__members__:
-            raise ValueError(f"--role {role}: no role; give one of {', '.join(Role.__members__)}")
-        new = Users(users).add(name, Role[role], typed_password())
-        print(f"{name}: {'added' if new else 'changed'}, may {role}")
-    except ImportError as error:
-        _without_extra(error)
-    except (OSError, ValueError) as error:
-        refuse(error)
+def add(name: Name, *, role: RoleName = "watch", users: UsersFile = FILE) -> None:
+    """Add a user: the same as `cell user add`."""
+    add_user(users, name, role, None)
 
 
 @user.command()
-def remove(name: Name, *, users: UsersFile = _USERS) -> None:
-    """Remove a user, whose sessions end."""
-    from cell.web.users import Users
-
-    try:
-        Users(users).remove(name)
-        print(f"{name}: removed")
-    except (OSError, ValueError) as error:
-        refuse(error)
+def remove(name: Name, *, users: UsersFile = FILE) -> None:
+    """Remove a user: the same as `cell user remove`."""
+    remove_user(users, name, None)
 
 
 def _without_extra(error: ImportError) -> None:

@@ -268,5 +268,5 @@ def may_be_served(host: str, tls: bool, users: int, loopback: bool) -> str:
     if not tls:
         return f"--host {host}: beyond loopback TLS is needed: give --certificate and --key"
     if not users:
-        return f"--host {host}: beyond loopback users are needed: cell serve user add NAME"
+        return f"--host {host}: beyond loopback users are needed: cell user add NAME"
     return ""

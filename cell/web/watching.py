@@ -14,12 +14,14 @@ from cell.plant.client import Client
 from cell.plant.folded import status_after
 from cell.plant.messages import Kind, Notice, Status
 from cell.plant.wire import ProtocolError
+from cell.records.ledger.actions import take_over
 from cell.records.ledger.effectiveness import Shift, shifts
 from cell.records.ledger.error import LedgerError
 from cell.records.ledger.ledger import Ledger, Wanted
 from cell.settings.model import Settings
 from cell.settings.records import Ledger as LedgerSettings
 from cell.settings.referred import line_of
+from cell.web.audit import audit_file
 
 _LOG = logging.getLogger(__name__)
 
@@ -68,6 +70,7 @@ class Watch:
         self._lock = threading.Lock()
         self._ask = threading.Event()
         self._over = False
+        self._listed_bytes = 0
 
     def __enter__(self) -> Watch:
         for task in (self._follow, self._count):
@@ -103,10 +106,23 @@ class Watch:
     def _count(self) -> None:
         while not self._over:
             figures = shift_figures(self._settings, self._runs, datetime.now().astimezone())
+            self._list_actions()
             with self._lock:
                 self.seen = replace(self.seen, figures=figures)
             self._ask.wait(_ASK_S)
             self._ask.clear()
+
+    def _list_actions(self) -> None:
+        """Take what was done at the pages into the ledger, if there is one."""
+        log, ledger = audit_file(self._runs), self._settings.ledger
+        try:
+            size = log.stat().st_size if log.exists() else 0
+            if ledger is None or size == self._listed_bytes:
+                return
+            take_over(ledger.url or self._runs, log, line_of(self._settings))
+            self._listed_bytes = size
+        except (LedgerError, OSError) as error:  # next time
+            _LOG.info("%s", error)
 
 
 def seen_after(seen: Seen, message: Notice | Status) -> Seen:

@@ -19,9 +19,9 @@ from asyncua.crypto.permission_rules import User, UserRole
 from asyncua.server.internal_server import InternalServer
 from asyncua.server.internal_session import InternalSession
 
-from cell.files.input_error import InputError
 from cell.plant.opcua.certificates import TrustedClients
-from cell.plant.opcua.users import Role, read_users, role_of
+from cell.plant.users import Role
+from cell.plant.users import Users as Accounts
 
 _LOG = logging.getLogger(__name__)
 
@@ -47,8 +47,8 @@ class Person(User):  # type: ignore[misc]
 class Users:
     """Tells asyncua who a client is, by the file of users."""
 
-    def __init__(self, folder: Path, anonymous: bool) -> None:
-        self._folder, self._anonymous = folder, anonymous
+    def __init__(self, accounts: Accounts, anonymous: bool) -> None:
+        self._accounts, self._anonymous = accounts, anonymous
 
     def get_user(
         self,
@@ -61,14 +61,14 @@ class Users:
         if username is None:
             return Person(UserRole.User, ANONYMOUS, True) if self._anonymous else None
         try:
-            role = role_of(read_users(self._folder), username, password or "")
-        except (InputError, OSError) as error:
+            known = self._accounts.known(username, password or "")
+        except (ValueError, OSError) as error:
             _LOG.error("%s", error)
             return None
-        if role is None:
+        if known is None:
             _LOG.warning("refused: user %r, or the password", username)
             return None
-        return Person(UserRole.User, username, role is Role.OPERATE)
+        return Person(UserRole.User, username, known.role >= Role.operate)
 
 
 class GuardedSession(InternalSession):  # type: ignore[misc]
@@ -109,12 +109,13 @@ class GuardedSession(InternalSession):  # type: ignore[misc]
 class GuardedServer(InternalServer):  # type: ignore[misc]
     """The server within asyncua's server.
 
-    folder   of users and certificates
-    open_    clients may come without encryption and without a name
+    accounts  who may come
+    folder    of certificates
+    open_     clients may come without encryption and without a name
     """
 
-    def __init__(self, folder: Path, open_: bool) -> None:
-        super().__init__(user_manager=Users(folder, anonymous=open_))
+    def __init__(self, accounts: Accounts, folder: Path, open_: bool) -> None:
+        super().__init__(user_manager=Users(accounts, anonymous=open_))
         self._trusted = None if open_ else TrustedClients(folder)
         tokens = [ua.UserNameIdentityToken, *([ua.AnonymousIdentityToken] if open_ else [])]
         self.supported_tokens = tuple(tokens)

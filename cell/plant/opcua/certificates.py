@@ -14,7 +14,7 @@ from cryptography import x509
 from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
-from cell.plant.opcua.secret_file import write_secret
+from cell.files.secret_file import write_secret
 
 _LOG = logging.getLogger(__name__)
 

@@ -29,6 +29,8 @@ from cell.plant.opcua.space import Space
 from cell.plant.opcua.types import add_types
 from cell.plant.opcua.unit import Unit, tags_of
 from cell.plant.opcua.view import View
+from cell.plant.users import FILE as USERS
+from cell.plant.users import all_users
 from cell.plant.wire import ProtocolError
 from cell.settings import Settings
 from cell.settings.plant import OpcUa
@@ -60,28 +62,33 @@ _ENCRYPTED = [
 ]
 
 
-def serve(settings: Settings, runs: Path, ready: Callable[[str], None] = print) -> None:
+def serve(
+    settings: Settings, runs: Path, ready: Callable[[str], None] = print, users: Path = USERS
+) -> None:
     """Serve until SIGTERM or Ctrl-C.
 
     runs    folder of the cell's records
     ready   told the address once clients may come
+    users   file of the users
     raises  ValueError: no section `plant.opcua`, the address cannot be listened at, or the folder
             cannot be written; the message says what to do
     """
-    asyncio.run(_until_stopped(settings, runs, ready))
+    asyncio.run(_until_stopped(settings, runs, ready, users))
 
 
-async def _until_stopped(settings: Settings, runs: Path, ready: Callable[[str], None]) -> None:
+async def _until_stopped(
+    settings: Settings, runs: Path, ready: Callable[[str], None], users: Path
+) -> None:
     stopped, loop = asyncio.Event(), asyncio.get_running_loop()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, stopped.set)
-    async with running(settings, runs) as address:
+    async with running(settings, runs, users) as address:
         ready(address)
         await stopped.wait()
 
 
 @asynccontextmanager
-async def running(settings: Settings, runs: Path) -> AsyncIterator[str]:
+async def running(settings: Settings, runs: Path, users: Path = USERS) -> AsyncIterator[str]:
     """The server, as long as the `with` lasts; gives its address.  Raises ValueError as `serve`."""
     opcua = None if settings.plant is None else settings.plant.opcua
     if opcua is None:
@@ -90,7 +97,7 @@ async def running(settings: Settings, runs: Path) -> AsyncIterator[str]:
     tags = tags_of(line_of(settings), None if ideal_s is None else 60.0 / ideal_s)
     _forward_messages()
     try:
-        server = await _made(opcua)
+        server = await _made(opcua, users)
     except OSError as error:
         raise ValueError(
             f"{error.filename or opcua.folder}: {error.strerror or error}; name another folder in "
@@ -119,9 +126,10 @@ async def running(settings: Settings, runs: Path) -> AsyncIterator[str]:
         await server.stop()
 
 
-async def _made(opcua: OpcUa) -> Server:
+async def _made(opcua: OpcUa, users: Path) -> Server:
     """A server that does not listen yet.  Raises OSError: its files cannot be written."""
-    server = Server(iserver=GuardedServer(opcua.folder, opcua.is_loopback))
+    accounts = all_users(users, opcua.folder)
+    server = Server(iserver=GuardedServer(accounts, opcua.folder, opcua.is_loopback))
     await server.init()
     uri = f"urn:{socket.gethostname()}:cable-cell:{opcua.name}"
     await server.set_application_uri(uri)

@@ -6,6 +6,7 @@ What is changed here needs a migration, and a new `HEAD`.
 from __future__ import annotations
 
 from sqlalchemy import (
+    BigInteger,
     Boolean,
     Column,
     DateTime,
@@ -20,7 +21,7 @@ from sqlalchemy import (
 )
 
 #: Newest migration.
-HEAD = "0003"
+HEAD = "0004"
 
 metadata = MetaData()
 
@@ -120,4 +121,21 @@ times = Table(
     Column("kind", String(10), primary_key=True),  # state, step
     Column("name", String(50), primary_key=True),
     Column("seconds", Float, nullable=False),
+)
+
+#: What people have done at the pages; `place`: of the line in the log, `source`, that it is from.
+actions = Table(
+    "actions",
+    metadata,
+    Column("id", Integer, primary_key=True),
+    Column("source", String(300), nullable=False),
+    Column("place", BigInteger, nullable=False),
+    Column("line", String(100), nullable=False),
+    Column("at", DateTime, nullable=False),
+    Column("by", String(100), nullable=False),
+    Column("action", String(100), nullable=False),
+    Column("done", Boolean, nullable=False),
+    Column("note", Text, nullable=False),
+    Index("once", "source", "place", unique=True),
+    Index("actions_by_time", "at", "id"),
 )

@@ -13,7 +13,7 @@ from cell.settings.section import Host, Section, is_loopback
 class OpcUa(Section):
     """OPC UA server (`cell opcua`): the cell's states, counters and commands after PackML.
 
-    Beyond this computer it demands encryption and a user's name; `cell opcua user add` adds users.
+    Beyond this computer it demands encryption and a user's name; `cell user add` adds users.
     """
 
     listen: Host = "127.0.0.1"
@@ -22,8 +22,8 @@ class OpcUa(Section):
     port: Annotated[int, Field(ge=1, le=65535)] = 4840
     """TCP port; 4840 is that of OPC UA."""
     folder: Path = Path("opcua")
-    """Folder of the server's key and certificate, of its users, and of the clients' certificates
-    that it trusts."""
+    """Folder of the server's key and certificate, and of the clients' certificates that it
+    trusts."""
     name: Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[^/:]+$")] = "CableCell"
     """Of the object that stands for this cell among those of the server."""
 

@@ -19,7 +19,7 @@ from cell.plant.link import Link
 from cell.plant.messages import Answer, Kind, Request, Status
 from cell.plant.opcua import packml
 from cell.plant.opcua.server import OWN_URI, running
-from cell.plant.opcua.users import Role, add_user
+from cell.plant.users import Role, Users
 from cell.run.machine import CellState, Event, EventRefusedError, Machine
 from cell.settings import Settings, load_settings
 from cell.settings.plant import OpcUa, Plant
@@ -195,8 +195,9 @@ class Site:
 @contextmanager
 def site(folder: Path, listen: str) -> Iterator[Site]:
     runs, port = folder / "runs", free_port()
-    add_user(folder / "opcua", "ada", Role.OPERATE, PASSWORD)
-    add_user(folder / "opcua", "bob", Role.WATCH, PASSWORD)
+    users = Users(folder / "opcua" / "users.json")
+    users.add("ada", Role.operate, PASSWORD)
+    users.add("bob", Role.watch, PASSWORD)
     opcua = OpcUa(listen=listen, port=port, folder=folder / "opcua", name=NAME)
     cell = FakeCell(runs)
     with cell.link, served(settings_with(opcua), runs):

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
 from cell.cli import app
-from cell.plant.opcua.users import Role, read_users, role_of
+from cell.plant.users import Role, User, Users, all_users
 from tests.cell.plant.opcua.conftest import CONFIG
 
 
@@ -20,28 +21,55 @@ def config(tmp_path: Path) -> Path:
     return path
 
 
-def test_users_are_added_changed_and_removed(config: Path, tmp_path: Path) -> None:
-    def typed(*words: str, password: str = "") -> str:
-        done = CliRunner().invoke(app, ["opcua", "user", *words, "--config", str(config)], password)
-        assert done.exit_code == 0, done.output
-        return done.stdout
+def typed(*words: object, password: str = "") -> str:
+    done = CliRunner().invoke(app, [str(w) for w in words], f"{password}\n")
+    assert done.exit_code == 0, done.output
+    return done.stdout
 
-    assert typed("add", "ada", "--role", "operate", password="secret 1\n") == (
-        "ada: added, may operate\n"
-    )
-    folder = tmp_path / "opcua"
-    assert role_of(read_users(folder), "ada", "secret 1") is Role.OPERATE
-    assert role_of(read_users(folder), "ada", "secret 2") is None
-    assert typed("add", "ada", password="secret 2\n") == "ada: changed, may watch\n"
-    assert role_of(read_users(folder), "ada", "secret 2") is Role.WATCH
-    typed("remove", "ada")
-    assert role_of(read_users(folder), "ada", "secret 2") is None
+
+def test_one_file_has_the_users_of_pages_and_opc_ua(config: Path, tmp_path: Path) -> None:
+    file = tmp_path / "users.json"
+    more = ("--users", file)
+    said = typed("opcua", "user", "add", "ada", "--role", "operate", "--config", config, *more,
+                 password="secret no 1")  # fmt: skip
+    assert said == "ada: added, may operate\n"
+    assert Users(file).known("ada", "secret no 1") == User("ada", Role.operate)
+    assert Users(file).known("ada", "secret no 2") is None
+    said = typed("serve", "user", "add", "ada", *more, password="secret no 2")
+    assert said == "ada: changed, may watch\n"
+    typed("user", "add", "eve", "--role", "engineer", *more, password="secret no 3")
+    assert typed("user", "list", *more) == "ada: may watch\neve: may engineer\n"
+    typed("user", "remove", "ada", *more)
+    assert Users(file).all() == (User("eve", Role.engineer),)
+
+
+def test_users_of_earlier_versions_hold_until_they_are_changed(
+    config: Path, tmp_path: Path
+) -> None:
+    file, opcua = tmp_path / "users.json", tmp_path / "opcua" / "users.json"
+    Users(tmp_path / "web-users.json").add("web", Role.engineer, "secret no 1")
+    Users(opcua).add("plc", Role.watch, "secret no 2")
+    rows = json.loads(opcua.read_text("utf-8"))["users"]
+    opcua.write_text(json.dumps(rows), "utf-8")  # as `cell opcua` has written them
+    assert typed("user", "list", "--users", file) == "plc: may watch\nweb: may engineer\n"
+    typed("user", "remove", "plc", "--users", file, "--config", config)
+    users = all_users(file)
+    assert users.known("plc", "secret no 2") is None
+    assert users.known("web", "secret no 1") == User("web", Role.engineer)
+    users.add("plc", Role.operate, "secret no 4")
+    assert users.known("plc", "secret no 4") == User("plc", Role.operate)
+    opcua.chmod(0o644)
+    with pytest.raises(ValueError, match="chmod 600"):
+        users.all()
 
 
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["user", "add", "ada", "--role", "boss"], "--role boss: no role; give watch or operate"),
+        (
+            ["user", "add", "ada", "--role", "boss"],
+            "--role boss: no role; give one of watch, operate, engineer",
+        ),
         (["user", "remove", "eve"], "eve"),
         (["user", "add", "ada"], "password"),
     ],

@@ -106,22 +106,22 @@ def test_an_older_ledger_is_not_changed_by_asking(place: str) -> None:
         Ledger(place)
 
 
-#: What was added since a version.
-_SINCE = {
-    "0001": ["DROP TABLE acknowledgements"],
-    "0002": [],
+#: What each version added.
+_ADDED = {
+    "0002": ["DROP TABLE acknowledgements"],
+    "0003": ["DROP INDEX by_product", "ALTER TABLE cycles DROP COLUMN product"],
+    "0004": ["DROP TABLE actions"],
 }
-_PRODUCTS = ["DROP INDEX by_product", "ALTER TABLE cycles DROP COLUMN product"]
 
 
-@pytest.mark.parametrize("version", list(_SINCE))
+@pytest.mark.parametrize("version", ["0001", "0002", "0003"])
 def test_a_ledger_of_an_older_version_keeps_what_is_in_it(place: str, version: str) -> None:
-    """As it was before acknowledgements, or products, were listed."""
+    """As it was before acknowledgements, products or actions were listed."""
     ledger = Ledger(place, create=True)
     ledger.write([ended(1), stopped(2)])
     ledger.close()
     with engine_of(place) as engine, engine.begin() as connection:
-        for change in (*_SINCE[version], *_PRODUCTS):
+        for change in (c for v, added in _ADDED.items() if v > version for c in added):
             connection.execute(text(change))
         connection.execute(text(f"UPDATE alembic_version SET version_num = '{version}'"))
     with pytest.raises(LedgerError, match=rf"older version \({version}\)"):

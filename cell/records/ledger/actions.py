@@ -1,0 +1,120 @@
+"""What people have done at the pages: taken over into the ledger from the log of actions.
+
+The log, lines of JSON, is written first; the ledger may be away, and takes them up later.
+"""
+
+from __future__ import annotations
+
+import json
+import platform
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import Engine, func, insert, select
+
+from cell.records.ledger.database import open_engine, told, url_of, writing
+from cell.records.ledger.tables import actions
+
+#: Lines that are taken over at a time.
+_MOST = 1000
+
+
+@dataclass(frozen=True)
+class Action:
+    """One action.
+
+    by    whoever did it, or tried to
+    done  whether it was allowed and accepted
+    """
+
+    at: datetime
+    by: str
+    action: str
+    done: bool
+    note: str
+    line: str = ""
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        return vars(self) | {"at": self.at.isoformat()}
+
+
+def take_over(ledger: str | Path, log: Path, line: str) -> int:
+    """Take new lines of a log of actions into the ledger; how many.
+
+    ledger  as of `Ledger`
+    line    that the cell belongs to
+    raises  LedgerError; OSError: the log cannot be read
+    """
+    if not log.exists():
+        return 0
+    engine = open_engine(url_of(ledger), create=False)
+    try:
+        return _taken_over(engine, log, line)
+    finally:
+        engine.dispose()
+
+
+def listed_actions(
+    ledger: str | Path, since: datetime | None = None, most: int | None = None
+) -> list[Action]:
+    """Actions since a time, oldest first; of too many the newest.  Raises LedgerError."""
+    asked = select(actions).order_by(actions.c.at.desc(), actions.c.id.desc())
+    if since is not None:
+        asked = asked.where(actions.c.at >= since.astimezone(UTC).replace(tzinfo=None))
+    if most is not None:
+        asked = asked.limit(most)
+    engine = open_engine(url_of(ledger), create=False)
+    try:
+        with told(engine), engine.connect() as connection:
+            rows: Sequence[Any] = connection.execute(asked).all()[::-1]
+    finally:
+        engine.dispose()
+    return [
+        Action(r.at.replace(tzinfo=UTC).astimezone(), r.by, r.action, r.done, r.note, r.line)
+        for r in rows
+    ]
+
+
+def _taken_over(engine: Engine, log: Path, line: str) -> int:
+    source = f"{platform.node()}:{log.resolve()}"[-300:]
+    newest = select(func.max(actions.c.place)).where(actions.c.source == source)
+    with writing(engine) as connection:
+        rows = _rows(log, connection.scalar(newest))
+        if rows:
+            common = {"source": source, "line": line}
+            connection.execute(insert(actions), [common | row for row in rows])
+    return len(rows)
+
+
+def _rows(log: Path, after: int | None) -> list[dict[str, Any]]:
+    """Whole lines after the one at a place in the file; `place`: where a line begins."""
+    rows: list[dict[str, Any]] = []
+    with log.open("rb") as file:
+        if after is not None:
+            file.seek(after)
+            file.readline()
+        while len(rows) < _MOST:
+            place, text = file.tell(), file.readline()
+            if not text.endswith(b"\n"):
+                return rows
+            if (row := _row(text)) is not None:
+                rows.append({"place": place, **row})
+    return rows
+
+
+def _row(text: bytes) -> dict[str, Any] | None:
+    """A line of the log; None = it is none, as after a power cut."""
+    try:
+        said = json.loads(text)
+        at = datetime.fromisoformat(said["at"]).astimezone(UTC).replace(tzinfo=None)
+        by, action = str(said["by"])[:100], str(said["action"])[:100]
+        return {
+            "at": at, "by": by, "action": action, "done": bool(said["done"]),
+            "note": str(said["note"]),
+        }  # fmt: skip
+    except (ValueError, KeyError, TypeError):
+        return None
