@@ -69,13 +69,11 @@ def build_cell(
     cycles: int | None,
     on_step: Callable[[int, str], None] = lambda number, step: None,
     known: Calibrated | None = None,
-    recorded: bool = False,
     twins: Twins | None = None,
     others: Sequence[Task] = (),
 ) -> Cell:
-    """A cell with its devices, none of them connected yet.
+    """A cell with its devices, none of them connected yet, that records and lists its cycles.
 
-    recorded  record cycles and list them in a ledger, as the settings say; False = not at all
     seed    of the simulated cables and of their devices' noise
     cycles  so many simulated cables are laid out; None = there is always another
     known   what is known of camera and clocks; None = as typed
@@ -88,10 +86,8 @@ def build_cell(
     else:
         take_precedence()
         devices = real_devices(settings, known)
-    archive = Archive()
-    if recorded:
-        devices, recording = with_recorder(settings, devices, runs)
-        archive = Archive(recording, listed(settings, runs))
+    devices, recording = with_recorder(settings, devices, runs)
+    archive = Archive(recording, listed(settings, runs))
     return cell_with(settings, devices, runs, on_step, known, archive=archive, others=others)
 
 

@@ -118,7 +118,6 @@ def made_cell(
         cycles=cycles,
         on_step=on_step,
         known=known,
-        recorded=True,
         twins=twins,
         others=others,
     )

@@ -19,6 +19,8 @@ _WAITS = {
     CellState.HELD: "unhold",
     CellState.SUSPENDED: "unsuspend",
 }
+#: Told as steps by the cell, and no steps.  A step may be called as another state: `execute`.
+_PAUSES = (CellState.HELD, CellState.SUSPENDED)
 
 
 class Reporter:
@@ -53,7 +55,7 @@ class Reporter:
 
     def step(self, number: int, step: str) -> None:
         """A step begins; a pause is none."""
-        if step not in set(CellState):
+        if step not in _PAUSES:
             self._publish(Kind.STEP, {"step": step, "cycle": number})
 
     def cycle(self, number: int, part: str | None, product: str | None) -> None:

@@ -30,7 +30,7 @@ def own(recorded_config: Path, tmp_path_factory: pytest.TempPathFactory):
 
     settings: Settings = load_settings(recorded_config)
     folder = tmp_path_factory.mktemp("own")
-    cell = build_cell(settings, folder / "runs", seed=3, cycles=1, recorded=True)
+    cell = build_cell(settings, folder / "runs", seed=3, cycles=1)
     result = cell.run_cycle(1)
     cell.close()
     recording = read_recording(Path(result.folder))

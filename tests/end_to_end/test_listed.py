@@ -143,7 +143,7 @@ def test_a_fault_is_listed_with_its_code(quick: Settings, tmp_path: Path) -> Non
         if step == "lower":
             cell.command(Event.STOP, "by a test")
 
-    cell = build_cell(quick, tmp_path / "runs", seed=1, cycles=1, on_step=on_step, recorded=True)
+    cell = build_cell(quick, tmp_path / "runs", seed=1, cycles=1, on_step=on_step)
     result = cell.run_cycle(1, part="P")
     cell.acknowledge("Ada", "was only tried")
     cell.close()

@@ -29,7 +29,7 @@ def recorded_cycles(settings: Settings, runs: Path, count: int = 1, **changes):
     """Results of simulated cycles that were recorded."""
     wanted = Recording(**changes)
     settings = settings.model_copy(update={"recording": wanted})
-    cell = build_cell(settings, runs, seed=1, cycles=count, recorded=True)
+    cell = build_cell(settings, runs, seed=1, cycles=count)
     try:
         return [cell.run_cycle(number) for number in range(1, count + 1)]
     finally:
@@ -182,7 +182,7 @@ def test_only_what_is_wanted_is_kept(quick, tmp_path, changes, kept):
 
 def test_nothing_is_recorded_if_that_is_wanted(quick, tmp_path):
     settings = quick.model_copy(update={"recording": None})
-    cell = build_cell(settings, tmp_path, seed=1, cycles=1, recorded=True)
+    cell = build_cell(settings, tmp_path, seed=1, cycles=1)
     result = cell.run_cycle(1)
     cell.close()
     with pytest.raises(InputError, match="was not recorded"):

@@ -174,7 +174,8 @@ def test_a_device_that_fails_in_idle_aborts_and_is_recorded(
 ) -> None:
     pytest.importorskip("rtde_control", reason="ur-rtde has no wheel for this machine")
     emulate = [sys.executable, "-m", "cell", "emulate", "-c", str(light_config)]
-    with subprocess.Popen(emulate, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as at:
+    at = subprocess.Popen(emulate, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    try:
         assert at.stdin is not None and at.stdout is not None
         for _ in range(3):
             at.stdout.readline()
@@ -182,9 +183,9 @@ def test_a_device_that_fails_in_idle_aborts_and_is_recorded(
         client.connect(wait_s=60.0)
         until(client, waits_for("start"))
         print("arm.protective_stop", file=at.stdin, flush=True)
-        until(client, waits_for("acknowledgement"))
+        wait_until(lambda: client.status().fault is not None)
         status = client.status()
-        assert status.state is CellState.ABORTED
+        assert (status.state, status.waiting_for) == (CellState.ABORTED, ("acknowledgement",))
         assert status.fault is not None
         assert (status.fault.cycle, status.fault.step) == (1, "idle")
         assert status.fault.device == "arm"
@@ -201,4 +202,6 @@ def test_a_device_that_fails_in_idle_aborts_and_is_recorded(
         until(client, waits_for("start"))
         process.send_signal(signal.SIGTERM)
         assert ended(process) == []
+    finally:
         at.kill()
+        at.communicate()

@@ -3,10 +3,12 @@
 The shipped emulated cell: real RTDE client, rendered pictures of a swinging cable as a stream, and
 the cable looked for in each of them by the process that also commands the arm.
 
-    python -m tools.bench.bench_servo --pairs 4 [--what revised] [--seconds 15] [--burn 1]
+    python -m tools.bench.bench_servo --pairs 4 [--what revised] [--plant] [--seconds 15] [--burn 1]
 
 With --pairs it is measured without and with a recording, in turn; with `--what revised` without and
-with a path that is changed ten times per second while it is followed.
+with a path that is changed ten times per second while it is followed.  With `--plant` it is without
+and with a plant around: OPC UA with five clients that subscribe every 100 ms, MQTT with a broker,
+and a link that tells them what a cell would.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ import sys
 import tempfile
 import threading
 import time
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -38,10 +41,13 @@ from cell.simulated.emulated import EmulatedCell
 from cell.vision.detect import VisionOptions, detect
 from cell.vision.sighting import Sighting
 from drivers.interfaces import Arm, Camera, DeviceError, TooLateError, Trajectory
+from tools.plant.around import Plant, published
 
 CONFIG = Path(__file__).parents[2] / "config" / "emulated.yaml"
 HOST = "127.0.0.76"
 PORTION = 300  # frames recorded at a time
+#: Adapters of `--plant`.
+PLANT = ("opcua", "mqtt")
 STROKE_M, SWING_S = 0.03, 1.5
 #: A path is changed so often, so long ahead, s, by so much, m.
 REVISED_EVERY_S, REVISED_AHEAD_S, RISE_M = 0.1, 0.06, 3e-4
@@ -137,8 +143,15 @@ class _Watcher:
                 self._camera.stop()
 
 
-def servo(seconds: float, *, recorded: bool = False, revised: bool = False) -> Servo:
-    with tempfile.TemporaryDirectory() as name:
+def servo(
+    seconds: float, *, recorded: bool = False, revised: bool = False, plant: bool = False
+) -> Servo:
+    with tempfile.TemporaryDirectory() as name, ExitStack() as around:
+        if plant:
+            runs = Path(name) / "runs"
+            around.enter_context(published(runs))
+            beside = Plant(Path(name) / "plant", CONFIG, runs, adapters=PLANT, clients=5)
+            around.enter_context(beside)
         content = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
         content["arm"]["host"] = HOST
         content["camera"]["device"] = f"tcp://{HOST}:5600"
@@ -167,6 +180,7 @@ def servo(seconds: float, *, recorded: bool = False, revised: bool = False) -> S
             watcher = _Watcher(devices.camera, plane, options)
             probe.take()
             cpu_s = time.process_time()
+            others_s = beside.cpu_s() if plant else {}
             path, begin_s = up_and_down(seconds, devices.arm.rate_hz), time.monotonic() + 0.1
             devices.arm.follow(path, begin_s)
             reviser = _Reviser(devices.arm, path, begin_s)
@@ -175,6 +189,9 @@ def servo(seconds: float, *, recorded: bool = False, revised: bool = False) -> S
             watcher.watch(time.monotonic() + seconds)
             cpu_s = time.process_time() - cpu_s
             stalls = probe.take()
+            if plant:
+                spent = {k: (v - others_s[k]) / seconds for k, v in beside.cpu_s().items()}
+                print("  CPU:", ", ".join(f"{k} {v:.1%}" for k, v in spent.items()))
             gaps_s = np.array(emulated.controller.ask("servo_gaps")["gaps_s"])
             recorder.close()
             devices.arm.close()
@@ -220,7 +237,8 @@ def paired(pairs: int, seconds: float, what: str) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--pairs", type=int, default=4)
-    parser.add_argument("--what", choices=("recorded", "revised"), default="recorded")
+    parser.add_argument("--what", choices=("recorded", "revised", "plant"), default="recorded")
+    parser.add_argument("--plant", action="store_const", const="plant", dest="what")
     parser.add_argument("--seconds", type=float, default=15.0)
     parser.add_argument("--burn", type=int, default=0, help="processes that keep a core busy")
     given = parser.parse_args()

@@ -1,13 +1,14 @@
 """How long the robot waits for the computer, over many cycles at the speed of reality.
 
     python -m tools.bench.bench_wait [--cycles 30] [--seed 1] [--burn 1] [--recorded]
-        [--freely 0.25 [--half-mm 1]] [--effects …]
+        [--plant] [--freely 0.25 [--half-mm 1]] [--effects …]
 
 Beside every wait stands the longest stall of this computer in that cycle, as another process
 measured it, and the CPU time of the cell: a share of two cores while the hold is filmed, and what
 is left to compute after its last frame.  `--burn` keeps so many cores busy all the time.  With
 `--effects` the baseline's waits are measured first, then those of cells whose cables have an effect
-and whose model has learned it.
+and whose model has learned it.  With `--plant` the same cycles are made again with a plant around:
+OPC UA with five clients that subscribe every 100 ms, and MQTT with a broker.
 
 A real camera does not need the computer to draw its pictures.  So each cycle is run twice: here
 without pause, which gives the pictures, and then at the speed of reality with these, by a process
@@ -33,8 +34,11 @@ from typing import Any
 import numpy as np
 
 from cell.build import cell_with, twin_devices
+from cell.cli.making import MadeCell, Products
+from cell.cli.plant_end import PlantEnd
 from cell.computer.stalls import StallProbe
 from cell.evidence import with_recorder
+from cell.plant.client import Client
 from cell.records.result import Result
 from cell.run.archive import Archive
 from cell.run.cycle import Cell
@@ -45,6 +49,7 @@ from cell.simulated.twins import build_twins
 from drivers.interfaces import Camera, Frame
 from drivers.priority import take_precedence
 from drivers.sim.clock import SimClock
+from tools.plant.around import Plant
 from tools.studies.mouth_study import with_mouth
 
 #: No hand shall hold a cable longer for want of a decision.
@@ -133,8 +138,13 @@ class Player:
         return replace(frame, t_s=frame.t_s + self._start_s)
 
 
-def measured(settings: Settings, seed: int, cycles: int, to_parent: Connection) -> None:
-    """Run the cycles whose pictures come through the pipe, and send back what they took."""
+def measured(
+    settings: Settings, seed: int, cycles: int, to_parent: Connection, linked: Path | None = None
+) -> None:
+    """Run the cycles whose pictures come through the pipe, and send back what they took.
+
+    linked  folder of the records beside which the cell has its link; None = it has none
+    """
     end_in_order()
     take_precedence()  # as a cell does whose devices are real
     twins = build_twins(settings, seed, cycles)
@@ -142,19 +152,29 @@ def measured(settings: Settings, seed: int, cycles: int, to_parent: Connection) 
     devices = replace(twin_devices(twins), camera=player)
     with tempfile.TemporaryDirectory() as runs:
         began: dict[str, tuple[float, float]] = {}
+        told: list[PlantEnd] = []
 
         def on_step(number: int, step: str) -> None:
+            for plant in told:
+                plant.step(number, step)
             if step in (HOLD.name, IDENTIFY.name, EXECUTE.name):  # to ask takes 0.5 ms itself
                 began[step] = time.perf_counter(), cpu_s()
 
         ended = suppress(EOFError, BrokenPipeError, ConnectionResetError)  # the other process was
         devices, how = with_recorder(settings, devices, Path(runs))
         made = cell_with(settings, devices, Path(runs), on_step, archive=Archive(how))
-        with ended, closing(made) as cell:
+        with ended, closing(made) as cell, ExitStack() as link:
+            if linked is not None:
+                told.append(PlantEnd(MadeCell(cell, Products(settings)), linked, settings))
+                link.enter_context(told[0].reachable())
             for number in range(1, cycles + 1):
                 player.recordings, player.late_s = to_parent.recv(), []
                 began.clear()
+                for plant in told:
+                    plant.reporter.cycle(number, None, None)
                 result = cycle_of(cell, number)
+                for plant in told:
+                    plant.reporter.result(result)
                 hold = player.late_s[0]
                 behind_s = hold[-1] - min(hold)
                 waited_s = np.nan if result.wait_s is None else result.wait_s + behind_s
@@ -226,15 +246,28 @@ def burn() -> None:
         pass
 
 
-def waits(cycles: int, seed: int, burners: int, settings: Settings | None = None) -> list[Wait]:
-    """Every cycle's wait, told as it comes; settings: None = those of the simulated cell."""
+def waits(
+    cycles: int,
+    seed: int,
+    burners: int,
+    settings: Settings | None = None,
+    *,
+    plant: Path | None = None,
+) -> list[Wait]:
+    """Every cycle's wait, told as it comes.
+
+    settings  None = those of the simulated cell
+    plant     folder for a plant around it; None = there is none
+    """
     end_in_order()
+    linked = None if plant is None else plant / "runs"
     settings = load_settings(CONFIG) if settings is None else settings
     real = settings.world.model_copy(update={"real_time_factor": 1.0})
     context = get_context("spawn")
     here, there = context.Pipe()
     child = context.Process(
-        target=measured, args=(settings.model_copy(update={"world": real}), seed, cycles, there)
+        target=measured,
+        args=(settings.model_copy(update={"world": real}), seed, cycles, there, linked),
     )
     child.start()
     twins = build_twins(settings, seed, cycles)
@@ -252,6 +285,11 @@ def waits(cycles: int, seed: int, burners: int, settings: Settings | None = None
         devices = replace(twin_devices(twins), camera=recorder)
         cell = cell_with(settings, devices, Path(runs), lambda number, step: None)
         stack.callback(cell.close)
+        if plant is not None and linked is not None:
+            beside = Plant(plant, CONFIG, linked, adapters=("opcua", "mqtt"), clients=5)
+            stack.enter_context(beside)
+            Client(linked).connect(wait_s=300.0)
+            before_s, begun_s = beside.cpu_s(), time.monotonic()
         for number in range(1, cycles + 1):
             recorder.recordings = []
             cycle_of(cell, number)
@@ -268,6 +306,10 @@ def waits(cycles: int, seed: int, burners: int, settings: Settings | None = None
                 f"load {w.load:.1f}",
                 flush=True,
             )
+        if plant is not None:
+            for name, taken_s in beside.cpu_s().items():
+                share = (taken_s - before_s[name]) / (time.monotonic() - begun_s)
+                print(f"  CPU of {name}: {share:.1%} of a core")
     return found
 
 
@@ -293,6 +335,10 @@ def summary(found: list[Wait]) -> str:
     return "\n".join(lines)
 
 
+def _median(found: list[Wait], of: str) -> float:
+    return float(np.nanmedian([getattr(w, of) for w in found]))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cycles", type=int, default=30)
@@ -302,6 +348,7 @@ def main() -> None:
     parser.add_argument(
         "--recorded", action="store_true", help="the same again with every frame recorded"
     )
+    parser.add_argument("--plant", action="store_true", help="the same again with a plant around")
     parser.add_argument(
         "--freely", type=float, metavar="S", help="the same again with motion.start.window_s"
     )
@@ -327,6 +374,20 @@ def main() -> None:
         for of in ("wait_s", "after_cpu_s", "hold_cpu"):
             then, now = (np.nanmedian([getattr(w, of) for w in ws]) for ws in (base, found))
             print(f"  {name}: median {of} {now / then:.2f} × without", flush=True)
+    if options.plant:
+        print("with a plant around", flush=True)
+        with tempfile.TemporaryDirectory() as folder:
+            found = waits(*asked, silent, plant=Path(folder))
+        print(summary(found))
+        for of in ("wait_s", "after_cpu_s", "hold_cpu"):
+            ratios = [getattr(n, of) / getattr(t, of) for t, n in zip(base, found, strict=True)]
+            low, middle, high = np.nanquantile(ratios, [0.25, 0.5, 0.75])
+            medians = _median(found, of) / _median(base, of)
+            print(
+                f"  plant: {of} of the same cycle {middle:.2f} × without, half of them {low:.2f} "
+                f"to {high:.2f}; medians {medians:.2f} ×",
+                flush=True,
+            )
     for name in options.effects:
         from tools.bench.effect_cost import learned
 

@@ -7,7 +7,8 @@ Then processes of the cell are killed at random moments, and the emulated arm mu
 later.  A summary goes to `docs/fault_trials.md`, every trial to the CSV beside it.
 
 With `--revising` insertions are corrected in flight, all of them, and the faults of the step
-`execute` happen while the arm is told a change of its path.
+`execute` happen while the arm is told a change of its path.  With `--plant` OPC UA with five
+clients, MQTT with a broker, and the handshake follow the cell meanwhile.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import random
 import tempfile
 import threading
 import time
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -25,6 +27,8 @@ from typing import Any
 import numpy as np
 
 from cell.build import cell_with, real_devices
+from cell.cli.making import MadeCell, Products
+from cell.cli.plant_end import PlantEnd
 from cell.flight import decide
 from cell.flight.answers import Answers
 from cell.flight.correct import Tail
@@ -51,6 +55,7 @@ from tools.faults.fault_table import (
     summary,
 )
 from tools.faults.short_cycles import short_cycles
+from tools.plant.around import Plant
 
 ROOT = Path(__file__).parents[2]
 TABLE = ROOT / "docs" / "fault_trials.md"
@@ -151,6 +156,7 @@ class FaultRig:
 
         self.devices.arm.revise = revise_amid_a_fault  # type: ignore[method-assign]
         self.cell: Cell = cell_with(settings, self.devices, runs, self._on_step)
+        self.plant = PlantEnd(MadeCell(self.cell, Products(settings)), runs, settings)
 
     def be_patient(self, silent_s: float, device: str = "") -> None:
         """Change how long the drivers of gripper and camera wait, but not that of `device`."""
@@ -171,10 +177,15 @@ class FaultRig:
         self.began_s = {}
         if not self.cell.machine.can(Event.RESET):
             self.cell.acknowledge()
-        return self.cell.run_cycle(self.number)
+            self.plant.reporter.acknowledged("", "")
+        self.plant.reporter.cycle(self.number, None, None)
+        result = self.cell.run_cycle(self.number)
+        self.plant.reporter.result(result)
+        return result
 
     def _on_step(self, number: int, step: str) -> None:
         self.began_s[step] = time.monotonic()
+        self.plant.step(number, step)
         trial = self.trial
         if trial is None or trial.given_s is not None or step != trial.step:
             return
@@ -305,6 +316,7 @@ def main() -> int:
     parser.add_argument("--bar-ms", type=float, default=1e3 * BAR_S, help="p99 from fault to stop")
     parser.add_argument("--keep", type=Path, help="file of results; what passed is not repeated")
     parser.add_argument("--revising", action="store_true", help="while paths are changed in flight")
+    parser.add_argument("--plant", action="store_true", help="with all adapters beside the cell")
     parser.add_argument("-o", "--output", type=Path, help=f"e.g. {TABLE.relative_to(ROOT)}")
     arguments = parser.parse_args()
     chosen = [
@@ -329,8 +341,12 @@ def main() -> int:
         settings = load_settings(config)
         if arguments.revising:
             settings = settings.model_copy(update={"feedback": "on"})
-        with EmulatedCell(settings, seed=1) as emulated:
+        with EmulatedCell(settings, seed=1) as emulated, ExitStack() as around:
             bench = FaultRig(settings, emulated, folder / "runs", revising=arguments.revising)
+            link = around.enter_context(ExitStack())
+            if arguments.plant:
+                around.enter_context(Plant(folder / "plant", config, folder / "runs", clients=5))
+                link.enter_context(bench.plant.reachable())
             bench.cycle()
             for number, trial in enumerate(left, 1):
                 run_trial(bench, trial)
@@ -343,6 +359,7 @@ def main() -> int:
                 stop = "" if trial.reaction_s is None else f"{1e3 * trial.reaction_s:5.0f} ms"
                 said = "passed" if not trial.wrong else "; ".join(trial.wrong)
                 print(f"{number:3d}/{len(left)} {trial.name:48s} {stop:9s} {said}", flush=True)
+            link.close()
             bench.cell.close()
             if arguments.revising:
                 print(f"{bench.revisions} changes of paths were told")

@@ -50,7 +50,7 @@ config, runs, shared = map(Path, sys.argv[1:4])
 settings = load_settings(config)
 world = settings.world.model_copy(update={"real_time_factor": float(sys.argv[5])})
 settings = settings.model_copy(update={"world": world})
-cell = build_cell(settings, runs, seed=int(sys.argv[4]), cycles=100, recorded=True)
+cell = build_cell(settings, runs, seed=int(sys.argv[4]), cycles=100)
 with shared.open("r+b") as file:
     memory = mmap.mmap(file.fileno(), 16)
 

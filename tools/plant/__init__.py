@@ -1,0 +1,1 @@
+"""Plants around a cell: what lines do to it, and what that costs it."""

@@ -1,0 +1,166 @@
+"""Every adapter killed in every step of a cycle: the cycle ends as it would have.
+
+    python -m tools.plant.adapter_kills [--only mqtt] [--quick]
+
+The simulated cell runs as a service with OPC UA, MQTT and the handshake beside it, once untouched
+and once with a kill (SIGKILL) in each cycle.  Outcome, chosen offset and margin of the n-th cycle
+must be the same, and so must its steps.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from cell.plant.client import Client
+from cell.plant.messages import Kind, Notice, Request, Status
+from cell.run.machine import Event
+from cell.run.plans import INSERTING
+from tools.plant.around import ADAPTERS, Plant
+
+CONFIG = Path(__file__).parents[2] / "config" / "fake.yaml"
+#: Cycles beyond the kills: not every cycle has every step.
+SPARE = 5
+#: What is the same whether or not an adapter is killed.
+SAME = ("cycle", "outcome", "offset_m", "margin_m", "reason")
+
+
+@dataclass(frozen=True)
+class Made:
+    """A cycle: its result, and its steps in their order."""
+
+    result: dict[str, Any]
+    steps: tuple[str, ...]
+
+    def differs(self, other: Made) -> str:
+        """In what it differs from another; empty = in nothing that matters."""
+        names = [n for n in SAME if self.result.get(n) != other.result.get(n)]
+        names += ["steps"] if self.steps != other.steps else []
+        return ", ".join(names)
+
+
+def quick(config: Path) -> Path:
+    """The simulated cell with fewer and smaller pictures, not recorded."""
+    content = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
+    content["camera"].update(frame_rate_hz=100.0, width_px=800, height_px=640)
+    view = {"metres_per_pixel": 0.00032, "origin_column_px": 625, "origin_row_px": 93.75}
+    content["camera"]["view"] = view
+    content["motion"]["hold_s"] = 0.4
+    content["motion"]["offsets"]["step_m"] = 0.004
+    content["recording"] = None
+    config.write_text(yaml.safe_dump(content), encoding="utf-8")
+    return config
+
+
+@contextmanager
+def service(config: Path, runs: Path, log: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """A cell that waits for starts."""
+    command = [sys.executable, "-m", "cell", "run", "-c", str(config), "--cycles", "forever"]
+    with log.open("ab") as said:
+        process = subprocess.Popen([*command, "--out", str(runs)], stdout=said, stderr=said)
+    try:
+        yield process
+        process.terminate()
+        process.wait(60.0)
+    finally:
+        process.kill()
+        process.wait()
+
+
+def made(
+    client: Client, messages: Iterator[Notice | Status], on_step: Callable[[str], None]
+) -> Made:
+    """One cycle, from Idle; `on_step` is called when a step begins."""
+    for message in messages:
+        waits = message.data if isinstance(message, Notice) else vars(message)
+        if "start" in waits.get("waiting_for", ()):
+            break
+    answer = client.send(Request(Event.START, "tool"))
+    assert answer.accepted, answer
+    steps: list[str] = []
+    for message in messages:
+        if isinstance(message, Status):
+            raise RuntimeError("the cell was lost")
+        if message.kind is Kind.STEP:
+            steps.append(message.data["step"])
+            on_step(steps[-1])
+        if message.kind is Kind.RESULT:
+            return Made(dict(message.data), tuple(steps))
+    raise RuntimeError("the client was closed")
+
+
+def kills(only: list[str]) -> list[tuple[str, str]]:
+    """Adapter and step of each kill."""
+    reset = set(INSERTING.resetting)
+    steps = [s.name for s in INSERTING.steps if s not in reset and not s.once]
+    return [(adapter, step) for adapter in ADAPTERS if adapter in only for step in steps]
+
+
+def assigned(planned: list[tuple[str, str]], cycles: list[Made]) -> list[tuple[str, str] | None]:
+    """Which kill each cycle gets: one in a step that it has; rare steps first."""
+    count = Counter(step for cycle in cycles for step in set(cycle.steps))
+    left = sorted(planned, key=lambda kill: count[kill[1]])
+    found = []
+    for cycle in cycles:
+        chosen = next((kill for kill in left if kill[1] in cycle.steps), None)
+        if chosen is not None:
+            left.remove(chosen)
+        found.append(chosen)
+    return found
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser.add_argument("--only", nargs="*", default=list(ADAPTERS), help="these adapters")
+    parser.add_argument("--quick", action="store_true", help="fewer and smaller pictures")
+    given = parser.parse_args()
+    planned, done, wrong = kills(given.only), 0, 0
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        config = quick(folder / "quick.yaml") if given.quick else CONFIG
+        with service(config, folder / "untouched" / "runs", folder / "log"):
+            client = Client(folder / "untouched" / "runs", timeout_s=60.0).connect(120.0)
+            messages = client.follow()
+            count = len(planned) + SPARE
+            untouched = [made(client, messages, lambda step: None) for _ in range(count)]
+        runs = folder / "killed" / "runs"
+        with service(config, runs, folder / "log"), Plant(folder / "plant", config, runs) as plant:
+            client = Client(runs, timeout_s=60.0).connect(120.0)
+            messages = client.follow()
+            for chosen, meant in zip(assigned(planned, untouched), untouched, strict=True):
+                if chosen is None:
+                    made(client, messages, lambda step: None)
+                    continue
+                adapter, step = chosen
+                victim = plant.running[adapter].process
+
+                def kill(begun: str, step: str = step, pid: int = victim.pid) -> None:
+                    if begun == step:
+                        os.kill(pid, signal.SIGKILL)
+
+                found = made(client, messages, kill)
+                differs = found.differs(meant)
+                victim.wait(10.0)
+                done += 1
+                wrong += bool(differs)
+                print(f"{adapter:9s} killed in {step:20s} {differs or 'as without'}", flush=True)
+                plant.start(adapter)
+                plant.wait_for(adapter)
+    print(f"{done - wrong} of {len(planned)} cycles ended as they would have")
+    return int(done - wrong < len(planned))
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
