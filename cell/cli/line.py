@@ -18,6 +18,7 @@ from cell.cli.delivery import Delivery, deliver
 from cell.cli.given import folder_in
 from cell.cli.lab import refusing, show, working
 from cell.cli.ledger import LedgerPlace, Since, listed_cycles
+from cell.cli.options import taking
 from cell.cli.shared import (
     ALL_DONE,
     NOT_ALL_DONE,
@@ -30,6 +31,7 @@ from cell.cli.shared import (
 from cell.cli.workers import Workers, workers
 
 if TYPE_CHECKING:
+    from cell.api.line import LearnResult
     from cell.lab.data.progress import Progress
     from cell.lab.line.learn import LearningResult
     from cell.settings.model import Settings
@@ -56,20 +58,26 @@ LawsFolder = Annotated[
 ]
 
 
+@dataclass(frozen=True)
+class LearnOptions:
+    """Options of `cell learn`, as typer takes them."""
+
+    config: Config
+    runs: Recorded = None
+    product: OfProduct = None
+    since: Since = None
+    ledger: LedgerPlace = None
+    out: Annotated[Path, typer.Option("-o", "--out", help="Write the candidate model here.")] = (
+        Path("candidate.yaml")
+    )
+    effect: OwnEffects = None
+    laws: LawsFolder = None
+    where: Workers = None
+
+
 @app.command()
-def learn(
-    config: Config,
-    runs: Recorded = None,
-    product: OfProduct = None,
-    since: Since = None,
-    ledger: LedgerPlace = None,
-    out: Annotated[
-        Path, typer.Option("-o", "--out", help="Write the candidate model here.")
-    ] = Path("candidate.yaml"),
-    effect: OwnEffects = None,
-    laws: LawsFolder = None,
-    where: Workers = None,
-) -> None:
+@taking(LearnOptions)
+def learn(options: LearnOptions) -> None:
     """Find the effect that the line's model lacks, from recorded cycles of many cables.
 
     Effects are shared by all cables; EI(s), N and viscosity are fitted per cable.  Every recorded
@@ -88,6 +96,8 @@ def learn(
     from cell.settings.translate import cable_of, identification_of
 
     known: list[LearningResult] = []
+    config, out, laws = options.config, options.out, options.laws
+    own = options.effect or []
     more = Laws({}, ())
     with (
         refusing(out, _motion(out)),
@@ -96,48 +106,56 @@ def learn(
         _so_far(known, interrupted, lambda: more.keep(())),
         ExitStack() as opened,
     ):
-        settings = load_product(config, product)
-        cable, options = cable_of(settings), identification_of(settings)
-        asked = _Asked(runs or (), ledger, since)
+        settings = load_product(config, options.product)
+        cable, identification = cable_of(settings), identification_of(settings)
+        asked = _Asked(options.runs or (), options.ledger, options.since)
         cycles, left_out = read_cycles(asked.folders(settings, opened), cable, settings.product)
         lines = lines_of(cycles, settings)
-        library = select_effects([], effect or []).candidates
+        library = select_effects([], own).candidates
         if laws is not None:
-            more = laws_in(
-                laws, [c.study for c in cycles], (*options.kind.effects, *library.values())
-            )
-        with workers(where, config) as executor:
+            taken = (*identification.kind.effects, *library.values())
+            more = laws_in(laws, [c.study for c in cycles], taken)
+        with workers(options.where, config) as executor:
             tried = library | more.effects
             found = learn_from(
-                cycles, cable, options, tried, progress, known.append, executor=executor
+                cycles, cable, identification, tried, progress, known.append, executor=executor
             )
         learned = judged(found, settings, left_out)
         result = learned.learned
         kept = more.keep(result.best.effects if result.best else ())
         ours = _Line(config, settings.product)
-        again = _again(asked.words(), ours, out, effect or [], laws)
+        again = _again(asked.words(), ours, out, own, laws)
         todo, motion = _asking(result, ours, out, again, progress)
     missed = [f"left out: {line}" for line in learned.left_out]
     for line in (*missed, *other_lines(lines, settings)):
         print(line, file=sys.stderr)
+    more_lines = (*(f"the law is written to {path}" for path in kept), *todo)
+    raise typer.Exit(_delivered(learned, more_lines, motion, options))
+
+
+def _delivered(
+    learned: LearnResult, more: Sequence[str], motion: Sequence[Delivery], options: LearnOptions
+) -> int:
+    """Print what was learned and write the candidate; the exit code."""
+    config, out = options.config, options.out
 
     def printed() -> None:
         for part in learned.parts():
             print(part) if isinstance(part, str) else show(part)
-        for line in (*(f"the law is written to {path}" for path in kept), *todo):
+        for line in more:
             print(line)
 
-    if result.best is None:
+    if learned.learned.best is None:
         deliver(printed)
-        raise typer.Exit(ALL_DONE)
+        return ALL_DONE
     deliver(printed, (out, learned.write), *motion)
     if learned.fit_for_line:
         print(f"written to {out}; use it with: cell promote {out} --config {config}")
-        raise typer.Exit(ALL_DONE)
+        return ALL_DONE
     failed = ", ".join(learned.judgement.failed)
-    more_laws = "" if laws else f", or with --laws {out.with_suffix('.laws')}"
-    print(f"{out} is not fit for the line: {failed}; record more cycles and learn again{more_laws}")
-    raise typer.Exit(NOT_ALL_DONE)
+    laws = "" if options.laws else f", or with --laws {out.with_suffix('.laws')}"
+    print(f"{out} is not fit for the line: {failed}; record more cycles and learn again{laws}")
+    return NOT_ALL_DONE
 
 
 @contextmanager

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -146,10 +146,7 @@ def run(options: RunOptions) -> None:
     from cell.build import emulators_asked_for
     from cell.cli.making import made_cell, products_in
     from cell.cli.plant_end import PlantEnd
-    from cell.files.input_error import InputError
     from cell.lab.next.motion_file import load_motion
-    from cell.plant.wire import LinkError
-    from cell.records.folder import RecordError
     from cell.run.plans import INSERTING, measuring
     from cell.settings.calibrated import calibrated
     from cell.terminal.console import RunProgress, troubles
@@ -157,7 +154,7 @@ def run(options: RunOptions) -> None:
 
     _refuse_contradictions(options)
     results: list[Result] = []
-    try:
+    with _refusing_first(results):
         products = products_in(options.config, options.product)
         first = _first(products, options)
         settings = products.whole if first is None else products.settings[first]
@@ -205,12 +202,6 @@ def run(options: RunOptions) -> None:
             finally:
                 cell.close()
             remember_dry_run(settings, options.out, results)
-    except (InputError, LinkError) as error:
-        refuse(error)
-    except RecordError as error:  # it cannot even be begun: nothing of this cycle has moved
-        remedy = "choose another folder with --out, or make it writable, with room"
-        print(f"{error}; {remedy}", file=sys.stderr)
-        raise typer.Exit(NOT_ALL_DONE if results else BAD_INPUT) from error
     if not options.as_json:
         _show(results, plan.names, options.dry_run, known.notes)
     changed = changes(options.out, results, options.config, products)
@@ -218,6 +209,26 @@ def run(options: RunOptions) -> None:
         print(line, file=sys.stderr)
     reached = [r for r in results if r.outcome is plan.aim]
     raise typer.Exit(ALL_DONE if len(reached) == options.count else NOT_ALL_DONE)
+
+
+@contextmanager
+def _refusing_first(results: Sequence[Result]) -> Iterator[None]:
+    """What is wrong before anything moves is said, and ends the command.
+
+    results  of cycles that have ended
+    """
+    from cell.files.input_error import InputError
+    from cell.plant.wire import LinkError
+    from cell.records.folder import RecordError
+
+    try:
+        yield
+    except (InputError, LinkError) as error:
+        refuse(error)
+    except RecordError as error:  # it cannot even be begun: nothing of this cycle has moved
+        remedy = "choose another folder with --out, or make it writable, with room"
+        print(f"{error}; {remedy}", file=sys.stderr)
+        raise typer.Exit(NOT_ALL_DONE if results else BAD_INPUT) from error
 
 
 def _first(products: Products, options: RunOptions) -> str | None:
