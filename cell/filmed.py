@@ -23,7 +23,6 @@ from cell.run.recorded import RecordingSetup
 from cell.settings import Settings
 from cell.settings.calibrated import calibrated
 from cell.settings.records import Recording
-from cell.settings.referred import files_of
 from cell.simulated.filmed import Film, filmed_devices
 from drivers.interfaces import Pose
 
@@ -51,8 +50,6 @@ def record_film(
     clock = devices.clock
     memory = (settings.recording or Recording()).memory_mb * 10**6
     recorder = Recorder(devices.arm, clock, memory, PATIENCE_S)
-    plain = settings.model_dump(mode="json")
-    setup = RecordingSetup(recorder, plain, files_of(settings))
     filming = Filming(film.begin_s, film.rest_s, film.end_s, len(film.frames))
     decides = _near(film.ends_at, cell_task(settings, known).lowered)
 
@@ -63,7 +60,7 @@ def record_film(
 
     with TemporaryDirectory(dir=target.parent) as folder:
         around = recorded_devices(devices, recorder)
-        archive = Archive(setup)
+        archive = Archive(RecordingSetup(recorder))
         cell = cell_with(settings, around, Path(folder), step, known, archive=archive)
         try:
             result = cell.run_cycle(1, filmed(filming, decides=decides))

@@ -110,7 +110,7 @@ def replay(
             replayed.on_step(number, name)
             on_step(number, name)
 
-        archive = Archive(RecordingSetup(heard, {}))
+        archive = Archive(RecordingSetup(heard))
         cell = cell_with(settings, replayed.devices, runs, step, known, archive=archive)
         try:
             result = cell.run_cycle(about["cycle"], plan)

@@ -132,13 +132,9 @@ def _devices(document: Document, settings: Settings) -> list[Problem]:
     problems = []
     low, high = settings.gripper.force_limits_n
     if not low <= settings.gripper.force_n <= high:
-        problems.append(
-            document.problem(
-                ("gripper", "force_n"),
-                f"{settings.gripper.force_n:g} N is outside gripper.force_limits_n = "
-                f"[{low:g}, {high:g}]",
-            )
-        )
+        message = f"{settings.gripper.force_n:g} N is outside gripper.force_limits_n = "
+        message += f"[{low:g}, {high:g}]"
+        problems.append(document.problem(("gripper", "force_n"), message))
     simulated = [settings.arm.kind, settings.camera.kind, settings.gripper.kind]
     if "sim" in simulated and set(simulated) - {"sim", "files"}:
         real = next(n for n, k in zip(("arm", "camera", "gripper"), simulated, strict=True)

@@ -190,3 +190,19 @@ def test_starts_choose_products_and_a_change_empties_the_jaws_first(
     assert start(part="S-2").accepted, "no change: nothing is emptied"
     assert ended(3).product == "soft"
     assert "empty_jaws" not in steps_of(serving, 3)
+
+
+def test_a_change_that_is_stopped_is_made_again_before_the_next_cycle(
+    serving: SimpleNamespace,
+) -> None:
+    serving.until(idle)
+    stop = Request(Event.STOP, "plc", note="guard opened")
+    serving.at["empty_jaws"] = lambda: serving.service.answer(stop)
+    assert serving.service.answer(Request(Event.START, "plc", product="stiff")).accepted
+    serving.until(lambda s: s.fault is not None)
+    assert serving.results[-1].product == "stiff"
+    serving.until(lambda s: s.state is CellState.STOPPED)
+    assert "grasp" not in steps_of(serving, 1)
+    assert serving.service.answer(Request(Event.RESET, "Ada", note="closed")).accepted
+    serving.until(idle)
+    assert steps_of(serving, 2)[:3] == ["empty_jaws", "check_paths", "reset"]
