@@ -73,7 +73,7 @@ class Guard:
             await _refuse(scope, send, status)
             return
         scope.setdefault("state", {})["session"] = session
-        left = MOST_BYTES
+        left, begun = MOST_BYTES, False
 
         async def heard() -> MutableMapping[str, Any]:
             nonlocal left
@@ -85,6 +85,10 @@ class Guard:
             return message
 
         async def sent(message: MutableMapping[str, Any]) -> None:
+            nonlocal begun
+            if left < 0 and not begun:
+                return  # what the application says of the body that broke off: the refusal follows
+            begun = True
             if message["type"] == "http.response.start":
                 known = {k.lower() for k, _ in message.get("headers", ())}
                 new = [h for h in _HEADERS if h[0] not in known]
@@ -94,6 +98,8 @@ class Guard:
         try:
             await self._app(scope, heard, sent)
         except _TooLongError:
+            if begun:
+                raise
             await _refuse(scope, send, 413)
 
     def _session(self, headers: dict[str, str]) -> Session | None:

@@ -6,7 +6,7 @@ import asyncio
 import io
 import json
 import zipfile
-from collections.abc import Iterator
+from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from httpx import ASGITransport, AsyncClient, Response
 
 from cell.plant.client import Client
 from cell.settings import load_settings
-from cell.web import workspace
+from cell.web import guard, workspace
 from cell.web.audit import Audit, audit_file
 from cell.web.control import Control
 from cell.web.guard import COOKIE, MOST_BYTES, Guard
@@ -53,6 +53,15 @@ class Served:
         sent = [("files", (name, io.BytesIO(content))) for name, content in files.items()]
         headers = {**self.headers(role), **headers}
         return self._asked("POST", "/lab/upload", files=sent, headers=headers)
+
+    def upload_without_length(self, size: int) -> Response:
+        async def body() -> AsyncIterator[bytes]:
+            yield b'--x\r\ncontent-disposition: form-data; name="files"; filename="a.csv"\r\n\r\n'
+            for _ in range(size >> 16):
+                yield bytes(1 << 16)
+
+        headers = {**self.headers("engineer"), "content-type": "multipart/form-data; boundary=x"}
+        return self._asked("POST", "/lab/upload", content=body(), headers=headers)
 
     def _asked(self, method: str, path: str, **request: Any) -> Response:
         async def ask() -> Response:
@@ -104,6 +113,8 @@ def test_attacks_are_refused_with_what_is_wrong(
     assert served.upload({"a.csv": b"1"}, Origin="http://evil.example").status_code == 403
     claimed = {"content-length": str(1 << 30)}
     assert served.upload({"a.csv": b"1"}, **claimed).status_code == 413
+    monkeypatch.setattr(guard, "MOST_BYTES", 1 << 20)
+    assert served.upload_without_length(2 << 20).status_code == 413
     folder = served.room.lab.workspace.folder
     assert [p.name for p in folder.rglob("*.csv")] == []
 

@@ -35,7 +35,11 @@ def build(visit: Visit) -> None:
     with ui.tabs().classes("w-full").props("align=left inline-label no-caps") as tabs:
         for name, title, icon, _ in _TABS:
             ui.tab(name, t(title), icon).props(f"data-test=tab-{name}")
-    with ui.tab_panels(tabs, value="study").classes("w-full bg-transparent").props("keep-alive"):
+    with (
+        ui.tab_panels(tabs, value="study", animated=False)
+        .classes("w-full bg-transparent")
+        .props("keep-alive")
+    ):
         for name, _, _, part in _TABS:
             with ui.tab_panel(name).classes("p-0 gap-4"):
                 part(desk).build()
