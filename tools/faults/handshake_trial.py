@@ -40,6 +40,8 @@ from tools.faults.scripted_plc import (
 CONFIG = Path(__file__).parents[2] / "config" / "fake.yaml"
 #: A person aborts every so many-th cycle, while the cable is lowered.
 ABORTED_EVERY = 5
+#: A mouth in which some cables are not inserted: the PLC has to be told that, too.
+NARROW_M = [-0.107, -0.105]
 #: What the PLC is told of an outcome.
 TOLD = {"inserted": "done", "missed": "rejected", "rejected": "rejected", "unfit": "rejected"}
 #: The service begins within this, s: on a new computer it compiles.
@@ -162,7 +164,8 @@ def trial(carrier: str, cycles: int, host: str, folder: Path) -> Findings:
     handshake = {"carrier": carrier, "silence_s": SILENCE_S, **places()}
     handshake |= {"host": host} if controller else {"port": port}
     settings = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
-    settings["plant"] = {"handshake": handshake}
+    settings |= {"plant": {"handshake": handshake}, "recording": None}
+    settings["destination"]["y_m"] = NARROW_M
     config, runs = folder / "cell.yaml", folder / "runs"
     config.write_text(yaml.safe_dump(settings), encoding="utf-8")
     given = ["-c", str(config)]

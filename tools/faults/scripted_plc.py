@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Protocol
 
 from drivers.emulators.launch import EmulatedController
@@ -25,9 +25,11 @@ WATCHED_S = 0.2
 #: `silence_s` of the settings, s: on a busy computer a PLC has to be waited for.
 SILENCE_S = 1.5
 #: A start that is obeyed is told to be within this, s.
-UNANSWERED_S = 4.0
-#: Nothing takes longer, s: a cycle on a computer under load.
-LONGEST_S = 60.0
+UNANSWERED_S = 8.0
+#: A machine beside the cell is away for so long, s: a pause waits for the end of a motion.
+PAUSED_S = 1.0
+#: No cycle takes longer, s: on a computer under load one took 125 s.
+LONGEST_S = 600.0
 
 
 def places() -> dict[str, dict[str, dict[str, object]]]:
@@ -112,10 +114,16 @@ class ControllerWire:
 
 
 class Plc:
-    """Signals by their names; every wait has a deadline."""
+    """Signals by their names; a wait for what takes longer than `longest_s` is an error."""
 
-    def __init__(self, wire: Wire, log: Callable[..., None] = lambda **entry: None) -> None:
+    def __init__(
+        self,
+        wire: Wire,
+        log: Callable[..., None] = lambda **entry: None,
+        longest_s: float = 30.0,
+    ) -> None:
         self.wire = wire
+        self._longest_s = longest_s
         self._log = log
         self._said = dict.fromkeys(INPUTS, False)
 
@@ -135,18 +143,23 @@ class Plc:
         return {n: bit is not (n in INVERTED) for n, bit in zip(OUTPUTS, bits, strict=False)}
 
     def wait(self, reached: Callable[[dict[str, bool]], bool]) -> dict[str, bool]:
-        until_s = time.monotonic() + LONGEST_S
+        until_s = time.monotonic() + self._longest_s
         while not reached(heard := self.heard()):
             assert time.monotonic() < until_s, heard
             time.sleep(0.01)
         return heard
 
+    def listen(self, seconds: float) -> Iterator[dict[str, bool]]:
+        """Both directions of its cycles for a while."""
+        until_s = time.monotonic() + seconds
+        while time.monotonic() < until_s:
+            yield self.heard()
+            time.sleep(0.01)
+
     def quiet(self) -> None:
         """Nothing begins for a while."""
-        until_s = time.monotonic() + WATCHED_S
-        while time.monotonic() < until_s:
-            assert not self.heard()["busy"], "the cell has begun"
-            time.sleep(0.01)
+        for heard in self.listen(WATCHED_S):
+            assert not heard["busy"], "the cell has begun"
 
     def connect(self) -> None:
         """Say that all is well, and wait until the cell is ready."""
@@ -159,14 +172,11 @@ class Plc:
         A controller keeps its outputs while nobody sets them: a start without an answer is let
         fall and given again.
         """
-        for _ in range(int(LONGEST_S / UNANSWERED_S)):
+        for _ in range(int(self._longest_s / UNANSWERED_S)):
             self.wait(lambda heard: heard["ready"])
             self.say(start=True)
-            until_s = time.monotonic() + UNANSWERED_S
-            while time.monotonic() < until_s:
-                if self.heard()["busy"]:
-                    return
-                time.sleep(0.01)
+            if any(heard["busy"] for heard in self.listen(UNANSWERED_S)):
+                return
             self.say(start=False)
             self.quiet()
         raise AssertionError("the cell does not begin")
@@ -189,10 +199,8 @@ class Plc:
     def acknowledge(self) -> None:
         """Press once, and hold as long as a finger does."""
         self.say(acknowledge=True)
-        until_s = time.monotonic() + WATCHED_S
-        while time.monotonic() < until_s:
-            self.heard()
-            time.sleep(0.01)
+        for _ in self.listen(WATCHED_S):
+            pass
         self.say(acknowledge=False)
 
 
@@ -255,11 +263,11 @@ def twice(plc: Plc) -> str:
 def paused(plc: Plc) -> str:
     """The machines beside the cell are not ready for a while, one after the other."""
     plc.begin()
-    plc.say(downstream_ready=False)
-    time.sleep(WATCHED_S)
-    plc.say(downstream_ready=True, upstream_ready=False)
-    time.sleep(WATCHED_S)
-    plc.say(upstream_ready=True)
+    for name in ("downstream_ready", "upstream_ready"):
+        plc.say(**{name: False})
+        for _ in plc.listen(PAUSED_S):
+            pass
+        plc.say(**{name: True})
     return plc.outcome()
 
 
@@ -334,7 +342,7 @@ def main(place: str, cycles: int) -> None:
     def log(**entry: object) -> None:
         print(json.dumps({"time_s": time.time(), **entry}), flush=True)
 
-    play(Plc(wire_to(place), log), cycles, log)
+    play(Plc(wire_to(place), log, LONGEST_S), cycles, log)
 
 
 if __name__ == "__main__":
