@@ -68,6 +68,7 @@ def quick(config: Path) -> Path:
 def service(config: Path, runs: Path, log: Path) -> Iterator[subprocess.Popen[bytes]]:
     """A cell that waits for starts."""
     command = [sys.executable, "-m", "cell", "run", "-c", str(config), "--cycles", "forever"]
+    log.parent.mkdir(parents=True, exist_ok=True)
     with log.open("ab") as said:
         process = subprocess.Popen([*command, "--out", str(runs)], stdout=said, stderr=said)
     try:
