@@ -32,7 +32,7 @@ from tools.plant.around import ADAPTERS, Plant
 
 CONFIG = Path(__file__).parents[2] / "config" / "fake.yaml"
 #: Cycles beyond the kills: not every cycle has every step.
-SPARE = 5
+SPARE = 3
 #: What is the same whether or not an adapter is killed.
 SAME = ("cycle", "outcome", "offset_m", "margin_m", "reason")
 
