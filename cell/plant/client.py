@@ -6,7 +6,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +33,8 @@ _FIRST_S, _LAST_S = 0.1, 1.0
 class Client:
     """Reaches the cell whose records are in the folder `runs`; safe to be used by many threads.
 
-    Every question has a connection of its own, so a cell may end and begin between two.
+    A cell may end and begin between two questions.  Only `status` keeps its connection for the next
+    time, because some programs ask many times per second.
 
     timeout_s  so long an answer is waited for
     on_lost    told, in the thread that follows, when a cell that was followed is there no more, or
@@ -58,6 +59,7 @@ class Client:
         self._closed = threading.Event()
         self._lock = threading.Lock()
         self._open: set[socket.socket] = set()
+        self._kept: tuple[ExitStack, _Conversation] | None = None
 
     def connect(self, wait_s: float = 0.0) -> Client:
         """Make sure that a cell is there; returns this client.
@@ -76,8 +78,25 @@ class Client:
 
     def status(self) -> Status:
         """State of the cell now.  Raises NoCellError; ProtocolError; LinkError."""
-        with self._conversation() as talk:
-            return status_of(talk.ask("status", None, "status"))
+        with self._lock:
+            kept, self._kept = self._kept, None
+        if kept is not None:
+            try:
+                return self._asked(*kept)
+            except LinkError as error:
+                if isinstance(error.__cause__, TimeoutError):
+                    raise
+        stack = ExitStack()  # the cell has ended since; there may be another
+        return self._asked(stack, stack.enter_context(self._conversation()))
+
+    def _asked(self, stack: ExitStack, talk: _Conversation) -> Status:
+        """The status; the conversation is kept if none is."""
+        with stack:
+            status = status_of(talk.ask("status", None, "status"))
+            with self._lock:
+                if self._kept is None and not self._closed.is_set():
+                    self._kept = stack.pop_all(), talk
+            return status
 
     def send(self, request: Request) -> Answer:
         """Ask for something, once.
@@ -130,9 +149,12 @@ class Client:
         """End everything that is under way, from any thread; a client is closed for good."""
         self._closed.set()
         with self._lock:
+            kept, self._kept = self._kept, None
             for connected in self._open:
                 with suppress(OSError):
                     connected.shutdown(socket.SHUT_RDWR)
+        if kept is not None:
+            kept[0].close()
 
     @contextmanager
     def _conversation(self) -> Iterator[_Conversation]:

@@ -32,7 +32,7 @@ from tools.plant.around import ADAPTERS, Plant
 
 CONFIG = Path(__file__).parents[2] / "config" / "fake.yaml"
 #: Cycles beyond the kills: not every cycle has every step.
-SPARE = 5
+SPARE = 3
 #: What is the same whether or not an adapter is killed.
 SAME = ("cycle", "outcome", "offset_m", "margin_m", "reason")
 
@@ -68,6 +68,7 @@ def quick(config: Path) -> Path:
 def service(config: Path, runs: Path, log: Path) -> Iterator[subprocess.Popen[bytes]]:
     """A cell that waits for starts."""
     command = [sys.executable, "-m", "cell", "run", "-c", str(config), "--cycles", "forever"]
+    log.parent.mkdir(parents=True, exist_ok=True)
     with log.open("ab") as said:
         process = subprocess.Popen([*command, "--out", str(runs)], stdout=said, stderr=said)
     try:

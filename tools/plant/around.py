@@ -48,10 +48,14 @@ class Program:
         )
         self.lines: list[str] = []
         assert self.process.stdout is not None
-        threading.Thread(target=self._read, args=(self.process.stdout,), daemon=True).start()
+        self._reading = threading.Thread(
+            target=self._read, args=(self.process.stdout,), daemon=True
+        )
+        self._reading.start()
 
     def _read(self, stream: IO[str]) -> None:
-        self.lines.extend(iter(stream.readline, ""))
+        with stream:
+            self.lines.extend(iter(stream.readline, ""))
 
     def until(self, text: str) -> None:
         """Wait until it has said this.  Raises RuntimeError: it has ended, or did not in time."""
@@ -61,6 +65,7 @@ class Program:
         """Kill it."""
         self.process.kill()
         self.process.wait()
+        self._reading.join()
 
 
 def wait_until(reached: Callable[[], bool], program: Program | None = None) -> None:

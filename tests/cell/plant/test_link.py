@@ -141,6 +141,21 @@ def test_a_client_waits_for_the_next_run_and_is_told_of_the_loss(runs: Path) -> 
     client.close()
 
 
+def test_a_status_is_asked_for_again_on_the_same_connection_and_of_the_next_run(
+    runs: Path, client: Client
+) -> None:
+    for _ in range(2):
+        with Link(runs, BEGUN, obeys) as link:
+            for _ in range(3):
+                assert client.status().run == link.run
+            [connected] = client._open
+            assert client.status().run == link.run
+            assert client._open == {connected}
+    with pytest.raises(NoCellError):
+        client.status()
+    assert client._open == set()
+
+
 def test_a_request_is_answered(link: Link, client: Client) -> None:
     request = Request(Event.START, "plc", part="A-17", product="long", note="Grüße\n")
     assert client.send(request) == Answer(True, CellState.EXECUTE, repr(request))

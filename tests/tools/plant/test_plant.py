@@ -1,0 +1,46 @@
+"""A plant around a cell begins, and kills are shared out among cycles."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from cell.plant.client import Client
+from tools.plant.adapter_kills import CONFIG, Made, assigned, kills
+from tools.plant.around import ADAPTERS, Plant, published
+
+
+def made(*steps: str, **result: object) -> Made:
+    return Made({"cycle": 1, "outcome": "inserted", **result}, steps)
+
+
+def test_every_kill_gets_a_cycle_that_has_its_step_and_rare_steps_come_first() -> None:
+    planned = [("mqtt", "grasp"), ("mqtt", "execute")]
+    cycles = [made("grasp"), made("grasp", "execute"), made("grasp", "execute")]
+    assert assigned(planned, cycles) == [("mqtt", "grasp"), ("mqtt", "execute"), None]
+
+
+def test_each_adapter_is_killed_in_each_step_after_the_reset() -> None:
+    steps = {step for _, step in kills(list(ADAPTERS))}
+    assert {"grasp", "execute", "go_home"} <= steps
+    assert not {"warm_up", "connect", "reset"} & steps
+    assert len(kills(list(ADAPTERS))) == len(steps) * len(ADAPTERS)
+
+
+def test_cycles_differ_by_outcome_numbers_and_steps() -> None:
+    assert made("grasp").differs(made("grasp")) == ""
+    assert made("grasp").differs(made("grasp", "lower", outcome="missed")) == "outcome, steps"
+
+
+def test_all_adapters_follow_a_cell_that_only_publishes(tmp_path: Path) -> None:
+    if shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin:/usr/bin:/usr/local/bin") is None:
+        pytest.skip("mosquitto is not installed")
+    runs = tmp_path / "runs"
+    with published(runs), Plant(tmp_path / "plant", CONFIG, runs, clients=1) as plant:
+        assert set(plant.running) == {"broker", *ADAPTERS, "clients"}
+        assert all(program.process.poll() is None for program in plant.running.values())
+        assert set(plant.cpu_s()) == set(plant.running)
+        assert Client(runs).status().state.value == "execute"
+    assert all(program.process.poll() is not None for program in plant.running.values())
