@@ -33,10 +33,10 @@ _FIRST_S, _LAST_S = 0.1, 1.0
 class Client:
     """Reaches the cell whose records are in the folder `runs`; safe to be used by many threads.
 
-    A cell may end and begin between two questions.  Only `status` keeps its connection for the next
-    time, because some programs ask many times per second.
+    Every question has a connection of its own, so a cell may end and begin between two.
 
     timeout_s  so long an answer is waited for
+    often      the status is asked for many times per second: its connection is kept until `close`
     on_lost    told, in the thread that follows, when a cell that was followed is there no more, or
                says nothing any more
     on_there   told there when it is reached again and nothing has happened meanwhile; otherwise
@@ -48,12 +48,14 @@ class Client:
         runs: Path,
         *,
         timeout_s: float = 5.0,
+        often: bool = False,
         on_lost: Callable[[], None] = lambda: None,
         on_there: Callable[[], None] = lambda: None,
     ) -> None:
         self.path = socket_of(runs)
         self._runs = runs
         self._timeout_s = timeout_s
+        self._often = often
         self._on_lost = on_lost
         self._on_there = on_there
         self._closed = threading.Event()
@@ -90,11 +92,11 @@ class Client:
         return self._asked(stack, stack.enter_context(self._conversation()))
 
     def _asked(self, stack: ExitStack, talk: _Conversation) -> Status:
-        """The status; the conversation is kept if none is."""
+        """The status; the conversation is kept if it is wanted again and none is kept."""
         with stack:
             status = status_of(talk.ask("status", None, "status"))
             with self._lock:
-                if self._kept is None and not self._closed.is_set():
+                if self._often and self._kept is None and not self._closed.is_set():
                     self._kept = stack.pop_all(), talk
             return status
 

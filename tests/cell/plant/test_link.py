@@ -141,9 +141,8 @@ def test_a_client_waits_for_the_next_run_and_is_told_of_the_loss(runs: Path) -> 
     client.close()
 
 
-def test_a_status_is_asked_for_again_on_the_same_connection_and_of_the_next_run(
-    runs: Path, client: Client
-) -> None:
+def test_who_asks_often_keeps_a_connection_as_long_as_the_cell_runs(runs: Path) -> None:
+    client = Client(runs, often=True)
     for _ in range(2):
         with Link(runs, BEGUN, obeys) as link:
             for _ in range(3):
@@ -153,7 +152,10 @@ def test_a_status_is_asked_for_again_on_the_same_connection_and_of_the_next_run(
             assert client._open == {connected}
     with pytest.raises(NoCellError):
         client.status()
-    assert client._open == set()
+    with Link(runs, BEGUN, obeys):
+        client.status()
+        client.close()
+        assert client._open == set()
 
 
 def test_a_request_is_answered(link: Link, client: Client) -> None:
