@@ -43,7 +43,7 @@ def build(visit: Visit) -> None:
         for name, _, _, part in _TABS:
             with ui.tab_panel(name).classes("p-0 gap-4"):
                 part(desk).build()
-    ui.timer(0.05, desk.changed, once=True)
+    ui.timer(0.05, desk.begin, once=True)
 
 
 def _newest(desk: Desk) -> Subject | None:

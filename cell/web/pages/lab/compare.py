@@ -109,7 +109,7 @@ class Comparison:
             if page is not None:
                 title = t("Every trial with a time slider")
                 frame(desk, f"{self._file}.html", title, page)
-            output(desk, t("As the command prints it"), log)
+            output(t("As the command prints it"), log)
         with ui.card().classes("w-full"):
             heading(t("Where they fail"))
             trials = trials_of(data)

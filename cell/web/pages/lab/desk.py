@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Awaitable, Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,10 @@ class Desk:
         self.tasks = LabTasks(self.workspace, visit.room.config)
         self.subject: Subject | None = None
         self.cycles: list[Path] = []
+        request = ui.context.client.request
+        theme = "" if request is None else request.cookies.get("theme", "")
+        self._dark = theme == "dark"
+        self._asks_browser = theme not in ("dark", "light")
         self.asked: Callable[[], None] = lambda: None
         self._listeners: list[Listener] = []
 
@@ -40,6 +45,19 @@ class Desk:
         """A study was chosen, or a job has ended."""
         for listener in self._listeners:
             await listener()
+
+    async def begin(self) -> None:
+        """Fill the parts, once the browser is there."""
+        if self._asks_browser:
+            asked = "window.matchMedia('(prefers-color-scheme: dark)').matches"
+            with suppress(TimeoutError):
+                self._dark = bool(await ui.run_javascript(f"return {asked}", timeout=3.0))
+        await self.changed()
+
+    @property
+    def editor_theme(self) -> Any:
+        """Theme of an editor, as the page's."""
+        return "vscodeDark" if self._dark else "vscodeLight"
 
     async def choose(self, name: str) -> None:
         """Work on the study, or the recorded cycle, of this name."""
@@ -148,23 +166,22 @@ def frame(desk: Desk, page: str, title: str, path: Path) -> None:
     opened.on_value_change(lambda event: show(bool(event.value)))
 
 
-def output(desk: Desk, title: str, log: Path | None) -> None:
+def output(title: str, log: Path | None) -> None:
     """What a command printed, folded away."""
-    try:
-        text = "" if log is None else log.read_text(encoding="utf-8")
-    except (OSError, ValueError):
-        return
-    if text:
+    if log is not None and log.is_file():
         with ui.expansion(title, icon="terminal").classes("w-full"):
-            ui.label(text).classes("whitespace-pre font-mono text-xs overflow-x-auto w-full")
+            printed(log)
+
+
+def printed(log: Path | None) -> None:
+    """What a command printed."""
+    text = ui.label("\n".join(_lines(log)))
+    text.classes("whitespace-pre font-mono text-xs overflow-x-auto w-full")
 
 
 def first_lines(log: Path | None, most: int = 6) -> list[str]:
     """The sentences with which a command's output begins, before its first table."""
-    try:
-        lines = [] if log is None else log.read_text(encoding="utf-8").splitlines()
-    except (OSError, ValueError):
-        return []
+    lines = _lines(log)
     told: list[str] = []
     for line in lines[:most]:
         if not line.strip() or line.startswith("   "):
@@ -175,21 +192,19 @@ def first_lines(log: Path | None, most: int = 6) -> list[str]:
 
 def told_lines(log: Path | None, heads: Sequence[str]) -> list[str]:
     """What a command told after its tables, from a line that is one of `heads` on."""
-    try:
-        lines = [] if log is None else log.read_text(encoding="utf-8").splitlines()
-    except (OSError, ValueError):
-        return []
+    lines = _lines(log)
     begins = [i for i, line in enumerate(lines) if line.strip() in heads]
     return lines[begins[0] :] if begins else []
+
+
+def _lines(log: Path | None) -> list[str]:
+    """Lines of a command's output; none if it cannot be read."""
+    try:
+        return [] if log is None else log.read_text(encoding="utf-8").splitlines()
+    except (OSError, ValueError):
+        return []
 
 
 def heading(text: str) -> None:
     """Heading of a part of the page."""
     ui.label(text).classes("text-xl font-bold").props("role=heading aria-level=2")
-
-
-def editor_theme() -> Any:
-    """Theme of an editor, as the page's."""
-    request = ui.context.client.request
-    dark = request is not None and request.cookies.get("theme") == "dark"
-    return "vscodeDark" if dark else "vscodeLight"

@@ -17,7 +17,7 @@ from cell.web.lab_views import (
     ranking_rows,
     read_result,
 )
-from cell.web.pages.lab.desk import Desk, first_lines, frame, heading, output
+from cell.web.pages.lab.desk import Desk, first_lines, frame, heading, output, printed
 from cell.web.theme import BLUE
 
 _PASSED = """
@@ -111,7 +111,7 @@ class Part:
             page = desk.result("diagnosis.html")
             if page is not None:
                 frame(desk, "diagnosis.html", t("Report with the evidence"), page)
-            output(desk, t("As the command prints it"), log)
+            output(t("As the command prints it"), log)
         with ui.element("div").classes("w-full grid grid-cols-1 xl:grid-cols-3 gap-4"):
             with ui.card().classes("w-full xl:col-span-2"):
                 heading(t("Checks"))
@@ -152,8 +152,7 @@ class Part:
         with ui.card().classes("w-full").props("data-test=motion"):
             heading(t("The next motion"))
             log = desk.result("suggest.txt")
-            ui.label("\n".join(first_lines(log))).classes("whitespace-pre-line break-words")
-            output(desk, t("As the command prints it"), log)
+            printed(log)
             if motion.exists() and desk.subject is not None:
                 ui.label(t("Measure a cable with it, where the cell is:"))
                 words = desk.tasks.measure(desk.subject, desk.visit.room.runs)

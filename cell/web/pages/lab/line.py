@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 from nicegui import run, ui
 
@@ -70,37 +71,37 @@ class Part:
         own = desk.own_effects()
         self._own.set_options(own, value=[e for e in self._own.value or [] if e in own])
         folder = desk.workspace.candidates
-        names = desk.workspace.names(folder, ".yaml")[:_SHOWN]
-        paths = {name: folder / f"{name}.yaml" for name in names if not name.endswith("_motion")}
-        config = desk.visit.room.config
-        seen = tuple((p, p.stat().st_mtime_ns) for p in (*paths.values(), config) if p.exists())
+        names = [n for n in desk.workspace.names(folder, ".yaml") if not n.endswith("_motion")]
+        paths = {name: folder / f"{name}.yaml" for name in names[:_SHOWN]}
+        logs = [folder / f"{n}.txt" for n in desk.workspace.names(folder, ".txt")[:_SHOWN]]
+        files = (*paths.values(), *logs, desk.visit.room.config)
+        seen = tuple((p, p.stat().st_mtime_ns) for p in files if p.exists())
         if seen == self._seen:
             return
         self._seen = seen
-        self._model.text = await run.io_bound(model_text, config) or ""
+        self._model.text = await run.io_bound(model_text, desk.visit.room.config) or ""
         found = await run.io_bound(candidate_table, paths, self._t)
         self._place.clear()
-        if found is None:
-            return
         with self._place:
-            if not paths:
+            if paths and found is not None:
+                self._candidates(list(paths), *found)
+            else:
                 ui.label(self._t("There is no candidate yet."))
-                return
-            columns, rows = found
-            table = ui.table(columns=columns, rows=rows, row_key="gate").classes("w-full")
-            table.props("dense flat wrap-cells hide-bottom data-test=gates").style(
-                "overflow-x: auto"
-            )
-            with ui.row():
-                for name in paths:
-                    button = ui.button(f"{self._t('Promote')} {name}", icon="publish")
-                    button.props("outline no-caps").on_click(lambda name=name: self._promote(name))
-                    button.props(f"data-test=promote-{name}")
-            for name in paths:
-                log = folder / f"{name}.txt"
-                for line in first_lines(log, 2):
-                    ui.label(f"{name}: {line}").classes("break-words text-sm")
-                output(desk, f"{name}: {self._t('As the command prints it')}", log)
+            for log in logs:
+                ui.label("\n".join(first_lines(log))).classes("whitespace-pre-line break-words")
+                output(f"{log.stem}: {self._t('As the command prints it')}", log)
+
+    def _candidates(
+        self, names: list[str], columns: list[dict[str, Any]], rows: list[dict[str, str]]
+    ) -> None:
+        """Candidates with their gates side by side, each with its button."""
+        table = ui.table(columns=columns, rows=rows, row_key="gate").classes("w-full")
+        table.props("dense flat wrap-cells hide-bottom data-test=gates")
+        with ui.row():
+            for name in names:
+                button = ui.button(f"{self._t('Promote')} {name}", icon="publish")
+                button.props("outline no-caps").on_click(lambda name=name: self._promote(name))
+                button.props(f"data-test=promote-{name}")
 
     async def _promote(self, name: str) -> None:
         with ui.dialog() as asked, ui.card():

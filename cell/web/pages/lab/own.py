@@ -11,7 +11,7 @@ from nicegui import run, ui
 from cell.cable.effects import library
 from cell.web.lab import Checked
 from cell.web.pages.lab.compare import Comparison
-from cell.web.pages.lab.desk import Desk, editor_theme, heading
+from cell.web.pages.lab.desk import Desk, heading
 from cell.web.theme import BLUE
 from cell.web.users import Role
 
@@ -63,7 +63,7 @@ class Part:
                 ui.button(t("Template"), icon="note_add", on_click=self._template).props("outline")
                 self._what = ui.label().classes("grow break-words")
             self._editor = ui.codemirror(
-                TEMPLATE, language="Python", theme=editor_theme(), on_change=self._changed
+                TEMPLATE, language="Python", theme=self._desk.editor_theme, on_change=self._changed
             )
             self._editor.classes("w-full border").style("height: 26rem")
             self._editor.props("data-test=editor")
@@ -86,6 +86,7 @@ class Part:
         names = [*own, *library()]
         kept = [b for b in self._beside.value or [] if b in names]
         self._beside.set_options(names, value=kept)
+        self._editor.theme = self._desk.editor_theme
         await self._shown.refresh()
 
     def _template(self) -> None:

@@ -13,7 +13,6 @@ from cell.web.cycles import cycle_folder
 from cell.web.lab_tasks import MAPPING, PREVIEW, CableEntries, Subject
 from cell.web.pages.lab.desk import (
     Desk,
-    editor_theme,
     frame,
     heading,
     output,
@@ -100,7 +99,7 @@ class Part:
             said = told_lines(log, ("Odd:", "To be mended:", "Nothing is odd."))
             told = ui.label("\n".join(line for line in said if not line.endswith(_PICTURES)))
             told.classes("break-words whitespace-pre-wrap").props("data-test=look-said")
-            output(desk, self._t("As the command prints it"), log)
+            output(self._t("As the command prints it"), log)
             page = desk.result("look.html")
             if page is not None:
                 frame(desk, "look.html", self._t("Pictures of every trial"), page)
@@ -117,10 +116,10 @@ class Part:
         except (OSError, ValueError) as error:
             ui.label(str(error))
             return
-        output(desk, t("What was understood"), subject.folder / "import.txt")
+        output(t("What was understood"), subject.folder / "import.txt")
         frame(desk, PREVIEW, t("Preview"), subject.folder / PREVIEW)
         ui.label(t("Check the mapping; what is missing is marked null."))
-        editor = ui.codemirror(text, language="YAML", theme=editor_theme()).classes("w-full")
+        editor = ui.codemirror(text, language="YAML", theme=desk.editor_theme).classes("w-full")
         editor.style("height: 26rem").props("data-test=mapping")
 
         async def write() -> None:
@@ -255,6 +254,7 @@ class _Cycles:
         if len(desk.cycles) < 2:
             desk.told(self._t("Select two cycles or more, of one cable."))
             return
-        name = plain(f"cycles_{desk.cycles[0].name}_{len(desk.cycles)}")
+        first = desk.cycles[0].name.replace(".", "_")
+        name = plain(f"cycles_{first}_{len(desk.cycles)}")
         if desk.ask(desk.tasks.gather(desk.cycles, name)):
             desk.subject = Subject(name, desk.workspace.studies / name)
