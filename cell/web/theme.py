@@ -53,6 +53,11 @@ CSS = """
 .q-btn.disabled { filter: grayscale(1); opacity: 0.45 !important; }
 .state-plate { font-size: clamp(2rem, 7vw, 4rem); font-weight: 700; line-height: 1.1; }
 .figure { font-size: 1.6rem; font-weight: 600; font-variant-numeric: tabular-nums; }
+.unseen { position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%); }
+.body--light { --q-primary: #0b57a4 !important; }
+.body--dark { --q-primary: #8ab8f0 !important; }
+.nicegui-link { color: var(--q-primary); }
+header .nicegui-link { color: #ffffff; }
 .quiet { color: #4a5563; }
 .body--dark .quiet { color: #b4bcc8; }
 .wrong { color: #b3261e; white-space: pre-line; }

@@ -40,6 +40,8 @@ class _Live:
 
     def build(self) -> None:
         """Make the elements, and keep them up to date."""
+        heading = ui.label(self._t("Live")).classes("unseen")
+        heading.props("role=heading aria-level=1")
         with ui.element("div").classes("w-full grid grid-cols-1 lg:grid-cols-3 gap-4"):
             with ui.column().classes("lg:col-span-2 w-full gap-4"):
                 self._state()
