@@ -69,6 +69,7 @@ header .nicegui-link { color: #ffffff; }
 .film-slider { min-height: 2.5rem; }
 .guide:not(:empty) { border-left: 0.5rem solid #f5b301; padding-left: 0.75rem; }
 .sticky-card { position: sticky; top: 3.5rem; z-index: 10; }
+@media (max-width: 640px) { .sticky-card { top: 6.5rem; } }
 .entry { border-top: 1px solid #8a94a355; padding-top: 0.5rem; }
 .diff { font-family: monospace; white-space: pre; border: 1px solid #8a94a3; padding: 0.5rem; }
 .diff .added { background: #146c2e22; color: #0f5323; }

@@ -142,6 +142,7 @@ class _Live:
             return "" if holder.page == visit.page else f"{holder.name} has control"
 
         self._told(visit.do("take control", Role.operate, act))
+        self._update()
 
     def _given(self, event: Event, part: ui.input) -> Callable[[], Any]:
         async def give() -> None:
@@ -149,6 +150,7 @@ class _Live:
             self._told(await run.io_bound(self._visit.command, event, "", "", code))
             if event is Event.START:
                 part.value = ""
+            self._update()
 
         return give
 
