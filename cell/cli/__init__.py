@@ -58,21 +58,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 for group in (
-    *(
-        run,
-        emulate,
-        plant,
-        settings,
-        records,
-        identify,
-        ledger,
-        acknowledge,
-        actions,
-        bundle,
-        recordings,
-        store,
-    ),
-    *(fit, lab, power, studies, imports, export, line, mqtt, handshake),
+    *(run, emulate, plant, settings, records, identify, ledger, acknowledge, actions, bundle),
+    *(recordings, store, fit, lab, power, studies, imports, export, line, mqtt, handshake),
 ):
     app.add_typer(group.app)
 app.add_typer(calibrate.app)

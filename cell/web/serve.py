@@ -123,7 +123,7 @@ def _framed(visit: Visit, request: Request) -> None:
     ui.add_css(CSS)
     ui.dark_mode(_THEMES.get(request.cookies.get("theme", "")))
     ui.run_javascript(f"document.documentElement.lang = {visit.language!r}")
-    with ui.header().classes("items-center gap-1 px-2 py-1 bg-slate-800"):
+    with ui.header().classes("items-center gap-1 px-2 py-1 bg-slate-800 flex-wrap"):
         for page in PAGES:
             if visit.session.user.role >= page.role:
                 link = ui.link(t(page.title), page.path)

@@ -53,6 +53,11 @@ CSS = """
 .q-btn.disabled { filter: grayscale(1); opacity: 0.45 !important; }
 .state-plate { font-size: clamp(2rem, 7vw, 4rem); font-weight: 700; line-height: 1.1; }
 .figure { font-size: 1.6rem; font-weight: 600; font-variant-numeric: tabular-nums; }
+.unseen { position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%); }
+.body--light { --q-primary: #0b57a4 !important; }
+.body--dark { --q-primary: #8ab8f0 !important; }
+.nicegui-link { color: var(--q-primary); }
+header .nicegui-link { color: #ffffff; }
 .quiet { color: #4a5563; }
 .body--dark .quiet { color: #b4bcc8; }
 .wrong { color: #b3261e; white-space: pre-line; }
@@ -64,6 +69,7 @@ CSS = """
 .film-slider { min-height: 2.5rem; }
 .guide:not(:empty) { border-left: 0.5rem solid #f5b301; padding-left: 0.75rem; }
 .sticky-card { position: sticky; top: 3.5rem; z-index: 10; }
+@media (max-width: 640px) { .sticky-card { top: 6.5rem; } }
 .entry { border-top: 1px solid #8a94a355; padding-top: 0.5rem; }
 .diff { font-family: monospace; white-space: pre; border: 1px solid #8a94a3; padding: 0.5rem; }
 .diff .added { background: #146c2e22; color: #0f5323; }

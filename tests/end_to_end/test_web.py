@@ -1,4 +1,4 @@
-"""The pages in a real browser: cables inserted, hold, stop, a fault acknowledged; the login."""
+"""The pages in a real browser: cables inserted, a fault acknowledged, settings, films, login."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from datetime import datetime
+from importlib import resources
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode, urlsplit
@@ -17,6 +19,10 @@ from urllib.parse import urlencode, urlsplit
 import pytest
 
 from cell.plant.client import Client
+from cell.records.folder import Record
+from cell.records.recording import form
+from cell.records.recording.writer import RecordingWriter
+from cell.records.result import Outcome, Result
 from cell.web.audit import audit_file
 from cell.web.users import Role, Users
 
@@ -106,15 +112,39 @@ class LivePage:
         self._browser = browser
 
     def text(self, what: str) -> str:
-        return str(self._browser.find_element("css selector", f"[data-test={what}]").text)
+        """Of an element; "" = there is none yet."""
+        return self.text_at(f"[data-test='{what}']")
+
+    def text_at(self, css: str) -> str:
+        """The same, of an element anywhere."""
+        script = "const e = document.querySelector(arguments[0]); return e ? e.innerText : ''"
+        return str(self._browser.execute_script(script, css))
 
     def click(self, what: str) -> None:
-        button = self._browser.find_element("css selector", f"[data-test={what}]")
-        until(lambda: button.is_enabled() and button.is_displayed())
-        button.click()
+        self._do(what, lambda element: element.click())
 
     def type(self, what: str, text: str) -> None:
-        self._browser.find_element("css selector", f"[data-test={what}]").send_keys(text)
+        self._do(what, lambda element: element.send_keys(text))
+
+    def enter(self, what: str, text: str) -> None:
+        """In place of what is there."""
+        self._do(what, lambda element: element.send_keys("\ue009a\ue000", text))  # control and a
+
+    def _do(self, what: str, act: Callable[[Any], None]) -> None:
+        """Once the element is there, and can be used."""
+        from selenium.common.exceptions import WebDriverException
+
+        def done() -> bool:
+            try:
+                element = self._browser.find_element("css selector", f"[data-test='{what}']")
+                if not (element.is_enabled() and element.is_displayed()):
+                    return False
+                act(element)
+            except WebDriverException:  # made anew at this moment, or covered
+                return False
+            return True
+
+        until(done)
 
     def reaches(self, state: str) -> None:
         until(lambda: self.text("state") == state)
@@ -170,6 +200,105 @@ def test_cables_inserted_held_stopped_and_acknowledged_from_the_page(
     asked = {urlsplit(s["request"]["url"]) for s in sent}
     of_net = [u for u in asked if u.scheme in ("http", "https", "ws", "wss")]
     assert {u.hostname for u in of_net} == {"127.0.0.1"}
+
+
+@pytest.fixture
+def film(tmp_path: Path) -> Path:
+    """Folder of a cycle of three frames."""
+    made = Record(tmp_path / "runs", 3, datetime(2026, 11, 24, 6, 30))
+    seconds = {"lower": 0.5}
+    made.close(Result(3, Outcome.MISSED, str(made.folder), seconds=seconds, part="A-1"))
+    begun = {form.EPOCH: "0", "format": form.FORMAT}
+    writer = RecordingWriter(made.folder / form.FILE, begun)
+    for index in range(3):
+        writer.frame(index, 1.0 + index, 48, 64, bytes(48 * 64))
+    writer.event(form.DECISION, 2.0, {"tip_m": [[0.0, 0.0], [-0.01, 0.005]]})
+    writer.close({})
+    return made.folder
+
+
+@pytest.fixture
+def uncalibrated(tmp_path: Path) -> Path:
+    view = "  view: {metres_per_pixel: 0.0002, origin_column_px: 1000, origin_row_px: 150}\n"
+    hidden = f"\nworld:\n  camera: {view.strip().removeprefix('view: ')}\n"
+    edits = [(view, ""), ("\nworld:", f"\ncalibration: {{folder: {tmp_path / 'calib'}}}\n{hidden}")]
+    path = changed(CONFIG, tmp_path / "cell.yaml", edits)
+    path.write_text(path.read_text("utf-8").replace("  # hidden from the cell", ""), "utf-8")
+    return path
+
+
+def faults_of(browser: Any) -> list[str]:
+    """What axe-core finds serious on the page, light and dark; none without axe-core."""
+    try:
+        script = resources.files("axe_core_python").joinpath("axe.min.js").read_text("utf-8")
+    except ModuleNotFoundError:
+        return []
+    browser.execute_script(script)
+    found = []
+    for dark in ("false", "true"):
+        browser.execute_script(f"Quasar.Dark.set({dark})")
+        said = browser.execute_async_script(
+            "const done = arguments[0]; axe.run({resultTypes: ['violations']}).then(done)"
+        )
+        found += [
+            f"{browser.current_url} dark {dark}: {v['help']}: {v['nodes'][0]['html']}"
+            for v in said["violations"]
+            if v["impact"] in ("serious", "critical")
+        ]
+    return found
+
+
+def test_settings_are_written_a_film_is_seen_and_a_camera_calibrated(
+    browser: Any, started: Started, uncalibrated: Path, film: Path, tmp_path: Path
+) -> None:
+    port, page = free_port(), LivePage(browser)
+    at = f"http://127.0.0.1:{port}"
+    started("serve", "-c", uncalibrated, "--runs", tmp_path / "runs", "--port", port)
+    until(lambda: answers(port))
+
+    browser.get(f"{at}/calibration")
+    page.click("start-camera")
+    until(lambda: page.text("guided") == "calibrate camera")
+    calibrating = browser.current_window_handle
+    browser.switch_to.new_window("tab")
+    browser.get(f"{at}/settings")
+    page.type("search", "motion.hold_s")
+    until(lambda: page.text("motion.hold_s:said") == "" and "right" in page.text("checked"))
+    page.enter("motion.hold_s", "31")
+    until(lambda: "less than or equal to 30" in page.text("motion.hold_s:said"))
+    page.enter("motion.hold_s", "0.8")
+    until(lambda: "Changes: 1. The settings are right." in page.text("checked"))
+    serious = faults_of(browser)
+    page.click("differences")
+    until(lambda: "+  hold_s: 0.8" in page.text_at(".diff"))
+    page.click("write")
+    until(lambda: "Changes: 0." in page.text("checked"))
+    written = uncalibrated.read_text("utf-8")
+    assert "hold_s: 0.8" in written and "# the tip must pass it from right to left" in written
+    assert "hold_s: 1.0" in (tmp_path / "cell.settings" / "0001.yaml").read_text("utf-8")
+
+    browser.get(f"{at}/cycle/{film.name}")
+    until(lambda: page.text("time") == "0.000 s · 1/3")
+    page.type("slider", "\ue014\ue014")  # arrow right
+    until(lambda: page.text("time") == "2.000 s · 3/3")
+    shown = "const i = document.getElementById('film-frame'); return i.naturalWidth"
+    until(lambda: browser.execute_script(shown) == 64)
+    serious += faults_of(browser)
+    page.click("keep")
+    until(lambda: page.text("kept") == "The film is kept for good.")
+    assert (film / "keep").exists()
+    for path in ("/", "/history"):
+        browser.get(at + path)
+        until(lambda: browser.find_elements("css selector", "[role=heading]"))
+        serious += faults_of(browser)
+
+    browser.switch_to.window(calibrating)
+    until(lambda: page.text("guided") == "calibrate camera: done")
+    assert (tmp_path / "calib" / "camera.yaml").exists()
+    assert "20 of 20" in page.text("guided-said") or "view 20" in page.text("guided-said")
+    until(lambda: "valid" in page.text_at(".plain-table"))
+    serious += faults_of(browser)
+    assert serious == []
 
 
 def test_with_users_nothing_is_shown_before_the_login(

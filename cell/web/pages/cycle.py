@@ -205,7 +205,7 @@ class _Page:
         if data is None or not data.rows:
             return
         rows = [[self._t(row[0]), *row[1:]] for row in data.rows]
-        table(title, [self._t(h) if h else "" for h in data.heads], rows, set(data.numbers))
+        table(title, [self._t(h or "quantity") for h in data.heads], rows, set(data.numbers))
 
     def _spent(self, view: CycleView) -> None:
         t = self._t
@@ -216,7 +216,7 @@ class _Page:
             if seconds > 0.0
         ]
         if rows:
-            table(t("States and steps"), ["", t("Name"), t("Time, s")], rows, {2})
+            table(t("States and steps"), [t("Kind"), t("Name"), t("Time, s")], rows, {2})
 
     def _pictures(self, view: CycleView) -> None:
         for picture in view.pictures:

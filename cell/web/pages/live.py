@@ -40,6 +40,8 @@ class _Live:
 
     def build(self) -> None:
         """Make the elements, and keep them up to date."""
+        heading = ui.label(self._t("Live")).classes("unseen")
+        heading.props("role=heading aria-level=1")
         with ui.element("div").classes("w-full grid grid-cols-1 lg:grid-cols-3 gap-4"):
             with ui.column().classes("lg:col-span-2 w-full gap-4"):
                 self._state()
@@ -140,6 +142,7 @@ class _Live:
             return "" if holder.page == visit.page else f"{holder.name} has control"
 
         self._told(visit.do("take control", Role.operate, act))
+        self._update()
 
     def _given(self, event: Event, part: ui.input) -> Callable[[], Any]:
         async def give() -> None:
@@ -147,6 +150,7 @@ class _Live:
             self._told(await run.io_bound(self._visit.command, event, "", "", code))
             if event is Event.START:
                 part.value = ""
+            self._update()
 
         return give
 

@@ -221,7 +221,8 @@ class _Page:
         async def written() -> None:
             write.disable()
             dialog.close()
-            await self._write(before, after, summary)
+            with self._list:  # the dialog and all in it will be gone
+                await self._write(before, after, summary)
 
         write.on_click(written)
         dialog.on("hide", dialog.delete)
@@ -267,11 +268,13 @@ class _Page:
                 except InputError as error:
                     ui.notify(str(error), type="negative", multi_line=True)
                     return
-                self._fill()
+                with self._list:
+                    self._fill()
 
             def load() -> None:
                 dialog.close()
-                self._load(present)
+                with self._list:
+                    self._load(present)
 
             with ui.row():
                 take = ui.button(t("Make my changes to the new file"), on_click=take_over)
