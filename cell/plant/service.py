@@ -5,17 +5,16 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Mapping
-from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 
+from cell.plant.left_behind import Mark, earlier_cycle
 from cell.plant.messages import Answer, FaultNotice, Request
 from cell.plant.orders import latch, refusal
 from cell.plant.reporter import Reporter
-from cell.plant.systemd import Notifier
-from cell.records.folder import acknowledge_record, read_record
+from cell.plant.signs_of_life import SignsOfLife
+from cell.records.folder import acknowledge_record
 from cell.records.past_cycles import cycle_of
-from cell.records.result import Outcome, Result
+from cell.records.result import Result
 from cell.run.commands import InterruptedByCommandError
 from cell.run.cycle import Cell
 from cell.run.machine import CellState, Event
@@ -25,8 +24,6 @@ from drivers.interfaces import DeviceError
 
 #: How often the service looks at its commands and its devices while nothing happens, s.
 _LOOK_S = 0.1
-#: A step that lasts longer is a program that hangs, s: the first one may compile.
-_LONGEST_STEP_S = 600.0
 #: No cycle is under way.
 _BETWEEN = frozenset(
     {
@@ -38,69 +35,6 @@ _BETWEEN = frozenset(
     }
 )
 _UNHURRIED = (CellState.HELD, CellState.SUSPENDED)
-
-
-@dataclass(frozen=True)
-class Earlier:
-    """The newest cycle of a folder of records: its folder, number, and fault if one is open."""
-
-    folder: Path
-    cycle: int
-    fault: FaultNotice | None
-
-
-def earlier_cycle(runs: Path) -> Earlier | None:
-    """The newest cycle in a folder, None = there is none.
-
-    Its fault is open if it was never concluded, or failed, and nobody has acknowledged that.
-    raises  InputError: its files were changed and are wrong now
-    """
-    folders = [f for f in runs.iterdir() if cycle_of(f)] if runs.is_dir() else []
-    if not folders:
-        return None
-    folder = max(folders, key=lambda f: cycle_of(f) or ())
-    found = cycle_of(folder)
-    assert found is not None
-    number = found[1]
-    if not (folder / "state.json").exists():
-        return Earlier(folder, number, _unfinished(folder, number, ""))
-    record = read_record(folder)
-    if "acknowledged" in record.state:
-        return Earlier(folder, number, None)
-    if not record.closed or record.result is None:
-        return Earlier(folder, number, _unfinished(folder, number, record.step or ""))
-    fault = record.result.fault
-    if record.result.outcome is not Outcome.FAILED or fault is None:
-        return Earlier(folder, number, None)
-    return Earlier(folder, number, FaultNotice(number, time_s=time.time(), **vars(fault)))
-
-
-def _unfinished(folder: Path, number: int, step: str) -> FaultNotice:
-    return FaultNotice(
-        number,
-        step,
-        f"cycle {number} was not finished: the program or the computer ended within it",
-        time.time(),
-        remedy="look where the hand and the cable are, then reset",
-        cable=f"not known; see {folder}",
-        code="unfinished",
-    )
-
-
-def _without_record(number: int, file: Path) -> FaultNotice:
-    """What the file says that a service has left outside a cycle."""
-    try:
-        cause = file.read_text(encoding="utf-8")
-    except OSError:
-        cause = ""
-    return FaultNotice(
-        number,
-        "reset",
-        cause or "the service before has ended",
-        time.time(),
-        remedy="look where the hand is and what the jaws hold, then reset",
-        code="unfinished",
-    )
 
 
 class Service:
@@ -128,15 +62,14 @@ class Service:
         self._plan = plan
         self._products = products or {}
         self._select = select_product
-        self._notifier = Notifier()
+        self._life = SignsOfLife()
         self._changed = threading.Condition()
         self._ending = threading.Event()
         self._over = threading.Event()
-        self._alive_until_s = float("inf")
         self._part: str | None = None
         self._product = product
         self._wanted: str | None = None
-        self._unsettled = runs.with_name(f"{runs.name}.unsettled")
+        self._mark = Mark(runs)
         earlier = earlier_cycle(runs)
         self._number = 1 if earlier is None else earlier.cycle + 1
         self._open: Path | None = None
@@ -145,10 +78,10 @@ class Service:
             cell.take_up(earlier.folder)
             reporter.state(CellState.STOPPED)
             reporter.fault(earlier.fault)
-        elif self._unsettled.exists():
-            self._open = self._unsettled
+        elif (fault := self._mark.fault(self._number)) is not None:
+            self._open = self._mark.file
             reporter.state(CellState.STOPPED)
-            reporter.fault(_without_record(self._number, self._unsettled))
+            reporter.fault(fault)
         cell.machine.on_change = self._told
 
     # --- the link's threads -------------------------------------------------------------------
@@ -221,7 +154,7 @@ class Service:
         """Serve until `end`; `told` gets every result.  Raises RecordError; KeyboardInterrupt."""
         tending = threading.Thread(target=self._tend, name="tend", daemon=True)
         tending.start()
-        self._notifier.ready()
+        self._life.notifier.ready()
         try:
             while not self._ending.is_set():
                 self._select_wanted(tell=True)
@@ -232,26 +165,16 @@ class Service:
                 if result is not None:
                     self._ended(result, told)
         finally:
-            self._notifier.stopping()
+            self._life.notifier.stopping()
             self._over.set()
             tending.join()
 
     def _prepared(self) -> Result | None:
         """Make the cell ready; a file says meanwhile that the hand may be moving."""
-        self._mark("the program or the computer ended while the cell was made ready")
+        self._mark.leave("the program or the computer ended while the cell was made ready")
         result = self._cell.prepare(self._number, self._plan)
-        self._unmark()
+        self._mark.remove()
         return result
-
-    def _mark(self, cause: str) -> None:
-        """Leave a file that lets the next service wait for a person, where no record does."""
-        with suppress(OSError):  # a full disk is told when the record is begun
-            self._unsettled.parent.mkdir(parents=True, exist_ok=True)
-            self._unsettled.write_text(cause, encoding="utf-8")
-
-    def _unmark(self) -> None:
-        with suppress(OSError):
-            self._unsettled.unlink(missing_ok=True)
 
     def _rests(self, state: CellState) -> bool:
         """Wait for a person if one has to say something; whether that was so."""
@@ -277,7 +200,9 @@ class Service:
                     return None
                 self._wait_a_moment()
         except (InterruptedByCommandError, DeviceError) as error:
-            self._mark(str(error))  # before anybody is told: the service may be killed at once
+            self._mark.leave(
+                str(error)
+            )  # before anybody is told: the service may be killed at once
             with self._changed:
                 return self._cell.leave_idle(error)
         self._select_wanted(tell=False)  # as the start has told
@@ -288,7 +213,7 @@ class Service:
         if result.fault is not None:
             self._open = Path(result.folder)
         if recorded:
-            self._unmark()
+            self._mark.remove()
             self._number += 1
             self._reporter.result(result)
             told(result)
@@ -310,7 +235,7 @@ class Service:
             self._wait_a_moment()
 
     def _wait_a_moment(self) -> None:
-        self._alive_until_s = time.monotonic() + 50 * _LOOK_S
+        self._life.waiting()
         with self._changed:
             self._changed.wait(_LOOK_S)
 
@@ -318,25 +243,20 @@ class Service:
 
     def step(self, number: int, step: str) -> None:
         """A step of a cycle begins: for the cell's `on_step`."""
-        self._alive_until_s = time.monotonic() + _LONGEST_STEP_S
+        self._life.step()
         self._reporter.step(number, step)
 
     def _told(self, state: CellState) -> None:
-        self._alive_until_s = time.monotonic() + _LONGEST_STEP_S
+        self._life.step()
         if state is CellState.IDLE:  # before anybody is told: the service may be killed at once
-            self._unmark()
+            self._mark.remove()
         self._reporter.state(state)
-        self._notifier.status(f"{state.value}, cycle {self._number}")
+        self._life.notifier.status(f"{state.value}, cycle {self._number}")
 
     def _tend(self) -> None:
         """Tell systemd that the service lives, and end a pause when the service is to end."""
-        watchdog_s = self._notifier.watchdog_s
-        due_s = time.monotonic()
         while not self._over.wait(_LOOK_S):
-            state, now_s = self._cell.machine.state, time.monotonic()
-            lives = now_s < self._alive_until_s or state in _UNHURRIED
-            if watchdog_s is not None and lives and now_s >= due_s:
-                self._notifier.alive()
-                due_s = now_s + watchdog_s / 3.0
-            if self._ending.is_set() and state in _UNHURRIED:
+            paused = self._cell.machine.state in _UNHURRIED
+            self._life.tell(paused=paused)
+            if self._ending.is_set() and paused:
                 self._cell.command(Event.STOP, "the service ends")
