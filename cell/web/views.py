@@ -166,6 +166,7 @@ def history_row(cycle: ListedCycle) -> dict[str, str]:
         "started": f"{cycle.started:%Y-%m-%d %H:%M:%S}",
         "cycle": str(cycle.cycle),
         "part": cycle.part or "",
+        "product": cycle.product or "",
         "outcome": cycle.outcome,
         "predicted": mm("predicted_miss_m"),
         "measured": mm("measured_miss_m"),

@@ -11,6 +11,7 @@ from cell.records.ledger.error import LedgerError
 from cell.records.ledger.ledger import Ledger, ListedCycle, Wanted
 from cell.records.past_cycles import UNFINISHED
 from cell.records.result import Outcome
+from cell.settings.model import Settings
 from cell.settings.referred import line_of
 from cell.web.users import Role
 from cell.web.views import WORDS, error_chart, history_row
@@ -43,6 +44,11 @@ def build(visit: Visit) -> None:
         days = ui.select({d: f"{d} d" if d else t("all") for d in _DAYS}, label=t("Since"), value=7)
         days.classes("w-32")
         part = ui.input(t("Part")).props("clearable maxlength=100")
+        made = visit.room.settings.products
+        product = ui.select(
+            {None: t("all"), **{n: n for n in made}}, label=t("Product"), value=None
+        )
+        product.classes("w-40").set_visibility(bool(made))
     said = ui.label().classes("whitespace-pre-line")
     chart = ui.echart(error_chart([], "", "")).classes("w-full h-64")
     columns = [
@@ -51,6 +57,7 @@ def build(visit: Visit) -> None:
             ("started", t("Begun")),
             ("cycle", t("Cable")),
             ("part", t("Part")),
+            *([("product", t("Product"))] if made else []),
             ("outcome", t("Outcome")),
             ("predicted", t("Tip predicted") + ", mm"),
             ("measured", t("Tip seen") + ", mm"),
@@ -76,6 +83,7 @@ def build(visit: Visit) -> None:
             outcomes=outcomes,
             line=line_of(visit.room.settings),
             part=(part.value or "").strip() or None,
+            product=product.value,
         )
         found = await run.io_bound(_found, visit, wanted)
         if found is None:
@@ -89,7 +97,7 @@ def build(visit: Visit) -> None:
         chart.options.update(options)
         said.text = error or "\n".join(changes) or t("Nothing has changed in the newest cycles.")
 
-    for filtered in (outcome, days, part):
+    for filtered in (outcome, days, part, product):
         filtered.on_value_change(refresh)
     ui.timer(0.05, refresh, once=True)
 
@@ -106,10 +114,19 @@ def _found(visit: Visit, wanted: Wanted) -> Found:
     try:
         ledger = Ledger(settings.ledger.url or visit.room.runs)
         try:
-            results = ledger.results(line_of(settings))
-            newest = [r for r in results if r.model == results[-1].model]
-            return ledger.listed(wanted, MOST), [str(s) for s in signals(newest)], ""
+            return ledger.listed(wanted, MOST), changes_of(ledger, settings, wanted.product), ""
         finally:
             ledger.close()
     except LedgerError as error:
         return [], [], str(error)
+
+
+def changes_of(ledger: Ledger, settings: Settings, product: str | None) -> list[str]:
+    """What the charts of a product say, or of each; of its newest model.  Raises LedgerError."""
+    names: list[str | None] = [*settings.products] if product is None else [product]
+    found = []
+    for name in names or [None]:
+        results = ledger.results(line_of(settings), name)
+        newest = [r for r in results if r.model == results[-1].model]
+        found += [f"{name}: {s}" if name else str(s) for s in signals(newest)]
+    return found

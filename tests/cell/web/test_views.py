@@ -102,7 +102,7 @@ def test_cycles_as_rows_and_errors_as_a_chart() -> None:
     at = datetime(2026, 11, 25, 6, tzinfo=UTC)
     numbers = {"predicted_miss_m": 1e-3, "measured_miss_m": 1.5e-3, "predicted_std_m": 1e-4}
     good = ListedCycle(
-        *("line", 1, "<b>", Path("/runs/a"), at, at, "inserted", None, None, None, None, None),
+        *("line", 1, "<b>", "soft", Path("/runs/a"), at, at, "inserted", *[None] * 5),
         numbers,
         None,
     )
