@@ -138,6 +138,13 @@ class LabTasks:
         )
         return Task(N_("Suggest a motion"), subject.name, (words,), log=out / "suggest.txt")
 
+    def discover(self, subject: Subject, name: str, beside: Sequence[str]) -> Task:
+        """Infer a law from what the model leaves, as an effect that can be edited."""
+        out = str(self.workspace.effects / f"{name}.py")
+        words = ("discover", str(subject.folder), *_each("--effect", beside), "-o", out)
+        log = self.workspace.results(subject.name) / "discover.txt"
+        return Task(N_("Infer a law"), subject.name, (words,), log=log)
+
     def learn(self, name: str, cycles: Sequence[Path], ledger: str, own: Sequence[str]) -> Task:
         """Learn what the line's model lacks; of the ledger's cycles if none are given."""
         out = self.workspace.candidates / f"{name}.yaml"

@@ -132,6 +132,10 @@ class Workspace:
         found.sort(key=lambda e: e.stat().st_mtime_ns, reverse=True)
         return [e.name.removesuffix(suffix) for e in found]
 
+    def uploaded(self, name: str) -> list[str]:
+        """Files of an upload, by name; none if there is no such upload."""
+        return sorted(self.names(self.uploads / name)) if is_name(name) else []
+
     def take(self, files: Sequence[tuple[str, IO[bytes]]]) -> Taken:
         """Keep an upload: one archive, or files with the names that they have in their folder.
 

@@ -2,9 +2,11 @@
 
 import io
 
+import pytest
 from rich.console import Console
 
-from cell.terminal.progress import ProgressLine, Ticker
+from cell.terminal import progress
+from cell.terminal.progress import EVERY_VARIABLE, ProgressLine, Ticker
 
 
 def line_of(console_is_terminal: bool = False):
@@ -68,6 +70,21 @@ def test_off_a_terminal_a_line_is_printed_at_every_tick(capsys) -> None:
     out, err = capsys.readouterr()
     assert out == ""
     assert set(err.splitlines()) <= {"at work 1", "at work 2"}
+
+
+@pytest.mark.parametrize(
+    ("asked", "every_s"), [("0.5", 0.5), ("0", 0.1), ("nan", 0.1), ("soon", None)]
+)
+def test_whoever_starts_a_command_may_ask_for_more_lines(monkeypatch, asked, every_s) -> None:
+    monkeypatch.setenv(EVERY_VARIABLE, asked)
+    waited = []
+
+    def wait(seconds: float) -> bool:
+        waited.append(seconds)
+        return True
+
+    Ticker(lambda: "", None, wait).close()
+    assert waited == [every_s or progress.EVERY_S]
 
 
 def test_a_line_off_a_terminal_names_command_and_piece(capsys) -> None:

@@ -21,7 +21,7 @@ from cell.web.lab_views import (
     read_result,
     trials_of,
 )
-from cell.web.pages.lab.own import TEMPLATE, named
+from cell.web.pages.lab.own import TEMPLATE, free_name, named
 from cell.web.workspace import Workspace
 
 CONFIG = Path("cell.yaml")
@@ -90,6 +90,8 @@ def test_what_is_asked_for_is_a_command(tasks: LabTasks) -> None:
         "cell import runs.lab/uploads/x/a.csv --hand runs.lab/uploads/x/h.csv "
         "-o runs.lab/studies/x --free-length 0.1 --thickness 0.0001 --force"
     )
+    inferred = tasks.discover(study, free_name(["discovered"]), [])
+    assert inferred.commands[0][-1] == "runs.lab/effects/discovered_2.py"
     learned = tasks.learn("c", [], "runs", [])
     assert learned.typed == (
         "cell learn --ledger runs --config cell.yaml -o runs.lab/candidates/c.yaml"

@@ -59,6 +59,8 @@ def test_tables_are_kept_for_the_import(lab: Workspace) -> None:
     taken = lab.take(loose({"day 1/a.csv": b"1", "day 1/b.trc": b"2"}))
     assert (taken.name, taken.is_study, taken.files) == ("day_1", False, ("a.csv", "b.trc"))
     assert (lab.uploads / "day_1" / "b.trc").read_bytes() == b"2"
+    assert lab.uploaded("day_1") == ["a.csv", "b.trc"]
+    assert lab.uploaded("../uploads/day_1") == lab.uploaded("none") == []
 
 
 @pytest.mark.parametrize(

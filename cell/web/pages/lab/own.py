@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import re
+from collections.abc import Sequence
 from typing import Any
 
 from nicegui import run, ui
@@ -11,7 +12,7 @@ from nicegui import run, ui
 from cell.cable.effects import library
 from cell.web.lab import Checked
 from cell.web.pages.lab.compare import Comparison
-from cell.web.pages.lab.desk import Desk, heading
+from cell.web.pages.lab.desk import Desk, heading, output
 from cell.web.theme import BLUE
 from cell.web.users import Role
 
@@ -77,6 +78,9 @@ class Part:
                 self._beside.classes("w-64").props("use-chips data-test=beside")
                 button = ui.button(t("Save and fit"), icon="auto_graph", color=BLUE)
                 button.on_click(self._fit).props("text-color=white data-test=fit-own")
+                infer = ui.button(t("Infer a law from the error"), icon="psychology")
+                infer.on_click(self._infer).props("outline data-test=infer")
+            self._inferred = ui.column().classes("w-full")
         self._shown = Comparison(self._desk, "own")
         self._desk.listen(self._refresh)
 
@@ -86,6 +90,9 @@ class Part:
         names = [*own, *library()]
         kept = [b for b in self._beside.value or [] if b in names]
         self._beside.set_options(names, value=kept)
+        self._inferred.clear()
+        with self._inferred:
+            output(self._t("The law that was inferred"), self._desk.result("discover.txt"))
         self._editor.theme = self._desk.editor_theme
         await self._shown.refresh()
 
@@ -129,6 +136,14 @@ class Part:
         ]
         return checked
 
+    def _infer(self) -> None:
+        desk = self._desk
+        if desk.subject is None:
+            desk.told(self._t("Choose a study first."))
+            return
+        beside = [desk.effect_file(str(b)) for b in self._beside.value or []]
+        desk.ask(desk.tasks.discover(desk.subject, free_name(desk.own_effects()), beside))
+
     async def _fit(self) -> None:
         desk, text = self._desk, str(self._editor.value)
         if desk.subject is None:
@@ -147,6 +162,12 @@ class Part:
             beside = [desk.effect_file(str(b)) for b in self._beside.value or [] if b != name]
             desk.ask(desk.tasks.fit_own(desk.subject, name, beside))
             await desk.changed()
+
+
+def free_name(taken: Sequence[str]) -> str:
+    """Name of an effect that is not taken: discovered, discovered_2, …"""
+    numbers = (f"discovered_{n}" for n in range(2, 10_000))
+    return next(n for n in ("discovered", *numbers) if n not in taken)
 
 
 def named(text: str) -> str:

@@ -78,10 +78,10 @@ class Part:
         self._desk.listen(self._refresh)
 
     async def _uploaded(self, answer: dict[str, Any]) -> None:
-        name, files = answer["name"], [str(f) for f in answer.get("files", [])]
+        name = str(answer["name"])  # as a browser says: only what is there counts
         if answer.get("is_study"):
             await self._desk.choose(name)
-        else:
+        elif files := self._desk.workspace.uploaded(name):
             self._form.show(name, files)
 
     async def _refresh(self) -> None:
