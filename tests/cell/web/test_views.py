@@ -78,6 +78,16 @@ def test_a_fault_is_shown_with_cause_and_remedy_until_it_is_acknowledged() -> No
     assert live_view(seen, 0.0).fault is None
 
 
+def test_an_adapter_in_trouble_is_named_until_it_runs_again() -> None:
+    trouble = "has ended: signal 9; it is started again"
+    seen = seen_after(Seen(), IDLE)
+    seen = seen_after(seen, notice(Kind.ADAPTER, adapter="opcua", trouble=trouble))
+    assert live_view(seen, 0.0).adapters == {"OPC UA": trouble}
+    assert live_view(replace(seen, there=False), 0.0).adapters == {}
+    seen = seen_after(seen, notice(Kind.ADAPTER, adapter="opcua", trouble=""))
+    assert live_view(seen, 0.0).adapters == {}
+
+
 def test_figures_of_the_shift_come_from_the_ledger() -> None:
     at = datetime(2026, 11, 25, 6, tzinfo=UTC)
     shift = Shift(at, at, 100.0, 50.0, 5.0, 8, 6)
@@ -102,7 +112,7 @@ def test_cycles_as_rows_and_errors_as_a_chart() -> None:
     at = datetime(2026, 11, 25, 6, tzinfo=UTC)
     numbers = {"predicted_miss_m": 1e-3, "measured_miss_m": 1.5e-3, "predicted_std_m": 1e-4}
     good = ListedCycle(
-        *("line", 1, "<b>", Path("/runs/a"), at, at, "inserted", None, None, None, None, None),
+        *("line", 1, "<b>", None, Path("/runs/a"), at, at, "inserted", None, None, None, None, None),
         numbers,
         None,
     )
