@@ -49,6 +49,8 @@ WORDS = {
     "part": N_("a part"),
     "downstream": N_("the next machine"),
 }
+#: Programs between the cell and the plant.
+ADAPTERS = {"opcua": "OPC UA", "mqtt": "MQTT", "handshake": N_("Handshake with the PLC")}
 
 
 @dataclass(frozen=True)
@@ -65,10 +67,11 @@ class FaultView:
 class LiveView:
     """The live page at one moment; texts that are words of the source are still to be translated.
 
-    buttons  commands that the present state accepts
-    waiting  what the cell waits for; starts are asked for by the button itself
-    fault    None = there is none to acknowledge
-    result   of the newest cycle: heading of a figure → its text
+    buttons   commands that the present state accepts
+    waiting   what the cell waits for; starts are asked for by the button itself
+    fault     None = there is none to acknowledge
+    adapters  troubles with the programs between the cell and the plant: name → what is wrong
+    result    of the newest cycle: heading of a figure → its text
     """
 
     look: Look
@@ -80,6 +83,7 @@ class LiveView:
     waiting: tuple[str, ...]
     buttons: frozenset[Event]
     fault: FaultView | None
+    adapters: Mapping[str, str]
     outcome: str
     result: Mapping[str, str]
     counts: Mapping[str, int]
@@ -113,6 +117,7 @@ def live_view(seen: Seen, now_s: float) -> LiveView:
         waiting=tuple(w for w in status.waiting_for if w != "start") if status and there else (),
         buttons=frozenset(status.possible) if status and there else frozenset(),
         fault=fault,
+        adapters=adapter_troubles(status.adapters) if status and there else {},
         outcome=str(last.get("outcome", "")),
         result=result_figures(last),
         counts=figures.counts if figures else dict(status.counts) if status else {},
@@ -121,6 +126,11 @@ def live_view(seen: Seen, now_s: float) -> LiveView:
         note=seen.note,
         folder=Path(str(last.get("folder", ""))).name,
     )
+
+
+def adapter_troubles(adapters: Mapping[str, str]) -> dict[str, str]:
+    """What is wrong with each program between the cell and the plant, by its name for people."""
+    return {ADAPTERS.get(name, name): trouble for name, trouble in sorted(adapters.items())}
 
 
 def result_figures(result: Mapping[str, Any]) -> dict[str, str]:

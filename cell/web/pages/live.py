@@ -46,6 +46,7 @@ class _Live:
             with ui.column().classes("lg:col-span-2 w-full gap-4"):
                 self._state()
                 self._fault()
+                self._adapters()
                 if self._visit.may(Role.operate):
                     self._commands()
                 self._camera()
@@ -223,6 +224,18 @@ class _Live:
             if newest.number != shown[0]:
                 shown[0] = newest.number
                 picture.props(f'src="/live/{newest.number}.jpg"')
+
+        self._updates.append(update)
+
+    def _adapters(self) -> None:
+        """Troubles with programs between the cell and the plant: quiet, nobody need acknowledge."""
+        with ui.card().classes("w-full py-2").props("role=status") as card:
+            said = ui.label().classes("quiet whitespace-pre-line break-words")
+            said.props("data-test=adapters")
+
+        def update(view: LiveView) -> None:
+            card.set_visibility(bool(view.adapters))
+            said.text = "\n".join(f"{self._t(k)} {why}" for k, why in view.adapters.items())
 
         self._updates.append(update)
 

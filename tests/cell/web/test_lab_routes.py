@@ -18,8 +18,11 @@ from cell.plant.client import Client
 from cell.settings import load_settings
 from cell.web import guard, workspace
 from cell.web.audit import Audit, audit_file
+from cell.web.camera import LiveCamera
 from cell.web.control import Control
+from cell.web.films import Films
 from cell.web.guard import COOKIE, MOST_BYTES, Guard
+from cell.web.guided import Guided
 from cell.web.lab_routes import lab_routes
 from cell.web.sessions import Sessions
 from cell.web.users import Role, User
@@ -38,7 +41,9 @@ class Served:
         settings, client = load_settings(CONFIG), Client(runs)
         self.sessions = Sessions(USERS.get)
         watch, audit = Watch(client, settings, runs), Audit(audit_file(runs))
-        self.room = Room(CONFIG, settings, runs, client, watch, Control(), audit, self.sessions)
+        seen = (Films(), LiveCamera(runs), Guided())
+        of_cell = (client, watch, Control(), audit)
+        self.room = Room(CONFIG, settings, runs, *of_cell, *seen, self.sessions)
         app = FastAPI(openapi_url=None)
         lab_routes(app, self.room)
         self._app = Guard(app, self.sessions, False)

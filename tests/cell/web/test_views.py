@@ -78,6 +78,16 @@ def test_a_fault_is_shown_with_cause_and_remedy_until_it_is_acknowledged() -> No
     assert live_view(seen, 0.0).fault is None
 
 
+def test_an_adapter_in_trouble_is_named_until_it_runs_again() -> None:
+    trouble = "has ended: signal 9; it is started again"
+    seen = seen_after(Seen(), IDLE)
+    seen = seen_after(seen, notice(Kind.ADAPTER, adapter="opcua", trouble=trouble))
+    assert live_view(seen, 0.0).adapters == {"OPC UA": trouble}
+    assert live_view(replace(seen, there=False), 0.0).adapters == {}
+    seen = seen_after(seen, notice(Kind.ADAPTER, adapter="opcua", trouble=""))
+    assert live_view(seen, 0.0).adapters == {}
+
+
 def test_figures_of_the_shift_come_from_the_ledger() -> None:
     at = datetime(2026, 11, 25, 6, tzinfo=UTC)
     shift = Shift(at, at, 100.0, 50.0, 5.0, 8, 6)
