@@ -44,7 +44,7 @@ def free_port() -> int:
         return int(tried.getsockname()[1])
 
 
-def until(reached: Callable[[], Any], within_s: float = 90.0) -> Any:
+def until(reached: Callable[[], Any], within_s: float = 40.0) -> Any:
     end_s = time.monotonic() + within_s
     while not (found := reached()):
         assert time.monotonic() < end_s
