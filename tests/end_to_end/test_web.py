@@ -130,6 +130,18 @@ class LivePage:
         """In place of what is there."""
         self._do(what, lambda element: element.send_keys("\ue009a\ue000", text))  # control and a
 
+    def enter_until(self, what: str, text: str, where: str, said: str) -> None:
+        """Once more if the field was just made anew, as by a search that is still under way."""
+
+        def done() -> bool:
+            self.enter(what, text)
+            end_s = time.monotonic() + 5.0
+            while said not in self.text(where) and time.monotonic() < end_s:
+                time.sleep(0.1)
+            return said in self.text(where)
+
+        until(done)
+
     def _do(self, what: str, act: Callable[[Any], None]) -> None:
         """Once the element is there, and can be used."""
         from selenium.common.exceptions import WebDriverException
@@ -262,10 +274,8 @@ def test_settings_are_written_a_film_is_seen_and_a_camera_calibrated(
     browser.get(f"{at}/settings")
     page.type("search", "motion.hold_s")
     until(lambda: len(browser.find_elements("css selector", ".entry")) == 1)
-    page.enter("motion.hold_s", "31")
-    until(lambda: "less than or equal to 30" in page.text("motion.hold_s:said"))
-    page.enter("motion.hold_s", "0.8")
-    until(lambda: "Changes: 1. The settings are right." in page.text("checked"))
+    page.enter_until("motion.hold_s", "31", "motion.hold_s:said", "less than or equal to 30")
+    page.enter_until("motion.hold_s", "0.8", "checked", "Changes: 1. The settings are right.")
     serious = faults_of(browser)
     page.click("differences")
     until(lambda: "+  hold_s: 0.8" in page.text_at(".diff"))
