@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import signal
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -55,6 +56,8 @@ def serve(
     options: dict[str, Any] = {}
     if tls is not None:
         options = {"ssl_certfile": str(tls[0]), "ssl_keyfile": str(tls[1])}
+    # uvicorn gives the signal again once it has closed: what is open here must still be closed
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     with room.watch, room.lab:
         uvicorn.run(
             app,

@@ -68,11 +68,10 @@ class Started:
         quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
         self._all.append(subprocess.Popen(command, **quiet))
 
-    def end(self) -> None:
+    def end(self) -> list[int]:
         for process in self._all:
             process.terminate()
-        for process in self._all:
-            process.wait(30)
+        return [process.wait(30) for process in self._all]
 
 
 @pytest.fixture

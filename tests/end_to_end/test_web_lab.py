@@ -160,7 +160,7 @@ def page(browser: Any, started: Started, config: Path, tmp_path: Path) -> Iterat
 
 
 def test_a_hidden_effect_is_found_typed_fitted_promoted_and_undone(
-    page: LabPage, config: Path, tmp_path: Path
+    page: LabPage, started: Started, config: Path, tmp_path: Path
 ) -> None:
     lab = Workspace.beside(tmp_path / "runs")
     write_study(hidden_mass(), tmp_path / "hidden")
@@ -218,3 +218,4 @@ def test_a_hidden_effect_is_found_typed_fitted_promoted_and_undone(
     lines = audit_file(tmp_path / "runs").read_text("utf-8").splitlines()
     promotions = [(d["action"], d["done"]) for d in map(json.loads, lines)][-3:]
     assert promotions == [("lab promote", False), ("lab promote", True), ("lab promote", True)]
+    assert started.end() == [0]  # not by the signal: what it has open, as jobs, is closed
