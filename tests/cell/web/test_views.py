@@ -111,11 +111,8 @@ def test_the_shift_under_way_may_have_begun_yesterday() -> None:
 def test_cycles_as_rows_and_errors_as_a_chart() -> None:
     at = datetime(2026, 11, 25, 6, tzinfo=UTC)
     numbers = {"predicted_miss_m": 1e-3, "measured_miss_m": 1.5e-3, "predicted_std_m": 1e-4}
-    good = ListedCycle(
-        *("line", 1, "<b>", None, Path("/runs/a"), at, at, "inserted", None, None, None, None, None),
-        numbers,
-        None,
-    )
+    who, how = ("line", 1, "<b>", None), ("inserted", None, None, None, None, None)
+    good = ListedCycle(*who, Path("/runs/a"), at, at, *how, numbers, None)
     row = history_row(good)
     assert (row["part"], row["predicted"], row["measured"]) == ("<b>", "+1.00", "+1.50")
     unknown = replace(good, numbers={}, reason="too stiff", outcome="rejected")
