@@ -82,6 +82,8 @@ class Guard:
                 left -= len(message.get("body", b""))
                 if left < 0:
                     raise _TooLongError
+            if message["type"] == "websocket.receive" and self._ended(session):
+                return {"type": "websocket.disconnect", "code": 1008}
             return message
 
         async def sent(message: MutableMapping[str, Any]) -> None:
@@ -110,6 +112,11 @@ class Guard:
         except CookieError:
             return None
         return self._sessions.of(None if cookie is None else cookie.value)
+
+    def _ended(self, session: Session | None) -> bool:
+        """Whether the session of a socket that is open has ended since: nobody is heard by it."""
+        known = self._sessions is None or session is None
+        return not known and self._sessions.renewed(session.key, used=False) is None
 
     def _refusal(self, scope: Scope, headers: dict[str, str], session: Session | None) -> int:
         """Status of what is refused; 0 = it is allowed."""

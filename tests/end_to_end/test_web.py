@@ -200,9 +200,11 @@ def test_cables_inserted_held_stopped_and_acknowledged_from_the_page(
     browser.get(f"http://127.0.0.1:{port}/history")
     rows = until(lambda: browser.find_elements("css selector", "[data-test=cycles] tbody a"))
     assert len(rows) == 4
+    assert f"{PART}3" in page.text("cycles")
     rows[1].click()
     until(lambda: "inserted at offset" in page.text("says"))
     assert "`recording: null`" in page.text("no-film")
+    assert f"Part {PART}3" in page.text_at("main, .q-page")
     assert browser.title == "Cable cell"
     messages = [json.loads(e["message"])["message"] for e in browser.get_log("performance")]
     sent = [m["params"] for m in messages if m["method"] == "Network.requestWillBeSent"]

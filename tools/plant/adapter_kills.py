@@ -1,10 +1,10 @@
-"""Every adapter killed in every step of a cycle: the cycle ends as it would have.
+"""Every adapter, and the pages, killed in every step of a cycle: it ends as it would have.
 
     python -m tools.plant.adapter_kills [--only mqtt] [--quick]
 
-The simulated cell runs as a service with OPC UA, MQTT and the handshake beside it, once untouched
-and once with a kill (SIGKILL) in each cycle.  Outcome, chosen offset and margin of the n-th cycle
-must be the same, and so must its steps.
+The simulated cell runs as a service with OPC UA, MQTT, the handshake and `cell serve` beside it,
+whose live page somebody looks at: once untouched, and once with a kill (SIGKILL) in each cycle.
+Outcome, chosen offset and margin of the n-th cycle must be the same, and so must its steps.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,7 @@ from cell.plant.messages import Kind, Notice, Request, Status
 from cell.run.machine import Event
 from cell.run.plans import INSERTING
 from tools.plant.around import ADAPTERS, Plant
+from tools.plant.viewer import Viewer
 
 CONFIG = Path(__file__).parents[2] / "config" / "fake.yaml"
 #: Cycles beyond the kills: not every cycle has every step.
@@ -137,7 +138,12 @@ def main() -> int:
             count = len(planned) + SPARE
             untouched = [made(client, messages, lambda step: None) for _ in range(count)]
         runs = folder / "killed" / "runs"
-        with service(config, runs, folder / "log"), Plant(folder / "plant", config, runs) as plant:
+        with ExitStack() as stack:
+            stack.enter_context(service(config, runs, folder / "log"))
+            plant = stack.enter_context(Plant(folder / "plant", config, runs, adapters=given.only))
+            viewer = Viewer(plant.ports["serve"])
+            if "serve" in given.only:
+                stack.enter_context(viewer).wait()
             client = Client(runs, timeout_s=60.0).connect(120.0)
             messages = client.follow()
             for chosen, meant in zip(assigned(planned, untouched), untouched, strict=True):
@@ -159,6 +165,8 @@ def main() -> int:
                 print(f"{adapter:9s} killed in {step:20s} {differs or 'as without'}", flush=True)
                 plant.start(adapter)
                 plant.wait_for(adapter)
+                if adapter == "serve":
+                    viewer.wait()
     print(f"{done - wrong} of {len(planned)} cycles ended as they would have")
     return int(done - wrong < len(planned))
 

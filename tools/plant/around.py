@@ -22,8 +22,8 @@ from cell.plant.link import Link
 from cell.plant.messages import Answer, Kind, Request, Status
 from cell.run.machine import CellState
 
-#: All that there is.
-ADAPTERS = ("opcua", "mqtt", "handshake")
+#: All that there is; `serve` are the pages.
+ADAPTERS = ("opcua", "mqtt", "handshake", "serve")
 NAME = "Cell"
 #: Within so long a program of the plant is there, s.
 _BEGIN_S = 120.0
@@ -138,7 +138,10 @@ class Plant:
 
     def start(self, adapter: str) -> None:
         """Begin an adapter, as the service does."""
-        self.running[adapter] = Program(command_of(adapter, self.config, self._runs))
+        command = command_of(adapter, self.config, self._runs)
+        if adapter == "serve":
+            command += ["--port", str(self.ports[adapter])]
+        self.running[adapter] = Program(command)
 
     def wait_for(self, adapter: str) -> None:
         """Until an adapter does its work."""
@@ -146,7 +149,7 @@ class Plant:
         if adapter == "mqtt":
             program.until("broker: connected")
         else:
-            wait_until(lambda: _listens(self.ports[adapter]), program)
+            wait_until(lambda: listens(self.ports[adapter]), program)
 
     def cpu_s(self) -> Mapping[str, float]:
         """CPU time that each program has taken so far, s."""
@@ -161,11 +164,12 @@ class Plant:
         lines = [f"listener {self.ports['mqtt']} 127.0.0.1", f"user {getpass.getuser()}"]
         said.write_text("\n".join([*lines, "allow_anonymous true"]) + "\n", encoding="utf-8")
         broker = Program(["nice", "-n", "19", program, "-c", str(said)])
-        wait_until(lambda: _listens(self.ports["mqtt"]), broker)
+        wait_until(lambda: listens(self.ports["mqtt"]), broker)
         return broker
 
 
-def _listens(port: int) -> bool:
+def listens(port: int) -> bool:
+    """Whether somebody listens at a port of loopback."""
     with socket.socket() as tried:
         return tried.connect_ex(("127.0.0.1", port)) == 0
 

@@ -1,0 +1,204 @@
+"""Attacks on the pages as they are served: by roles, replayed sessions, names, lengths."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Iterator
+from datetime import datetime
+from pathlib import Path
+
+import pytest
+from starlette.websockets import WebSocketDisconnect
+
+from cell.plant.client import Client
+from cell.records.folder import Record
+from cell.records.recording import form
+from cell.records.recording.writer import RecordingWriter
+from cell.records.result import Outcome, Result
+from cell.settings import load_settings
+from cell.web.audit import Audit, audit_file
+from cell.web.camera import LiveCamera
+from cell.web.control import Control
+from cell.web.films import Films
+from cell.web.guard import COOKIE, Guard
+from cell.web.guided import Guided
+from cell.web.serve import application
+from cell.web.sessions import IDLE_S, Sessions
+from cell.web.users import Role, User, Users
+from cell.web.visit import Room, Visit
+from cell.web.watching import Watch
+
+with warnings.catch_warnings():  # starlette wishes for another client than we have
+    warnings.simplefilter("ignore")
+    from starlette.testclient import TestClient
+
+CONFIG = Path(__file__).parents[3] / "config" / "fake.yaml"
+USERS = {role.name: User(role.name, role) for role in Role}
+#: Where the client that asks thinks it is.
+AT = "http://testserver"
+UPGRADE = {"upgrade": "websocket"}
+SOCKET = "/_nicegui_ws/socket.io/?EIO=4&transport=websocket"
+#: Shown as text wherever it appears.
+PART = "<script>document.title='run'</script>"
+
+
+class Clock:
+    now_s = 0.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+class Served:
+    """All pages behind their guard, with a cycle that has a film."""
+
+    def __init__(self, folder: Path) -> None:
+        runs = folder / "runs"
+        settings, client = load_settings(CONFIG), Client(runs)
+        self.clock, self.cycle = Clock(), film(runs)
+        self.sessions = Sessions(USERS.get, self.clock)
+        of_cell = (client, Watch(client, settings, runs), Control(), Audit(audit_file(runs)))
+        seen = (Films(), LiveCamera(runs), Guided())
+        self.room = Room(CONFIG, settings, runs, *of_cell, *seen, self.sessions)
+        app = application(self.room, Users(folder / "users.json"), False)
+        self.web = TestClient(Guard(app, self.sessions, False), AT, follow_redirects=False)
+
+    def log_in(self, role: str) -> dict[str, str]:
+        """Headers of somebody with a new session."""
+        return {"cookie": f"{COOKIE}={self.sessions.begin(USERS[role])}", "origin": AT, **UPGRADE}
+
+    def socket(self, headers: dict[str, str]) -> str:
+        """What a new socket is told first; "" = it was refused."""
+        try:
+            with self.web.websocket_connect(SOCKET, headers=headers) as socket:
+                return socket.receive_text()
+        except WebSocketDisconnect:
+            return ""
+
+
+def film(runs: Path) -> Path:
+    made = Record(runs, 3, datetime(2026, 11, 24, 6, 30))
+    made.close(Result(3, Outcome.MISSED, str(made.folder), part=PART, reason=PART))
+    writer = RecordingWriter(made.folder / form.FILE, {form.EPOCH: "0", "format": form.FORMAT})
+    writer.frame(0, 1.0, 48, 64, bytes(48 * 64))
+    writer.close({})
+    return made.folder
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    served = Served(tmp_path_factory.mktemp("pages"))
+    with served.web:
+        yield served
+
+
+@pytest.mark.parametrize("role", ["watch", "operate"])
+@pytest.mark.parametrize("path", ["/settings", "/calibration", "/lab"])
+def test_pages_of_engineers_are_not_built_for_others(served: Served, role: str, path: str) -> None:
+    shown = served.web.get(path, headers=served.log_in(role))
+    assert shown.status_code == 200 and "You may not see this page." in shown.text
+    for inside in ("data-test=search", "data-test=promote", "data-test=editor", "hold_s"):
+        assert inside not in shown.text
+
+
+@pytest.mark.parametrize("path", ["/calibration/coverage.png", "/calibration/camera"])
+def test_calibrations_are_read_by_engineers_only(served: Served, path: str) -> None:
+    for role, status in (("watch", 403), ("operate", 403), ("engineer", 404)):
+        assert served.web.get(path, headers=served.log_in(role)).status_code == status
+
+
+ENGINEERS = ["write settings", "calibrate camera", "remove recording", "keep recording"]
+ENGINEERS += ["lab promote", "lab check", "lab fit"]
+
+
+@pytest.mark.parametrize("role", ["watch", "operate"])
+@pytest.mark.parametrize("what", ENGINEERS)
+def test_what_engineers_do_is_not_done_for_others(served: Served, role: str, what: str) -> None:
+    session = served.sessions.of(served.sessions.begin(USERS[role]))
+    assert session is not None
+    done: list[str] = []
+
+    def act() -> str:
+        done.append(what)
+        return ""
+
+    assert "may not" in Visit(served.room, session, "p", "en", str).do(what, Role.engineer, act)
+    assert done == []
+    said = json.loads(served.room.audit.file.read_text("utf-8").splitlines()[-1])
+    assert (said["by"], said["action"], said["done"]) == (role, what, False)
+
+
+def test_who_loses_a_role_loses_its_deeds_on_a_page_that_is_open(
+    served: Served, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session = served.sessions.of(served.sessions.begin(USERS["engineer"]))
+    assert session is not None
+    visit = Visit(served.room, session, "p", "en", str)
+    assert visit.do("write settings", Role.engineer, str) == ""
+    monkeypatch.setitem(USERS, "engineer", User("engineer", Role.operate))
+    assert "may not" in visit.do("write settings", Role.engineer, str)
+
+
+def test_no_socket_without_a_session_nor_from_another_site(served: Served) -> None:
+    known = served.log_in("watch")
+    assert served.socket(known).startswith("0{")
+    assert served.socket({"origin": AT, **UPGRADE}) == ""
+    assert served.socket({**known, "origin": "http://evil.example"}) == ""
+    assert served.socket({"cookie": known["cookie"], **UPGRADE}) == ""
+
+
+@pytest.mark.parametrize("ends", ["logout", "time"])
+def test_a_session_that_has_ended_opens_nothing_and_its_sockets_hear_nobody(
+    served: Served, ends: str
+) -> None:
+    known = served.log_in("operate")
+    assert served.web.get("/", headers=known).status_code == 200
+    with served.web.websocket_connect(SOCKET, headers=known) as socket:
+        assert socket.receive_text().startswith("0{")
+        if ends == "logout":
+            assert served.web.get("/logout", headers=known).headers["location"] == "/login"
+        else:
+            served.clock.now_s += IDLE_S + 1.0
+        socket.send_text("40")
+        assert socket.receive()["type"] == "websocket.close"
+    for path in ("/", "/history", f"/cycles/{served.cycle.name}/frames/0.jpg"):
+        assert served.web.get(path, headers=known).headers["location"] == "/login"
+    assert served.socket(known) == ""
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/cycles/..%2F..%2Fetc/frames/0.jpg",
+        "/cycles/{cycle}/frames/-1.jpg",
+        "/cycles/{cycle}/frames/7.jpg",
+        "/cycles/{cycle}/pictures/..%2Fresult.json",
+        "/cycles/{cycle}/pictures/result.json",
+        "/calibration/..%2Fcell.yaml",
+        "/lab/results/..%2F..%2Fruns/look.html",
+    ],
+)
+def test_no_path_leads_out(served: Served, path: str) -> None:
+    asked = path.format(cycle=served.cycle.name)
+    answer = served.web.get(asked, headers=served.log_in("engineer"))
+    assert answer.status_code in (404, 422)
+    assert b"outcome" not in answer.content
+
+
+def test_a_frame_is_shown_to_who_may_watch(served: Served) -> None:
+    path = f"/cycles/{served.cycle.name}/frames/0.jpg"
+    assert served.web.get(path, headers=served.log_in("watch")).status_code == 200
+
+
+def test_a_script_as_part_id_is_text_in_the_report(served: Served) -> None:
+    path = f"/cycles/{served.cycle.name}/report"
+    shown = served.web.get(path, headers=served.log_in("watch"))
+    assert PART not in shown.text and "&lt;script&gt;" in shown.text
+    assert shown.headers["content-security-policy"].startswith("sandbox")
+
+
+@pytest.mark.parametrize("path", ["/login", "/lab/upload"])
+def test_a_body_of_a_gibibyte_is_refused_before_it_is_read(served: Served, path: str) -> None:
+    headers = {**served.log_in("engineer"), "content-length": str(1 << 30)}
+    assert served.web.post(path, content=b"", headers=headers).status_code == 413

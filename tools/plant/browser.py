@@ -1,0 +1,123 @@
+"""The pages of a cell as a process, and headless Chromium that looks at them, on loopback."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from cell.computer.watched import cpu_s
+from tools.plant.around import Program, free_port, listens, wait_until
+
+_FLAGS = (
+    *("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
+    *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
+    *("--disable-background-timer-throttling", "--disable-renderer-backgrounding"),
+    *("--accept-lang=en", "--window-size=1440,900"),
+)
+#: A browser's page takes at most so long, s; the computer may do other things meanwhile.
+_LOAD_S = 120.0
+_KIB = 1024
+
+
+class Pages:
+    """`cell serve` within a `with`, and what it costs."""
+
+    def __init__(self, config: Path, runs: Path, port: int | None = None) -> None:
+        self.port = port or free_port()
+        self.url = f"http://127.0.0.1:{self.port}"
+        words = ["-c", str(config), "--runs", str(runs), "--port", str(self.port)]
+        self.program = Program([sys.executable, "-m", "cell", "serve", *words])
+
+    def __enter__(self) -> Pages:
+        self.wait()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.program.end()
+
+    def wait(self) -> None:
+        """Until it answers.  Raises RuntimeError: it does not begin."""
+        wait_until(lambda: listens(self.port), self.program)
+
+    def rss_bytes(self) -> int:
+        """Resident memory of the process and of those that it has begun."""
+        return sum(_rss_bytes(pid) for pid in family(self.program.process.pid))
+
+    def cpu_s(self) -> float:
+        """CPU time that it has taken so far, s."""
+        return cpu_s(self.program.process.pid)
+
+
+class Browser:
+    """Headless Chromium within a `with`.  Raises RuntimeError: it is not installed."""
+
+    def __init__(self, folder: Path) -> None:
+        chromium, driver = shutil.which("chromium"), shutil.which("chromedriver")
+        if chromium is None or driver is None:
+            raise RuntimeError("chromium and chromedriver: apt-get install chromium-driver")
+        from selenium import webdriver
+        from selenium.webdriver.chrome.service import Service
+
+        options = webdriver.ChromeOptions()
+        options.binary_location = chromium
+        for flag in (*_FLAGS, f"--user-data-dir={folder}"):
+            options.add_argument(flag)
+        options.page_load_strategy = "eager"
+        self._service = Service(driver)
+        self.driver: Any = webdriver.Chrome(options=options, service=self._service)
+        self.driver.set_page_load_timeout(_LOAD_S)
+        self.driver.set_script_timeout(_LOAD_S)
+
+    def __enter__(self) -> Browser:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.driver.quit()
+
+    @property
+    def processes(self) -> list[int]:
+        """Chromium's, not the driver's."""
+        return family(self._service.process.pid)[1:]
+
+    def tab(self, url: str) -> str:
+        """Open an address in a tab of its own; the tab's handle."""
+        self.driver.switch_to.new_window("tab")
+        self.driver.get(url)
+        return str(self.driver.current_window_handle)
+
+    def text(self, css: str) -> str:
+        """Of an element; "" = there is none yet."""
+        script = "const e = document.querySelector(arguments[0]); return e ? e.innerText : ''"
+        return str(self.driver.execute_script(script, css))
+
+    def until(self, reached: Callable[[], object]) -> None:
+        """Wait for something.  Raises RuntimeError: it does not come, with what the page shows."""
+        until_s = time.monotonic() + _LOAD_S
+        while not reached():
+            if time.monotonic() > until_s:
+                raise RuntimeError(f"{self.driver.current_url}: {self.text('body')[:500]}")
+            time.sleep(0.01)
+
+
+def family(process: int) -> list[int]:
+    """A process and all that it has begun, as Linux says."""
+    found = [process]
+    for parent in found:
+        for file in Path(f"/proc/{parent}/task").glob("*/children"):
+            try:
+                found += map(int, file.read_text().split())
+            except OSError:
+                continue
+    return found
+
+
+def _rss_bytes(process: int) -> int:
+    try:
+        lines = Path(f"/proc/{process}/status").read_text().splitlines()
+    except OSError:
+        return 0
+    return next((int(x.split()[1]) * _KIB for x in lines if x.startswith("VmRSS")), 0)

@@ -1,0 +1,262 @@
+"""Memory of the pages' process over the updates of a shift, with five tabs, one of them stalled.
+
+    python -m tools.plant.pages_soak [--hours 8] [--speed 100] [--cycle-s 15]
+
+One simulated cycle is recorded with all that the cell told.  A link then tells the same, again and
+again, as a cell that makes a cycle every `--cycle-s`, but so many times faster; each cycle is in
+the ledger and has its folder, film included.  Two tabs of a browser show the live page, one goes
+between the history and cycles, one through the lab.  A second browser's live page is halted
+(SIGSTOP) for most of the time.  Printed is the resident memory, and how much it grows after the
+first tenth.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import signal
+import statistics
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from cell.plant.client import Client
+from cell.plant.link import Link
+from cell.plant.messages import Answer, Kind, Notice, Request, Status
+from cell.records.ledger.entry import entry_of_folder
+from cell.records.ledger.ledger import Ledger
+from cell.records.recording import form
+from cell.run.machine import CellState, Event
+from cell.settings import load_settings
+from cell.settings.referred import line_of
+from tools.plant.adapter_kills import quick, service
+from tools.plant.browser import Browser, Pages
+
+MIB = 1 << 20
+#: The process may grow by so much after the first tenth, bytes.
+MOST_GROWTH = 20 * MIB
+#: Memory is looked at so often, and pages are changed so often, s.
+_LOOK_S, _CHANGE_S = 2.0, 10.0
+#: The stalled browser is halted for so long, then comes back for so long, s.
+_HALTED_S, _BACK_S = 40.0, 8.0
+#: Folders of cycles that there are at most: older ones are removed, as by a retention.
+_FOLDERS = 300
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """What a cell told of one cycle, and the folder that the cycle left."""
+
+    notices: tuple[Notice, ...]
+    folder: Path
+
+
+def recorded(folder: Path, config: Path) -> Recorded:
+    """Have one simulated cycle made."""
+    runs = folder / "made"
+    with service(config, runs, folder / "log"):
+        client = Client(runs, timeout_s=60.0).connect(300.0)
+        notices: list[Notice] = []
+        asked = False
+        for message in client.follow():
+            waits = message.data if isinstance(message, Notice) else vars(message)
+            if "start" in waits.get("waiting_for", ()):
+                if asked:
+                    break
+                asked = client.send(Request(Event.START, "tool", part="A-1")).accepted
+            elif isinstance(message, Notice) and asked:
+                notices.append(message)
+        client.close()
+    result = next(n for n in notices if n.kind is Kind.RESULT)
+    return Recorded(tuple(notices), Path(result.data["folder"]))
+
+
+class Line:
+    """A cell that is not there: tells of the same cycle again and again, each with its records."""
+
+    def __init__(self, told: Recorded, config: Path, runs: Path, cycle_s: float) -> None:
+        self._told, self._runs, self._cycle_s = told, runs, cycle_s
+        self._line = line_of(load_settings(config))
+        self.cycles = self.notices = 0
+        self._folders: list[Path] = []
+
+    def until(self, over: threading.Event) -> None:
+        """Make cycles."""
+        refused = Answer(False, CellState.EXECUTE, "this cell only publishes")
+        begun = Status("", 0, CellState.IDLE, time.time(), waiting_for=("start",))
+        self._runs.mkdir(parents=True, exist_ok=True)
+        ledger = Ledger(self._runs, create=True)
+        with Link(self._runs, begun, lambda _: refused) as link:
+            next_s = time.monotonic()
+            while not over.is_set():
+                self._cycle(link, ledger, over)
+                next_s = max(next_s + self._cycle_s, time.monotonic() - 10.0 * self._cycle_s)
+                over.wait(max(0.0, next_s - time.monotonic()))
+        ledger.close()
+
+    def _cycle(self, link: Link, ledger: Ledger, over: threading.Event) -> None:
+        self.cycles += 1
+        at = datetime.now()
+        name = f"{at:%Y%m%dT%H%M%S}.{at.microsecond // 1000:03d}-{self.cycles}"
+        folder = self._runs / name
+        shutil.copytree(self._told.folder, folder, copy_function=os.link)
+        film = folder / form.FILE
+        film.rename(folder / form.PART)
+        entry = entry_of_folder(folder, self._line)
+        assert entry is not None
+        ledger.write([replace(entry, cycle=self.cycles, ended=None, result=None)])
+        pause_s = 0.6 * self._cycle_s / len(self._told.notices)
+        for notice in self._told.notices:
+            if notice.kind is Kind.RESULT:
+                (folder / form.PART).rename(film)
+                part = f"A-{self.cycles}"
+                result = replace(entry.result, part=part) if entry.result is not None else None
+                now = datetime.now(UTC)
+                ledger.write(
+                    [replace(entry, cycle=self.cycles, part=part, ended=now, result=result)]
+                )
+            link.publish(notice.kind, self._numbered(notice, folder))
+            self.notices += 1
+            over.wait(pause_s)
+        self._folders.append(folder)
+        if len(self._folders) > _FOLDERS:
+            shutil.rmtree(self._folders.pop(0))
+
+    def _numbered(self, notice: Notice, folder: Path) -> dict[str, Any]:
+        new = {"cycle": self.cycles, "part": f"A-{self.cycles}", "folder": str(folder)}
+        new["since"] = time.time()
+        return {k: new.get(k, v) for k, v in notice.data.items()}
+
+
+@contextmanager
+def going_on(task: Callable[[threading.Event], None]) -> Iterator[None]:
+    """Something that goes on in a thread meanwhile, until it is told that all is over."""
+    over = threading.Event()
+    thread = threading.Thread(target=task, args=(over,), daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join(60.0)
+
+
+def stalls(browser: Browser) -> Callable[[threading.Event], None]:
+    """Halt a browser again and again; between, its page comes back."""
+
+    def task(over: threading.Event) -> None:
+        while not over.is_set():
+            processes = browser.processes
+            for number, pause_s in ((signal.SIGSTOP, _HALTED_S), (signal.SIGCONT, _BACK_S)):
+                for process in processes:
+                    with suppress(ProcessLookupError):
+                        os.kill(process, number)
+                over.wait(pause_s)
+
+    return task
+
+
+def people(browser: Browser, url: str) -> Iterator[None]:
+    """Open four tabs; each next() is one more look of somebody at another page."""
+    driver = browser.driver
+    for _ in range(2):
+        browser.tab(f"{url}/")
+        browser.until(lambda: browser.text("[data-test=outcome]"))
+    history, lab = browser.tab(f"{url}/history"), browser.tab(f"{url}/lab")
+    parts = ("study", "compare", "diagnose", "own", "line")
+    link = "const a = document.querySelector('[data-test=cycles] tbody a'); a && a.click(); "
+    turn = 0
+    while True:
+        yield
+        turn += 1
+        driver.switch_to.window(history)
+        if turn % 2:
+            browser.until(lambda: driver.execute_script(f"{link} return a !== null"))
+            browser.until(lambda: browser.text("[data-test=says]"))
+        else:
+            driver.get(f"{url}/history")
+        driver.switch_to.window(lab)
+        if turn % 10 == 0:
+            driver.get(f"{url}/lab")
+        part = f"[data-test=tab-{parts[turn % 5]}]"
+        browser.until(lambda part=part: driver.find_elements("css selector", part))
+        driver.execute_script(f"document.querySelector('{part}').click()")
+
+
+def soak(folder: Path, told: Recorded, config: Path, lasts_s: float, cycle_s: float) -> bool:
+    """Let it go on for so long; whether the memory has grown by little enough."""
+    line = Line(told, config, folder / "runs", cycle_s)
+    seen: list[tuple[float, int]] = []
+    with ExitStack() as stack:
+        stack.enter_context(going_on(line.until))
+        pages = stack.enter_context(Pages(config, folder / "runs"))
+        browser = stack.enter_context(Browser(folder / "browser"))
+        halted = stack.enter_context(Browser(folder / "halted"))
+        halted.driver.get(f"{pages.url}/")
+        halted.until(lambda: halted.text("[data-test=outcome]"))
+        looks = people(browser, pages.url)
+        next(looks)
+        stack.enter_context(going_on(stalls(halted)))
+        begun_s = changed_s = time.monotonic()
+        cpu_s, made = pages.cpu_s(), (line.cycles, line.notices)
+        while (now_s := time.monotonic()) < begun_s + lasts_s:
+            seen.append((now_s - begun_s, pages.rss_bytes()))
+            if now_s - changed_s > _CHANGE_S:
+                changed_s = now_s
+                next(looks)
+            if len(seen) % 15 == 1:
+                print(f"{seen[-1][0]:6.0f} s  {seen[-1][1] / MIB:7.1f} MiB", flush=True)
+            time.sleep(_LOOK_S)
+        cpu_s, lasts_s = pages.cpu_s() - cpu_s, time.monotonic() - begun_s
+        cycles, notices = line.cycles - made[0], line.notices - made[1]
+    print(f"{cycles} cycles, {notices} notices in {lasts_s:.0f} s; {cpu_s / lasts_s:.0%} of a core")
+    return told_growth(seen)
+
+
+def told_growth(seen: list[tuple[float, int]]) -> bool:
+    """Print how much the memory has grown, and say whether it is little enough.
+
+    seen  times, s, and bytes; the first tenth of the time is left out
+    """
+    end_s = seen[-1][0]
+    kept = [(t, size) for t, size in seen if t >= 0.1 * end_s]
+    first = statistics.median(size for t, size in kept if t <= 0.25 * end_s)
+    last = statistics.median(size for t, size in kept if t >= 0.9 * end_s)
+    most = max(size for _, size in kept)
+    growth = last - first
+    print(
+        f"{first / MIB:.1f} MiB after the first tenth, {last / MIB:.1f} MiB at the end, at most "
+        f"{most / MIB:.1f} MiB: {growth / MIB:+.1f} MiB, allowed {MOST_GROWTH / MIB:.0f} MiB"
+    )
+    return growth <= MOST_GROWTH
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser.add_argument("--hours", type=float, default=8.0, help="worth of updates")
+    parser.add_argument("--speed", type=float, default=100.0, help="so many times faster")
+    parser.add_argument("--cycle-s", type=float, default=15.0, help="a cycle of the cell takes")
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        config = quick(folder / "cell.yaml")
+        content = yaml.safe_load(config.read_text(encoding="utf-8"))
+        del content["recording"]
+        config.write_text(yaml.safe_dump(content), encoding="utf-8")
+        told = recorded(folder, config)
+        lasts_s, cycle_s = given.hours * 3600.0 / given.speed, given.cycle_s / given.speed
+        return int(not soak(folder, told, config, lasts_s, cycle_s))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,81 @@
+"""A page of the cell that somebody looks at, without a browser: asked for, then followed."""
+
+from __future__ import annotations
+
+import re
+import threading
+from urllib.error import URLError
+from urllib.parse import urlencode
+from urllib.request import urlopen
+
+from websockets.exceptions import WebSocketException
+from websockets.sync.client import connect
+
+from tools.plant.around import wait_until
+
+#: After a server that is not there it is looked for again, s; so long it may take to answer, s.
+_AGAIN_S, _ANSWER_S = 0.5, 30.0
+#: The page's own number, in its text.
+_CLIENT = re.compile(r"'client_id': '([0-9a-f-]{36})'")
+#: Of engine.io and socket.io.
+_PING, _PONG, _CONNECT, _EVENT = "2", "3", "40", "42"
+
+
+class Viewer:
+    """Follows the live page of `port` on loopback within a `with`, again whenever it comes back.
+
+    updates  of the page that have come so far
+    """
+
+    def __init__(self, port: int) -> None:
+        self.updates = 0
+        self._at = f"127.0.0.1:{port}"
+        self._over, self._follows = threading.Event(), threading.Event()
+        self._thread = threading.Thread(target=self._look, name="viewer", daemon=True)
+
+    def __enter__(self) -> Viewer:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self._thread.join()
+
+    def wait(self) -> None:
+        """Until it follows the page.  Raises RuntimeError: it does not come."""
+        wait_until(self._follows.is_set)
+
+    def _look(self) -> None:
+        while not self._over.is_set():
+            try:
+                self._follow(self._opened())
+            except (URLError, OSError, WebSocketException):
+                self._follows.clear()
+                self._over.wait(_AGAIN_S)
+
+    def _opened(self) -> str:
+        """Ask for the page: its number.  Raises URLError, OSError."""
+        with urlopen(f"http://{self._at}/", timeout=_ANSWER_S) as answer:
+            found = _CLIENT.search(answer.read().decode())
+        if found is None:
+            raise RuntimeError("the page does not say its number as it used to")
+        return found[1]
+
+    def _follow(self, client: str) -> None:
+        """Read what the page is told.  Raises OSError, WebSocketException."""
+        said = {"EIO": 4, "transport": "websocket", "implicit_handshake": "true"}
+        said |= {"client_id": client, "tab_id": client, "document_id": client}
+        query = urlencode({**said, "next_message_id": 0})
+        url = f"ws://{self._at}/_nicegui_ws/socket.io/?{query}"
+        with connect(url, origin=f"http://{self._at}", open_timeout=_ANSWER_S) as socket:  # type: ignore[arg-type]
+            socket.recv(_ANSWER_S)
+            socket.send(_CONNECT)
+            self._follows.set()
+            while not self._over.is_set():
+                try:
+                    message = str(socket.recv(_AGAIN_S))
+                except TimeoutError:
+                    continue
+                if message == _PING:
+                    socket.send(_PONG)
+                self.updates += message.startswith(_EVENT)
