@@ -25,6 +25,8 @@ from typing import IO
 from cell.files.atomic import write_whole
 from cell.terminal.progress import EVERY_VARIABLE
 
+#: The command that moves the arm.
+MOVING = "run"
 #: Jobs that may wait, and those that are remembered, the newest.
 MOST_WAITING, REMEMBERED = 5, 12
 #: Lines of a job's output that are kept, and characters of a line.
@@ -60,6 +62,7 @@ class Task:
     commands  words after `cell`, of each command; they are run in this order
     good      exit codes of a command that has done what was asked
     log       file for what the last command prints; None = not kept
+    moves     the arm moves: it begins at once or not at all, and is never killed unasked
     """
 
     title: str
@@ -67,6 +70,7 @@ class Task:
     commands: tuple[tuple[str, ...], ...]
     good: frozenset[int] = frozenset({0})
     log: Path | None = None
+    moves: bool = False
 
     @property
     def typed(self) -> str:
@@ -111,8 +115,11 @@ class Ran:
 
 
 def child(words: Sequence[str]) -> subprocess.Popen[str]:
-    """A command of the cell in a process group of its own, that gives way to others."""
-    nice = shutil.which("nice")
+    """A command of the cell in a process group of its own, that gives way to others.
+
+    One that moves the arm does not.
+    """
+    nice = None if words[0] == MOVING else shutil.which("nice")
     before = [] if nice is None else [nice, "-n", "10"]
     return subprocess.Popen(
         [*before, sys.executable, "-m", "cell", *words],
@@ -190,6 +197,10 @@ class Jobs:
                 return f"{MOST_WAITING} jobs wait already: cancel one, or wait for an end"
             if any(j.task == task and j.state in OPEN for j in self._jobs.values()):
                 return "this is being done already: wait for its end"
+            if task.moves and any(j.state in OPEN for j in self._jobs.values()):
+                return "the hand must move when you say so: wait until the job at work has ended"
+            if any(j.task.moves and j.state in OPEN for j in self._jobs.values()):
+                return "a cable is being measured: wait for its end"
             self._numbers += 1
             self._put(Job(self._numbers, task, by))
             ended = [j.number for j in self._jobs.values() if j.state not in OPEN]
@@ -230,8 +241,12 @@ class Jobs:
                 if job.state is State.QUEUED:
                     self._put(replace(job, state=State.CANCELLED, ended_s=time.time()))
             if self._process is not None:
+                moves = any(j.task.moves and j.state in OPEN for j in self._jobs.values())
                 with suppress(ProcessLookupError):
-                    os.killpg(self._process.pid, signal.SIGKILL)
+                    if moves:  # it stops the arm, and closes its record
+                        self._process.send_signal(signal.SIGTERM)
+                    else:
+                        os.killpg(self._process.pid, signal.SIGKILL)
             self._changed.notify_all()
         if self._thread is not None:
             self._thread.join(10.0)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from cell.web.jobs import Task
+from cell.web.jobs import MOVING, Task
 from cell.web.theme import N_
 from cell.web.workspace import Workspace
 
@@ -162,10 +162,11 @@ class LabTasks:
         """Words of the command that takes the last promotion back."""
         return ("promote", "--undo", *self._line(True))
 
-    def measure(self, subject: Subject, runs: Path) -> tuple[str, ...]:
-        """Words of the command that measures a cable with the motion suggested."""
+    def measure(self, subject: Subject, runs: Path) -> Task:
+        """Measure a cable with the motion suggested; the hand moves."""
         motion = self.workspace.results(subject.name) / "motion.yaml"
-        return ("run", *self._line(True), "--motion", str(motion), "--out", str(runs))
+        words = (MOVING, *self._line(True), "--motion", str(motion), "--out", str(runs))
+        return Task(N_("Measure"), subject.name, (words,), moves=True)
 
     def model(self, subject: Subject, name: str) -> Path:
         """File of a model that was fitted to a study."""

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -158,6 +159,27 @@ def test_jobs_end_with_the_server() -> None:
     with pytest.raises(ProcessLookupError):
         os.killpg(child.pid, 0)
     assert "ending" in jobs.submit(task("1"), "ada")
+
+
+def test_the_arm_moves_at_once_or_not_at_all(jobs: Jobs) -> None:
+    moving = replace(task(ENDLESS, subject="cell"), moves=True)
+    jobs.submit(task(ENDLESS), "ada")
+    assert "when you say so" in jobs.submit(moving, "ada")
+    jobs.cancel(newest(jobs).number)
+    until(lambda: newest(jobs).state is State.CANCELLED)
+    assert jobs.submit(moving, "ada") == ""
+    assert "is being measured" in jobs.submit(task("1"), "bob")
+    jobs.cancel(newest(jobs).number)
+    until(lambda: newest(jobs).state is State.CANCELLED)
+
+
+def test_what_moves_the_arm_closes_its_record_when_the_server_ends(tmp_path: Path) -> None:
+    closed = tmp_path / "closed"
+    program = ANSWERING.replace("print('the best so far')", f"open({str(closed)!r}, 'w').close()")
+    with Jobs(started) as jobs:
+        jobs.submit(replace(task(program), moves=True), "ada")
+        until(lambda: newest(jobs).progress)
+    assert closed.exists()
 
 
 def test_a_short_command_has_a_limit_of_time() -> None:

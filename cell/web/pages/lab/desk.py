@@ -83,12 +83,14 @@ class Desk:
     def ask(self, task: Task) -> bool:
         """Put a job in the queue, audited; whether it was taken."""
         visit, jobs = self.visit, self.lab.jobs
-        refused = visit.do(
-            f"lab {task.title.lower()}",
-            Role.engineer,
-            lambda: jobs.submit(task, visit.name),
-            task.typed.splitlines()[-1],
-        )
+
+        def act() -> str:
+            if task.moves and visit.room.watch.seen.there:
+                return "a cell runs and has the devices: end it first"
+            return jobs.submit(task, visit.name)
+
+        words = task.typed.splitlines()[-1]
+        refused = visit.do(f"lab {task.title.lower()}", Role.engineer, act, words)
         self.asked()
         self.told(refused)
         return not refused

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 
 from nicegui import run, ui
 
 from cell.cable.effects import library
+from cell.web.jobs import Task
 from cell.web.lab_views import (
     VERDICTS,
     Data,
@@ -155,6 +155,24 @@ class Part:
             printed(log)
             if motion.exists() and desk.subject is not None:
                 ui.label(t("Measure a cable with it, where the cell is:"))
-                words = desk.tasks.measure(desk.subject, desk.visit.room.runs)
-                ui.code(shlex.join(["cell", *words]), language="bash").classes("w-full")
+                task = desk.tasks.measure(desk.subject, desk.visit.room.runs)
+                ui.code(task.typed, language="bash").classes("w-full")
+                self._measuring(task)
                 ui.label(t("Then gather both cycles into a study, and diagnose it."))
+
+    def _measuring(self, task: Task) -> None:
+        """A button that has the cell measure, once somebody has said that all is ready."""
+        desk, t = self._desk, self._t
+        with ui.dialog() as dialog, ui.card():
+            ui.label(t("The hand grips a cable and moves. Stay beside it, clear of its way."))
+
+            def measure() -> None:
+                dialog.close()
+                desk.ask(task)
+
+            with ui.row():
+                button = ui.button(t("Measure now"), on_click=measure, color=BLUE)
+                button.props("text-color=white data-test=measure-now")
+                ui.button(t("Close"), on_click=dialog.close).props("outline")
+        button = ui.button(t("Measure"), icon="straighten", on_click=dialog.open)
+        button.props("outline data-test=measure")
