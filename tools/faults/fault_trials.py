@@ -217,6 +217,7 @@ def run_trial(bench: FaultRig, trial: Trial) -> None:
     trial.begin()
     if trial.step == "connect":
         bench.cell.close()
+    bench.cell._steps.do_again([trial.step])  # what is done in the first cycle only, too
     bench.trial = trial
     bench.stopped_s.clear()
     bench.be_patient(bench.patience_s, trial.kind.device)
