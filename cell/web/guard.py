@@ -115,8 +115,9 @@ class Guard:
 
     def _ended(self, session: Session | None) -> bool:
         """Whether the session of a socket that is open has ended since: nobody is heard by it."""
-        known = self._sessions is None or session is None
-        return not known and self._sessions.renewed(session.key, used=False) is None
+        if self._sessions is None or session is None:
+            return False
+        return self._sessions.renewed(session.key, used=False) is None
 
     def _refusal(self, scope: Scope, headers: dict[str, str], session: Session | None) -> int:
         """Status of what is refused; 0 = it is allowed."""
