@@ -2,10 +2,10 @@
 
     python -m tools.plant.pages_times [--turns 5]
 
-The cell works at the speed of reality, beside `cell serve` and headless Chromium on the same
-computer.  Each page is opened with an empty cache, until its content is there; then something is
-clicked or typed until the answer can be seen.  Printed are medians and longest times, the CPU time
-of the pages' process for a visit, and the computer's load.
+The cell, with smaller pictures, works at the speed of reality, beside `cell serve` and headless
+Chromium on the same computer.  Each page is opened with an empty cache, until its content is there;
+then something is clicked or typed until the answer can be seen.  Printed are medians and longest
+times, the CPU time of the pages' process for a visit, and the computer's load.
 """
 
 from __future__ import annotations
@@ -25,7 +25,10 @@ from pathlib import Path
 import yaml
 
 from cell.plant.client import Client
-from tools.plant.adapter_kills import CONFIG, made, service
+from cell.records.recording import form
+from cell.records.recording.retention import KEPT
+from tools.plant.adapter_kills import made, quick, service
+from tools.plant.around import wait_until
 from tools.plant.browser import Browser, Pages
 from tools.plant.pages_soak import going_on
 
@@ -52,7 +55,7 @@ _DONE = {
     ),
     "Cycle": ("click('keep')", "text('kept') === 'The film is kept for good.'"),
     "Lab": ("click('tab-line')", "shown('candidate-name')"),
-    "Settings": ("type('Search', 'hold_s')", "shown('motion.hold_s')"),
+    "Settings": ("type('Search', 'hold_s')", "shown('motion.hold_s') && !shown('cable.width_m')"),
 }
 _WORDS = """
 const at = (what) => document.querySelector(`[data-test='${what}']`);
@@ -98,7 +101,7 @@ class Times:
 
 def configs_in(folder: Path) -> tuple[Path, Path]:
     """The simulated cell at the speed of reality; and the same for the pages, to be calibrated."""
-    content = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
+    content = yaml.safe_load(quick(folder / "quick.yaml").read_text(encoding="utf-8"))
     content["world"]["real_time_factor"] = 1.0
     content["recording"] = {"keep_every": 1}
     cell, shown = folder / "cell.yaml", folder / "shown.yaml"
@@ -168,16 +171,17 @@ def main() -> int:
         client = Client(runs, timeout_s=60.0).connect(300.0)
         messages = client.follow()
         results = [made(client, messages, lambda step: None).result for _ in range(_BEFORE)]
-        cycle = Path(results[-1]["folder"]).name
+        film = Path(results[0]["folder"]) / form.FILE
+        wait_until(film.exists)
         stack.enter_context(going_on(makes_cycles(client)))
         pages = stack.enter_context(Pages(shown, runs))
         browser = stack.enter_context(Browser(folder / "browser"))
         for _ in range(given.turns):
             for title, path, there in _THERE:
-                once = visited(browser, pages, title, path.format(cycle=cycle), there)
+                once = visited(browser, pages, title, path.format(cycle=film.parent.name), there)
                 found[title].add(once)
                 if title == "Cycle":  # as it was, for the next time
-                    (runs / cycle / "keep").unlink()
+                    (film.parent / KEPT).unlink()
     soon = [told(title, times) for title, times in found.items()]
     return int(not all(soon))
 
