@@ -4,7 +4,7 @@ BIN := $(VENV)/bin
 PYTHON ?= $(firstword $(foreach p,python3.12 python3.11 python3.13 python3,$(shell $(p) -c "import sys; print('$(p)' if (3,11) <= sys.version_info[:2] < (3,14) else '')" 2>/dev/null)))
 CYCLES ?= 3
 
-.PHONY: run serve test lint types imports compiled compiled-cell compiled-arm compiled-effects compiled-tests tests hardware bench figures learn coverage practice false-alarms confusion rigs level rig-kinds breadth checks fault-trials handshake calibration-study malformed endurance kills plant mouths holds flights endings words clean help jaw-plate picture docs
+.PHONY: run serve test lint types imports compiled compiled-cell compiled-arm compiled-effects compiled-tests tests hardware bench figures learn pages coverage practice false-alarms confusion rigs level rig-kinds breadth checks fault-trials handshake calibration-study malformed endurance kills plant mouths holds flights endings words clean help jaw-plate picture docs
 
 help:            ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
@@ -143,9 +143,13 @@ mouths: $(VENV)/.dev   ## insertion rate by the mouth's height, offsets alone an
 workers: $(VENV)/.dev   ## 1,000 recorded cycles identified by one and two workers: speed, memory, bits
 	$(BIN)/python -m tools.studies.workers_study --cycles 1000
 
-plant: $(VENV)/.dev   ## a plant around the cell: adapters killed in every step, clients that stall, ~15 min
+plant: $(VENV)/.dev   ## a plant around the cell: adapters and pages killed in every step, clients that stall, ~20 min
 	$(BIN)/python -m tools.plant.adapter_kills
 	$(BIN)/python -m tools.plant.burden
+
+pages: $(VENV)/.dev   ## pages over the updates of 8 h: memory; how soon they are there and answer, ~10 min
+	$(BIN)/python -m tools.plant.pages_soak
+	$(BIN)/python -m tools.plant.pages_times
 
 kills: $(VENV)/.dev   ## 100 cells killed at random moments: what `cell recover` gives back (~40 min)
 	$(BIN)/python -m tools.faults.kill_study $(or $(KILLS),kills.csv)

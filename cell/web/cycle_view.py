@@ -16,7 +16,7 @@ from cell.records.cycle_page import how_it_ended, numbers_table, parameters_tabl
 from cell.records.folder import Recorded, read_record
 from cell.records.past_cycles import cycle_of
 from cell.records.recording import form
-from cell.records.recording.film import is_kept, why_no_film
+from cell.records.recording.film import why_no_film
 from cell.records.recording.reading import read_recording
 
 #: Lines of the tip's path, those on top last.
@@ -44,7 +44,6 @@ class CycleView:
     spent: Mapping[str, Mapping[str, float]]
     tip: Mapping[str, list[list[float]]]
     no_film: str
-    kept: bool
     gaps: tuple[str, ...]
     pictures: tuple[str, ...]
 
@@ -79,7 +78,6 @@ def cycle_view(folder: Path) -> CycleView:
         spent={} if result is None else {"state": result.state_seconds, "step": result.seconds},
         tip=_tip(record, decision, destination),
         no_film=no_film,
-        kept=is_kept(folder),
         gaps=gaps,
         pictures=tuple(sorted(p.name for p in folder.glob("*.png") if p.is_file())),
     )

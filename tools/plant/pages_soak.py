@@ -193,8 +193,11 @@ def people(browser: Browser, url: str) -> Iterator[None]:
         driver.execute_script(f"document.querySelector('{part}').click()")
 
 
-def soak(folder: Path, told: Recorded, config: Path, lasts_s: float, cycle_s: float) -> bool:
-    """Let it go on for so long; whether the memory has grown by little enough."""
+def soak(folder: Path, told: Recorded, config: Path, count: int, cycle_s: float) -> bool:
+    """Let it go on for so many cycles; whether the memory has grown by little enough.
+
+    cycle_s  a cycle takes, at least: a busy computer takes longer
+    """
     line = Line(told, config, folder / "runs", cycle_s)
     seen: list[tuple[float, int]] = []
     with ExitStack() as stack:
@@ -208,8 +211,9 @@ def soak(folder: Path, told: Recorded, config: Path, lasts_s: float, cycle_s: fl
         next(looks)
         stack.enter_context(going_on(stalls(halted)))
         begun_s = changed_s = time.monotonic()
-        cpu_s, made = pages.cpu_s(), (line.cycles, line.notices)
-        while (now_s := time.monotonic()) < begun_s + lasts_s:
+        cpu_s, cycles, notices = pages.cpu_s(), line.cycles, line.notices
+        while line.cycles - cycles < count:
+            now_s = time.monotonic()
             seen.append((now_s - begun_s, pages.rss_bytes()))
             if now_s - changed_s > _CHANGE_S:
                 changed_s = now_s
@@ -218,7 +222,7 @@ def soak(folder: Path, told: Recorded, config: Path, lasts_s: float, cycle_s: fl
                 print(f"{seen[-1][0]:6.0f} s  {seen[-1][1] / MIB:7.1f} MiB", flush=True)
             time.sleep(_LOOK_S)
         cpu_s, lasts_s = pages.cpu_s() - cpu_s, time.monotonic() - begun_s
-        cycles, notices = line.cycles - made[0], line.notices - made[1]
+        cycles, notices = line.cycles - cycles, line.notices - notices
     print(f"{cycles} cycles, {notices} notices in {lasts_s:.0f} s; {cpu_s / lasts_s:.0%} of a core")
     return told_growth(seen)
 
@@ -251,11 +255,11 @@ def main() -> int:
         folder = Path(name)
         config = quick(folder / "cell.yaml")
         content = yaml.safe_load(config.read_text(encoding="utf-8"))
-        del content["recording"]
+        content["recording"] = {"keep_every": 1}
         config.write_text(yaml.safe_dump(content), encoding="utf-8")
         told = recorded(folder, config)
-        lasts_s, cycle_s = given.hours * 3600.0 / given.speed, given.cycle_s / given.speed
-        return int(not soak(folder, told, config, lasts_s, cycle_s))
+        count = max(1, round(given.hours * 3600.0 / given.cycle_s))
+        return int(not soak(folder, told, config, count, given.cycle_s / given.speed))
 
 
 if __name__ == "__main__":

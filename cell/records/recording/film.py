@@ -143,7 +143,10 @@ def why_no_film(folder: Path) -> str:
         return f"the recording was removed on {said.get('at', '?')}: {said.get('why', '?')}"
     if _recording_of(folder) is None:
         return "nothing was recorded: the settings said `recording: null`"
-    return "the recording was not kept: see `keep` and the limits in the section `recording`"
+    return (
+        "the recording is not written yet, or was not kept: see `keep` and the limits in the "
+        "section `recording`"
+    )
 
 
 def keep_recording(folder: Path, kept: bool) -> None:

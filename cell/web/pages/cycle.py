@@ -12,7 +12,7 @@ from nicegui import run, ui
 from cell.files.input_error import InputError
 from cell.files.table import TableData
 from cell.records.recording import form
-from cell.records.recording.film import keep_recording
+from cell.records.recording.film import is_kept, keep_recording
 from cell.records.recording.retention import remove_recording
 from cell.run.machine import CellState
 from cell.web.cycle_view import CycleView, cycle_view, tip_chart
@@ -123,7 +123,7 @@ class _Page:
                 for gap in view.gaps:
                     ui.label(f"{t('Frames that are missing')}: {gap}").classes("break-words")
             if not view.no_film and self._visit.may(Role.engineer):
-                self._kept(view)
+                self._kept()
 
     def _player(self, times: tuple[float, ...]) -> None:
         t, base = self._t, f"/cycles/{self._name}/frames"
@@ -142,19 +142,22 @@ class _Page:
         given = json.dumps([round(s, 4) for s in times])
         ui.run_javascript(f"film.stop(); film.times = {given}; film.base = {base!r}; film.at = 0;")
 
-    def _kept(self, view: CycleView) -> None:
+    @ui.refreshable_method
+    def _kept(self) -> None:
         t = self._t
+        kept = is_kept(self._visit.room.runs / self._name)
         with ui.row().classes("items-center"):
-            words = t("The film is kept for good.") if view.kept else t("The film may be removed.")
+            words = t("The film is kept for good.") if kept else t("The film may be removed.")
             ui.label(words).props("data-test=kept")
 
             async def keep() -> None:
-                what = "release recording" if view.kept else "keep recording"
-                await self._did(what, lambda folder: keep_recording(folder, not view.kept))
+                what = "release recording" if kept else "keep recording"
+                await self._did(what, lambda folder: keep_recording(folder, not kept))
+                self._kept.refresh()
 
-            label = t("Keep no longer") if view.kept else t("Keep for good")
+            label = t("Keep no longer") if kept else t("Keep for good")
             ui.button(label, on_click=keep).props("outline data-test=keep")
-            if view.kept:
+            if kept:
                 return
             with ui.dialog() as dialog, ui.card():
                 ui.label(t("Remove the film of this cycle? Its tables and pictures stay."))
@@ -166,6 +169,7 @@ class _Page:
                     await self._did(
                         "remove recording", lambda folder: remove_recording(folder / form.FILE, why)
                     )
+                    await self.fill()
 
                 with ui.row():
                     sure = ui.button(t("Remove"), color=RED, on_click=remove)
@@ -187,7 +191,6 @@ class _Page:
         refused = await run.io_bound(self._visit.do, what, Role.engineer, act, self._name)
         if refused:
             ui.notify(refused, type="negative", multi_line=True, close_button=self._t("Close"))
-        await self.fill()
 
     def _tip(self, view: CycleView) -> None:
         t = self._t

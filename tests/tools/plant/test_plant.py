@@ -9,7 +9,9 @@ import pytest
 
 from cell.plant.client import Client
 from tools.plant.adapter_kills import CONFIG, Made, assigned, kills
-from tools.plant.around import ADAPTERS, Plant, published
+from tools.plant.around import ADAPTERS, Plant, published, wait_until
+from tools.plant.pages_soak import MIB, told_growth
+from tools.plant.viewer import Viewer
 
 
 def made(*steps: str, **result: object) -> Made:
@@ -43,4 +45,13 @@ def test_all_adapters_follow_a_cell_that_only_publishes(tmp_path: Path) -> None:
         assert all(program.process.poll() is None for program in plant.running.values())
         assert set(plant.cpu_s()) == set(plant.running)
         assert Client(runs).status().state.value == "execute"
+        with Viewer(plant.ports["serve"]) as viewer:
+            wait_until(lambda: viewer.updates > 0)
     assert all(program.process.poll() is not None for program in plant.running.values())
+
+
+@pytest.mark.parametrize("grown_mib, little", [(0, True), (19, True), (25, False)])
+def test_growth_counts_after_the_first_tenth(grown_mib: int, little: bool) -> None:
+    warm = [(float(t), 100 * MIB) for t in range(10)]
+    seen = warm + [(t, (200 + grown_mib * (t > 50.0)) * MIB) for t in map(float, range(10, 101))]
+    assert told_growth(seen) == little
