@@ -320,6 +320,7 @@ def main() -> int:
     parser.add_argument("--plant", action="store_true", help="with all adapters beside the cell")
     parser.add_argument("-o", "--output", type=Path, help=f"e.g. {TABLE.relative_to(ROOT)}")
     arguments = parser.parse_args()
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))  # children end, too
     chosen = [
         t
         for t in all_trials()
