@@ -39,8 +39,8 @@ SIGNATURES = {
     "checks: 'Sequence[Path | str]' = (), config: 'Path | str | None' = None, "
     "progress: 'Progress' = <function no_progress>) -> 'TogetherResult'",
     "learn": "(runs: 'Sequence[Path | str]', config: 'Path | str', *, "
-    "effects: 'Sequence[str]' = (), progress: 'Progress' = <function no_progress>) "
-    "-> 'LearnResult'",
+    "product: 'str | None' = None, effects: 'Sequence[str]' = (), "
+    "progress: 'Progress' = <function no_progress>) -> 'LearnResult'",
     "power": "(study: 'StudyOrFolder', effects: 'Sequence[str]', *, verify: 'int' = 0, "
     "motions: 'Sequence[Path | str]' = (), known: 'Sequence[str]' = (), "
     "config: 'Path | str | None' = None, progress: 'Progress' = <function no_progress>) "
