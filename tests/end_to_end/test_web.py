@@ -274,7 +274,7 @@ def test_settings_are_written_a_film_is_seen_and_a_camera_calibrated(
     browser.switch_to.new_window("tab")
     browser.get(f"{at}/settings")
     page.type("search", "motion.hold_s")
-    until(lambda: len(browser.find_elements("css selector", ".entry")) == 1)
+    until(lambda: len(browser.find_elements("css selector", ".entry:not(.hidden)")) == 1)
     page.enter_until("motion.hold_s", "31", "motion.hold_s:said", "less than or equal to 30")
     page.enter_until("motion.hold_s", "0.8", "checked", "Changes: 1. The settings are right.")
     serious = faults_of(browser)

@@ -47,6 +47,7 @@ class _Row:
     """An entry on the page: where what is wrong with it is said."""
 
     entry: Entry
+    box: ui.element
     said: ui.label
     field: ui.input | ui.select
 
@@ -57,6 +58,7 @@ class _Page:
     def __init__(self, visit: Visit, draft: Draft) -> None:
         self._visit, self._t, self._draft = visit, visit.t, draft
         self._rows: dict[str, _Row] = {}
+        self._headings: dict[str, ui.label] = {}
         self._shown = 0
 
     def build(self) -> None:
@@ -64,10 +66,10 @@ class _Page:
         t = self._t
         with ui.element("div").classes("w-full grid grid-cols-1 md:grid-cols-2 gap-4"):
             self._section = ui.select(self._sections(), value=_IN_FILE, label=t("Section"))
-            self._search = ui.input(t("Search")).props("clearable debounce=200 maxlength=60")
+            self._search = ui.input(t("Search")).props("clearable debounce=80 maxlength=60")
             self._search.props("data-test=search")
             for field in (self._section, self._search):
-                field.classes("w-full").on_value_change(self._fill)
+                field.classes("w-full").on_value_change(self._choose)
         with ui.card().classes("w-full sticky-card"):
             self._state = ui.label().classes("text-lg").props("role=status data-test=checked")
             self._general = ui.label().classes("whitespace-pre-line break-words wrong")
@@ -85,32 +87,48 @@ class _Page:
         return {**words, **{n: n for n in names}}
 
     def _fill(self) -> None:
-        """Show the entries that are asked for."""
+        """Make the rows anew, for the draft has other entries; show those that are asked for."""
         self._list.clear()
         self._rows.clear()
-        section, words = self._section.value, (self._search.value or "").lower().split()
-        heading = ""
+        self._headings.clear()
         with self._list:
             for entry in self._draft.entries():
-                there = entry.given or entry.key in self._draft.changes or entry.key[-1] == "kind"
-                wanted = section in (_ALL, entry.key[0]) or (section == _IN_FILE and there)
-                if words:
-                    said = f"{entry.name} {entry.explained} {entry.unit}".lower()
-                    wanted = all(w in said for w in words)
-                if not wanted:
-                    continue
-                if entry.key[0] != heading:
-                    heading = entry.key[0]
-                    ui.label(heading).classes("text-xl mt-4").props("role=heading aria-level=2")
+                section = entry.key[0]
+                if section not in self._headings:
+                    heading = ui.label(section).classes("text-xl mt-4")
+                    self._headings[section] = heading.props("role=heading aria-level=2")
                 self._rows[entry.name] = self._row(entry)
-            if not self._rows:
-                ui.label(self._t("No entry is called so."))
+            self._none = ui.label(self._t("No entry is called so."))
+        self._choose()
+
+    def _choose(self) -> None:
+        """Show the entries that are asked for; what is typed in the others stays."""
+        headed = set()
+        for row in self._rows.values():
+            wanted = self._wanted(row.entry)
+            row.box.set_visibility(wanted)
+            if wanted:
+                headed.add(row.entry.key[0])
+        for section, heading in self._headings.items():
+            heading.set_visibility(section in headed)
+        self._none.set_visibility(not headed)
         ui.timer(0.01, self._check, once=True)
+
+    def _wanted(self, entry: Entry) -> bool:
+        """Whether an entry is of the section, or, if something is searched, has all its words."""
+        words = (self._search.value or "").lower().split()
+        if words:
+            said = f"{entry.name} {entry.explained} {entry.unit}".lower()
+            return all(w in said for w in words)
+        there = entry.given or entry.key in self._draft.changes or entry.key[-1] == "kind"
+        section = self._section.value
+        return section in (_ALL, entry.key[0]) or (section == _IN_FILE and there)
 
     def _row(self, entry: Entry) -> _Row:
         t = self._t
         given = entry.given or entry.key in self._draft.changes
-        with ui.element("div").classes("w-full grid grid-cols-1 md:grid-cols-2 gap-x-6 entry"):
+        box = ui.element("div").classes("w-full grid grid-cols-1 md:grid-cols-2 gap-x-6 entry")
+        with box:
             if entry.form is Form.CHOSEN:
                 choices = {w: t(WORDS.get(w, w)) for w in entry.choices}
                 shown = entry.shown(entry.value)
@@ -129,7 +147,7 @@ class _Page:
                 said = ui.label().classes("break-words wrong").props("aria-live=polite")
                 said.props(f'data-test="{entry.name}:said"')
         field.on_value_change(self._entered(entry))
-        return _Row(entry, said, field)
+        return _Row(entry, box, said, field)
 
     def _limits(self, entry: Entry) -> str:
         t = self._t
@@ -162,10 +180,11 @@ class _Page:
         if found is None or number != self._shown:
             return
         t, general = self._t, []
+        shown = [name for name, row in self._rows.items() if row.box.visible]
         beside: dict[str, list[str]] = {}
         for key, said in found:
-            place = next((n for n in self._rows if n == key), "")
-            place = place or next((n for n in self._rows if key.startswith(f"{n}[")), "")
+            place = next((n for n in shown if n == key), "")
+            place = place or next((n for n in shown if key.startswith(f"{n}[")), "")
             if place:
                 beside.setdefault(place, []).append(said)
             else:
