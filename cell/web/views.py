@@ -71,6 +71,7 @@ class LiveView:
     waiting   what the cell waits for; starts are asked for by the button itself
     fault     None = there is none to acknowledge
     adapters  troubles with the programs between the cell and the plant: name → what is wrong
+    reason    why the newest cable was rejected or missed
     result    of the newest cycle: heading of a figure → its text
     """
 
@@ -85,6 +86,7 @@ class LiveView:
     fault: FaultView | None
     adapters: Mapping[str, str]
     outcome: str
+    reason: str
     result: Mapping[str, str]
     counts: Mapping[str, int]
     shift: Mapping[str, str]
@@ -119,6 +121,7 @@ def live_view(seen: Seen, now_s: float) -> LiveView:
         fault=fault,
         adapters=adapter_troubles(status.adapters) if status and there else {},
         outcome=str(last.get("outcome", "")),
+        reason=str(last.get("reason") or ""),
         result=result_figures(last),
         counts=figures.counts if figures else dict(status.counts) if status else {},
         shift=shift_texts(seen),

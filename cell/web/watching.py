@@ -34,7 +34,7 @@ class ShiftFigures:
     """What the ledger says of the shift under way.
 
     counts   cycles by outcome
-    reasons  code of a fault, number of cycles, newest cause; most first
+    reasons  code of a fault, or "rejected" or "missed"; number of cycles, newest cause; most first
     """
 
     counts: dict[str, int]
@@ -161,7 +161,8 @@ def shift_figures(settings: Settings, runs: Path, now: datetime) -> ShiftFigures
         try:
             begins = [time_of_day.fromisoformat(t) for t in given.shifts]
             found = shifts(ledger, wanted, begins, now, given.ideal_cycle_s)
-            reasons = tuple(ledger.faults(replace(wanted, fault="")))
+            told = [*ledger.faults(replace(wanted, fault="")), *ledger.not_inserted(wanted)]
+            reasons = tuple(sorted(told, key=lambda reason: -reason[1]))
             return ShiftFigures(ledger.count(wanted), found[-1] if found else None, reasons)
         finally:
             ledger.close()

@@ -37,6 +37,13 @@ _SMALL = [
 ]
 
 
+#: A world in which a few good chances are wrong.
+WINDY = [
+    ("effects: {}", "effects: {draught: {wind_x_m_per_s: 1.6, wind_y_m_per_s: 1.6}}"),
+    ("gripper:\n", "choice: {min_probability: 0.3}\n\ngripper:\n"),
+]
+
+
 def changed(config: Path, path: Path, changes: list[tuple[str, str]]) -> Path:
     text = config.read_text(encoding="utf-8")
     for old, new in changes:

@@ -30,13 +30,9 @@ from cell.settings.model import Model
 from cell.settings.translate import cable_of, identification_of
 from drivers.sim.camera import CameraFaults
 
-Live = Callable[..., SimpleNamespace]
+from .conftest import WINDY
 
-#: A world in which a few good chances are wrong.
-WINDY = [
-    ("effects: {}", "effects: {draught: {wind_x_m_per_s: 1.6, wind_y_m_per_s: 1.6}}"),
-    ("gripper:\n", "choice: {min_probability: 0.3}\n\ngripper:\n"),
-]
+Live = Callable[..., SimpleNamespace]
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from cell.records.result import Outcome, Result
 from cell.web.audit import audit_file
 from cell.web.users import Role, Users
 
-from .conftest import _QUICK, _SMALL, CONFIG, changed, unrecorded
+from .conftest import _QUICK, _SMALL, CONFIG, WINDY, changed, unrecorded
 
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
 FLAGS = (
@@ -211,6 +211,34 @@ def test_cables_inserted_held_stopped_and_acknowledged_from_the_page(
     asked = {urlsplit(s["request"]["url"]) for s in sent}
     of_net = [u for u in asked if u.scheme in ("http", "https", "ws", "wss")]
     assert {u.hostname for u in of_net} == {"127.0.0.1"}
+
+
+def test_a_missed_cable_is_told_and_the_next_one_is_inserted(
+    browser: Any, started: Started, config: Path, tmp_path: Path
+) -> None:
+    runs, port = tmp_path / "runs", free_port()
+    windy = changed(config, tmp_path / "windy.yaml", WINDY)
+    started("run", "-c", windy, "--cycles", "forever", "--out", runs)
+    started("serve", "-c", windy, "--runs", runs, "--port", port)
+    until(lambda: answers(port))
+    browser.get(f"http://127.0.0.1:{port}/")
+    page, cell = LivePage(browser), Client(runs)
+    page.reaches("Idle")
+    page.click("take")
+    why = {"rejected": "probability", "missed": "the tip missed", "inserted": ""}
+    for outcome in why:
+        page.click("start")
+        until(lambda outcome=outcome: page.text("outcome") == f"Newest cable: {outcome}")
+        assert why[outcome] in page.text("why")
+        page.reaches("Idle")
+        assert cell.status().fault is None
+    until(lambda: "1 × missed: the tip missed the destination by" in page.text("reasons"))
+    assert cell.status().counts == {"rejected": 1, "missed": 1, "inserted": 1}
+
+    browser.get(f"http://127.0.0.1:{port}/history")
+    rows = until(lambda: browser.find_elements("css selector", "[data-test=cycles] tbody a"))
+    rows[1].click()  # the newest stands first
+    until(lambda: "the tip missed the destination by" in page.text("says"))
 
 
 @pytest.fixture

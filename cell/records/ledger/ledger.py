@@ -230,6 +230,24 @@ class Ledger:
         with told(self._engine), self._engine.connect() as connection:
             return [(code, n, cause) for code, n, cause in connection.execute(asked)]
 
+    def not_inserted(self, wanted: Wanted) -> list[tuple[str, int, str]]:
+        """Outcome, number of cycles and newest reason of those rejected and missed; most first."""
+        ended = select(cycles.c.outcome, cycles.c.id, cycles.c.reason).where(
+            cycles.c.outcome.in_((Outcome.REJECTED.value, Outcome.MISSED.value))
+        )
+        each = _of_cycles(ended, wanted).subquery()
+        counted = select(
+            each.c.outcome, func.count().label("number"), func.max(each.c.id).label("newest")
+        )
+        groups = counted.group_by(each.c.outcome).subquery()
+        asked = (
+            select(groups.c.outcome, groups.c.number, each.c.reason)
+            .join(each, each.c.id == groups.c.newest)
+            .order_by(groups.c.number.desc(), groups.c.outcome)
+        )
+        with told(self._engine), self._engine.connect() as connection:
+            return [(outcome, n, reason or "") for outcome, n, reason in connection.execute(asked)]
+
     def span(self, wanted: Wanted) -> tuple[datetime, datetime] | None:
         """When the first and the last cycle that are asked for began; None = there are none."""
         asked = _of_cycles(select(func.min(cycles.c.ordered), func.max(cycles.c.ordered)), wanted)

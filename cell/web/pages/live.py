@@ -243,6 +243,7 @@ class _Live:
         t = self._t
         with ui.card().classes("w-full") as card:
             outcome = ui.label().classes("text-xl font-bold").props("data-test=outcome")
+            why = ui.label().classes("break-words").props("data-test=why")
             figures = _Figures(t)
             picture = (
                 ui.image("")
@@ -254,6 +255,8 @@ class _Live:
 
         def update(view: LiveView) -> None:
             outcome.text = f"{t('Newest cable')}: {t(WORDS.get(view.outcome, view.outcome))}"
+            why.text = view.reason
+            why.set_visibility(bool(view.reason))
             figures.show(view.result)
             if view.folder != shown[0]:
                 shown[0] = view.folder
@@ -274,12 +277,15 @@ class _Live:
         with ui.card().classes("w-full") as card:
             ui.label(t("Reasons")).classes("text-xl font-bold")
             reasons = ui.label().classes("whitespace-pre-line break-words")
+            reasons.props("data-test=reasons")
 
         def update(view: LiveView) -> None:
             counts.show({WORDS.get(k, k): str(n) for k, n in view.counts.items()})
             shares.show(view.shift)
             card.set_visibility(bool(view.reasons))
-            reasons.text = "\n".join(f"{n} × {code}: {why}" for code, n, why in view.reasons)
+            reasons.text = "\n".join(
+                f"{n} × {self._t(WORDS.get(code, code))}: {why}" for code, n, why in view.reasons
+            )
 
         self._updates.append(update)
 

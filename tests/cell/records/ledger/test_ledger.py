@@ -6,6 +6,7 @@ import threading
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -93,6 +94,22 @@ def test_only_what_is_wanted_is_listed(ledger: Ledger, wanted: Wanted, found: li
     assert numbers(ledger, wanted) == found
     assert sum(ledger.count(wanted).values()) == len(found)
     assert numbers(ledger, wanted, most=1) == found[-1:]
+
+
+def test_cables_not_inserted_are_counted_with_the_newest_reason(ledger: Ledger) -> None:
+    outcomes = [Outcome.MISSED, Outcome.REJECTED, Outcome.INSERTED, Outcome.MISSED]
+    ledger.write([with_reason(n, outcome) for n, outcome in enumerate(outcomes, start=1)])
+    ledger.write([stopped(5), with_reason(6, Outcome.MISSED, line="line4"), begun(7)])
+    line3 = Wanted(line="line3")
+    assert ledger.not_inserted(line3) == [("missed", 2, "reason 4"), ("rejected", 1, "reason 2")]
+    assert ledger.not_inserted(Wanted(outcomes=("inserted",))) == []
+    assert ledger.not_inserted(Wanted(part="nobody's")) == []
+
+
+def with_reason(number: int, outcome: Outcome, **changes: Any) -> Entry:
+    entry = ended(number, outcome, **changes)
+    assert entry.result is not None
+    return replace(entry, result=replace(entry.result, reason=f"reason {number}"))
 
 
 def test_faults_are_counted_by_code_with_the_newest_cause(ledger: Ledger) -> None:
