@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from cell.cable.dynamics import simulate_each
 from cell.cable.effects import library
 from cell.cable.geometry import Cable, Motion, node_arc_lengths
 from cell.cable.model import CableModel
+from cell.cli import app
 from cell.files.yaml_document import yaml_text
 from cell.settings import load_settings
 from cell.settings.line import line_of
@@ -25,13 +26,15 @@ from cell.web.audit import audit_file
 from cell.web.workspace import Workspace
 
 from . import test_web
-from .conftest import CONFIG
+from .conftest import CONFIG, WINDY, changed
 from .test_web import Started, answers, free_port, until
 
 browser = test_web.browser
 started = test_web.started
 
 _HIDDEN = 1.5e-3
+#: Of `WINDY`.
+WIND = {"draught.wind_x_m_per_s": 1.6, "draught.wind_y_m_per_s": 1.6}
 #: The law of the effect that is hidden, as a person types it under another name.
 _LAW = '''"""Air that the cable takes along."""
 
@@ -122,14 +125,14 @@ class LabPage:
         content.send_keys(Keys.CONTROL, "a")
         self._browser.execute_cdp_cmd("Input.insertText", {"text": text})
 
-    def shows(self, what: str, text: str) -> None:
+    def shows(self, what: str, text: str, within_s: float = 90.0) -> None:
         try:
-            until(lambda: text in self.text(what))
+            until(lambda: text in self.text(what), within_s)
         except AssertionError:
             pytest.fail(f"{what}: {text!r} is not in {self.text(what)!r}")
 
-    def ended(self, job: str) -> None:
-        self.shows("jobs", f"{job} · done")
+    def ended(self, job: str, within_s: float = 90.0) -> None:
+        self.shows("jobs", f"{job} · done", within_s)
 
     def _shown(self, what: str) -> Any:
         found = self._browser.find_elements("css selector", f"[data-test={what}]")
@@ -150,18 +153,18 @@ def config(tmp_path: Path) -> Path:
     return Path(shutil.copy(CONFIG, tmp_path / "cell.yaml"))
 
 
-@pytest.fixture
-def page(browser: Any, started: Started, config: Path, tmp_path: Path) -> Iterator[LabPage]:
+def opened(browser: Any, started: Started, config: Path, runs: Path) -> LabPage:
     port = free_port()
-    started("serve", "-c", config, "--runs", tmp_path / "runs", "--port", port)
+    started("serve", "-c", config, "--runs", runs, "--port", port)
     until(lambda: answers(port))
     browser.get(f"http://127.0.0.1:{port}/lab")
-    yield LabPage(browser)
+    return LabPage(browser)
 
 
 def test_a_hidden_effect_is_found_typed_fitted_promoted_and_undone(
-    page: LabPage, started: Started, config: Path, tmp_path: Path
+    browser: Any, started: Started, config: Path, tmp_path: Path
 ) -> None:
+    page = opened(browser, started, config, tmp_path / "runs")
     lab = Workspace.beside(tmp_path / "runs")
     write_study(hidden_mass(), tmp_path / "hidden")
     page.upload(Path(shutil.make_archive(str(tmp_path / "hidden"), "zip", tmp_path / "hidden")))
@@ -219,3 +222,46 @@ def test_a_hidden_effect_is_found_typed_fitted_promoted_and_undone(
     promotions = [(d["action"], d["done"]) for d in map(json.loads, lines)][-3:]
     assert promotions == [("lab promote", False), ("lab promote", True), ("lab promote", True)]
     assert started.end() == [0]  # not by the signal: what it has open, as jobs, is closed
+
+
+def test_what_recorded_cycles_lack_is_learned_promoted_and_undone(
+    browser: Any, started: Started, quick_config: Path, tmp_path: Path
+) -> None:
+    config, runs = changed(quick_config, tmp_path / "windy.yaml", WINDY), tmp_path / "runs"
+    words = ["run", "-c", str(config), "--cycles", "3", "--out", str(runs)]
+    assert CliRunner().invoke(app, words).exit_code == 1  # two of them are not inserted
+    page = opened(browser, started, config, runs)
+    lab = Workspace.beside(runs)
+
+    page.click("cycles-open")
+    page.shows("cycles", "missed")
+    boxes = browser.find_elements("css selector", "[data-test=cycles] tbody .q-checkbox")
+    for box in boxes:
+        box.click()
+    page.click("gather")
+    page.shows("jobs", "another individual, or gripped elsewhere; merge only cycles of one cable")
+    for box in boxes[1:]:  # the newest stays
+        box.click()
+    page.click("use-cycle")
+    newest = max(r.parent.name for r in runs.glob("*/result.json"))
+    until(lambda: browser.current_url.endswith(f"?study={newest}"))
+
+    page.click("tab-compare")
+    page.click("fit")
+    page.ended(f"Fit · {newest}")
+    page.click("compare")
+    page.ended(f"Compare · {newest}")
+    page.shows("shown-compare", "on motions not fitted to")
+
+    page.click("tab-line")
+    page.click("learn")
+    page.shows("gates", "✓", within_s=300.0)
+    (candidate,) = lab.candidates.glob("*.yaml")
+    page.click(f"promote-{candidate.stem}")
+    page.click("promote-yes")
+    page.shows("line-model", "draught")
+    prior = load_settings(config).model.prior
+    assert prior is not None
+    assert dict(zip(prior.names, prior.mean, strict=True)) == pytest.approx(WIND, rel=0.05)
+    page.click("undo")
+    page.shows("line-model", "0 former models")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -202,11 +203,10 @@ class CablesSpace:
         for q in [] if fit.solution.converged else [fit.q, *([] if fit is best else [best.q])]:
             if not self.budget.allows(ENDS, f"the end of the fit of {effects[-1].name}"):
                 break
-            found.append(
-                fit_shared(
-                    self.prepared, self.base, q, effects, natural(found[-1]), options=ALL_PASSES
-                )
-            )
+            with suppress(*UNSIMULATED):  # the other's cables with what was found of this effect
+                values = natural(found[-1])
+                more = fit_shared(self.prepared, self.base, q, effects, values, options=ALL_PASSES)
+                found.append(more)
         return min(found, key=lambda f: f.chi2)
 
     def _refitted(
@@ -263,12 +263,25 @@ def on_all(
     best: EffectFit,
     budget: Budget,
 ) -> EffectFit:
-    """Effects fitted to more cables than they were found on, from there."""
-    q = plausible.copy()
-    q[: len(best.fit.q)] = best.fit.q
+    """Effects fitted to more cables than they were found on, from there.
+
+    The other cables begin as their holds show them or, where one of them cannot be simulated so
+    with the effects, as the simpler model has fitted them.
+
+    raises  UnsimulatedError: nor can they be simulated then
+    """
     each_s = sum(simulated_s(cable) for cable in prepared) * (1 + best.fit.own + len(best.names))
     options = budget.passes(each_s, ALL_PASSES, f"the fit of {best.name} to {len(prepared)} cables")
-    fit = fit_shared(prepared, base, q, best.effects, natural(best.fit), options=options)
+
+    def fitted(begin: FloatArray) -> SharedFit:
+        q = begin.copy()
+        q[: len(best.fit.q)] = best.fit.q
+        return fit_shared(prepared, base, q, best.effects, natural(best.fit), options=options)
+
+    try:
+        fit = fitted(plausible)
+    except UNSIMULATED:
+        fit = fitted(simpler.q[:, : plausible.shape[1]])
     fall = (simpler.chi2 - fit.chi2) / fit.inflation
     return replace(best, fit=fit, fall=float(fall))
 

@@ -23,6 +23,7 @@ from cell.cable.solver import Solver
 from cell.cli import app
 from cell.files.input_error import InputError
 from cell.files.yaml_document import yaml_text
+from cell.identify.gauss_newton import UnsimulatedError
 from cell.identify.identified import Identified
 from cell.identify.individual import (
     CableRejectedError,
@@ -34,7 +35,7 @@ from cell.lab.data.check import Answer
 from cell.lab.data.cycles import RecordedCycle, read_cycles
 from cell.lab.data.named_effects import select_effects
 from cell.lab.fit.shared import SharedFit, Spread, along_end, fit_shared, prepared_cycle
-from cell.lab.line.cables_space import ALL_PASSES, CablesSpace, library_first
+from cell.lab.line.cables_space import ALL_PASSES, CablesSpace, library_first, on_all
 from cell.lab.line.candidate import lines_of, section, write_candidate
 from cell.lab.line.effect_fit import TIE, Budget, EffectFit
 from cell.lab.line.forecasts import ForecastPair, forecasts
@@ -382,6 +383,28 @@ def test_a_second_effect_that_explains_all_does_not_keep_the_first(result: Learn
     assert single.fit.theta[0] == pytest.approx(2.0, abs=0.1)
     assert single.p_value < 1e-9
     assert last_alone("air_drag", "tip_mass", 2.0, 1e-6) is None
+
+
+def test_cables_that_cannot_be_simulated_as_their_holds_show_them_begin_elsewhere(
+    result: LearningResult, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    task = cell_task(SETTINGS)
+    base = task.identification.kind.space(task.cable, result.cycles[0].study.gravity_m_per_s2)
+    prepared = [prepared_cycle(c.whole) for c in result.cycles]
+    limp, begun = np.full_like(result.baseline.q, -9.0), list[float]()
+
+    def fit_if_stiff(cables: Any, base: Any, q: Any, *given: Any, **options: Any) -> Any:
+        begun.append(q[-1, 0])
+        if q[-1, 0] == limp[-1, 0]:
+            raise UnsimulatedError("too soft for its load")
+        return fit_shared(cables, base, q, *given, **options)
+
+    monkeypatch.setattr("cell.lab.line.cables_space.fit_shared", fit_if_stiff)
+    assert result.best is not None
+    two = replace(result.best, fit=replace(result.best.fit, q=result.best.fit.q[:2]))
+    again = on_all(prepared, base, limp, result.baseline, two, Budget())
+    assert begun == [limp[-1, 0], result.baseline.q[-1, 0]]
+    assert again.fit.chi2 == pytest.approx(result.best.fit.chi2, rel=1e-3)
 
 
 def test_a_cable_that_was_bent_to_imitate_an_effect_does_not_hide_it() -> None:
