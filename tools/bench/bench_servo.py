@@ -3,12 +3,12 @@
 The shipped emulated cell: real RTDE client, rendered pictures of a swinging cable as a stream, and
 the cable looked for in each of them by the process that also commands the arm.
 
-    python -m tools.bench.bench_servo --pairs 4 [--what revised] [--plant] [--seconds 15] [--burn 1]
+    python -m tools.bench.bench_servo --pairs 4 [--what revised] [--seconds 15] [--burn 1]
 
 With --pairs it is measured without and with a recording, in turn; with `--what revised` without and
 with a path that is changed ten times per second while it is followed.  With `--plant` it is without
 and with a plant around: OPC UA with five clients that subscribe every 100 ms, MQTT with a broker,
-and a link that tells them what a cell would.
+and a link that tells them what a cell would; `--what pages` adds the pages, which five look at.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ from tools.plant.around import Plant, published
 CONFIG = Path(__file__).parents[2] / "config" / "emulated.yaml"
 HOST = "127.0.0.76"
 PORTION = 300  # frames recorded at a time
-#: Adapters of `--plant`.
-PLANT = ("opcua", "mqtt")
+#: Adapters of `--what plant`, and those of `--what pages`, with five who look at the live page.
+PLANT, PAGES = ("opcua", "mqtt"), ("opcua", "mqtt", "serve")
 STROKE_M, SWING_S = 0.03, 1.5
 #: A path is changed so often, so long ahead, s, by so much, m.
 REVISED_EVERY_S, REVISED_AHEAD_S, RISE_M = 0.1, 0.06, 3e-4
@@ -144,13 +144,22 @@ class _Watcher:
 
 
 def servo(
-    seconds: float, *, recorded: bool = False, revised: bool = False, plant: bool = False
+    seconds: float,
+    *,
+    recorded: bool = False,
+    revised: bool = False,
+    plant: bool = False,
+    pages: bool = False,
 ) -> Servo:
     with tempfile.TemporaryDirectory() as name, ExitStack() as around:
-        if plant:
+        beside = None
+        if plant or pages:
             runs = Path(name) / "runs"
             around.enter_context(published(runs))
-            beside = Plant(Path(name) / "plant", CONFIG, runs, adapters=PLANT, clients=5)
+            what = PAGES if pages else PLANT
+            beside = Plant(
+                Path(name) / "plant", CONFIG, runs, adapters=what, clients=5, viewers=5 * pages
+            )
             around.enter_context(beside)
         content = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
         content["arm"]["host"] = HOST
@@ -180,7 +189,7 @@ def servo(
             watcher = _Watcher(devices.camera, plane, options)
             probe.take()
             cpu_s = time.process_time()
-            others_s = beside.cpu_s() if plant else {}
+            others_s = {} if beside is None else beside.cpu_s()
             path, begin_s = up_and_down(seconds, devices.arm.rate_hz), time.monotonic() + 0.1
             devices.arm.follow(path, begin_s)
             reviser = _Reviser(devices.arm, path, begin_s)
@@ -189,7 +198,7 @@ def servo(
             watcher.watch(time.monotonic() + seconds)
             cpu_s = time.process_time() - cpu_s
             stalls = probe.take()
-            if plant:
+            if beside is not None:
                 spent = {k: (v - others_s[k]) / seconds for k, v in beside.cpu_s().items()}
                 print("  CPU:", ", ".join(f"{k} {v:.1%}" for k, v in spent.items()))
             gaps_s = np.array(emulated.controller.ask("servo_gaps")["gaps_s"])
@@ -237,7 +246,8 @@ def paired(pairs: int, seconds: float, what: str) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--pairs", type=int, default=4)
-    parser.add_argument("--what", choices=("recorded", "revised", "plant"), default="recorded")
+    kinds = ("recorded", "revised", "plant", "pages")
+    parser.add_argument("--what", choices=kinds, default="recorded")
     parser.add_argument("--plant", action="store_const", const="plant", dest="what")
     parser.add_argument("--seconds", type=float, default=15.0)
     parser.add_argument("--burn", type=int, default=0, help="processes that keep a core busy")

@@ -1,14 +1,15 @@
 """How long the robot waits for the computer, over many cycles at the speed of reality.
 
     python -m tools.bench.bench_wait [--cycles 30] [--seed 1] [--burn 1] [--recorded]
-        [--plant] [--freely 0.25 [--half-mm 1]] [--effects …]
+        [--plant | --pages] [--freely 0.25 [--half-mm 1]] [--effects …]
 
 Beside every wait stands the longest stall of this computer in that cycle, as another process
 measured it, and the CPU time of the cell: a share of two cores while the hold is filmed, and what
 is left to compute after its last frame.  `--burn` keeps so many cores busy all the time.  With
 `--effects` the baseline's waits are measured first, then those of cells whose cables have an effect
 and whose model has learned it.  With `--plant` the same cycles are made again with a plant around:
-OPC UA with five clients that subscribe every 100 ms, and MQTT with a broker.
+OPC UA with five clients that subscribe every 100 ms, and MQTT with a broker.  With `--pages` the
+pages are served, too, and five look at the live page, one of whom reads nothing of it.
 
 A real camera does not need the computer to draw its pictures.  So each cycle is run twice: here
 without pause, which gives the pictures, and then at the speed of reality with these, by a process
@@ -253,11 +254,13 @@ def waits(
     settings: Settings | None = None,
     *,
     plant: Path | None = None,
+    pages: bool = False,
 ) -> list[Wait]:
     """Every cycle's wait, told as it comes.
 
     settings  None = those of the simulated cell
     plant     folder for a plant around it; None = there is none
+    pages     the plant has the pages, too
     """
     end_in_order()
     linked = None if plant is None else plant / "runs"
@@ -286,7 +289,9 @@ def waits(
         cell = cell_with(settings, devices, Path(runs), lambda number, step: None)
         stack.callback(cell.close)
         if plant is not None and linked is not None:
-            beside = Plant(plant, CONFIG, linked, adapters=("opcua", "mqtt"), clients=5)
+            names = ("opcua", "mqtt", *(["serve"] if pages else []))
+            viewers = 5 if pages else 0
+            beside = Plant(plant, CONFIG, linked, adapters=names, clients=5, viewers=viewers)
             stack.enter_context(beside)
             Client(linked).connect(wait_s=300.0)
             before_s, begun_s = beside.cpu_s(), time.monotonic()
@@ -349,6 +354,7 @@ def main() -> None:
         "--recorded", action="store_true", help="the same again with every frame recorded"
     )
     parser.add_argument("--plant", action="store_true", help="the same again with a plant around")
+    parser.add_argument("--pages", action="store_true", help="and with pages that five look at")
     parser.add_argument(
         "--freely", type=float, metavar="S", help="the same again with motion.start.window_s"
     )
@@ -374,10 +380,10 @@ def main() -> None:
         for of in ("wait_s", "after_cpu_s", "hold_cpu"):
             then, now = (np.nanmedian([getattr(w, of) for w in ws]) for ws in (base, found))
             print(f"  {name}: median {of} {now / then:.2f} × without", flush=True)
-    if options.plant:
+    if options.plant or options.pages:
         print("with a plant around", flush=True)
         with tempfile.TemporaryDirectory() as folder:
-            found = waits(*asked, silent, plant=Path(folder))
+            found = waits(*asked, silent, plant=Path(folder), pages=options.pages)
         print(summary(found))
         for of in ("wait_s", "after_cpu_s", "hold_cpu"):
             ratios = [getattr(n, of) / getattr(t, of) for t, n in zip(base, found, strict=True)]

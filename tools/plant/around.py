@@ -88,6 +88,7 @@ class Plant:
     base      settings of the cell; a section `plant` is added to a copy in `folder`
     adapters  which run
     clients   of OPC UA, each subscribed to all that changes, every `interval_ms`
+    viewers   of the live page, one of which reads nothing of it
     """
 
     def __init__(
@@ -99,9 +100,11 @@ class Plant:
         adapters: Sequence[str] = ADAPTERS,
         clients: int = 0,
         interval_ms: float = 100.0,
+        viewers: int = 0,
     ) -> None:
         self._folder, self._runs = folder, runs
         self._names, self._clients, self._interval_ms = adapters, clients, interval_ms
+        self._viewers = viewers
         self.ports = {name: free_port() for name in ADAPTERS}
         self.config = folder / "plant.yaml"
         folder.mkdir(parents=True, exist_ok=True)
@@ -130,6 +133,11 @@ class Plant:
                 clients = Program([sys.executable, "-m", "tools.plant.opcua_clients", *at])
                 self.running["clients"] = clients
                 clients.until("subscribed")
+            if self._viewers:
+                at = [str(self.ports["serve"]), "--viewers", str(self._viewers)]
+                viewers = Program([sys.executable, "-m", "tools.plant.viewer", *at])
+                self.running["viewers"] = viewers
+                viewers.until("they look")
             self._opened = stack.pop_all()
         return self
 

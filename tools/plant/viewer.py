@@ -1,9 +1,17 @@
-"""A page of the cell that somebody looks at, without a browser: asked for, then followed."""
+"""A page of the cell that somebody looks at, without a browser: asked for, then followed.
+
+    python -m tools.plant.viewer PORT [--viewers 5 --stalled 1]
+
+So many look at the live page until the process is ended; the stalled ones read nothing of it.
+"""
 
 from __future__ import annotations
 
+import argparse
 import re
+import signal
 import threading
+from contextlib import ExitStack
 from urllib.error import URLError
 from urllib.parse import urlencode
 from urllib.request import urlopen
@@ -24,11 +32,13 @@ _PING, _PONG, _CONNECT, _EVENT = "2", "3", "40", "42"
 class Viewer:
     """Follows the live page of `port` on loopback within a `with`, again whenever it comes back.
 
+    stalled  it reads nothing of what the page is told
     updates  of the page that have come so far
     """
 
-    def __init__(self, port: int) -> None:
+    def __init__(self, port: int, *, stalled: bool = False) -> None:
         self.updates = 0
+        self._stalled = stalled
         self._at = f"127.0.0.1:{port}"
         self._over, self._follows = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._look, name="viewer", daemon=True)
@@ -71,6 +81,8 @@ class Viewer:
             socket.recv(_ANSWER_S)
             socket.send(_CONNECT)
             self._follows.set()
+            if self._stalled:
+                self._over.wait()
             while not self._over.is_set():
                 try:
                     message = str(socket.recv(_AGAIN_S))
@@ -79,3 +91,21 @@ class Viewer:
                 if message == _PING:
                     socket.send(_PONG)
                 self.updates += message.startswith(_EVENT)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser.add_argument("port", type=int)
+    parser.add_argument("--viewers", type=int, default=5)
+    parser.add_argument("--stalled", type=int, default=1)
+    given = parser.parse_args()
+    with ExitStack() as stack:
+        for number in range(given.viewers):
+            viewer = stack.enter_context(Viewer(given.port, stalled=number < given.stalled))
+            viewer.wait()
+        print("they look", flush=True)
+        signal.pause()
+
+
+if __name__ == "__main__":
+    main()
