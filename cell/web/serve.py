@@ -125,7 +125,7 @@ def _framed(visit: Visit, request: Request) -> None:
     t = visit.t
     ui.add_css(CSS)
     ui.dark_mode(_THEMES.get(request.cookies.get("theme", "")))
-    ui.run_javascript(f"document.documentElement.lang = {visit.language!r}")
+    ui.add_head_html(f"<script>document.documentElement.lang = {visit.language!r}</script>")
     with ui.header().classes("items-center gap-1 px-2 py-1 bg-slate-800 flex-wrap"):
         for page in PAGES:
             if visit.session.user.role >= page.role:

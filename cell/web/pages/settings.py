@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import json
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -59,6 +60,8 @@ class _Page:
         self._visit, self._t, self._draft = visit, visit.t, draft
         self._rows: dict[str, _Row] = {}
         self._headings: dict[str, ui.label] = {}
+        self._asked_for: set[str] = set()
+        self._found: Sequence[tuple[str, str]] = ()
         self._shown = 0
 
     def build(self) -> None:
@@ -66,7 +69,7 @@ class _Page:
         t = self._t
         with ui.element("div").classes("w-full grid grid-cols-1 md:grid-cols-2 gap-4"):
             self._section = ui.select(self._sections(), value=_IN_FILE, label=t("Section"))
-            self._search = ui.input(t("Search")).props("clearable debounce=80 maxlength=60")
+            self._search = ui.input(t("Search")).props("clearable debounce=40 maxlength=60")
             self._search.props("data-test=search")
             for field in (self._section, self._search):
                 field.classes("w-full").on_value_change(self._choose)
@@ -99,20 +102,28 @@ class _Page:
                     self._headings[section] = heading.props("role=heading aria-level=2")
                 self._rows[entry.name] = self._row(entry)
             self._none = ui.label(self._t("No entry is called so."))
-        self._choose()
+            self._rule = ui.html(self._hiding(), sanitize=False)  # ids of elements, nobody's text
+        ui.timer(0.01, self._check, once=True)
 
     def _choose(self) -> None:
-        """Show the entries that are asked for; what is typed in the others stays."""
-        headed = set()
-        for row in self._rows.values():
-            wanted = self._wanted(row.entry)
-            row.box.set_visibility(wanted)
-            if wanted:
-                headed.add(row.entry.key[0])
-        for section, heading in self._headings.items():
-            heading.set_visibility(section in headed)
-        self._none.set_visibility(not headed)
-        ui.timer(0.01, self._check, once=True)
+        """Show the entries that are asked for; what is typed in the others stays.
+
+        One rule of style hides the others, and the browser is told nothing else: for every change
+        of an element it goes through all of them, which takes some tenths of a second.
+        """
+        text = json.dumps(self._hiding())
+        ui.run_javascript(f"document.getElementById('{self._rule.html_id}').innerHTML = {text}")
+        if self._found:
+            self._tell()
+
+    def _hiding(self) -> str:
+        """Find what is asked for: the rule that hides the rest."""
+        self._asked_for = {n for n, row in self._rows.items() if self._wanted(row.entry)}
+        headed = {self._rows[name].entry.key[0] for name in self._asked_for}
+        away = [row.box for name, row in self._rows.items() if name not in self._asked_for]
+        away += [h for section, h in self._headings.items() if section not in headed]
+        away += [self._none] if headed else []
+        return f"<style>{', '.join(f'#{e.html_id}' for e in away)} {{display: none}}</style>"
 
     def _wanted(self, entry: Entry) -> bool:
         """Whether an entry is of the section, or, if something is searched, has all its words."""
@@ -179,8 +190,15 @@ class _Page:
         found = await run.io_bound(self._draft.problems)
         if found is None or number != self._shown:
             return
-        t, general = self._t, []
-        shown = [name for name, row in self._rows.items() if row.box.visible]
+        self._found = found
+        self._tell()
+        if not found:
+            self._general.text = "\n".join(await run.io_bound(self._draft.oddities) or ())
+
+    def _tell(self) -> None:
+        """Say what was found wrong, beside the entries that are shown or above all."""
+        found, t, general = self._found, self._t, []
+        shown = [name for name in self._rows if name in self._asked_for]
         beside: dict[str, list[str]] = {}
         for key, said in found:
             place = next((n for n in shown if n == key), "")
@@ -191,15 +209,13 @@ class _Page:
                 general.append(f"{key}: {said}" if key else said)
         for name, row in self._rows.items():
             row.said.text = "\n".join(beside.get(name, ()))
-            row.field.props(f"error={'true' if name in beside else 'false'}", remove="error")
-            if name in beside:
-                row.field.props("error")
+            wrong = name in beside
+            if wrong != ("error" in row.field.props):  # the others need not be told
+                row.field.props("error") if wrong else row.field.props(remove="error")
         changed = len(self._draft.changes)
         self._state.text = f"{t('Changes')}: {changed}. " + (
             t("The settings are wrong.") if found else t("The settings are right.")
         )
-        if not found:
-            general += await run.io_bound(self._draft.oddities) or ()
         self._general.text = "\n".join(general)
         self._discard.set_enabled(bool(changed or self._draft.unreadable))
 
